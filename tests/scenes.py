@@ -12,7 +12,7 @@ from pydrake.multibody.plant import AddMultibodyPlantSceneGraph, MultibodyPlant
 from pydrake.systems.framework import DiagramBuilder
 
 MODELS = Path(__file__).parents[1] / "models"
-SCENES = Path(__file__).parents[1] / "diagrams" / "scenes"
+SCENES = Path(__file__).parents[1] / "diagrams" / "examples" / "scenes"
 PENDULUM = MODELS / "double_pendulum.urdf"
 
 _TABLE = f"""

@@ -63,8 +63,8 @@ def test_commands_take_the_options_that_they_are_given(page):
         if words[:1] == ["geodrake"]:
             options = {o for p in commands[words[1]].params for o in p.opts}
             assert {word for word in words[2:] if word.startswith("--")} <= options, line
-        elif words[:1] == ["python"]:
-            assert (ROOT / words[1]).is_file(), line
+        elif words[:2] == ["python", "-m"]:
+            assert (ROOT / f"{words[2].replace('.', '/')}.py").is_file(), line
 
 
 def test_every_page_is_in_the_navigation():
@@ -166,9 +166,10 @@ class TestSource:
         for section, modules, tests, studies, done in ROWS:
             for name in re.findall(r"`([\w.]+)`", modules):
                 import_module(f"geodrake.{name}")
-            for folder, paths in (("tests", tests), ("diagrams", studies)):
-                for path in re.findall(r"`([\w./]+)`", paths):
-                    assert (ROOT / folder / path).is_file(), f"{section}: {path}"
+            for path in re.findall(r"`([\w./]+)`", tests):
+                assert (ROOT / "tests" / path).is_file(), f"{section}: {path}"
+            for path in re.findall(r"`([\w./]+)`", studies):
+                assert [*(ROOT / "diagrams").glob(f"*/{path}")], f"{section}: {path}"
             nothing = not (modules or tests or studies)
             assert not nothing or "nothing" in done or "our own" in done, section
 
@@ -176,7 +177,7 @@ class TestSource:
         named = {path for row in ROWS for path in re.findall(r"`([\w./]+)`", row[3])}
         citing = {
             path.name
-            for path in (ROOT / "diagrams").glob("*.py")
+            for path in (ROOT / "diagrams").glob("*/*.py")
             if "[Lee2019]" in path.read_text(encoding="utf-8")
         }
         assert citing <= named

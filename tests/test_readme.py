@@ -104,7 +104,9 @@ def test_files_that_documents_name_are_there(name):
     words = (README.parent / name).read_text(encoding="utf-8")
     paths = re.findall(r"\b(?:diagrams|docs|geodrake|tests)/[\w/]*(?:\.\w+)?", words)
     tests = {path.stem for path in README.parent.glob("tests/**/*.py")}
-    scripts = set(re.findall(r"python (\S+\.py)", words))
+    scripts = {
+        f"{m.replace('.', '/')}.py" for m in re.findall(r"python -m (diagrams[\w.]+)", words)
+    }
     assert not [path for path in {*paths, *scripts} if not (README.parent / path).exists()]
     assert set(re.findall(r"`(test_\w+)`", words)) <= tests
 

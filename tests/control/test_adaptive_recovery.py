@@ -1,8 +1,6 @@
 """Adaptive loops after a second of faults: the estimate is what it was, and tracking comes back."""
 
-import sys
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -18,6 +16,9 @@ from adaptive_loops import (
     perturbed,
 )
 
+from diagrams.benchmarks.adaptive_soak import distances
+from diagrams.studies.adaptive.faults import FAULTS, Episode
+from diagrams.studies.adaptive.faulty_loop import moments
 from geodrake.control.adaptation import (
     PartialLaw,
     adapted_parameters,
@@ -37,12 +38,6 @@ from geodrake.control.systems.safeguards import Seen, Watch
 from geodrake.errors import ArgumentError
 from geodrake.inertia import change_frame, is_physical
 from geodrake.manifolds import PhysicalInertia
-
-sys.path.insert(0, str(Path(__file__).parents[2] / "diagrams"))
-
-from adaptive.faults import FAULTS, Episode
-from adaptive.faulty_loop import moments
-from adaptive_soak import distances
 
 LIMITS = np.array([8.0, 4.0])
 START, STOP = 1.5, 2.5  # of a fault, s

@@ -1,8 +1,5 @@
 """Composite adaptation: by tracking errors and errors of prediction, alone and together."""
 
-import sys
-from pathlib import Path
-
 import numpy as np
 import pytest
 from adaptive_loops import (
@@ -21,6 +18,7 @@ from adaptive_loops import (
 )
 from pydrake.trajectories import PiecewisePolynomial
 
+from diagrams.studies.adaptive.faulty_loop import moments
 from geodrake.control.adaptation import (
     PartialLaw,
     adapted_parameters,
@@ -38,10 +36,6 @@ from geodrake.control.systems.safeguards import Seen
 from geodrake.errors import ArgumentError
 from geodrake.inertia import is_physical
 from geodrake.manifolds import PhysicalInertia
-
-sys.path.insert(0, str(Path(__file__).parents[2] / "diagrams"))
-
-from adaptive.faulty_loop import moments
 
 LAST = adapted_parameters(MODEL, [MODEL.bodies[-1]])
 START = np.where(LAST, perturbed(0.3), TRUTH)

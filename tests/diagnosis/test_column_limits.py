@@ -1,12 +1,13 @@
 """Efforts that were asked for of motors that give less: simulated, named, and kept to the limit."""
 
-import sys
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 
+from diagrams.benchmarks.hidden.robots import robot_file
+from diagrams.benchmarks.wrong_columns.logs import WrongLog, make_log
 from geodrake import load_model
 from geodrake.diagnosis import (
     ColumnFinding,
@@ -26,11 +27,6 @@ from geodrake.model.saved_model import save_model
 from geodrake.model.signal_efforts import in_efforts
 from geodrake.report.explaining import gains_section, limits_section
 from geodrake.report.numbers import Units
-
-sys.path.insert(0, str(Path(__file__).parents[2] / "diagrams"))
-
-from hidden.robots import robot_file
-from wrong_columns.logs import WrongLog, make_log
 
 MODELS = Path(__file__).parents[2] / "models"
 

@@ -3,7 +3,6 @@
 Logs come from Pinocchio's inverse dynamics; the mistakes are written out here.
 """
 
-import sys
 from dataclasses import replace
 from pathlib import Path
 
@@ -16,6 +15,9 @@ from pendulum_logs import PENDULUM, body_effort
 from pinocchio_logs import without_effects
 from scipy.spatial.transform import Rotation
 
+from diagrams.benchmarks.hidden.engines import make_engine
+from diagrams.benchmarks.hidden.robots import robot_file
+from diagrams.benchmarks.wrong_columns.logs import DURATION, WrongLog, make_log
 from geodrake import load_model
 from geodrake.cli.columns import unchecked_words
 from geodrake.diagnosis import ColumnFinding, check_columns, corrected
@@ -28,12 +30,6 @@ from geodrake.errors import ArgumentError
 from geodrake.identification.logs.case import prepared_as_measured
 from geodrake.logs.files import read_log
 from geodrake.logs.motion import JointLog
-
-sys.path.insert(0, str(Path(__file__).parents[2] / "diagrams"))
-
-from hidden.engines import make_engine
-from hidden.robots import robot_file
-from wrong_columns.logs import DURATION, WrongLog, make_log
 
 MODELS = Path(__file__).parents[2] / "models"
 JOINTS = ("shoulder", "elbow")

@@ -4,8 +4,6 @@ The diagnosis gets a log and a model file. Logs come from a Drake diagram, from 
 formulas of the effects and bodies that are 20 % off, and from robots without hidden effects.
 """
 
-import importlib.util
-import sys
 from functools import cache
 from importlib.resources import files
 from pathlib import Path
@@ -13,6 +11,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from diagrams.examples import hidden_effect_log as drake
 from geodrake import load_model
 from geodrake.diagnosis.explain import explain
 from geodrake.identification.logs.noise import prepare_for_model
@@ -45,18 +44,6 @@ def seeds(*numbers, first=1):
         seed if i < first else pytest.param(seed, marks=pytest.mark.thorough)
         for i, seed in enumerate(numbers)
     ]
-
-
-def diagram_script():
-    """The script `diagrams/hidden_effect_log.py` as a module."""
-    path = MODELS.parent / "diagrams" / "hidden_effect_log.py"
-    spec = importlib.util.spec_from_file_location("hidden_effect_log", path)
-    module = sys.modules[spec.name] = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(module)
-    return module
-
-
-drake = diagram_script()
 
 
 @cache
@@ -93,7 +80,7 @@ def assert_found(name, recording, expected, *, simpler=()):
 
 
 class TestDrake:
-    """Logs of `diagrams/hidden_effect_log.py`, whose inertias are those of the model file."""
+    """Logs of `hidden_effect_log.py`, whose inertias are those of the model file."""
 
     @pytest.mark.parametrize(
         ("name", "effect", "where", "size"),

@@ -9,13 +9,16 @@ import processes
 import pytest
 
 ROOT = Path(__file__).parents[2]
+
 FOLDER = ROOT / "diagrams"
+SCRIPTS = {path.stem: f"diagrams.{path.parent.name}.{path.stem}" for path in FOLDER.glob("*/*.py")}
 
 
 def start(name, *arguments):
     """Runs a script in a process of its own; its exit code, and what it printed."""
-    command = [sys.executable, str(FOLDER / f"{name}.py"), *map(str, arguments)]
-    process = processes.start(command, seconds=300, PYTHONWARNINGS="error")
+    command = [sys.executable, "-m", SCRIPTS[name], *map(str, arguments)]
+    here = {"PYTHONWARNINGS": "error", "PYTHONPATH": f"{ROOT}:{processes.PACKAGES}"}
+    process = processes.start(command, seconds=300, **here)
     out, err = process.communicate()
     return subprocess.CompletedProcess(process.args, process.returncode, out, err)
 
@@ -23,7 +26,6 @@ def start(name, *arguments):
 def call(name, *arguments):
     """Runs a script in this process, which has Python and Drake at hand; errors are raised."""
     with pytest.MonkeyPatch.context() as patch:
-        patch.syspath_prepend(str(FOLDER))
-        patch.setenv("PYTHONPATH", processes.PACKAGES)  # for what a script measures in processes
+        patch.setenv("PYTHONPATH", f"{ROOT}:{processes.PACKAGES}")  # of its own processes
         patch.setattr(sys, "argv", [f"{name}.py", *map(str, arguments)])
-        import_module(name).main()
+        import_module(SCRIPTS[name]).main()

@@ -13,7 +13,7 @@ from statistics import mean
 import numpy as np
 import pytest
 from meshcat_pages import drawn, tracks
-from scripts import FOLDER, ROOT, call, start
+from scripts import ROOT, SCRIPTS, call, start
 
 from geodrake.logs.files import read_log
 
@@ -50,7 +50,7 @@ ELSEWHERE = {  # run by tests of their own, with --quick, too
     "random_mjcf",
     "run_scenario",
 }
-SCRIPTS = sorted(path.stem for path in FOLDER.glob("*.py") if path.stem not in ELSEWHERE)
+NAMES = sorted({*SCRIPTS} - ELSEWHERE - {"iiwa_messages"})
 
 
 def reaches_its_bars(table):
@@ -200,7 +200,7 @@ def marks_of(name):
     return [*marks, pytest.mark.thorough] if name in LONG else marks
 
 
-CASES = [pytest.param(name, marks=marks_of(name)) for name in SCRIPTS]
+CASES = [pytest.param(name, marks=marks_of(name)) for name in NAMES]
 
 
 @pytest.mark.parametrize("name", CASES)
@@ -211,7 +211,9 @@ def test_script(name, tmp_path):
         done = start(name, *arguments, "--jobs", 1)
         assert done.returncode == 0, done.stderr
     else:
-        in_jobs = "run_draws" in (FOLDER / f"{name}.py").read_text(encoding="utf-8")
+        in_jobs = "run_draws" in (ROOT / (SCRIPTS[name].replace(".", "/") + ".py")).read_text(
+            encoding="utf-8"
+        )
         call(name, *arguments, *(("--jobs", 1) if in_jobs else ()))
     found = json.loads(table.read_text(encoding="utf-8"))
     assert found

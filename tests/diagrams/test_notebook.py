@@ -14,7 +14,8 @@ from meshcat_pages import tracks
 from geodrake import diagnosis, load_model
 from geodrake.logs import read_log
 
-NOTEBOOKS = Path(__file__).parents[2] / "diagrams"
+ROOT = Path(__file__).parents[2]
+NOTEBOOKS = ROOT / "diagrams" / "examples"
 CELLS = {
     path.stem: json.loads(path.read_text(encoding="utf-8"))["cells"]
     for path in sorted(NOTEBOOKS.glob("*.ipynb"))
@@ -45,9 +46,9 @@ def explain_once(monkeypatch):
 @pytest.fixture
 def names_after(tmp_path, monkeypatch):
     """Runs the code cells of a notebook in one namespace, as far as models go in its folder."""
-    (tmp_path / "diagrams").mkdir()
-    (tmp_path / "models").symlink_to(NOTEBOOKS.parent / "models")
-    monkeypatch.chdir(tmp_path / "diagrams")
+    (tmp_path / "diagrams" / "examples").mkdir(parents=True)
+    (tmp_path / "models").symlink_to(ROOT / "models")
+    monkeypatch.chdir(tmp_path / "diagrams" / "examples")
     monkeypatch.delenv("GEODRAKE_MEASUREMENTS", raising=False)  # the logs that come with geodrake
 
     def run(notebook):

@@ -1,7 +1,5 @@
 """The scenario of a file: built, simulated, and driven by messages of LCM."""
 
-import sys
-
 import mujoco
 import numpy as np
 import pytest
@@ -19,8 +17,9 @@ from pydrake.systems.framework import DiagramBuilder
 from pydrake.systems.lcm import ApplyLcmBusConfig
 from pydrake.trajectories import PiecewisePolynomial
 from scenes import MODELS, PENDULUM, SCENES
-from scripts import FOLDER
 
+from diagrams.examples.iiwa_messages import CommandWriter, IiwaMessages, StatusReader, iiwa_ports
+from diagrams.examples.run_scenario import load_scenario, simulate
 from geodrake import load_model
 from geodrake.control import (
     ControlModel,
@@ -29,11 +28,6 @@ from geodrake.control import (
     add_adaptive_loop,
 )
 from geodrake.errors import ArgumentError, ConvergenceError, ModelError
-
-sys.path.insert(0, str(FOLDER))
-
-from iiwa_messages import CommandWriter, IiwaMessages, StatusReader, iiwa_ports
-from run_scenario import load_scenario, simulate
 
 WORKCELL = SCENES / "workcell.yaml"
 SMALL = f"""

@@ -1,27 +1,21 @@
 """The AMBIDEX study: its arm, measurements and priors, and what its quick form must show."""
 
 import json
-import sys
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
 from scipy.linalg import lstsq
 from scripts import call
 
+from diagrams.harness import kept
+from diagrams.studies import ambidex_arm as study
+from diagrams.studies.ambidex import arm as robot
+from diagrams.studies.ambidex import draws, measurements
 from geodrake.identification import identify
 from geodrake.inertia import is_physical, pseudo_inertia
 from geodrake.inertia.ellipsoids import equivalent_ellipsoid
 from geodrake.logs.motion import Motion
-
-ROOT = Path(__file__).parents[2]
-sys.path.insert(0, str(ROOT / "diagrams"))
-
-import ambidex_arm as study  # noqa: E402
-from ambidex import arm as robot  # noqa: E402
-from ambidex import draws, measurements  # noqa: E402
-from resumable.draws import kept  # noqa: E402
 
 PLAN = draws.Plan(draws=2, counts=(30,), gamma=0.03, delta=0.5, hull=2.0, seed=4)
 AWARE = ("pullback", "entropic", "riemannian", "point_mass_euclidean", "point_mass_kl")

@@ -1,7 +1,6 @@
 """The studies of the Cheetah-like leg show what they claim to show."""
 
 import json
-import sys
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -16,19 +15,16 @@ from geodrake.robot.plant import load_plant
 from geodrake.robot.regressor import inverse_dynamics
 
 ROOT = Path(__file__).parents[2]
+
 MODELS = ROOT / "models"
 
 
 @pytest.fixture(scope="module")
 def study():
     """The two studies, and the modules that they share."""
-    sys.path.insert(0, str(ROOT / "diagrams"))
-    try:
-        import cheetah_gallop
-        import cheetah_leg
-        from cheetah import fits, gallop, leg, swing
-    finally:
-        sys.path.remove(str(ROOT / "diagrams"))
+    from diagrams.studies import cheetah_gallop, cheetah_leg
+    from diagrams.studies.cheetah import fits, gallop, leg, swing
+
     names = ("fits", "gallop", "leg", "swing", "leg_study", "gallop_study")
     return SimpleNamespace(
         **dict(zip(names, (fits, gallop, leg, swing, cheetah_leg, cheetah_gallop), strict=True))

@@ -1,16 +1,12 @@
 """The study of mistakes in columns: its logs have them, and its quick form runs."""
 
 import json
-import sys
-from pathlib import Path
 
 import numpy as np
 import pytest
 from scripts import call
 
-sys.path.insert(0, str(Path(__file__).parents[2] / "diagrams"))
-
-from wrong_columns.logs import MISTAKES, WrongLog, make_log
+from diagrams.benchmarks.wrong_columns.logs import MISTAKES, WrongLog, make_log
 
 
 def draw(mistake):

@@ -1,7 +1,5 @@
 """The studies of excitation show what they claim to show."""
 
-import sys
-from pathlib import Path
 from types import SimpleNamespace
 
 import numpy as np
@@ -10,21 +8,18 @@ import pytest
 from geodrake.excitation import ExcitationTrajectory, FreeSamples, Objective
 from geodrake.logs.motion import Motion
 
-ROOT = Path(__file__).parents[2]
-
 
 @pytest.fixture(scope="module")
 def study():
     """The four studies, and the modules that they share."""
-    sys.path.insert(0, str(ROOT / "diagrams"))
-    try:
-        import atlas_identification
-        import excitation_contours
-        import iiwa_excitation
-        import scara_excitation
-        from excitation import balancing, expected, humanoid, manipulator, scara
-    finally:
-        sys.path.remove(str(ROOT / "diagrams"))
+    from diagrams.studies import (
+        atlas_identification,
+        excitation_contours,
+        iiwa_excitation,
+        scara_excitation,
+    )
+    from diagrams.studies.excitation import balancing, expected, humanoid, manipulator, scara
+
     return SimpleNamespace(
         contours=excitation_contours,
         scara_study=scara_excitation,

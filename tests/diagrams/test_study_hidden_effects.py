@@ -1,8 +1,5 @@
 """The benchmark of hidden effects: its engines, its logs, how it scores, and what it must show."""
 
-import sys
-from pathlib import Path
-
 import numpy as np
 import pytest
 from scipy.stats import binomtest
@@ -10,15 +7,11 @@ from scipy.stats import binomtest
 pytest.importorskip("pinocchio")
 pytest.importorskip("mujoco")
 
-ROOT = Path(__file__).parents[2]
-sys.path.insert(0, str(ROOT / "diagrams"))
-
-from hidden import bars, draws, logs, motions, scoring  # noqa: E402
-from hidden.engines import MuJoCoEngine, PinocchioEngine, congruent, pseudo  # noqa: E402
-from hidden.robots import robot_file, robot_model, robot_names  # noqa: E402
-from hidden.table import OUTSIDE, TRUTHS  # noqa: E402
-
-from geodrake.inertia import pseudo_inertia  # noqa: E402
+from diagrams.benchmarks.hidden import bars, draws, logs, motions, scoring
+from diagrams.benchmarks.hidden.engines import MuJoCoEngine, PinocchioEngine, congruent, pseudo
+from diagrams.benchmarks.hidden.robots import robot_file, robot_model, robot_names
+from diagrams.benchmarks.hidden.table import OUTSIDE, TRUTHS
+from geodrake.inertia import pseudo_inertia
 
 TIME = np.arange(0.0, 12.0, 0.01)
 PLAIN = {

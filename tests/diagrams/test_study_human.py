@@ -1,18 +1,14 @@
 """The human study: the source's table 3.1, equal residuals, and bodies that stay bodies."""
 
 import json
-import sys
 
 import numpy as np
 import pytest
 from measurements import DATA
-from scripts import FOLDER, call
+from scripts import call
 
+from diagrams.studies.human.plate import Human, blocks
 from geodrake.identification import identify
-
-sys.path.insert(0, str(FOLDER))
-
-from human.plate import Human, blocks
 
 NEEDED = pytest.mark.measurements("data/human_force_plate.npz")
 TABLE = {  # [Lee2019] table 3.1, training: N, cm, cm

@@ -1,8 +1,6 @@
 """The benchmark of ordinary robots: its robots, its logs, and how it scores."""
 
-import sys
 from dataclasses import replace
-from pathlib import Path
 from types import SimpleNamespace
 
 import numpy as np
@@ -10,19 +8,15 @@ import pytest
 
 pytest.importorskip("pinocchio")
 
-ROOT = Path(__file__).parents[2]
-sys.path.insert(0, str(ROOT / "diagrams"))
-
-from hidden.engines import MuJoCoEngine, PinocchioEngine  # noqa: E402
-from hidden.motions import FAST, POINTS  # noqa: E402
-from hidden.robots import robot_file, robot_model  # noqa: E402
-from hidden.truths import Seen  # noqa: E402
-from ordinary import lines, logs, scoring  # noqa: E402
-from ordinary.draws import ARMS, ORDINARY, OUTSIDE, QUIET, all_draws, draw  # noqa: E402
-from ordinary.logs import DRY, ROTOR, TOOL, make_recording  # noqa: E402
-from ordinary.uncatalogued import KINDS, Site  # noqa: E402
-
-from geodrake.inertia import pseudo_inertia  # noqa: E402
+from diagrams.benchmarks.hidden.engines import MuJoCoEngine, PinocchioEngine
+from diagrams.benchmarks.hidden.motions import FAST, POINTS
+from diagrams.benchmarks.hidden.robots import robot_file, robot_model
+from diagrams.benchmarks.hidden.truths import Seen
+from diagrams.benchmarks.ordinary import lines, logs, scoring
+from diagrams.benchmarks.ordinary.draws import ARMS, ORDINARY, OUTSIDE, QUIET, all_draws, draw
+from diagrams.benchmarks.ordinary.logs import DRY, ROTOR, TOOL, make_recording
+from diagrams.benchmarks.ordinary.uncatalogued import KINDS, Site
+from geodrake.inertia import pseudo_inertia
 
 SHORT = {"duration": 6.0, "rate": 100.0, "noise": 0.01, "velocities": True, "quantised": False}
 

@@ -1,23 +1,16 @@
 """The study of sandbags on an AMBIDEX-like arm: controller, plant, and what it must show."""
 
-import sys
-from pathlib import Path
-
 import numpy as np
 import pytest
 from scipy.linalg import block_diag
 
+from diagrams.studies import ambidex_sandbags as study
+from diagrams.studies.adaptive import coupled, laws, sandbag_loop
+from diagrams.studies.ambidex import arm as robot
 from geodrake.control.adaptation import natural_adaptation
 from geodrake.control.systems import PassivityBasedAdaptiveController, VaryingGains
 from geodrake.inertia import is_physical
 from geodrake.logs.motion import Motion
-
-ROOT = Path(__file__).parents[2]
-sys.path.insert(0, str(ROOT / "diagrams"))
-
-import ambidex_sandbags as study  # noqa: E402
-from adaptive import coupled, laws, sandbag_loop  # noqa: E402
-from ambidex import arm as robot  # noqa: E402
 
 
 @pytest.fixture(scope="module")

@@ -1,24 +1,18 @@
 """The study of motions that tell effects apart: its robots are what they say, and what it shows."""
 
 import re
-import sys
-from pathlib import Path
 
 import numpy as np
 import pinocchio
 import pytest
 from typer.testing import CliRunner
 
+from diagrams.benchmarks import tell_apart as study
+from diagrams.benchmarks.rivals import simulation, trial
+from diagrams.benchmarks.rivals.cases import CASES, MOTIONS
+from diagrams.benchmarks.rivals.simulation import Hidden
 from geodrake.cli.app import app
 from geodrake.logs.files import read_log, write_log
-
-ROOT = Path(__file__).parents[2]
-sys.path.insert(0, str(ROOT / "diagrams"))
-
-import tell_apart as study  # noqa: E402
-from rivals import simulation, trial  # noqa: E402
-from rivals.cases import CASES, MOTIONS  # noqa: E402
-from rivals.simulation import Hidden  # noqa: E402
 
 
 def robot_log(hidden, motion, duration, *, noise=0.0):

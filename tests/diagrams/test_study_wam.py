@@ -1,20 +1,13 @@
 """The studies of adaptive control of the WAM-like arm: their parts, and what they must show."""
 
-import sys
-from pathlib import Path
-
 import numpy as np
 import pytest
 
+from diagrams.harness import run_draws, script_parser, write
+from diagrams.studies import wam_adaptation as full
+from diagrams.studies import wam_payload as payload
+from diagrams.studies.adaptive import gains, laws, loads, loop, wam
 from geodrake.inertia import is_physical, to_mass_com_inertia
-
-ROOT = Path(__file__).parents[2]
-sys.path.insert(0, str(ROOT / "diagrams"))
-
-import wam_adaptation as full  # noqa: E402
-import wam_payload as payload  # noqa: E402
-from adaptive import gains, laws, loads, loop, wam  # noqa: E402
-from adaptive.options import make_parser, run_draws, write_json  # noqa: E402
 
 
 class TestArm:
@@ -59,16 +52,16 @@ class TestOptions:
     @pytest.mark.parametrize("wrong", [["--seed", "-1"], ["--jobs", "0"], ["--jobs", "two"]])
     def test_numbers_that_make_no_sense_are_told_of(self, wrong, capsys):
         with pytest.raises(SystemExit):
-            make_parser("A study.").parse_args(wrong)
+            script_parser("A study.", draws=True).parse_args(wrong)
         assert wrong[0] in capsys.readouterr().err
 
     def test_folders_are_made_before_the_work(self, tmp_path):
-        parser = make_parser("A study.")
+        parser = script_parser("A study.", draws=True)
         table = tmp_path / "new" / "table.json"
         options = parser.parse_args(["--jobs", "1", "--json", str(table)])
         rows = run_draws(parser, options, lambda draw, *, seed: {"square": draw**2}, [2, 3])
         assert rows == [{"square": 4}, {"square": 9}]
-        write_json(options.json, {"rows": rows})
+        write(options, {"rows": rows})
         assert table.is_file()
         assert len(table.with_suffix(".draws.jsonl").read_text().splitlines()) == 2
 

@@ -1,0 +1,1 @@
+"""Scripts, from the folder above: python -m diagrams.examples.run_scenario --quick."""

@@ -1,0 +1,277 @@
+"""Ten minutes of an adaptive loop whose sensors and actuators fail again and again.
+
+A double pendulum with viscous friction follows a motion under effort limits. Every ten
+seconds or so one of the faults of `adaptive/faults.py` comes at a random time, for a second: noise,
+outliers, encoders that jump or stick, samples that are late or not there, signs that are wrong,
+actuators that have lost their strength. Both controllers start from bodies that are wrong. Told of
+each are the errors between faults (from five seconds after one until the next), how long tracking
+took to come back, how far the estimate is from the truth in the metric of its manifold, and the
+memory of the process. `unguarded` has the effort limits alone, for a minute.
+
+    python -m diagrams.benchmarks.adaptive_soak --json soak.json --figures figures
+"""
+
+from __future__ import annotations
+
+import argparse
+import gc
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from time import process_time
+from typing import Any
+
+import numpy as np
+from pydrake.multibody.parsing import Parser
+from pydrake.multibody.plant import MultibodyPlant
+from pydrake.trajectories import PiecewisePolynomial
+
+from diagrams.harness import MODELS, run_draws, script_parser, show, write
+from diagrams.studies.adaptive.faults import FAULTS, Array, Episode
+from diagrams.studies.adaptive.faulty_loop import Moment, moments
+from geodrake.control import (
+    ControlModel,
+    PassivityBasedAdaptiveController,
+    natural_adaptation,
+    parameter_manifold,
+)
+from geodrake.control.adaptation import UpdateLaw
+from geodrake.control.systems import (
+    AdaptiveComputedTorqueController,
+    AdaptiveController,
+    PredictionError,
+    Safeguards,
+)
+from geodrake.effects import FittedEffect, ViscousFriction
+from geodrake.inertia import perturb, pseudo_inertia
+from geodrake.model import RobotModel, load_model
+
+MODEL = MODELS / "double_pendulum.urdf"
+LIMITS = np.array([8.0, 4.0])  # N·m
+MINUTES, QUICK = 10.0, 0.5
+LASTS, RECOVERS = 1.0, 5.0  # s
+GAP = (6.0, 12.0)  # s, from the end of a fault to the next one
+WRONG = 0.3  # of masses, at first
+GAMMA = 0.05
+DAMPING = 0.3  # N·m·s/rad
+TIME_STEP = 4e-3  # s, of a controller
+UNGUARDED = Safeguards(LIMITS, dead_zone=0.0, drift=np.inf, settling_time=0.0, factor=np.inf)
+CONTROLLERS = ("passivity", "computed torque", "unguarded")
+
+
+@dataclass(frozen=True)
+class Draw:
+    """One loop.
+
+    Attributes:
+        controller: One of `CONTROLLERS`.
+        duration: s.
+    """
+
+    controller: str
+    duration: float
+
+
+def run_draw(draw: Draw, *, seed: int) -> dict[str, Any]:
+    """What a loop did."""
+    robot = make_robot()
+    control, rng = ControlModel.of(robot), np.random.default_rng([seed, 43])
+    episodes = draw_episodes(draw.duration, rng)
+    start = control.prior.copy()
+    drawn = perturb(control.phi(start), 1, rng=rng, mass_uncertainty=WRONG)
+    start[: control.num_inertial] = drawn.phi[0].ravel()
+    controller = make_controller(draw.controller, control, robot, start)
+    seconds, memory, found = process_time(), [], list[Moment]()
+    for moment in moments(
+        controller,
+        make_plant(),
+        make_motion(draw.duration),
+        episodes,
+        limits=LIMITS,
+        end=draw.duration,
+        seed=seed,
+        period=0.05,
+    ):
+        found.append(moment)
+        if len(found) % 200 == 0:
+            gc.collect()
+            memory.append(resident())
+    numbers = judge(found, episodes, control)
+    return {
+        "controller": draw.controller,
+        "faults": len(episodes),
+        **numbers,
+        "first_memory": memory[len(memory) // 10],
+        "last_memory": memory[-1],
+        "seconds": process_time() - seconds,
+    }
+
+
+def make_robot() -> RobotModel:
+    """The double pendulum with viscous friction at both joints."""
+    model = load_model(MODEL)
+    effects = tuple(FittedEffect(ViscousFriction(j), np.array([DAMPING])) for j in model.joints)
+    return replace(model, effects=effects)
+
+
+def make_plant() -> MultibodyPlant:
+    """The same, with friction as Drake's own damping, which takes a fraction of the time."""
+    plant = MultibodyPlant(0.0)
+    Parser(plant).AddModels(str(MODEL))
+    plant.WeldFrames(plant.world_frame(), plant.GetFrameByName("base_link"))
+    for index in plant.GetJointIndices():
+        joint = plant.get_mutable_joint(index)
+        if joint.num_velocities() == 1:
+            joint.set_default_damping_vector([DAMPING])
+            plant.AddJointActuator(f"motor_{joint.name()}", joint)
+    plant.Finalize()
+    return plant
+
+
+def draw_episodes(duration: float, rng: np.random.Generator) -> list[Episode]:
+    """All faults in a random order, again and again, at random times."""
+    episodes, queue, t = list[Episode](), list[str](), float(rng.uniform(*GAP))
+    while t + LASTS + RECOVERS < duration:
+        queue = queue or list(rng.permutation(FAULTS))
+        start = round(t, 3)
+        episodes.append(Episode(str(queue.pop()), start, start + LASTS))
+        t += LASTS + float(rng.uniform(*GAP))
+    return episodes
+
+
+def make_motion(duration: float) -> PiecewisePolynomial:
+    """Sines at both joints."""
+    t = np.linspace(0.0, duration + 1.0, round(10 * duration) + 11)
+    q = 0.8 * np.sin(np.outer([1.3, 2.1], t) + np.array([[0.0], [0.4]]))
+    return PiecewisePolynomial.CubicWithContinuousSecondDerivatives(t, q)
+
+
+def make_controller(
+    name: str, control: ControlModel, robot: RobotModel, start: Array
+) -> AdaptiveController:
+    """A controller by its name, with the natural law."""
+    law: UpdateLaw = natural_adaptation(parameter_manifold(robot), GAMMA)
+    if name == "computed torque":
+        return AdaptiveComputedTorqueController(
+            control,
+            law,
+            rate=15.0,
+            time_step=TIME_STEP,
+            parameters=start,
+            safeguards=Safeguards(LIMITS),
+            prediction=PredictionError(1.0, alone=True),
+        )
+    guards = UNGUARDED if name == "unguarded" else Safeguards(LIMITS)
+    return PassivityBasedAdaptiveController(
+        control, law, time_step=TIME_STEP, parameters=start, safeguards=guards
+    )
+
+
+def judge(
+    found: Sequence[Moment], episodes: Sequence[Episode], control: ControlModel
+) -> dict[str, Any]:
+    """Errors, distances and masses of a loop."""
+    time = np.array([moment.time for moment in found])
+    error = np.degrees(np.abs([moment.error for moment in found]).max(1))
+    estimates = np.array([moment.parameters for moment in found])
+    distance = distances(control, estimates)
+    masses = control.phi(control.prior)[:, 0]
+    ratio = estimates[:, : control.num_inertial : 10] / masses
+    between = np.ones(len(time), bool)
+    for episode in episodes:
+        between &= (time < episode.start) | (time >= episode.end + RECOVERS)
+    quiet = between & (time > RECOVERS)
+    usual = float(np.quantile(error[quiet], 0.99))
+    rows = []
+    for k, episode in enumerate(episodes):
+        until = episodes[k + 1].start if k + 1 < len(episodes) else time[-1]
+        after = (time >= episode.end) & (time <= until)
+        late = time[after & (error > max(2.0 * usual, 3.0))]
+        before = float(distance[time <= episode.start][-1])
+        rows.append(
+            {
+                "fault": episode.fault,
+                "recovery": float(late[-1] - episode.end) if len(late) else 0.0,
+                "ratio": float(distance[after & (time <= episode.end + RECOVERS)][-1] / before),
+                "error": float(error[(time >= episode.start) & (time <= episode.end)].max()),
+            }
+        )
+    return {
+        "rms": float(np.sqrt(np.mean(error[quiet] ** 2))),
+        "greatest": float(error[quiet].max()),
+        "recovery": max(row["recovery"] for row in rows),
+        "ratio": max(row["ratio"] for row in rows),
+        "first_distance": float(distance[0]),
+        "greatest_distance": float(distance.max()),
+        "last_distance": float(distance[-1]),
+        "least_mass": float(ratio.min()),
+        "greatest_mass": float(ratio.max()),
+        "by_fault": rows,
+        "time": [round(float(t), 2) for t in time[::10]],
+        "distance": [float(d) for d in distance[::10]],
+        "error": [float(error[k : k + 10].max()) for k in range(0, len(error), 10)],
+        "starts": [episode.start for episode in episodes],
+    }
+
+
+def distances(control: ControlModel, estimates: Array) -> Array:
+    """Geodesic distances (N,) of estimates from the truth: of all bodies and effects together."""
+    bodies = control.num_inertial
+    truth = pseudo_inertia(control.phi(control.prior))
+    phi = estimates[:, :bodies].reshape(len(estimates), -1, 10)
+    ratios = np.linalg.eigvals(np.linalg.solve(truth, pseudo_inertia(phi))).real
+    squared = (np.log(ratios) ** 2).sum((1, 2))
+    squared += (np.log(estimates[:, bodies:] / control.prior[bodies:]) ** 2).sum(1)
+    return np.asarray(np.sqrt(squared))
+
+
+def resident() -> float:
+    """Memory of this process, MB."""
+    lines = Path("/proc/self/status").read_text(encoding="utf-8").splitlines()
+    return int(next(line for line in lines if line.startswith("VmRSS")).split()[1]) / 1024.0
+
+
+def main() -> None:
+    """Run the study from the command line."""
+    parser = script_parser(__doc__, draws=True)
+    options = parser.parse_args()
+    rows = run(parser, options)
+    columns = {"controller": "", "faults": "", "rms": ".2f", "greatest": ".2f", "recovery": ".1f"}
+    columns |= {"ratio": ".2f", "first_distance": ".2f", "greatest_distance": ".2f"}
+    columns |= {"last_distance": ".2f", "least_mass": ".2f", "greatest_mass": ".2f"}
+    columns |= {"first_memory": ".0f", "last_memory": ".0f", "seconds": ".0f"}
+    show("Errors in degrees, times in s, masses over the true ones, MB", columns, rows)
+    guarded = [row for row in rows if row["controller"] != "unguarded"]
+    show(
+        "Worst of each fault",
+        {"fault": "", "error": ".1f", "recovery": ".1f", "ratio": ".2f"},
+        worst(guarded),
+    )
+    write(options, {"rows": rows, "worst": worst(guarded)})
+    if options.figures:
+        from diagrams.studies.adaptive.soak_figures import write_soak_figure
+
+        write_soak_figure(options.figures, rows)
+
+
+def worst(rows: Sequence[dict[str, Any]]) -> list[dict[str, Any]]:
+    """The worst numbers of each fault, over controllers and times."""
+    each = [line for row in rows for line in row["by_fault"]]
+    return [
+        {"fault": name}
+        | {key: max(line[key] for line in lines) for key in ("error", "recovery", "ratio")}
+        for name in FAULTS
+        if (lines := [line for line in each if line["fault"] == name])
+    ]
+
+
+def run(parser: argparse.ArgumentParser, options: argparse.Namespace) -> list[dict[str, Any]]:
+    """Rows of all controllers."""
+    duration = 60.0 * (QUICK if options.quick else MINUTES)
+    draws = [Draw(name, duration) for name in CONTROLLERS if name != "unguarded"]
+    draws.append(Draw("unguarded", min(duration, 60.0)))  # lost by then
+    return run_draws(parser, options, run_draw, draws)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,155 @@
+"""What a digest of a minute of a seven-joint arm costs: CPU time, bytes, and digits in a merger.
+
+The log is made by the arm's own model. Times are of one core, once everything is compiled, beside
+that of a reading of the same log with columns for all candidates, as `diagnose` begins.
+
+    OMP_NUM_THREADS=1 python -m diagrams.benchmarks.digest_speed --json speed.json
+"""
+
+from __future__ import annotations
+
+import json
+import tempfile
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from diagrams.harness import MODELS, bars, cpu_times, plain, script_parser, write
+from geodrake.fleet import (
+    Digest,
+    LogFacts,
+    digest_content,
+    digest_dataset,
+    make_digest,
+    make_settings,
+    merge,
+    read_digest,
+)
+from geodrake.identification.logs.case import open_case, reduced
+from geodrake.logs.motion import JointLog, Motion
+from geodrake.model import RobotModel, load_model
+
+NOISE = 0.05  # N·m
+
+
+@dataclass(frozen=True)
+class DigestCost:
+    """What a digest of one log took.
+
+    Attributes:
+        rate: Samples a second of the log, Hz.
+        seconds: Its length, s.
+        bandwidth: Bandwidth of the filter, Hz.
+        samples: Filtered samples of each joint.
+        columns: Columns of all joints.
+        bytes: Size of the file.
+        made: CPU time to make it from the log in memory, s.
+        reading: CPU time to open the same log with all candidates, s.
+        read: CPU time to read the file, s.
+        merged: Largest difference of normal matrices of two merged digests from those of a reading
+            of both logs, relative to the sizes of rows and columns.
+    """
+
+    rate: float
+    seconds: float
+    bandwidth: float
+    samples: int
+    columns: int
+    bytes: int
+    made: float
+    reading: float
+    read: float
+    merged: float
+
+
+def swinging(model: RobotModel, rate: float, seconds: float, pace: float, seed: int) -> JointLog:
+    """Return a log of sums of sines, up to 0.6 Hz times a pace, with efforts and noise."""
+    rng, nv = np.random.default_rng(seed), len(model.joints)
+    instants = np.arange(round(rate * seconds)) / rate
+    rates = pace * 2 * np.pi * rng.uniform(0.05, 0.6, (6, 1, nv))
+    angle, size = rng.uniform(0, 6, (6, 1, nv)), rng.uniform(0.1, 0.4, (6, 1, nv))
+    waves = size * np.exp(1j * (rates * instants[:, None] + angle))
+    q, v, vd = ((waves * (1j * rates) ** k).sum(0).imag for k in range(3))
+    effort = model.effort(Motion(model.positions(q), v, vd)) + NOISE * rng.normal(size=q.shape)
+    return JointLog(f"{seed}", model.joints, instants, q + 1e-7 * rng.normal(size=q.shape), effort)
+
+
+def measure(
+    model: RobotModel, rate: float, pace: float, *, seconds: float, times: int, seed: int
+) -> DigestCost:
+    """Measure digests of two logs, of some seconds at some Hz, and readings of them."""
+    first = swinging(model, rate, seconds, pace, seed)
+    second = swinging(model, rate, seconds, 0.7 * pace, seed)  # slower, so that the first counts
+    settings = make_settings(model, first)
+
+    def digested(log: JointLog) -> Digest:
+        return make_digest(model, log, settings, LogFacts(log.name, (Path(__file__),)))
+
+    def opened() -> object:
+        both = (settings.bandwidth, settings.motion_bandwidth)
+        return open_case(
+            model, [first], candidates=True, bandwidth=both[0], motion_bandwidth=both[1]
+        )
+
+    digest = digested(first)
+    content = digest_content(digest)
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder) / "digest.npz"
+        path.write_bytes(content)
+        works = {
+            "made": lambda: digested(first),
+            "reading": opened,
+            "read": lambda: read_digest(path),
+        }
+        least = {name: min(times) for name, times in cpu_times(works, times).items()}
+    sizes = int(digest.samples.max()), len(settings.columns), len(content)
+    merged = merged_difference(model, [first, second], [digest, digested(second)])
+    return DigestCost(rate, seconds, digest.logs[0].bandwidth, *sizes, **least, merged=merged)
+
+
+def merged_difference(
+    model: RobotModel, logs: Sequence[JointLog], digests: Sequence[Digest]
+) -> float:
+    """Return the largest relative difference of merged digests from a reading of all logs."""
+    settings, worst = digests[0].settings, 0.0
+    case = open_case(
+        model,
+        logs,
+        candidates=True,
+        bandwidth=settings.bandwidth,
+        motion_bandwidth=settings.motion_bandwidth,
+        blocks=settings.blocks,
+    )
+    merged = digest_dataset(merge(digests), model)
+    together = reduced(case, merged.effects)
+    for own, other in zip(merged.data, together.data, strict=True):
+        grams = other.grams
+        size = np.sqrt(np.einsum("fii->fi", grams))
+        size[size == 0.0] = 1.0
+        change = np.abs(own.grams - grams) / (size[:, :, None] * size[:, None, :])
+        worst = max(worst, float(change.max()))
+    return worst
+
+
+def main() -> None:
+    """Measure, print, and write what was asked for."""
+    parser = script_parser(__doc__, "one short log of two joints")
+    parser.add_argument("--times", type=int, default=3, help="how often times are taken")
+    options = parser.parse_args()
+    model = load_model(MODELS / ("double_pendulum.urdf" if options.quick else "arm7.urdf"))
+    cases = [(100.0, 1.0)] if options.quick else [(100.0, 1.0), (500.0, 1.0), (1000.0, 3.0)]
+    how = {"seconds": 15.0 if options.quick else 60.0, "seed": options.seed}
+    times = 1 if options.quick else options.times
+    costs = [measure(model, rate, pace, times=times, **how) for rate, pace in cases]
+    print(json.dumps(plain(costs), indent=2))
+    panels = {
+        title: {f"{c.rate:g} Hz, bandwidth {c.bandwidth:.2g} Hz": getattr(c, name) for c in costs}
+        for name, title in (("made", "a digest"), ("reading", "reading with all candidates"))
+    }
+    write(options, costs, digest_speed=lambda: bars(panels, "s"))
+
+
+if __name__ == "__main__":
+    main()

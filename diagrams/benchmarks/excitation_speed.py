@@ -1,0 +1,81 @@
+"""Time of one criterion and its gradient, of finite differences of it, and of a whole design.
+
+E-optimality with the geometric normalization of an iiwa, 1,000 samples of a Fourier motion with 70
+coefficients. All are CPU times of one core. The iiwa is read from the folder --shared; without it,
+and with --quick, an arm of our own takes its place.
+
+    OMP_NUM_THREADS=1 python -m diagrams.benchmarks.excitation_speed --json speed.json
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+
+from diagrams.harness import bars, cpu_clock, cpu_time, medians, script_parser, show, write
+from diagrams.public_data import add_folder_option
+from diagrams.studies.excitation.manipulator import IIWA, NOISE, family, limits, manipulator
+from geodrake.excitation import Criterion, DesignOptions, Objective, design_excitation, make_target
+from geodrake.excitation.design import make_problem
+from geodrake.logs import Motion
+from geodrake.model import RobotModel
+
+DESIGN_SAMPLES = 300  # of the design, as `geodrake excite` takes
+NAMES = {
+    "evaluation": "criterion and gradient, s",
+    "differences": "finite differences of the criterion, s",
+    "ratio": "differences over criterion and gradient",
+    "design": "a whole design from one start, 300 samples, s",
+}
+
+
+def measure(model: RobotModel, *, samples: int, modes: int, seed: int, repeats: int) -> Any:
+    """CPU times of one evaluation, and of the same slopes by finite differences."""
+    motion, bounds = family(modes), limits(model)
+    options = DesignOptions(samples=samples, rest=False)
+    target = make_target(model, noise=NOISE)
+    objective = Objective(target, Criterion())
+    problem = make_problem(objective, bounds, motion, options)
+    y = np.random.default_rng(seed).uniform(-0.2, 0.2, problem.scale.size)
+
+    def value(y: np.ndarray) -> float:
+        eigenvalues = objective.eigenvalues(Motion(*(problem.basis @ problem.coefficients(y))))
+        return float(objective.criterion.objective(np.log(eigenvalues))[0])
+
+    once = medians({"evaluation": lambda: problem.cost(y)}, repeats)["evaluation"]
+    begin, h, (start, gradient) = cpu_clock(), 1e-6, problem.cost(y)
+    slopes = np.array([(value(y + h * unit) - start) / h for unit in np.eye(len(y))])
+    differences = cpu_clock() - begin
+    shorter = replace(options, samples=min(samples, DESIGN_SAMPLES))
+    how = {"trajectory": motion, "options": shorter, "seeds": [seed]}
+    return {
+        "coefficients": len(y),
+        "samples": samples,
+        "evaluation": once,
+        "differences": differences,
+        "ratio": differences / once,
+        "design": cpu_time(lambda: design_excitation(target, bounds, **how)),
+        "disagreement": float(np.abs(gradient - slopes).max() / np.abs(gradient).max()),
+    }
+
+
+def main() -> None:
+    """Run the study from the command line."""
+    parser = script_parser(__doc__)
+    add_folder_option(parser, "with the iiwa")
+    options = parser.parse_args()
+    ours = options.quick or not (options.shared / IIWA).is_file()
+    model = manipulator(None if ours else options.shared)
+    sizes = {"samples": 100, "modes": 1} if options.quick else {"samples": 1000, "modes": 5}
+    row = measure(model, **sizes, seed=options.seed, repeats=3 if options.quick else 10)
+    title = f"{'an arm of our own' if ours else 'iiwa'}, CPU times"
+    named = {words: row[name] for name, words in NAMES.items()}
+    show(title, {"": "", "value": ".3g"}, [{"": k, "value": v} for k, v in named.items()])
+    row = {"robot": "arm7" if ours else "iiwa", **row}
+    write(options, row, excitation_speed=lambda: bars({title: named}, ""))
+
+
+if __name__ == "__main__":
+    main()

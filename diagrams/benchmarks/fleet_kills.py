@@ -1,0 +1,187 @@
+"""Runs of `geodrake fleet` that are killed, a worker or the whole run, and go on.
+
+A fleet of Pinocchio's arms is digested by two processes, undisturbed, and then many times more in
+which something is killed at a moment that is drawn: in every other run one of the workers, which is
+to be replaced, in the others the run itself, which is then begun again. Told are whether the
+results are the same to the last letter, and how many digests that were there were made again.
+
+    OMP_NUM_THREADS=1 python -m diagrams.benchmarks.fleet_kills --json fleet_kills.json
+"""
+
+from __future__ import annotations
+
+import shutil
+import signal
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import numpy as np
+import psutil
+from matplotlib.figure import Figure
+
+from diagrams.benchmarks.fleets.draws import TYPES, FleetDraw
+from diagrams.benchmarks.fleets.files import LogWriter, write_fleet_file
+from diagrams.harness import positive_number, script_parser, show, write
+from geodrake.report import style
+
+_POLL = 0.01  # s
+WORKER, RUN = "a worker", "the run"
+
+
+@dataclass(frozen=True)
+class KilledRun:
+    """What came of a run in which something was killed.
+
+    Attributes:
+        killed: What was.
+        there: Digests that were there at that moment.
+        again: How many digests were made that had been made before.
+        same: Whether the results are those of the undisturbed run, letter by letter.
+    """
+
+    killed: str
+    there: int
+    again: int
+    same: bool
+
+
+@dataclass
+class Digests:
+    """The digests of a run, looked at again and again.
+
+    Attributes:
+        folder: Folder of the results.
+        seen: File -> what changes if it is written again.
+        again: How many were.
+    """
+
+    folder: Path
+    seen: dict[str, tuple[int, int]] = field(default_factory=dict)
+    again: int = 0
+
+    def look(self) -> int:
+        """How many there are now."""
+        for path in self.folder.glob("*/digests/*.npz"):
+            stat = path.stat()
+            now = stat.st_ino, stat.st_mtime_ns
+            self.again += self.seen.setdefault(path.name, now) != now
+            self.seen[path.name] = now
+        return len(self.seen)
+
+
+def begin(path: Path) -> subprocess.Popen[bytes]:
+    """A run of the command."""
+    more = ("--workers", "2", "--json", str(path.parent / "fleet.json"), "-q")
+    command = [sys.executable, "-m", "geodrake", "fleet", str(path), *more]
+    return subprocess.Popen(command, stdout=subprocess.DEVNULL)
+
+
+def follow(
+    run: subprocess.Popen[bytes], digests: Digests, kill: Callable[[int], bool] | None = None
+) -> None:
+    """Look at digests until a run ends; `kill` is called with their number until it is true.
+
+    Raises:
+        SystemExit: The run failed of itself.
+    """
+    while run.poll() is None:
+        there = digests.look()
+        if kill is not None and kill(there):
+            kill = None
+        time.sleep(_POLL)
+    digests.look()
+    if run.returncode not in (0, -signal.SIGKILL):
+        sys.exit(f"The run ended with exit code {run.returncode}.")
+
+
+def killed_run(path: Path, expected: bytes, what: str, after: int) -> KilledRun:
+    """One run in which something is killed, and what is needed to bring it to its end.
+
+    Args:
+        path: The fleet file.
+        expected: Results of an undisturbed run.
+        what: `WORKER` or `RUN`.
+        after: Digests after which it is killed.
+    """
+    shutil.rmtree(path.parent / "results", ignore_errors=True)
+    (path.parent / "fleet.json").unlink(missing_ok=True)
+    digests, at = Digests(path.parent / "results"), []
+    run = begin(path)
+
+    def kill(there: int) -> bool:
+        processes = [psutil.Process(run.pid)]
+        if what == WORKER:
+            children = processes[0].children(recursive=True)
+            processes = [p for p in children if any("spawn_main" in word for word in p.cmdline())]
+        if there < after or not processes:
+            return False
+        processes[-1].kill()
+        at.append(there)
+        return True
+
+    follow(run, digests, kill)
+    if what == RUN:
+        follow(begin(path), digests)
+    found = (path.parent / "fleet.json").read_bytes()
+    return KilledRun(what, at[0] if at else -1, digests.again, found == expected)
+
+
+def kills_figure(rows: Sequence[KilledRun], logs: int) -> Figure:
+    """How far runs were when something was killed, and those whose results differ."""
+    figure = style.new_figure(1.6)
+    ax = figure.subplots()
+    style.polish(ax, grid="x")
+    for at, what in enumerate((WORKER, RUN)):
+        for same, color in ((True, style.AFTER), (False, style.BEFORE)):
+            there = [row.there for row in rows if (row.killed, row.same) == (what, same)]
+            ax.plot(there, [at] * len(there), "o", color=color)
+    ax.set(xlim=(0, logs), ylim=(1.5, -0.5), yticks=(0, 1), yticklabels=(WORKER, RUN))
+    title = (
+        f"digests of {logs} that were there; results that differ: {sum(not r.same for r in rows)}"
+    )
+    ax.set_title(title, loc="left", **style.plain(fontweight="bold"))
+    return figure
+
+
+def main() -> None:
+    """Run from the command line."""
+    parser = script_parser(__doc__, "two runs of few logs")
+    parser.add_argument("--runs", type=positive_number, default=20, help="(%(default)s)")
+    options = parser.parse_args()
+    robots, days = (2, 3) if options.quick else (6, 12)
+    runs = 2 if options.quick else options.runs
+    draws = [FleetDraw(TYPES[0], k, options.seed, days=days, duration=8.0) for k in range(robots)]
+    rng, rows = np.random.default_rng([options.seed, 20]), []
+    with tempfile.TemporaryDirectory() as folder:
+        for draw in draws:
+            LogWriter(Path(folder))(draw)
+        path = write_fleet_file(Path(folder), draws)
+        follow(begin(path), Digests(Path(folder) / "results"))
+        expected = (Path(folder) / "fleet.json").read_bytes()
+        for k in range(runs):
+            after = int(rng.integers(robots * days))
+            what = (WORKER, RUN)[k % 2]
+            rows.append(killed_run(path, expected, what, after))
+    table = {
+        "logs": robots * days,
+        "runs": runs,
+        "nothing killed": sum(row.there < 0 for row in rows),
+        "the same results": sum(row.same for row in rows),
+        "digests made again": sum(row.again for row in rows),
+    }
+    show(
+        "Runs that are killed",
+        {"figure": "", "value": ""},
+        [{"figure": name, "value": value} for name, value in table.items()],
+    )
+    found = {"summary": table, "rows": rows}
+    write(options, found, fleet_kills=lambda: kills_figure(rows, robots * days))
+
+
+if __name__ == "__main__":
+    main()

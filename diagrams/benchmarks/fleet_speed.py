@@ -1,0 +1,138 @@
+"""What a run of `geodrake fleet` costs: time with one and two workers, memory with ever more logs.
+
+Logs are made by the arm's own model, with friction that differs from robot to robot. Times are
+those of a clock, with the start of the workers; memory is the most that a process takes that makes
+findings of digests, with its libraries.
+
+    OMP_NUM_THREADS=1 python -m diagrams.benchmarks.fleet_speed --json speed.json
+"""
+
+from __future__ import annotations
+
+import json
+import tempfile
+import time
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+
+from diagrams.benchmarks.digest_speed import swinging
+from diagrams.harness import MODELS, bars, peak_memory, script_parser, write
+from geodrake.fleet import FleetWork, read_fleet, run_fleet
+from geodrake.inertia import Array
+from geodrake.logs.files import write_log
+from geodrake.logs.motion import JointLog
+from geodrake.model import load_model
+
+RATE = 200.0  # Hz
+FIRST = 1.78e9  # s since 1970
+DAY = 86400.0
+
+CASES = [
+    (4, 100, 12.0, 1),
+    (4, 100, 12.0, 2),
+    (4, 40, 60.0, 1),
+    (4, 40, 60.0, 2),
+    (2, 10, 4.0, 2),
+    (2, 1000, 4.0, 2),
+]
+"""Robots, logs of each, their length in s, and workers: four for times, and two for memory."""
+SHORT = [(3, 4, 4.0, 0), (3, 16, 4.0, 0)]
+
+_FINDINGS = """
+import sys
+from geodrake.fleet import FleetWork, read_fleet, run_fleet
+run_fleet(read_fleet(sys.argv[1]), FleetWork(workers=0))
+"""
+
+
+@dataclass(frozen=True)
+class RunCost:
+    """What a run took.
+
+    Attributes:
+        robots: Robots of one type.
+        logs: Logs of each.
+        length: Length of a log, s.
+        workers: Processes that digest.
+        seconds: Time of a clock until findings are there, s.
+        again: The same when digests and histories are there, s.
+        memory: Most memory of a process that makes findings of digests, MB.
+    """
+
+    robots: int
+    logs: int
+    length: float
+    workers: int
+    seconds: float
+    again: float
+    memory: float
+
+
+def friction(log: JointLog, robot: int, day: int) -> Array:
+    """Return friction (N, nv) of a log, N·m: robots differ, and the days of each, by seeds."""
+    n, v = len(log.joints), np.gradient(log.position, 1.0 / RATE, axis=0)
+    own, of_day = (
+        np.exp(share * np.random.default_rng([seed, 7]).normal(size=(2, n)))
+        for share, seed in ((0.1, robot), (0.02, day))
+    )
+    dry, viscous = own * of_day
+    return np.asarray(dry * np.tanh(v / 0.01) + viscous * v)
+
+
+def write_logs(
+    folder: Path, name: str, *, robots: int, logs: int, seconds: float, seed: int
+) -> Path:
+    """Write the logs of a fleet, each of some seconds, and return its file."""
+    path = MODELS / f"{name}.urdf"
+    model, names = load_model(path), [f"robot_{k}" for k in range(robots)]
+    for k, robot in enumerate(names):
+        (folder / robot).mkdir(parents=True)
+        for day in range(logs):
+            log = swinging(model, RATE, seconds, 1.0, seed + 1000 * k + day)
+            log = replace(log, effort=log.effort + friction(log, seed + k, seed + 1000 * k + day))
+            write_log(
+                log, folder / robot / f"{time.strftime('%F', time.gmtime(FIRST + day * DAY))}.csv"
+            )
+    listed = [{"name": each, "logs": f"{each}/*.csv", "dates": "%Y-%m-%d"} for each in names]
+    said = {"to": "results", "types": {"arm": {"model": str(path)}}, "robots": listed}
+    (folder / "fleet.yaml").write_text(json.dumps(said), encoding="utf-8")
+    return folder / "fleet.yaml"
+
+
+def measure(path: Path, logs: int, length: float, workers: int) -> RunCost:
+    """Measure one run of a fleet whose digests are not made, and one more of what it left."""
+    fleet, work, times = read_fleet(path), FleetWork(workers=workers), [time.monotonic()]
+    for _ in range(2):
+        run_fleet(fleet, work)
+        times.append(time.monotonic())
+    for kept in path.parent.glob("results/*/logs/*/history.npz"):
+        kept.unlink()
+    memory = peak_memory(_FINDINGS, path)[0] / 1e6
+    return RunCost(len(fleet.robots), logs, length, workers, *np.diff(times).tolist(), memory)
+
+
+def main() -> None:
+    """Measure, print, and write what was asked for."""
+    options = script_parser(__doc__, "few short logs of two joints").parse_args()
+    name, cases = ("double_pendulum", SHORT) if options.quick else ("arm7", CASES)
+    costs = []
+    for robots, logs, length, workers in cases:
+        with tempfile.TemporaryDirectory() as folder:
+            much = {"robots": robots, "logs": logs, "seconds": length}
+            path = write_logs(Path(folder), name, **much, seed=options.seed)
+            costs.append(measure(path, logs, length, workers))
+            print(costs[-1], flush=True)
+    panels = {
+        f"{what}, {unit}": {
+            f"{c.robots} × {c.logs} × {c.length:g} s, {c.workers} workers": getattr(c, what)
+            for c in costs
+        }
+        for what, unit in (("seconds", "s"), ("memory", "MB"))
+    }
+    write(options, costs, fleet_speed=lambda: bars(panels, ""))
+
+
+if __name__ == "__main__":
+    main()

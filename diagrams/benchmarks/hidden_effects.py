@@ -1,0 +1,152 @@
+"""Benchmark of hidden effects: what `geodrake explain` says of logs whose truth is known.
+
+Pinocchio or MuJoCo make logs of five arms with effects in other formulas than geodrake's: one
+effect of its catalogue, two, none, or one that it has no name for. Robots, motions (fast, slow,
+from point to point), noise (0.5, 1, 2 % of effort), bodies (those of the model file, or 20 % off
+in the geometric metric) and sizes (3 to 25 % of effort) are drawn at random. geodrake gets the log
+and the model file. Further studies: `--coverage N` of the intervals of found parameters under
+coloured noise, `--disturbed N` of the same beside outside effects, `--kinds N` of kinds that are
+hard, `--smallest N` of the smallest effect that is found, by bisection.
+
+    python -m diagrams.benchmarks.hidden_effects --json hidden_effects.json --figures figures
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import asdict
+from functools import partial
+from typing import Any
+
+from rich.console import Console
+
+from diagrams.benchmarks.hidden.bars import (
+    Line,
+    bars,
+    confusions,
+    coverage_lines,
+    kind_lines,
+    smallest_lines,
+)
+from diagrams.benchmarks.hidden.draws import (
+    COVERAGE,
+    SMALLEST,
+    Draw,
+    all_draws,
+    coverage_draws,
+    disturbed_draws,
+    kind_draws,
+    smallest_draws,
+    timing_draws,
+)
+from diagrams.benchmarks.hidden.scoring import coverage_of, score_draw, smallest_of
+from diagrams.harness import positive_number, run_draws, script_parser, show, whole_number, write
+
+QUICK_EFFECTS = ("coulomb_friction", "effort_offset", "payload")
+QUICK_OUTSIDE = ("oscillation in time",)
+
+STUDIES = {
+    "draws": (6, "logs an effect and seed; 0 for none"),
+    "kinds": (0, "logs a hard kind and seed"),
+    "coverage": (0, "logs an effect and seed under coloured noise"),
+    "disturbed": (0, "the same beside an effect of no catalogue"),
+    "smallest": (0, "logs an effect and seed"),
+}
+"""The studies: how many logs by default, and of what."""
+
+
+def run_draw(draw: Draw, *, seed: int) -> dict[str, Any]:
+    """A row of the table; the seed is in what was drawn."""
+    del seed
+    return {COVERAGE: coverage_of, SMALLEST: smallest_of}.get(draw.case, score_draw)(draw)
+
+
+def wanted_draws(logs: Mapping[str, int], seeds: Iterable[int]) -> list[Draw]:
+    """What the options ask for, for one seed after the other."""
+    return [
+        each
+        for seed in seeds
+        for each in (
+            *all_draws(logs["draws"], seed),
+            *(timing_draws(seed) if logs["draws"] else ()),
+            *kind_draws(logs["kinds"], seed),
+            *coverage_draws(logs["coverage"], seed),
+            *disturbed_draws(logs["disturbed"], seed),
+            *smallest_draws(logs["smallest"], seed),
+        )
+    ]
+
+
+def quick_draws(seed: int) -> list[Draw]:
+    """A few short logs of every study."""
+    short = {"robot": "double_pendulum", "duration": 8.0, "rate": 100.0}
+    found = all_draws(1, seed, effects=QUICK_EFFECTS, outside=QUICK_OUTSIDE, others=(1, 2), **short)
+    found += coverage_draws(1, seed, effects=QUICK_EFFECTS[:1], **short)
+    return [*found, *smallest_draws(1, seed, effects=QUICK_EFFECTS[:1], **short)]
+
+
+def report(console: Console, lines: Sequence[Line], smallest: Sequence[dict[str, Any]]) -> None:
+    """Prints the tables."""
+    columns = {"figure": "", "asked": "", "reached": "", "interval": "", "logs": "d", "": ""}
+    show("Hidden effects", columns, [_shown(line) for line in lines])
+    if smallest:
+        columns = {"effect": "", "smallest": ".1%", "median": ".1%", "logs": "d"}
+        show("Smallest effect found in 9 of 10 logs", columns, smallest)
+
+
+def _shown(line: Line) -> dict[str, Any]:
+    form = "{:.1%}".format if _is_share(line) else "{:.2f}".format
+    found = line.value is not None
+    return {
+        "figure": line.figure,
+        "asked": _asked(line, form),
+        "reached": form(line.value) if found else None,
+        "interval": f"{form(line.low)} – {form(line.high)}" if found else None,
+        "logs": line.logs,
+        "": {True: "reached", False: "missed", None: ""}[line.reached],
+    }
+
+
+def _asked(line: Line, form: Callable[[float], str]) -> str | None:
+    if line.bar is None:
+        return None
+    if line.highest is not None:
+        return f"{form(line.bar)} – {form(line.highest)}"
+    return f"{'≤' if line.most else '≥'} {form(line.bar)}"
+
+
+def _is_share(line: Line) -> bool:
+    return not ("median" in line.figure or "seconds" in line.figure)
+
+
+def main() -> None:
+    """Run the study from the command line."""
+    parser = script_parser(__doc__, draws=True)
+    parser.add_argument(
+        "--seeds", type=positive_number, default=1, help="seeds, from --seed on, that are pooled"
+    )
+    number = partial(parser.add_argument, type=whole_number, metavar="N")
+    for name, (count, words) in STUDIES.items():
+        number(f"--{name}", default=count, help=words)
+    options = parser.parse_args()
+    seeds = range(options.seed, options.seed + options.seeds)
+    wanted = (
+        quick_draws(options.seed)
+        if options.quick
+        else wanted_draws({name: getattr(options, name) for name in STUDIES}, seeds)
+    )
+    rows = run_draws(parser, options, run_draw, wanted)
+    lines = [*bars(rows), *kind_lines(rows), *coverage_lines(rows)]
+    smallest = smallest_lines([row for row in rows if row["case"] == SMALLEST])
+    report(Console(width=120), lines, smallest)
+    confused = confusions(rows)
+    table = {"lines": [{**asdict(line), "reached": line.reached} for line in lines]}
+    write(options, {**table, "confusions": confused, "smallest": smallest, "rows": rows})
+    if options.figures:
+        from diagrams.benchmarks.hidden.figures import write_figures
+
+        write_figures(options.figures, lines, confused, smallest)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,128 @@
+"""How much memory a long log takes, from its file to the comparison and the diagnosis.
+
+A log of the seven-joint arm is written to an NPZ file, and `geodrake` reads it in a process of its
+own, whose largest memory is what counts. The raw numbers alone are 120 bytes a sample.
+
+    python -m diagrams.benchmarks.long_log --samples 10000000 --json long_log.json
+"""
+
+from __future__ import annotations
+
+import json
+import tempfile
+import zipfile
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from rich.progress import track
+
+from diagrams.harness import MODELS, bars, peak_memory, plain, script_parser, write
+from geodrake.logs import Motion
+from geodrake.model import RobotModel, load_model
+
+PERIOD = 1e-3  # s
+CHUNK = 20_000
+NOISE = 0.1  # N·m
+FRICTION = 2.0  # N·m, dry, at every joint
+
+_WORK = """
+import sys, time
+from geodrake import diagnosis
+from geodrake.model import load_model
+work, model, log = sys.argv[1:]
+begin = time.process_time()
+getattr(diagnosis, work)(load_model(model), [log])
+print(time.process_time() - begin)
+"""
+
+
+@dataclass(frozen=True)
+class Cost:
+    """What a log took.
+
+    Attributes:
+        work: "compare" or "diagnose".
+        samples: Length of the log.
+        raw: Size of its numbers, GB.
+        peak_memory: Largest memory of the process, with Python and Drake in it, GB.
+        seconds: CPU time, s.
+    """
+
+    work: str
+    samples: int
+    raw: float
+    peak_memory: float
+    seconds: float
+
+
+def write_long_log(path: Path, robot: Path, *, samples: int, seed: int) -> None:
+    """Writes the log array by array, with no more than a column in memory."""
+    model = load_model(robot)
+    joints = len(model.joints)
+    rng = np.random.default_rng(seed)
+    sines = rng.uniform(0.2, 1.0, (3, joints)), rng.uniform(0.5, 4.0, (3, joints))
+    columns = [
+        "time",
+        *(f"{joint}.{kind}" for kind in ("position", "effort") for joint in model.joints),
+    ]
+    with tempfile.TemporaryDirectory() as folder:
+        arrays = [
+            np.lib.format.open_memmap(Path(folder) / f"{k}.npy", "w+", float, (samples,))
+            for k in range(len(columns))
+        ]
+        for first in track(range(0, samples, CHUNK), description="writing"):
+            rows = slice(first, min(first + CHUNK, samples))
+            time = PERIOD * np.arange(rows.start, rows.stop)
+            table = np.column_stack([time, *_measured(model, time, sines, rng)])
+            for array, numbers in zip(arrays, table.T, strict=True):
+                array[rows] = numbers
+        with zipfile.ZipFile(path, "w", zipfile.ZIP_STORED) as archive:
+            for k, (name, array) in enumerate(zip(columns, arrays, strict=True)):
+                array.flush()
+                archive.write(Path(folder) / f"{k}.npy", f"{name}.npy")
+
+
+def _measured(
+    model: RobotModel,
+    time: np.ndarray,
+    sines: tuple[np.ndarray, np.ndarray],
+    rng: np.random.Generator,
+) -> tuple[np.ndarray, np.ndarray]:
+    """Positions and efforts (N, n) of sums of sines, with noise and dry friction."""
+    amplitude, rate = sines
+    phase = time[:, None, None] * rate
+    q = (amplitude * np.sin(phase)).sum(1)
+    v = (amplitude * rate * np.cos(phase)).sum(1)
+    vd = -(amplitude * rate**2 * np.sin(phase)).sum(1)
+    effort = model.effort(Motion(model.positions(q), v, vd)) + FRICTION * np.sign(v)
+    return q + rng.normal(0.0, 1e-5, q.shape), effort + rng.normal(0.0, NOISE, q.shape)
+
+
+def measure(work: str, robot: Path, path: Path, samples: int) -> Cost:
+    """Run a command of the library on the log in a process of its own."""
+    peak, (seconds,) = peak_memory(_WORK, work, robot, path)
+    raw = 8e-9 * samples * (1 + 2 * len(load_model(robot).joints))
+    return Cost(work, samples, raw, peak / 1e9, float(seconds))
+
+
+def main() -> None:
+    """Measure, print, and write what was asked for."""
+    parser = script_parser(__doc__, "a short log of two joints")
+    parser.add_argument("--samples", type=int, help="length of the log")
+    parser.add_argument("--work", nargs="+", default=["compare", "diagnose"], help="what to run")
+    options = parser.parse_args()
+    robot = MODELS / ("double_pendulum.urdf" if options.quick else "arm7.urdf")
+    samples = options.samples or (20_000 if options.quick else 1_000_000)
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder) / "long.npz"
+        write_long_log(path, robot, samples=samples, seed=options.seed)
+        costs = [measure(work, robot, path, samples) for work in options.work]
+    print(json.dumps(plain(costs), indent=2))
+    title = f"largest memory for a log of {samples:,} samples, with Python and Drake"
+    sizes = {"raw numbers": costs[0].raw, **{cost.work: cost.peak_memory for cost in costs}}
+    write(options, costs, long_log_memory=lambda: bars({title: sizes}, "GB"))
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,223 @@
+"""A payload found while a UR10e moves, by the online estimator on public measurements.
+
+The logs of the arm without and with something at its wrist are played; they are no part of the
+project, and without them the script says where they go. The arm is learned from the first log in
+one of two ways: offline (`identify_model`, with friction by load), or online, by the estimator,
+from the model file and guesses of friction. Then its bodies and friction are kept by large
+weights, and a payload is estimated, from the blind guess of [Lee2019] §5.5.2 (1 kg, a sphere of
+0.1 m), on logs without one and on the log with one. There `geodrake explain` finds 3.08 ± 0.03 kg,
+offline. A filtered effort is believed to three times the RMS error of the arm's own log, or, while
+it is learned, to a tenth of its standard deviation. Samples at which a joint stands are left out.
+The payload is estimated by exact projections and by nudges, an online arm by nudges.
+
+    python -m diagrams.benchmarks.online_payload --json online.json --figures figures
+"""
+
+from __future__ import annotations
+
+import argparse
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from diagrams.harness import run_draws, script_parser, show, write
+from diagrams.public_data import add_folder_option, require
+from diagrams.studies.adaptive.stream import Array, Streamed, stream, without_standing
+from geodrake.control import ControlModel, SampleUpdate, parameter_manifold
+from geodrake.effects import (
+    CoulombFriction,
+    FittedEffect,
+    LoadDependentFriction,
+    Payload,
+    RotorInertia,
+    ViscousFriction,
+)
+from geodrake.identification import IdentificationSettings, identify_model
+from geodrake.inertia import from_mass_com_inertia, pseudo_inertia
+from geodrake.logs import JointLog, read_log
+from geodrake.model import RobotModel, load_model
+
+LEARNED, FREE, CHANGED = "ur10e_free_a", ("ur10e_free_b", "ur10e_free_c"), "ur10e_changed"
+OFFLINE_MASS = 3.08  # kg, by `geodrake explain`
+PERIOD = 0.01  # s
+GUESS = from_mass_com_inertia(1.0, np.zeros(3), 0.4 * 0.1**2 * np.eye(3))
+METHODS = {"projection": 1.0, "nudge": 0.2}
+"""Share of the way to the slabs of a sample that is gone."""
+BELIEVED = 3.0  # tolerance over the RMS error of the log without payload
+SHARE = 0.1  # tolerance over the standard deviation of the effort, while the arm is learned
+KNOWN, HEAVY = 1e6, 10.0  # weights of what is known, and of bodies over friction
+SETTLED = 5.0  # s after the first used sample
+CLOSE = 0.2  # of the mass
+LARGE = 1e9  # N·m
+
+
+@dataclass(frozen=True)
+class Draw:
+    """One way to learn the arm.
+
+    Attributes:
+        way: "offline" or "online".
+        shared: Folder of the measurements.
+        end: How much of every log, s; None for all.
+    """
+
+    way: str
+    shared: str
+    end: float | None
+
+
+@dataclass(frozen=True, eq=False)
+class Arm:
+    """The learned arm.
+
+    Attributes:
+        model: With a payload as its last effect.
+        control: The same for an estimator.
+        start: (p,) its parameters, with the guess of the payload.
+        error: (nv,) RMS error of filtered efforts on the log it was learned from, N·m.
+        share: That over the standard deviation of the effort, pooled.
+    """
+
+    model: RobotModel
+    control: ControlModel
+    start: Array
+    error: Array
+    share: float
+
+
+def run_draw(draw: Draw, *, seed: int) -> list[dict[str, Any]]:
+    """Rows of the logs; nothing is random, whatever the seed."""
+    arm = learn(draw)
+    weights = {"payload": 1.0}
+    manifold = parameter_manifold(
+        arm.model, body_weight=KNOWN, effect_weight=KNOWN, weights=weights
+    )
+    rows = []
+    for name in (*FREE, CHANGED) if draw.end is None else (FREE[0], CHANGED):
+        log = read(draw, name)
+        for method, relaxation in METHODS.items():
+            update = SampleUpdate(
+                manifold, BELIEVED * arm.error, method=method, relaxation=relaxation
+            )
+            found = stream(log, arm.control, update, arm.start, period=PERIOD)
+            row = {"way": draw.way, "log": name, "method": method, "learned": arm.share}
+            rows.append({**row, **numbers(found)})
+    return rows
+
+
+def learn(draw: Draw) -> Arm:
+    """The arm, from the log without payload."""
+    model = load_model(Path(draw.shared) / "reference" / "ur10e.urdf")
+    log = read(draw, LEARNED)
+    if draw.way == "offline":
+        kinds = (CoulombFriction, ViscousFriction, RotorInertia, LoadDependentFriction)
+        raw = cut(read_log(path_of(draw, LEARNED)), draw.end)
+        effects = [kind(joint) for kind in kinds for joint in model.joints]
+        settings = IdentificationSettings(compare=False)
+        model = identify_model(model, [raw], settings, effects=effects).model
+        fitted = [
+            replace(one, parameters=np.maximum(one.parameters, 1e-6)) for one in model.effects
+        ]
+    else:
+        guesses = ((CoulombFriction, 1.0), (ViscousFriction, 1.0), (RotorInertia, 0.1))
+        fitted = [
+            FittedEffect(kind(joint), np.array([value]))
+            for kind, value in guesses
+            for joint in model.joints
+        ]
+    last = FittedEffect(Payload(model.bodies[-1]), GUESS)
+    model = replace(model, effects=(*fitted, last), information=None)
+    control = ControlModel.of(model)
+    deviation = np.nanstd(log.select(control.joints).effort, axis=0)
+    # Nothing is fixed yet: the payload is kept out, at next to nothing.
+    start = np.concatenate([control.prior[: -len(GUESS)], 1e-9 * GUESS])
+    manifold = parameter_manifold(model, body_weight=HEAVY, weights={"payload": KNOWN})
+    tolerance = (SHARE if draw.way == "online" else LARGE) * deviation
+    # (No model of a whole arm is right to the tolerance: the nudge averages.)
+    update = SampleUpdate(manifold, tolerance, method="nudge", relaxation=METHODS["nudge"])
+    found = stream(log, control, update, start, period=PERIOD)
+    error = found.rms(2 / 3 if draw.way == "online" else 0.0)
+    known = found.parameters[-1, : -len(GUESS)]
+    share = float(np.sqrt(np.mean((error / deviation) ** 2)))
+    return Arm(model, control, np.concatenate([known, GUESS]), error, share)
+
+
+def path_of(draw: Draw, name: str) -> Path:
+    """File of a log."""
+    return Path(draw.shared) / "data" / f"{name}.csv"
+
+
+def read(draw: Draw, name: str) -> JointLog:
+    """A log as it is streamed."""
+    return without_standing(cut(read_log(path_of(draw, name)), draw.end))
+
+
+def cut(log: JointLog, end: float | None) -> JointLog:
+    """The first seconds of a log."""
+    if end is None:
+        return log
+    count = int(np.searchsorted(log.time - log.time[0], end))
+    parts = {
+        name: None if value is None else value[:count]
+        for name in ("time", "position", "velocity", "effort", "acceleration")
+        for value in (getattr(log, name),)
+    }
+    return replace(log, **parts)
+
+
+def numbers(found: Streamed) -> dict[str, Any]:
+    """What is known of a streamed log."""
+    phi = found.parameters[:, -len(GUESS) :]
+    eigenvalues = np.linalg.eigvalsh(pseudo_inertia(phi))
+    first = float(found.time[found.used][0])
+    late = found.time >= first + SETTLED
+    near = np.abs(phi[:, 0] / OFFLINE_MASS - 1.0) < CLOSE
+    low, median, high = np.quantile(phi[late, 0], [0.1, 0.5, 0.9])
+    reached = found.time[near & (found.time > first)]
+    return {
+        "first": first,
+        "mass": float(median),
+        "low": float(low),
+        "high": float(high),
+        "reached": float(reached[0]) - first if reached.size else None,
+        "close": float(near[late].mean()),
+        "center": [float(x) for x in np.median(phi[late, 1:4] / phi[late, :1], axis=0)],
+        "least_eigenvalue": float(eigenvalues.min()),
+        "rate": len(found.time) / found.seconds,
+        "time": [round(float(t), 3) for t in found.time[::10]],
+        "mass_over_time": [float(m) for m in phi[::10, 0]],
+    }
+
+
+def main() -> None:
+    """Run the study from the command line."""
+    parser = script_parser(__doc__, draws=True)
+    add_folder_option(parser)
+    options = parser.parse_args()
+    rows = run(parser, options)
+    columns = {"way": "", "log": "", "method": "", "learned": ".3f", "first": ".1f", "mass": ".2f"}
+    columns |= {"low": ".2f", "high": ".2f", "reached": ".1f", "close": ".0%"}
+    columns |= {"least_eigenvalue": ".1e", "rate": ".0f"}
+    show("Mass of the payload in kg, times in s", columns, rows)
+    write(options, {"rows": rows})
+    if options.figures:
+        from diagrams.studies.adaptive.online_figures import write_online_figure
+
+        exact = [row for row in rows if row["method"] == "projection"]
+        write_online_figure(options.figures, exact, OFFLINE_MASS)
+
+
+def run(parser: argparse.ArgumentParser, options: argparse.Namespace) -> Sequence[dict[str, Any]]:
+    """Rows of both ways to learn the arm."""
+    logs = (f"data/{name}.csv" for name in (LEARNED, *FREE, CHANGED))
+    require(parser, options.shared, "reference/ur10e.urdf", *logs)
+    end = 12.0 if options.quick else None
+    draws = [Draw(way, str(options.shared), end) for way in ("offline", "online")]
+    return [row for rows in run_draws(parser, options, run_draw, draws) for row in rows]
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,319 @@
+"""What geodrake finds on public measurements of real robots, with the errors before and after.
+
+The measurements are not part of the project. Without them the script says where they go.
+
+    python -m diagrams.benchmarks.real_robots --json real_robots.json --figures figures
+"""
+
+from __future__ import annotations
+
+import tempfile
+import time
+from collections.abc import Sequence
+from dataclasses import dataclass
+from itertools import permutations
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from rich.console import Console
+from rich.table import Table
+
+from diagrams.harness import script_parser, write
+from diagrams.public_data import add_folder_option, require
+from geodrake import load_model, save_model
+from geodrake.diagnosis import Candidate, Explanation, Step, add, compare, diagnose, explain
+from geodrake.logs.files import Reading, read_log
+from geodrake.logs.files.reading import ColumnMapping, MappedColumn
+from geodrake.logs.motion import JointLog
+from geodrake.model import RobotModel
+from geodrake.model.logged_joints import reading_for
+
+ROOT = Path(__file__).parents[2]
+
+
+@dataclass(frozen=True)
+class Study:
+    """One call of `explain`.
+
+    Attributes:
+        name: Name of the study, and of the model it saves for later ones.
+        model: Model file below `reference` or the checkout's `models`; or the name of a study.
+        logs: Log files below `data`.
+        blocks: Blocks into which a log is cut, None for the default.
+        mapping: Which column is what, where names do not say it.
+    """
+
+    name: str
+    model: str
+    logs: tuple[str, ...]
+    blocks: int | None = None
+    mapping: ColumnMapping | None = None
+
+    def read(self, model: RobotModel, shared: Path) -> list[JointLog]:
+        """Return the logs as a model has them."""
+        reading, joints = reading_for(model, Reading(mapping=self.mapping)), model.known_joints
+        paths = [shared / "data" / log for log in self.logs]
+        return [read_log(path, joints=joints, partial=True, reading=reading) for path in paths]
+
+
+PENDULUM = tuple(f"double_pendulum_c1_{run}.csv" for run in (143339, 143524, 143601, 143704))
+ACROMONK = ColumnMapping(
+    {
+        "virtul_joint_hook_1": {
+            "position": MappedColumn("shoulder_meas_pos"),
+            "effort": MappedColumn("passive"),
+        },
+        "joint_1": {
+            "position": MappedColumn("elbow_meas_pos"),
+            "effort": MappedColumn("elbow_meas_tau"),
+        },
+    },
+    time=MappedColumn("meas_time"),
+)
+BRACHIATIONS = "acromonk/raw_FB_pd_1x_.csv", "acromonk/raw_ZB_tvlqr_1x.csv"
+STUDIES = (
+    Study("ur10e free", "ur10e.urdf", ("ur10e_free_a.csv", "ur10e_free_b.csv")),
+    Study("ur10e again", "ur10e free", ("ur10e_free_c.csv",)),
+    Study("ur10e changed", "ur10e free", ("ur10e_changed.csv",)),
+    Study("ur10e another day", "ur10e free", ("ur10e_free_d.csv",)),
+    Study("ur10e with 2.805 kg", "ur10e free", ("ur10e_load_d.csv",)),
+    Study("ur10e point to point", "ur10e free", ("ur10e_ptp.csv",)),
+    Study("tx40", "tx40.urdf", ("tx40.csv",), blocks=6),
+    Study("emps", "emps_70kg.urdf", ("emps.csv",)),
+    Study("lwr4", "lwr4.urdf", tuple(f"lwr4_{run}.csv" for run in (1, 2, 3))),
+    Study("kr300", "kr300.urdf", tuple(f"kr300_{run}.csv" for run in "abc")),
+    Study("acromonk", "acromonk.urdf", BRACHIATIONS, mapping=ACROMONK),
+    Study("double pendulum", "double_pendulum.urdf", PENDULUM),
+)
+QUICK = (Study("double pendulum", "double_pendulum.urdf", PENDULUM[:2]),)
+DAYS = "ur10e.urdf", tuple(f"ur10e_free_{day}.csv" for day in "abcd")
+"""A robot on several days, on which nothing was changed."""
+QUICK_DAYS = "double_pendulum.urdf", PENDULUM[:3]
+QUICK_PAIRS = (PENDULUM[0:3:2],)
+MEASUREMENTS = (
+    *(f"reference/{name}.urdf" for name in ("ur10e", "tx40", "emps_70kg", "lwr4", "kr300")),
+    *(f"data/{log}" for study in STUDIES[:-1] for log in study.logs),
+    "data/double_pendulum_c1_*.csv",
+)
+ELSEWHERE = {"ur10e free": ("ur10e_free_c.csv", "ur10e_ptp.csv")}
+"""Logs that took no part in a study, on which every one of its steps is to hold."""
+
+
+@dataclass(frozen=True)
+class Row:
+    """One step of a study; the first row of a study is the model as it stands.
+
+    Attributes:
+        study: Name of the study.
+        step: Effect that was added, or "as it stands".
+        where: Joints or bodies.
+        nrms: Held-out error afterwards, over the effort's standard deviation.
+        pooled_rms: Root mean square over joints of the held-out RMS, N·m.
+        parameters: Parameters of the effect, SI units.
+        deviations: Their standard deviations.
+        seconds: Time of the whole study, s.
+        verdict: Verdict of the study.
+        floor_nrms: Estimated noise floor.
+    """
+
+    study: str
+    step: str
+    where: Sequence[str]
+    nrms: float
+    pooled_rms: float
+    parameters: dict[str, dict[str, float]]
+    deviations: dict[str, dict[str, float]]
+    seconds: float
+    verdict: str
+    floor_nrms: float
+
+
+def model_file(name: str, shared: Path) -> Path | None:
+    """A model file of the checkout or of the references; None if neither has it."""
+    places = (ROOT / "models", shared / "reference", shared / "data" / Path(name).stem)
+    places = tuple(folder / name for folder in places)
+    return next((path for path in places if path.is_file()), None)
+
+
+def run(study: Study, *, shared: Path, saved: Path) -> Explanation:
+    """Explain the logs of one study and save its model for later ones.
+
+    Args:
+        study: The study.
+        shared: Folder with `data` and `reference`.
+        saved: Folder for fitted models.
+    """
+    path = model_file(study.model, shared) or saved / f"{study.model}.yaml"
+    model = load_model(path)
+    explanation = explain(model, study.read(model, shared), blocks=study.blocks)
+    save_model(explanation.model, saved / f"{study.name}.yaml")
+    return explanation
+
+
+def named_afterwards(study: Study, *, shared: Path, saved: Path) -> list[str]:
+    """What `diagnose` names on the logs of a study with the model that `run` saved.
+
+    Args:
+        study: The study.
+        shared: Folder with `data`.
+        saved: Folder of fitted models.
+    """
+    model = load_model(saved / f"{study.name}.yaml")
+    found = diagnose(model, study.read(model, shared), blocks=study.blocks)
+    return [placed(each) for each in found.candidates]
+
+
+def placed(found: Candidate | Step) -> str:
+    """An effect and where it was found."""
+    return f"{found.effect} at {', '.join(found.where)}" if found.where else found.effect
+
+
+def pairs_of_days(
+    model: str, logs: Sequence[str], shared: Path, pairs: Sequence[Sequence[str]] | None = None
+) -> list[dict[str, Any]]:
+    """Steps on each log with the model of each other one, and the nrms of all others with them.
+
+    Args:
+        model: Model file.
+        logs: One log a day.
+        shared: Folder with `data` and `reference`.
+        pairs: Logs of a fit and of a test; all by default.
+    """
+    paths, file = {log: shared / "data" / log for log in logs}, model_file(model, shared)
+    pairs = pairs or tuple(permutations(logs, 2))
+    fits = {
+        log: explain(load_model(file), [paths[log]]).model for log in {pair[0] for pair in pairs}
+    }
+    rows = []
+    for fit, test in pairs:
+        found = explain(fits[fit], [paths[test]])
+        third = {
+            log: [compare(m, [paths[log]]).errors.nrms for m in (fits[fit], found.model)]
+            for log in logs
+            if found.steps and log not in (fit, test)
+        }
+        steps = [placed(step) for step in found.steps]
+        rows.append({"fit": fit, "test": test, "steps": steps, "third": third})
+    return rows
+
+
+def left_out(
+    study: Study, explanation: Explanation, shared: Path
+) -> list[tuple[str, dict[str, float]]]:
+    """What every step of a study is worth on other logs: the nrms there, unfitted, without it.
+
+    Args:
+        study: The study, of a model file.
+        explanation: What was found.
+        shared: Folder with `data` and `reference`.
+
+    Returns:
+        "as found", and "none" and each effect left out of a fit of all others, one after another,
+        with the nrms by log.
+    """
+
+    def errors(model: RobotModel) -> dict[str, float]:
+        paths = {name: shared / "data" / name for name in ELSEWHERE[study.name]}
+        return {name: compare(model, [path]).errors.nrms for name, path in paths.items()}
+
+    logs = [shared / "data" / log for log in study.logs]
+    found = [("as found", errors(explanation.model))]
+    for out in (None, *explanation.steps):
+        model = load_model(shared / "reference" / study.model)
+        for step in explanation.steps:
+            if step is not out:
+                where = step.where or None
+                model = add(step.effect, model, logs, where=where, blocks=study.blocks).model
+        found.append(("none" if out is None else out.effect, errors(model)))
+    return found
+
+
+def rows_of(study: Study, explanation: Explanation, seconds: float) -> list[Row]:
+    """The table of one study."""
+    rest = (seconds, explanation.verdict, explanation.end.floor_nrms)
+    start = explanation.start
+    rows = [Row(study.name, "as it stands", (), start.nrms, start.pooled_rms, {}, {}, *rest)]
+    for step in explanation.steps:
+        errors = (step.error_after, pooled(step))
+        values = [
+            {place: dict(found) for place, found in part.items()}
+            for part in (step.parameters, step.deviations)
+        ]
+        rows.append(Row(study.name, step.effect, step.where, *errors, *values, *rest))
+    return rows
+
+
+def pooled(step: Step) -> float:
+    """Root mean square over joints of the RMS after a step, N·m."""
+    return float(np.sqrt(np.mean(np.square(list(step.rms_after.values())))))
+
+
+def show(rows: Sequence[Row], console: Console) -> None:
+    """Print the table."""
+    table = Table("study", "step", "where", "nrms", "pooled RMS", "floor", "verdict", "s")
+    for row in rows:
+        first = row.step == "as it stands"
+        table.add_row(
+            row.study if first else "",
+            row.step,
+            ", ".join(row.where),
+            f"{row.nrms:.4f}",
+            f"{row.pooled_rms:.3f}",
+            f"{row.floor_nrms:.4f}" if first else "",
+            row.verdict if first else "",
+            f"{row.seconds:.1f}" if first else "",
+            end_section=False,
+        )
+    console.print(table)
+
+
+def main() -> None:
+    """Run the studies from the command line."""
+    parser = script_parser(__doc__, "only the double pendulum, some runs")
+    add_folder_option(parser)
+    options = parser.parse_args()
+    console, rows, elsewhere, named = Console(width=160), [], {}, {}
+    require(parser, options.shared, *(MEASUREMENTS[-1:] if options.quick else MEASUREMENTS))
+    with tempfile.TemporaryDirectory() as saved:
+        for study in QUICK if options.quick else STUDIES:
+            begin = time.perf_counter()
+            explanation = run(study, shared=options.shared, saved=Path(saved))
+            rows += rows_of(study, explanation, time.perf_counter() - begin)
+            named[study.name] = named_afterwards(study, shared=options.shared, saved=Path(saved))
+            if study.name in ELSEWHERE:
+                worth = left_out(study, explanation, options.shared)
+                elsewhere[study.name] = dict(worth)
+                for effect, errors in worth:
+                    errors_there = ", ".join(f"{name} {nrms:.4f}" for name, nrms in errors.items())
+                    console.print(f"{study.name}, left out {effect}: {errors_there}")
+            if options.figures:
+                write_figures(study, explanation, options.figures)
+    if options.quick:
+        days = pairs_of_days(*QUICK_DAYS, options.shared, QUICK_PAIRS)
+    else:
+        days = pairs_of_days(*DAYS, options.shared)
+    show(rows, console)
+    for study_name, effects in named.items():
+        console.print(
+            f"{study_name}, named by diagnose afterwards: {'; '.join(effects) or 'nothing'}"
+        )
+    for pair in days:
+        console.print(f"{pair['fit']} then {pair['test']}: {', '.join(pair['steps']) or 'no step'}")
+        for log, (before, after) in pair["third"].items():
+            console.print(f"    {log}: {before:.4f} without, {after:.4f} with")
+    told = {"rows": rows, "left_out": elsewhere, "named_afterwards": named, "days": days}
+    write(options, told)
+
+
+def write_figures(study: Study, explanation: Explanation, folder: Path) -> None:
+    """Write the figures of a study's report."""
+    from geodrake.report import figures_of, page_of
+
+    folder.mkdir(parents=True, exist_ok=True)
+    for name, figure in figures_of(page_of(explanation)).items():
+        figure.savefig(folder / f"{study.name.replace(' ', '_')}_{name}.png", dpi=120)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,213 @@
+"""How fast the regressor is, against Pinocchio's, and how fast a long log is reduced.
+
+Both engines compute the same regressors of an arm of seven joints, and of a tree of thirty, at the
+same samples, on one core: times are CPU times, medians of repeats. The log is reduced to one
+triangular factor a joint, piece by piece, so that its length does not matter for memory.
+
+    python -m diagrams.benchmarks.regressor_speed --samples 10000000 --json speed.json
+"""
+
+from __future__ import annotations
+
+import json
+import resource
+import time
+from dataclasses import dataclass
+from pathlib import Path
+from tempfile import TemporaryDirectory
+
+import numpy as np
+from rich.progress import track
+
+from diagrams.harness import MODELS, bars, medians, plain, script_parser, write
+from geodrake.inertia import inertial_parameters
+from geodrake.robot import KinematicTree, inverse_dynamics, inverse_dynamics_regressor, load_plant
+from geodrake.robot.reduction import triangular_factor
+from geodrake.robot.regressor import regressor_pieces
+
+ARM = MODELS / "arm7.urdf"
+CHUNK = 20_000
+NOISE = 0.1  # N·m
+
+
+@dataclass(frozen=True)
+class Speed:
+    """CPU times in µs a sample, and the largest difference of the two regressors.
+
+    Attributes:
+        robot: The robot.
+        regressor: `regressor_pieces`, as logs are reduced.
+        at_once: `inverse_dynamics_regressor` of all samples, into new memory.
+        efforts: `inverse_dynamics`.
+        pinocchio: `computeJointTorqueRegressor` in a Python loop; None if it is not installed.
+        ratio: regressor / pinocchio.
+        difference: Largest difference of an entry, relative to the largest entry.
+    """
+
+    robot: str
+    regressor: float
+    at_once: float
+    efforts: float
+    pinocchio: float | None
+    ratio: float | None
+    difference: float | None
+
+
+@dataclass(frozen=True)
+class Reduction:
+    """Reduction of a log to one triangular factor a joint.
+
+    Attributes:
+        samples: Length of the log.
+        seconds: Wall time of all, s.
+        microseconds_per_sample: The same a sample, µs.
+        factor_share: Share of it that went into the factors.
+        gigaflops: Arithmetic rate of the factors, 10⁹/s.
+        peak_memory: Largest memory of the process, GB.
+        noise_found: Standard deviation of the noise as read from the factors of the joints, N·m.
+    """
+
+    samples: int
+    seconds: float
+    microseconds_per_sample: float
+    factor_share: float
+    gigaflops: float
+    peak_memory: float
+    noise_found: list[float]
+
+
+def measure_speed(robot: Path, *, samples: int, repeats: int, seed: int) -> Speed:
+    """Times both regressors on the same random samples of a robot."""
+    plant = load_plant(robot).plant
+    tree, phi = KinematicTree.from_plant(plant), inertial_parameters(plant)
+    motion = random_motion(np.random.default_rng(seed), samples, tree.num_velocities)
+
+    def pieces() -> None:
+        for _ in regressor_pieces(tree, *motion):
+            pass
+
+    works = {
+        "regressor": pieces,
+        "at_once": lambda: inverse_dynamics_regressor(tree, *motion),
+        "efforts": lambda: inverse_dynamics(tree, *motion, phi),
+    }
+    ours = {name: 1e6 * time / samples for name, time in medians(works, repeats).items()}
+    try:
+        import pinocchio
+    except ImportError:
+        return Speed(robot.stem, **ours, pinocchio=None, ratio=None, difference=None)
+    model = pinocchio.buildModelFromUrdf(str(robot))
+    data = model.createData()
+
+    def loop() -> None:
+        for q, v, vd in zip(*motion, strict=True):
+            pinocchio.computeJointTorqueRegressor(model, data, q, v, vd)
+
+    theirs = 1e6 * medians({"": loop}, repeats)[""] / samples
+    n, first = tree.num_velocities, [x[0] for x in motion]
+    expected = pinocchio.computeJointTorqueRegressor(model, data, *first).reshape(n, n, 10)
+    own = inverse_dynamics_regressor(tree, *(x[:1] for x in motion)).reshape(n, n, 10)
+    error = np.abs(own - expected[:, :, [0, 1, 2, 3, 4, 6, 9, 5, 8, 7]]).max()
+    return Speed(
+        robot.stem,
+        **ours,
+        pinocchio=theirs,
+        ratio=ours["regressor"] / theirs,
+        difference=float(error / np.abs(expected).max()),
+    )
+
+
+def write_tree(folder: Path, *, limbs: int = 5, joints: int = 6, seed: int = 0) -> Path:
+    """A robot of several limbs that hang on one body, as a URDF file."""
+    rng = np.random.default_rng(seed)
+
+    def text(x: np.ndarray) -> str:
+        return " ".join(f"{value:.4f}" for value in x)
+
+    parts = ['<robot name="tree"><link name="base"/>']
+    for limb in range(limbs):
+        parent = "link_0_0" if limb else "base"
+        for joint in range(joints):
+            name = f"{limb}_{joint}"
+            xyz, rpy = rng.uniform(-0.3, 0.3, 3), rng.uniform(-2.0, 2.0, 3)
+            axis = "xyz".index(rng.choice([*"xyz"]))
+            parts.append(
+                f'<link name="link_{name}"><inertial><origin xyz="{text(0.2 * xyz)}"/>'
+                f'<mass value="{rng.uniform(1.0, 3.0):.3f}"/>'
+                '<inertia ixx="0.03" iyy="0.02" izz="0.025" ixy="0.002" iyz="0" ixz="0.001"/>'
+                f'</inertial></link><joint name="joint_{name}" type="revolute">'
+                f'<origin xyz="{text(xyz)}" rpy="{text(rpy)}"/><parent link="{parent}"/>'
+                f'<child link="link_{name}"/><axis xyz="{text(np.eye(3)[axis])}"/>'
+                '<limit lower="-3" upper="3" effort="100" velocity="3"/></joint>'
+            )
+            parent = f"link_{name}"
+    path = folder / "tree.urdf"
+    path.write_text("\n".join([*parts, "</robot>"]), encoding="utf-8")
+    return path
+
+
+def measure_reduction(*, samples: int, seed: int) -> Reduction:
+    """Reduces a simulated log, whose samples exist only while their chunk is worked on."""
+    plant = load_plant(ARM).plant
+    tree, phi = KinematicTree.from_plant(plant), inertial_parameters(plant).ravel()
+    rng = np.random.default_rng(seed)
+    columns = [tree.columns(dof) for dof in range(tree.num_velocities)]
+    factors = [np.zeros((1, len(own) + 1)) for own in columns]
+    factor_time, start = 0.0, time.perf_counter()
+    for first in track(range(0, samples, CHUNK), description="reducing"):
+        motion = random_motion(rng, min(CHUNK, samples - first), tree.num_velocities)
+        for _, piece in regressor_pieces(tree, *motion):
+            for joint, own in enumerate(columns):
+                rows = piece[:, joint, own]
+                effort = rows @ phi[own] + rng.normal(0.0, NOISE, len(rows))
+                rows = np.column_stack([rows, effort])
+                before = time.perf_counter()
+                factors[joint] = triangular_factor([factors[joint], rows])
+                factor_time += time.perf_counter() - before
+    seconds = time.perf_counter() - start
+    operations = sum(2 * samples * len(factor) ** 2 for factor in factors)
+    return Reduction(
+        samples=samples,
+        seconds=seconds,
+        microseconds_per_sample=1e6 * seconds / samples,
+        factor_share=factor_time / seconds,
+        gigaflops=operations / factor_time / 1e9,
+        peak_memory=resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * 1024 / 1e9,
+        noise_found=[abs(factor[-1, -1]) / np.sqrt(samples) for factor in factors],
+    )
+
+
+def random_motion(rng: np.random.Generator, samples: int, joints: int) -> tuple[np.ndarray, ...]:
+    """Positions, velocities and accelerations (samples, joints) of a lively arm."""
+    return tuple(rng.uniform(-scale, scale, (samples, joints)) for scale in (3.0, 2.0, 5.0))
+
+
+def main() -> None:
+    """Measure, print, and write what was asked for."""
+    parser = script_parser(__doc__)
+    parser.add_argument("--samples", type=int, help="length of the reduced log")
+    options = parser.parse_args()
+    reduced = options.samples or (5_000 if options.quick else 500_000)
+    repeats, part = (2, 10) if options.quick else (9, 1)
+    reduction = measure_reduction(samples=reduced, seed=options.seed)
+    with TemporaryDirectory() as folder:
+        robots = {ARM: 50_000, write_tree(Path(folder), seed=options.seed): 5_000}
+        speeds = [
+            measure_speed(robot, samples=count // part, repeats=repeats, seed=options.seed)
+            for robot, count in robots.items()
+        ]
+    table = plain({"speed": speeds, "reduction": reduction})
+    print(json.dumps(table, indent=2))
+    panels = {
+        f"{speed.robot}, one core": {
+            name: time
+            for name in ("efforts", "regressor", "pinocchio")
+            if (time := getattr(speed, name)) is not None
+        }
+        for speed in speeds
+    }
+    write(options, table, regressor_speed=lambda: bars(panels, "µs"))
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,206 @@
+"""What each effect looks like in the effort that a model without it leaves, and a page of them.
+
+The arm of the demo moves for twenty seconds; each effect has a usual size at one of its joints. Its
+effort is shown over time, over the speed and over the position of that joint: one of the three
+mostly tells it from the others. The page `docs/effects.md` is made of these pictures and of what
+the effects say of themselves.
+
+    python -m diagrams.examples.effect_pictures --figures docs/figures/effects \
+        --page docs/effects.md
+"""
+
+from __future__ import annotations
+
+import json
+import os
+from collections.abc import Callable
+from dataclasses import dataclass
+from importlib.resources import as_file, files
+from pathlib import Path
+
+import numpy as np
+from matplotlib.figure import Figure
+from numpy.typing import NDArray
+
+from diagrams.harness import script_parser
+from geodrake import effects, load_model
+from geodrake.boundary.whole_files import write_whole
+from geodrake.effects import Effect, RobotMotion, catalogue
+from geodrake.logs.motion import Motion
+from geodrake.model import RobotModel
+from geodrake.report import style
+
+Array = NDArray[np.float64]
+
+PERIOD = 0.004  # s
+DURATION = 20.0  # s
+SHOWN = 8.0  # s of the motion that the first panel shows
+SHOULDER, ELBOW, ROLL, PITCH = "shoulder_pitch", "elbow_pitch", "wrist_roll", "wrist_pitch"
+PUSH = (10.0, 0.0, -25.0, 0.0, 0.0, 0.0)  # N, N·m
+INTRODUCTION = """# Effects
+
+What each effect of the catalogue does to the efforts, and what it looks like in a residual: the
+effort that a model without it leaves unexplained. An arm moves for 20 s; the residual of one joint
+is shown over time, over the joint's speed and over its position. Which of the three shows a curve,
+and not a cloud, mostly tells the effect.
+
+Made by `python -m diagrams.examples.effect_pictures`.
+"""
+
+
+@dataclass(frozen=True)
+class Example:
+    """An effect of usual size.
+
+    Attributes:
+        effect: The effect at its place.
+        values: Its parameters, SI.
+        joint: The joint that is shown.
+    """
+
+    effect: Effect
+    values: tuple[float, ...]
+    joint: str = ELBOW
+
+    def residual(self, motion: RobotMotion) -> Array:
+        """(N,) effort of the effect at the joint that is shown."""
+        own = self.effect.effort(motion, np.array(self.values))
+        return np.asarray(own[:, motion.index(self.joint)])
+
+
+def phi_of(mass: float, x: float, y: float, z: float, radius: float = 0.05) -> tuple[float, ...]:
+    """Inertial parameters of a ball of a mass, kg, whose centre is at (x, y, z), m."""
+    own, p = 0.4 * mass * radius**2, np.array([x, y, z])
+    inertia = own * np.eye(3) + mass * (p @ p * np.eye(3) - np.outer(p, p))
+    moments = (*np.diag(inertia), inertia[0, 1], inertia[1, 2], inertia[2, 0])
+    return tuple(map(float, (mass, *(mass * p), *moments)))
+
+
+def examples() -> list[Example]:
+    """One example of every effect whose effort is linear in its parameters."""
+    return [
+        Example(effects.ViscousFriction(ELBOW), (4.0,)),
+        Example(effects.CoulombFriction(ELBOW), (6.0,)),
+        Example(effects.FrictionOvercompensation(ELBOW), (6.0,)),
+        Example(effects.AsymmetricFriction(ELBOW), (7.0, 3.0, 3.0, 1.0)),
+        Example(effects.StribeckFriction(ELBOW, 0.15, 2.0), (5.0,)),
+        Example(effects.NonlinearViscousFriction(ELBOW, 0.5), (6.0,)),
+        Example(effects.LoadDependentFriction(ELBOW), (0.12,)),
+        Example(effects.GearEfficiency(ELBOW), (0.25, 0.1)),
+        Example(effects.CoupledFriction((ROLL, PITCH), -1), (2.0, 1.0), PITCH),
+        Example(effects.FrictionDrift(ELBOW, 6.0), (6.0, 2.0)),
+        Example(effects.ThermalFriction(ELBOW, 30.0), (-0.5, -0.2)),
+        Example(effects.Hysteresis(ELBOW, 0.2), (6.0,)),
+        Example(effects.EffortOffset(ELBOW), (3.0,)),
+        Example(effects.ThermalOffset(ELBOW, 30.0), (0.0, 0.5)),
+        Example(effects.EffortScale(ELBOW), (0.1,)),
+        Example(effects.JointSpring(ELBOW, 1, 0.0), (8.0, 0.0)),
+        Example(effects.GravityCompensator(ELBOW), (0.0, 12.0)),
+        Example(effects.TorqueRipple(ELBOW, 12.0), (1.5, 1.0)),
+        Example(effects.RotorInertia(ELBOW), (0.8,)),
+        Example(effects.CoupledRotorInertia((ROLL, PITCH)), (0.05,), PITCH),
+        Example(effects.JointElasticity(ELBOW), (1.0 / 4000.0,)),
+        Example(effects.Backlash(ELBOW, 2e-3), (1.0,)),
+        Example(effects.Payload("flange"), phi_of(2.0, 0.02, 0.0, 0.08)),
+        Example(effects.TemporaryPayload("flange", 3.0), phi_of(2.0, 0.02, 0.0, 0.08)),
+        Example(effects.GravityTilt(), (0.05, 0.03), SHOULDER),
+        Example(
+            effects.Contact("flange", 2.5, 5.0, 0.2, 0, 0.1), (10.0, 0.0, -25.0, 0.0, 0.0, 0.0)
+        ),
+        Example(effects.AerodynamicDrag("flange"), (1.5, 0.0, 0.0, 0.0)),
+    ]
+
+
+def motion_of(model: RobotModel) -> RobotMotion:
+    """A lively motion of all joints within their limits."""
+    t = np.arange(0.0, DURATION, PERIOD)
+    rates = np.array([0.9, 0.8, 1.1, 1.5, 1.7, 2.1])
+    sizes = np.array([0.9, 0.6, 0.8, 1.0, 0.9, 1.2])
+    phase = np.outer(t, rates) + np.arange(6)
+    second = np.outer(t, 2.3 * rates)
+    q = sizes * (np.sin(phase) + 0.25 * np.sin(second)) + np.array([0.0, 0.3, -1.0, 0.0, 0.0, 0.0])
+    v = sizes * rates * (np.cos(phase) + 0.575 * np.cos(second))
+    vd = -sizes * rates**2 * (np.sin(phase) + 1.3225 * np.sin(second))
+    warmth = 30.0 + 12.0 * np.sin(0.4 * t[:, None] + np.arange(6))
+    return model.motion(Motion(q, v, vd, t, q[:0], warmth), sign_width=np.full(6, 0.01))
+
+
+def delayed(motion: RobotMotion) -> Array:
+    """(N,) what efforts of the elbow that are logged 12 ms late leave."""
+    own, late = motion.load[:, motion.index(ELBOW)], round(0.012 / PERIOD)
+    return np.concatenate([np.zeros(late), own[:-late] - own[late:]])
+
+
+def heavier(motion: RobotMotion) -> Array:
+    """(N,) what a forearm leaves at the elbow that is 1.5 kg heavier than its model."""
+    columns = motion.body_columns("forearm")[:, motion.index(ELBOW)]
+    return np.asarray(columns @ np.array(phi_of(1.5, 0.15, 0.0, 0.0)))
+
+
+BY_THEMSELVES: dict[type[Effect], Callable[[RobotMotion], Array]] = {
+    effects.EffortDelay: delayed,
+    effects.WrongInertia: heavier,
+}
+"""Effects whose effort is that of the bodies themselves."""
+
+
+def draw(residual: Array, motion: RobotMotion, joint: str, path: Path) -> None:
+    """The residual over time, speed and position of its joint."""
+    j = motion.index(joint)
+    t, q, v = np.asarray(motion.time), motion.q[:, j], motion.v[:, j]
+    figure = Figure(figsize=(7.2, 1.7), dpi=100, layout="constrained")
+    first, *clouds = figure.subplots(1, 3, sharey=True, width_ratios=(1.6, 1, 1))
+    shown = t <= SHOWN
+    first.plot(t[shown], residual[shown], color=style.AFTER, lw=0.9)
+    first.set_ylabel("residual, N·m", fontsize=7)
+    for axes, x in zip(clouds, (v, q), strict=True):
+        axes.plot(x, residual, color=style.AFTER, lw=0, marker=".", markersize=0.8)
+    words = "time, s", f"speed of {joint}, rad/s", f"position of {joint}, rad"
+    for axes, word in zip((first, *clouds), words, strict=True):
+        axes.set_xlabel(word, fontsize=7)
+        axes.tick_params(labelsize=7)
+        axes.spines[["top", "right"]].set_visible(False)
+        axes.axhline(0.0, color=style.RULE, lw=0.6, zorder=0)
+    path.parent.mkdir(parents=True, exist_ok=True)
+    write_whole(path, style.png(figure))
+
+
+def page(drawn: dict[type[Effect], Path], folder: Path) -> str:
+    """The page of all effects, pictures named relative to a folder."""
+    parts = [INTRODUCTION]
+    for effect, path in drawn.items():
+        parameters = ", ".join(f"{p.name} ({p.unit})" for p in effect.parameters)
+        lines = [f"## `{effect.name}`", f"Needed effort: {effect.law}."]
+        if effect.signature:
+            lines.append(f"In a residual: {effect.signature}.")
+        if parameters:
+            lines.append(f"Parameters: {parameters}.")
+        picture = Path(os.path.relpath(path, folder)).as_posix()
+        lines.append(f"![Residual of {effect.name}]({picture})")
+        parts.append("\n\n".join(lines) + "\n")
+    return "\n".join(parts)
+
+
+def main() -> None:
+    """Draws, and writes what was asked for."""
+    parser = script_parser(__doc__, "three pictures")
+    parser.add_argument("--page", type=Path, help="Markdown file of all effects and pictures")
+    options = parser.parse_args()
+    with as_file(files("geodrake") / "demo") as demo:
+        motion = motion_of(load_model(demo / "demo.urdf"))
+    left = {type(e.effect): (e.residual(motion), e.joint) for e in examples()}
+    left |= {effect: (made(motion), ELBOW) for effect, made in BY_THEMSELVES.items()}
+    table = {e.name: float(np.sqrt(np.mean(left[e][0] ** 2))) for e in catalogue()}
+    print(json.dumps(table, indent=2))
+    if options.json:
+        write_whole(options.json, json.dumps(table, indent=2) + "\n")
+    if options.figures:
+        drawn = {e: options.figures / f"{e.name}.png" for e in catalogue()}
+        for effect, path in list(drawn.items())[: 3 if options.quick else None]:
+            draw(left[effect][0], motion, left[effect][1], path)
+        if options.page:
+            write_whole(options.page, page(drawn, options.page.parent))
+
+
+if __name__ == "__main__":
+    main()

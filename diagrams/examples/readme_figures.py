@@ -1,0 +1,90 @@
+"""The figures of the README and the tutorial: the demo's efforts, its error, its pages.
+
+With `--pages` also the pages of `explain` and `play`, as Chromium draws them. Run it as
+`python -m diagrams.examples.readme_figures --pages --figures diagrams/figures`.
+"""
+
+from __future__ import annotations
+
+import os
+import shutil
+import subprocess
+import sys
+from dataclasses import replace
+from importlib.resources import as_file, files
+from pathlib import Path
+from tempfile import TemporaryDirectory
+
+from PIL import Image
+
+from diagrams.harness import script_parser, write
+from geodrake import load_model, save_model
+from geodrake.diagnosis import Explanation, explain
+from geodrake.logs.files import read_log
+from geodrake.report import figures_of, page_of, save_figures
+
+ROOT = Path(__file__).parents[2]
+
+
+def explain_demo(*, quick: bool) -> Explanation:
+    """What `geodrake demo` finds; if quick, in the first 6 s of its log."""
+    with as_file(files("geodrake") / "demo") as demo:
+        log = read_log(demo / "demo.csv")
+        if quick:
+            arrays = ("time", "position", "velocity", "effort")
+            log = replace(log, **{name: getattr(log, name)[:1200] for name in arrays})
+        return explain(load_model(demo / "demo.urdf"), [log])
+
+
+def pictures_of_pages(found: Explanation, folder: Path) -> None:
+    """Pictures of the pages of `geodrake explain` and `geodrake play` with what the demo finds."""
+    with as_file(files("geodrake") / "demo") as demo, TemporaryDirectory() as work:
+        page, saved, report = (Path(work) / n for n in ("play.html", "arm.yaml", "report.html"))
+        save_model(found.model, saved)
+        log = demo / "demo.csv"
+        for words in (
+            ("play", saved, log, "--out", page),
+            ("explain", demo / "demo.urdf", log, "--report", report),
+        ):
+            command = [sys.executable, "-m", "geodrake", *map(str, words), "--quiet"]
+            subprocess.run(command, check=True, stdout=subprocess.DEVNULL)
+        _picture(page, folder / "demo_play.png", (1200, 760))
+        _picture(report, folder / "demo_page.png", (1280, 1210))
+
+
+def _picture(page: Path, path: Path, size: tuple[int, int]) -> None:
+    """Draw a page as Chromium shows it."""
+    from playwright.sync_api import sync_playwright
+
+    browsers = (os.environ.get("CHROMIUM"), shutil.which("chromium"), shutil.which("google-chrome"))
+    flags = ["--no-sandbox", "--disable-background-networking", "--enable-unsafe-swiftshader"]
+    with sync_playwright() as driver:
+        browser = driver.chromium.launch(executable_path=next(filter(None, browsers)), args=flags)
+        tab = browser.new_page(viewport={"width": size[0], "height": size[1]})
+        tab.goto(page.as_uri())
+        tab.wait_for_timeout(4000)  # until meshes are there and the robots have moved
+        tab.screenshot(path=path)
+        browser.close()
+    smaller = Image.open(path).convert("RGB").quantize(128, dither=Image.Dither.NONE)
+    smaller.save(path, optimize=True)
+
+
+def main() -> None:
+    """Draw the figures."""
+    parser = script_parser(__doc__, "6 s of the log")
+    parser.set_defaults(figures=ROOT / "diagrams" / "figures")
+    parser.add_argument("--pages", action="store_true", help="pictures of pages, too")
+    options = parser.parse_args()
+    found = explain_demo(quick=options.quick)
+    drawn = figures_of(page_of(found))
+    figures = {f"demo_{name}": drawn[name] for name in ("efforts", "steps")}
+    for path in save_figures(figures, options.figures):
+        print(path)
+    if options.pages:
+        pictures_of_pages(found, options.figures)
+    steps = [{"effect": s.effect, "nrms": s.error_after} for s in found.steps]
+    write(options, {"start": found.start.nrms, "steps": steps})
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,154 @@
+"""Simulated robots under one controller: do they need the efforts that the real one needed?
+
+`explain` finds a payload and friction in the demo's log. Three robots then stand in one Drake
+diagram: that of the model file, one with the fitted bodies and the payload but without friction,
+and the fitted one. Each follows the logged motion by computed torque on the fitted bodies, so by
+feedback where it has other ones, or friction; its efforts are compared with the log's.
+
+    python -m diagrams.examples.simulate_fitted --json simulate_fitted.json --figures figures
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from importlib.resources import files
+from pathlib import Path
+
+import numpy as np
+from matplotlib.figure import Figure
+from numpy.typing import NDArray
+from pydrake.systems.analysis import Simulator
+from pydrake.systems.controllers import InverseDynamicsController
+from pydrake.systems.framework import DiagramBuilder
+from pydrake.systems.primitives import LogVectorOutput, TrajectorySource
+from pydrake.trajectories import PiecewisePolynomial
+from rich.console import Console
+from rich.table import Table
+
+from diagrams.harness import script_parser, write
+from geodrake import load_model
+from geodrake.diagnosis import explain
+from geodrake.effects import Role
+from geodrake.logs import JointLog
+from geodrake.logs.files import read_log
+from geodrake.model import RobotModel
+from geodrake.report import style
+
+Array = NDArray[np.float64]
+
+DEMO = Path(str(files("geodrake") / "demo"))
+FILE, BODIES, FITTED = "model file", "fitted bodies", "fitted, with friction"
+COLORS = {FILE: style.BEFORE, BODIES: style.TIED, FITTED: style.AFTER}
+KNOT = 0.04  # s between those of the motion that is followed
+BANDWIDTH = 60.0  # of the controller, rad/s
+SETTLED = 0.2  # s from the start on that are not compared
+
+
+@dataclass(frozen=True)
+class EffortError:
+    """How far the efforts of a simulated robot are from the logged ones.
+
+    Attributes:
+        robot: Which one.
+        joint: Name of the joint.
+        rms: RMS of simulated − logged effort, N·m.
+        logged: Standard deviation of the logged effort, N·m.
+    """
+
+    robot: str
+    joint: str
+    rms: float
+    logged: float
+
+
+def robots(log: JointLog) -> dict[str, RobotModel]:
+    """The model of the file, and what `explain` makes of it, without friction and with it."""
+    model = load_model(DEMO / "demo.urdf")
+    found = explain(model, [log]).model
+    payloads = tuple(f for f in found.effects if f.effect.role is Role.BODY)
+    return {FILE: model, BODIES: replace(found, effects=payloads), FITTED: found}
+
+
+def simulate(models: dict[str, RobotModel], log: JointLog, seconds: float) -> dict[str, Array]:
+    """Efforts (K, nv) of each robot at the first instants of the log, while it follows it."""
+    builder = DiagramBuilder()
+    period = float(np.median(np.diff(log.time)))
+    knots = slice(None, None, round(KNOT / period))
+    time, positions = log.time[knots] - log.time[0], log.position[knots].T
+    motion = PiecewisePolynomial.CubicWithContinuousSecondDerivatives(time, positions)
+    desired = builder.AddSystem(TrajectorySource(motion, output_derivative_order=1))
+    placed = {name: model.add_to_builder(builder, name=name) for name, model in models.items()}
+    known = placed[FITTED].plant  # whose inertias are the fitted ones
+    logs = {}
+    for name, robot in placed.items():
+        ones = np.ones(known.num_velocities())
+        gains = BANDWIDTH**2 * ones, 0.0 * ones, 2.0 * BANDWIDTH * ones
+        controller = builder.AddSystem(InverseDynamicsController(known, *gains, False))
+        builder.Connect(desired.get_output_port(), controller.get_input_port_desired_state())
+        builder.Connect(robot.state, controller.get_input_port_estimated_state())
+        builder.Connect(controller.get_output_port_control(), robot.effort)
+        logs[name] = LogVectorOutput(robot.logged_effort, builder, period)
+    simulator = Simulator(builder.Build())
+    root = simulator.get_mutable_context()
+    for robot in placed.values():
+        robot.set_state(root, motion.value(0.0).ravel(), motion.EvalDerivative(0.0).ravel())
+    simulator.AdvanceTo(seconds)
+    return {name: sink.FindLog(root).data().T for name, sink in logs.items()}
+
+
+def errors(log: JointLog, efforts: dict[str, Array]) -> list[EffortError]:
+    """By robot and joint, once the controllers have settled."""
+    found = []
+    for name, simulated in efforts.items():
+        first = int(np.searchsorted(log.time - log.time[0], SETTLED))
+        logged = log.effort[first : len(simulated)]
+        rms = np.sqrt(np.square(simulated[first:] - logged).mean(0))
+        rows = zip(log.joints, rms.tolist(), logged.std(0).tolist(), strict=True)
+        found += [EffortError(name, *row) for row in rows]
+    return found
+
+
+def effort_figure(log: JointLog, efforts: dict[str, Array]) -> Figure:
+    """Every joint: the logged effort, and that of each robot."""
+    rows = (len(log.joints) + 1) // 2
+    figure = style.new_figure(1.8 * rows)
+    axes = figure.subplots(rows, 2, sharex=True, squeeze=False).ravel()
+    for j, (joint, ax) in enumerate(zip(log.joints, axes, strict=False)):
+        style.polish(ax)
+        count = len(efforts[FILE])
+        time = log.time[:count]
+        ax.plot(time, log.effort[:count, j], color=style.MEASURED, lw=4, label="log")
+        for name, color in COLORS.items():
+            ax.plot(time, efforts[name][:, j], color=color, lw=1.2, label=name)
+        ax.set_title(f"{joint}, N·m", loc="left", **style.plain())
+    figure.legend(*axes[0].get_legend_handles_labels(), loc="outside upper right", ncols=4)
+    return figure
+
+
+def show(found: list[EffortError]) -> None:
+    """Prints the errors, a row a joint."""
+    table = Table(title="RMS of simulated − logged effort, N·m")
+    for column in ("joint", *COLORS, "logged"):
+        table.add_column(column, justify="left" if column == "joint" else "right")
+    for joint in dict.fromkeys(row.joint for row in found):
+        rows = [row for row in found if row.joint == joint]
+        values = [*(row.rms for row in rows), rows[0].logged]
+        table.add_row(joint, *(f"{value:.3f}" for value in values))
+    Console(width=100).print(table)
+
+
+def main() -> None:
+    """Explains, simulates, prints, and writes what was asked for."""
+    options = script_parser(__doc__, "4 s of the log, and 0.5 s of motion").parse_args()
+    log = read_log(DEMO / "demo.csv")
+    if options.quick:
+        arrays = ("time", "position", "velocity", "effort")
+        log = replace(log, **{name: getattr(log, name)[:800] for name in arrays})
+    efforts = simulate(robots(log), log, 0.5 if options.quick else 8.0)
+    found = errors(log, efforts)
+    show(found)
+    write(options, found, simulate_fitted=lambda: effort_figure(log, efforts))
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,271 @@
+"""One frame for all scripts: options, draws that go on where they broke off, times, tables, charts.
+
+Scripts are started from the folder above: python -m diagrams.benchmarks.hidden_effects --quick
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import os
+import resource
+import signal
+import subprocess
+import sys
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from concurrent.futures import ProcessPoolExecutor, as_completed
+from dataclasses import asdict, is_dataclass
+from functools import partial
+from multiprocessing import get_context
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from matplotlib.figure import Figure
+from rich.console import Console
+from rich.progress import track
+from rich.table import Table
+
+from geodrake.report import style
+
+MODELS = Path(__file__).parents[1] / "models"
+ONE_THREAD = {"OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1"}
+VERSION = 2
+"""Of what a draw is; one more when kept draws of older versions must not be used."""
+
+_PEAK = """
+import resource, sys
+from pathlib import Path
+status, used = Path("/proc/self/status"), resource.getrusage
+peak = used(resource.RUSAGE_SELF).ru_maxrss * (1e-3 if sys.platform == "darwin" else 1.0)
+if status.exists():  # Linux hands a parent's ru_maxrss on to its children, but not its VmHWM
+    peak = next(float(line.split()[1]) for line in status.open() if line.startswith("VmHWM"))
+print(max(peak, used(resource.RUSAGE_CHILDREN).ru_maxrss) * 1024)
+"""
+
+
+# Options
+
+
+def whole_number(text: str, least: int = 0) -> int:
+    """Return a whole number from zero on, of the command line."""
+    number = int(text)
+    if number < least:
+        raise argparse.ArgumentTypeError(f"{number} is below {('zero', 'one')[least]}")
+    return number
+
+
+positive_number = partial(whole_number, least=1)
+
+
+def script_parser(
+    doc: str, quick: str = "a few seconds, for a first look", *, draws: bool = False
+) -> argparse.ArgumentParser:
+    """Return a parser with the options that all scripts have.
+
+    Args:
+        quick: What `--quick` does.
+        draws: Whether there are draws, which processes share and a file keeps.
+    """
+    parser = argparse.ArgumentParser(description=doc.splitlines()[0])
+    parser.add_argument("--quick", action="store_true", help=quick)
+    parser.add_argument("--seed", type=whole_number, default=0)
+    parser.add_argument("--json", type=Path, help="file for the numbers")
+    parser.add_argument("--figures", type=Path, help="folder for figures")
+    if draws:
+        jobs = min(2, os.cpu_count() or 1)
+        parser.add_argument("--jobs", type=positive_number, default=jobs, help="processes")
+        parser.add_argument("--cache", type=Path, help="file of draws (beside that of --json)")
+    return parser
+
+
+def cache_beside(path: Path | None) -> Path | None:
+    """Return the file of finished designs beside that of a table."""
+    return path and path.with_suffix(".designs.jsonl")
+
+
+def write(
+    options: argparse.Namespace, table: Any, **figures: Callable[[], Figure | Mapping[str, Figure]]
+) -> None:
+    """Write the numbers and the figures, by name, that were asked for."""
+    if options.json:
+        options.json.parent.mkdir(parents=True, exist_ok=True)
+        options.json.write_text(json.dumps(plain(table), indent=1) + "\n", encoding="utf-8")
+    if options.figures:
+        options.figures.mkdir(parents=True, exist_ok=True)
+        for name, draw in figures.items():
+            drawn = draw()
+            several = drawn if isinstance(drawn, Mapping) else {name: drawn}
+            for each, figure in several.items():
+                figure.savefig(options.figures / f"{each}.png")
+
+
+def plain(table: Any) -> Any:
+    """Return a table without dataclasses and arrays, as JSON has it."""
+    if is_dataclass(table) and not isinstance(table, type):
+        return asdict(table)
+    if isinstance(table, Mapping):
+        return {str(name): plain(value) for name, value in table.items()}
+    if isinstance(table, np.ndarray | np.generic):
+        return table.tolist()
+    return [plain(each) for each in table] if isinstance(table, list | tuple) else table
+
+
+def show(
+    title: str, columns: Mapping[str, str], lines: Sequence[Mapping[str, Any]], width: int = 120
+) -> None:
+    """Print columns of lines, each with a format such as ".2f" or "%"."""
+    table = Table(*columns, title=title, title_justify="left")
+    for line in lines:
+        shown = ((line.get(name), form) for name, form in columns.items())
+        table.add_row(*("–" if value is None else format(value, form) for value, form in shown))
+    Console(width=width).print(table)
+
+
+# Draws
+
+
+def run_draws(
+    parser: argparse.ArgumentParser,
+    options: argparse.Namespace,
+    task: Callable[..., Any],
+    draws: Sequence[Any],
+) -> list[Any]:
+    """Return what a task makes of all draws and the seed; it is called with `seed`."""
+    cache = options.cache
+    if cache is None and options.json is not None:
+        cache = options.json.with_suffix(".draws.jsonl")
+    if cache is not None:
+        cache.parent.mkdir(parents=True, exist_ok=True)
+    study = Path(parser.prog).stem.rpartition(".")[2]
+    key = {"version": VERSION, "study": study, "seed": options.seed}
+    try:
+        own = partial(task, seed=options.seed)
+        return results_of(own, draws, key=key, cache=cache, workers=options.jobs)
+    except KeyboardInterrupt:
+        where = f"Finished draws are in {cache}; the same command goes on." if cache else ""
+        parser.exit(130, f"Interrupted. {where}\n")
+
+
+def results_of(
+    task: Callable[[Any], Any],
+    draws: Sequence[Any],
+    *,
+    key: Mapping[str, Any],
+    cache: Path | None,
+    workers: int,
+) -> list[Any]:
+    """Return what a task makes of every draw, from the cache as far as it is there.
+
+    Args:
+        task: A function that can be pickled; its results can be written as JSON.
+        draws: Numbers, names or dataclasses.
+        key: What else a kept result must have been made with.
+        cache: A JSON-lines file, which need not exist; None to keep nothing.
+    """
+    done = kept(cache, key)
+    missing = [draw for draw in draws if name_of(draw) not in done]
+    found = finished(task, missing, workers)
+    for draw, result in track(found, description="draws", total=len(missing), transient=True):
+        # As it would be read again, so that a resumed run gives the same in every digit.
+        line = json.dumps({"key": dict(key), "draw": plain(draw), "rows": result})
+        done[name_of(draw)] = json.loads(line)["rows"]
+        if cache is not None:
+            with cache.open("a", encoding="utf-8") as file:
+                file.write(line + "\n")
+    return [done[name_of(draw)] for draw in draws]
+
+
+def kept(cache: Path | None, key: Mapping[str, Any]) -> dict[str, Any]:
+    """Return results in a cache by name; a last line cut short by an interruption is left out."""
+    done: dict[str, Any] = {}
+    if cache is None or not cache.is_file():
+        return done
+    wanted = json.loads(json.dumps(dict(key)))
+    for line in cache.read_text(encoding="utf-8").splitlines():
+        try:
+            found = json.loads(line)
+        except json.JSONDecodeError:
+            continue
+        if found["key"] == wanted:
+            done[name_of(found["draw"])] = found["rows"]
+    return done
+
+
+def name_of(draw: Any) -> str:
+    """Return a draw in writing."""
+    return json.dumps(plain(draw), sort_keys=True)
+
+
+def finished(
+    task: Callable[[Any], Any], draws: Sequence[Any], workers: int
+) -> Iterator[tuple[Any, Any]]:
+    """Yield draws as they are done, in processes of their own."""
+    if workers < 2:
+        yield from ((draw, task(draw)) for draw in draws)
+        return
+    os.environ.update(ONE_THREAD)  # processes that are spawned read it before numpy is there
+    quietly = {"initializer": signal.signal, "initargs": (signal.SIGINT, signal.SIG_DFL)}
+    with ProcessPoolExecutor(workers, mp_context=get_context("spawn"), **quietly) as pool:
+        futures = {pool.submit(task, draw): draw for draw in draws}
+        try:
+            for future in as_completed(futures):
+                yield futures[future], future.result()
+        finally:
+            pool.shutdown(wait=False, cancel_futures=True)
+
+
+# Times, memory, and bars of them
+
+
+def cpu_clock() -> float:
+    """Return the CPU time of this process and of those that it waited for, s."""
+    used = [resource.getrusage(who) for who in (resource.RUSAGE_SELF, resource.RUSAGE_CHILDREN)]
+    return sum(usage.ru_utime + usage.ru_stime for usage in used)
+
+
+def cpu_time(work: Callable[[], object]) -> float:
+    """Return the CPU time of a call, s."""
+    begin = cpu_clock()
+    work()
+    return cpu_clock() - begin
+
+
+def cpu_times(works: Mapping[str, Callable[[], object]], repeats: int) -> dict[str, list[float]]:
+    """Return CPU times of calls, s, that take turns, after one call each to warm up."""
+    for work in works.values():
+        work()
+    rounds = [{name: cpu_time(work) for name, work in works.items()} for _ in range(repeats)]
+    return {name: [times[name] for times in rounds] for name in works}
+
+
+def medians(works: Mapping[str, Callable[[], object]], repeats: int) -> dict[str, float]:
+    """Return the medians of `cpu_times`."""
+    return {name: float(np.median(times)) for name, times in cpu_times(works, repeats).items()}
+
+
+def peak_memory(code: str, *arguments: object) -> tuple[float, list[str]]:
+    """Return the largest memory, bytes, of a process of some code, and lines that it prints.
+
+    It has Python and all libraries in it, on one thread.
+    """
+    command = [sys.executable, "-c", code + _PEAK, *map(str, arguments)]
+    here = os.pathsep.join([str(MODELS.parent), os.environ.get("PYTHONPATH", "")])
+    environment = {**os.environ, **ONE_THREAD, "PYTHONPATH": here}
+    run = subprocess.run(command, check=True, capture_output=True, text=True, env=environment)
+    *said, peak = run.stdout.splitlines()
+    return float(peak), said
+
+
+def bars(panels: Mapping[str, Mapping[str, float]], unit: str) -> Figure:
+    """Draw numbers by name, a panel for each title."""
+    figure = style.new_figure(0.8 + 0.35 * max(map(len, panels.values())))
+    axes = np.ravel(figure.subplots(1, len(panels)))
+    for ax, (title, values) in zip(axes, panels.items(), strict=True):
+        style.polish(ax, grid="x")
+        drawn = ax.barh(list(values), list(values.values()), color=style.AFTER, height=0.6)
+        ax.bar_label(drawn, [f"{value:.3g} {unit}" for value in values.values()], padding=4)
+        ax.invert_yaxis()
+        ax.margins(x=0.3)
+        ax.set_title(title, loc="left", **style.plain(fontweight="bold"))
+    return figure

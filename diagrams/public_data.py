@@ -1,0 +1,62 @@
+"""Public measurements and models of real robots that some studies read.
+
+They belong to others and are no part of the project. A folder holds them as `data` (logs, in
+geodrake's own format) and `reference` (model files): the one that GEODRAKE_MEASUREMENTS names, or
+else `shared` beside the checkout.
+"""
+
+from __future__ import annotations
+
+import argparse
+import os
+from collections.abc import Mapping
+from pathlib import Path
+
+FOLDER = Path(os.environ.get("GEODRAKE_MEASUREMENTS", Path(__file__).parents[2] / "shared"))
+
+_UR10E = (
+    "six joints as in ur10e.urdf, position, velocity and effort at some 100 Hz; effort is motor "
+    "current times drive gain"
+)
+_ABOUT: Mapping[str, str] = {
+    "data/ur10e_free_a.csv": f"Universal Robots UR10e, no payload, an exciting motion ({_UR10E})",
+    "data/ur10e_free_b.csv": "the same arm, another exciting motion",
+    "data/ur10e_free_c.csv": "the same arm, a third exciting motion",
+    "data/ur10e_changed.csv": "the motion of ur10e_free_c with something at the wrist",
+    "data/ur10e_ptp.csv": "the same arm from point to point",
+    "data/tx40.csv": "Staubli TX40, six joints as in tx40.urdf, position and effort at 5 kHz, "
+    "mapped from motors to joints with the coupling of the wrist",
+    "data/double_pendulum_c1_*.csv": "double pendulum of the design C.1, four runs at some 500 Hz, "
+    "from the repository dfki-ric-underactuated-lab/double_pendulum on GitHub, where they are "
+    "under data/system_identification",
+    "data/human_force_plate.npz": "a human on a force plate ([Lee2019] section 3.6.3): arrays A "
+    "(990, 160), b (990,), sigma (3,), phi_prior (16, 10), Q (16, 4, 4) and X_WB (16, 4, 4)",
+    "reference/ur10e.urdf": "the maker's description of the arm, in ROS's ur_description",
+    "reference/tx40.urdf": "a description of the arm with the joints of the log",
+}
+
+
+def add_folder_option(parser: argparse.ArgumentParser, what: str = "of the measurements") -> None:
+    """Add `--shared`, the folder of the public measurements and models."""
+    parser.add_argument("--shared", type=Path, default=FOLDER, help=f"folder {what}")
+
+
+def require(parser: argparse.ArgumentParser, folder: Path, *names: str) -> None:
+    """End a script with a message where measurements are absent: which, and where they go.
+
+    Args:
+        parser: Of the script.
+        folder: What `--shared` says.
+        names: Files or patterns below the folder.
+    """
+    absent = [name for name in names if not any(folder.glob(name))]
+    if not absent:
+        return
+    lines = [f"There are no measurements in {folder}: it lacks"]
+    lines += [f"  {name}: {_ABOUT[name]}" for name in absent]
+    lines += [
+        "They are public, belong to others and are no part of geodrake. Logs are CSV files in SI",
+        "units with the header time,<joint>.position[,<joint>.velocity],<joint>.effort. Put them",
+        "where they are missed, or name another folder with --shared or GEODRAKE_MEASUREMENTS.",
+    ]
+    parser.exit(2, "\n".join(lines) + "\n")

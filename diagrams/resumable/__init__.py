@@ -1,1 +1,0 @@
-"""Long runs of studies: many draws in several processes, kept in a file as they are done."""

@@ -1,0 +1,200 @@
+"""A leg like the MIT Cheetah 3's, identified from few samples with every regularizer.
+
+Three links and three geared rotors, as in [Lee2019] §3.6.2.1 and figures 3.10 and 3.11; the model
+is `models/cheetah_leg.urdf`. Torques are those of the parameters that others identified on the
+robot; the leg swings with friction, encoder and torque noise, and is filtered as there. Training
+samples are 5 ms apart, from one stretch of the first ten seconds; the next ten are the test. The
+shorter the stretch, the less it tells: 30 samples scattered over the ten seconds are there to
+compare. All regularizers but the Riemannian one meet the training residual of the entropic one.
+300 point masses are spread over the bodies' ellipsoids, Eq. (3.6.72).
+
+    python -m diagrams.studies.cheetah_leg --json cheetah_leg.json --figures figures
+"""
+
+from __future__ import annotations
+
+import logging
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import partial
+
+import numpy as np
+from matplotlib.figure import Figure
+from rich.console import Console
+from rich.progress import track
+from rich.table import Table
+
+from diagrams.harness import script_parser, write
+from diagrams.studies.cheetah.fits import COLORS, REGULARIZERS, Condensed, compare
+from diagrams.studies.cheetah.leg import Leg, load_leg
+from diagrams.studies.cheetah.swing import Samples, measure
+from geodrake.identification import IdentificationResult
+from geodrake.report import style
+from geodrake.report.ellipsoid_figure import ellipsoid_figure
+from geodrake.report.ellipsoids import EllipsoidSet
+
+SPACING = 5  # ms between the samples of a stretch
+SIZES, QUICK_SIZES = (10, 30, 60, 120, 240, 480, 960), (30,)
+DRAWS, QUICK_DRAWS = 35, 8
+POINTS = 300
+
+
+@dataclass(frozen=True)
+class Row:
+    """Errors of one regularizer and size of the training set, over the draws.
+
+    Attributes:
+        samples: Number of training samples, in the last rows all there are.
+        stretch: Whether they are from one stretch, 5 ms apart, or scattered over ten seconds.
+        regularizer: Its name.
+        train: Mean RMS training error, N·m.
+        test: Mean RMS test error, N·m.
+        median: Median of the RMS test error, N·m; a few draws are far worse than most.
+        deviation: Standard deviation of the test error over draws, N·m.
+        prior: RMS test error of the prior, N·m.
+    """
+
+    samples: int
+    stretch: bool
+    regularizer: str
+    train: float
+    test: float
+    median: float
+    deviation: float
+    prior: float
+
+
+@dataclass(frozen=True, eq=False)
+class Study:
+    """What the study found.
+
+    Attributes:
+        leg: The leg.
+        rows: One a size of the training set and regularizer; the last ones for all samples.
+        example: Regularizer -> parameters from the first stretch of 30 samples.
+    """
+
+    leg: Leg
+    rows: tuple[Row, ...]
+    example: dict[str, IdentificationResult]
+
+
+def run(*, seed: int, sizes: Sequence[int], draws: int) -> Study:
+    """Fit all samples, keep the friction found, and fit draws of each size.
+
+    Args:
+        seed: Of motion, noise and draws.
+        sizes: Numbers of training samples of a stretch; 30 scattered ones are drawn too.
+        draws: Number of draws.
+    """
+    rng, leg = np.random.default_rng(seed), load_leg()
+    points = leg.point_masses(POINTS)
+    train, test = measure(leg, rng)
+    columns = np.concatenate([train.regressor, train.friction], -1).reshape(-1, 66)
+    everything = Condensed.of(columns, train.torque.ravel())
+    whole = compare(everything, leg, points, extra_bounds=[(0.0, np.inf)] * 6)
+    friction = whole["entropic"].extra
+    prior, count = test.rms(leg.prior, friction), len(train.torque)
+    rows: list[Row] = []
+    example: dict[str, IdentificationResult] = {}
+    for size, stretch in (*((size, True) for size in sizes), (30, False)):
+        errors = np.empty((draws, len(REGULARIZERS), 2))
+        for draw in track(range(draws), f"{size} samples", transient=True):
+            data = drawn(train, friction, size, stretch, rng)
+            found = compare(data, leg, points)
+            example = example or (found if (size, stretch) == (30, True) else {})
+            for k, kind in enumerate(REGULARIZERS):
+                errors[draw, k] = data.rms(found[kind]), test.rms(found[kind].phi, friction)
+        for kind, (fitted, tested) in zip(REGULARIZERS, errors.transpose(1, 2, 0), strict=True):
+            numbers = (fitted.mean(), tested.mean(), np.median(tested), tested.std(), prior)
+            rows.append(Row(size, stretch, kind, *map(float, numbers)))
+    for kind, found in whole.items():
+        tested = test.rms(found.phi, found.extra)
+        rows.append(Row(count, True, kind, everything.rms(found), tested, tested, 0.0, prior))
+    return Study(leg, tuple(rows), example)
+
+
+def drawn(
+    train: Samples, friction: np.ndarray, size: int, stretch: bool, rng: np.random.Generator
+) -> Condensed:
+    """Training samples without their friction: one stretch, or scattered."""
+    if stretch:
+        first = rng.integers(len(train.torque) - size * SPACING)
+        chosen = first + SPACING * np.arange(size)
+    else:
+        chosen = rng.choice(len(train.torque), size, replace=False)
+    left = train.torque[chosen] - train.friction[chosen] @ friction
+    return Condensed.of(train.regressor[chosen].reshape(-1, 60), left.ravel())
+
+
+def error_figure(study: Study) -> Figure:
+    """Training and test errors against the number of training samples, figure 3.10."""
+    figure = style.new_figure(4.2)
+    axes = figure.subplots(1, 2)
+    last = study.rows[-1]
+    panels = (("train", "training error"), ("test", "test error"))
+    for ax, (what, title) in zip(axes, panels, strict=True):
+        for k, kind in enumerate(REGULARIZERS):
+            rows = [r for r in study.rows[: -len(REGULARIZERS)] if r.regularizer == kind]
+            rows = [r for r in rows if r.stretch]
+            at = np.array([r.samples for r in rows]) * 1.02 ** (k - 1.5)
+            error = [r.deviation for r in rows] if what == "test" else None
+            ax.errorbar(
+                *(at, [getattr(r, what) for r in rows], error),
+                **{"color": COLORS[kind], "marker": "o", "markersize": 4, "capsize": 2},
+                label=kind.replace("_", " "),
+            )
+        style.polish(ax)
+        ax.set_xscale("log")
+        ax.set_xlabel("training samples", **style.plain())
+        ax.set_title(title, loc="left", **style.plain(fontweight="bold"))
+        sizes = sorted({r.samples for r in study.rows if r.samples != last.samples})
+        ax.set_xticks(sizes, [str(size) for size in sizes], minor=False)
+        ax.set_xticks([], minor=True)
+    axes[0].set_ylabel("RMS joint torque, N·m", **style.plain())
+    axes[1].axhline(last.prior, color="#c00000", linestyle="--", linewidth=1, label="prior")
+    axes[1].axhline(last.test, color="black", linewidth=1.4, label=f"all {last.samples} samples")
+    for ax in axes:
+        ax.set_ylim(0, None)
+    axes[1].legend(frameon=False, fontsize=style.SMALL)
+    return figure
+
+
+def body_figure(study: Study) -> Figure:
+    """The bodies identified from the first stretch of 30 samples, figure 3.11."""
+    plant, sets = (
+        study.leg.plant,
+        [EllipsoidSet.of("prior", study.leg.prior, color=COLORS["prior"])],
+    )
+    for kind, found in study.example.items():
+        at = [first // 10 for first in found.active_blocks]
+        name = kind.replace("_", " ")
+        sets.append(EllipsoidSet.of(name, found.phi, color=COLORS[kind], at_boundary=at))
+    context = plant.CreateDefaultContext()
+    plant.SetPositions(context, study.leg.transmission.joint_positions(np.array([[0, 0.5, -1]]))[0])
+    return ellipsoid_figure(plant, sets, context=context)
+
+
+def show(rows: Sequence[Row], console: Console) -> None:
+    """Print the table."""
+    table = Table("samples", "regularizer", "train", "test", "median", "±", "prior")
+    for row in rows:
+        numbers = (row.train, row.test, row.median, row.deviation, row.prior)
+        name = f"{row.samples}" + ("" if row.stretch else " scattered")
+        table.add_row(name, row.regularizer, *(f"{number:.4f}" for number in numbers))
+    console.print(table)
+
+
+def main() -> None:
+    """Run the study from the command line."""
+    options = script_parser(__doc__, "eight draws of one size").parse_args()
+    logging.getLogger("drake").setLevel(logging.WARNING)
+    sizes, draws = (QUICK_SIZES, QUICK_DRAWS) if options.quick else (SIZES, DRAWS)
+    study = run(seed=options.seed, sizes=sizes, draws=draws)
+    show(study.rows, Console(width=120))
+    figures = {"cheetah_leg_errors": error_figure, "cheetah_leg_bodies": body_figure}
+    write(options, study.rows, **{name: partial(draw, study) for name, draw in figures.items()})
+
+
+if __name__ == "__main__":
+    main()

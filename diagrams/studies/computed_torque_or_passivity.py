@@ -1,0 +1,209 @@
+"""Adaptive computed torque against passivity-based control, on a WAM-like arm ([Lee2019] §5.2.1).
+
+Both have the same poles, (s + λ)² with λ = 10 1/s, and begin with bodies that are wrong by ±σ, as
+in `wam_adaptation.py`. Computed torque adapts by the measured acceleration, Eq. (5.2.9), or by the
+filtered regressor, which needs none; passivity-based control needs none either. Each adapts by the
+natural and by the Euclidean law, whose speeds γ⁻¹ are chosen by one rule for all of them
+(`adaptive/gains.py`, `--choose-gains`; of passivity-based control by `wam_adaptation.py`). The
+velocity is exact, or has noise; the acceleration, where it is used, is exact in both cases.
+
+    python -m diagrams.studies.computed_torque_or_passivity --json controllers.json
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Sequence
+from dataclasses import dataclass
+from statistics import fmean, pstdev
+from typing import Any
+
+from diagrams.harness import positive_number, run_draws, script_parser, show, write
+from diagrams.studies.adaptive.gains import CALIBRATION_SEED, GRID, speeds, summarize_grid
+from diagrams.studies.adaptive.laws import EUCLIDEAN, NATURAL, NONE, make_law
+from diagrams.studies.adaptive.loop import rounds, simulate
+from diagrams.studies.adaptive.noise import NoisyVelocities
+from diagrams.studies.adaptive.wam import (
+    AMPLITUDE,
+    PERIOD,
+    RATE,
+    first_estimate,
+    load_wam,
+    make_plant,
+)
+from geodrake.control import (
+    AdaptiveComputedTorqueController,
+    PassivityBasedAdaptiveController,
+    PredictionError,
+    VaryingGains,
+)
+from geodrake.control.systems import AdaptiveController
+
+PASSIVITY, ACCELERATION, FILTERED = "passivity", "acceleration", "filtered"
+CONTROLLERS = (PASSIVITY, ACCELERATION, FILTERED)
+LAWS = (NONE, EUCLIDEAN, NATURAL)
+SIGMAS = (0.1, 0.2, 0.4)
+NOISE = 0.02  # rad/s
+PREDICTION = PredictionError(1.0, alone=True)
+
+
+@dataclass(frozen=True)
+class Draw:
+    """One closed loop.
+
+    Attributes:
+        controller: One of `CONTROLLERS`.
+        law: Its name.
+        speed: γ⁻¹.
+        sigma: σ of the first estimate.
+        number: Of the first estimate.
+        noise: Of velocities, rad/s.
+        grid: Whether it is one that speeds are chosen on.
+        end: When to stop, s.
+    """
+
+    controller: str
+    law: str
+    speed: float
+    sigma: float
+    number: int
+    noise: float = 0.0
+    grid: bool = False
+    end: float = PERIOD
+
+
+def make_controller(draw: Draw, seed: int) -> AdaptiveController:
+    """The controller of a draw."""
+    wam = load_wam()
+    start = first_estimate(draw.sigma, seed, draw.number)
+    law = make_law(draw.law, wam.manifold, start, draw.speed)
+    if draw.controller == PASSIVITY:
+        return PassivityBasedAdaptiveController(
+            wam.control, law, gains=VaryingGains(RATE), parameters=start, truth=wam.truth
+        )
+    return AdaptiveComputedTorqueController(
+        wam.control,
+        law,
+        rate=RATE,
+        prediction=PREDICTION if draw.controller == FILTERED else None,
+        parameters=start,
+        truth=wam.truth,
+    )
+
+
+def run_draw(draw: Draw, *, seed: int) -> dict[str, Any]:
+    """A row of the table."""
+    wam = load_wam()
+    seed = CALIBRATION_SEED if draw.grid else seed
+    controller, size = make_controller(draw, seed), len(wam.control.joints)
+    sensor = None
+    if draw.noise:
+        sensor = NoisyVelocities(size, draw.noise, duration=PERIOD, seed=seed + draw.number)
+    motion = rounds((AMPLITUDE,), PERIOD, size)
+    begin = time.process_time()
+    record = simulate(controller, make_plant(), motion, end=draw.end, sensor=sensor)
+    return {
+        "controller": draw.controller,
+        "law": draw.law,
+        "speed": draw.speed,
+        "sigma": draw.sigma,
+        "draw": draw.number,
+        "noise": draw.noise,
+        "rms": record.rms(),
+        "late": record.rms(0.5 * draw.end),
+        "unphysical": float(wam.unphysical(record.parameters).mean()),
+        "rise": None if controller.law is None else record.rise,
+        "lost": record.lost,
+        "seconds": (time.process_time() - begin) / max(record.time[-1], 1e-3),
+    }
+
+
+def speed_of(controller: str, law: str) -> float:
+    """γ⁻¹ as chosen."""
+    study = "wam" if controller == PASSIVITY else f"controller_{controller}"
+    return 1.0 if law == NONE else speeds(study, "rule")[law]
+
+
+def all_draws(draws: int, *, quick: bool) -> list[Draw]:
+    """Every controller with every law."""
+    sigmas, end = ((0.4,), 0.2) if quick else (SIGMAS, PERIOD)
+    return [
+        Draw(controller, law, speed_of(controller, law), sigma, k, noise, end=end)
+        for noise in (0.0, NOISE)
+        for sigma in sigmas
+        for k in range(draws)
+        for controller in CONTROLLERS
+        for law in LAWS
+        # Without adaptation there is one computed torque.
+        if (controller, law) != (FILTERED, NONE)
+    ]
+
+
+def grid_draws(count: int) -> list[Draw]:
+    """The draws that speeds are chosen on."""
+    return [
+        Draw(controller, law, speed, SIGMAS[-1], k, grid=True)
+        for controller in (ACCELERATION, FILTERED)
+        for law in (EUCLIDEAN, NATURAL)
+        for speed in GRID
+        for k in range(count)
+    ]
+
+
+def summarize(rows: Sequence[Any]) -> list[dict[str, Any]]:
+    """Means over draws, one line a noise, σ, controller and law."""
+    names = ("noise", "sigma", "controller", "law")
+    lines = []
+    for cell in dict.fromkeys(tuple(r[name] for name in names) for r in rows):
+        found = [r for r in rows if tuple(r[name] for name in names) == cell]
+        kept = [r for r in found if not r["lost"]]
+        rises = [r["rise"] for r in found if r["rise"] is not None]
+        lines.append(
+            {
+                **dict(zip(names, cell, strict=True)),
+                "speed": found[0]["speed"],
+                "draws": len(found),
+                "lost": len(found) - len(kept),
+                "rms": fmean(r["rms"] for r in kept) if kept else None,
+                "deviation": pstdev(r["rms"] for r in kept) if kept else None,
+                "late": fmean(r["late"] for r in kept) if kept else None,
+                "unphysical": fmean(r["unphysical"] for r in found),
+                "rise": max(rises) if rises else None,
+                "seconds": fmean(r["seconds"] for r in found),
+            }
+        )
+    return lines
+
+
+def main() -> None:
+    """Run the study from the command line."""
+    parser = script_parser(__doc__, draws=True)
+    parser.add_argument("--choose-gains", action="store_true", help="choose adaptation speeds")
+    parser.add_argument(
+        "--draws",
+        type=positive_number,
+        help="number of first estimates (2; 1 with --quick)",
+    )
+    options = parser.parse_args()
+    draws = options.draws or (1 if options.quick else 2)
+    form = {"controller": "", "law": "", "speed": "g", "draws": "d", "lost": "d", "rms": ".3f"}
+    form |= {"unphysical": ".1%", "rise": ".1e"}
+    if options.choose_gains:
+        rows = run_draws(parser, options, run_draw, grid_draws(draws))
+        lines = summarize_grid(rows, "controller")
+        show("RMS in degrees", {**form, "chosen": ""}, lines)
+        write(options, {"grid": lines})
+        return
+    rows = run_draws(parser, options, run_draw, all_draws(draws, quick=options.quick))
+    summary = summarize(rows)
+    columns = {"noise": "g", "sigma": ".1f", **form, "late": ".3f", "seconds": ".2f"}
+    show("Tracking RMS in degrees; CPU seconds a simulated second", columns, summary)
+    write(options, {"summary": summary, "rows": rows})
+    if options.figures:
+        from diagrams.studies.adaptive.controller_figures import write_controller_figure
+
+        write_controller_figure(options.figures, summary)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,233 @@
+"""Adapt all bodies of a WAM-like arm while it moves, by four laws ([Lee2019] §5.5.1).
+
+The controller is the passivity-based one with K = λ M̂, Λ = λ and λ = 10 1/s; it and the laws act
+at 1 kHz. The first estimate scales every body by 1 ± σ. Three parts:
+
+- noise: over σ, two rounds of amplitude 0.8 rad (figure 5.4);
+- rounds: five rounds of growing amplitude at σ = 0.4 (figure 5.5);
+- steps: time steps of control and adaptation at σ = 0.4, one round, with speeds that 100 Hz can
+  bear; and at 100 Hz with those of 1 kHz, which are too fast for it.
+
+The Euclidean and the pullback law have a constant gain, for which Euler steps are exact; the
+natural law's are geodesic, and for comparison the source's Euler steps. The speed γ⁻¹ of each law
+is chosen by one rule on draws of their own (`adaptive/gains.py`, `--choose-gains`), or is the
+source's (`--gains source`). There is no friction, and no limit of joints and efforts, as there.
+
+    python -m diagrams.studies.wam_adaptation --draws 4 --json wam.json --figures figures
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from statistics import fmean, pstdev
+from typing import Any
+
+import numpy as np
+
+from diagrams.harness import positive_number, run_draws, script_parser, show, write
+from diagrams.studies.adaptive.gains import (
+    CALIBRATION_SEED,
+    GRID,
+    add_gains,
+    speeds,
+    summarize_grid,
+)
+from diagrams.studies.adaptive.laws import (
+    EUCLIDEAN,
+    LAWS,
+    NATURAL,
+    NATURAL_EULER,
+    NONE,
+    PULLBACK,
+    make_law,
+)
+from diagrams.studies.adaptive.loop import rounds, simulate
+from diagrams.studies.adaptive.wam import (
+    AMPLITUDE,
+    PERIOD,
+    RATE,
+    first_estimate,
+    load_wam,
+    make_plant,
+)
+from geodrake.control import PassivityBasedAdaptiveController, VaryingGains
+
+SIGMAS = tuple(round(0.05 * k, 2) for k in range(1, 9))
+AMPLITUDES = (0.4, 0.6, 0.8, 1.0, 1.2)  # rad
+STEPS = (1e-4, 1e-3, 1e-2)  # s
+STEPPED = (EUCLIDEAN, PULLBACK, NATURAL, NATURAL_EULER)
+NOISE, ROUNDS, STEP, TOO_FAST, GRID_PART = "noise", "rounds", "steps", "too_fast", "grid"
+
+
+@dataclass(frozen=True)
+class Draw:
+    """One closed loop.
+
+    Attributes:
+        part: Of the study.
+        law: Its name.
+        speed: γ⁻¹.
+        sigma: σ of the first estimate.
+        number: Of the first estimate.
+        step: Period of control and adaptation, s.
+        amplitudes: Of the rounds, rad.
+        period: Of a round, s.
+        end: When to stop, s; None for the end of the last round.
+    """
+
+    part: str
+    law: str
+    speed: float
+    sigma: float
+    number: int
+    step: float = 1e-3
+    amplitudes: tuple[float, ...] = (AMPLITUDE, AMPLITUDE)
+    period: float = PERIOD
+    end: float | None = None
+
+
+def run_draw(draw: Draw, *, seed: int) -> dict[str, Any]:
+    """A row of the table."""
+    wam = load_wam()
+    seed = CALIBRATION_SEED if draw.part == GRID_PART else seed
+    start = first_estimate(draw.sigma, seed, draw.number)
+    controller = PassivityBasedAdaptiveController(
+        wam.control,
+        make_law(draw.law, wam.manifold, start, draw.speed),
+        gains=VaryingGains(RATE),
+        time_step=draw.step,
+        parameters=start,
+        # V is not defined where Euler steps may take the natural law's estimate.
+        truth=None if draw.law == NATURAL_EULER else wam.truth,
+    )
+    motion = rounds(draw.amplitudes, draw.period, len(wam.control.joints))
+    record = simulate(controller, make_plant(), motion, end=draw.end)
+    return {
+        "part": draw.part,
+        "law": draw.law,
+        "speed": draw.speed,
+        "sigma": draw.sigma,
+        "draw": draw.number,
+        "step": draw.step,
+        "rms": record.rms(),
+        "rounds": record.rounds(draw.period, len(draw.amplitudes)),
+        "unphysical": float(wam.unphysical(record.parameters).mean()),
+        "rise": None if controller.law is None else record.rise,
+        "lost": record.lost,
+    }
+
+
+def all_draws(kind: str, draws: int) -> list[Draw]:
+    """The draws of the three parts."""
+    speed = {NONE: 1.0, **speeds("wam", kind)}
+    few = range(max(draws // 2, 1))
+    found = [
+        Draw(NOISE, law, speed[law], sigma, k)
+        for sigma in SIGMAS
+        for k in range(draws)
+        for law in LAWS
+    ]
+    found += [
+        Draw(ROUNDS, law, speed[law], SIGMAS[-1], k, amplitudes=AMPLITUDES)
+        for k in few
+        for law in LAWS
+    ]
+    slow = speeds("wam_100_hz", kind)
+    for k in few:
+        for law in STEPPED:
+            found += [Draw(STEP, law, slow[law], SIGMAS[-1], k, h, (AMPLITUDE,)) for h in STEPS]
+            found.append(Draw(TOO_FAST, law, speed[law], SIGMAS[-1], k, STEPS[-1], (AMPLITUDE,)))
+    return found
+
+
+def quick_draws(kind: str, draws: int) -> list[Draw]:
+    """Some short ones of all parts.
+
+    Two seconds are enough for the geometric laws to be ahead. Rounds of two seconds are no faster
+    than the chosen speeds bear: at 0.8 s the natural law's loop was lost.
+    """
+    speed, slow = {NONE: 1.0, **speeds("wam", kind)}, speeds("wam_100_hz", kind)
+    found = []
+    for k in range(draws):
+        for law in LAWS:
+            found += [
+                Draw(NOISE, law, speed[law], SIGMAS[-1], k, amplitudes=(AMPLITUDE,), end=2.0),
+                Draw(ROUNDS, law, speed[law], SIGMAS[-1], k, 1e-3, AMPLITUDES[:2], 2.0, 2.4),
+            ]
+        slowly = {"step": 1e-2, "amplitudes": (AMPLITUDE,), "end": 1.5}
+        found += [Draw(STEP, law, slow[law], 0.4, k, **slowly) for law in STEPPED]
+    return found
+
+
+def grid_draws(draws: int) -> list[Draw]:
+    """The draws that speeds are chosen on."""
+    return [
+        Draw(GRID_PART, law, speed, SIGMAS[-1], k, step, (AMPLITUDE,))
+        for step in (1e-3, 1e-2)
+        for law in (EUCLIDEAN, PULLBACK, NATURAL)
+        for speed in GRID
+        for k in range(draws)
+    ]
+
+
+def summarize(rows: Sequence[Any]) -> list[dict[str, Any]]:
+    """Means and deviations over draws, one line a part, σ, time step and law."""
+    cells = list(dict.fromkeys((r["part"], r["sigma"], r["step"], r["law"]) for r in rows))
+    lines = []
+    for cell in cells:
+        found = [r for r in rows if (r["part"], r["sigma"], r["step"], r["law"]) == cell]
+        kept = [r for r in found if not r["lost"]]
+        rises = [r["rise"] for r in found if r["rise"] is not None]
+        line = dict(zip(("part", "sigma", "step", "law"), cell, strict=True))
+        line |= {
+            "speed": found[0]["speed"],
+            "draws": len(found),
+            "lost": len(found) - len(kept),
+            "rms": fmean(r["rms"] for r in kept) if kept else None,
+            "deviation": pstdev(r["rms"] for r in kept) if kept else None,
+            "rounds": np.mean([r["rounds"] for r in kept], axis=0).tolist() if kept else None,
+            "unphysical": fmean(r["unphysical"] for r in found),
+            "rise": max(rises) if rises else None,
+        }
+        line["last_round"] = line["rounds"][-1] if kept else None
+        lines.append(line)
+    return lines
+
+
+def main() -> None:
+    """Run the study from the command line."""
+    parser = script_parser(__doc__, draws=True)
+    add_gains(parser)
+    parser.add_argument(
+        "--draws",
+        type=positive_number,
+        help="number of first estimates (2; 1 with --quick)",
+    )
+    options = parser.parse_args()
+    draws = options.draws or (1 if options.quick else 2)
+    form = {"speed": "g", "draws": "d", "lost": "d", "rms": ".3f", "unphysical": ".1%"}
+    if options.choose_gains:
+        lines = summarize_grid(run_draws(parser, options, run_draw, grid_draws(draws)), "step")
+        show(
+            "RMS in degrees",
+            {"step": "g", "law": "", **form, "rise": ".1e", "chosen": ""},
+            lines,
+        )
+        write(options, {"grid": lines})
+        return
+    wanted = (quick_draws if options.quick else all_draws)(options.gains, draws)
+    rows = run_draws(parser, options, run_draw, wanted)
+    summary = summarize(rows)
+    columns = {"part": "", "sigma": ".2f", "step": "g", "law": "", **form}
+    columns |= {"deviation": ".3f", "last_round": ".3f", "rise": ".1e"}
+    show(f"Tracking RMS in degrees, gains: {options.gains}", columns, summary)
+    write(options, {"gains": options.gains, "summary": summary, "rows": rows})
+    if options.figures:
+        from diagrams.studies.adaptive.wam_figures import write_adaptation_figures
+
+        write_adaptation_figures(options.figures, summary)
+
+
+if __name__ == "__main__":
+    main()
