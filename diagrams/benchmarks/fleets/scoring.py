@@ -15,8 +15,8 @@ from diagrams.benchmarks.fleets.draws import (
     type_model,
 )
 from diagrams.benchmarks.fleets.files import day_of
-from geodrake.fleet import ChangeRival, FleetFinding
-from geodrake.fleet.changes import MONTH
+from geodrake.fleet import FleetFinding
+from geodrake.fleet.changes import MONTH, ChangeRival
 from geodrake.fleet.type_columns import RAMP, STEP
 
 _DRY, _VISCOUS = frozenset({"coulomb_friction"}), frozenset({"viscous_friction"})
