@@ -99,7 +99,9 @@ def _is_argument(param: Any) -> bool:
 
 
 def _metavar(param: Any) -> str:
-    return str(param.metavar or (param.name or "").upper())
+    words = str(param.metavar or (param.name or "").upper())
+    several = "" if param.nargs != -1 or words.endswith(("…", "...")) else "…"
+    return f"[{words}{several}]" if _is_argument(param) and not param.required else words + several
 
 
 def package_pages() -> dict[str, str]:

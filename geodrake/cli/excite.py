@@ -51,8 +51,7 @@ from geodrake.report.exciting import (
     identifiability_page,
     identifiable_dict,
 )
-from geodrake.robot.files import read_description
-from geodrake.robot.files.meshes import mesh_notes
+from geodrake.robot.shapes import robot_shapes
 
 Array = NDArray[np.float64]
 
@@ -205,7 +204,7 @@ def _designed(
     start = None if options.start is None else joint_values(options.start, model, "--start")
     collisions, notes = _collisions(options, model, limits, start)
     if options.meshcat is not None:
-        notes = (*notes, *mesh_notes(read_description(model.path, model.given)))
+        notes = (*notes, *robot_shapes(model.path, model.given).notes)
     objective, more = _objective(options, given, limits, names)
     design = DesignOptions(
         samples=_SAMPLES if options.samples is None else options.samples,

@@ -13,8 +13,7 @@ from geodrake.errors import ArgumentError, ModelError
 from geodrake.logs import Motion
 from geodrake.model import Given, save_export
 from geodrake.model.exporting.model_text import model_file
-from geodrake.robot.files import read_description
-from geodrake.robot.files.meshes import missing_meshes
+from geodrake.robot.shapes import robot_shapes
 
 MODELS = Path(__file__).parents[2] / "models"
 PENDULUM = MODELS / "double_pendulum.urdf"
@@ -181,7 +180,9 @@ def test_meshes_that_are_not_found_are_named(tmp_path):
     )
     robot = write(tmp_path / "here" / "robot.urdf", text)
     given = Given(packages={"parts": write(tmp_path / "parts" / "package.xml", MANIFEST).parent})
-    assert missing_meshes(read_description(robot, given)) == shapes[:3]
-    for place in (tmp_path / "parts" / "a.obj", tmp_path / "here" / "b.stl"):
-        write(place, "")
-    assert missing_meshes(read_description(robot, given)) == shapes[2:3]
+    (note,) = robot_shapes(robot, given).notes
+    assert note.startswith(f"meshes that are not shown: {shapes[0]} (") and " and 3 more" in note
+    triangle = "v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3\n"
+    write(tmp_path / "parts" / "a.obj", triangle)
+    (note,) = robot_shapes(robot, given).notes
+    assert f"{shapes[1]} (" in note and " and 2 more" in note

@@ -14,8 +14,7 @@ from geodrake.errors import ModelError
 from geodrake.logs import JointLog, Motion, write_log
 from geodrake.model import Given, load_model, save_model
 from geodrake.robot import load_plant
-from geodrake.robot.files.description import read_description
-from geodrake.robot.files.meshes import missing_meshes
+from geodrake.robot.shapes import robot_shapes
 
 robots = pytest.importorskip("robot_descriptions")
 repositories = pytest.importorskip("robot_descriptions._repositories")
@@ -122,8 +121,8 @@ def test_packages_of_the_repository_are_found(cached):
         "panda_description": repository / "robots/panda_description",
         "hand": repository / "more/of_hands",
     }
-    assert missing_meshes(read_description(model.path, model.given)) == ()
-    assert len(missing_meshes(read_description(model.path))) == 2
+    assert not robot_shapes(model.path, model.given).notes
+    assert robot_shapes(model.path, Given()).notes
     mine = Given(packages={"hand": cached})
     assert load_model("panda", given=mine).given.packages["hand"] == cached
 

@@ -1,4 +1,4 @@
-"""Meshes that a model file names, and which of them are not there."""
+"""Meshes that a model file names, checked before Drake opens them."""
 
 from __future__ import annotations
 
@@ -8,29 +8,13 @@ from xml.etree.ElementTree import Element
 
 from pydrake.multibody.parsing import PackageMap
 
-from geodrake.robot.files.description import ModelDescription
 from geodrake.robot.files.given import Given
 from geodrake.robot.files.includes import Includes
 from geodrake.robot.files.xacro_file import read_expanded
 from geodrake.robot.files.xml_text import parse_xml_bytes
 from geodrake.robot.mesh_files import check_mesh
 
-_MOST_NAMES = 4
 _ASSETS = ("meshdir", "assetdir", "texturedir")  # settings of MJCF
-
-
-def missing_meshes(description: ModelDescription) -> tuple[str, ...]:
-    """Places of meshes, as the files of a model name them, at which no file is found."""
-    packages = PackageMap()
-    description.add_packages(packages, description.named_packages())
-    found: dict[str, None] = {}
-    for text in description.texts:
-        root = parse_xml_bytes(read_expanded(text.path, description.given), text.path)
-        places = [mesh.get("filename") or mesh.findtext("uri") for mesh in root.iter("mesh")]
-        for place in places:
-            if place and not _is_there(place.strip(), packages, text.path.parent):
-                found[place.strip()] = None
-    return tuple(found)
 
 
 def check_geometry(files: Iterable[Path], packages: PackageMap, given: Given) -> None:
@@ -55,23 +39,6 @@ def _file_of(element: Element) -> str:
         return ""
     own = element.get("filename") or element.get("file")
     return (own or (element.text if element.tag == "uri" else "") or "").strip()
-
-
-def mesh_notes(description: ModelDescription) -> list[str]:
-    """That meshes are not found, in words."""
-    missing = missing_meshes(description)
-    more = f" and {len(missing) - _MOST_NAMES} more" if len(missing) > _MOST_NAMES else ""
-    names = ", ".join(missing[:_MOST_NAMES])
-    if not missing:
-        return []
-    return [f"meshes not found, so that links are not shown as they look: {names}{more}"]
-
-
-def _is_there(place: str, packages: PackageMap, folder: Path) -> bool:
-    if place.rpartition("://")[0] not in ("", "file", "package", "model"):
-        return True  # of a place that is no file, nothing is known
-    found = _resolved(place, packages, folder)
-    return found is not None and found.is_file()
 
 
 def _resolved(place: str, packages: PackageMap, folder: Path) -> Path | None:
