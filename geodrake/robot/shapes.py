@@ -84,7 +84,9 @@ def robot_shapes(path: Path, given: Given) -> RobotShapes:
         mesh, reason = next(iter(lost.items()))
         others = f" and {len(lost) - 1} more" if len(lost) > 1 else ""
         package = re.match(r"(?:package|model)://([^/]+)/", mesh)
-        named = f"; name its folder: --package {package[1]}=FOLDER" if package else ""
+        named = ""
+        if package and "unknown package" in reason:
+            named = f"; name its folder: --package {package[1]}=FOLDER"
         notes = (f"meshes that are not shown: {mesh} ({reason}){others}{named}", *notes)
     return RobotShapes(links, notes)
 
