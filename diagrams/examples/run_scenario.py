@@ -21,7 +21,7 @@ import numpy as np
 import yaml
 from matplotlib.figure import Figure
 from pydrake.common.yaml import yaml_load_typed
-from pydrake.geometry import Meshcat, MeshcatVisualizer
+from pydrake.geometry import AddContactMaterial, Meshcat, MeshcatVisualizer, ProximityProperties
 from pydrake.lcm import DrakeLcmInterface, DrakeLcmParams
 from pydrake.multibody.parsing import (
     FlattenModelDirectives,
@@ -30,7 +30,12 @@ from pydrake.multibody.parsing import (
     Parser,
     ProcessModelDirectives,
 )
-from pydrake.multibody.plant import AddMultibodyPlant, MultibodyPlant, MultibodyPlantConfig
+from pydrake.multibody.plant import (
+    AddMultibodyPlant,
+    CoulombFriction,
+    MultibodyPlant,
+    MultibodyPlantConfig,
+)
 from pydrake.systems.analysis import ApplySimulatorConfig, Simulator, SimulatorConfig
 from pydrake.systems.framework import Context, DiagramBuilder
 from pydrake.systems.lcm import ApplyLcmBusConfig
@@ -66,10 +71,10 @@ from geodrake.model import RobotModel
 from geodrake.model.simulation.robot_in_diagram import RobotInDiagram
 from geodrake.report import save_recording, style
 from geodrake.robot import RobotInstance, take_out_stated
-from geodrake.robot.files.description import drake_errors
+from geodrake.robot.files.description import drake_errors, read_model_text
 from geodrake.robot.files.given import Given
 from geodrake.robot.files.includes import Includes
-from geodrake.robot.mjcf_shapes import add_geoms, plain_mjcfs
+from geodrake.robot.mjcf_shapes import WORLD, mjcf_geoms
 
 WORKCELL = Path(__file__).parent / "scenes" / "workcell.yaml"
 QUICK = 0.3  # s
@@ -274,6 +279,51 @@ class Placed:
             return np.array(next(iter(sinks.values())).sample_times()), own
         times, logs = self.loop.logged(context)
         return times, {"effort": logs["actuation"], **logs, **own}
+
+
+def plain_mjcfs(
+    directives: ModelDirectives, includes: Includes, given: Given, folder: Path
+) -> Mapping[str, Path]:
+    """Name plain files in the place of MJCFs; return the MJCFs by the names of their models.
+
+    Drake reads the tree that MuJoCo compiled (`geodrake.robot.files.mjcf`) in the place of each,
+    to which `add_geoms` adds its geoms.
+
+    Args:
+        directives: Flattened directives; changed.
+    """
+    found = dict[str, Path]()
+    for model in (each.add_model for each in directives.directives if each.add_model):
+        file = includes.checked(includes.resolve(model.file, Path()))
+        text = read_model_text(file, given, model.name)
+        if text.kind == "xml":
+            plain = folder / f"{len(found)}.xml"
+            plain.write_text(text.text()[0], encoding="utf-8")
+            model.file, found[model.name] = plain.as_uri(), file
+    return found
+
+
+def add_geoms(plant: MultibodyPlant, name: str, file: Path, given: Given) -> None:
+    """Add the geoms of an MJCF to a model of a plant: what MuJoCo shows, and what touches others.
+
+    Args:
+        plant: A plant that is not finalized and has a SceneGraph.
+    """
+    shown, _ = mjcf_geoms(file, given, scope=name) or ({}, ())
+    solid, _ = mjcf_geoms(file, given, hulls=True, scope=name) or ({}, ())
+    index = plant.GetModelInstanceByName(name)
+    for link in dict.fromkeys((*shown, *solid)):
+        world = link == WORLD
+        own = plant.world_body() if world else plant.GetBodyByName(link.rpartition("::")[2], index)
+        label = f"{name}_" if world else ""
+        for geom in (each for each in (solid if world else shown).get(link, ()) if each.shown):
+            plant.RegisterVisualGeometry(
+                own, geom.X_BG, geom.shape, label + geom.name, geom.color.rgba
+            )
+        for geom in (each for each in solid.get(link, ()) if each.collides):
+            touch, rub = ProximityProperties(), CoulombFriction(geom.friction, geom.friction)
+            AddContactMaterial(friction=rub, properties=touch)
+            plant.RegisterCollisionGeometry(own, geom.X_BG, geom.shape, label + geom.name, touch)
 
 
 def add_plant(builder: DiagramBuilder, scenario: Scenario, folder: Path) -> MultibodyPlant:

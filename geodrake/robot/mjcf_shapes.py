@@ -1,4 +1,4 @@
-"""The shapes of an MJCF's bodies, as MuJoCo compiles them, and MJCFs in scenes of directives."""
+"""The shapes of an MJCF's bodies, as MuJoCo compiles them."""
 
 from __future__ import annotations
 
@@ -10,7 +10,6 @@ from typing import Any
 import numpy as np
 from pydrake.common import MemoryFile
 from pydrake.geometry import (
-    AddContactMaterial,
     Box,
     Capsule,
     Convex,
@@ -18,17 +17,13 @@ from pydrake.geometry import (
     Ellipsoid,
     InMemoryMesh,
     Mesh,
-    ProximityProperties,
     Rgba,
     Shape,
     Sphere,
 )
 from pydrake.math import RigidTransform
-from pydrake.multibody.parsing import ModelDirectives
-from pydrake.multibody.plant import CoulombFriction, MultibodyPlant
 
 from geodrake.errors import ModelError
-from geodrake.robot.files.description import read_model_text
 from geodrake.robot.files.given import Given
 from geodrake.robot.files.includes import Includes
 from geodrake.robot.files.mjcf_source import compiled, load_mujoco
@@ -40,7 +35,7 @@ from geodrake.robot.mesh_files import wavefront_text
 _LAST_GROUP = 2  # of geoms that MuJoCo shows unasked
 _WIDE, _DEEP = 100.0, 1.0
 """Sides of the box below a plane, m: Drake has no distances of half-spaces to most shapes."""
-_WORLD = "WorldModelInstance::world"  # Drake's scoped name
+WORLD = "WorldModelInstance::world"  # Drake's scoped name
 SHAPES_ADVICE = (
     "Give the links shapes of their own with `links` and leave out those of the file "
     "(use_file=False)."
@@ -117,7 +112,7 @@ def mjcf_geoms(
             bool(m.geom_contype[at] or m.geom_conaffinity[at]),
             float(m.geom_friction[at][0]),
         )
-        link = f"{scope}::{m.body(body).name}" if body else _WORLD
+        link = f"{scope}::{m.body(body).name}" if body else WORLD
         found.setdefault(link, []).append(geom)
     return {link: tuple(geoms) for link, geoms in found.items()}, tuple(source.lost)
 
@@ -145,48 +140,3 @@ def _shape(m: Any, at: int, hulls: bool) -> Shape | None:
     if hulls:
         shapes[int(kinds.mjGEOM_PLANE)] = lambda: Box(_WIDE, _WIDE, _DEEP)
     return shapes[kind]() if kind in shapes else None
-
-
-def plain_mjcfs(
-    directives: ModelDirectives, includes: Includes, given: Given, folder: Path
-) -> Mapping[str, Path]:
-    """Name plain files in the place of MJCFs; return the MJCFs by the names of their models.
-
-    Drake reads the tree that MuJoCo compiled (`geodrake.robot.files.mjcf`) in the place of each,
-    to which `add_geoms` adds its geoms.
-
-    Args:
-        directives: Flattened directives; changed.
-    """
-    found = dict[str, Path]()
-    for model in (each.add_model for each in directives.directives if each.add_model):
-        file = includes.checked(includes.resolve(model.file, Path()))
-        text = read_model_text(file, given, model.name)
-        if text.kind == "xml":
-            plain = folder / f"{len(found)}.xml"
-            plain.write_text(text.text()[0], encoding="utf-8")
-            model.file, found[model.name] = plain.as_uri(), file
-    return found
-
-
-def add_geoms(plant: MultibodyPlant, name: str, file: Path, given: Given) -> None:
-    """Add the geoms of an MJCF to a model of a plant: what MuJoCo shows, and what touches others.
-
-    Args:
-        plant: A plant that is not finalized and has a SceneGraph.
-    """
-    shown, _ = mjcf_geoms(file, given, scope=name) or ({}, ())
-    solid, _ = mjcf_geoms(file, given, hulls=True, scope=name) or ({}, ())
-    index = plant.GetModelInstanceByName(name)
-    for link in dict.fromkeys((*shown, *solid)):
-        world = link == _WORLD
-        own = plant.world_body() if world else plant.GetBodyByName(link.rpartition("::")[2], index)
-        label = f"{name}_" if world else ""
-        for geom in (each for each in (solid if world else shown).get(link, ()) if each.shown):
-            plant.RegisterVisualGeometry(
-                own, geom.X_BG, geom.shape, label + geom.name, geom.color.rgba
-            )
-        for geom in (each for each in solid.get(link, ()) if each.collides):
-            touch, rub = ProximityProperties(), CoulombFriction(geom.friction, geom.friction)
-            AddContactMaterial(friction=rub, properties=touch)
-            plant.RegisterCollisionGeometry(own, geom.X_BG, geom.shape, label + geom.name, touch)
