@@ -81,34 +81,34 @@ class KinematicTree(Short):
         coordinates = OwnCoordinates(plant, tuple(followers))
         last = {_WORLD: -1}  # every body reached so far: its mobilizer
         mobilizers: list[Mobilizer] = []
-        for edge in _edges(plant, bodies):
-            if edge.inboard != _WORLD and gravity[edge.inboard] != gravity[edge.outboard]:
-                raise _partial_gravity(bodies[edge.outboard].name)
-            q, v = coordinates.position_of(edge.joint), coordinates.velocity_of(edge.joint)
-            motions = joint_motions(edge.joint, edge.sign)
-            if (follower := coordinates.leaders.get(scoped(edge.joint))) is not None:
+        for joint, inboard, outboard, X_PF, X_MB, sign in _edges(plant, bodies):
+            if inboard != _WORLD and gravity[inboard] != gravity[outboard]:
+                raise _partial_gravity(bodies[outboard].name)
+            q, v = coordinates.position_of(joint), coordinates.velocity_of(joint)
+            motions = joint_motions(joint, sign)
+            if (follower := coordinates.leaders.get(scoped(joint))) is not None:
                 motions = [motions[0].following(follower.ratio, follower.offset)]
             for step, motion in enumerate(motions, start=1):
-                parent = last[edge.inboard] if step == 1 else len(mobilizers) - 1
+                parent = last[inboard] if step == 1 else len(mobilizers) - 1
                 is_last = step == len(motions)
                 nq, nv = motion.translation.shape[1], motion.angular.shape[1]
-                X_PF = edge.X_PF if step == 1 else RigidTransform()
-                X_MB = edge.X_MB if is_last else RigidTransform()
-                R_MB = X_MB.rotation().matrix()
+                X_PM = X_PF if step == 1 else RigidTransform()
+                X = X_MB if is_last else RigidTransform()
+                R = X.rotation().matrix()
                 mobilizers.append(
                     Mobilizer(
                         parent=parent,
-                        body=edge.outboard if is_last else _MASSLESS,
+                        body=outboard if is_last else _MASSLESS,
                         positions=slice(q, q + nq),
                         velocities=slice(v, v + nv),
                         dofs=(*(mobilizers[parent].dofs if parent >= 0 else ()), *range(v, v + nv)),
-                        motion=motion.between(X_PF, R_MB),
-                        p_MoBo_B=R_MB.T @ X_MB.translation(),
-                        gravity=gravity[edge.outboard],
+                        motion=motion.between(X_PM, R),
+                        p_MoBo_B=R.T @ X.translation(),
+                        gravity=gravity[outboard],
                     )
                 )
                 q, v = q + nq, v + nv
-            last[edge.outboard] = len(mobilizers) - 1
+            last[outboard] = len(mobilizers) - 1
         return cls(
             mobilizers=tuple(mobilizers),
             bodies=tuple(body.name for body in bodies),
@@ -161,20 +161,12 @@ class KinematicTree(Short):
         return columns.reshape(-1, PARAMETERS_PER_BODY)[moved].ravel()
 
 
-@dataclass(frozen=True)
-class _Edge:
-    """A joint that moves the outboard body B with respect to the inboard P, as Drake sees it."""
-
-    joint: Joint
-    inboard: int
-    outboard: int
-    X_PF: RigidTransform
-    X_MB: RigidTransform
-    sign: float
+_Edge = tuple[Joint, int, int, RigidTransform, RigidTransform, float]
+"""A joint, the bodies inboard and outboard of it, X_PF, X_MB, and −1 where its child is inboard."""
 
 
 def _edges(plant: MultibodyPlant, bodies: tuple[LumpedBody, ...]) -> Iterator[_Edge]:
-    """The moving joints, inboard before outboard; `sign` is -1 where the child is inboard."""
+    """The moving joints, inboard before outboard."""
     context, world = plant.CreateDefaultContext(), plant.world_frame()
     places = {
         body.index(): (_WORLD, body.body_frame().CalcPose(context, world))
@@ -207,7 +199,7 @@ def _edges(plant: MultibodyPlant, bodies: tuple[LumpedBody, ...]) -> Iterator[_E
         sign = 1.0 if parent[0] in reached else -1.0
         (inboard, X_PF), (outboard, X_BM) = (parent, child) if sign > 0 else (child, parent)
         reached.add(outboard)
-        yield _Edge(joint, inboard, outboard, X_PF, X_BM.inverse(), sign)
+        yield joint, inboard, outboard, X_PF, X_BM.inverse(), sign
 
 
 def _has_gravity(plant: MultibodyPlant, body: LumpedBody) -> bool:
