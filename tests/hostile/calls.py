@@ -98,7 +98,7 @@ def good_calls():
         if name in TABLES["bases"]:
             continue
         todo = {}
-        if inspect.isclass(value) and name not in TABLES["one joint"]:
+        if inspect.isclass(value):
             todo = {f"{name}.{method}": method for method in methods(name, value)}
         if not inspect.isclass(value) or not is_plain(value):
             todo[name] = None
