@@ -8,7 +8,7 @@ of Λ: the least of xᵀ Λ x among all x with A x = y.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import replace
 
 import numpy as np
@@ -73,6 +73,8 @@ def holding(
         phi=(matrix @ model.phi.ravel()).reshape(-1, PARAMETERS_PER_BODY),
         effects=tuple(fitted for fitted, _ in kept),
     )
+    names = ", ".join(f"{fitted.effect.name} of {fitted.effect.place}" for fitted in lost)
+    told = [f"Left out, as something that they act on is held: {names}."] if names else []
     information = model.information
     if information is not None:
         below = [np.zeros((0, len(information) - model.phi.size)), *(rows for _, rows in kept)]
@@ -86,7 +88,7 @@ def holding(
         fading_speed=None if fading is None else fading[order],
         effort_signals=tuple(s for s in model.effort_signals if s.joint in after.joints),
         motorless=tuple(joint for joint in model.motorless if joint in after.joints),
-        notes=(*model.notes, *held_notes(held, why), *_lost_notes(lost)),
+        notes=(*model.notes, *held_notes(held, why), *told),
     )
 
 
@@ -226,8 +228,3 @@ def schur_complement(information: Array, A: Array) -> Array:
     mixed, free = across.T @ information @ along, across.T @ information @ across
     found = along.T @ information @ along - mixed.T @ np.linalg.pinv(free, hermitian=True) @ mixed
     return np.asarray(0.5 * (found + found.T))
-
-
-def _lost_notes(lost: Sequence[FittedEffect]) -> list[str]:
-    names = ", ".join(f"{fitted.effect.name} of {fitted.effect.place}" for fitted in lost)
-    return [f"Left out, as something that they act on is held: {names}."] if names else []

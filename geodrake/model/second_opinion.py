@@ -24,8 +24,7 @@ import numpy as np
 from numpy.typing import NDArray
 from pydrake.common.eigen_geometry import Quaternion
 from pydrake.math import RigidTransform, RollPitchYaw, RotationMatrix
-from pydrake.multibody.plant import MultibodyPlant
-from pydrake.multibody.tree import Joint, RigidBody
+from pydrake.multibody.tree import Joint
 
 from geodrake.errors import ModelError
 from geodrake.inertia import inertial_parameters
@@ -253,7 +252,9 @@ def _by_pinocchio(
 
     position = pinocchio.neutral(theirs)
     for name, place in held.items():
-        _put(position, own[name], place)
+        joint = own[name]  # one without limits has its cosine and sine
+        at = [place] if joint.nq == 1 else [np.cos(place), np.sin(place)]
+        position[joint.idx_q : joint.idx_q + joint.nq] = at
     return OtherProgram(
         f"Pinocchio {pinocchio.__version__}",
         (position, *np.zeros((2, theirs.nv))),
@@ -281,7 +282,8 @@ def _joined_by_pinocchio(
     for text in texts:
         scope = text.links[0].rpartition("::")[0]
         data = read_expanded(text.path, model.given)
-        root = _body(plant, _root_of(parse_xml_bytes(data, text.path), text))
+        name, own = _root_of(parse_xml_bytes(data, text.path), text).rsplit("::", 1)
+        root = plant.GetBodyByName(own, plant.GetModelInstanceByName(name))
         free = (
             {"root_joint": pinocchio.JointModelFreeFlyer()} if root.is_floating_base_body() else {}
         )
@@ -306,12 +308,6 @@ def _joined_by_pinocchio(
     return whole
 
 
-def _body(plant: MultibodyPlant, name: str) -> RigidBody:
-    """Return the body of a scoped name."""
-    model, _, own = name.rpartition("::")
-    return plant.GetBodyByName(own, plant.GetModelInstanceByName(model))
-
-
 def _root_of(xml: Element, text: ModelText) -> str:
     """Return the scoped name of the link of a file that no joint moves."""
     links = [link.get("name", "") for link in xml.iter("link")]
@@ -321,9 +317,3 @@ def _root_of(xml: Element, text: ModelText) -> str:
     moved = set(ends["child"]) | {(e.text or "").strip() for e in xml.iter("child")}
     name = next((link for link in links if link not in moved), links[0])
     return f"{text.links[0].rpartition('::')[0]}::{name}"
-
-
-def _put(position: Array, joint: Any, place: float) -> None:
-    """Set the position of a joint; one without limits has its cosine and sine."""
-    at = joint.idx_q
-    position[at : at + joint.nq] = [place] if joint.nq == 1 else [np.cos(place), np.sin(place)]
