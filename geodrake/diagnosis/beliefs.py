@@ -27,7 +27,8 @@ class Beliefs:
         delays: Delays among which they choose.
         widths: How well a model file knows its bodies, as geometric distances: each is tried.
         wrong: Widths above this one mean that the file is wrong.
-        fitted: Odds against a body of a model that was fitted before being another one since.
+        fitted: Odds against a body, or an effect, of a model that was fitted before being another
+            one since.
         free: Width of one body that is wrong while the others are right.
         payloads: Masses of payloads, from light to heavy, in tenths of the robot's mass; what a
             body carries that carries others is thought to be the last but one.

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -90,8 +89,7 @@ def _candidates(
     held_out = (start.held_out, first.validated.held_out, stages[-1].validated.held_out)
     errors = [error_table(data, each) for each in held_out]
     known = 1.0 - unknown_probability(found, finding, errors)
-    held = tuple(effect for stage in stages for effect in stage.finding.changed)
-    bare = found.model.bare(found.model.shares(first.fit), held)
+    bare = found.model.bare(found.model.shares(first.fit))
     candidates = [
         Candidate(
             finding.name,
@@ -108,14 +106,8 @@ def _candidates(
         for r in certainty.rivals
     ]
     seen = {candidate.effect for candidate in candidates}
-    tried = [(*told(fit.terms), fit) for fit in additions(found.model, bare)]
-    for each in (stage.finding for stage in stages if stage.finding.changed):
-        others = tuple(effect for effect in held if effect not in each.changed)
-        choice = replace(bare.choice, held=others)
-        fit = found.model.unbounded(choice, found.model.shares(first.fit), bare.variance)
-        tried.append((each.name, each.places, fit))
-    for name, places, fit in sorted(tried, key=lambda each: -each[2].score):
-        gain = fit.score - bare.score
+    for fit in additions(found.model, bare):
+        (name, places), gain = told(fit.terms), fit.score - bare.score
         if name not in seen and gain > 0.0:
             seen.add(name)
             chance = float(np.exp(-0.5 * min(gain, 1400.0)))

@@ -13,7 +13,7 @@ from geodrake.effects import FittedEffect
 from geodrake.identification.logs.case import Case, reopen
 from geodrake.identification.logs.dataset import Dataset
 from geodrake.identification.logs.hypothesis import Hypothesis, most_likely, settle
-from geodrake.identification.logs.model_fit import ModelFit, fit_model
+from geodrake.identification.logs.model_fit import ModelFit, fit_model, model_unknowns
 from geodrake.identification.logs.unknowns import Unknowns, effect_prior
 from geodrake.model.robot_model import RobotModel
 
@@ -39,6 +39,11 @@ def final_fit(case: Case, found: Found) -> tuple[Case, ModelFit]:
     reopened = reopen(found.case, replace(model, effects=(*model.effects, *beside, *lags)))
     settled = end.moved(reopened.dataset, delay=0, iterations=_MOST_ITERATIONS)
     unknowns = _with_companions(settled.unknowns, reopened.dataset)
+    if case.model.information is None:  # what no log shows to be another may be off all the same
+        stated, others = model_unknowns(reopened.dataset, case.model), found.fit.terms
+        for effect in {*stated.effects} - {term.effect for term in others}:
+            span = stated.span(effect)
+            unknowns = unknowns.released(effect, stated.information[span, span], stated.mean[span])
     for effect, mean, information in search.likely_loads(was, width):
         unknowns = unknowns.released(effect, information, mean)
     settled = settle(replace(settled, unknowns=unknowns), iterations=_MOST_ITERATIONS)

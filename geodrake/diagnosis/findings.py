@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from itertools import pairwise
 
@@ -19,7 +19,6 @@ from geodrake.effects import Effect, Role
 from geodrake.effects.lookup import effect_of
 from geodrake.identification.logs.case import Case, error_table
 from geodrake.identification.logs.criteria import JOINT_NOISE_MARGIN
-from geodrake.identification.logs.dataset import is_payload
 from geodrake.identification.logs.hypothesis import HeldOut, Hypothesis
 from geodrake.identification.logs.model_errors import ErrorTable
 from geodrake.inertia import pullback_metric
@@ -35,23 +34,21 @@ _ROUNDING = 1e-6
 
 @dataclass(frozen=True, eq=False)
 class Finding:
-    """What one step adds: effects of one name, a delay, other bodies or values than the file's."""
+    """What one step adds: effects of one name, a delay, or bodies that are wrong."""
 
     name: str
     terms: tuple[Term, ...]  # its terms; none for a delay, and for bodies that all move a little
     certainty: Certainty
-    changed: tuple[Effect, ...] = ()  # effects of the file whose values are wrong
 
     @property
     def effects(self) -> tuple[Effect, ...]:
         """Return its effects."""
-        return (*(t.effect for t in self.terms if t.effect is not None), *self.changed)
+        return tuple(term.effect for term in self.terms if term.effect is not None)
 
     @property
     def places(self) -> tuple[str, ...]:
-        """Return the joints and bodies of its terms and effects."""
-        changed = (place for effect in self.changed for place in effect.where)
-        return tuple(dict.fromkeys((*told(self.terms)[1], *changed)))
+        """Return the joints and bodies of its terms."""
+        return told(self.terms)[1]
 
 
 def believed(found: Found) -> tuple[Found, Posterior]:
@@ -117,7 +114,6 @@ def findings_of(found: Found, posterior: Posterior | None = None) -> list[Findin
     for term in found.fit.terms:
         groups.setdefault(term.key if term.is_whole else term.name, []).append(term)
     findings = [Finding(t[0].name, tuple(t), posterior.of_terms(t)) for t in groups.values()]
-    findings += changed_values(found, posterior)
     if found.fit.choice.delay != found.model.on_time:
         findings.append(Finding(DELAY, (), posterior.of_delay()))
     width, least, wrong = found.fit.choice.width, found.model.widths[0], found.model.beliefs.wrong
@@ -125,20 +121,6 @@ def findings_of(found: Found, posterior: Posterior | None = None) -> list[Findin
     if INERTIA not in groups and width > least and far:
         findings.append(Finding(INERTIA, (), posterior.of_bodies()))
     return findings
-
-
-def changed_values(found: Found, posterior: Posterior) -> Iterator[Finding]:
-    """Find effects that the model file states with values that are wrong."""
-    model, kinds = found.model.model, dict[str, list[Effect]]()
-    if model.information is None:
-        for effect in found.model.unknowns.effects:
-            if not is_payload(effect) and effect not in found.fit.choice.held:
-                kinds.setdefault(effect.name, []).append(effect)
-    for name, effects in kinds.items():
-        certainty = posterior.of_values(tuple(effects))
-        if certainty.probability > 0.5:
-            wrong = [e for e in effects if posterior.of_values((e,)).probability > 0.5]
-            yield Finding(name, (), certainty, tuple(wrong or effects))
 
 
 @dataclass(frozen=True, eq=False)
@@ -154,8 +136,7 @@ def staged(found: Found, findings: Sequence[Finding]) -> tuple[Hypothesis, list[
     """Return the model before the first step, and findings in the order of their gains."""
     model, moved = found.model, any(f.name == INERTIA and not f.terms for f in findings)
     width = model.widths[0] if moved else found.fit.choice.width
-    held = (*found.fit.choice.held, *(effect for f in findings for effect in f.changed))
-    at = _fitted(found, Choice((), width, model.on_time, held))
+    at = _fitted(found, Choice((), width, model.on_time))
     start, stages, left = model.validated(at), list[StagedFinding](), [*findings]
     while left:
         tried = [(each, _with(found, at.choice, each)) for each in left]
@@ -171,8 +152,7 @@ def _with(found: Found, was: Choice, finding: Finding) -> Fit:
     width = end.width if finding.name == INERTIA and not finding.terms else was.width
     delay = end.delay if finding.name == DELAY else was.delay
     terms = (*was.terms, *finding.terms)
-    held = tuple(effect for effect in was.held if effect not in finding.changed)
-    choice = found.model.choice(was, terms, width=width, delay=delay, held=held)
+    choice = found.model.choice(was, terms, width=width, delay=delay)
     return _fitted(found, choice)
 
 
@@ -204,16 +184,12 @@ def without_finding(
 
     Where none is left, bodies that come closer to the logs than those of the file are one.
     """
-    was, kept = found.fit.choice, _left(found, findings, gone)
-    held = (*was.held, *gone.changed)
-    if gone.changed:  # these go back to what the file says
-        found = _refitted(found, replace(was, held=held))
+    kept = _left(found, findings, gone)
     if gone.name == INERTIA and not gone.terms:  # bodies go back to the file
-        found = _refitted(found, replace(was, width=found.model.widths[0]))
+        found = _refitted(found, replace(found.fit.choice, width=found.model.widths[0]))
     if kept:
         return replace(found, fit=staged(found, kept)[1][-1].fit), kept
     found = replace(found, fit=found.start)
-    found = _refitted(found, replace(found.start.choice, held=held)) if held else found
     return found, [] if gone.name == INERTIA else findings_of(found)
 
 

@@ -61,7 +61,7 @@ _SIMPLER = 0.5
 _FREE, _WIDTHS = 0.01, 20  # to hold the inertias, as a search may do, does not make them known
 _USUAL_SHARE = 0.3
 _MOST_PINNED, _PINNED = 4, 1e15
-_HELD = 1e8  # over the prior information of parameters, that of those that stay as they are
+_STATED = 1e-4  # share to which a file knows the values of effects, unless they are others
 _PSEUDO = pseudo_inertia_basis()
 _DRAWS = np.random.default_rng(0).normal(size=(200, PARAMETERS_PER_BODY))
 
@@ -73,12 +73,11 @@ class Choice:
     terms: Terms  # the terms, in the order of their columns
     width: float  # width of the prior of all bodies, as a geometric distance
     delay: Delay  # (nv,) index of the delay of each joint
-    held: tuple[Effect, ...] = ()  # effects of the model, whose parameters stay as they are
 
     @property
-    def key(self) -> tuple[frozenset[Term], float, Delay, tuple[Effect, ...]]:
+    def key(self) -> tuple[frozenset[Term], float, Delay]:
         """Return what distinguishes it from other explanations."""
-        return frozenset(self.terms), self.width, self.delay, self.held
+        return frozenset(self.terms), self.width, self.delay
 
 
 @dataclass(frozen=True, eq=False)
@@ -115,17 +114,14 @@ class LogModel:
         on_time: Delay,
     ) -> None:
         self.model, self.dataset, self.beliefs, self.on_time = model, dataset, beliefs, on_time
-        self.unknowns = model_unknowns(dataset, model)
+        self.unknowns = model_unknowns(dataset, model, stated=_STATED)
         keys = frozenset(
             key_of(effect, kind)
             for effect in self.unknowns.effects
             if not is_payload(effect)  # it may have been put down, or changed
             for kind in (type(effect), *effect.contains)
         )
-        # What a file states is in doubt as it is; what was fitted to logs may be another by now.
-        lasts = [e for e in self.unknowns.effects if is_expandable(e) or isinstance(e, Episode)]
-        known = {*lasts} if model.information is not None else {*self.unknowns.effects}
-        known -= {effect for effect in known if is_payload(effect)}
+        known = {e for e in self.unknowns.effects if is_expandable(e) or isinstance(e, Episode)}
         self.terms = terms_of(model, dataset, [e for e in effects if e not in known], beliefs)
         self.compatibility = Compatibility(self.terms, keys)
         self._other_odds = dict[tuple[float, Delay], float]()
@@ -205,10 +201,6 @@ class LogModel:
         own = np.arange(p, first)
         information[own, own] = self._nuisances
         logarithm = -2.0 * self._bodies * np.log(choice.width)
-        for effect in choice.held:
-            at = np.arange(p)[self.unknowns.span(effect)]
-            logarithm += len(at) * float(np.log1p(_HELD))
-            information[at, at] *= 1.0 + _HELD
         for term, span in spans.items():
             information[span, span] = term.information
             logarithm += term.log_information
@@ -301,9 +293,9 @@ class LogModel:
         """Fit as `fit` does, whatever is negative."""
         return self._solved(choice, shares, variance, self._prior(choice))
 
-    def bare(self, shares: Array, held: tuple[Effect, ...] = ()) -> Fit:
+    def bare(self, shares: Array) -> Fit:
         """Fit nothing new, with bodies as near to those of the model as the logs say."""
-        fits = [self.unbounded(Choice((), w, self.on_time, held), shares) for w in self.widths]
+        fits = [self.unbounded(Choice((), w, self.on_time), shares) for w in self.widths]
         return max(fits, key=lambda fit: fit.score)
 
     def _solved(
@@ -479,9 +471,6 @@ class LogModel:
     def unknowns_of(self, choice: Choice) -> Unknowns:
         """Return the unknowns of an explanation with their prior, without nuisances."""
         unknowns = self.unknowns.loosened(choice.width / self._spread, self._bodies)
-        for effect in choice.held:
-            known = np.diag(np.diag(unknowns.information)[unknowns.span(effect)]) * (1.0 + _HELD)
-            unknowns = unknowns.released(effect, known, unknowns.mean[unknowns.span(effect)])
         wrong = [term for term in choice.terms if term.effect is None]
         if wrong:
             covariance = np.linalg.inv(unknowns.information)  # effects may go with bodies

@@ -7,16 +7,14 @@ residuals counted alike. So probabilities add up, and what was adopted is the mo
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.special import expit
 
 from geodrake.diagnosis.log_model import Fit, LogModel
 from geodrake.diagnosis.moves import neighbours
 from geodrake.diagnosis.terms import Key, Term, told
-from geodrake.effects import Effect
 
 Array = NDArray[np.float64]
 
@@ -79,14 +77,6 @@ class Posterior:
         """Return how probable it is that bodies are farther from the file than it may be wrong."""
         least = self._model.widths[0]
         return self._certainty([fit.choice.width > least for fit in self._fits], set())
-
-    def of_values(self, effects: tuple[Effect, ...]) -> Certainty:
-        """Return how probable it is that effects of the model have other values than it says."""
-        fit, model = self._fit, self._model
-        held = model.unbounded(replace(fit.choice, held=effects), model.shares(fit), fit.variance)
-        moved = self._fits[0]
-        chance = float(expit(0.5 * (held.score - moved.score)))
-        return Certainty(1.0 - chance, chance, ())
 
     def _certainty(self, has: list[bool], keys: set[Key]) -> Certainty:
         own, chance = _keys(self._fit), 0.0

@@ -131,7 +131,8 @@ def terms_of(
             odds *= 1.0 if last else beliefs.inner
         else:
             priors = [(np.zeros(len(columns)), _slab(effect, sizes[columns], beliefs))]
-            odds *= beliefs.fitted if is_own else 1.0
+            if is_own:  # what a file states is as likely wrong as right
+                odds = 1.0 if model.information is None else odds * beliefs.fitted
         bounded = [0] if body else [k for k, p in enumerate(effect.parameters) if p.lower == 0.0]
         least = np.array([] if is_own else bounded, np.intp)  # what a model has may have shrunk
         prices = _prices(effect, odds, beliefs, body=body)

@@ -130,7 +130,7 @@ class TestPlaces:
 
         has = [size, size, size, 0.0, 0.0]
         logs = [chain_log(robot, seed, effort(last), seconds=8.0) for seed, last in enumerate(has)]
-        fitted = [(effect, np.eye(len(effect.parameters))[0]) for effect in known]
+        fitted = [(effect, 0.5 * np.eye(len(effect.parameters))[0]) for effect in known]
         model = knowing(*fitted, model=robot)
         candidates = diagnose(model, logs, bandwidth=BANDWIDTH, blocks=1).candidates
         assert [(c.effect, c.where) for c in candidates].count((name, ("joint_2",))) == found

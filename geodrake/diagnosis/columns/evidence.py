@@ -94,7 +94,8 @@ class ColumnModel:
         self.layout = Layout.of(model, tuple(self.effects), samples.width, samples.width)
         known, size = _information(samples), model.phi.size
         first = len(known) + sum(len(effect.parameters) for effect in more)
-        self.lacking = slice(len(known), first)
+        # What a file states of friction is in doubt as much as what it lacks.
+        self.lacking = slice(size if model.information is None else len(known), first)
         self.tilt, self.zeros = first + np.arange(2), first + 2 + np.arange(n)
         self.gains = self.zeros + n
         gains = np.maximum(samples.gain_deviations, 1e-3)
@@ -328,7 +329,6 @@ def _information(samples: ColumnSamples) -> Array:
     seen = [np.ones(d, bool), *(np.full(len(f.parameters), _is_seen(f.effect)) for f in fitted)]
     information = model.information
     if information is None:
-        stated = np.concatenate([np.zeros(0), *(f.parameters for f in fitted)])
-        rest = np.diag(1.0 / np.maximum(stated**2, 1e-12)) if len(stated) else np.zeros((0, 0))
+        rest = np.zeros((sum(len(f.parameters) for f in fitted),) * 2)
         information = block_diag(pullback_information(model.phi, SPREAD), rest)
     return np.asarray(information[np.ix_(*[np.concatenate(seen)] * 2)])

@@ -26,16 +26,18 @@ from geodrake.inertia import Array
 from geodrake.model.robot_model import RobotModel
 
 
-def model_unknowns(dataset: Dataset, model: RobotModel, *, spread: float = SPREAD) -> Unknowns:
+def model_unknowns(
+    dataset: Dataset, model: RobotModel, *, spread: float = SPREAD, stated: float = 1.0
+) -> Unknowns:
     """Return everything a fit of the model may move, with what is known about it as the prior.
 
     A model that was fitted before is known as well as its information matrix says; of a model
-    file, inertias are known to within `spread`, a geometric distance, and stated frictions to
-    within their own size.
+    file, inertias are known to within `spread`, a geometric distance, and parameters of effects to
+    within a share `stated` of what it says.
     """
     p, fitted = model.phi.size, [f for f in model.effects if f.effect.parameters]
     if model.information is None:
-        sizes = [np.diag(1.0 / np.maximum(f.parameters**2, 1e-12)) for f in fitted]
+        sizes = [np.diag(1.0 / np.maximum((stated * f.parameters) ** 2, 1e-12)) for f in fitted]
         information = block_diag(pullback_information(model.phi, spread), *sizes)
     else:
         information = model.information
