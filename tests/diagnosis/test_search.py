@@ -108,33 +108,6 @@ class TestPlaces:
         }
         assert payload.where == (min(errors, key=errors.get),)
 
-    @pytest.mark.sampled(3)
-    @pytest.mark.parametrize(
-        ("known", "name", "size", "found"),
-        [
-            ((CoulombFriction("joint_0"), CoulombFriction("joint_1")), "coulomb_friction", 0.08, 1),
-            ((CoulombFriction("joint_0"),), "coulomb_friction", 0.08, 0),
-            # Two of one joint are not two joints.
-            ((JointSpring("joint_0"), JointSpring("joint_0", exponent=3)), "joint_spring", 0.2, 0),
-        ],
-    )
-    def test_what_most_joints_have_needs_fewer_logs(self, known, name, size, found):
-        """Three of five logs have it at the last joint: enough if the others are known to."""
-        robot = arm(joints="RRR")
-        law = {"coulomb_friction": lambda q, v: np.sign(v), "joint_spring": lambda q, v: q}[name]
-        sizes = 0.5 * np.isin(robot.joints, [effect.joint for effect in known])
-
-        def effort(at_the_last):
-            at = sizes + at_the_last * np.eye(3)[2]
-            return lambda q, v, vd, load: at * law(q, v)
-
-        has = [size, size, size, 0.0, 0.0]
-        logs = [chain_log(robot, seed, effort(last), seconds=8.0) for seed, last in enumerate(has)]
-        fitted = [(effect, 0.5 * np.eye(len(effect.parameters))[0]) for effect in known]
-        model = knowing(*fitted, model=robot)
-        candidates = diagnose(model, logs, bandwidth=BANDWIDTH, blocks=1).candidates
-        assert [(c.effect, c.where) for c in candidates].count((name, ("joint_2",))) == found
-
 
 class TestChoice:
     def test_refinements_come_after_what_they_refine(self):
