@@ -18,6 +18,7 @@ from geodrake.diagnosis import add, explain
 from geodrake.errors import ArgumentError
 from geodrake.logs.motion import Motion
 from geodrake.model.exporting.held import held_by, reasons
+from geodrake.model.file_terms import Damping
 
 ELBOW, NAME = 2, "elbow_pitch"
 MOTIONS = [Motion(*np.random.default_rng(0).normal(size=(3, 50, 2)))]
@@ -62,7 +63,7 @@ class TestOvercompensation:
         viscous = [steps["viscous_friction"][j]["viscous"] for j in pendulum.joints]
         np.testing.assert_allclose(excess, -self.DRY, rtol=0.05)
         np.testing.assert_allclose(viscous, self.WET, rtol=0.05)
-        (lost,) = held_by(found.model, lambda effect: effect.damps, MOTIONS).lost
+        (lost,) = held_by(found.model, lambda effect: isinstance(effect, Damping), MOTIONS).lost
         assert (lost.effect, lost.into) == ("friction_overcompensation", ())
         (told,) = reasons(found.model.effects)
         assert "friction_overcompensation of shoulder, elbow is not in the files" in told
