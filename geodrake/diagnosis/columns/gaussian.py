@@ -149,7 +149,7 @@ def calc_most_probable(
         for j in range(n):
             p = np.sum(places[j, 0] >= 0)
             own = x[places[j, 0, :p]]
-            left = own @ (A[j, :p, :p] @ own) - 2.0 * (b[j, :p] @ own) + c[j]
+            left = own @ (np.ascontiguousarray(A[j, :p, :p]) @ own) - 2.0 * (b[j, :p] @ own) + c[j]
             found = max(left / rows[j], least[j])
             change = max(change, abs(np.log(found / mse[j])))
             mse[j] = found
