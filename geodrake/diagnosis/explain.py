@@ -30,7 +30,7 @@ from geodrake.identification.logs.case import Case, error_table, open_case
 from geodrake.identification.logs.compare import comparison
 from geodrake.identification.logs.hypothesis import Hypothesis
 from geodrake.identification.logs.model_fit import ModelFit
-from geodrake.identification.models.bodies import changed_bodies
+from geodrake.identification.models.identify import changed_bodies
 from geodrake.logs.motion import JointLog
 from geodrake.model.robot_model import RobotModel
 

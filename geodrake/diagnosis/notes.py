@@ -16,7 +16,7 @@ from geodrake.effects.robot_motion import log_number
 from geodrake.identification.logs.case import Case
 from geodrake.identification.logs.model_fit import ModelFit
 from geodrake.identification.logs.unknowns import Unknowns
-from geodrake.identification.models.bodies import common_factor_notes
+from geodrake.identification.models.identify import common_factor_notes
 from geodrake.identification.models.results import BodyChange
 from geodrake.model.carried_payloads import joints_with_known_gain
 from geodrake.model.robot_model import RobotModel

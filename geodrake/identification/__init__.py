@@ -1,7 +1,7 @@
 """Identification: fits of physical parameters to data, near a prior."""
 
 from geodrake.identification.comparison import RegularizerComparison, compare_regularizers
-from geodrake.identification.conic_fit import solve_fit
+from geodrake.identification.conic_fit import build_fit, solve_fit
 from geodrake.identification.fit import Certificate, FitResult
 from geodrake.identification.geodesic_least_squares import geodesic_least_squares
 from geodrake.identification.identify import REGULARIZERS, IdentificationResult, identify
@@ -13,7 +13,6 @@ from geodrake.identification.models import (
 )
 from geodrake.identification.point_mass import PointMasses, PointMassEuclidean, PointMassKL
 from geodrake.identification.problem import BodyConstraints, FitProblem
-from geodrake.identification.program import build_fit
 from geodrake.identification.regularizer import Regularizer
 from geodrake.identification.riemannian import Riemannian
 

@@ -22,7 +22,7 @@ from scipy.special import rel_entr
 from geodrake.boundary.arguments import instance, instances, integer, real_array
 from geodrake.boundary.showing import Short
 from geodrake.errors import ArgumentError, IdentificationError
-from geodrake.identification.conic_fit import solution_of, solve_fit
+from geodrake.identification.conic_fit import build_fit, solution_of, solve_fit
 from geodrake.identification.fit import FitResult, fit_result
 from geodrake.identification.identify import build_problem
 from geodrake.identification.problem import (
@@ -31,7 +31,6 @@ from geodrake.identification.problem import (
     check_residual_bound,
     out_of_reach,
 )
-from geodrake.identification.program import build_fit
 from geodrake.identification.regularizer import Regularizer, Solver
 from geodrake.identification.solvers import ROUGHLY, Accuracies, run_solver, solved_apart
 from geodrake.inertia import (

@@ -8,7 +8,7 @@ import pytest
 from geodrake.boundary.arguments import integers
 from geodrake.boundary.whole_files import write_together
 from geodrake.errors import ArgumentError
-from geodrake.identification.subprocess_solver import in_subprocess
+from geodrake.identification.solvers import in_subprocess
 
 
 @pytest.fixture

@@ -5,7 +5,7 @@ import pytest
 from identified_bodies import TWO
 
 from geodrake.identification import FitProblem, solve_fit
-from geodrake.identification.models.bodies import body_changes, common_factor_notes
+from geodrake.identification.models.identify import body_changes, common_factor_notes
 from geodrake.identification.models.results import BodyChange
 from geodrake.inertia import pullback_metric
 

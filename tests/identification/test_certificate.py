@@ -11,10 +11,9 @@ from test_newton import constrained, cost, example
 
 from geodrake.errors import IdentificationError
 from geodrake.identification import BodyConstraints, conic_fit, identify
-from geodrake.identification.conic_fit import certified
+from geodrake.identification.conic_fit import build_fit, certified
 from geodrake.identification.identify import REGULARIZERS
 from geodrake.identification.newton import solve_newton
-from geodrake.identification.program import build_fit
 from geodrake.inertia import pseudo_inertia_basis
 
 

@@ -7,7 +7,7 @@ import pytest
 from effort_logs import MODELS, effort_log
 from measurements import DATA, REFERENCE
 
-from geodrake import load_model, save_model
+from geodrake import load_model
 from geodrake.diagnosis import explain
 from geodrake.errors import LogError
 from geodrake.identification.logs.case import open_case
@@ -84,18 +84,6 @@ def test_slopes_of_geodesic_bodies_are_those_of_differences(arm):
         for e in np.eye(len(x))
     ]
     np.testing.assert_allclose(slope, np.stack(columns, 1), atol=1e-6 * np.abs(slope).max())
-
-
-def test_a_case_is_of_efforts_and_its_model_knows_the_gains(arm, torques, tmp_path):
-    case = open_case(arm, [currents(torques, GAINS)], candidates=False)
-    assert [s.kind for s in case.model.effort_signals] == ["current"] * 6
-    assert any("gains from the model's inertias" in note for note in case.notes)
-    save_model(case.model, tmp_path / "model.yaml")
-    saved = load_model(tmp_path / "model.yaml")
-    assert saved.effort_signals == case.model.effort_signals
-    again = open_case(saved, [currents(torques, GAINS)], candidates=False)
-    assert again.model.effort_signals == saved.effort_signals
-    assert again.fingerprints == case.fingerprints
 
 
 def test_known_gains_are_taken_as_they_are(arm, torques):

@@ -243,17 +243,6 @@ def test_bad_constraints_are_refused(name):
         BodyConstraints(**change).rows(PRIOR, 32)
 
 
-def test_an_ellipsoid_without_the_prior_names_the_body():
-    A, b = data(10)
-    Q = balls(0.3, [[0.0] * 3, [0.0, 0.5, 0.0], [0.0] * 3])
-    with pytest.raises(ArgumentError, match=r"bodies \[1\] do not contain the prior") as caught:
-        identify(A, b, PRIOR, regularizer="pullback", gamma=1.0, ellipsoids=Q)
-    assert caught.value.evidence["bodies"] == [1]
-    assert caught.value.evidence["trace"][0] == pytest.approx(
-        np.trace(pseudo_inertia(PRIOR[1]) @ Q[1])
-    )
-
-
 def test_an_impossible_prior_comes_with_the_nearest_possible_one():
     A, b = data(11)
     bad = PRIOR.copy()

@@ -8,8 +8,7 @@ import numpy as np
 import pytest
 
 from geodrake.errors import ArgumentError, IdentificationError
-from geodrake.identification.solvers import solved_apart
-from geodrake.identification.subprocess_solver import LostProcessError, in_subprocess
+from geodrake.identification.solvers import LostProcessError, in_subprocess, solved_apart
 
 
 @pytest.mark.parametrize(
