@@ -65,7 +65,7 @@ OWN = {
     "cli/surroundings.py": {"open"},
     "compiling.py": {"fdopen", "open", "read_text"},
     "excitation/collision_meshes.py": {"open"},
-    "identification/subprocess_solver.py": {"open"},
+    "identification/solvers.py": {"open"},
     "report/html.py": {"read_text"},
     "report/recordings.py": {"read_bytes"},
     "report/video.py": {"read_bytes"},
