@@ -126,7 +126,8 @@ def test_a_xacro_file_that_asks_for_more_than_values_needs_to_be_trusted(robot, 
         "<robot ", '<robot xmlns:xacro="http://www.ros.org/wiki/xacro" ', 1
     )
     path, saved = tmp_path / "arm.urdf.xacro", tmp_path / "saved.yaml"
-    prop = '<xacro:property name="x" value="${(lambda: (1).__class__(1))()}"/><gazebo v="${x}"/></robot>'
+    prop = '<xacro:property name="x" value="${(lambda: (1).__class__(1))()}"/>'
+    prop += '<gazebo v="${x}"/></robot>'
     path.write_text(text.replace("</robot>", prop))
     log = log_of(robot, tmp_path / "log.csv")
     assert "--trust-xacro" in run("compare", path, log, code=2)
