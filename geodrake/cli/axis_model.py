@@ -7,10 +7,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated
 from xml.sax.saxutils import quoteattr
-
-import typer
 
 from geodrake.boundary.whole_files import write_whole
 from geodrake.cli.reading_options import ReadingOptions
@@ -39,20 +36,16 @@ _URDF = """<?xml version="1.0"?>
 
 @dataclass(frozen=True, kw_only=True)
 class AxisOptions(ReadingOptions):
-    """A single axis in place of a model file."""
+    """A single axis in place of a model file.
 
-    axis: Annotated[
-        str | None,
-        typer.Option(
-            metavar="prismatic|revolute",
-            help="Without any model file: one horizontal axis with --mass, which is written as "
-            "MODEL, a .urdf that is not there yet.",
-        ),
-    ] = None
-    mass: Annotated[
-        float | None,
-        typer.Option(metavar="KG", help="About what the --axis moves, kg; the fit corrects it."),
-    ] = None
+    Attributes:
+        axis (prismatic|revolute): Without any model file: one horizontal axis with --mass, which is
+            written as MODEL, a .urdf that is not there yet.
+        mass (KG): About what the --axis moves, kg; the fit corrects it.
+    """
+
+    axis: str | None = None
+    mass: float | None = None
 
 
 @contextmanager

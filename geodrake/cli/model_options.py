@@ -5,9 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
-
-import typer
+from typing import TYPE_CHECKING
 
 from geodrake.errors import ArgumentError
 
@@ -21,57 +19,32 @@ _MOST_REPAIRS = 5  # that are said one by one; notes have all
 
 @dataclass(frozen=True, kw_only=True)
 class ModelOptions:
-    """How a model file is to be read."""
+    """How a model file is to be read.
 
-    lock: Annotated[
-        list[str] | None,
-        typer.Option(
-            metavar="JOINT=VALUE",
-            help="Hold a joint there, rad or m: it is no joint of the model. Joints that no log "
-            "has are held unasked. Repeatable.",
-        ),
-    ] = None
-    robot: Annotated[
-        str | None,
-        typer.Option(
-            metavar="NAME",
-            help="The robot of a file that has several; an unknown name such as x lists them.",
-        ),
-    ] = None
-    package: Annotated[
-        list[str] | None,
-        typer.Option(
-            metavar="NAME=FOLDER",
-            help="Where a ROS package is that the model names, beside those of ROS_PACKAGE_PATH, "
-            "AMENT_PREFIX_PATH and of folders above it. Repeatable.",
-        ),
-    ] = None
-    xacro_arg: Annotated[
-        list[str] | None,
-        typer.Option(metavar="NAME:=VALUE", help="Argument of a xacro file. Repeatable."),
-    ] = None
-    trust_xacro: Annotated[
-        bool,
-        typer.Option(
-            "--trust-xacro",
-            help="Evaluate any expression of a xacro file and let it read any file, where you "
-            "trust who wrote it. If absent, expressions of values and xacro's own functions, and "
-            "files in its folder and packages.",
-        ),
-    ] = False
-    transmission: Annotated[
-        str | None,
-        typer.Option(
-            metavar="FILE.yaml|file|none",
-            help="What moves joints in their place: gears, coupled wrists, linkages, between the "
-            "logged actuators and the model's joints; `file` takes what MODEL itself states of "
-            "motors. If absent, ARM.transmission.yaml beside ARM.urdf, if there is one.",
-        ),
-    ] = None
-    floating: Annotated[
-        bool,
-        typer.Option("--floating", help="Leave roots free that nothing fixes to the world."),
-    ] = False
+    Attributes:
+        lock (JOINT=VALUE): Hold a joint there, rad or m: it is no joint of the model. Joints that
+            no log has are held unasked. Repeatable.
+        robot (NAME): The robot of a file that has several; an unknown name such as x lists them.
+        package (NAME=FOLDER): Where a ROS package is that the model names, beside those of
+            ROS_PACKAGE_PATH, AMENT_PREFIX_PATH and of folders above it. Repeatable.
+        xacro_arg (NAME:=VALUE): Argument of a xacro file. Repeatable.
+        trust_xacro: Evaluate any expression of a xacro file and let it read any file, where you
+            trust who wrote it. If absent, expressions of values and xacro's own functions, and
+            files in its folder and packages.
+        transmission (FILE.yaml|file|none): What moves joints in their place: gears, coupled wrists,
+            linkages, between the logged actuators and the model's joints; `file` takes what MODEL
+            itself states of motors. If absent, ARM.transmission.yaml beside ARM.urdf, if there is
+            one.
+        floating: Leave roots free that nothing fixes to the world.
+    """
+
+    lock: list[str] | None = None
+    robot: str | None = None
+    package: list[str] | None = None
+    xacro_arg: list[str] | None = None
+    trust_xacro: bool = False
+    transmission: str | None = None
+    floating: bool = False
 
     @property
     def given(self) -> Given:

@@ -4,47 +4,27 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Any
-
-import typer
+from typing import Any
 
 from geodrake.cli.model_options import ModelOptions
 from geodrake.cli.reading_options import ReadingOptions
-from geodrake.cli.shared_options import (
-    Debug,
-    EffectFiles,
-    EffectNames,
-    JsonFile,
-    KnownPayloads,
-    LogFiles,
-    LogOptions,
-    ModelFile,
-    Options,
-    Quiet,
-    ReportFile,
-    SeriesFile,
-    ValidationOptions,
-)
+from geodrake.cli.shared_options import LogOptions, Options, ValidationOptions
 from geodrake.errors import ArgumentError
 
 __all__ = ["Options"]
 
-_NOISE_HELP = "Deviation of the {what}, N·m or N: one number, or JOINT=NUMBER,…; {default}."
-
 
 @dataclass(frozen=True, kw_only=True)
 class _Steps(Options):
-    """Options of commands that find values of effects."""
+    """Options of commands that find values of effects.
 
-    effort_uncertainty: Annotated[
-        float | None,
-        typer.Option(
-            metavar="SHARE",
-            help="How well the gains of the efforts are known, as a share: what that makes of "
-            "parameters is a second ±. 0.05 if absent, as for torque constants; 0 for calibrated "
-            "torque sensors.",
-        ),
-    ] = None
+    Attributes:
+        effort_uncertainty (SHARE): How well the gains of the efforts are known, as a share: what
+            that makes of parameters is a second ±. 0.05 if absent, as for torque constants; 0 for
+            calibrated torque sensors.
+    """
+
+    effort_uncertainty: float | None = None
 
     @property
     def log_facts(self) -> dict[str, Any]:
@@ -55,138 +35,82 @@ class _Steps(Options):
 
 @dataclass(frozen=True, kw_only=True)
 class ExplainOptions(_Steps):
-    """Options of explain."""
+    """Options of explain.
 
-    draft_effect: Annotated[
-        Path | None,
-        typer.Option(
-            metavar="FILE.py",
-            help="Search a formula for what stays unexplained, and write it as an effect of your "
-            "own, to be used with --effects.",
-        ),
-    ] = None
+    Attributes:
+        draft_effect (FILE.py): Search a formula for what stays unexplained, and write it as an
+            effect of your own, to be used with --effects.
+    """
+
+    draft_effect: Path | None = None
 
 
 @dataclass(frozen=True, kw_only=True)
 class RolloutOptions(LogOptions):
-    """Options of rollout."""
+    """Options of rollout.
 
-    before: Annotated[
-        Path | None,
-        typer.Option(metavar="MODEL", help="A model to compare with, such as the file it was."),
-    ] = None
-    horizon: Annotated[
-        float, typer.Option(metavar="SECONDS", help="Length of a window of the simulation.")
-    ] = 0.5
-    windows: Annotated[
-        int, typer.Option(metavar="N", help="Most windows, spread evenly over the logs.")
-    ] = 12
-    commands: Annotated[
-        bool,
-        typer.Option(
-            "--commands",
-            help="Servos of the simulated robot follow the logged commands, instead of the logged "
-            "efforts at their joints.",
-        ),
-    ] = False
-    fit: Annotated[
-        bool,
-        typer.Option(
-            "--fit",
-            help="Fit the model's soft joints and play to how the simulated robot moves, under "
-            "efforts, or under --commands with servos that are not known exactly; every other "
-            "block of windows, or every other log, is held out.",
-        ),
-    ] = False
-    save: Annotated[
-        Path | None,
-        typer.Option(
-            metavar="FILE.yaml",
-            help="Write the model with what --fit found, or as it was if that was not taken.",
-        ),
-    ] = None
-    series: SeriesFile = None
-    meshcat: Annotated[
-        Path | None,
-        typer.Option(
-            metavar="FILE.html",
-            help="Write a page that replays the windows: the measured and the simulated robot.",
-        ),
-    ] = None
+    Attributes:
+        before (MODEL): A model to compare with, such as the file it was.
+        horizon (SECONDS): Length of a window of the simulation.
+        windows (N): Most windows, spread evenly over the logs.
+        commands: Servos of the simulated robot follow the logged commands, instead of the logged
+            efforts at their joints.
+        fit: Fit the model's soft joints and play to how the simulated robot moves, under efforts,
+            or under --commands with servos that are not known exactly; every other block of
+            windows, or every other log, is held out.
+        save (FILE.yaml): Write the model with what --fit found, or as it was if that was not taken.
+        meshcat (FILE.html): Write a page that replays the windows: the measured and the simulated
+            robot.
+    """
 
-    @property
-    def model_target(self) -> Path | None:
-        """Where the model goes, if it is saved."""
-        return self.save
+    before: Path | None = None
+    horizon: float = 0.5
+    windows: int = 12
+    commands: bool = False
+    fit: bool = False
+    save: Path | None = None
+    series: Path | None = None
+    meshcat: Path | None = None
 
 
 @dataclass(frozen=True, kw_only=True)
 class PlayOptions(LogOptions):
-    """Options of play."""
+    """Options of play.
 
-    before: Annotated[
-        Path | None,
-        typer.Option(
-            metavar="MODEL",
-            help="A model to play beside it; if absent and MODEL was saved with --save, the file "
-            "that it is based on.",
-        ),
-    ] = None
-    out: Annotated[
-        Path | None,
-        typer.Option(
-            metavar="FILE.html",
-            help="Where the page goes; play.html if nothing else is asked for.",
-        ),
-    ] = None
-    video: Annotated[
-        Path | None,
-        typer.Option(metavar="FILE.mp4|.gif", help="Write a video of the robot and its errors."),
-    ] = None
-    to: Annotated[
-        tuple[str, Path] | None,
-        typer.Option(
-            metavar="VIEWER FILE",
-            help="Write a recording for another viewer: rerun FILE.rrd, or mcap FILE.mcap, which "
-            "Foxglove and PlotJuggler open.",
-        ),
-    ] = None
-    live: Annotated[
-        int | None,
-        typer.Option(
-            metavar="PORT",
-            help="Show the page on a port of this machine instead, until Ctrl-C; 0 is any free.",
-        ),
-    ] = None
-    speed: Annotated[
-        float, typer.Option(metavar="FACTOR", help="Seconds of the log played in a second.")
-    ] = 1.0
-    seconds: Annotated[
-        float,
-        typer.Option(
-            metavar="SECONDS", help="Most to play: of longer logs, the passages of largest error."
-        ),
-    ] = 30.0
+    Attributes:
+        before (MODEL): A model to play beside it; if absent and MODEL was saved with --save, the
+            file that it is based on.
+        out (FILE.html): Where the page goes; play.html if nothing else is asked for.
+        video (FILE.mp4|.gif): Write a video of the robot and its errors.
+        to (VIEWER FILE): Write a recording for another viewer: rerun FILE.rrd, or mcap FILE.mcap,
+            which Foxglove and PlotJuggler open.
+        live (PORT): Show the page on a port of this machine instead, until Ctrl-C; 0 is any free.
+        speed (FACTOR): Seconds of the log played in a second.
+        seconds (SECONDS): Most to play: of longer logs, the passages of largest error.
+    """
+
+    before: Path | None = None
+    out: Path | None = None
+    video: Path | None = None
+    to: tuple[str, Path] | None = None
+    live: int | None = None
+    speed: float = 1.0
+    seconds: float = 30.0
 
 
 @dataclass(frozen=True, kw_only=True)
 class _Addition:
-    effect: Annotated[
-        str,
-        typer.Argument(
-            metavar="EFFECT[@PLACE]",
-            help="Its name (an unknown one such as x lists them), and the joint or body where it "
-            "is, as in payload@flange; j2+j3 is a pair of joints.",
-        ),
-    ]
-    where: Annotated[
-        list[str] | None,
-        typer.Option(
-            metavar="NAME",
-            help="Joint or body to add it at; repeatable, twice for a pair of joints. If absent, "
-            "all joints, or the body or pair of neighbouring joints that it helps most at.",
-        ),
-    ] = None
+    """Options.
+
+    Attributes:
+        effect (EFFECT[@PLACE]): Its name (an unknown one such as x lists them), and the joint or
+            body where it is, as in payload@flange; j2+j3 is a pair of joints.
+        where (NAME): Joint or body to add it at; repeatable, twice for a pair of joints. If absent,
+            all joints, or the body or pair of neighbouring joints that it helps most at.
+    """
+
+    effect: str
+    where: list[str] | None = None
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -215,57 +139,35 @@ class AddOptions(_Steps, _Addition):
 
 @dataclass(frozen=True, kw_only=True)
 class IdentifyOptions(Options):
-    """Options of identify."""
+    """Options of identify.
 
-    regularizer: Annotated[
-        str,
-        typer.Option(
-            metavar="NAME",
-            help="What keeps inertias near the model's: entropic, pullback, riemannian, …; an "
-            "unknown name lists them.",
-        ),
-    ] = "entropic"
-    gamma: Annotated[
-        float | None,
-        typer.Option(
-            metavar="GAMMA",
-            help="Weight of the regularizer: 100 keeps inertias to about 1/√100 = 10 %. Chosen by "
-            "held-out error if absent.",
-        ),
-    ] = None
-    residual_bound: Annotated[
-        float | None,
-        typer.Option(
-            metavar="RATIO",
-            help="Instead of a weight: the RMS training residual allowed, relative to the least "
-            "possible, such as 1.01.",
-        ),
-    ] = None
-    total_mass: Annotated[
-        float | None,
-        typer.Option(metavar="KG", help="Mass of all that moves, if it is known from a scale."),
-    ] = None
-    effects: EffectNames = None
-    compare: Annotated[
-        bool,
-        typer.Option("--compare", help="All regularizers at the same training residual."),
-    ] = False
-    export: Annotated[
-        Path | None,
-        typer.Option(
-            metavar="FILE.urdf|.sdf|.xml",
-            help="Write the identified inertias into a copy of the model file; all else in it "
-            "stays as it is.",
-        ),
-    ] = None
-    ellipsoids: Annotated[
-        Path | None,
-        typer.Option(metavar="FILE.png", help="Draw the bodies as ellipsoids before and after."),
-    ] = None
-    meshcat: Annotated[
-        Path | None,
-        typer.Option(metavar="FILE.html", help="The same as a page to turn around in a browser."),
-    ] = None
+    Attributes:
+        regularizer (NAME): What keeps inertias near the model's: entropic, pullback, riemannian, …;
+            an unknown name lists them.
+        gamma (GAMMA): Weight of the regularizer: 100 keeps inertias to about 1/√100 = 10 %. Chosen
+            by held-out error if absent.
+        residual_bound (RATIO): Instead of a weight: the RMS training residual allowed, relative to
+            the least possible, such as 1.01.
+        total_mass (KG): Mass of all that moves, if it is known from a scale.
+        effects (NAME[@PLACE],…|FILE.py): Effects beside the model's, by their names (an unknown
+            name such as x lists them), and the joint or body where they are; a FILE.py brings
+            effects that may be named. Repeatable.
+        compare: All regularizers at the same training residual.
+        export (FILE.urdf|.sdf|.xml): Write the identified inertias into a copy of the model file;
+            all else in it stays as it is.
+        ellipsoids (FILE.png): Draw the bodies as ellipsoids before and after.
+        meshcat (FILE.html): The same as a page to turn around in a browser.
+    """
+
+    regularizer: str = "entropic"
+    gamma: float | None = None
+    residual_bound: float | None = None
+    total_mass: float | None = None
+    effects: list[Path] | None = None
+    compare: bool = False
+    export: Path | None = None
+    ellipsoids: Path | None = None
+    meshcat: Path | None = None
 
     @property
     def holds_resting(self) -> bool:
@@ -275,381 +177,263 @@ class IdentifyOptions(Options):
 
 @dataclass(frozen=True, kw_only=True)
 class LogCommandOptions(ReadingOptions, ModelOptions):
-    """Options of log."""
+    """Options of log.
 
-    logs: LogFiles
-    model: Annotated[
-        Path | None,
-        typer.Option(metavar="MODEL", help="A model, whose joints the columns are matched with."),
-    ] = None
-    convert: Annotated[
-        Path | None,
-        typer.Option(
-            metavar="FILE.csv|.npz",
-            help="Write the log in SI units under geodrake's own names, without what sensors did "
-            "wrong.",
-        ),
-    ] = None
-    figure: Annotated[
-        Path | None,
-        typer.Option(metavar="FILE.png", help="Draw positions and efforts over time."),
-    ] = None
-    write_mapping: Annotated[
-        Path | None,
-        typer.Option(
-            metavar="FILE.yaml",
-            help="Write a mapping that reads the log so, with what is wrong in its columns "
-            "corrected where a mapping can say it.",
-        ),
-    ] = None
-    json: JsonFile = None
-    quiet: Quiet = False
-    debug: Debug = False
+    Attributes:
+        model (MODEL): A model, whose joints the columns are matched with.
+        convert (FILE.csv|.npz): Write the log in SI units under geodrake's own names, without what
+            sensors did wrong.
+        figure (FILE.png): Draw positions and efforts over time.
+        write_mapping (FILE.yaml): Write a mapping that reads the log so, with what is wrong in its
+            columns corrected where a mapping can say it.
+    """
+
+    logs: list[Path]
+    model: Path | None = None
+    convert: Path | None = None
+    figure: Path | None = None
+    write_mapping: Path | None = None
+    json: Path | None = None
+    quiet: bool = False
+    debug: bool = False
 
 
 @dataclass(frozen=True, kw_only=True)
 class DemoOptions:
-    """Options of demo."""
+    """Options of demo.
 
-    report: Annotated[
-        Path, typer.Option(metavar="FILE.html", help="Where the page with the figures goes.")
-    ] = Path("geodrake_demo.html")
-    json: JsonFile = None
-    quiet: Quiet = False
-    debug: Debug = False
+    Attributes:
+        report (FILE.html): Where the page with the figures goes.
+    """
+
+    report: Path = Path("geodrake_demo.html")
+    json: Path | None = None
+    quiet: bool = False
+    debug: bool = False
 
 
 @dataclass(frozen=True, kw_only=True)
 class IdentifiableOptions(ValidationOptions):
-    """Options of identifiable."""
+    """Options of identifiable.
 
-    threshold: Annotated[
-        float,
-        typer.Option(
-            metavar="VARIANCE",
-            help="Largest relative variance of what counts as identifiable; 0.01 is a deviation "
-            "of 10 %.",
-        ),
-    ] = 1e-2
-    noise: Annotated[
-        str | None,
-        typer.Option(
-            metavar="NOISE",
-            help=_NOISE_HELP.format(
-                what="filtered efforts",
-                default="what the refitted model leaves on held-out data if absent",
-            ),
-        ),
-    ] = None
-    effects: EffectNames = None
+    Attributes:
+        threshold (VARIANCE): Largest relative variance of what counts as identifiable; 0.01 is a
+            deviation of 10 %.
+        noise (NOISE): Deviation of the filtered efforts, N·m or N: one number, or JOINT=NUMBER,…;
+            what the refitted model leaves on held-out data if absent.
+        effects (NAME[@PLACE],…|FILE.py): Effects beside the model's, by their names (an unknown
+            name such as x lists them), and the joint or body where they are; a FILE.py brings
+            effects that may be named. Repeatable.
+    """
+
+    threshold: float = 0.01
+    noise: str | None = None
+    effects: list[Path] | None = None
 
 
 @dataclass(frozen=True, kw_only=True)
 class _Motion:
-    """Which motions excite chooses from."""
+    """Which motions excite chooses from.
 
-    trajectory: Annotated[
-        str,
-        typer.Option(
-            metavar="FAMILY",
-            help="fourier, spline, or free: samples that need not follow each other, the best that "
-            "any motion could do.",
-        ),
-    ] = "fourier"
-    duration: Annotated[float, typer.Option(metavar="SECONDS", help="Length of the motion.")] = 10.0
-    harmonics: Annotated[
-        int | None, typer.Option(metavar="N", help="Harmonics of a Fourier motion; 5 if absent.")
-    ] = None
-    frequency: Annotated[
-        float | None,
-        typer.Option(
-            metavar="HZ",
-            help="Base frequency of a Fourier motion; once in its length if absent, and three "
-            "times with --tell-apart, so that every block of the log shows the difference.",
-        ),
-    ] = None
-    points: Annotated[
-        int | None,
-        typer.Option(metavar="N", help="Control points of a spline motion; 16 if absent."),
-    ] = None
-    samples: Annotated[
-        int | None,
-        typer.Option(
-            metavar="N",
-            help="Samples by which information is counted; 300 if absent, or 50 free ones.",
-        ),
-    ] = None
+    Attributes:
+        trajectory (FAMILY): fourier, spline, or free: samples that need not follow each other, the
+            best that any motion could do.
+        duration (SECONDS): Length of the motion.
+        harmonics (N): Harmonics of a Fourier motion; 5 if absent.
+        frequency (HZ): Base frequency of a Fourier motion; once in its length if absent, and three
+            times with --tell-apart, so that every block of the log shows the difference.
+        points (N): Control points of a spline motion; 16 if absent.
+        samples (N): Samples by which information is counted; 300 if absent, or 50 free ones.
+    """
+
+    trajectory: str = "fourier"
+    duration: float = 10.0
+    harmonics: int | None = None
+    frequency: float | None = None
+    points: int | None = None
+    samples: int | None = None
 
 
 @dataclass(frozen=True, kw_only=True)
 class _Robot:
-    """What excite may do with the robot."""
+    """What excite may do with the robot.
 
-    limits: Annotated[
-        list[str] | None,
-        typer.Option(
-            metavar="LIMIT,…",
-            help="Limits in place of the model file's: 0.5 for half of all of them, "
-            "velocity=1.5 or velocity=50% for all joints, JOINT.position=-1:0.5 for one; also "
-            "acceleration and effort, and current, voltage and pwm of models fitted to such logs. "
-            "Repeatable.",
-        ),
-    ] = None
-    start: Annotated[
-        str | None,
-        typer.Option(
-            metavar="POSITION", help="Where the motion starts: one number, or JOINT=NUMBER,…"
-        ),
-    ] = None
-    clearance: Annotated[
-        float,
-        typer.Option(metavar="METRES", help="Least distance of the robot from itself."),
-    ] = 0.01
-    collisions: Annotated[
-        bool,
-        typer.Option(
-            "--collisions/--no-collisions",
-            help="Whether the collision geometry of the file counts.",
-        ),
-    ] = True
-    floor: Annotated[
-        bool,
-        typer.Option(
-            "--floor/--no-floor",
-            help="Whether nothing may go below the base, as on a table or a floor. A robot that "
-            "hangs below its base where it starts has none.",
-        ),
-    ] = True
+    Attributes:
+        limits (LIMIT,…): Limits in place of the model file's: 0.5 for half of all of them,
+            velocity=1.5 or velocity=50% for all joints, JOINT.position=-1:0.5 for one; also
+            acceleration and effort, and current, voltage and pwm of models fitted to such logs.
+            Repeatable.
+        start (POSITION): Where the motion starts: one number, or JOINT=NUMBER,…
+        clearance (METRES): Least distance of the robot from itself.
+        collisions: Whether the collision geometry of the file counts.
+        floor: Whether nothing may go below the base, as on a table or a floor. A robot that hangs
+            below its base where it starts has none.
+    """
+
+    limits: list[str] | None = None
+    start: str | None = None
+    clearance: float = 0.01
+    collisions: bool = True
+    floor: bool = True
 
 
 @dataclass(frozen=True, kw_only=True)
 class _Choosing:
-    """How excite judges motions and looks for the best one."""
+    """How excite judges motions and looks for the best one.
 
-    criterion: Annotated[
-        str,
-        typer.Option(
-            metavar="NAME",
-            help="e_optimality, a_optimality, d_optimality or condition_number.",
-        ),
-    ] = "e_optimality"
-    normalization: Annotated[
-        str, typer.Option(metavar="NAME", help="geometric, diagonal or none.")
-    ] = "geometric"
-    noise: Annotated[
-        str | None,
-        typer.Option(
-            metavar="NOISE",
-            help=_NOISE_HELP.format(
-                what="measured efforts",
-                default="what the model's last fit left, or 1 % of the limits of effort, if absent",
-            ),
-        ),
-    ] = None
-    seeds: Annotated[int, typer.Option(metavar="N", help="Random motions to start from.")] = 3
-    seed: Annotated[int, typer.Option(metavar="N", help="Number of the first of them.")] = 0
-    seconds: Annotated[
-        float, typer.Option(metavar="SECONDS", help="Most time for the whole search.")
-    ] = 180.0
-    iterations: Annotated[
-        int, typer.Option(metavar="N", help="Most iterations of the solver, for each stage.")
-    ] = 300
-    solver: Annotated[str, typer.Option(metavar="NAME", help="snopt or ipopt.")] = "snopt"
+    Attributes:
+        criterion (NAME): e_optimality, a_optimality, d_optimality or condition_number.
+        normalization (NAME): geometric, diagonal or none.
+        noise (NOISE): Deviation of the measured efforts, N·m or N: one number, or JOINT=NUMBER,…;
+            what the model's last fit left, or 1 % of the limits of effort, if absent.
+        seeds (N): Random motions to start from.
+        seed (N): Number of the first of them.
+        seconds (SECONDS): Most time for the whole search.
+        iterations (N): Most iterations of the solver, for each stage.
+        solver (NAME): snopt or ipopt.
+    """
+
+    criterion: str = "e_optimality"
+    normalization: str = "geometric"
+    noise: str | None = None
+    seeds: int = 3
+    seed: int = 0
+    seconds: float = 180.0
+    iterations: int = 300
+    solver: str = "snopt"
 
 
 @dataclass(frozen=True, kw_only=True)
 class ExciteOptions(ModelOptions, _Motion, _Robot, _Choosing):
-    """Options of excite."""
+    """Options of excite.
 
-    model: ModelFile
-    effects: EffectNames = None
-    tell_apart: Annotated[
-        str | None,
-        typer.Option(
-            metavar="EFFECT,EFFECT[@PLACE]",
-            help="Two effects that logs so far cannot distinguish: the motion on which their "
-            "predictions differ most, once everything else is refitted.",
-        ),
-    ] = None
-    save: Annotated[
-        Path | None,
-        typer.Option(
-            metavar="FILE.csv|.npz|.yaml|.drake.yaml",
-            help="Write the motion: a log with the predicted efforts, a ROS JointTrajectory, or a "
-            "Drake BsplineTrajectory.",
-        ),
-    ] = None
-    rate: Annotated[
-        float, typer.Option(metavar="HZ", help="Samples a second of what --save writes.")
-    ] = 100.0
-    json: JsonFile = None
-    report: ReportFile = None
-    meshcat: Annotated[
-        Path | None,
-        typer.Option(metavar="FILE.html", help="Write a page that replays the motion."),
-    ] = None
-    quiet: Quiet = False
-    debug: Debug = False
+    Attributes:
+        effects (NAME[@PLACE],…|FILE.py): Effects beside the model's, by their names (an unknown
+            name such as x lists them), and the joint or body where they are; a FILE.py brings
+            effects that may be named. Repeatable.
+        tell_apart (EFFECT,EFFECT[@PLACE]): Two effects that logs so far cannot distinguish: the
+            motion on which their predictions differ most, once everything else is refitted.
+        save (FILE.csv|.npz|.yaml|.drake.yaml): Write the motion: a log with the predicted efforts,
+            a ROS JointTrajectory, or a Drake BsplineTrajectory.
+        rate (HZ): Samples a second of what --save writes.
+        meshcat (FILE.html): Write a page that replays the motion.
+    """
+
+    model: Path
+    effects: list[Path] | None = None
+    tell_apart: str | None = None
+    save: Path | None = None
+    rate: float = 100.0
+    json: Path | None = None
+    report: Path | None = None
+    meshcat: Path | None = None
+    quiet: bool = False
+    debug: bool = False
 
 
 @dataclass(frozen=True, kw_only=True)
 class CheckOptions(ModelOptions):
-    """Options of check."""
+    """Options of check.
 
-    model: ModelFile
-    samples: Annotated[
-        int, typer.Option(metavar="N", help="Random states, within the limits of the robot.")
-    ] = 100
-    seed: Annotated[int, typer.Option(metavar="N", help="Seed of the random numbers.")] = 0
-    effects: EffectFiles = None
-    json: JsonFile = None
-    quiet: Quiet = False
-    debug: Debug = False
+    Attributes:
+        samples (N): Random states, within the limits of the robot.
+        seed (N): Seed of the random numbers.
+    """
+
+    model: Path
+    samples: int = 100
+    seed: int = 0
+    effects: list[Path] | None = None
+    json: Path | None = None
+    quiet: bool = False
+    debug: bool = False
 
 
 @dataclass(frozen=True, kw_only=True)
 class DigestOptions(ReadingOptions, ModelOptions):
-    """Options of digest."""
+    """Options of digest.
 
-    model: ModelFile
-    logs: LogFiles
-    to: Annotated[
-        Path,
-        typer.Option(
-            metavar="FOLDER",
-            help="Folder of the digests, all of logs of robots with this model; made if it is not "
-            "there. The first digest writes the settings that all of them share.",
-        ),
-    ]
-    date: Annotated[
-        str | None,
-        typer.Option(
-            metavar="DATE",
-            help="When logs were recorded whose time stamps are no dates, such as 2026-05-01 or "
-            "2026-05-01T12:00:00+02:00, UTC without a zone; when the file was changed if absent.",
-        ),
-    ] = None
-    effects: EffectFiles = None
-    bandwidth: Annotated[
-        float | None,
-        typer.Option(
-            metavar="HZ",
-            help="Bandwidth of the filter of all digests, if the folder has no settings yet; if "
-            "absent, that of the model's fit, or chosen from the first log.",
-        ),
-    ] = None
-    blocks: Annotated[
-        int | None,
-        typer.Option(
-            metavar="N",
-            help="Blocks that each log is cut into, if the folder has no settings yet; 4 if "
-            "absent.",
-        ),
-    ] = None
-    known_payload: KnownPayloads = None
-    json: JsonFile = None
-    quiet: Quiet = False
-    debug: Debug = False
+    Attributes:
+        to (FOLDER): Folder of the digests, all of logs of robots with this model; made if it is not
+            there. The first digest writes the settings that all of them share.
+        date (DATE): When logs were recorded whose time stamps are no dates, such as 2026-05-01 or
+            2026-05-01T12:00:00+02:00, UTC without a zone; when the file was changed if absent.
+        bandwidth (HZ): Bandwidth of the filter of all digests, if the folder has no settings yet;
+            if absent, that of the model's fit, or chosen from the first log.
+        blocks (N): Blocks that each log is cut into, if the folder has no settings yet; 4 if
+            absent.
+    """
+
+    model: Path
+    logs: list[Path]
+    to: Path
+    date: str | None = None
+    effects: list[Path] | None = None
+    bandwidth: float | None = None
+    blocks: int | None = None
+    known_payload: list[str] | None = None
+    json: Path | None = None
+    quiet: bool = False
+    debug: bool = False
 
 
 @dataclass(frozen=True, kw_only=True)
 class ExportOptions(ReadingOptions, ModelOptions):
-    """Options of export."""
+    """Options of export.
 
-    model: ModelFile
-    logs: Annotated[
-        list[Path] | None,
-        typer.Argument(
-            metavar="LOG",
-            help="Logs on whose motion what the format lacks is fitted, and the error that it "
-            "costs is measured; without any, random motion within the robot's limits serves.",
-        ),
-    ] = None
-    folder: Annotated[
-        Path, typer.Argument(metavar="DIR", help="Folder of the files; made if it is not there.")
-    ]
-    to: Annotated[
-        str,
-        typer.Option(
-            metavar="FORMAT",
-            help="urdf, sdf, mjcf, drake (with model directives), isaac (a URDF, and values of "
-            "actuators), python, cpp (a function effort(q, v, vd)), ros2 (a controller of "
-            "ros2_control); an unknown name lists them.",
-        ),
-    ]
-    force: Annotated[
-        bool, typer.Option("--force", help="Replace files of these names that are there.")
-    ] = False
-    json: JsonFile = None
-    report: ReportFile = None
-    quiet: Quiet = False
-    effects: EffectFiles = None
-    bandwidth: Annotated[
-        float | None,
-        typer.Option(
-            metavar="HZ",
-            help="Bandwidth of the filter of logs; if absent, that of the model's fit to the same "
-            "logs, or chosen from the data.",
-        ),
-    ] = None
-    debug: Debug = False
+    Attributes:
+        logs (LOG): Logs on whose motion what the format lacks is fitted, and the error that it
+            costs is measured; without any, random motion within the robot's limits serves.
+        folder (DIR): Folder of the files; made if it is not there.
+        to (FORMAT): urdf, sdf, mjcf, drake (with model directives), isaac (a URDF, and values of
+            actuators), python, cpp (a function effort(q, v, vd)), ros2 (a controller of
+            ros2_control); an unknown name lists them.
+        force: Replace files of these names that are there.
+        bandwidth (HZ): Bandwidth of the filter of logs; if absent, that of the model's fit to the
+            same logs, or chosen from the data.
+    """
+
+    model: Path
+    logs: list[Path] | None = None
+    folder: Path
+    to: str
+    force: bool = False
+    json: Path | None = None
+    report: Path | None = None
+    quiet: bool = False
+    effects: list[Path] | None = None
+    bandwidth: float | None = None
+    debug: bool = False
 
 
 @dataclass(frozen=True, kw_only=True)
 class FleetOptions:
-    """Options of fleet."""
+    """Options of fleet.
 
-    fleet: Annotated[
-        Path,
-        typer.Argument(
-            metavar="FLEET.yaml",
-            help="Types with a model each, robots with patterns of their logs, and the folder of "
-            "digests and results.",
-        ),
-    ]
-    json: JsonFile = None
-    report: ReportFile = None
-    workers: Annotated[
-        int | None,
-        typer.Option(
-            metavar="N",
-            help="Processes of this machine that work; 0 is the command's own, which also works "
-            "where Dask is not installed. One on each core if absent.",
-        ),
-    ] = None
-    scheduler: Annotated[
-        str | None,
-        typer.Option(
-            metavar="ADDRESS",
-            help="A Dask scheduler of your own, such as tcp://10.0.0.5:8786, whose workers see the "
-            "same folders.",
-        ),
-    ] = None
-    false_alarms: Annotated[
-        float,
-        typer.Option(
-            metavar="RATE",
-            help="At most how many robots in which nothing changed are named, a robot-month.",
-        ),
-    ] = 0.01
-    watch: Annotated[
-        bool,
-        typer.Option(
-            "--watch",
-            help="Go on, and take in new logs as they come: each new finding is a line of JSON on "
-            "standard output.",
-        ),
-    ] = False
-    every: Annotated[
-        float, typer.Option(metavar="SECONDS", help="Time between two looks for new logs.")
-    ] = 60.0
-    once: Annotated[
-        bool,
-        typer.Option(
-            "--once",
-            help="Look once and say what a watch would; exit code 3 if there is a new finding, "
-            "for a cron job.",
-        ),
-    ] = False
-    quiet: Quiet = False
-    debug: Debug = False
+    Attributes:
+        fleet (FLEET.yaml): Types with a model each, robots with patterns of their logs, and the
+            folder of digests and results.
+        workers (N): Processes of this machine that work; 0 is the command's own, which also works
+            where Dask is not installed. One on each core if absent.
+        scheduler (ADDRESS): A Dask scheduler of your own, such as tcp://10.0.0.5:8786, whose
+            workers see the same folders.
+        false_alarms (RATE): At most how many robots in which nothing changed are named, a
+            robot-month.
+        watch: Go on, and take in new logs as they come: each new finding is a line of JSON on
+            standard output.
+        every (SECONDS): Time between two looks for new logs.
+        once: Look once and say what a watch would; exit code 3 if there is a new finding, for a
+            cron job.
+    """
+
+    fleet: Path
+    json: Path | None = None
+    report: Path | None = None
+    workers: int | None = None
+    scheduler: str | None = None
+    false_alarms: float = 0.01
+    watch: bool = False
+    every: float = 60.0
+    once: bool = False
+    quiet: bool = False
+    debug: bool = False

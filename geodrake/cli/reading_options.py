@@ -6,107 +6,49 @@ from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
-
-import typer
+from typing import TYPE_CHECKING
 
 from geodrake.errors import ArgumentError, LogError, OutputError
 
 if TYPE_CHECKING:
     from geodrake.logs.files import Reading
 
-_PANEL = "Logs"
-
 
 @dataclass(frozen=True, kw_only=True)
 class ReadingOptions:
-    """How logs are to be read, where names of columns do not say it."""
+    """How logs are to be read, where names of columns do not say it.
 
-    mapping: Annotated[
-        Path | None,
-        typer.Option(
-            metavar="FILE.yaml",
-            help="Which column is what. Where names are not understood, a proposal to edit is "
-            "written into the working folder.",
-            rich_help_panel=_PANEL,
-        ),
-    ] = None
-    columns: Annotated[
-        str | None,
-        typer.Option(
-            metavar="NAME,…",
-            help="Names of the columns, for logs without a header: time,q1,q2,tau1,tau2; _ for "
-            "one that is not used.",
-            rich_help_panel=_PANEL,
-        ),
-    ] = None
-    rate: Annotated[
-        float | None,
-        typer.Option(
-            metavar="HZ", help="Rows a second, for logs without time.", rich_help_panel=_PANEL
-        ),
-    ] = None
-    units: Annotated[
-        str | None,
-        typer.Option(
-            metavar="QUANTITY=UNIT,…",
-            help="Units other than SI that names of columns do not say, such as "
-            "position=deg,velocity=rpm,time=ms,current=mA.",
-            rich_help_panel=_PANEL,
-        ),
-    ] = None
-    gain: Annotated[
-        list[str] | None,
-        typer.Option(
-            metavar="JOINT=VALUE[±DEVIATION]",
-            help="What makes efforts of a joint's currents, voltages or duty cycles, such as "
-            "torque constant × gear ratio; found from the model's inertias if absent. Repeatable.",
-            rich_help_panel=_PANEL,
-        ),
-    ] = None
-    kind: Annotated[
-        list[str] | None,
-        typer.Option(
-            metavar="[JOINT=]KIND",
-            help="What columns of efforts are: effort, current, voltage, pwm; or command, for what "
-            "a servo was told in their place. Repeatable.",
-            rich_help_panel=_PANEL,
-        ),
-    ] = None
-    passive: Annotated[
-        list[str] | None,
-        typer.Option(
-            metavar="JOINT",
-            help="A joint without a motor: its bodies and friction need no effort together. "
-            "Repeatable.",
-            rich_help_panel=_PANEL,
-        ),
-    ] = None
-    topic: Annotated[
-        list[str] | None,
-        typer.Option(
-            metavar="NAME",
-            help="Topic of a bag, or channel of an LCM log, where several have joints; an "
-            "unknown one such as x lists them. Repeatable: topics of a bag are joined by time.",
-            rich_help_panel=_PANEL,
-        ),
-    ] = None
-    episode: Annotated[
-        int | None,
-        typer.Option(
-            metavar="N",
-            help="Episode of a LeRobot dataset, from 0 on; all if absent.",
-            rich_help_panel=_PANEL,
-        ),
-    ] = None
-    skip_bad_rows: Annotated[
-        bool,
-        typer.Option(
-            "--skip-bad-rows",
-            help="Leave out rows that no recorder meant, up to 1 %, and say how many.",
-            rich_help_panel=_PANEL,
-        ),
-    ] = False
+    Attributes:
+        mapping (FILE.yaml): Which column is what. Where names are not understood, a proposal to
+            edit is written into the working folder.
+        columns (NAME,…): Names of the columns, for logs without a header: time,q1,q2,tau1,tau2; _
+            for one that is not used.
+        rate (HZ): Rows a second, for logs without time.
+        units (QUANTITY=UNIT,…): Units other than SI that names of columns do not say, such as
+            position=deg,velocity=rpm,time=ms,current=mA.
+        gain (JOINT=VALUE[±DEVIATION]): What makes efforts of a joint's currents, voltages or duty
+            cycles, such as torque constant × gear ratio; found from the model's inertias if absent.
+            Repeatable.
+        kind ([JOINT=]KIND): What columns of efforts are: effort, current, voltage, pwm; or command,
+            for what a servo was told in their place. Repeatable.
+        passive (JOINT): A joint without a motor: its bodies and friction need no effort together.
+            Repeatable.
+        topic (NAME): Topic of a bag, or channel of an LCM log, where several have joints; an
+            unknown one such as x lists them. Repeatable: topics of a bag are joined by time.
+        episode (N): Episode of a LeRobot dataset, from 0 on; all if absent.
+        skip_bad_rows: Leave out rows that no recorder meant, up to 1 %, and say how many.
+    """
+
+    mapping: Path | None = None
+    columns: str | None = None
+    rate: float | None = None
+    units: str | None = None
+    gain: list[str] | None = None
+    kind: list[str] | None = None
+    passive: list[str] | None = None
+    topic: list[str] | None = None
+    episode: int | None = None
+    skip_bad_rows: bool = False
 
     @property
     def reading(self) -> Reading:

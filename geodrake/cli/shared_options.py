@@ -4,98 +4,69 @@ from __future__ import annotations
 
 import functools
 import inspect
+import re
 from collections.abc import Callable
-from copy import copy
-from dataclasses import MISSING, dataclass, fields
+from dataclasses import MISSING, Field, dataclass, fields
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, TypeVar, get_args, get_type_hints
+from typing import TYPE_CHECKING, Annotated, Any, TypeVar, get_type_hints
 
 import typer
 
 from geodrake.cli.axis_model import AxisOptions
 from geodrake.cli.guard import guarded
 from geodrake.cli.model_options import ModelOptions
+from geodrake.cli.reading_options import ReadingOptions
 
 if TYPE_CHECKING:
     from _typeshed import DataclassInstance
 
-ModelFile = Annotated[
-    Path,
-    typer.Argument(
-        metavar="MODEL",
-        help="URDF, SDF, MJCF or Drake directives file, a model saved with --save, or the name of "
-        "a robot of robot_descriptions, such as ur5e.",
+_SHARED = {
+    "model": (
+        "MODEL",
+        "URDF, SDF, MJCF or Drake directives file, a model saved with --save, or the name of a "
+        "robot of robot_descriptions, such as ur5e.",
     ),
-]
-LogFiles = Annotated[
-    list[Path],
-    typer.Argument(
-        metavar="LOG...",
-        help="Logs of time, positions and efforts: CSV, NPZ, ROS bag, MCAP, Parquet, LeRobot, "
-        "JSON, HDF5, LCM or .mat; a.csv+b.csv are joined by time.",
+    "logs": (
+        "LOG...",
+        "Logs of time, positions and efforts: CSV, NPZ, ROS bag, MCAP, Parquet, LeRobot, JSON, "
+        "HDF5, LCM or .mat; a.csv+b.csv are joined by time.",
     ),
-]
-JsonFile = Annotated[
-    Path | None, typer.Option(metavar="FILE", help="Write the numbers; - is standard output.")
-]
-ReportFile = Annotated[
-    Path | None, typer.Option(metavar="FILE.html", help="Write one page with the figures.")
-]
-SeriesFile = Annotated[
-    Path | None,
-    typer.Option(
-        metavar="FILE.csv|.parquet",
-        help="Write the samples: time, log, and of every joint measured, predicted and residual.",
+    "json": ("FILE", "Write the numbers; - is standard output."),
+    "report": ("FILE.html", "Write one page with the figures."),
+    "series": (
+        "FILE.csv|.parquet",
+        "Write the samples: time, log, and of every joint measured, predicted and residual.",
     ),
-]
-Quiet = Annotated[
-    bool, typer.Option("--quiet", "-q", help="Show results and errors only, no progress.")
-]
-Debug = Annotated[bool, typer.Option("--debug", help="Show tracebacks; GEODRAKE_DEBUG=1 does too.")]
-EffectFiles = Annotated[
-    list[Path] | None,
-    typer.Option(metavar="FILE.py", help="Know the effects of this file too; repeatable."),
-]
-EffectNames = Annotated[
-    list[Path] | None,
-    typer.Option(
-        metavar="NAME[@PLACE],…|FILE.py",
-        help="Effects beside the model's, by their names (an unknown name such as x lists them), "
-        "and the joint or body where they are; a FILE.py brings effects that may be named. "
-        "Repeatable.",
+    "quiet": (None, "Show results and errors only, no progress."),
+    "debug": (None, "Show tracebacks; GEODRAKE_DEBUG=1 does too."),
+    "effects": ("FILE.py", "Know the effects of this file too; repeatable."),
+    "known_payload": (
+        "LOG:BODY:MASS[:X,Y,Z]",
+        "What the robot carried throughout a log, of known mass, kg, and centre of mass in the "
+        "body's frame, m. With a log without it, gains of efforts are identifiable. Repeatable.",
     ),
-]
-KnownPayloads = Annotated[
-    list[str] | None,
-    typer.Option(
-        metavar="LOG:BODY:MASS[:X,Y,Z]",
-        help="What the robot carried throughout a log, of known mass, kg, and centre of mass "
-        "in the body's frame, m. With a log without it, gains of efforts are identifiable. "
-        "Repeatable.",
-    ),
-]
+}
+"""Options of many commands by name: their metavariable and help."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class LogOptions(AxisOptions, ModelOptions):
-    """Options of all commands on a model and logs."""
+    """Options of all commands on a model and logs.
 
-    model: ModelFile
-    logs: LogFiles
-    json: JsonFile = None
-    report: ReportFile = None
-    effects: EffectFiles = None
-    bandwidth: Annotated[
-        float | None,
-        typer.Option(
-            metavar="HZ",
-            help="Bandwidth of the filter; if absent, that of the model's fit to the same logs, or "
-            "chosen from the data.",
-        ),
-    ] = None
-    known_payload: KnownPayloads = None
-    quiet: Quiet = False
-    debug: Debug = False
+    Attributes:
+        bandwidth (HZ): Bandwidth of the filter; if absent, that of the model's fit to the same
+            logs, or chosen from the data.
+    """
+
+    model: Path
+    logs: list[Path]
+    json: Path | None = None
+    report: Path | None = None
+    effects: list[Path] | None = None
+    bandwidth: float | None = None
+    known_payload: list[str] | None = None
+    quiet: bool = False
+    debug: bool = False
 
     @property
     def settings(self) -> dict[str, Any]:
@@ -107,24 +78,16 @@ class LogOptions(AxisOptions, ModelOptions):
         """What is known of all logs beside what is in their files, as fields of `JointLog`."""
         return {}
 
-    @property
-    def model_target(self) -> Path | None:
-        """Where the model goes, if it is saved."""
-        return None
-
-    @property
-    def series_target(self) -> Path | None:
-        """Where the samples go, if they are wanted."""
-        return getattr(self, "series", None)
-
 
 @dataclass(frozen=True, kw_only=True)
 class ValidationOptions(LogOptions):
-    """Options of commands that validate a model on blocks of logs."""
+    """Options of commands that validate a model on blocks of logs.
 
-    blocks: Annotated[
-        int | None, typer.Option(metavar="N", help="Blocks that each log is validated on.")
-    ] = None
+    Attributes:
+        blocks (N): Blocks that each log is validated on.
+    """
+
+    blocks: int | None = None
 
     @property
     def settings(self) -> dict[str, Any]:
@@ -134,28 +97,20 @@ class ValidationOptions(LogOptions):
 
 @dataclass(frozen=True, kw_only=True)
 class Options(ValidationOptions):
-    """Options of commands that can save the model, too."""
+    """Options of commands that can save the model, too.
 
-    save: Annotated[
-        Path | None, typer.Option(metavar="FILE.yaml", help="Write the model, to be used as MODEL.")
-    ] = None
-    series: SeriesFile = None
-    correct_columns: Annotated[
-        bool,
-        typer.Option(
-            "--correct-columns",
-            help="Go on with the columns as they are found to be: signs, units, gains, zeros, "
-            "time, swapped joints. If absent, what is found is said first, and no more.",
-        ),
-    ] = False
-    no_auto_lock: Annotated[
-        bool,
-        typer.Option(
-            "--no-auto-lock",
-            help="Keep joints that hardly move. If absent, those that rest in all logs are held "
-            "where they rest, as --lock does.",
-        ),
-    ] = False
+    Attributes:
+        save (FILE.yaml): Write the model, to be used as MODEL.
+        correct_columns: Go on with the columns as they are found to be: signs, units, gains, zeros,
+            time, swapped joints. If absent, what is found is said first, and no more.
+        no_auto_lock: Keep joints that hardly move. If absent, those that rest in all logs are held
+            where they rest, as --lock does.
+    """
+
+    save: Path | None = None
+    series: Path | None = None
+    correct_columns: bool = False
+    no_auto_lock: bool = False
 
     @property
     def settings(self) -> dict[str, Any]:
@@ -167,11 +122,6 @@ class Options(ValidationOptions):
         """Whether joints that hardly move are held."""
         return not self.no_auto_lock
 
-    @property
-    def model_target(self) -> Path | None:
-        """Where the model goes, if it is saved."""
-        return self.save
-
 
 T = TypeVar("T", bound="DataclassInstance")
 
@@ -179,24 +129,27 @@ _FIRST = ("save", "report", "json")
 _OF_MODELS = ({field.name for field in fields(ModelOptions)} | {"axis", "mass"}) - {"lock"}
 _RARE = {"bandwidth", "blocks", "debug", "draft_effect", "effort_uncertainty", "known_payload"}
 _RARE |= {"no_auto_lock", "series"}
+_ARGUMENTS = {"model", "logs", "folder", "fleet", "effect"}
+_ENTRY = re.compile(r"(?P<name>\w+)(?: \((?P<metavar>[^)]*)\))?: (?P<help>.*)")
 
 
 def taking(options: type[T]) -> Callable[[Callable[[T], None]], Callable[..., None]]:
     """Make a function of one options object a command whose parameters are its fields.
 
-    Errors of the command become messages and exit codes. Help shows what is used most, then what
-    says how models and logs are read, and what is rare.
+    The help of an option is what the attributes of the class say of it, behind its metavariable in
+    brackets. Errors of the command become messages and exit codes. Help shows what is used most,
+    then what says how models and logs are read, and what is rare.
     """
-    hints = get_type_hints(options, include_extras=True)
+    hints, told = get_type_hints(options), _SHARED | _documented(options)
     kinds = {field.name: field for field in fields(options)}
     names = sorted(kinds, key=lambda name: _FIRST.index(name) if name in _FIRST else len(_FIRST))
-    for name in names:
-        panel = "Models" if name in _OF_MODELS else "Rarely needed" if name in _RARE else None
-        if panel is not None:
-            kind, option = get_args(hints[name])
-            option = copy(option)
-            option.rich_help_panel = panel
-            hints[name] = Annotated[kind, option]
+    panels = dict.fromkeys((field.name for field in fields(ReadingOptions)), "Logs")
+    panels = panels if issubclass(options, ReadingOptions) else {}
+    panels |= dict.fromkeys(_OF_MODELS, "Models") | dict.fromkeys(_RARE, "Rarely needed")
+    parameters = [
+        _parameter(kinds[name], hints[name], panels.get(name), told.get(name, (None, "")))
+        for name in names
+    ]
 
     def decorate(run: Callable[[T], None]) -> Callable[..., None]:
         @functools.wraps(run)
@@ -205,20 +158,40 @@ def taking(options: type[T]) -> Callable[[Callable[[T], None]], Callable[..., No
             with guarded(debug=values["debug"], effect_files=files):
                 run(options(**values))
 
-        command.__annotations__ = {name: hints[name] for name in names}
-        command.__signature__ = inspect.Signature(  # type: ignore[attr-defined]
-            [
-                inspect.Parameter(
-                    name,
-                    inspect.Parameter.KEYWORD_ONLY,
-                    default=inspect.Parameter.empty
-                    if kinds[name].default is MISSING
-                    else kinds[name].default,
-                    annotation=hints[name],
-                )
-                for name in names
-            ]
-        )
+        command.__annotations__ = {each.name: each.annotation for each in parameters}
+        command.__signature__ = inspect.Signature(parameters)  # type: ignore[attr-defined]
         return command
 
     return decorate
+
+
+def _documented(options: type[Any]) -> dict[str, tuple[str | None, str]]:
+    """Option -> metavariable and help, as the docstrings of the class and its bases have them."""
+    found: dict[str, tuple[str | None, str]] = {}
+    for each in reversed(options.__mro__):
+        text = inspect.cleandoc(each.__doc__ or "").partition("Attributes:\n")[2]
+        for entry in re.split(r"\n(?=    \w)", text):
+            if match := _ENTRY.match(" ".join(entry.split())):
+                found[match["name"]] = match["metavar"], match["help"]
+    return found
+
+
+def _parameter(
+    field: Field[Any], kind: Any, panel: str | None, told: tuple[str | None, str]
+) -> inspect.Parameter:
+    """Return a parameter of a command; flags that are off by themselves have no opposite."""
+    name, default = field.name, field.default
+    common: Any = {"metavar": told[0], "help": told[1], "rich_help_panel": panel}
+    if name in _ARGUMENTS and (default is MISSING or name == "logs"):
+        option = typer.Argument(**common)
+    else:
+        option_name = f"--{name.replace('_', '-')}"
+        flags = (option_name,) if kind is bool and not default else ()
+        flags = (*flags, "-q") if name == "quiet" else flags
+        option = typer.Option(*flags, **common)
+    return inspect.Parameter(
+        name,
+        inspect.Parameter.KEYWORD_ONLY,
+        default=inspect.Parameter.empty if default is MISSING else default,
+        annotation=Annotated[kind, option],
+    )
