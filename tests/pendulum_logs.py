@@ -7,7 +7,7 @@ from chain_logs import inverse_dynamics, multisine
 from pydrake.multibody.parsing import Parser
 from pydrake.multibody.plant import MultibodyPlant
 
-from geodrake.logs.motion import JointLog
+from geodrake.logs.motion import JointLog, Motion
 
 PENDULUM = Path(__file__).parents[1] / "models" / "double_pendulum.urdf"
 JOINTS = ("shoulder", "elbow")
@@ -47,3 +47,13 @@ def pendulum_log(seed, hidden=None, *, seconds=40.0, rate=200.0, noise=NOISE, **
 def friction(coulomb, viscous=(0.0, 0.0)):
     """Dry and viscous friction (N·m, N·m·s/rad) of both joints, as a hidden effort."""
     return lambda q, v, vd, load: np.array(coulomb) * np.sign(v) + np.array(viscous) * v
+
+
+def sines(seconds=20.0, seed=3, size=0.4, period=0.01):
+    """(N,) time and the motion of both joints, each a sum of three sines."""
+    time = np.arange(0.0, seconds, period)
+    rates = 2 * np.pi * np.array([[0.31, 0.73, 1.13], [0.42, 0.59, 0.97]])
+    phases = np.random.default_rng(seed).uniform(0, 2 * np.pi, rates.shape)
+    angle = rates * time[:, None, None] + phases
+    parts = (np.sin(angle), rates * np.cos(angle), -(rates**2) * np.sin(angle))
+    return time, Motion(*(np.asarray(size) * np.sum(part, axis=-1) for part in parts))

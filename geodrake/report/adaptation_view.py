@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 from matplotlib.colors import to_rgb
-from pydrake.geometry import Cylinder, Meshcat, Rgba, Sphere
+from pydrake.geometry import Meshcat, Rgba, Sphere
 from pydrake.math import RigidTransform, RotationMatrix
 from pydrake.multibody.plant import MultibodyPlant
 from pydrake.systems.framework import (
@@ -26,13 +26,10 @@ from geodrake.errors import ArgumentError
 from geodrake.inertia import PARAMETERS_PER_BODY, Array, is_physical
 from geodrake.inertia.bodies import lumped_bodies
 from geodrake.report import style
-from geodrake.report.ellipsoids import BOUNDARY, IDENTIFIED, placed, skeleton
+from geodrake.report.ellipsoids import BOUNDARY, IDENTIFIED, SkeletonLines, placed, skeleton
 
 FRAME_PERIOD = 1.0 / 32.0
 """Time between two pictures, s: that of MeshCat's recordings, nearly."""
-
-_LINE_WIDTH = 0.006  # m
-_SMALLEST = 1e-4  # scale of what has no size
 
 
 class AdaptationView(LeafSystem):
@@ -126,16 +123,15 @@ class AdaptationView(LeafSystem):
         meshcat = self._meshcat
         meshcat.Delete(self._path)
         ends = skeleton(self._plant, self._scratch)
-        points, lines = ends.reshape(-1, 3), len(ends)
+        points = ends.reshape(-1, 3)
         middle, size = points.mean(0), float(np.ptp(points, axis=0).max())
         meshcat.SetCameraPose(middle + size * np.array([1.4, -1.1, 0.7]), middle)
-        for robot, color in (("robot", style.INK), ("desired", IDENTIFIED)):
-            rgba = Rgba(*to_rgb(color), 1.0 if robot == "robot" else 0.25)
-            for k in range(lines):
-                meshcat.SetObject(
-                    f"{self._path}/{robot}/{k}/shape", Cylinder(_LINE_WIDTH, 1.0), rgba
-                )
-                meshcat.SetObject(f"{self._path}/{robot}/{k}/end", Sphere(2 * _LINE_WIDTH), rgba)
+        self._lines = {
+            name: SkeletonLines(
+                meshcat, f"{self._path}/{name}", len(ends), Rgba(*to_rgb(color), opaque)
+            )
+            for name, color, opaque in (("robot", style.INK, 1.0), ("desired", IDENTIFIED, 0.25))
+        }
         for name in self._bodies:
             for shape, color in (("shape", IDENTIFIED), ("unphysical", BOUNDARY)):
                 rgba = Rgba(*to_rgb(color), 0.5)
@@ -146,25 +142,13 @@ class AdaptationView(LeafSystem):
         desired, q = (port.Eval(context)[:n] for port in (self._desired, self._state))
         if np.isfinite(desired).all():
             self._plant.SetPositions(self._scratch, desired)
-            self._draw_lines("desired", skeleton(self._plant, self._scratch), time)
+            self._lines["desired"].move(skeleton(self._plant, self._scratch), time)
         if np.isfinite(q).all():
             self._plant.SetPositions(self._scratch, q)
-            self._draw_lines("robot", skeleton(self._plant, self._scratch), time)
+            self._lines["robot"].move(skeleton(self._plant, self._scratch), time)
             phi = self._estimate.Eval(context)[: PARAMETERS_PER_BODY * len(self._bodies)]
             self._draw_bodies(phi.reshape(-1, PARAMETERS_PER_BODY), time)
         return EventStatus.Succeeded()
-
-    def _draw_lines(self, robot: str, lines: Array, time: float) -> None:
-        for k, (start, end) in enumerate(lines):
-            length = float(np.linalg.norm(end - start))
-            direction = (end - start) / length if length > 0 else np.array([0.0, 0.0, 1.0])
-            R_WL = RotationMatrix.MakeFromOneVector(direction, 2)
-            path = f"{self._path}/{robot}/{k}"
-            self._meshcat.SetTransform(path, RigidTransform(R_WL, 0.5 * (start + end)), time)
-            scale = [1.0, 1.0, max(length, _SMALLEST)]
-            self._meshcat.SetProperty(f"{path}/shape", "scale", scale, time)
-            half = RigidTransform([0.0, 0.0, -0.5 * length])
-            self._meshcat.SetTransform(f"{path}/end", half, time)
 
     def _draw_bodies(self, phi: Array, time: float) -> None:
         physical = np.isfinite(phi).all(1) & is_physical(np.nan_to_num(phi))

@@ -7,6 +7,8 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
+from pydrake.geometry import Cylinder, Meshcat, Rgba, Sphere
+from pydrake.math import RigidTransform, RotationMatrix
 from pydrake.multibody.plant import MultibodyPlant
 from pydrake.multibody.tree import JointIndex
 from pydrake.systems.framework import Context
@@ -18,10 +20,11 @@ from geodrake.inertia.bodies import lumped_bodies
 from geodrake.inertia.ellipsoids import equivalent_ellipsoid
 
 PRIOR, IDENTIFIED, TRUTH = "#8a94a0", "#1b6ca8", "#3f9c6b"
-BOUNDARY = "#c8322b"
+BOUNDARY, AT_BOUNDARY = "#c8322b", "at the boundary of what a body can be"
 OTHERS = ("#7a4fa3", "#c78a1e", "#2a8f8f", "#a34f6e", "#5b7a2a")
 """Colours of what is drawn: prior, identified, truth, bodies at the boundary, regularizers."""
 
+_LINE_WIDTH, _SHORTEST = 0.006, 1e-4  # m
 LEAST_THICKNESS = 0.002
 """Semi-axis that is drawn at least, m: a body at the boundary may be flat."""
 
@@ -133,6 +136,34 @@ def skeleton(plant: MultibodyPlant, context: Context) -> Array:
         lines += [(parent, middle), (middle, other), (other, child)]
     found = np.array(lines).reshape(-1, 2, 3)
     return found[np.linalg.norm(found[:, 1] - found[:, 0], axis=-1) > 1e-6]
+
+
+class SkeletonLines:
+    """A robot's lines in a MeshCat, each with a ball at its beginning.
+
+    Args:
+        path: Folder of the scene.
+        count: How many lines there are.
+    """
+
+    def __init__(self, meshcat: Meshcat, path: str, count: int, color: Rgba) -> None:
+        self._meshcat, self._path = meshcat, path
+        for k in range(count):
+            meshcat.SetObject(f"{path}/{k}/shape", Cylinder(_LINE_WIDTH, 1.0), color)
+            meshcat.SetObject(f"{path}/{k}/end", Sphere(2 * _LINE_WIDTH), color)
+
+    def move(self, lines: Array, time: float | None = None) -> None:
+        """Put lines, (k, 2, 3) ends as `skeleton` gives them, where they are, at a time if any."""
+        for k, (start, end) in enumerate(lines):
+            length = float(np.linalg.norm(end - start))
+            direction = (end - start) / length if length > 0 else np.array([0.0, 0.0, 1.0])
+            R_WL = RotationMatrix.MakeFromOneVector(direction, 2)
+            path = f"{self._path}/{k}"
+            self._meshcat.SetTransform(path, RigidTransform(R_WL, 0.5 * (start + end)), time)
+            scale = [1.0, 1.0, max(length, _SHORTEST)]
+            self._meshcat.SetProperty(f"{path}/shape", "scale", scale, time)
+            half = RigidTransform([0.0, 0.0, -0.5 * length])
+            self._meshcat.SetTransform(f"{path}/end", half, time)
 
 
 def identification_sets(found: ModelIdentification) -> tuple[EllipsoidSet, ...]:

@@ -20,7 +20,7 @@ from geodrake.excitation.verdict import (
 )
 from geodrake.inertia import Array
 from geodrake.report.charts import MOST_PANELS, Chart, Panel, Plot, Stage
-from geodrake.report.json_output import number_or
+from geodrake.report.json_output import number_or, picked
 from geodrake.report.numbers import UNKNOWN, Units, number, percent, relative
 from geodrake.report.page import About, Cell, Page, Section, Table, Tile, cells
 from geodrake.report.words import effect_label, listed, places_label
@@ -561,9 +561,7 @@ def excitation_dict(result: ExcitationResult) -> dict[str, Any]:
         "directions_told": None if pairs else identifiable_directions(result),
         "pairs": [
             {
-                "truth": found.pair.truth,
-                "where": found.pair.where,
-                "rival": found.pair.rival,
+                **picked(found.pair, "truth", "where", "rival"),
                 "deviations": found.deviations,
                 "effort_rms": found.effort,
             }
@@ -633,12 +631,9 @@ def identifiable_dict(found: LogIdentifiability) -> dict[str, Any]:
         "bodies": {body.name: _block(body) for body in found.bodies},
         "effects": [
             {
-                "effect": entry.effect,
-                "parameter": entry.parameter,
-                "where": entry.where,
+                **picked(entry, "effect", "parameter", "where"),
                 **_block(entry),
-                "value": entry.value,
-                "deviation": entry.deviation,
+                **picked(entry, "value", "deviation"),
             }
             for entry in found.effects
         ],

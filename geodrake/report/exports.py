@@ -19,7 +19,7 @@ from geodrake.model.dynamics_check import TOLERANCE, Agreement, DynamicsCheck
 from geodrake.model.exporting.joints import exported_joints
 from geodrake.report.charts import Chart, Panel, Plot, Shade, Stage
 from geodrake.report.explaining import effect_cell, notes_section
-from geodrake.report.json_output import NoNumber, number_or
+from geodrake.report.json_output import NoNumber, number_or, picked
 from geodrake.report.numbers import Units, number, percent
 from geodrake.report.page import About, Cell, Page, Section, Table, Tile, cells
 from geodrake.report.words import capitalized
@@ -489,11 +489,7 @@ def digests_dict(run: DigestRun) -> dict[str, Any]:
 
 def _digest_settings(settings: DigestSettings) -> dict[str, Any]:
     return {
-        "hash": settings.hash,
-        "model": settings.model,
-        "version": settings.version,
-        "bandwidth": settings.bandwidth,
-        "blocks": settings.blocks,
+        **picked(settings, "hash", "model", "version", "bandwidth", "blocks"),
         "columns": len(settings.columns),
         "chosen_from": settings.chosen_from,
     }
@@ -533,17 +529,10 @@ def inspection_dict(found: LogInspection) -> dict[str, Any]:
         "name": found.log.name,
         "joints": list(found.log.joints),
         "rows": len(found.log),
-        "seconds": found.seconds,
-        "period": found.period,
-        "jitter": found.jitter,
-        "time_column": found.time_column,
+        **picked(found, "seconds", "period", "jitter", "time_column"),
         "columns": [
             {
-                "joint": column.joint,
-                "quantity": column.quantity,
-                "column": column.column,
-                "unit": column.unit,
-                "factor": column.factor,
+                **picked(column, "joint", "quantity", "column", "unit", "factor"),
                 "lowest": number_or(column.lowest, _EMPTY),
                 "highest": number_or(column.highest, _EMPTY),
                 "empty": column.empty,
@@ -564,10 +553,7 @@ def check_dict(checked: CheckedModel) -> dict[str, Any]:
         "repaired": len(found.repairs) > len(found.left_out),
         "left_out": list(found.left_out),
         "tolerance": TOLERANCE,
-        "samples": found.samples,
-        "seed": found.seed,
-        "bodies": found.bodies,
-        "joints": found.joints,
+        **picked(found, "samples", "seed", "bodies", "joints"),
         "quantities": {each.quantity: _agreement(each) for each in found.agreements},
         "second_opinion": {"by": found.by} | (_agreement(found.second) if found.second else {}),
         "worst": found.worst.quantity,

@@ -29,7 +29,7 @@ from geodrake.fleet.fleet_result import (
 )
 from geodrake.fleet.log_places import date_text
 from geodrake.fleet.type_layout import FleetParameter
-from geodrake.report.json_output import number_or
+from geodrake.report.json_output import number_or, picked
 
 _DIGITS = 6
 _LEAST_CHANCE = 1e-12  # what is less likely is told as this
@@ -68,10 +68,7 @@ def finding_dict(finding: FleetFinding) -> dict[str, Any]:
     """Return a finding."""
     chance = max(finding.false_alarm_probability, _LEAST_CHANCE)
     return {
-        "robot": finding.robot,
-        "effect": finding.effect,
-        "where": finding.where,
-        "kind": finding.kind,
+        **picked(finding, "robot", "effect", "where", "kind"),
         "since": date_text(finding.date),
         "interval": [date_text(end) for end in finding.interval],
         "parameters": {
@@ -102,10 +99,7 @@ def finding_line(finding: FleetFinding) -> str:
 
 def _robot(robot: RobotResult) -> dict[str, Any]:
     return {
-        "robot": robot.robot,
-        "type": robot.type,
-        "state": robot.state,
-        "logs": robot.logs,
+        **picked(robot, "robot", "type", "state", "logs"),
         "dates": [date_text(date) for date in robot.dates.tolist()],
         "findings": [finding_dict(finding) for finding in robot.findings],
         "parameters": [_history(history) for history in robot.histories],
@@ -188,11 +182,8 @@ def _finding_rows(result: FleetResult) -> list[dict[str, Any]]:
     """Return a row for each parameter of each finding."""
     return [
         {
-            "robot": finding.robot,
             "type": robot.type,
-            "effect": finding.effect,
-            "where": finding.where,
-            "kind": finding.kind,
+            **picked(finding, "robot", "effect", "where", "kind"),
             "since": round(finding.date),
             "earliest": round(finding.interval[0]),
             "latest": round(finding.interval[1]),

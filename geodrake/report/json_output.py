@@ -44,6 +44,11 @@ def number_or(value: float | None, reason: str) -> float | NoNumber:
     return NoNumber(reason) if value is None or not math.isfinite(value) else value
 
 
+def picked(value: object, *names: str) -> dict[str, Any]:
+    """Return attributes of an object by their names."""
+    return {name: getattr(value, name) for name in names}
+
+
 def comparison_dict(comparison: Comparison) -> dict[str, Any]:
     """A comparison: errors of the whole and of each joint, and where they are concentrated.
 
@@ -54,17 +59,12 @@ def comparison_dict(comparison: Comparison) -> dict[str, Any]:
     errors = comparison.errors
     return {
         "error": {
-            "nrms": errors.nrms,
-            "floor_nrms": errors.floor_nrms,
-            "pooled_rms": errors.pooled_rms,
+            **picked(errors, "nrms", "floor_nrms", "pooled_rms"),
             "noise_is_known": errors.knows_noise,
         },
         "joints": {
             joint.joint: {
-                "rms": joint.rms,
-                "std": joint.std,
-                "nrms": joint.nrms,
-                "floor": joint.floor,
+                **picked(joint, "rms", "std", "nrms", "floor"),
                 "removable": number_or(joint.removable, _NO_NOISE),
             }
             for joint in errors.joints
@@ -116,12 +116,10 @@ def certificate_dict(certificate: Certificate | None) -> dict[str, Any] | NoNumb
     if certificate is None:
         return NoNumber("the model stays as it is")
     return {
-        "holds": certificate.holds,
-        "solver": certificate.solver,
+        **picked(certificate, "holds", "solver"),
         "gap": number_or(certificate.relative_gap, certificate.failure),
         "violation": number_or(certificate.violation, certificate.failure),
-        "scope": certificate.scope,
-        "replaced": certificate.replaced,
+        **picked(certificate, "scope", "replaced"),
     }
 
 
@@ -138,9 +136,7 @@ def bodies_dict(bodies: Sequence[BodyChange]) -> dict[str, Any]:
             "mass_deviation": body.mass_deviation,
             "com": body.com[1],
             "com_before": body.com[0],
-            "com_deviation": body.com_deviation,
-            "at_boundary": body.at_boundary,
-            "distance": body.distance,
+            **picked(body, "com_deviation", "at_boundary", "distance"),
         }
         for body in bodies
     }
@@ -163,10 +159,7 @@ def draft_dict(draft: Draft) -> dict[str, Any]:
                         strict=True,
                     )
                 },
-                "rms_before": effect.rms_before,
-                "rms_after": effect.rms_after,
-                "floor": effect.floor,
-                "false_alarm_probability": effect.false_alarm_probability,
+                **picked(effect, "rms_before", "rms_after", "floor", "false_alarm_probability"),
                 "indistinguishable_from": effect.rivals,
             }
             for effect in draft.effects
@@ -185,8 +178,7 @@ def correlates_list(correlates: Iterable[Correlate]) -> list[dict[str, Any]]:
 def rollout_dict(rollout: Rollout) -> dict[str, Any]:
     """A rollout: departures of every joint from the measured motion."""
     return {
-        "under": rollout.under,
-        "horizon": rollout.horizon,
+        **picked(rollout, "under", "horizon"),
         "windows": [{"log": w.log, "start": float(w.time[0])} for w in rollout.windows],
         "broken": rollout.broken,
         "relative": number_or(rollout.relative, _APART),
@@ -207,8 +199,7 @@ def rollout_fit_dict(found: RolloutFit) -> dict[str, Any]:
     """A fit of rollouts: values before and after, and departures in all windows."""
     stages = {"fitted": found.fitted, "held_out": found.held_out}
     return {
-        "taken": found.taken,
-        "chance": found.chance,
+        **picked(found, "taken", "chance"),
         "values": [asdict(value) for value in found.values],
         **{
             name: {"before": rollout_dict(before), "after": rollout_dict(after)}
@@ -237,9 +228,7 @@ def identification_dict(found: ModelIdentification) -> dict[str, Any]:
         "regularizer": found.regularizer,
         "gamma": number_or(found.gamma, "any weight meets the bound on the residual"),
         "sweep": [asdict(tried) for tried in found.sweep],
-        "residual": found.result.residual,
-        "divergence": found.result.divergence,
-        "solver": found.result.solver,
+        **picked(found.result, "residual", "divergence", "solver"),
         "certificate": certificate_dict(found.result.certificate),
         "error": {
             "start": found.before.by_joint(),
@@ -257,9 +246,7 @@ def identification_dict(found: ModelIdentification) -> dict[str, Any]:
         "effects": [_effect_dict(fitted) for fitted in model.effects if len(fitted.parameters)],
         "comparison": [
             {
-                "regularizer": other.regularizer,
-                "gamma": other.gamma,
-                "residual": other.residual,
+                **picked(other, "regularizer", "gamma", "residual"),
                 "nrms": other.errors.nrms,
                 "joints": other.errors.by_joint(),
                 "at_boundary": other.at_boundary,
@@ -296,30 +283,21 @@ def to_json(result: Mapping[str, Any]) -> str:
 
 def _step(step: Step) -> dict[str, Any]:
     return {
-        "effect": step.effect,
-        "where": step.where,
-        "error_before": step.error_before,
-        "error_after": step.error_after,
-        "parameters": step.parameters,
-        "deviations": {
-            place: {name: number_or(deviation, _UNKNOWN) for name, deviation in own.items()}
-            for place, own in step.deviations.items()
+        **picked(step, "effect", "where", "error_before", "error_after", "parameters"),
+        **{
+            kind: {
+                place: {name: number_or(deviation, _UNKNOWN) for name, deviation in own.items()}
+                for place, own in getattr(step, kind).items()
+            }
+            for kind in ("deviations", "systematic")
         },
-        "systematic": {
-            place: {name: number_or(deviation, _UNKNOWN) for name, deviation in own.items()}
-            for place, own in step.systematic.items()
-        },
-        "indistinguishable_from": step.indistinguishable_from,
-        "probability": step.probability,
+        **picked(step, "indistinguishable_from", "probability"),
         "rivals": [
             {**asdict(rival), "probability": probability}
             for rival, probability in zip(step.rivals, step.probabilities_of_rivals, strict=True)
         ],
-        "false_alarm_probability": step.false_alarm_probability,
-        "unknown_probability": step.unknown_probability,
-        "agreement": step.agreement,
-        "rms_before": step.rms_before,
-        "rms_after": step.rms_after,
+        **picked(step, "false_alarm_probability", "unknown_probability", "agreement"),
+        **picked(step, "rms_before", "rms_after"),
     }
 
 

@@ -6,19 +6,26 @@ from collections.abc import Sequence
 
 import numpy as np
 from matplotlib.colors import to_rgb
-from pydrake.geometry import Cylinder, Ellipsoid, Meshcat, MeshcatParams, Rgba, Sphere
+from pydrake.geometry import Ellipsoid, Meshcat, Rgba
 from pydrake.math import RigidTransform, RotationMatrix
 from pydrake.multibody.plant import MultibodyPlant
 from pydrake.systems.framework import Context
 
 from geodrake.boundary.escaping import html_text, path_part
-from geodrake.inertia import Array
 from geodrake.inertia.bodies import lumped_bodies
-from geodrake.report.ellipsoids import BOUNDARY, EllipsoidSet, placed, skeleton
+from geodrake.report.ellipsoids import (
+    AT_BOUNDARY,
+    BOUNDARY,
+    EllipsoidSet,
+    SkeletonLines,
+    placed,
+    skeleton,
+)
+from geodrake.report.robot_scene import calm_meshcat
 from geodrake.robot.files.description import drake_messages
 
 _OPAQUE = 0.55
-_LINE_WIDTH = 0.006  # m
+_INK = Rgba(0.12, 0.16, 0.22, 1.0)
 _LEAST_GAP = 0.3  # m
 
 
@@ -84,52 +91,27 @@ def ellipsoid_page(
         sets: The models, each drawn over the robot's lines.
         context: The plant's context, for its positions; the default ones if None.
     """
-    if context is None:
-        context = plant.CreateDefaultContext()
+    context = plant.CreateDefaultContext() if context is None else context
     lines = skeleton(plant, context)
-    spacing = _spacing(plant, context, sets)
+    ends = lines.reshape(-1, 3)
+    clouds = [placed(plant, context, one.phi).points(8).reshape(-1, 3) for one in sets]
+    # Distance at which the sets do not overlap, m.
+    spacing = float(1.1 * np.ptp(np.concatenate([*clouds, ends])[:, 1]) + _LEAST_GAP)
     with drake_messages():  # where MeshCat listens does not matter for a page
-        meshcat = Meshcat(MeshcatParams(host="localhost", show_stats_plot=False))
+        meshcat = calm_meshcat()
         MeshcatEllipsoids(meshcat, plant, sets, spacing=spacing).update(context)
         for k, one in enumerate(sets):
-            _draw_lines(meshcat, f"robot/{path_part(one.name)}", lines, k * spacing)
-        shift = np.array([0.0, 0.5 * (len(sets) - 1) * spacing, 0.0])
-        middle = lines.reshape(-1, 3).mean(0) + shift
-        size = np.ptp(lines.reshape(-1, 3), axis=0).max()
+            path, shift = f"robot/{path_part(one.name)}", np.array([0.0, k * spacing, 0.0])
+            SkeletonLines(meshcat, path, len(lines), _INK).move(lines + shift)
+        middle = ends.mean(0) + np.array([0.0, 0.5 * (len(sets) - 1) * spacing, 0.0])
+        size = np.ptp(ends, axis=0).max()
         far = max(0.55 * spacing * len(sets), 0.6 * size) + 0.5 * size
-        meshcat.SetProperty("/Background", "top_color", [1.0, 1.0, 1.0])
-        meshcat.SetProperty("/Background", "bottom_color", [0.93, 0.95, 0.97])
-        meshcat.SetProperty("/Grid", "visible", False)
-        meshcat.SetProperty("/Axes", "visible", False)
         meshcat.SetCameraPose(middle + far * np.array([0.9, -0.2, 0.4]), middle)
         page = meshcat.StaticHtml()
-    return legend(page, _entries(sets))
-
-
-def _spacing(plant: MultibodyPlant, context: Context, sets: Sequence[EllipsoidSet]) -> float:
-    """Distance in y at which the sets do not overlap, m."""
-    clouds = [placed(plant, context, one.phi).points(8).reshape(-1, 3) for one in sets]
-    points = np.concatenate([*clouds, skeleton(plant, context).reshape(-1, 3)])
-    return float(1.1 * np.ptp(points[:, 1]) + _LEAST_GAP)
-
-
-def _draw_lines(meshcat: Meshcat, path: str, lines: Array, shift: float) -> None:
-    ink = Rgba(0.12, 0.16, 0.22, 1.0)
-    for k, (start, end) in enumerate(lines + np.array([0.0, shift, 0.0])):
-        length = float(np.linalg.norm(end - start))
-        R_WL = RotationMatrix.MakeFromOneVector((end - start) / length, 2)
-        meshcat.SetObject(f"{path}/{k}/line", Cylinder(_LINE_WIDTH, length), ink)
-        meshcat.SetTransform(f"{path}/{k}/line", RigidTransform(R_WL, 0.5 * (start + end)))
-        meshcat.SetObject(f"{path}/{k}/end", Sphere(2 * _LINE_WIDTH), ink)
-        meshcat.SetTransform(f"{path}/{k}/end", RigidTransform(start))
-
-
-def _entries(sets: Sequence[EllipsoidSet]) -> list[tuple[str, str]]:
-    """Colours and what they mean, from left to right."""
     entries = [(one.color, one.name) for one in sets]
     if any(one.at_boundary.any() for one in sets):
-        entries.append((BOUNDARY, "at the boundary of what a body can be"))
-    return entries
+        entries.append((BOUNDARY, AT_BOUNDARY))
+    return legend(page, entries)
 
 
 def legend(page: str, entries: Sequence[tuple[str, str]]) -> str:

@@ -9,6 +9,8 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from pendulum_logs import PENDULUM as MODEL
+from pendulum_logs import sines
 from typer.testing import CliRunner
 
 import geodrake
@@ -21,7 +23,6 @@ from geodrake.model.saved_model import load_model
 from geodrake.report.numbers import Units
 from geodrake.report.words import finding, step_parameters
 
-MODEL = Path(__file__).parents[2] / "models" / "double_pendulum.urdf"
 APART = {**os.environ, "PYTHONPATH": str(Path(geodrake.__file__).parents[1])}
 """Variables of a process that finds the same geodrake as this one, with all that is compiled."""
 COULOMB = {"shoulder": 0.3, "elbow": 0.2}
@@ -29,21 +30,13 @@ COULOMB = {"shoulder": 0.3, "elbow": 0.2}
 
 def pendulum_log(path, *, friction=True, seed=0, seconds=20.0):
     """A log of the double pendulum with dry and viscous friction and sensor noise."""
-    rng = np.random.default_rng(seed)
-    model = load_model(MODEL)
-    time = np.arange(0.0, seconds, 0.01)
-    rates = 2 * np.pi * np.array([[0.31, 0.73, 1.13], [0.42, 0.59, 0.97]])
-    phases = rng.uniform(0, 2 * np.pi, rates.shape)
-    angle = rates * time[:, None, None] + phases
-    q, v, vd = (
-        np.sum(0.4 * factor, axis=-1)
-        for factor in (np.sin(angle), rates * np.cos(angle), -(rates**2) * np.sin(angle))
-    )
-    effort = model.effort(Motion(q, v, vd))
+    rng, model = np.random.default_rng(seed + 100), load_model(MODEL)
+    time, motion = sines(seconds, seed)
+    effort = model.effort(motion)
     if friction:
-        effort += np.sign(v) * list(COULOMB.values()) + 0.1 * v
+        effort += np.sign(motion.v) * list(COULOMB.values()) + 0.1 * motion.v
     effort += 0.02 * rng.normal(size=effort.shape)
-    write_log(JointLog("log", model.joints, time, q, effort), path)
+    write_log(JointLog("log", model.joints, time, motion.q, effort), path)
     return path
 
 

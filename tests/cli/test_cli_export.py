@@ -2,11 +2,12 @@
 
 import json
 from dataclasses import replace
-from pathlib import Path
 
 import mujoco
 import numpy as np
 import pytest
+from pendulum_logs import PENDULUM as MODEL
+from pendulum_logs import sines
 from typer.testing import CliRunner
 
 from geodrake.cli.app import app
@@ -21,12 +22,11 @@ from geodrake.effects import (
     ViscousFriction,
 )
 from geodrake.logs.files import write_log
-from geodrake.logs.motion import JointLog, Motion
+from geodrake.logs.motion import JointLog
 from geodrake.model.exporting.formats import FORMATS
 from geodrake.model.exporting.held import Exported, ExportFormat
 from geodrake.model.saved_model import load_model, save_model
 
-MODEL = Path(__file__).parents[2] / "models" / "double_pendulum.urdf"
 PERIOD, DELAY = 0.01, 0.02
 
 
@@ -50,11 +50,7 @@ def folder(tmp_path_factory):
     """A saved model with its robot's file, and a log of it."""
     here = tmp_path_factory.mktemp("export")
     model, rng = truth(), np.random.default_rng(3)
-    time = np.arange(0.0, 16.0, PERIOD)
-    rates = 2 * np.pi * np.array([[0.31, 0.73, 1.13], [0.42, 0.59, 0.97]])
-    angle = rates * time[:, None, None] + rng.uniform(0, 2 * np.pi, rates.shape)
-    parts = (np.sin(angle), rates * np.cos(angle), -(rates**2) * np.sin(angle))
-    moved = Motion(*(np.sum(0.4 * part, axis=-1) for part in parts))
+    time, moved = sines(16.0, period=PERIOD)
     effort = EffortDelay(DELAY).delayed(model.effort(moved), PERIOD)
     effort += 0.01 * rng.normal(size=effort.shape)
     write_log(JointLog("log", model.joints, time, moved.q, effort), here / "log.csv")

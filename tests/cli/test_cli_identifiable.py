@@ -1,10 +1,11 @@
 """`geodrake identifiable`: counts that are right, words that follow from them, bad input."""
 
 import json
-from pathlib import Path
 
 import numpy as np
 import pytest
+from pendulum_logs import PENDULUM as MODEL
+from pendulum_logs import sines
 from typer.testing import CliRunner
 
 from geodrake.cli.app import app
@@ -13,28 +14,22 @@ from geodrake.errors import ArgumentError
 from geodrake.excitation import identifiable_parameters, make_target, measurement_factor
 from geodrake.excitation.identifiability import log_identifiability
 from geodrake.logs.files import write_log
-from geodrake.logs.motion import JointLog, Motion
+from geodrake.logs.motion import JointLog
 from geodrake.model.saved_model import load_model
 from geodrake.report.exciting import identifiability_verdict
 from geodrake.robot.base_parameters import structural_base_parameters
 
-MODEL = Path(__file__).parents[2] / "models" / "double_pendulum.urdf"
 FRICTIONS = ("viscous_friction", "coulomb_friction")
 NOISE = 0.02
 
 
 def pendulum_log(path, *, elbow=0.4, seconds=20.0, seed=0, friction=(0.3, 0.2)):
     """A log in which the elbow moves by a share, of a pendulum with friction."""
-    rng, model = np.random.default_rng(seed), load_model(MODEL)
-    time = np.arange(0.0, seconds, 0.01)
-    rates = 2 * np.pi * np.array([[0.31, 0.73, 1.13], [0.42, 0.59, 0.97]])
-    angle = rates * time[:, None, None] + rng.uniform(0, 2 * np.pi, rates.shape)
-    parts = (np.sin(angle), rates * np.cos(angle), -(rates**2) * np.sin(angle))
-    size = np.array([0.4, elbow])
-    q, v, vd = (size * np.sum(part, axis=-1) for part in parts)
-    effort = model.effort(Motion(q, v, vd)) + np.sign(v) * friction + 0.1 * v
+    rng, model = np.random.default_rng(seed + 100), load_model(MODEL)
+    time, moved = sines(seconds, seed, np.array([0.4, elbow]))
+    effort = model.effort(moved) + np.sign(moved.v) * friction + 0.1 * moved.v
     effort += NOISE * rng.normal(size=effort.shape)
-    write_log(JointLog("log", model.joints, time, q, effort), path)
+    write_log(JointLog("log", model.joints, time, moved.q, effort), path)
     return path
 
 
@@ -90,12 +85,7 @@ def test_counts_are_those_of_the_motion(log):
     """The same number of directions as from the exact, unfiltered motion and as much noise."""
     found = found_in([log])
     model = found.model
-    time = np.arange(0.0, 20.0, 0.01)
-    rates = 2 * np.pi * np.array([[0.31, 0.73, 1.13], [0.42, 0.59, 0.97]])
-    rng = np.random.default_rng(0)
-    angle = rates * time[:, None, None] + rng.uniform(0, 2 * np.pi, rates.shape)
-    parts = (np.sin(angle), rates * np.cos(angle), -(rates**2) * np.sin(angle))
-    motion = Motion(*(0.4 * np.sum(part, axis=-1) for part in parts))
+    time, motion = sines(seed=0)
     share = np.sqrt(len(time) / found.samples)  # as much information from more samples
     target = make_target(model, noise=found.noise * share, sign_width=1e-2)
     exact = identifiable_parameters(target, measurement_factor(target, motion))
