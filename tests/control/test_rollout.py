@@ -94,7 +94,7 @@ def test_command(frictional, tmp_path):
     assert result.exit_code == 0, result.output
     numbers = json.loads((tmp_path / "r.json").read_text())
     assert numbers["relative"] < numbers["before"]["relative"]
-    assert "<svg" in (tmp_path / "r.html").read_text()
+    assert "chart-rollout" in (tmp_path / "r.html").read_text()
     absent = (
         ["--save", str(tmp_path / "x.yaml")],
         ["--blocks", "4"],
