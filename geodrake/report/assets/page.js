@@ -310,9 +310,9 @@
           stroke: () => color(stages[key].color),
           width: stages[key].look === "wide" ? 3.2 : 1.3,
           points: { show: stages[key].look === "dots", size: 3 },
-          ...(stages[key].look === "dots" ? { paths: () => null } : {}),
+          paths: stages[key].look === "dots" ? () => null : line,
         })), ...Object.keys(plot.trends).flatMap((key) => [[1.8, []], [1, [4, 3]]].map(([width, dash]) => ({
-          show: shown.has(key), stroke: () => color("ink"), width, dash, points: { show: false }, paths: through,
+          show: shown.has(key), stroke: () => color("ink"), width, dash, points: { show: false }, paths: line,
         })))],
         hooks: {
           drawClear: [(u) => this.drawGround(u, plot, shades)],
@@ -469,12 +469,19 @@
     return [-most, most];
   }
 
-  // A line through the samples that there are.
-  function through(u, k, first, last) {
+  // A line that ends where a sample is missing (null), and skips instants of others (undefined).
+  function line(u, k, first, last) {
     const stroke = new Path2D();
+    let begun = false;
     for (let i = first; i <= last; i++) {
-      if (u.data[k][i] == null) continue;
-      stroke.lineTo(u.valToPos(u.data[0][i], "x", true), u.valToPos(u.data[k][i], "y", true));
+      const value = u.data[k][i];
+      if (value === undefined) continue;
+      if (value !== null) {
+        const [x, y] = [u.valToPos(u.data[0][i], "x", true), u.valToPos(value, u.series[k].scale, true)];
+        if (!begun) stroke.moveTo(x - 0.5, y);
+        stroke.lineTo(x, y);
+      }
+      begun = value !== null;
     }
     return { stroke, fill: null, clip: null, band: null, gaps: null, flags: 1 };
   }
