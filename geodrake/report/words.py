@@ -143,8 +143,8 @@ def _by_name(step: Step) -> Mapping[str, Mapping[str, float]]:
 def finding(step: Step, units: Units) -> str:
     """Return what a step found, such as `payload (wrist_3_link, 3.08 ± 0.04 kg)`."""
     words, values = step_place(step, units.joints, most=_MOST_NAMED), _by_name(step)
-    if "mass" in values or len(values) == 1:
-        name = "mass" if "mass" in values else next(iter(values))
+    name = "mass" if "mass" in values else next(iter(values), "")
+    if name == "mass" or (len(values) == 1 and not is_summarized(step)):
         words += f", {_amount(step, name, units)}"
     return f"{effect_label(step.effect)} ({words})"
 
@@ -323,7 +323,7 @@ def _of_motion(explanation: Explanation) -> tuple[str, ...]:
         )
     shown, more = notable[:_MOST_NAMED], len(notable) - _MOST_NAMED
     shown += [f"less at {more} more"] if more > 0 else []
-    return (f"Positions and velocities predict {listed(shown)} of its square.",)
+    return (f"Of its square, positions and velocities predict {listed(shown)}.",)
 
 
 def draft_advice(explanation: Explanation) -> str:

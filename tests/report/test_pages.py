@@ -101,7 +101,7 @@ def test_pages_hold_all_joints(count):
 def test_an_explanation_says_what_was_found():
     joints = joint_names(3)
     text = check_self_contained(page(explanation(joints)))
-    assert "Missing: Coulomb friction (all 3 joints, 3.08 N·m)." in text
+    assert "Missing: Coulomb friction (all 3 joints)." in text
     assert "explained in part" in text
     assert "3.084 ± 0.012" in text
     assert "Coulomb, N·m" in text
