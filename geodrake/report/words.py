@@ -124,7 +124,9 @@ def _amount(step: Step, name: str, units: Units) -> str:
     values = _by_name(step)[name]
     unit = units.parameter(step.effect, name, next(iter(values)))
     if len(values) > _MOST_VALUES:
-        low, high = (number(units.shown(step.effect, name, f(values.values()))) for f in (min, max))
+        nothing = 1e-9 * max(map(abs, values.values()))  # at its bound, but for rounding
+        known = [0.0 if abs(value) <= nothing else value for value in values.values()]
+        low, high = (number(units.shown(step.effect, name, end(known))) for end in (min, max))
         text = low if low == high else f"{low} … {high}"
     else:
         text = ", ".join(parameter_value(step, place, name, units) for place in values)
