@@ -112,10 +112,6 @@ def checked_held(
     Args:
         joints: Joints of one degree of freedom by their names, as users know them.
         held: Such a name -> where it is held, rad or m.
-
-    Raises:
-        ModelError: There is no such joint, it follows another one, or its limits do not let it
-            stand there.
     """
     names = {scoped(joint): name for name, joint in joints.items()}
     leaders = {names[f.joint]: names[f.leader] for f in followers}

@@ -75,9 +75,6 @@ def mjcf_geoms(
         hulls: For collisions and not for pictures: meshes are convex hulls of all of their points,
             and what the file puts into the world is there, planes included.
         scope: Name of the model; None for that in the file.
-
-    Raises:
-        ModelError: MuJoCo refuses it, or a mesh; or a mesh for collisions is not there.
     """
     if path.suffix.lower() in (".yaml", ".yml"):
         return None

@@ -36,9 +36,6 @@ def check_against_mujoco(description: ModelDescription, built: BuiltPlant) -> No
 
     Args:
         built: Its plant, all of whose joints move, before repairs of inertias.
-
-    Raises:
-        ModelError: They differ; the message has the joint.
     """
     text = _compiled(description)
     if text is None or description.directives is not None or text.terms.set_aside:
@@ -77,9 +74,6 @@ def check_loops_against_mujoco(
     Args:
         plant: Its plant, all of whose joints move.
         states: Positions (N, nq) and velocities (N, nv) of the plant at which the loops are closed.
-
-    Raises:
-        ModelError: Some are not closed by MuJoCo's constraints, or come apart.
     """
     text = _compiled(description)
     if text is None:

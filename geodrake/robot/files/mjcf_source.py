@@ -105,9 +105,6 @@ def compiled(root: Element, path: Path, *, geoms: bool = False) -> CompiledMjcf:
 
     Args:
         geoms: Keep geoms that have no part in inertias, for pictures and collisions.
-
-    Raises:
-        ModelError: MuJoCo refuses it, in MuJoCo's words, or a file that it names is missing.
     """
     return _Compiler(path, geoms).read(root)
 

@@ -60,9 +60,6 @@ def with_inertias(data: bytes, path: Path, inertias: Mapping[str, Array]) -> byt
     Args:
         path: The file, for messages and for the name of a model that has none.
         inertias: Scoped link name -> (10,) inertial parameters of mass above zero.
-
-    Raises:
-        ModelError: A link is not in the file itself, or it is no such file.
     """
     root = parse_xml_bytes(data, path)
     if root.tag not in _FORMATS:
@@ -88,9 +85,6 @@ def with_joint_numbers(data: bytes, path: Path, changes: Mapping[str, Change]) -
     Args:
         path: Where they are from, for messages and for the name of a model that has none.
         changes: Scoped name of the joint -> what changes.
-
-    Raises:
-        ModelError: A joint is not in the file itself.
     """
     changes = {name: change for name, change in changes.items() if change}
     if not changes:

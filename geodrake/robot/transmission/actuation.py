@@ -28,7 +28,6 @@ from geodrake.robot.transmission.loop import LoopTransmission
 Indices = NDArray[np.intp]
 
 _STEP = 1e-4  # rad or m
-
 _FAR = 10.0  # rad or m, up to where limits are looked for where the map has none
 _POINTS = 4001
 
@@ -71,11 +70,7 @@ class Actuation:
         num_positions: int,
         drives: Sequence[Drive],
     ) -> Actuation:
-        """Finds the places.
-
-        Args:
-            positions: Velocity of a joint of one degree of freedom -> where its position is.
-        """
+        """Find the places, by `positions`: velocity of a joint of one degree -> its position."""
         by_name = {joints[at]: at for at in positions}
         _check(drives, by_name)
         moved = [[by_name[joint] for joint in drive.joints] for drive in drives]
@@ -257,8 +252,7 @@ class Actuation:
     def single_places(self, tree: Mapping[int, int]) -> tuple[list[int], list[int]]:
         """Where joints of one degree of freedom, and actuators, are in the robot's v and q.
 
-        Args:
-            tree: Velocity of each joint of one degree of freedom of the tree -> its position.
+        `tree` has the velocity of each such joint of the tree -> its position.
         """
         kept_q = dict(zip(self.kept_q[1].tolist(), self.kept_q[0].tolist(), strict=True))
         kept = zip(*self.kept_v.tolist(), strict=True)

@@ -241,10 +241,6 @@ class LinearTransmission(Transmission, Short):
     Attributes:
         matrix: (k, n) J.
         offset: (k,) θ₀, rad or m.
-
-    Raises:
-        ArgumentError: The shapes do not fit, a value is not finite, or some actuator moves nothing
-            of its own.
     """
 
     matrix: Array
