@@ -104,7 +104,7 @@ _COMMANDS: dict[str, tuple[str, type[Any], str, tuple[str, ...]]] = {
     "play": (
         "play.run_play",
         options.PlayOptions,
-        "Play the logs over the robot, coloured where the model fails, as one HTML page.",
+        "Play the logs over the robot, coloured where the model fails: a page, video or recording.",
         (
             "robot.yaml log.csv --out play.html",
             "robot.yaml log.csv --video play.mp4",
