@@ -201,16 +201,6 @@ def test_the_natural_law_does_not_depend_on_frames_and_units(seed):
         assert np.abs(inverse @ (there - expected) @ inverse.T).max() < 1e-9
 
 
-def test_a_weight_divides_the_speed_of_its_factor():
-    rng = np.random.default_rng(0)
-    slow = Product((PhysicalInertia(), Positive(2)), (1.0, 2.0))
-    fast = Product((PhysicalInertia(), Positive(2)), (1.0, 1.0))
-    x, b = random_point(slow, rng), rng.normal(size=12)
-    rates = natural_adaptation(slow).rate(x, b), natural_adaptation(fast).rate(x, b)
-    np.testing.assert_allclose(rates[0][:10], rates[1][:10])
-    np.testing.assert_allclose(2.0 * rates[0][10:], rates[1][10:])
-
-
 @pytest.mark.parametrize("wrong", [0.0, -1.0, np.nan, np.inf])
 def test_laws_refuse_a_gain_that_is_none(wrong):
     with pytest.raises(ArgumentError, match="gamma must be"):
@@ -322,18 +312,6 @@ def test_projections_part_by_part_are_those_of_the_whole(seed, distance):
     assert BODIES.divergence(own, whole) < 1e-10
 
 
-def test_limits_on_sums_of_parameters():
-    manifold = Product((PhysicalInertia(), Positive(2)))
-    x = random_point(manifold, np.random.default_rng(0))
-    both = np.zeros(12)
-    both[10:] = 1.0
-    law = ProjectedLaw(natural_adaptation(manifold), parameter_limits(12, [10, 11], 0.0, 0.01))
-    np.testing.assert_allclose(law.project(x)[10:], 0.01)
-    summed = Polyhedron(both[None], np.array([-np.inf]), np.array([0.1]))
-    projected = ProjectedLaw(natural_adaptation(manifold), summed).project(x)
-    assert projected[10:].sum() == pytest.approx(0.1)
-
-
 def test_limits_that_no_body_meets_are_reported():
     manifold = BODIES
     x = random_point(manifold, np.random.default_rng(0))
@@ -399,23 +377,6 @@ def test_a_step_of_any_length_ends_in_the_set(seed, size):
     normals = law._set.gradients(estimate)
     lengths = np.sqrt((normals * BODIES.inverse_metric_times(estimate, normals)).sum(-1))
     assert (law._set.values(estimate) <= 1e-7 * lengths).all()
-
-
-def test_a_point_of_which_no_two_faces_may_be_taken_for_one():
-    """Mass limits [1.2, 2.5] and a mass of 90 000: the limit is 2.5, not their middle."""
-    rng = np.random.default_rng(1437)
-    inside = random_point(BODIES, rng)
-    C = limits(rng, inside)
-    b = rng.normal(size=22)
-    outside = BODIES.retract(inside, 0.3 * BODIES.inverse_metric_times(inside, b))
-    y = bregman_projection(BODIES, outside, C)
-    part = slice(0, 10)
-    mass = Polyhedron(np.eye(10)[:1], C.lower[:1], C.upper[:1])
-    alone = bregman_projection(PhysicalInertia(), outside[part], mass)
-    np.testing.assert_allclose(y[part], alone, rtol=1e-9)
-    assert min(abs(y[0] - C.lower[0]), abs(y[0] - C.upper[0])) < 1e-9
-    before, after = BODIES.divergence(inside, outside), BODIES.divergence(inside, y)
-    assert after + BODIES.divergence(y, outside) <= before * (1 + 1e-9)
 
 
 @pytest.mark.parametrize("kind", ["free", "limited"])

@@ -123,19 +123,6 @@ def test_a_sensor_that_fails_for_a_while(kind, fault):
     assert np.abs(logs["parameters"][-1] - during[0]).max() > 1e-5  # and goes on after it
 
 
-@pytest.mark.thorough
-@pytest.mark.parametrize(
-    "kind", ["varying", pytest.param("accelerated", marks=pytest.mark.thorough)]
-)
-def test_a_sensor_that_fails_in_continuous_time(kind):
-    sensor = FaultySensor(4, nothing, 0.3, 0.4)
-    time, logs = run(controller(kind, time_step=0.0), 0.8, sensor=sensor)
-    check(logs)
-    assert tracking_error(logs).max() < 0.4
-    during = logs["parameters"][(time > 0.301) & (time < 0.399)]
-    np.testing.assert_allclose(during, np.broadcast_to(during[0], during.shape), rtol=1e-12)
-
-
 @pytest.mark.parametrize("kind", of_all("fixed", "accelerated"))
 def test_all_messages_dropped_for_a_tenth_of_a_second(kind):
     """No input says anything at all: the last actuation is held, or the last position."""
@@ -176,17 +163,6 @@ def test_all_messages_dropped_for_a_tenth_of_a_second(kind):
     error = tracking_error(logs)
     assert error.max() < 0.4
     assert error[-20:].max() < 0.06
-
-
-@pytest.mark.thorough
-@pytest.mark.parametrize("kind", ["filtered", pytest.param("varying", marks=pytest.mark.thorough)])
-def test_noise_of_velocity(kind):
-    _, logs = run(controller(kind), 1.5, sensor=FaultySensor(4, noisy(1e-4, 0.05)))
-    check(logs)
-    error = tracking_error(logs)
-    assert error.max() < 0.25
-    assert error[-20:].max() < 0.08
-    assert logs["lyapunov"][-1] < 1.05 * logs["lyapunov"][0]
 
 
 def test_the_dead_zone_keeps_noise_from_moving_the_estimate():

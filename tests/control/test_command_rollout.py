@@ -5,18 +5,14 @@ from dataclasses import replace
 import mujoco
 import numpy as np
 import pytest
-from typer.testing import CliRunner
 
-from geodrake.cli.app import app
 from geodrake.control import command_rollout, roll_out
-from geodrake.control.rollout import case_rollout, commanded_motions
+from geodrake.control.rollout import commanded_motions
 from geodrake.effects import EffortDelay, FittedEffect, RotorInertia, ViscousFriction
 from geodrake.errors import ArgumentError, LogError
-from geodrake.identification.logs.case import open_case
-from geodrake.logs.files import write_log
 from geodrake.logs.motion import JointLog
 from geodrake.model import EffortSignal
-from geodrake.model.saved_model import load_model, save_model
+from geodrake.model.saved_model import load_model
 from geodrake.report import page_of, render
 from geodrake.report.json_output import motions_dict, rollout_dict
 from geodrake.report.page import About
@@ -171,17 +167,6 @@ def test_the_loop_is_closed(arm):
     assert closed.relative < 0.5 * opened.relative
 
 
-@pytest.mark.thorough
-def test_a_case_that_is_open_gives_the_same(arm):
-    log, model = arm
-    silent = without_efforts(log, "a", "b")
-    case = open_case(model, [silent], candidates=False)
-    found = case_rollout(case, most=2, commands=True)
-    again = command_rollout(model, [silent], most=2)
-    for ours, theirs in zip(found.windows, again.windows, strict=True):
-        np.testing.assert_array_equal(ours.simulated, theirs.simulated)
-
-
 def test_reports_say_what_the_model_was_under(arm):
     log, model = arm
     late = replace(
@@ -209,16 +194,6 @@ def test_models_on_the_way_have_their_motions(arm):
     told = motions_dict(motions)["motion"]
     assert [told[key]["relative"] for key in ("before", "after")] == [shares[0], shares[2]]
     assert [step["relative"] for step in told["steps"]] == [shares[1]]
-
-
-def test_the_command_line_refuses_logs_without_commands(arm, tmp_path):
-    log, model = arm
-    save_model(model, tmp_path / "arm.yaml")
-    write_log(replace(log, command=None), tmp_path / "log.csv")
-    line = ["rollout", str(tmp_path / "arm.yaml"), str(tmp_path / "log.csv"), "--commands"]
-    result = CliRunner().invoke(app, line)
-    assert result.exit_code == 2
-    assert "No log has the commands of a servo" in result.stderr and not result.stdout
 
 
 def test_logs_without_commands_are_refused(arm):

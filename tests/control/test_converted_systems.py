@@ -1,15 +1,11 @@
 """Controllers, residuals and delays: clones, slopes against mass matrices, gains in the Context."""
 
-import inspect
-
 import numpy as np
 import pytest
 from adaptive_loops import CONTROL, TRUTH, closed_loop, natural, perturbed
 from pydrake.autodiffutils import AutoDiffXd, ExtractGradient, InitializeAutoDiff
 from pydrake.systems.analysis import Simulator
-from pydrake.systems.framework import LeafSystem
 
-from geodrake.control.adaptation import ProjectedLaw, mass_limits
 from geodrake.control.systems import (
     AdaptiveComputedTorqueController,
     DelayedEffort,
@@ -21,7 +17,7 @@ from geodrake.control.systems import (
 )
 from geodrake.errors import ArgumentError
 from geodrake.logs.motion import JointLog
-from geodrake.model.simulation.scalar_system import differenced, scalars
+from geodrake.model.simulation.scalar_system import scalars
 
 START = perturbed(0.15)
 RNG = np.random.default_rng(3)
@@ -151,11 +147,6 @@ def test_poles_of_a_context_count():
         )
 
 
-def test_a_projected_law_has_the_speed_of_the_context():
-    law = ProjectedLaw(natural(), mass_limits(len(START), 0, 0.1, 50.0))
-    assert law.with_slowness(3.0).law.gamma == law.with_slowness(3.0).slowness == 3.0
-
-
 def test_gains_that_cannot_be_are_refused():
     system = passive()
     context = seen(system)
@@ -200,30 +191,3 @@ def test_delays_and_logs_are_cloned():
     context = copy.CreateDefaultContext()
     context.SetTime(2.0)
     assert copy.GetOutputPort("position").Eval(context) == [4.0]
-
-
-def test_what_drake_adds_is_added_as_the_first_system_is_made(monkeypatch):
-    """It looks through the call stack, which takes seconds where modules import one another."""
-    monkeypatch.setattr("inspect.stack", lambda *_: pytest.fail("the call stack was looked at"))
-
-    @differenced
-    class Doubled(LeafSystem):
-        """Doubles a number."""
-
-        def __init__(self, factor: float = 2.0) -> None:
-            """Constructs the system."""
-            LeafSystem.__init__(self, converter=self._converter)
-            self.DeclareVectorInputPort("x", 1)
-            self.DeclareVectorOutputPort("y", 1, self._calc)
-            self._factor = factor
-
-        def _calc(self, context, output):
-            output.SetFromVector(self._factor * self.get_input_port().Eval(context))
-
-    monkeypatch.undo()
-    for system in (Doubled(), Doubled(factor=2.0).Clone()):
-        context = system.CreateDefaultContext()
-        system.get_input_port().FixValue(context, [3.0])
-        assert system.get_output_port().Eval(context) == [6.0]
-    assert [*inspect.signature(Doubled).parameters] == ["factor"]
-    assert Doubled().ToAutoDiffXd().get_output_port().size() == 1

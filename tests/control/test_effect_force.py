@@ -178,10 +178,6 @@ class TestExactDynamics:
             smaller = u / np.array([1.0, 1.25, 1.0])
             np.testing.assert_allclose(with_effect, acceleration(arm(), q, v, smaller, friction))
 
-    def test_gain_alone_reads_the_applied_effort(self):
-        system = EffectForce(arm(), [(effects.EffortScale("joint2"), [0.25])])
-        assert system.HasDirectFeedthrough(1, 0)
-
 
 def _link3_columns(plant, q, v, vd):
     """Inertial regressor of the last link by differences of Drake's inverse dynamics."""
@@ -259,32 +255,6 @@ class TestSimulation:
 
 
 class TestSystem:
-    def test_ports(self):
-        plant = arm()
-        system = EffectForce(plant, [(effects.CoulombFriction("joint1"), [1.0])])
-        assert [system.get_input_port(i).get_name() for i in range(2)] == [
-            "state",
-            "applied_effort",
-        ]
-        assert [system.get_input_port(i).size() for i in range(2)] == [6, 3]
-        assert system.num_output_ports() == 1
-        assert system.GetOutputPort("generalized_force").size() == 3
-        assert system.CreateDefaultContext().num_total_states() == 0
-
-    def test_reads_effort_only_if_it_must(self):
-        plant = arm()
-        direct = EffectForce(plant, [(effects.CoulombFriction("joint1"), [1.0])])
-        coupled = EffectForce(plant, [(effects.RotorInertia("joint1"), [1.0])])
-        assert not direct.HasDirectFeedthrough(1, 0)
-        assert coupled.HasDirectFeedthrough(1, 0)
-
-    def test_no_effects(self):
-        plant = arm()
-        system = EffectForce(plant, [])
-        context = system.CreateDefaultContext()
-        system.get_input_port(0).FixValue(context, np.ones(6))
-        np.testing.assert_array_equal(system.get_output_port().Eval(context), 0.0)
-
     def test_friction_that_fades_with_time(self):
         plant, drift = arm(), effects.FrictionDrift("joint2", 2.0)
         system = EffectForce(plant, [(drift, [3.0, 0.5])], sign_width=0.05)
@@ -325,25 +295,6 @@ class TestSystem:
                 [0.0, 0.25 * np.exp(-time / 2.0), 0.0],
                 atol=1e-9,
             )
-
-    def test_two_instances_in_one_diagram(self):
-        builder = DiagramBuilder()
-        plants = [builder.AddNamedSystem(name, arm()) for name in ("left", "right")]
-        mus = [[1.0], [3.0]]
-        forces = [
-            EffectForce.AddToBuilder(builder, plant, [(effects.RotorInertia("joint1"), mu)])
-            for plant, mu in zip(plants, mus, strict=True)
-        ]
-        diagram = builder.Build()
-        context = diagram.CreateDefaultContext()
-        outputs = [
-            force.get_output_port().Eval(force.GetMyContextFromRoot(context)) for force in forces
-        ]
-        alone = EffectForce(arm(), [(effects.RotorInertia("joint1"), mus[1])])
-        own = alone.CreateDefaultContext()
-        alone.get_input_port(0).FixValue(own, np.zeros(6))
-        np.testing.assert_allclose(outputs[1], alone.get_output_port().Eval(own))
-        assert not np.allclose(*outputs)
 
     def test_users_effect_of_the_acceleration(self):
         class Flywheel(effects.JointEffect):

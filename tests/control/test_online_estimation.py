@@ -16,10 +16,8 @@ from geodrake.manifolds import (
     Free,
     Interval,
     PhysicalInertia,
-    Polyhedron,
     Positive,
     Product,
-    bregman_projection,
 )
 
 STEP = 1e-3
@@ -84,21 +82,6 @@ def test_filtered_rows_are_the_filtered_efforts(order):
     np.testing.assert_allclose(found, expected, atol=1e-10)
     # The trapezoidal rule is of second order.
     np.testing.assert_allclose(Y @ TRUTH, expected, atol=2e-5)
-
-
-def test_rows_of_held_efforts_are_exact_to_second_order():
-    fine, errors = samples(1201), []
-    for every in (4, 2):
-        filtered = FilteredRegressor(CONTROL, every * STEP, 15.0, held_effort=True)
-        memory, mean = filtered.start(), np.zeros(2)
-        for i in range(0, len(fine[0]), every):
-            if i:
-                held = fine[2][i - every : i + 1]
-                mean = (0.5 * (held[1:] + held[:-1])).mean(0)
-            memory = filtered.advanced(memory, fine[0][i], fine[1][i], mean)
-        Y, u = filtered.rows(memory)
-        errors.append(np.abs(Y @ TRUTH - u).max())
-    assert errors[1] < 0.3 * errors[0] < 1e-3
 
 
 def test_what_is_missing_is_left_out_of_both_sides():
@@ -172,19 +155,6 @@ def test_steps_end_in_the_slabs():
         assert (np.abs(Y @ x - effort) < 1.01 * tolerance).all()
 
 
-def test_small_steps_are_toward_the_projection():
-    """Newton's first step is the projection itself, to second order of a small error."""
-    rng = np.random.default_rng(1)
-    x, row = inside(rng), rng.normal(size=(1, MIXED.dimension))
-    for size in (1e-3, 1e-4):
-        effort, tolerance = row @ x - size, np.array([0.1 * size])
-        y = slab_step(MIXED, x, row, effort, tolerance)
-        nearest = bregman_projection(
-            MIXED, x, Polyhedron(row, effort - tolerance, effort + tolerance)
-        )
-        assert np.abs(y - nearest).max() < 0.02 * np.abs(nearest - x).max()
-
-
 def test_samples_that_contradict_each_other_do_little():
     x, Y, _, tolerance, _ = slabs(np.random.default_rng(3), 1)
     both, now = np.vstack([Y, Y + 1e-6]), float((Y @ x)[0])
@@ -193,31 +163,11 @@ def test_samples_that_contradict_each_other_do_little():
     assert MIXED.divergence(y, x) < 1e-6
 
 
-def test_estimates_inside_stay():
-    x, Y, _, tolerance, _ = slabs(np.random.default_rng(5), 2)
-    assert slab_step(MIXED, x, Y, Y @ x, tolerance) is x
-
-
 # Samples
 
 
 def update(tolerance=2e-3, **options):
     return SampleUpdate(MANIFOLD, np.full(2, tolerance), **options)
-
-
-def test_samples_lead_to_the_truth_and_never_away():
-    q, v, effort = samples(1500)
-    filtered, made = FilteredRegressor(CONTROL, STEP), update()
-    memory, p = filtered.start(), perturbed(0.3)
-    distances, errors = [], []
-    for now in zip(q, v, effort, strict=True):
-        memory = filtered.advanced(memory, *now)
-        Y, u = filtered.rows(memory)
-        errors.append(np.abs(Y @ p - u).max())
-        p = made.updated(p, Y, u, STEP).parameters
-        distances.append(float(MANIFOLD.divergence(TRUTH, p)))
-    assert np.diff(distances).max() < 1e-6
-    assert np.mean(errors[-300:]) < 0.4 * max(errors)
 
 
 @pytest.mark.parametrize("seed", range(4))

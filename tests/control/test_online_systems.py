@@ -155,12 +155,6 @@ def test_a_sensor_that_fails_for_a_while(fault):
     assert not np.array_equal(p[-1], during[0])
 
 
-def test_gaps_of_a_log_are_left_out():
-    _, _, p, _, _ = estimated(recorded(2.0, gap=(300, 500)), start=perturbed(0.3))
-    check(p)
-    assert np.diff(MANIFOLD.divergence(TRUTH, p)).max() < 1e-6
-
-
 def test_an_estimator_beside_a_controller_that_does_not_adapt():
     """One that watches a loop: the actuation holds between its samples."""
     builder = DiagramBuilder()
@@ -185,18 +179,6 @@ def test_an_estimator_beside_a_controller_that_does_not_adapt():
         distances.append(float(MANIFOLD.divergence(TRUTH, p)))
     assert np.diff(distances).max() < 1e-6
     assert distances[-1] < distances[0]
-
-
-def test_contexts_of_estimators_are_independent():
-    first = estimated(recorded(0.4), start=perturbed(0.3))
-    again = estimated(recorded(0.4), start=perturbed(0.3))
-    np.testing.assert_array_equal(first[2], again[2])
-    fresh = first[0].CreateDefaultContext()
-    np.testing.assert_array_equal(first[0].parameters(fresh), perturbed(0.3))
-    copy = fresh.Clone()
-    first[0].set_parameters(fresh, TRUTH)
-    np.testing.assert_array_equal(first[0].parameters(fresh), TRUTH)
-    np.testing.assert_array_equal(first[0].parameters(copy), perturbed(0.3))
 
 
 def test_estimators_that_do_not_fit_are_refused():
@@ -257,16 +239,6 @@ def test_logs_without_velocities_and_with_gaps():
     np.testing.assert_allclose(played(source, 0.1)["velocity"], log.velocity[50], atol=1e-4)
     assert np.isnan(played(source, 0.3)["state"]).all()
     assert np.isfinite(played(LogSource(bare, largest_gap=1.0), 0.3)["state"]).all()
-
-
-def test_samples_without_a_time_stamp_are_left_out():
-    log = recorded(1.0)
-    time = log.time.copy()
-    time[[0, 20, -1]] = np.nan
-    source = LogSource(replace(log, time=time))
-    assert source.duration == pytest.approx(1.0 - 2 * STEP)
-    between = 0.5 * (log.position[19] + log.position[21])
-    np.testing.assert_allclose(played(source, 19 * STEP)["position"], between)
 
 
 def test_logs_that_cannot_be_played():

@@ -14,7 +14,6 @@ from geodrake.control.adaptation import (
     ProjectedLaw,
     adapted_parameters,
     euclidean_adaptation,
-    mass_limits,
     natural_adaptation,
 )
 from geodrake.control.systems import PassivityBasedAdaptiveController
@@ -73,16 +72,6 @@ def test_it_is_the_whole_law_projected_onto_what_may_vary(seed):
     limits = Polyhedron(held_rows, p[held], p[held])
     found = ProjectedLaw(whole, limits).rate(p, b)
     np.testing.assert_allclose(found, expected, rtol=1e-5, atol=1e-7 * np.abs(expected).max())
-
-
-def test_limits_of_what_is_adapted_hold():
-    part = ProjectedLaw(natural_adaptation(PhysicalInertia()), mass_limits(10, 0, 0.1, 2.0))
-    law = PartialLaw(part, BODY)
-    b = np.zeros(len(TRUTH))
-    b[10] = -100.0
-    moved = law.step(TRUTH, b, 1.0)
-    assert moved[10] == pytest.approx(2.0)
-    np.testing.assert_array_equal(moved[~BODY], TRUTH[~BODY])
 
 
 def test_a_load_is_learned_while_the_rest_stays():

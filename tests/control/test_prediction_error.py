@@ -7,16 +7,12 @@ from adaptive_loops import (
     MANIFOLD,
     MODEL,
     TRUTH,
-    FaultySensor,
     motion,
     natural,
-    noisy,
-    nothing,
     pendulum_plant,
     perturbed,
     run,
 )
-from pydrake.trajectories import PiecewisePolynomial
 
 from diagrams.studies.adaptive.faulty_loop import moments
 from geodrake.control.adaptation import (
@@ -41,7 +37,6 @@ LAST = adapted_parameters(MODEL, [MODEL.bodies[-1]])
 START = np.where(LAST, perturbed(0.3), TRUTH)
 LAW = PartialLaw(natural_adaptation(PhysicalInertia(), 0.1), LAST)
 STEP = 2e-3
-REST = PiecewisePolynomial(np.array([[0.7], [-0.4]]))
 
 
 def passive(prediction, law=LAW, **options):
@@ -156,37 +151,6 @@ def test_what_is_remembered_is_not_undone():
         assert np.diff(D).max() <= 1e-4 * D[0]
         worst.append(max(np.abs(moment.error).max() for moment in found if moment.time > 2.0))
     assert worst[1] < 0.3 * worst[0]
-
-
-@pytest.mark.thorough
-def test_without_excitation_nothing_diverges():
-    """At rest and with noise: what no motion shows stays where it is."""
-    found = []
-    for tolerance in (0.0, 0.5):
-        error = PredictionError(0.5, tolerance=tolerance)
-        guards = Safeguards(dead_zone=0.6)
-        system = passive(error, natural(0.05), parameters=TRUTH, safeguards=guards)
-        sensor = FaultySensor(4, noisy(1e-4, 0.05))
-        _, logs = run(system, 0.8, size=REST, sensor=sensor)
-        check(logs)
-        found.append(MANIFOLD.divergence(TRUTH, logs["parameters"]))
-    assert found[0].max() < 1e-2  # that of a mass that is a tenth off
-    assert found[1].max() == 0.0 < found[0].max()  # as noise is not believed
-    # And from a wrong estimate, it goes nowhere but nearer.
-    _, logs = run(passive(PredictionError(0.5), natural(0.05)), 0.8, size=REST)
-    check(logs)
-    D = MANIFOLD.divergence(TRUTH, logs["parameters"])
-    assert D.max() <= D[0] * (1.0 + 1e-6) and D[-1] < D[0]
-
-
-@pytest.mark.parametrize("make", [passive, computed])
-def test_a_sensor_that_fails_for_a_while(make):
-    sensor = FaultySensor(4, nothing, 0.4, 0.6)
-    time, logs = run(make(PredictionError(0.5)), 0.9, sensor=sensor)
-    check(logs)
-    during = logs["parameters"][(time > 0.402) & (time < 0.599)]
-    np.testing.assert_array_equal(during, np.broadcast_to(during[0], during.shape))
-    assert np.abs(logs["parameters"][-1] - during[0]).max() > 1e-6
 
 
 def test_efforts_that_are_not_measured_move_nothing():

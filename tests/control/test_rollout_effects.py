@@ -112,12 +112,6 @@ class TestDrift:
         assert right < 1e-3
         assert min(wrong, never) > 100 * right
 
-    @pytest.mark.thorough
-    def test_time_is_that_since_the_log_began(self, pendulum):
-        """Of a log that begins when the gear is warm, the model's time is too early."""
-        model = with_effects(pendulum, LOSS, self.drift)
-        assert departure(model, self.log(begins=10.0)) > 100 * departure(model, self.log())
-
 
 class TestTemperature:
     """Friction of a hinge that heats up and cools down, as its log says."""
@@ -171,18 +165,6 @@ class TestContact:
         for wrong in (self.contact("first"), self.contact("second", 3.0)):
             assert departs(wrong) > 100 * right
         assert departs() > 100 * right
-
-    def test_force_of_one_log(self, pendulum):
-        """No force in another log, nor where there is none."""
-        state = np.array([0.4, 0.0])
-        for log, share in (("second", 1.0), ("first", 0.0), (None, 0.0)):
-            system = EffectForce(pendulum.plant, [self.contact("second")], log=log)
-            context = system.CreateDefaultContext()
-            context.SetTime(0.5 * (self.start + self.end))
-            system.GetInputPort("state").FixValue(context, state)
-            force = system.GetOutputPort("generalized_force").Eval(context)
-            expected = share * self.push * 0.6 * np.cos(state[0])
-            np.testing.assert_allclose(force, expected, atol=1e-9)
 
 
 @dataclasses.dataclass(frozen=True)

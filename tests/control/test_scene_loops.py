@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 from adaptive_loops import CONTROL, MANIFOLD, MODEL, TRUTH, motion
 from pydrake.math import RigidTransform, RotationMatrix
-from pydrake.multibody.parsing import Parser
 from pydrake.systems.framework import DiagramBuilder
 from scenes import PENDULUM, alone, plant_of, scene
 
@@ -69,26 +68,6 @@ class TestTracking:
         for name, values in there.items():
             # (Drake's solver of contacts has a tolerance.)
             np.testing.assert_allclose(here[name], values, rtol=1e-6, atol=1e-6)
-
-    def test_two_robots_of_one_plant_have_a_loop_each(self):
-        builder = DiagramBuilder()
-        plant = scene(builder)
-        loops = [
-            add_adaptive_loop(
-                builder, RobotInstance(plant, name), passivity(), motion(size), log_period=0.01
-            )
-            for name, size in (("arm", 0.5), ("other", 0.8))
-        ]
-        diagram = builder.Build()
-        root = loops[0].context(diagram)
-        loops[1].set_start(root)
-        time, logs = loops[1].simulated(diagram, 0.1)
-        assert len(time) == 11
-        np.testing.assert_allclose(logs["state"][0], logs["desired_state"][0])
-        for loop, size in zip(loops, (0.5, 0.8), strict=True):
-            port = loop.state
-            state = port.Eval(port.get_system().GetMyContextFromRoot(root))
-            np.testing.assert_allclose(state[:2], motion(size).value(0.0).ravel(), atol=1e-12)
 
     def test_a_leaning_base_is_refused_unless_the_model_may_know_of_it(self):
         leaning = RigidTransform(RotationMatrix.MakeXRotation(0.1), [0.0, 0.0, 1.0])
@@ -248,15 +227,3 @@ def test_a_controller_of_motors_wants_ports_of_motors():
     builder = DiagramBuilder()
     with pytest.raises(ArgumentError, match=r"behind a transmission.*add_to_builder"):
         add_adaptive_loop(builder, RobotInstance(scene(builder), "arm"), controller, motion())
-
-
-def test_parsers_that_rename_are_no_obstacle():
-    builder = DiagramBuilder()
-    plant = plant_of(finalize=False)
-    (third,) = Parser(plant, "third").AddModels(str(PENDULUM))
-    plant.WeldFrames(plant.world_frame(), plant.GetFrameByName("base_link", third))
-    plant.Finalize()
-    builder.AddSystem(plant)
-    robot = RobotInstance(plant, plant.GetModelInstanceName(third))
-    assert robot.joints == ("shoulder", "elbow")
-    add_adaptive_loop(builder, robot, passivity(), motion())
