@@ -45,7 +45,7 @@ from geodrake.control.systems import AdaptiveController
 from geodrake.effects import CoulombFriction, FittedEffect, ViscousFriction
 from geodrake.inertia import Array, from_pseudo_inertia, pseudo_inertia
 from geodrake.manifolds import Product
-from geodrake.manifolds.projections.slabs import TOLERANCE
+from geodrake.manifolds.slabs import TOLERANCE
 from geodrake.model import RobotModel, load_description
 
 ARM = MODELS / "arm7.urdf"

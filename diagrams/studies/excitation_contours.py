@@ -23,7 +23,7 @@ from rich.table import Table
 
 from diagrams.harness import script_parser, write
 from geodrake.excitation import NORMALIZATIONS, Criterion
-from geodrake.excitation.normalization import normalizing_map
+from geodrake.excitation.objective import normalizing_map
 from geodrake.report import style
 
 Array = np.ndarray

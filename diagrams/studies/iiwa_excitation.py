@@ -48,7 +48,7 @@ from geodrake.excitation import (
     design_excitation,
 )
 from geodrake.excitation.design import make_problem
-from geodrake.excitation.guess import random_guess
+from geodrake.excitation.starts import random_guess
 from geodrake.logs import Motion
 from geodrake.report import style
 
@@ -107,7 +107,9 @@ def design(cell: Cell, *, plan: Plan) -> dict[str, Any]:
     """The best motion by one criterion in one representation, and the errors that it leaves."""
     model = manipulator(None if plan.shared is None else Path(plan.shared))
     target = represented_target(model, cell.base, plan.seed)
-    options = DesignOptions(samples=plan.samples, rest=False, iterations=plan.iterations)
+    options = DesignOptions(
+        samples=plan.samples, rest=False, iterations=plan.iterations, quick=False
+    )
     judge = make_problem(Objective(target), limits(model), family(plan.modes), options)
     if cell.normalization == RANDOM:
         rng = np.random.default_rng([plan.seed, 1])
@@ -136,7 +138,7 @@ def refine(cell: Cell, *, plan: Plan, coefficients: Sequence[Any]) -> dict[str, 
     model = manipulator(None if plan.shared is None else Path(plan.shared))
     target = represented_target(model, cell.base, plan.seed)
     iterations = min(REFINEMENT, 4 * plan.iterations)
-    options = DesignOptions(samples=plan.samples, rest=False, iterations=iterations)
+    options = DesignOptions(samples=plan.samples, rest=False, iterations=iterations, quick=False)
     arguments = (target, limits(model), family(plan.modes), np.array(coefficients), options)
     trajectory, minimized, status = refined(*arguments)
     found = {"minimized": minimized, "status": status}
@@ -163,7 +165,7 @@ def first_random(plan: Plan) -> dict[str, Any]:
     """The motion that all designs start from."""
     model = manipulator(None if plan.shared is None else Path(plan.shared))
     target = represented_target(model, 1, plan.seed)
-    options = DesignOptions(samples=plan.samples, rest=False)
+    options = DesignOptions(samples=plan.samples, rest=False, quick=False)
     problem = make_problem(Objective(target), limits(model), family(plan.modes), options)
     rng = np.random.default_rng(plan.seed)
     trajectory = problem.trajectory(random_guess(problem, problem.limits.middle[None], rng))

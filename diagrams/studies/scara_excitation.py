@@ -91,7 +91,7 @@ def design(cell: Cell, *, plan: Plan) -> dict[str, Any]:
         criterion=plan.criterion,
         normalization=cell.normalization,
         trajectory=FreeSamples(SAMPLES),
-        options=DesignOptions(iterations=plan.iterations),
+        options=DesignOptions(iterations=plan.iterations, quick=False),
         seeds=range(plan.seed, plan.seed + plan.seeds),
     )
     return {

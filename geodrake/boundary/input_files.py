@@ -88,11 +88,7 @@ def read_regular(
 
 
 def sha256_of(path: Path) -> str:
-    """Return the SHA-256 of the bytes of a file.
-
-    Raises:
-        GeodrakeError: It is none that can be read.
-    """
+    """Return the SHA-256 of the bytes of a file."""
     with open_regular(path, "file", GeodrakeError) as file:
         return hashlib.file_digest(file, "sha256").hexdigest()
 

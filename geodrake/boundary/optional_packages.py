@@ -15,9 +15,6 @@ def optional_package(module: str, extra: str, what: str, error: type[GeodrakeErr
         module: The module, such as "pyarrow.parquet".
         extra: The extra of geodrake that installs its package, such as "parquet".
         what: What it is needed for, such as "Parquet files".
-
-    Raises:
-        GeodrakeError: Of the kind `error`: it is not installed.
     """
     try:
         return importlib.import_module(module)

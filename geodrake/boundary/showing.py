@@ -47,11 +47,7 @@ class Shown(Short):
         return str(_views().html(self))
 
     def to_dataframe(self, *, series: bool = False) -> DataFrame:
-        """The result as a pandas DataFrame, in SI units.
-
-        Raises:
-            ArgumentError: pandas is not installed, or there are no samples in such a result.
-        """
+        """The result as a pandas DataFrame, in SI units."""
         return _views().dataframe(self, series=series)
 
     def plot(self) -> Figure:

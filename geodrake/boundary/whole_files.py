@@ -203,11 +203,7 @@ class _Part:
 
 
 def _parts(contents: Mapping[Path, Content], stack: ExitStack) -> list[_Part]:
-    """Files beside their targets, written but not in their places.
-
-    Raises:
-        OutputError: One cannot be written.
-    """
+    """Files beside their targets, written but not in their places."""
     parts = []
     for path, content in contents.items():
         with _refusing(path):
@@ -217,11 +213,7 @@ def _parts(contents: Mapping[Path, Content], stack: ExitStack) -> list[_Part]:
 
 
 def _rename(parts: list[_Part]) -> None:
-    """Put all files in their places, or none.
-
-    Raises:
-        OutputError: One cannot be put there.
-    """
+    """Put all files in their places, or none."""
     done: list[_Part] = []
     try:
         for part in parts if len(parts) > 1 else ():
@@ -253,11 +245,7 @@ def _refusing(path: Path) -> Iterator[None]:
 
 
 def _status(target: Path) -> os.stat_result | None:
-    """Return what is at a target now, None for nothing.
-
-    Raises:
-        OSError: It is a folder, a device or anything else that cannot be replaced by a file.
-    """
+    """Return what is at a target now, None for nothing."""
     try:
         status = target.stat()
     except FileNotFoundError:

@@ -33,16 +33,17 @@ from geodrake.excitation import (
     make_rival,
     make_separation,
     make_target,
+    read_obstacles,
 )
-from geodrake.excitation.budget import Budget
 from geodrake.excitation.collision_geometry import FLOOR
-from geodrake.excitation.design import design_objective
-from geodrake.excitation.design_results import DesignProgress
-from geodrake.excitation.effect_sizes import SIZE_WORDS, sized_effects
-from geodrake.excitation.identifiability import LogIdentifiability, log_identifiability
-from geodrake.excitation.rivals import Rival
-from geodrake.excitation.trajectory import joint_order
-from geodrake.excitation.trajectory_files import trajectory_content
+from geodrake.excitation.design import DesignProgress, design_objective
+from geodrake.excitation.identifiable import LogIdentifiability, log_identifiability
+from geodrake.excitation.limits import FULL_EFFORT, FULL_SPEED
+from geodrake.excitation.solve import Budget
+from geodrake.excitation.starts import possible_postures
+from geodrake.excitation.target import SIZE_WORDS, sized_effects
+from geodrake.excitation.tell_apart import Rival
+from geodrake.excitation.trajectory import joint_order, trajectory_content
 from geodrake.identification.logs.dataset import is_payload
 from geodrake.model.robot_model import RobotModel
 from geodrake.report.exciting import (
@@ -88,7 +89,7 @@ def run_excite(options: ExciteOptions) -> None:
         suffixes={"save": _SAVE},
         makers=lambda found: {
             "save": lambda: trajectory_content(
-                found.trajectory,
+                found.executed,
                 options.save or "motion.csv",
                 found.objective.target.model,
                 rate=options.rate,
@@ -144,11 +145,11 @@ def family_of(options: ExciteOptions) -> MotionFamily:
             if other != name and getattr(options, key) is not None:
                 raise ArgumentError(f"--{key} is for --trajectory {other}, not {name}.")
     if name == "free":
-        wanted = [o for o in ("save", "meshcat") if getattr(options, o) is not None]
+        wanted = [o for o in ("save", "meshcat", "stand") if getattr(options, o) is not None]
         if wanted:
             raise ArgumentError(
                 f"Free samples do not follow each other in time: there is nothing for "
-                f"--{wanted[0]} to write.",
+                f"--{wanted[0]} to write or to lead to.",
                 advice="Use --trajectory fourier or spline.",
             )
         return FreeSamples(50 if options.samples is None else options.samples)
@@ -195,20 +196,17 @@ def _designed(
     """Return the design that options ask for."""
     model, update = given.model, given.progress
     budget = Budget.of(options.seconds)
-    limits, margins = limits_of(options.limits, model), tuple[str, ...]()
-    said = [part for text in options.limits or () for part in text.split(",") if part]
-    if all("=" in part and "velocity" not in part for part in said):
-        limits = replace(limits, velocity=_MARGIN * limits.velocity)
-        share = f"{100 * _MARGIN:.0f} %"
-        margins = (f"speeds are kept to {share} of their limits (--limits velocity=100%)",)
+    limits, margins = _limits(options, model)
     start = None if options.start is None else joint_values(options.start, model, "--start")
-    collisions, notes = _collisions(options, model, limits, start)
+    stand = None if options.stand is None else joint_values(options.stand, model, "--stand")
+    collisions, notes = _collisions(options, model, limits, start if stand is None else stand)
     if options.meshcat is not None:
         notes = (*notes, *robot_shapes(model.path, model.given).notes)
     objective, more = _objective(options, given, limits, names)
     design = DesignOptions(
         samples=_SAMPLES if options.samples is None else options.samples,
         start=start,
+        stand=stand,
         collisions=collisions,
         solver=options.solver,
         iterations=options.iterations,
@@ -224,6 +222,32 @@ def _designed(
         progress=_updating(update, budget, options.seconds),
     )
     return replace(result, notes=(*result.notes, *notes, *margins, *more))
+
+
+def _limits(options: ExciteOptions, model: RobotModel) -> tuple[MotionLimits, tuple[str, ...]]:
+    """Return the limits that options ask for, those that nobody stated, and what to say of them."""
+    limits = limits_of(options.limits, model, bounded=True)
+    said = [part for text in options.limits or () for part in text.split(",") if part]
+    notes = []
+    if all("=" in part and "velocity" not in part for part in said):
+        limits = replace(limits, velocity=_MARGIN * limits.velocity)
+        share = f"{100 * _MARGIN:.0f} %"
+        notes.append(f"speeds are kept to {share} of their limits (--limits velocity=100%)")
+    if not any("acceleration" in part for part in said) and np.any(
+        ~np.isfinite(model.acceleration_limits)
+    ):
+        notes.append(
+            "accelerations, which the file does not limit, are what the motor's effort gives to "
+            f"the joint's greatest inertia, and no more than full speed in {FULL_SPEED:g} s; jerks "
+            f"reach them in {FULL_EFFORT:g} s (--limits acceleration=5,jerk=50)"
+        )
+    blind = [j for j, e in zip(limits.joints, limits.effort, strict=True) if not np.isfinite(e)]
+    if blind:
+        notes.append(
+            f"WARNING: no effort of {', '.join(blind)} is limited, so that nothing keeps the "
+            "motion to what the motors can do (--limits effort=40)"
+        )
+    return limits, tuple(notes)
 
 
 def _objective(
@@ -272,31 +296,62 @@ def _collisions(
     """Return what the robot may not hit, and what to say where that is nothing.
 
     Raises:
+        ArgumentError: An obstacle cannot be read, or the robot has nothing that could hit it.
         ModelError: The file has collision geometry that cannot be read.
     """
+    obstacles = read_obstacles(options.obstacle or ())
     if not options.collisions:
+        if obstacles:
+            raise ArgumentError(
+                "--obstacle needs the robot's collision geometry.", advice="Leave --no-collisions."
+            )
         return None, ("collisions of the robot with itself were not looked at, as asked for",)
     try:
         alone = CollisionWorld(model, clearance=options.clearance)
-        if not options.floor:
-            return alone, ()
-        world = CollisionWorld(model, obstacles=(floor_of(model),), clearance=options.clearance)
-        posture = np.clip(np.zeros(len(limits.joints)), limits.lower, limits.upper)
-        posture = posture if start is None else start
-        distance, names = world.distances(posture[None, joint_order(model)])
-        if FLOOR in names[0].split(" and ") and distance[0] < options.clearance:
-            link = next(name for name in names[0].split(" and ") if name != FLOOR)
-            return alone, (f"there is no floor, as {link} is below the base at the start",)
-        return world, ("nothing goes below the base (--no-floor allows it)",)
     except ArgumentError:
+        if obstacles:
+            raise
         return None, (
-            f"{model.path.name} has no collision geometry: nothing keeps the robot from hitting "
-            "itself, or what it stands on, but the limits of its joints",
+            f"WARNING: {model.path.name} has no collision geometry: nothing keeps the robot from "
+            "hitting itself, or what it stands on, but the limits of its joints",
         )
     except ModelError as error:
         raise ModelError(
             error.problem, advice="Correct the file, or leave collisions out: --no-collisions."
         ) from error
+    notes: tuple[str, ...] = ()
+    if options.floor and not any(solid.name.startswith(FLOOR) for solid in obstacles):
+        floor = floor_of(model)
+        world = CollisionWorld(model, obstacles=(floor,), clearance=options.clearance)
+        below = _below(world, model, limits, start)
+        if below:
+            notes = (f"there is no floor, as {below}",)
+        else:
+            obstacles = (floor, *obstacles)
+            notes = ("nothing goes below the base (--no-floor allows it)",)
+    if not obstacles:
+        return alone, notes
+    return CollisionWorld(model, obstacles=obstacles, clearance=options.clearance), notes
+
+
+def _below(
+    world: CollisionWorld,
+    model: RobotModel,
+    limits: MotionLimits,
+    start: NDArray[np.float64] | None,
+) -> str:
+    """Say why a floor at the base cannot be: the robot hangs below it, or starts there."""
+    if start is not None:
+        distance, names = world.distances(start[None, joint_order(model)])
+        if FLOOR in names[0].split(" and ") and distance[0] < world.clearance:
+            link = next(name for name in names[0].split(" and ") if name != FLOOR)
+            return f"{link} is below the base at the start"
+        return ""
+    try:
+        possible_postures(model, limits, world, most=1)
+    except ArgumentError:
+        return "the robot is below its base in every posture"
+    return ""
 
 
 def _updating(update: Activity, budget: Budget, seconds: float) -> Callable[[DesignProgress], None]:
@@ -315,8 +370,8 @@ def _updating(update: Activity, budget: Budget, seconds: float) -> Callable[[Des
 def _replay(result: ExcitationResult) -> str:
     from geodrake.report.replay import FRAMES, replay_page
 
-    times = result.trajectory.instants(FRAMES)
-    motion = result.trajectory.motion(times)
+    times = result.executed.instants(FRAMES)
+    motion = result.executed.motion(times)
     return replay_page(result.objective.target.model, times, motion.q)
 
 

@@ -17,7 +17,7 @@ from geodrake.model.robot_model import RobotModel
 
 Array = NDArray[np.float64]
 
-_QUANTITIES = ("position", "velocity", "acceleration", "effort", *SIGNAL_KINDS)
+_QUANTITIES = ("position", "velocity", "acceleration", "effort", "jerk", *SIGNAL_KINDS)
 _EXAMPLE = "Write 0.5, velocity=1.5, velocity=50% or JOINT.position=-1:0.5."
 
 
@@ -103,7 +103,9 @@ class _Limits:
         self.signals.update(dict.fromkeys([joint] if joint else own, value))
 
 
-def limits_of(given: Sequence[str] | None, model: RobotModel) -> MotionLimits:
+def limits_of(
+    given: Sequence[str] | None, model: RobotModel, *, bounded: bool = False
+) -> MotionLimits:
     """The model's limits with others in their place.
 
     Args:
@@ -111,6 +113,7 @@ def limits_of(given: Sequence[str] | None, model: RobotModel) -> MotionLimits:
             share of the model's; `current=8` for the efforts that a model knows by their currents,
             A (voltage, pwm alike); `joint.effort=40` and `joint.position=-1:0.5` for one joint.
             Each may hold several, with commas between them; later ones win.
+        bounded: As for `motion_limits`.
 
     Raises:
         ArgumentError: One cannot be read, names no joint, or a joint has no room or no end.
@@ -126,6 +129,8 @@ def limits_of(given: Sequence[str] | None, model: RobotModel) -> MotionLimits:
         velocity=absolute.get("velocity"),
         acceleration=absolute.get("acceleration"),
         effort=absolute.get("effort"),
+        jerk=absolute.get("jerk"),
+        bounded=bounded,
     )
     for quantity, shares in said.shares.items():
         factors = np.array([shares.get(joint, 1.0) for joint in model.joints])

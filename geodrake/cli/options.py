@@ -261,10 +261,14 @@ class _Robot:
     Attributes:
         limits (LIMIT,…): Limits in place of the model file's: 0.5 for half of all of them,
             velocity=1.5 or velocity=50% for all joints, JOINT.position=-1:0.5 for one; also
-            acceleration and effort, and current, voltage and pwm of models fitted to such logs.
-            Repeatable.
+            acceleration, jerk and effort, and current, voltage and pwm of models fitted to such
+            logs. Repeatable.
         start (POSITION): Where the motion starts: one number, or JOINT=NUMBER,…
-        clearance (METRES): Least distance of the robot from itself.
+        stand (POSITION): Where the robot stands: ramps lead from there to the motion, and back at
+            its end; one number, or JOINT=NUMBER,…
+        obstacle (SHAPE|FILE): What stands in the way: box:X,Y,Z@x,y,z, sphere:R@…,
+            cylinder:R,L@…, floor:Z, a mesh, or a scene (URDF, SDF, MJCF). Repeatable.
+        clearance (METRES): Least distance of the robot from itself and from obstacles.
         collisions: Whether the collision geometry of the file counts.
         floor: Whether nothing may go below the base, as on a table or a floor. A robot that hangs
             below its base where it starts has none.
@@ -272,6 +276,8 @@ class _Robot:
 
     limits: list[str] | None = None
     start: str | None = None
+    stand: str | None = None
+    obstacle: list[str] | None = None
     clearance: float = 0.01
     collisions: bool = True
     floor: bool = True

@@ -1,42 +1,45 @@
 """Excitation: from which motion parameters are identified best, and which from a given one.
 
-    limits = motion_limits(model, acceleration=5.0)
+    limits = motion_limits(model, bounded=True)               # what the robot may do
     target = make_target(model, noise=0.1)                    # what is unknown, measured how well
     result = design_excitation(target, limits, trajectory=FourierMotion(10.0, 5))
-    write_trajectory(result.trajectory, "motion.csv", model)
-
-    rivals = [make_rival(name, model, limits) for name in ("coulomb_friction", "viscous_friction")]
-    separation = make_separation(model, *rivals, noise=0.1)   # who is to be distinguished from whom
-    result = design_separation(separation, limits)
+    write_trajectory(result.executed, "motion.csv", model)
 
 A motion is judged by the eigenvalues of its information matrix, normalized so that neither frames
-nor units nor the choice of base parameters matter ([Lee2019] Proposition 4.1).
+nor units nor the choice of base parameters matter ([Lee2019] Proposition 4.1); or by how far apart
+two effects are on it (`geodrake.excitation.tell_apart`).
 """
 
-from geodrake.excitation.collision_geometry import Solid, floor_of
+from geodrake.excitation.collision_geometry import Solid, floor_of, read_obstacles
 from geodrake.excitation.collisions import CollisionWorld
-from geodrake.excitation.criteria import CRITERIA, Criterion
-from geodrake.excitation.design import design_excitation
-from geodrake.excitation.design_results import DesignOptions, ExcitationResult
+from geodrake.excitation.design import (
+    DesignOptions,
+    ExcitationResult,
+    ReducedExcitation,
+    design_excitation,
+    design_reduced_excitation,
+)
 from geodrake.excitation.families import FourierMotion, FreeSamples, MotionFamily, SplineMotion
-from geodrake.excitation.identifiability import LogIdentifiability, log_identifiability
 from geodrake.excitation.identifiable import (
     IdentifiableParameters,
+    LogIdentifiability,
     ReducedIdentification,
     identifiable_parameters,
+    log_identifiability,
     measurement_factor,
     reduced_identification,
 )
-from geodrake.excitation.information import Objective
 from geodrake.excitation.limits import MotionLimits, motion_limits
-from geodrake.excitation.normalization import NORMALIZATIONS
-from geodrake.excitation.reduced_design import ReducedExcitation, design_reduced_excitation
-from geodrake.excitation.rivals import make_rival
-from geodrake.excitation.separation import Separation
+from geodrake.excitation.objective import CRITERIA, NORMALIZATIONS, Criterion, Objective
 from geodrake.excitation.target import Target, make_target
-from geodrake.excitation.tell_apart import design_separation, make_separation
-from geodrake.excitation.trajectory import ExcitationTrajectory
-from geodrake.excitation.trajectory_files import (
+from geodrake.excitation.tell_apart import (
+    Separation,
+    design_separation,
+    make_rival,
+    make_separation,
+)
+from geodrake.excitation.trajectory import (
+    ExcitationTrajectory,
     drake_trajectory,
     read_drake_trajectory,
     ros_joint_trajectory,
@@ -77,6 +80,7 @@ __all__ = [
     "measurement_factor",
     "motion_limits",
     "read_drake_trajectory",
+    "read_obstacles",
     "reduced_identification",
     "ros_joint_trajectory",
     "write_trajectory",

@@ -1,34 +1,53 @@
-"""A robot's plant with collision geometry: that of its file, of the user, and of the world."""
+"""Collision geometry: of a robot's file, of a scene's, and what a user says stands in the way.
+
+Drake takes a mesh for its convex hull wherever it measures distances, so meshes become convex hulls
+in memory; those of STL files too, which Drake does not read.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from tempfile import TemporaryDirectory
-from xml.etree.ElementTree import tostring
+from xml.etree.ElementTree import Element, tostring
 
-from pydrake.geometry import Box, SceneGraph, Shape
-from pydrake.math import RigidTransform
-from pydrake.multibody.parsing import Parser
+import numpy as np
+from numpy.typing import NDArray
+from pydrake.geometry import Box, Convex, Cylinder, Mesh, SceneGraph, Shape, Sphere
+from pydrake.math import RigidTransform, RollPitchYaw
+from pydrake.multibody.parsing import PackageMap, Parser
 from pydrake.multibody.plant import AddMultibodyPlantSceneGraph, CoulombFriction, MultibodyPlant
 from pydrake.multibody.tree import BodyIndex
 from pydrake.systems.framework import DiagramBuilder
 
-from geodrake.boundary.arguments import instance, typed
-from geodrake.errors import ArgumentError
-from geodrake.excitation.collision_meshes import in_memory, replace_stl
+from geodrake.boundary.arguments import instance, instances, typed
+from geodrake.boundary.input_files import regular_file
+from geodrake.errors import ArgumentError, ModelError
 from geodrake.model.robot_model import RobotModel
-from geodrake.robot.files import read_description
+from geodrake.robot.files import Given, read_description
 from geodrake.robot.files.description import drake_errors, drake_messages
 from geodrake.robot.files.meshes import check_geometry
 from geodrake.robot.files.values import drop
 from geodrake.robot.files.xacro_file import read_expanded
 from geodrake.robot.files.xml_text import parse_xml_bytes
+from geodrake.robot.mesh_files import check_mesh, stl_vertices
 from geodrake.robot.mjcf_shapes import SHAPES_ADVICE, mjcf_geoms
 from geodrake.robot.plant import arrange_as
 
+Array = NDArray[np.float64]
+
+FLOOR = "floor"
+_HALF = 10.0, 0.5  # m, of the sides and the depth of a floor
 _CONTACT = CoulombFriction(0.5, 0.5)  # which nothing here uses, but Drake asks for
+_SIZES = {"box": 3, "sphere": 1, "cylinder": 2, FLOOR: 1}
+_SCENES, _MESHES = (".urdf", ".sdf", ".xml", ".xacro", ".yaml", ".yml"), (".obj", ".stl", ".vtk")
+_FORMS = (
+    "Write box:0.6,0.8,0.05@0.5,0,0.4 (sizes @ x, y, z of the middle, then roll, pitch, yaw if it "
+    "is turned), sphere:0.1@…, cylinder:RADIUS,LENGTH@…, floor:HEIGHT, or a file: a mesh "
+    f"({', '.join(_MESHES)}) or a scene ({', '.join(_SCENES)}), each with @x,y,z if it is moved. A "
+    "name may come first: table=box:…."
+)
 
 
 @dataclass(frozen=True, eq=False)
@@ -51,10 +70,6 @@ class Solid:
         instance(self.X_BG, "X_BG", RigidTransform)
 
 
-FLOOR = "floor"
-_HALF = 10.0, 0.5  # m, of the sides and the depth of a floor
-
-
 @typed
 def floor_of(model: RobotModel) -> Solid:
     """Return a floor at the height of the origin of the robot's base, level in the world."""
@@ -63,9 +78,103 @@ def floor_of(model: RobotModel) -> Solid:
     welded = plant.GetBodiesWeldedTo(plant.world_body())
     bases = [body for body in welded if body.index() != plant.world_body().index()]
     heights = [plant.EvalBodyPoseInWorld(context, body).translation()[2] for body in bases]
-    depth = min(heights, default=0.0) - _HALF[1]
-    sides = (2.0 * _HALF[0], 2.0 * _HALF[0], 2.0 * _HALF[1])
-    return Solid(FLOOR, Box(*sides), RigidTransform([0.0, 0.0, depth]))
+    return _floor(FLOOR, min(heights, default=0.0))
+
+
+def _floor(name: str, height: float) -> Solid:
+    box = Box(2.0 * _HALF[0], 2.0 * _HALF[0], 2.0 * _HALF[1])
+    return Solid(name, box, RigidTransform([0.0, 0.0, height - _HALF[1]]))
+
+
+def read_obstacles(texts: Iterable[str]) -> tuple[Solid, ...]:
+    """Return obstacles as people write them: `table=box:0.6,0.8,0.05@0.5,0,0.4`, or a file.
+
+    Args:
+        texts: Shapes with their sizes and poses in the world, m and rad; meshes; scenes, of which
+            all collision geometry stands in the way, where it is in the file.
+    """
+    found: list[Solid] = []
+    for number, text in enumerate(instances(texts, "texts", str), 1):
+        body, at, place = text.rpartition("@") if "@" in text else (text, "", "")
+        label, named, what = body.partition("=")
+        label, what = (label.strip(), what.strip()) if named else ("", body.strip())
+        pose = _pose(place, text) if at else RigidTransform()
+        kind, colon, sizes = what.partition(":")
+        suffix = Path(what).suffix.lower()
+        if colon and kind in _SIZES:
+            found.append(_plain(label or f"{kind} {number}", kind, _numbers(sizes, text), pose))
+        elif suffix in _MESHES:
+            shape = Convex(points=_points(Path(what)).T, label=label or Path(what).stem)
+            found.append(Solid(label or Path(what).stem, shape, pose))
+        elif suffix in _SCENES:
+            found += _scene(Path(what), label or Path(what).stem, pose)
+        else:
+            raise ArgumentError(f"{text!r} is no obstacle.", advice=_FORMS)
+    return tuple(found)
+
+
+def _numbers(text: str, whole: str) -> list[float]:
+    try:
+        values = [float(part) for part in text.split(",")]
+    except ValueError:
+        values = []
+    if not values or not np.isfinite(values).all():
+        raise ArgumentError(f"{text!r} of the obstacle {whole!r} is not numbers.", advice=_FORMS)
+    return values
+
+
+def _pose(text: str, whole: str) -> RigidTransform:
+    values = _numbers(text, whole)
+    if len(values) not in (3, 6):
+        raise ArgumentError(f"The obstacle {whole!r} is at {len(values)} numbers.", advice=_FORMS)
+    return RigidTransform(RollPitchYaw(*(*values[3:], 0.0, 0.0, 0.0)[:3]), values[:3])
+
+
+def _plain(name: str, kind: str, sizes: list[float], pose: RigidTransform) -> Solid:
+    if len(sizes) != _SIZES[kind]:
+        raise ArgumentError(f"A {kind} has {_SIZES[kind]} sizes; got {sizes}.", advice=_FORMS)
+    if kind == FLOOR:
+        return _floor(name, sizes[0])
+    if not min(sizes) > 0:
+        raise ArgumentError(f"Sizes of a {kind} are positive; got {sizes}.", advice=_FORMS)
+    return Solid(name, {"box": Box, "sphere": Sphere, "cylinder": Cylinder}[kind](*sizes), pose)
+
+
+def _points(path: Path) -> Array:
+    """Return points (n, 3) of a mesh whose hull is that of the mesh."""
+    if path.suffix.lower() == ".stl":
+        return stl_vertices(path)
+    check_mesh(regular_file(path, "mesh", ModelError))
+    with drake_messages(), drake_errors(path, how=" as a mesh", advice="Use an .obj or an .stl."):
+        return _corners(Mesh(str(path)))
+
+
+def _corners(shape: Mesh | Convex) -> Array:
+    hull = shape.GetConvexHull()
+    return np.array([hull.vertex(i) for i in range(hull.num_vertices())])
+
+
+def _scene(path: Path, name: str, X_WS: RigidTransform) -> list[Solid]:
+    """Return all collision geometry of a file, where its bodies are by default."""
+    plant = MultibodyPlant(0.0)
+    with drake_messages(), drake_errors(path):
+        read_description(path).add_to(plant)
+        plant.Finalize()
+    context, found = plant.CreateDefaultContext(), []
+    poses = {plant.world_body().scoped_name().get_full(): RigidTransform()}
+    for i in range(plant.num_bodies()):
+        body = plant.get_body(BodyIndex(i))
+        poses[body.scoped_name().get_full()] = plant.EvalBodyPoseInWorld(context, body)
+    for scope, solids in solids_of_file(path, Given()).items():
+        for solid in solids if scope in poses else ():
+            own = f"{name}: {solid.name.partition('_')[2] or scope.rpartition('::')[2]}"
+            found.append(Solid(own, solid.shape, X_WS @ poses[scope] @ solid.X_BG))
+    if not found:
+        raise ArgumentError(
+            f"The scene {path} has no collision geometry.",
+            advice="Give its links <collision> elements, or write boxes instead.",
+        )
+    return found
 
 
 def add_collision_plant(
@@ -76,16 +185,12 @@ def add_collision_plant(
     *,
     use_file: bool = True,
 ) -> tuple[MultibodyPlant, SceneGraph]:
-    """Adds a finalized plant of the model with collision geometry, and its SceneGraph.
+    """Add a finalized plant of the model with collision geometry, and its SceneGraph.
 
     Args:
         model: The robot. Its joints are read as always, and its geometry from its file.
         links: Link name -> further solids of the link.
         use_file: Whether the file's own collision geometry counts.
-
-    Raises:
-        ModelError: The file cannot be read with its geometry.
-        ArgumentError: There is no such link.
     """
     plant, scene = AddMultibodyPlantSceneGraph(builder, 0.0)
     with drake_messages(), drake_errors(model.path):
@@ -93,7 +198,7 @@ def add_collision_plant(
         arrange_as(plant, model.plant)
     bodies = [plant.get_body(BodyIndex(i)) for i in range(plant.num_bodies())]
     by_scope = {body.scoped_name().get_full(): body for body in bodies}
-    for scope, solids in _solids_of_file(model).items() if use_file else ():
+    for scope, solids in solids_of_file(model.path, model.given).items() if use_file else ():
         for solid in solids if scope in by_scope else ():
             _register(plant, by_scope[scope], solid)
     for solid in obstacles:
@@ -115,9 +220,9 @@ def _register(plant: MultibodyPlant, body: object, solid: Solid) -> None:
     plant.RegisterCollisionGeometry(body, solid.X_BG, solid.shape, solid.name, _CONTACT)
 
 
-def _solids_of_file(model: RobotModel) -> dict[str, list[Solid]]:
+def solids_of_file(path: Path, given: Given) -> dict[str, list[Solid]]:
     """Return collision geometry by scoped link name: of MJCF by MuJoCo, otherwise by Drake."""
-    of_mjcf = mjcf_geoms(model.path, model.given, hulls=True)
+    of_mjcf = mjcf_geoms(path, given, hulls=True)
     if of_mjcf is not None:
         geoms, _ = of_mjcf
         return {
@@ -126,37 +231,90 @@ def _solids_of_file(model: RobotModel) -> dict[str, list[Solid]]:
         }
     plant, scene = AddMultibodyPlantSceneGraph(DiagramBuilder(), 1e-3)
     parser = Parser(plant)
-    read_description(model.path, model.given).add_every_package(parser.package_map())
+    read_description(path, given).add_every_package(parser.package_map())
     inspector, found = scene.model_inspector(), {}
     errors = drake_errors(
-        model.path,
+        path,
         how=" with its collision geometry",
         advice=SHAPES_ADVICE,
     )
     with drake_messages(), errors, TemporaryDirectory() as folder:
-        _parse(parser, model, Path(folder))
+        _parse(parser, path, given, Path(folder))
         for i in range(plant.num_bodies()):
             body = plant.get_body(BodyIndex(i))
             solids = []
             for k, geometry in enumerate(plant.GetCollisionGeometriesForBody(body)):
                 name = f"{k}_{inspector.GetName(geometry).split('::')[-1]}"
-                shape = in_memory(inspector.GetShape(geometry), name)
+                shape = _in_memory(inspector.GetShape(geometry), name)
                 solids.append(Solid(name, shape, inspector.GetPoseInFrame(geometry)))
             found[body.scoped_name().get_full()] = solids
     return found
 
 
-def _parse(parser: Parser, model: RobotModel, folder: Path) -> None:
-    """Reads the file without what Drake might trip over and geometry does not need."""
+def _parse(parser: Parser, path: Path, given: Given, folder: Path) -> None:
+    """Read the file without what Drake might trip over and geometry does not need."""
     root = None
-    if model.path.suffix.lower() not in (".yaml", ".yml"):
-        root = parse_xml_bytes(read_expanded(model.path, model.given), model.path)
+    if path.suffix.lower() not in (".yaml", ".yml"):
+        root = parse_xml_bytes(read_expanded(path, given), path)
     if root is None or root.tag not in ("robot", "sdf"):
-        files = (text.path for text in read_description(model.path, model.given).texts)
-        check_geometry(files, parser.package_map(), model.given)
-        parser.AddModels(str(model.path))
+        files = (text.path for text in read_description(path, given).texts)
+        check_geometry(files, parser.package_map(), given)
+        parser.AddModels(str(path))
         return
     drop(root, "visual", "inertial", "mimic", "transmission", "sensor", "plugin", "gazebo")
-    replace_stl(root, parser.package_map(), model.path, folder)
+    _replace_stl(root, parser.package_map(), path, folder)
     kind = "urdf" if root.tag == "robot" else "sdf"
     parser.AddModelsFromString(tostring(root, encoding="unicode"), kind)
+
+
+def _replace_stl(root: Element, packages: PackageMap, model: Path, folder: Path) -> None:
+    """Make places of meshes in a description URLs; surfaces of STL files go to a folder as OBJ."""
+    numbers = iter(range(10**9))
+    for mesh in root.iter("mesh"):
+        if "filename" in mesh.attrib:
+            place = mesh.get("filename", "")
+            mesh.set("filename", _readable(place, packages, model, folder / f"{next(numbers)}.obj"))
+    for uri in root.iter("uri"):
+        uri.text = _readable(uri.text or "", packages, model, folder / f"{next(numbers)}.obj")
+
+
+def _in_memory(shape: Shape, label: str) -> Shape:
+    """Return a shape that needs no file: of a mesh, its convex hull."""
+    if not isinstance(shape, Mesh | Convex):
+        return shape.Clone()
+    return Convex(points=_corners(shape).T, label=label)
+
+
+def _unusable(place: str | Path, reason: str) -> ModelError:
+    return ModelError(
+        f"The mesh {place} cannot be used for collisions: {reason}.",
+        advice="Correct the file, or give the links shapes of their own with `links` and leave out "
+        "those of the model's file (use_file=False).",
+        mesh=str(place),
+    )
+
+
+def _readable(place: str, packages: PackageMap, model: Path, replacement: Path) -> str:
+    """Return the URL of a mesh, or of what is written in the place of an STL file."""
+    place = place.strip()
+    if "://" not in place:
+        # Drake does not know where a text is from, and takes no bare paths in it.
+        place = f"file://{model.resolve().parent / place}"
+    try:
+        path = packages.ResolveUrl(place)
+    except RuntimeError as error:
+        reason = str(error).strip().partition("\n")[0]
+        raise _unusable(place, reason.rpartition("error: ")[2].rstrip(".")) from error
+    try:
+        if not path.lower().endswith(".stl"):
+            check_mesh(Path(path))
+            return place
+        vertices = stl_vertices(Path(path))
+    except ModelError as error:
+        words = error.problem.replace(f"The mesh {path} ", "it ").rstrip(".")
+        raise _unusable(path, words) from error
+    corners = 1 + np.arange(len(vertices)).reshape(-1, 3)
+    with replacement.open("w", encoding="utf-8") as file:
+        np.savetxt(file, vertices, "v %.9g %.9g %.9g")
+        np.savetxt(file, corners, "f %d %d %d")
+    return f"file://{replacement}"

@@ -1,4 +1,4 @@
-"""Whether a robot hits itself or obstacles, and how that depends on its posture."""
+"""Distances of a robot from itself and from obstacles, and how they depend on its posture."""
 
 from __future__ import annotations
 
@@ -20,6 +20,8 @@ from geodrake.model.robot_model import RobotModel
 
 Array = NDArray[np.float64]
 
+ITSELF = "itself"
+
 _INFLUENCE = 0.05  # m beyond the clearance at which the constraint begins to feel a distance
 _POSTURES = 40
 _ALWAYS = 0.9  # share of random postures in which parts overlap that are made to
@@ -36,11 +38,6 @@ class CollisionWorld:
         links: Body name -> further shapes of the link.
         clearance: Least distance to keep, m.
         use_file: Whether the file's own geometry counts.
-
-    Raises:
-        ModelError: The file cannot be read with its geometry.
-        ArgumentError: There is no such body, nothing that can collide, or the clearance is
-            negative.
     """
 
     @typed
@@ -60,6 +57,7 @@ class CollisionWorld:
         links = {body: instances(each, f"links[{body!r}]", Solid) for body, each in links.items()}
         number(clearance, "clearance", lower=0.0)
         integer(seed, "seed", lower=0)
+        self.obstacles = tuple(solid.name for solid in obstacles)
         builder = DiagramBuilder()
         self._plant, self._scene = add_collision_plant(
             builder, model, obstacles, links, use_file=use_file
@@ -82,7 +80,7 @@ class CollisionWorld:
         )
 
     def distances(self, q: Array) -> tuple[Array, tuple[str, ...]]:
-        """Least signed distances, m, and between what they are.
+        """Return the least signed distances, m, and between what they are.
 
         Args:
             q: (N, nq) positions of the model.
@@ -98,6 +96,22 @@ class CollisionWorld:
                 nearest = min(pairs, key=lambda pair: pair.distance)
                 found[i], names[i] = nearest.distance, " and ".join(self._names(nearest))
         return found, tuple(names)
+
+    def nearest(self, q: Array) -> dict[str, tuple[float, str]]:
+        """Return by how much a robot clears itself and each obstacle over postures (N, nq).
+
+        Returns:
+            "itself" or an obstacle's name -> least distance, m, and between what it is. What is
+            never within `clearance` + 0.05 m is left out.
+        """
+        found: dict[str, tuple[float, str]] = {}
+        for pairs in self._pairs(self._model.plant_positions(q), self.clearance + _INFLUENCE):
+            for pair in pairs:
+                names = self._names(pair)
+                party = next((name for name in names if name in self.obstacles), ITSELF)
+                if pair.distance < found.get(party, (np.inf, ""))[0]:
+                    found[party] = pair.distance, " and ".join(names)
+        return found
 
     def constraint(self, q: Array) -> tuple[Array, Array]:
         """Return a smooth number that is at most one where the clearance is kept, and its gradient.
@@ -119,7 +133,7 @@ class CollisionWorld:
         return values, self._model.robot_gradient(q, gradients)
 
     def _pairs(self, q: Array, within: float) -> list[list[SignedDistancePair]]:
-        """For each posture, Drake's signed distances of pairs that are so near."""
+        """Return, for each posture, Drake's signed distances of pairs that are so near."""
         result = []
         for posture in q:
             self._plant.SetPositions(self._context, posture)
@@ -137,7 +151,7 @@ class CollisionWorld:
         return names[0], names[1]
 
     def _allow_overlaps(self, model: RobotModel, seed: int) -> tuple[str, ...]:
-        """Lets links overlap that always do; says which."""
+        """Let links overlap that always do, and say which."""
         lower, upper = self._plant.GetPositionLowerLimits(), self._plant.GetPositionUpperLimits()
         bounded = np.isfinite(lower) & np.isfinite(upper)
         lower, upper = np.where(bounded, lower, -np.pi), np.where(bounded, upper, np.pi)

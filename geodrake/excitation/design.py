@@ -1,4 +1,4 @@
-"""The most informative motion that a robot can execute, [Lee2019] §4.4."""
+"""The most informative motion that a robot can execute, [Lee2019] §4.4 and §4.5.2."""
 
 from __future__ import annotations
 
@@ -8,42 +8,213 @@ from contextlib import suppress
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
-from geodrake.boundary.arguments import function, instance, integer, integers
-from geodrake.boundary.interrupts import StopSearch, is_stop
-from geodrake.errors import ArgumentError
-from geodrake.excitation.budget import Budget, OutOfTimeError
-from geodrake.excitation.criteria import Criterion
-from geodrake.excitation.design_results import (
-    DesignOptions,
-    DesignProgress,
-    ExcitationResult,
-    SeedOutcome,
+from geodrake.boundary.arguments import (
+    function,
+    instance,
+    instances,
+    integer,
+    integers,
+    number,
+    positive,
+    real_array,
 )
+from geodrake.boundary.interrupts import StopSearch, is_stop
+from geodrake.boundary.showing import Short, Shown
+from geodrake.errors import ArgumentError
+from geodrake.excitation.collisions import CollisionWorld
 from geodrake.excitation.families import FourierMotion, MotionFamily
-from geodrake.excitation.guess import random_guess, within_limits
-from geodrake.excitation.information import Objective
 from geodrake.excitation.limits import MotionLimits, motion_limits
-from geodrake.excitation.margins import FINE, limit_use
-from geodrake.excitation.nonlinear_solvers import (
-    AFTER_STOP,
+from geodrake.excitation.margins import COARSE, FINE, LimitUse, keeps_limits, least_of, limit_use
+from geodrake.excitation.objective import Criterion, Objective
+from geodrake.excitation.problem import DesignProblem
+from geodrake.excitation.ramps import RampPlanner
+from geodrake.excitation.solve import (
     INTERRUPTED,
+    Budget,
+    OutOfTimeError,
+    SolverEnd,
     check_solver,
     solve,
 )
-from geodrake.excitation.postures import check_start, possible_postures
-from geodrake.excitation.problem import DesignProblem
+from geodrake.excitation.starts import (
+    check_start,
+    possible_postures,
+    random_guess,
+    within_limits,
+)
 from geodrake.excitation.target import Target, make_target
+from geodrake.excitation.trajectory import (
+    ExcitationTrajectory,
+    ExecutableMotion,
+    RampedTrajectory,
+)
+from geodrake.logs.motion import Motion
 from geodrake.model.robot_model import RobotModel
 
 Array = NDArray[np.float64]
 
-_MOST_SAMPLES, _MOST_SEEDS = 10_000, 1000
-_FOR_STARTS, _FOR_STAGE = 0.9, 0.85  # of the time; the rest is for a closer look at limits
+THRESHOLD = 1e-2
+"""Largest relative variance of a direction that counts as identifiable, as for given logs."""
+
+_MOST, _MOST_SAMPLES, _MOST_SEEDS = 1_000_000, 10_000, 1000
+_FOR_STARTS, _FOR_STAGE, _FOR_SOLVER = 0.9, 0.85, 0.8  # of the time; the rest is for closer looks
+_FOR_WAY = 0.5  # of what is left of a stage; the rest is for motions that the solver saw
 _A_MOMENT = 1.0  # s
+_ONE_STAGE, _STAGES = 24.0, (8.0, 64.0)
+_AFTER_STOP = 2.0  # s, for the way back to the limits of a motion that was stopped
+_LOOKED_AT = 200  # most of the motions that a solver saw
 _STOPPED = "interrupted: the motion is the best by then, and a longer search may find a better one"
+_RAMP_LOOKS = 200  # at collisions of a ramp
 _NEAREST_POSTURES = 50  # to the middle, out of which seeds take theirs
+
+
+@dataclass(frozen=True, eq=False)
+class DesignOptions(Short):
+    """How a design is made.
+
+    Attributes:
+        samples: Number of samples by which information is counted.
+        rest: Whether the motion starts and ends at rest, without a jump of acceleration.
+        start: (nv,) positions at the start by joint, rad or m; free if None. Free samples have no
+            start, and none is looked at.
+        stand: (nv,) positions where the robot stands, from and to which ramps lead; none if None.
+        collisions: What may not be hit.
+        solver: "snopt" or "ipopt". Where much may collide, one may go far where the other stops.
+        iterations: Most iterations of the solver, for each stage.
+        seconds: Most time of the whole design, which its starts share, s.
+        sharpness: Stages of the smooth forms of E-optimality and condition number; see
+            `Criterion`. If None, one of 24 in a quick search, otherwise 8 and then 64.
+        guess: (count, nv) coefficients of a motion to start from, besides the random ones. What
+            is beyond the limits is scaled down.
+        quick: Whether a stage ends once the value changes by less than 1 % in twelve evaluations
+            (solvers polish the last digits for minutes), with speeds and accelerations of many
+            joints constrained at half as many instants, to 96 % of their limits. What is checked
+            in the end is the same.
+    """
+
+    samples: int = 300
+    rest: bool = True
+    start: ArrayLike | None = None
+    stand: ArrayLike | None = None
+    collisions: CollisionWorld | None = None
+    solver: str = "snopt"
+    iterations: int = 300
+    seconds: float = 180.0
+    sharpness: tuple[float, ...] | None = None
+    guess: Array | None = None
+    quick: bool = True
+
+    def __post_init__(self) -> None:
+        for name in ("samples", "iterations"):
+            integer(getattr(self, name), name, upper=_MOST)
+        positive(self.seconds, "seconds")
+        instance(self.quick, "quick", bool)
+        instance(self.solver, "solver", str)
+        for sharpness in instances(self.sharpness or (), "sharpness", object):
+            number(sharpness, "sharpness", lower=0.0, finite=False)
+        for name in ("start", "stand"):
+            if getattr(self, name) is not None:
+                real_array(getattr(self, name), name, ("nv",))
+        if self.guess is not None:
+            real_array(self.guess, "guess")
+        if self.collisions is not None:
+            instance(self.collisions, "collisions", CollisionWorld)
+
+
+@dataclass(frozen=True)
+class DesignProgress:
+    """Where a design is.
+
+    Attributes:
+        seed: Number of the start, from zero.
+        evaluations: Evaluations of the criterion since the design began.
+        value: What is minimized, now: the criterion's logarithm; limits may not yet be kept.
+        is_stopped: Whether the design was stopped, and only the best motion is looked at.
+    """
+
+    seed: int
+    seeds: int
+    evaluations: int
+    value: float
+    is_stopped: bool = False
+
+
+@dataclass(frozen=True)
+class SeedOutcome:
+    """What one start came to.
+
+    Attributes:
+        seed: Of the random motion that it began with; None for a given motion.
+        random_value: Criterion of the motion that it began with, which keeps the limits.
+        value: Criterion of the motion that it ended with, which keeps them too.
+    """
+
+    seed: int | None
+    random_value: float
+    value: float
+    evaluations: int
+    seconds: float
+    status: str
+
+
+@dataclass(frozen=True, eq=False)
+class ExcitationResult(Shown):
+    """A designed motion.
+
+    Attributes:
+        objective: The criterion that it is best by, with the target.
+        value: Its value, as the source defines it (not the logarithm).
+        eigenvalues: (n_B,) of the normalized information matrix, ascending: the inverse variances
+            of an estimate from `samples` samples, along its principal directions.
+        samples: Number of samples that count.
+        use: What it uses of its limits, all of which it keeps, ramps included.
+        ramps: The motion with ramps from and to where the robot stands; None if nobody said where.
+        seconds: How long the search took, s.
+    """
+
+    trajectory: ExcitationTrajectory
+    objective: Objective
+    value: float
+    eigenvalues: Array
+    samples: int
+    use: LimitUse
+    limits: MotionLimits
+    outcomes: tuple[SeedOutcome, ...]
+    notes: tuple[str, ...] = ()
+    is_interrupted: bool = False
+    ramps: RampedTrajectory | None = None
+    seconds: float = 0.0
+
+    @property
+    def executed(self) -> ExecutableMotion:
+        """The motion to execute and to save: with its ramps, if there are some."""
+        return self.ramps or self.trajectory
+
+    @property
+    def motion(self) -> Motion:
+        """The samples that the value is of."""
+        return self.trajectory.motion(self.trajectory.family.times(self.samples))
+
+
+def identifiable_directions(result: ExcitationResult, threshold: float = THRESHOLD) -> int:
+    """Return how many directions the motion's samples identify to within a relative variance.
+
+    Meaningful for the geometric normalization, whose variances are relative.
+    """
+    return int(np.count_nonzero(result.eigenvalues * threshold >= 1.0))
+
+
+def improvement(result: ExcitationResult) -> float:
+    """Return by what factor the best random motion that a start began with is worse.
+
+    Of D-optimality, the factor of the geometric mean of the variances.
+    """
+    random = min(outcome.random_value for outcome in result.outcomes)
+    if result.objective.criterion.name == "d_optimality":
+        return float(np.exp((random - result.value) / len(result.eigenvalues)))
+    return random / result.value if np.isfinite(random) else np.inf
 
 
 def design_excitation(
@@ -62,7 +233,7 @@ def design_excitation(
     Args:
         what: A robot, of which all inertias and the model's effects are to be identified from
             efforts; or a `Target`: what is unknown, what is measured and with which noise.
-        limits: What the robot may do; the limits of its model file if None.
+        limits: What the robot may do; those of `motion_limits(model, bounded=True)` if None.
         criterion: One of `CRITERIA`, or a `Criterion`.
         normalization: One of `NORMALIZATIONS`.
         trajectory: The family of motions; a Fourier series of 10 s if None.
@@ -70,10 +241,6 @@ def design_excitation(
         seeds: Number of random starts, or their seeds.
         progress: Called after every evaluation of the criterion. It may raise `StopSearch`, as a
             handler of signals may: then the best motion so far is the result.
-
-    Raises:
-        ArgumentError: Limits leave no room, a speed is not limited, the start cannot be held, no
-            posture can, or the noise is not positive; the message says which joint and where.
     """
     target = what if isinstance(what, Target) else make_target(what)
     criterion = criterion if isinstance(criterion, Criterion) else Criterion(criterion)
@@ -98,12 +265,7 @@ def design_objective(
 ) -> ExcitationResult:
     """Return the motion within limits that is best by an objective.
 
-    Args:
-        objective: Function of the motion, such as a normalized criterion of a target.
-        progress: Called after every evaluation.
-
-    Raises:
-        ArgumentError: As `design_excitation`.
+    Args and errors are those of `design_excitation`.
     """
     instance(objective, "objective", Objective)
     if limits is not None:
@@ -118,7 +280,7 @@ def design_objective(
     asked = _asked(seeds)
     check_solver(options.solver)
     many = not 1 <= options.samples <= _MOST_SAMPLES or len(asked) > _MOST_SEEDS
-    if many or not len(asked) or not options.sharpness:
+    if many or not len(asked) or options.sharpness == ():
         raise ArgumentError(
             f"A design needs at least one seed, sample and stage; got {len(asked)} seeds, "
             f"{options.samples} samples and {options.sharpness}.",
@@ -134,11 +296,17 @@ def design_objective(
     else:
         check_start(model, problem.limits, problem.start, options.collisions)
         postures = problem.start[None]
+    stand = None if options.stand is None else np.asarray(options.stand, float)
+    if stand is not None:
+        check_start(model, problem.limits, stand, options.collisions, name="robot's stand")
     run = _Run(problem, options, postures, progress)
     ends = run.from_seeds(chosen, budget.part(_FOR_STARTS))
     best, _ = min(ends, key=lambda end: end[1].value)
     use = limit_use(problem, best, budget=run.for_a_closer_look(budget))
-    final = problem.trajectory(best)
+    final, ramps = problem.trajectory(best), None
+    if stand is not None and family.timed:
+        ramps = RampPlanner(model, problem.limits, options.collisions).ramped(final, stand)
+        use = _with_ramps(use, ramps, options.collisions)
     eigenvalues = objective.eigenvalues(final.motion(problem.times))
     return ExcitationResult(
         trajectory=final,
@@ -155,7 +323,23 @@ def design_objective(
             *_time_notes(problem, run, run.starts - len(ends), use.stride),
         ),
         is_interrupted=run.is_stopped,
+        ramps=ramps,
+        seconds=options.seconds - budget.left,
     )
+
+
+def _with_ramps(
+    use: LimitUse, ramps: RampedTrajectory, collisions: CollisionWorld | None
+) -> LimitUse:
+    """Return the use of limits with the clearances on ramps, which take half of the others."""
+    if collisions is None:
+        return use
+    clearances = dict(use.clearances)
+    for part in ramps.parts:
+        if not isinstance(part, ExcitationTrajectory):
+            q = part.motion(np.linspace(0.0, part.length, _RAMP_LOOKS)).q
+            clearances = least_of(clearances, collisions.nearest(q))
+    return replace(use, clearances=clearances)
 
 
 def _time_notes(problem: DesignProblem, run: _Run, left_out: int, stride: int) -> tuple[str, ...]:
@@ -185,16 +369,12 @@ def make_problem(
 ) -> DesignProblem:
     """Return the design problem of options.
 
-    Args:
-        objective: What the motion shall make small.
-        limits: Limits by joint; None for those of the model.
-
     Raises:
         ArgumentError: Limits leave no room or let samples be without bounds, or the ends leave no
             coefficient free.
     """
     model = objective.target.model
-    limits = motion_limits(model) if limits is None else limits
+    limits = motion_limits(model, bounded=True) if limits is None else limits
     if limits.joints != model.joints:
         raise ArgumentError(
             f"The limits are of the joints {limits.joints}; the robot has {model.joints}."
@@ -216,6 +396,7 @@ def make_problem(
         rest=options.rest,
         start=start if family.timed else None,
         collisions=options.collisions,
+        quick=options.quick,
     )
 
 
@@ -246,8 +427,8 @@ class _Run:
         self.starts = len(asked)
         ends: list[tuple[Array, SeedOutcome]] = []
         first: Array | None = None
-        for number, seed in enumerate(asked):
-            own = budget.part(1.0 / min(self.starts - number, 2))  # few that end beat many
+        for start, seed in enumerate(asked):
+            own = budget.part(1.0 / min(self.starts - start, 2))  # few that end beat many
             if first is not None and (own.left <= 0.0 or self.is_stopped):
                 break
             try:
@@ -260,10 +441,10 @@ class _Run:
             except BaseException as error:
                 if first is None or not is_stop(error):
                     raise
-                self._stop(number, ends[-1][1].value)
+                self._stop(start, ends[-1][1].value)
                 break
             first = guess if first is None else first
-            ends.append(self._from(number, seed, guess, own))
+            ends.append(self._from(start, seed, guess, own))
         if not ends:
             raise ArgumentError(
                 f"No motion within the limits was found in {self.options.seconds:g} s.",
@@ -277,11 +458,7 @@ class _Run:
         return random_guess(self.problem, self.postures, np.random.default_rng(seed), least)
 
     def _given(self, guess: Array) -> Array:
-        """Variables of the motion that was given.
-
-        Raises:
-            ArgumentError: It is of another family or robot.
-        """
+        """Return the variables of the motion that was given."""
         expected = self.problem.offset.shape
         if np.shape(guess) != expected or not np.isfinite(guess).all():
             raise ArgumentError(
@@ -322,23 +499,45 @@ class _Run:
     ) -> tuple[Array, str]:
         """Return the better of a motion and what a stage makes of it, and what the solver said."""
         problem = replace(self.problem, objective=replace(self.problem.objective, criterion=stage))
-        reached, status = solve(
+        found = solve(
             problem,
             guess,
             solver=self.options.solver,
             iterations=self.options.iterations,
-            seconds=_FOR_STAGE * budget.left,
+            budget=budget.part(_FOR_STAGE * _FOR_SOLVER),
             watch=lambda value, _: self._notify(number, value),
+            quick=self.options.quick,
         )
-        if status == INTERRUPTED:
+        if found.status == INTERRUPTED:
             self._stop(number, self._value(guess))
             budget = self.for_a_closer_look(budget)
-        inside = within_limits(self.problem, reached.reshape(guess.shape), guess, budget)
-        return inside if self._value(inside) < self._value(guess) else guess, status
+        inside = self._inside(problem, found, guess, budget)
+        better = inside if self._value(inside) < self._value(guess) else guess
+        return better, found.status
+
+    def _inside(
+        self, problem: DesignProblem, found: SolverEnd, guess: Array, budget: Budget
+    ) -> Array:
+        """Return a motion within limits: what was reached, or near it, or the best seen on the way.
+
+        Solvers keep linear limits on their way, those of efforts and collisions in the end only. A
+        solver that is stopped may be beyond these, and the way back long.
+        """
+        reached = found.variables.reshape(guess.shape)
+        nearest = within_limits(problem, reached, guess, budget.part(_FOR_WAY), stride=COARSE)
+        value = problem.cost(nearest)[0]
+        with suppress(OutOfTimeError):
+            for better, y in found.seen[:_LOOKED_AT]:
+                if better >= value:
+                    break
+                if keeps_limits(problem, y, stride=COARSE, budget=budget):
+                    nearest = y.reshape(guess.shape)
+                    break
+        return within_limits(self.problem, nearest, guess, budget)
 
     def for_a_closer_look(self, budget: Budget) -> Budget:
         """Time to look at limits: what is left, or little once the design was stopped."""
-        return Budget.of(min(budget.left, AFTER_STOP)) if self.is_stopped else budget
+        return Budget.of(min(budget.left, _AFTER_STOP)) if self.is_stopped else budget
 
     def _stop(self, number: int, value: float) -> None:
         """Begin nothing more, and tell of it."""
@@ -353,7 +552,8 @@ class _Run:
         criterion = self.problem.objective.criterion
         if criterion.name in ("a_optimality", "d_optimality"):
             return [criterion]
-        return [replace(criterion, sharpness=sharpness) for sharpness in self.options.sharpness]
+        stages = self.options.sharpness or ((_ONE_STAGE,) if self.options.quick else _STAGES)
+        return [replace(criterion, sharpness=sharpness) for sharpness in stages]
 
     def _value(self, variables: Array) -> float:
         motion = self.problem.trajectory(variables).motion(self.problem.times)
@@ -363,3 +563,96 @@ class _Run:
         self.evaluations += 1
         if self.progress is not None:
             self.progress(DesignProgress(number, self.starts, self.evaluations, value))
+
+
+@dataclass(frozen=True, eq=False)
+class ReducedExcitation(Short):
+    """The best motion for as many parameters as are identifiable.
+
+    Attributes:
+        result: The motion; its criterion has r in `kept`, and its value is at most the threshold.
+        kept: r, for `identifiable_parameters(..., kept=r)` of the motion's log (step b.4).
+        tried: (r, optimized value) of every design, in the order of trial.
+    """
+
+    result: ExcitationResult
+    kept: int
+    tried: tuple[tuple[int, float], ...]
+
+
+def design_reduced_excitation(
+    target: Target,
+    limits: MotionLimits | None = None,
+    *,
+    threshold: float,
+    criterion: str = "e_optimality",
+    trajectory: MotionFamily | None = None,
+    options: DesignOptions | None = None,
+    seeds: int = 1,
+    progress: Callable[[DesignProgress], None] | None = None,
+) -> ReducedExcitation:
+    """The most parameters that a motion identifies well, and that motion, steps b.1 to b.3.
+
+    The source takes off one direction after the other until the optimized criterion is below the
+    threshold. The optimized criterion grows with r, and a motion designed for many directions says
+    for how few its own value would do; so this halves the range of r in between instead.
+
+    Args:
+        limits: What the robot may do; the limits of its model file if None.
+        threshold: ε_J for the criterion's value, which has no unit: with E-optimality, the
+            variance of the worst direction.
+        options: How each design is made.
+        seeds: Random starts of each design; the best motion so far is one more.
+
+    Raises:
+        ArgumentError: As `design_excitation`; or no single direction is identifiable that well.
+    """
+    instance(target, "target", Target)
+    number(threshold, "threshold")
+    integer(seeds, "seeds", lower=0)
+    given = DesignOptions() if options is None else options
+    options = instance(given, "options", DesignOptions)
+    tried: list[tuple[int, float]] = []
+
+    def optimized(count: int, guess: Array | None) -> ExcitationResult:
+        result = design_excitation(
+            target,
+            limits,
+            criterion=Criterion(criterion, kept=count),
+            trajectory=trajectory,
+            options=replace(options, guess=guess),
+            seeds=seeds,
+            progress=progress,
+        )
+        tried.append((count, result.value))
+        return result
+
+    low, high = 0, target.base.rank + 1  # low is identifiable, high is not
+    best, count, guess = None, target.base.rank, options.guess
+    start = guess  # by which motion `low` is
+    while high - low > 1:
+        result = optimized(count, guess)
+        guess = result.trajectory.coefficients
+        if result.value <= threshold:
+            low, best, start = count, result, guess
+        else:
+            high = count
+            enough = _enough(result, criterion, threshold, most=high - 1)
+            if enough > low:
+                low, best, start = enough, None, guess  # by a motion that was designed for more
+        count = (low + high) // 2
+    if not low:
+        raise ArgumentError(
+            f"No motion found identifies even one direction to {threshold:g}: the best has "
+            f"{min(value for _, value in tried):.3g}.",
+            advice="Raise the threshold, give the robot more room and time, or measure better.",
+        )
+    return ReducedExcitation(best or optimized(low, start), low, tuple(tried))
+
+
+def _enough(result: ExcitationResult, criterion: str, threshold: float, *, most: int) -> int:
+    """The most directions, of at most so many, for which a motion is good enough as it is."""
+    for count in range(most, 0, -1):
+        if Criterion(criterion, kept=count).value(result.eigenvalues) <= threshold:
+            return count
+    return 0

@@ -4,7 +4,7 @@ Every joint has coefficients c of its own, and at times t
 
     q = Φ₀(t) c,   v = Φ₁(t) c,   v̇ = Φ₂(t) c,
 
-so that a gradient with respect to the motion becomes one with respect to c by Φᵀ.
+so that a gradient with respect to the motion becomes one with respect to c by Φᵀ. The jerk is Φ₃ c.
 """
 
 from __future__ import annotations
@@ -56,15 +56,15 @@ class MotionFamily(abc.ABC):
         """Shortest time in which the motion does something, s: a period, or between knots."""
 
     @abc.abstractmethod
-    def basis(self, times: ArrayLike) -> Array:
-        """(3, N, count) matrices Φ₀, Φ₁, Φ₂ at times (N,), s."""
+    def basis(self, times: ArrayLike, *, orders: int = 3) -> Array:
+        """(orders, N, count) matrices Φ₀, Φ₁, Φ₂, … at times (N,), s."""
 
     def times(self, samples: int) -> Array:
         """(samples,) uniform instants from start to end, s."""
         return np.linspace(0.0, self.length, integer(samples, "samples", lower=1))
 
     def limit_times(self, share: float = 0.05) -> Array:
-        """Instants at which limits are to hold: so close that nothing happens between them.
+        """Return instants so close that limits which hold there hold between them.
 
         Raises:
             ArgumentError: They are too many.
@@ -148,7 +148,7 @@ class FourierMotion(MotionFamily):
 
     @property
     def count(self) -> int:
-        """Two coefficients a mode, and the offset."""
+        """Return two coefficients a mode, and the offset."""
         return 2 * self.modes + self.offset
 
     @property
@@ -161,20 +161,17 @@ class FourierMotion(MotionFamily):
         """Period of the last mode, s."""
         return 2.0 * np.pi / (self.omega * self.modes)
 
-    def basis(self, times: ArrayLike) -> Array:
-        """(3, N, count): 1, cos jωt, sin jωt and their derivatives."""
+    def basis(self, times: ArrayLike, *, orders: int = 3) -> Array:
+        """(orders, N, count): 1, cos jωt, sin jωt and their derivatives."""
         t = real_array(np.atleast_1d(real_array(times, "times")), "times", ("N",))
         rates = self.omega * np.arange(1, self.modes + 1)
         cosine, sine = np.cos(np.outer(t, rates)), np.sin(np.outer(t, rates))
-        slopes, curvatures = (
-            (-rates * sine, rates * cosine),
-            (-(rates**2) * x for x in (cosine, sine)),
-        )
-        pairs = (cosine, sine), slopes, tuple(curvatures)
+        turns = cosine, -sine, -cosine, sine  # cos and its derivatives; of sin, one turn behind
         first = 1 if self.offset else 0
-        Phi = np.zeros((3, len(t), self.count))
-        for order, (even, odd) in enumerate(pairs):
-            Phi[order, :, first::2], Phi[order, :, first + 1 :: 2] = even, odd
+        Phi = np.zeros((orders, len(t), self.count))
+        for order in range(orders):
+            Phi[order, :, first::2] = rates**order * turns[order % 4]
+            Phi[order, :, first + 1 :: 2] = rates**order * turns[(order - 1) % 4]
         Phi[0, :, :first] = 1.0
         return Phi
 
@@ -230,11 +227,11 @@ class SplineMotion(MotionFamily):
         inner = np.linspace(0.0, self.duration, self.points - self.degree + 1)
         return np.concatenate([np.zeros(self.degree), inner, np.full(self.degree, self.duration)])
 
-    def basis(self, times: ArrayLike) -> Array:
-        """(3, N, count): basis functions and their derivatives."""
+    def basis(self, times: ArrayLike, *, orders: int = 3) -> Array:
+        """(orders, N, count): basis functions and their derivatives."""
         t = real_array(np.atleast_1d(real_array(times, "times")), "times", ("N",))
         spline = BSpline(self.knots, np.eye(self.points), self.degree)
-        return np.stack([spline(t, nu=order) for order in range(3)])
+        return np.stack([spline(t, nu=order) for order in range(orders)])
 
 
 @dataclass(frozen=True)
@@ -282,9 +279,11 @@ class FreeSamples(MotionFamily):
         del share
         return np.zeros(self.samples)
 
-    def basis(self, times: ArrayLike) -> Array:
+    def basis(self, times: ArrayLike, *, orders: int = 3) -> Array:
         """(3, samples, count): each picks its third of the coefficients, whatever the time."""
         real_array(times, "times")
+        if orders > 3:
+            raise ArgumentError("Samples that do not follow each other have no jerk.")
         return np.eye(self.count).reshape(3, self.samples, self.count)
 
     def conditions(self, *, rest: bool, start: bool) -> Array:

@@ -3,33 +3,58 @@
 The normalized covariance of an estimate has eigenvalues λ₁ ≤ … ≤ λ_n: variances along principal
 directions, in squares of relative changes, whatever frames and units are. Directions of a variance
 above a threshold keep their prior values; the others are found by least squares. That takes one
-singular value decomposition of the whitened regressor A K (`geodrake.excitation.normalization`):
+singular value decomposition of the whitened regressor A K (`geodrake.excitation.objective`):
 
     A K = U S Wᵀ,   λᵢ = 1/sᵢ²,   φ* = φ⁰ + K W₋ S₋⁻¹ U₋ᵀ (b − A φ⁰)
 
 which has the base parameters of Eq. (4.5.60), and of all φ with those is the one nearest to φ⁰.
+
+    found = log_identifiability(load_model("arm.urdf"), ["log.csv"])
+    print(f"{found.count} of {found.possible} directions are identifiable")
+
+Logs are prepared and reduced as for every fit, so that what is counted are filtered samples of
+independent noise. The noise is what the model, refitted, leaves on held-out data: whatever else is
+in there, an estimate has to live with it.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from geodrake.boundary.arguments import instance, instances, integer, number, real_array
-from geodrake.boundary.showing import Short
+from geodrake.boundary.arguments import (
+    function,
+    instance,
+    instances,
+    integer,
+    number,
+    real_array,
+)
+from geodrake.boundary.showing import Short, Shown
+from geodrake.effects import Effect
 from geodrake.errors import ArgumentError
-from geodrake.excitation.normalization import normalizing_map
-from geodrake.excitation.target import Target
+from geodrake.excitation.objective import normalizing_map
+from geodrake.excitation.target import Target, make_target
+from geodrake.identification.logs.case import Case, open_case
+from geodrake.identification.logs.dataset import is_payload
+from geodrake.identification.logs.hypothesis import first_hypothesis, settle
+from geodrake.identification.logs.log_fits import log_unknowns
+from geodrake.identification.models.identify import with_effects
 from geodrake.inertia import PARAMETERS_PER_BODY
-from geodrake.logs.motion import Motion
+from geodrake.logs.motion import JointLog, Motion
+from geodrake.model.robot_model import RobotModel
 from geodrake.robot.reduction import triangular_factor
 
 Array = NDArray[np.float64]
 
 _SAMPLES = 2000  # of which there is a regressor in memory at once
+_ITERATIONS = 6  # refits until the weights of the joints stay
+_NOTHING = 1e-9  # share of a direction, or parameters of a block, that are rounding
+_HALF = 0.5  # share of a block above which it counts as identifiable
 
 
 @dataclass(frozen=True, eq=False)
@@ -99,7 +124,7 @@ class ReducedIdentification(Short):
 def measurement_factor(
     target: Target, motions: Motion | Sequence[Motion], measured: Sequence[ArrayLike] | None = None
 ) -> Array:
-    """All that motions, and what was measured in them, say: one triangular matrix.
+    """Return all that motions, and what was measured in them, say: one triangular matrix.
 
     Args:
         motions: Motions, (N, ·) each.
@@ -110,9 +135,6 @@ def measurement_factor(
     Returns:
         (p, p) R with RᵀR = AᵀA of the whitened regressor; (p + 1, p + 1) of [A b] with
         measurements.
-
-    Raises:
-        ArgumentError: Shapes do not fit together, or a value is not finite.
     """
     instance(target, "target", Target)
     given = (motions,) if isinstance(motions, Motion) else motions
@@ -125,13 +147,13 @@ def measurement_factor(
             f"There are {len(every)} motions and measurements of {len(outputs)} of them.",
             advice="Pass one array of measurements a motion.",
         )
-    return triangular_factor(_blocks(target, every, outputs))
+    return triangular_factor(_whitened(target, every, outputs))
 
 
-def _blocks(
+def _whitened(
     target: Target, motions: Sequence[Motion], outputs: Sequence[Array | None]
 ) -> Iterator[Array]:
-    """Whitened rows, some samples at a time."""
+    """Yield whitened rows, some samples at a time."""
     for motion, output in zip(motions, outputs, strict=True):
         if output is not None and output.shape != (len(motion), len(target.noise)):
             raise ArgumentError(
@@ -149,7 +171,7 @@ def _blocks(
 def identifiable_parameters(
     target: Target, factor: ArrayLike, *, threshold: float = 1e-2, kept: int | None = None
 ) -> IdentifiableParameters:
-    """What is identifiable from data, [Lee2019] steps a.1 to a.4.
+    """Return what is identifiable from data, [Lee2019] steps a.1 to a.4.
 
     Args:
         target: What is unknown; its nominal parameters are the prior.
@@ -157,9 +179,6 @@ def identifiable_parameters(
         threshold: ε_λ, largest variance of what counts as identifiable; 10⁻² is a deviation of
             a tenth.
         kept: Number of directions instead of the threshold, as in step b.4.
-
-    Raises:
-        ArgumentError: The factor does not fit, or nothing is kept.
     """
     A = _regressor_factor(target, factor)
     return _decompose(target, A, threshold, kept)[0]
@@ -175,9 +194,6 @@ def reduced_identification(
         factor: (p + 1, p + 1) `measurement_factor` with what was measured.
         threshold: ε_λ; infinite for least squares of all base parameters.
         kept: Number of directions instead of the threshold.
-
-    Raises:
-        ArgumentError: The factor does not fit, nothing is kept, or more than the data see.
     """
     both, size = real_array(factor, "factor"), instance(target, "target", Target).size
     if both.shape != (size + 1, size + 1):
@@ -200,7 +216,7 @@ def reduced_identification(
 
 
 def _regressor_factor(target: Target, factor: ArrayLike) -> Array:
-    """Rows of a factor without the column of measurements."""
+    """Return rows of a factor without the column of measurements."""
     array, size = real_array(factor, "factor"), instance(target, "target", Target).size
     if array.shape not in ((size, size), (size + 1, size + 1)):
         raise ArgumentError(
@@ -213,7 +229,7 @@ def _regressor_factor(target: Target, factor: ArrayLike) -> Array:
 def _decompose(
     target: Target, A: Array, threshold: float, kept: int | None
 ) -> tuple[IdentifiableParameters, Array, Array]:
-    """The identifiable parameters, and U and S of A K, most certain direction first."""
+    """Return the identifiable parameters, and U and S of A K, most certain direction first."""
     number(threshold, "threshold", lower=0.0, finite=False)
     if kept is not None:
         integer(kept, "kept")
@@ -239,6 +255,269 @@ def _decompose(
 
 
 def _seen(singular: Array) -> int:
-    """How many singular values, descending, are more than rounding."""
+    """Return how many singular values, descending, are more than rounding."""
     least = np.finfo(float).eps * singular.max(initial=0.0) * len(singular)
     return int(np.count_nonzero(singular > least))
+
+
+@dataclass(frozen=True)
+class IdentifiableBlock:
+    """How much of a body or of an effect is identifiable.
+
+    Attributes:
+        name: Of the body, or of the effect: "<parameter> of <effect>" if it has several.
+        where: Joints or body of the effect; () for a body.
+        count: How many of its parameters are identifiable, 0 to 10 for a body and 0 to 1 for an
+            effect; part of one can be.
+        possible: How many are from the best of motions.
+        value: Of an effect's parameter, its value in the model, or that of a fit to the logs; NaN
+            for a body.
+        deviation: Of an effect's parameter, the deviation of an estimate from these logs alone, in
+            its own unit; infinite where they say nothing, NaN for a body.
+        effect: Name of the effect; "" for a body.
+        parameter: Name of the effect's parameter; "" for a body.
+    """
+
+    name: str
+    where: tuple[str, ...]
+    count: float
+    possible: float
+    value: float = np.nan
+    deviation: float = np.nan
+    effect: str = ""
+    parameter: str = ""
+
+    @property
+    def label(self) -> str:
+        """Its name, and of an effect where it acts."""
+        place = "/".join(self.where) or "the robot"
+        return f"{self.name} of {place}" if self.effect else self.name
+
+    @property
+    def share(self) -> float:
+        """Identifiable over possible; zero where nothing is possible."""
+        return self.count / self.possible if self.possible > _NOTHING else 0.0
+
+    @property
+    def is_identifiable(self) -> bool:
+        """Whether most of it is identifiable."""
+        return self.share >= _HALF
+
+
+@dataclass(frozen=True)
+class ParameterCombination:
+    """A base parameter.
+
+    Attributes:
+        words: The combination, such as "Izz of column + Iyy of arm".
+        value: Its value in the model, SI units.
+        deviation: Deviation of an estimate from the logs alone; infinite where they say nothing.
+        relative: The deviation over the size that such a parameter has, which is geometric: it
+            depends neither on frames nor on units.
+    """
+
+    words: str
+    value: float
+    deviation: float
+    relative: float
+
+
+@dataclass(frozen=True, eq=False)
+class LogIdentifiability(Shown):
+    """What is identifiable of a model from logs.
+
+    Attributes:
+        model: The model, with the effects that were asked for.
+        identifiable: Directions with their variances, and how many are identifiable.
+        effects: Every parameter of an effect.
+        noise: (nv,) deviation that a filtered sample counts with, N·m or N.
+        floor: (nv,) estimated sensor noise after filtering, N·m or N.
+        floor_variances: (n_B,) variances if the sensor noise were all there is, ascending.
+        samples: (nv,) filtered samples of each joint.
+        notes: What was done to the logs and noticed about the model.
+    """
+
+    model: RobotModel
+    identifiable: IdentifiableParameters
+    bodies: tuple[IdentifiableBlock, ...]
+    effects: tuple[IdentifiableBlock, ...]
+    combinations: tuple[ParameterCombination, ...]
+    noise: Array
+    floor: Array
+    floor_variances: Array
+    samples: NDArray[np.int_]
+    notes: tuple[str, ...]
+
+    @property
+    def count(self) -> int:
+        """How many directions are identifiable."""
+        return self.identifiable.kept
+
+    @property
+    def possible(self) -> int:
+        """How many are from the best of motions."""
+        return len(self.identifiable.variances)
+
+    @property
+    def blocks(self) -> tuple[str, ...]:
+        """Names of the rows of `identifiable.shares`: bodies, payloads, parameters of effects."""
+        carriers = (f.effect.where[0] for f in self.identifiable.target.payloads)
+        return (
+            *(body.name for body in self.bodies),
+            *(f"payload of {name}" for name in carriers),
+            *(entry.label for entry in self.effects),
+        )
+
+    @property
+    def count_at_floor(self) -> int:
+        """How many directions would be if the sensor noise were all there is."""
+        return int(np.count_nonzero(self.floor_variances <= self.identifiable.threshold))
+
+    @property
+    def unidentifiable(self) -> tuple[ParameterCombination, ...]:
+        """The base parameters whose relative deviation is above the threshold, worst first."""
+        most = np.sqrt(self.identifiable.threshold)
+        rest = [c for c in self.combinations if not c.relative <= most]
+        return tuple(sorted(rest, key=lambda c: -c.relative))
+
+
+def log_identifiability(
+    model: RobotModel,
+    logs: Sequence[JointLog | str | Path],
+    *,
+    effects: Sequence[Effect] = (),
+    threshold: float = 1e-2,
+    noise: ArrayLike | None = None,
+    bandwidth: float | None = None,
+    blocks: int | None = None,
+    progress: Callable[[str], None] = lambda words: None,
+) -> LogIdentifiability:
+    """Return what is identifiable of a model's inertias and effects from logs.
+
+    Args:
+        model: The model; its parameters are the nominal ones.
+        logs: Logs or their files.
+        effects: Effects to identify beside those of the model.
+        threshold: ε_λ, largest variance of what counts as identifiable; 10⁻² is a deviation of
+            a tenth.
+        noise: Deviation of a filtered effort: one, or one a joint, N·m or N. By default what the
+            refitted model leaves on held-out data, counted by effective samples.
+        bandwidth: Bandwidth of the filter, Hz; by default that of the model's fit to the same logs,
+            or chosen from the data.
+        blocks: Blocks into which every log is cut for validation.
+        progress: Called with what is going on, in words.
+    """
+    function(progress, "progress")
+    wanted = with_effects(model, effects)
+    case = open_case(wanted, logs, candidates=False, bandwidth=bandwidth, blocks=blocks)
+    progress("Fitting, for the noise and the sizes of effects")
+    fitted, left = _fitted(case)
+    target = make_target(fitted, noise=left if noise is None else noise)
+    progress("Decomposing")
+    factor = _factor(case, target, target.noise)
+    found = identifiable_parameters(target, factor, threshold=threshold)
+    floor = np.maximum(case.dataset.noise_floor, 1e-6 * case.dataset.effort_std)
+    ideal = identifiable_parameters(target, _factor(case, target, floor), kept=len(found.variances))
+    bodies, parameters = _blocks(found)
+    return LogIdentifiability(
+        model=fitted,
+        identifiable=found,
+        bodies=bodies,
+        effects=parameters,
+        combinations=_combinations(found),
+        noise=target.noise,
+        floor=case.dataset.noise_floor,
+        floor_variances=ideal.variances,
+        samples=case.dataset.samples.sum(0),
+        notes=case.notes,
+    )
+
+
+def _fitted(case: Case) -> tuple[RobotModel, Array]:
+    """Return the model with effects of unknown size fitted, and the noise (nv,) of a sample.
+
+    The noise is the RMS of what the refitted model leaves, as if every sample were independent.
+    """
+    dataset, model = case.dataset, case.model
+    unknowns = log_unknowns(dataset, model)
+    found = settle(first_hypothesis(dataset, unknowns), iterations=_ITERATIONS)
+    mse = np.maximum(found.held_out.mse, dataset.noise_floor**2)
+    mse = np.maximum(mse, 1e-12 * dataset.effort_std**2)
+    samples = dataset.samples.sum(0)
+    noise = np.sqrt(mse * samples / np.minimum(found.effective, samples))
+    x = found.cv.fit_all
+    effects = []
+    for known in model.effects:
+        values = known.parameters
+        if known.effect in unknowns.effects and not is_payload(known.effect):
+            values = np.where(values, values, x[unknowns.span(known.effect)])
+        effects.append(replace(known, parameters=values))
+    return replace(model, effects=tuple(effects)), np.asarray(noise)
+
+
+def _factor(case: Case, target: Target, noise: Array) -> Array:
+    """Return the triangular factor (p, p) of the whitened regressor in the target's columns."""
+    dataset = case.dataset
+    columns = [target.columns, *(dataset.effect_columns(f.effect) for f in target.further)]
+    wanted = np.concatenate(columns)
+    rows = []
+    for data, deviation in zip(dataset.data, noise, strict=True):
+        local = data.local(wanted)
+        stacked = data.factors.reshape(-1, data.factors.shape[2])
+        here = np.zeros((len(stacked), len(wanted)))
+        here[:, local >= 0] = stacked[:, local[local >= 0]]
+        rows.append(here / deviation)
+    return triangular_factor(rows)
+
+
+def _blocks(
+    found: IdentifiableParameters,
+) -> tuple[tuple[IdentifiableBlock, ...], tuple[IdentifiableBlock, ...]]:
+    """Return bodies, and parameters of effects."""
+    target = found.target
+    counts, possible = found.counts, found.shares.sum(axis=1)
+    count = len(target.columns) // PARAMETERS_PER_BODY
+    numbers = zip(counts.tolist(), possible.tolist(), strict=True)
+    bodies = tuple(
+        IdentifiableBlock(name, (), *pair)
+        for name, pair in zip(target.bodies, numbers, strict=False)
+    )
+    parameters, at = [], len(target.columns)
+    for fitted in target.further:
+        effect, several = fitted.effect, len(fitted.effect.parameters) > 1
+        for parameter, value in zip(effect.parameters, fitted.parameters, strict=True):
+            k = count + at - len(target.columns)
+            parameters.append(
+                IdentifiableBlock(
+                    f"{parameter.name} of {effect.name}" if several else effect.name,
+                    effect.where,
+                    count=float(counts[k]),
+                    possible=float(possible[k]),
+                    value=float(value),
+                    deviation=_deviation(found.directions[at], found.variances),
+                    effect=effect.name,
+                    parameter=parameter.name,
+                )
+            )
+            at += 1
+    return bodies, tuple(parameters)
+
+
+def _combinations(found: IdentifiableParameters) -> tuple[ParameterCombination, ...]:
+    """Return base parameters with their deviations."""
+    target, rows = found.target, found.base_directions
+    sizes = np.linalg.norm(rows, axis=1)  # (H₀⁻¹)ᵢᵢ is what one unit of length allows
+    values = target.base.values(target.prior)
+    deviations = [_deviation(row, found.variances) for row in rows]
+    return tuple(
+        ParameterCombination(words, float(value), deviation, float(deviation / size))
+        for words, value, deviation, size in zip(
+            target.labels, values, deviations, sizes, strict=True
+        )
+    )
+
+
+def _deviation(row: Array, variances: Array) -> float:
+    """Return the deviation of row · w for independent w; infinite variances count if seen."""
+    seen = np.abs(row) > _NOTHING * np.abs(row).max(initial=0.0)
+    return float(np.sqrt(np.sum(row[seen] ** 2 * variances[seen])))

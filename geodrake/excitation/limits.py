@@ -12,14 +12,18 @@ from geodrake.boundary.arguments import instance, instances, number, positive, r
 from geodrake.boundary.showing import Short
 from geodrake.errors import ArgumentError
 from geodrake.excitation.trajectory import joint_order
-from geodrake.logs.motion import SIGNAL_KINDS
+from geodrake.logs.motion import SIGNAL_KINDS, Motion
 from geodrake.model.effort_signal import signal_of
 from geodrake.model.robot_model import RobotModel
 
 Array = NDArray[np.float64]
 ByJoint = float | Mapping[str, float] | ArrayLike | None
 
+FULL_SPEED, FULL_EFFORT = 0.2, 0.1
+"""Shortest times in which a joint may reach its largest speed, and its largest acceleration, s."""
+
 _FARTHEST = 1e9  # rad or m: a limit beyond is none
+_POSTURES = 200  # random ones, for the worst inertia
 
 
 @dataclass(frozen=True, eq=False)
@@ -32,6 +36,7 @@ class MotionLimits(Short):
         velocity: (nv,) largest speeds, rad/s or m/s.
         acceleration: (nv,) largest accelerations, rad/s² or m/s²; infinite for none.
         effort: (nv,) largest efforts, N·m or N; infinite for none.
+        jerk: (nv,) largest changes of the acceleration, rad/s³ or m/s³; infinite for none.
 
     Raises:
         ArgumentError: A joint has no room to move, or is not limited in position or speed.
@@ -43,35 +48,20 @@ class MotionLimits(Short):
     velocity: Array
     acceleration: Array
     effort: Array
+    jerk: Array | float = np.inf
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "joints", instances(self.joints, "joints", str))
         for field in fields(self)[1:]:
             values = real_array(getattr(self, field.name), field.name, finite=False).copy()
+            if field.name == "jerk" and values.shape == ():
+                values = np.full(len(self.joints), values)
             if values.shape != (len(self.joints),):
                 raise ArgumentError(
                     f"The limits of {field.name} have the shape {values.shape}; there are "
                     f"{len(self.joints)} joints."
                 )
             object.__setattr__(self, field.name, values)
-        self._check_range()
-        for name in ("velocity", "acceleration", "effort"):
-            for joint, value in zip(self.joints, getattr(self, name).tolist(), strict=True):
-                if not value > 0:
-                    raise ArgumentError(
-                        f"Joint {joint!r} has no room to move: its largest {name} is {value:g}.",
-                        advice=f"Give it a positive limit of {name}, or weld the joint.",
-                        joint=joint,
-                    )
-        for joint, value in zip(self.joints, self.velocity.tolist(), strict=True):
-            if not value < np.inf:
-                raise ArgumentError(
-                    f"The speed of joint {joint!r} is not limited, so the best motion has no end.",
-                    advice=f"Say how fast it may be, such as velocity={{{joint!r}: 1.0}}.",
-                    joint=joint,
-                )
-
-    def _check_range(self) -> None:
         for joint, low, high in zip(
             self.joints, self.lower.tolist(), self.upper.tolist(), strict=True
         ):
@@ -88,6 +78,21 @@ class MotionLimits(Short):
                     advice=f"Say how far it may go, such as position={{{joint!r}: (-0.5, 0.5)}}.",
                     joint=joint,
                 )
+        for name in ("velocity", "acceleration", "effort", "jerk"):
+            for joint, value in zip(self.joints, getattr(self, name).tolist(), strict=True):
+                if not value > 0:
+                    raise ArgumentError(
+                        f"Joint {joint!r} has no room to move: its largest {name} is {value:g}.",
+                        advice=f"Give it a positive limit of {name}, or weld the joint.",
+                        joint=joint,
+                    )
+        for joint, value in zip(self.joints, self.velocity.tolist(), strict=True):
+            if not value < np.inf:
+                raise ArgumentError(
+                    f"The speed of joint {joint!r} is not limited, so the best motion has no end.",
+                    advice=f"Say how fast it may be, such as velocity={{{joint!r}: 1.0}}.",
+                    joint=joint,
+                )
 
     @property
     def middle(self) -> Array:
@@ -100,11 +105,7 @@ class MotionLimits(Short):
         return 0.5 * (self.upper - self.lower)
 
     def scaled(self, share: float) -> MotionLimits:
-        """Return the same with a share of everything; positions shrink towards the middle.
-
-        Raises:
-            ArgumentError: The share is not positive.
-        """
+        """Return the same with a share of everything; positions shrink towards the middle."""
         positive(share, "share")
         return replace(
             self,
@@ -113,6 +114,7 @@ class MotionLimits(Short):
             velocity=share * self.velocity,
             acceleration=share * self.acceleration,
             effort=share * self.effort,
+            jerk=share * self.jerk,
         )
 
 
@@ -123,7 +125,8 @@ def motion_limits(
     velocity: ByJoint = None,
     acceleration: ByJoint = None,
     effort: ByJoint = None,
-    signal: Mapping[str, float] | None = None,
+    jerk: ByJoint = None,
+    bounded: bool = False,
 ) -> MotionLimits:
     """Return the limits of a robot's model file, and others in their place.
 
@@ -135,12 +138,9 @@ def motion_limits(
         velocity: Largest speed: one, (nv,), or by name for some joints, rad/s or m/s.
         acceleration: Largest acceleration, likewise, rad/s² or m/s².
         effort: Largest effort, likewise, N·m or N.
-        signal: Largest current, voltage or duty cycle of joints by name, A, V or 1, where the model
-            knows what makes efforts of these; the lesser limit counts.
-
-    Raises:
-        ArgumentError: There is no such joint, a joint has no room to move, or it is not limited in
-            position or speed, or has several degrees of freedom.
+        jerk: Largest jerk, likewise, rad/s³ or m/s³.
+        bounded: Whether accelerations and jerks that the file does not limit are those of
+            `motor_accelerations`, and a tenth of a second's rise to them.
     """
     instance(model, "model", RobotModel)
     order = joint_order(model)
@@ -155,26 +155,50 @@ def motion_limits(
         if limits.shape != (2,):
             raise ArgumentError(f"Limits of position are pairs; {joint!r} has {pair}.")
         lower[at], upper[at] = limits
-    efforts = _overridden(model, model.known_effort_limits, effort, "effort")
-    return MotionLimits(
+    found = MotionLimits(
         model.joints,
         lower,
         upper,
         _overridden(model, model.velocity_limits, velocity, "velocity"),
-        _overridden(model, model.acceleration_limits, acceleration, "acceleration"),
-        efforts if signal is None else np.minimum(efforts, signal_limits(model, signal)),
+        np.full(len(lower), np.inf),
+        _overridden(model, model.known_effort_limits, effort, "effort"),
     )
+    accelerations = model.acceleration_limits
+    if bounded:
+        own = np.isfinite(accelerations)
+        accelerations = np.where(own, accelerations, motor_accelerations(model, found))
+    accelerations = _overridden(model, accelerations, acceleration, "acceleration")
+    jerks = accelerations / FULL_EFFORT if bounded else np.full(len(lower), np.inf)
+    return replace(found, acceleration=accelerations, jerk=_overridden(model, jerks, jerk, "jerk"))
+
+
+def motor_accelerations(model: RobotModel, limits: MotionLimits) -> Array:
+    """Return accelerations (nv,) that joints may have where nobody says, rad/s² or m/s².
+
+    The lesser of two: what the motor's whole effort gives to the joint's inertia Mⱼⱼ(q) where that
+    is greatest within the limits of position, the other joints at rest; and the largest speed in
+    0.2 s, since inertias of wrists are so small that model files without their rotors let them do
+    anything. Gravity and couplings count in the efforts of a design itself.
+    """
+    random, nv = np.random.default_rng(0), len(limits.joints)
+    shares = random.uniform(-1.0, 1.0, (_POSTURES, nv))
+    q = (limits.middle + limits.reach * shares)[:, joint_order(model)]
+    still = np.zeros((_POSTURES, nv))
+    held, inertia = model.effort(Motion(q, still, still)), np.empty(nv)
+    for j in range(nv):
+        pushed = still.copy()
+        pushed[:, j] = 1.0
+        inertia[j] = np.abs(model.effort(Motion(q, still, pushed)) - held)[:, j].max()
+    with np.errstate(divide="ignore"):
+        return np.asarray(np.minimum(limits.effort / inertia, limits.velocity / FULL_SPEED))
 
 
 def signal_limits(model: RobotModel, signal: Mapping[str, float]) -> Array:
-    """Largest efforts (nv,) that limited currents, voltages or duty cycles make, N·m or N.
+    """Return the efforts (nv,) that limited currents, voltages or duty cycles make, N·m or N.
 
     Args:
         model: The robot, which knows what makes efforts of these.
         signal: Their largest values of joints by name, A, V or 1; efforts of others are inf.
-
-    Raises:
-        ArgumentError: There is no such joint, or the model knows no such signal of it.
     """
     efforts = np.full(len(model.joints), np.inf)
     for joint, limit in instance(signal, "signal", Mapping).items():
@@ -190,7 +214,7 @@ def signal_limits(model: RobotModel, signal: Mapping[str, float]) -> Array:
 
 
 def _overridden(model: RobotModel, values: Array, given: ByJoint, what: str) -> Array:
-    """Values (nv,) with those given in their place."""
+    """Return values (nv,) with those given in their place."""
     values = np.array(values, float)
     if given is None:
         return values

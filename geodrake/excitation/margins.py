@@ -1,24 +1,29 @@
-"""How much of its limits a motion uses."""
+"""How much of its limits a motion uses, looked at far more closely than in the design."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from dataclasses import dataclass, replace
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
-from geodrake.excitation.budget import UNLIMITED, Budget
 from geodrake.excitation.collisions import CollisionWorld
 from geodrake.excitation.problem import DesignProblem
+from geodrake.excitation.solve import UNLIMITED, Budget
 from geodrake.logs.motion import Motion
 
 Array = NDArray[np.float64]
 
+FINE = 0.005
+"""Share of the family's shortest time between instants at which a motion is checked."""
+COARSE = 10
+"""Every how many of them collisions are looked for during a search."""
+
 _TOLERANCE = 1e-6  # share of a limit by which it may be exceeded
-FINE = 0.005  # of the family's shortest time, between instants at which the end result is checked
 _AT_ONCE = 20  # postures that are looked at between two looks at the clock
 _STRIDES = (32, 8, 2, 1)  # of instants at which collisions are looked for, the coarsest first
+SHARES = ("position", "velocity", "acceleration", "jerk", "effort")
 
 
 @dataclass(frozen=True, eq=False)
@@ -27,105 +32,115 @@ class LimitUse:
 
     Attributes:
         position: Of the range's half, from its middle.
-        distance: Least distance of bodies, m; infinite without collision geometry.
-        clearance: The distance to be kept, m.
-        stride: Every how many of the instants that were to be looked at the distance is of; more
+        clearances: "itself" or an obstacle's name -> least distance, m, and between what it is,
+            of all that ever came near.
+        clearance: The distance to be kept, m; infinite distances without collision geometry.
+        stride: Every how many of the instants that were to be looked at the distances are of; more
             than one if time was up.
+        peaks: "velocity", "acceleration", "jerk" or "effort" -> (nv,) largest sizes, SI units.
     """
 
     position: Array
     velocity: Array
     acceleration: Array
     effort: Array
-    distance: float = np.inf
-    nearest: str = ""
+    jerk: Array
+    clearances: Mapping[str, tuple[float, str]] = field(default_factory=dict)
     clearance: float = 0.0
     stride: int = 1
+    peaks: Mapping[str, Array] = field(default_factory=dict)
+
+    @property
+    def distance(self) -> float:
+        """Least distance of bodies, m; infinite if nothing came near."""
+        return min((distance for distance, _ in self.clearances.values()), default=np.inf)
+
+    @property
+    def nearest(self) -> str:
+        """Between what the least distance is; "" if nothing came near."""
+        return min(self.clearances.values(), default=(np.inf, ""))[1]
 
     @property
     def is_within(self) -> bool:
         """Whether all limits are kept."""
-        shares = (self.position, self.velocity, self.acceleration, self.effort)
-        within = all((share <= 1.0 + _TOLERANCE).all() for share in shares)
+        within = all((getattr(self, share) <= 1.0 + _TOLERANCE).all() for share in SHARES)
         return within and self.distance >= self.clearance - _TOLERANCE
 
 
-def limit_use(
-    problem: DesignProblem,
-    variables: Array,
-    *,
-    fine: float = FINE,
-    budget: Budget = UNLIMITED,
-) -> LimitUse:
-    """What a motion uses of its limits, looked at far more closely than in the design.
+def limit_use(problem: DesignProblem, variables: Array, *, budget: Budget = UNLIMITED) -> LimitUse:
+    """Return what a motion uses of its limits.
 
     Args:
         variables: (f nv,) its variables.
-        fine: Time between instants, as a share of the family's shortest time.
         budget: Time for collisions, which are the slow part: what is left out when it is up is
             between instants at which they were looked for.
     """
-    motion, use = _use_of_joints(problem, variables, fine)
-    if problem.collisions is None:
+    motion, use = _use_of_joints(problem, variables)
+    world = problem.collisions
+    if world is None:
         return use
-    return _with_collisions(problem.collisions, use, motion.q, budget)
+    clearances: dict[str, tuple[float, str]] = {}
+    stride = 1
+    for before, postures in _passes(motion.q):
+        if before and budget.left <= 0.0:
+            stride = before
+            break
+        clearances = least_of(clearances, world.nearest(postures))
+    return replace(use, clearances=clearances, clearance=world.clearance, stride=stride)
+
+
+def least_of(
+    first: Mapping[str, tuple[float, str]], second: Mapping[str, tuple[float, str]]
+) -> dict[str, tuple[float, str]]:
+    """Return the lesser clearance from each party of two."""
+    far = (np.inf, "")
+    return {name: min(first.get(name, far), second.get(name, far)) for name in {**first, **second}}
 
 
 def keeps_limits(
-    problem: DesignProblem, variables: Array, *, fine: float = FINE, budget: Budget = UNLIMITED
+    problem: DesignProblem, variables: Array, *, stride: int = 1, budget: Budget = UNLIMITED
 ) -> bool:
-    """Whether a motion keeps all limits, as `limit_use` sees it; ends where one is not kept.
+    """Return whether a motion keeps all limits, as `limit_use` sees it; ends where one is not kept.
 
     Args:
-        variables: (f nv,) its variables.
-
-    Raises:
-        OutOfTimeError: That is not known yet, and the time is up.
+        stride: Every how many of the instants collisions are looked for.
     """
-    motion, use = _use_of_joints(problem, variables, fine)
+    motion, use = _use_of_joints(problem, variables)
     if problem.collisions is None or not use.is_within:
         return use.is_within
-    for _, q in _passes(motion.q):
+    return stays_clear(problem.collisions, motion.q[::stride], budget)
+
+
+def stays_clear(world: CollisionWorld, q: Array, budget: Budget = UNLIMITED) -> bool:
+    """Return whether postures (n, nq) keep the clearance; ends where it is not kept."""
+    for _, postures in _passes(q):
         budget.check()
-        distances, _ = problem.collisions.distances(q)
-        if distances.min() < problem.collisions.clearance - _TOLERANCE:
+        if world.distances(postures)[0].min() < world.clearance - _TOLERANCE:
             return False
     return True
 
 
-def _use_of_joints(
-    problem: DesignProblem, variables: Array, fine: float
-) -> tuple[Motion, LimitUse]:
-    """The motion, and what it uses of limits without those of collisions."""
+def _use_of_joints(problem: DesignProblem, variables: Array) -> tuple[Motion, LimitUse]:
+    """Return the motion, and what it uses of limits without those of collisions."""
     trajectory, limits = problem.trajectory(variables), problem.limits
-    q, v, vd = states = problem.family.basis(problem.family.limit_times(fine)) @ (
-        trajectory.coefficients
-    )
-    motion = trajectory.motion_of(states)
-    effort = problem.model.effort(motion, sign_width=problem.sign_width)
     timed = problem.family.timed
-    return motion, LimitUse(
-        position=_peak((q - limits.middle) / limits.reach, timed),
-        velocity=_peak(v / limits.velocity, timed),
-        acceleration=_peak(vd / limits.acceleration, timed),
-        effort=_peak(effort / limits.effort, timed),
-    )
-
-
-def _with_collisions(world: CollisionWorld, use: LimitUse, q: Array, budget: Budget) -> LimitUse:
-    use = replace(use, clearance=world.clearance)
-    for stride, postures in _passes(q):
-        if stride and budget.left <= 0.0:
-            return replace(use, stride=stride)
-        distances, names = world.distances(postures)
-        nearest = int(np.argmin(distances))
-        if distances[nearest] < use.distance:
-            use = replace(use, distance=float(distances[nearest]), nearest=names[nearest])
-    return use
+    basis = problem.family.basis(problem.family.limit_times(FINE), orders=3 + timed)
+    q, v, vd = (states := basis @ trajectory.coefficients)[:3]
+    motion = trajectory.motion_of(states[:3])
+    effort = problem.model.effort(motion, sign_width=problem.sign_width)
+    peaks = {
+        "velocity": _peak(v, timed),
+        "acceleration": _peak(vd, timed),
+        "effort": _peak(effort, timed),
+        "jerk": _peak(states[3], timed) if timed else np.zeros_like(v[0]),
+    }
+    shares = {name: peak / getattr(limits, name) for name, peak in peaks.items()}
+    position = _peak((q - limits.middle) / limits.reach, timed)
+    return motion, LimitUse(position=position, peaks=peaks, **shares)
 
 
 def _passes(q: Array) -> Iterator[tuple[int, Array]]:
-    """Some postures of (n, nq) at a time, each once, and every how many were there before."""
+    """Yield some postures of (n, nq) at a time, each once, and every how many were there before."""
     seen, before = np.zeros(len(q), bool), 0
     for stride in _STRIDES:
         new = np.arange(0, len(q), stride)
@@ -136,9 +151,9 @@ def _passes(q: Array) -> Iterator[tuple[int, Array]]:
         before = stride
 
 
-def _peak(shares: Array, timed: bool) -> Array:
-    """(nv,) largest size of shares (n, nv); between instants too, as their curvature tells."""
-    sizes = np.abs(shares)
-    if timed and len(shares) > 2:
-        sizes[1:-1] += np.abs(np.diff(shares, 2, axis=0)) / 8.0
+def _peak(signals: Array, timed: bool) -> Array:
+    """(nv,) largest size of signals (n, nv); between instants too, as their curvature tells."""
+    sizes = np.abs(signals)
+    if timed and len(signals) > 2:
+        sizes[1:-1] += np.abs(np.diff(signals, 2, axis=0)) / 8.0
     return np.asarray(sizes.max(axis=0))

@@ -1,4 +1,4 @@
-"""A design problem in the variables of a solver: a motion family, what is fixed, what is scaled.
+"""A design problem in the variables of a solver, and as one of Drake's mathematical programs.
 
 The coefficients of all joints are C = C₀ + Z (s ∘ Y). Columns of Z span what the conditions at the
 ends leave free, C₀ meets them, and s is such that a variable of one alone reaches a limit of its
@@ -7,30 +7,38 @@ joint. So variables are of one size, and the ends need no constraints.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from pydrake.autodiffutils import ExtractGradient, ExtractValue, InitializeAutoDiff
+from pydrake.solvers import MathematicalProgram
 from scipy.linalg import null_space
 
 from geodrake.boundary.showing import Short
 from geodrake.errors import ArgumentError
 from geodrake.excitation.collisions import CollisionWorld
 from geodrake.excitation.families import MotionFamily
-from geodrake.excitation.information import Objective
 from geodrake.excitation.limits import MotionLimits
-from geodrake.excitation.motion_gradient import effort_gradient
+from geodrake.excitation.objective import Objective
+from geodrake.excitation.regressor_gradient import effort_gradient
 from geodrake.excitation.trajectory import ExcitationTrajectory, joint_order
 from geodrake.logs.motion import Motion
 from geodrake.model.robot_model import RobotModel
 
 Array = NDArray[np.float64]
+Differentiable = Callable[[Array], tuple[Any, Array]]
 
 _EFFORT_SHARE = 0.1  # of the family's shortest time, between instants at which efforts are limited
 _COLLISION_SHARE = 0.05  # likewise of collisions
 _AFTER_START = np.array([0.02, 0.05, 0.1, 0.2, 0.4, 0.7])  # of the first interval
 _STILL = 1e-8  # relative error of a constant motion
+_NOTHING = 1e-12  # relative size of what is rounding
+_WITHIN = {1: 0.992, 2: 0.96}  # of limits, at every instant or at each second one
+_MANY = 40  # variables from which a quick search constrains derivatives at each second instant
 
 
 @dataclass(frozen=True, eq=False)
@@ -44,10 +52,7 @@ class DesignProblem(Short):
         rest: Whether the motion starts and ends at rest, and with no jump of acceleration.
         start: (nv,) position at the start by joint; free if None.
         collisions: What may not be hit; nothing if None.
-
-    Raises:
-        ArgumentError: The family has no coefficient left by the ends, or cannot rest anywhere
-            within the limits.
+        quick: Whether derivatives are constrained at half as many instants.
     """
 
     objective: Objective
@@ -57,6 +62,7 @@ class DesignProblem(Short):
     rest: bool = True
     start: Array | None = None
     collisions: CollisionWorld | None = None
+    quick: bool = False
 
     @property
     def model(self) -> RobotModel:
@@ -103,14 +109,24 @@ class DesignProblem(Short):
 
     @cached_property
     def limit_basis(self) -> Array:
-        """(3, n, count) basis where positions, velocities and accelerations are limited.
+        """(3 or 4, n, count) basis where positions and their derivatives are limited.
 
-        After a given start, which may be at a limit, instants are closer.
+        The fourth is that of jerks, if one is limited. After a given start, which may be at a
+        limit, instants are closer.
         """
         times = self.family.limit_times()
         if self.start is not None and self.family.timed:
             times = np.union1d(times, _AFTER_START * times[1])
-        return self.family.basis(times)
+        return self.family.basis(times, orders=len(self.bounds))
+
+    @cached_property
+    def bounds(self) -> tuple[tuple[Array, Array], ...]:
+        """Least and greatest positions, velocities, accelerations, and jerks if one is limited."""
+        limits = self.limits
+        sizes = [limits.velocity, limits.acceleration]
+        if self.family.timed and np.isfinite(limits.jerk).any():
+            sizes.append(np.asarray(limits.jerk))
+        return (limits.lower, limits.upper), *((-size, size) for size in sizes)
 
     @cached_property
     def effort_basis(self) -> Array:
@@ -125,7 +141,7 @@ class DesignProblem(Short):
     @cached_property
     def scale(self) -> Array:
         """(f, nv) s."""
-        reach = np.abs(self.limit_basis @ self.free).max(axis=1)  # (3, f)
+        reach = np.abs(self.limit_basis[:3] @ self.free).max(axis=1)  # (3, f)
         bounds = np.stack([self.limits.reach, self.limits.velocity, self.limits.acceleration])
         with np.errstate(divide="ignore"):
             ratios = bounds[:, None, :] / np.maximum(reach, 1e-300)[:, :, None]
@@ -140,11 +156,7 @@ class DesignProblem(Short):
         return np.asarray(found) if np.abs(stacked @ found - wanted).max() < _STILL else None
 
     def resting(self, posture: Array) -> Array:
-        """(f, nv) variables of a robot that stays in a posture (nv,).
-
-        Raises:
-            ArgumentError: The family has no constant but zero, and that is out of the limits.
-        """
+        """Return the variables (f, nv) of a robot that stays in a posture (nv,)."""
         if self.still is None:
             outside = (self.limits.lower > 0) | (self.limits.upper < 0)
             if outside.any():
@@ -167,14 +179,14 @@ class DesignProblem(Short):
         )
 
     def trajectory(self, variables: Array) -> ExcitationTrajectory:
-        """The motion of variables."""
+        """Return the motion of variables."""
         order = joint_order(self.model)
         return ExcitationTrajectory(
             self.family, self.coefficients(variables), self.limits.joints, order
         )
 
     def cost(self, variables: Array) -> tuple[float, Array]:
-        """What is minimized, and its gradient (f nv,)."""
+        """Return what is minimized, and its gradient (f nv,)."""
         trajectory = self.trajectory(variables)
         motion = trajectory.motion_of(self.basis @ trajectory.coefficients)
         value, gradient = self.objective.value_and_gradient(motion)
@@ -215,3 +227,96 @@ class DesignProblem(Short):
         by_joint[:, trajectory.order] = gradients
         jacobian = np.einsum("nj,nk->nkj", by_joint, basis[0] @ self.free) * self.scale
         return values, jacobian.reshape(len(values), -1)
+
+
+def build_program(
+    problem: DesignProblem,
+    watch: Callable[[float, Array], None] | None = None,
+    raised: list[BaseException] | None = None,
+    check: Callable[[], None] = lambda: None,
+) -> tuple[MathematicalProgram, NDArray[np.object_]]:
+    """Return the program of a design problem.
+
+    Args:
+        watch: Called with every cost and its variables (f nv,), for showing progress.
+        raised: Gets what costs, constraints or `watch` raise, which solvers only tell the text of.
+        check: Called before every cost and constraint; it may raise to end the search, since
+            solvers look at the clock now and then only.
+
+    Returns:
+        The program, and its decision variables (f nv,), which `DesignProblem.trajectory` takes.
+    """
+    program = MathematicalProgram()
+    free, nv = problem.scale.shape
+    variables = program.NewContinuousVariables(free, nv, "y")
+
+    def cost(y: Array) -> tuple[float, Array]:
+        value, gradient = problem.cost(y)
+        if watch is not None:
+            watch(value, y)
+        return value, gradient
+
+    flat = variables.ravel()
+    program.AddCost(_with_autodiff(cost, raised, check), vars=flat)
+    limit_motion(program, problem, variables)
+    if np.isfinite(problem.limits.effort).any():
+        most = np.ones(problem.effort_basis.shape[1] * nv)
+        efforts = _with_autodiff(problem.efforts, raised, check)
+        program.AddConstraint(efforts, lb=-most, ub=most, vars=flat)
+    if problem.collisions is not None:
+        most = np.ones(problem.collision_basis.shape[1])
+        nearness = _with_autodiff(problem.nearness, raised, check)
+        program.AddConstraint(nearness, lb=np.full_like(most, -np.inf), ub=most, vars=flat)
+    return program, flat
+
+
+def limit_motion(
+    program: MathematicalProgram, problem: DesignProblem, variables: NDArray[np.object_]
+) -> None:
+    """Add the linear constraints of every joint, with the program's variables (f, nv)."""
+    # A sine exceeds its samples, 20 a period or 10, by less than what is kept of the limits.
+    stride = 2 if problem.quick and variables.size >= _MANY else 1
+    for j in range(len(problem.limits.joints)):
+        for order, (Phi, (lower, upper)) in enumerate(
+            zip(problem.limit_basis, problem.bounds, strict=True)
+        ):
+            within, step = (_WITHIN[stride], stride) if order else (1.0, 1)
+            low, high = within * lower[j], within * upper[j]
+            if not np.isfinite(high):
+                continue
+            A = Phi[::step] @ problem.free * problem.scale[:, j]
+            fixed = Phi[::step] @ problem.offset[:, j]
+            reach = np.abs(A).max(axis=1)
+            moving = reach > _NOTHING * reach.max()  # not so the start, if it is given
+            A, fixed, reach = A[moving], fixed[moving], reach[moving]
+            program.AddLinearConstraint(
+                A / reach[:, None], (low - fixed) / reach, (high - fixed) / reach, variables[:, j]
+            )
+
+
+def _with_autodiff(
+    function: Differentiable, raised: list[BaseException] | None, check: Callable[[], None]
+) -> Callable[[Any], Any]:
+    """Return a function of numbers or of AutoDiffXd, from one that gives its value and Jacobian."""
+
+    def evaluate(y: Array) -> tuple[Any, Array]:
+        check()
+        return function(y)
+
+    def call(x: Any) -> Any:
+        try:
+            return differentiated(x)
+        except BaseException as error:
+            if raised is not None:
+                raised.append(error)
+            raise
+
+    def differentiated(x: Any) -> Any:
+        if x.dtype != object:
+            return evaluate(x)[0]
+        value, jacobian = evaluate(ExtractValue(x).ravel())
+        gradient = np.atleast_2d(jacobian) @ ExtractGradient(x)
+        result = InitializeAutoDiff(np.atleast_1d(value), gradient).ravel()
+        return result if np.ndim(value) else result[0]
+
+    return call

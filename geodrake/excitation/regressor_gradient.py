@@ -13,21 +13,30 @@ regressors, linear in samples. What trajectories make of it is a linear map (`Mo
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from dataclasses import replace
+
 import numpy as np
 from numpy.typing import ArrayLike
 from pydrake.math import RigidTransform
 from pydrake.multibody.plant import MultibodyPlant
 
 from geodrake.boundary.arguments import real_array
-from geodrake.errors import ModelError
+from geodrake.effects import Effect, RobotMotion
+from geodrake.effects.gradient import RobotGradient
 from geodrake.excitation.reverse_recursion import MotionGradient, reverse_recursion
+from geodrake.excitation.target import Measurement, Target
+from geodrake.identification.logs.dataset import is_payload
 from geodrake.inertia import PARAMETERS_PER_BODY, Array
 from geodrake.logs.motion import Motion
+from geodrake.model.robot_model import RobotModel
 from geodrake.robot.driven_tree import DrivenTree, RobotTree
 from geodrake.robot.floating_base import on_a_free_world, wrench_map
 from geodrake.robot.regressor import checked_samples, checked_tree, put_regressor
 from geodrake.robot.transmission.actuation import Actuation
 from geodrake.robot.transmission.base import times
+
+_STEP = 1e-5  # of differences, of the largest value there is
 
 
 def inverse_dynamics_regressor_gradient(
@@ -37,23 +46,18 @@ def inverse_dynamics_regressor_gradient(
     vd: ArrayLike,
     weights: ArrayLike,
 ) -> MotionGradient:
-    """Gradient of Σ W ∘ Y, with Y the regressor of inverse dynamics.
+    """Return the gradient of Σ W ∘ Y, with Y the regressor of inverse dynamics.
 
     Args:
         q: (N, nq) positions.
         v: (N, nv) velocities.
         vd: (N, nv) accelerations v̇.
         weights: (N, nv, 10 nb) W. With W = λ φᵀ it is the gradient of λᵀ τ, of efforts.
-
-    Raises:
-        ArgumentError: A shape does not fit the plant, or a value is not finite.
-        ModelError: The plant has a joint that is not supported.
     """
     robot = checked_tree(plant)
     tree, samples, J = checked_samples(robot, q, v, vd)
-    weights = _checked_weights(
-        weights, (len(samples[0]), robot.num_velocities, PARAMETERS_PER_BODY * len(tree.bodies))
-    )
+    shape = (len(samples[0]), robot.num_velocities, PARAMETERS_PER_BODY * len(tree.bodies))
+    weights = real_array(weights, "weights", shape)
     if J is None or not isinstance(robot, DrivenTree):
         return reverse_recursion(tree, samples, weights)
     inner = J @ weights  # Σ W ∘ (Jᵀ Y) = Σ (J W) ∘ Y
@@ -76,7 +80,7 @@ def base_wrench_regressor_gradient(
     *,
     X_WP: RigidTransform | ArrayLike | None = None,
 ) -> MotionGradient:
-    """Gradient of Σ W ∘ Y, with Y the regressor of the base wrench.
+    """Return the gradient of Σ W ∘ Y, with Y the regressor of the base wrench.
 
     Args:
         plant: A finalized plant with any base, or its tree.
@@ -86,14 +90,11 @@ def base_wrench_regressor_gradient(
         weights: (N, 6, 10 nb) W.
         X_WP: Frame of the wrench as in `base_wrench_regressor`, one pose or (N, 4, 4), which does
             not depend on the motion, such as a force plate's.
-
-    Raises:
-        ArgumentError: A shape does not fit the plant, a value is not finite, or X_WP is no pose.
-        ModelError: The plant has a joint that is not supported.
     """
     robot = checked_tree(plant)
     tree, (theta, rate, _, rated), J = checked_samples(robot, q, v, vd)
-    weights = _checked_weights(weights, (len(theta), 6, PARAMETERS_PER_BODY * len(tree.bodies)))
+    shape = (len(theta), 6, PARAMETERS_PER_BODY * len(tree.bodies))
+    weights = real_array(weights, "weights", shape)
     if X_WP is not None:
         weights = np.swapaxes(wrench_map(X_WP, len(theta)), -1, -2) @ weights
     nv, resting = tree.num_velocities, np.zeros((len(theta), 6))
@@ -108,48 +109,10 @@ def base_wrench_regressor_gradient(
     return _at_actuators(robot.actuation, J, motion, own)
 
 
-def regressor_jacobian(
-    plant: MultibodyPlant | RobotTree, q: ArrayLike, v: ArrayLike, vd: ArrayLike
-) -> tuple[Array, Array, Array]:
-    """All derivatives of the regressor of inverse dynamics, one sample after the other.
-
-    This is the form of [Lee2019] Algorithm 3, and needs its memory: for a criterion use
-    `inverse_dynamics_regressor_gradient`.
-
-    Args:
-        q: (N, nq) positions.
-        v: (N, nv) velocities.
-        vd: (N, nv) accelerations v̇.
-
-    Returns:
-        ∂Y/∂q (N, nv, 10 nb, nq), ∂Y/∂v (N, nv, 10 nb, nv) and ∂Y/∂v̇ (N, nv, 10 nb, nv).
-
-    Raises:
-        ArgumentError: A shape does not fit the plant, or a value is not finite.
-        ModelError: The plant has a joint that is not supported.
-    """
-    tree, samples, J = checked_samples(plant, q, v, vd)
-    if J is not None:
-        raise ModelError(
-            "The derivatives of a regressor one by one are those of joints.",
-            advice="Give it the tree without its transmission, `model.joint_tree`.",
-        )
-    shape = tree.num_velocities, PARAMETERS_PER_BODY * len(tree.bodies)
-    entries = np.eye(shape[0] * shape[1]).reshape(-1, *shape)
-    rows = [
-        reverse_recursion(tree, tuple(np.repeat(x[None], len(entries), 0) for x in sample), entries)  # type: ignore[arg-type]
-        for sample in zip(*samples, strict=True)
-    ]
-    return tuple(  # type: ignore[return-value]
-        np.stack([getattr(row, name).reshape(*shape, -1) for row in rows])
-        for name in ("q", "v", "vd")
-    )
-
-
 def _at_actuators(
     actuation: Actuation, J: Array, motion: Motion, gradient: MotionGradient
 ) -> MotionGradient:
-    """The gradient with the motion of actuators, of that with the motion of joints.
+    """Return the gradient with the motion of actuators, of that with the motion of joints.
 
     By θ̇ = J q̇ and θ̈ = J q̈ + J̇ q̇, with the slopes that `effort_slopes` has as well.
     """
@@ -167,5 +130,109 @@ def _at_actuators(
     return found
 
 
-def _checked_weights(weights: ArrayLike, shape: tuple[int, ...]) -> Array:
-    return real_array(weights, "weights", shape)
+def regressor_motion_gradient(
+    target: Target, measurement: Measurement, weights: Array
+) -> MotionGradient:
+    """Return the gradient of Σ W ∘ X, with X the regressor of all that a target does not know.
+
+    Args:
+        measurement: What `target.measure` made of the (N, ·) motion.
+        weights: (N, m, p) W.
+    """
+    tree, motion = target.model.tree, measurement.motion
+    rows = np.zeros((*weights.shape[:2], PARAMETERS_PER_BODY * len(tree.bodies)))
+    for start in range(0, len(target.columns), PARAMETERS_PER_BODY):
+        block = slice(target.columns[start], target.columns[start] + PARAMETERS_PER_BODY)
+        rows[:, :, block] += weights[:, :, start : start + PARAMETERS_PER_BODY]
+    if target.X_WP is not None or measurement.seen is None:
+        samples = motion.q, motion.v, motion.vd
+        return base_wrench_regressor_gradient(tree, *samples, rows, X_WP=target.X_WP)
+    parts, start = [], len(target.columns)
+    for fitted in target.further:
+        stop = start + len(fitted.effect.parameters)
+        parts.append((fitted.effect, weights[:, :, start:stop]))
+        start = stop
+    return _with_effects(target.model, motion, measurement.seen, rows, parts)
+
+
+def effort_gradient(
+    model: RobotModel, motion: Motion, seen: RobotMotion, weights: Array
+) -> MotionGradient:
+    """Return the gradient of Σ w ∘ τ, with τ the efforts that the model needs, effects included.
+
+    Args:
+        motion: (N, ·) motion.
+        weights: (N, nv) w.
+    """
+    rows = weights[:, :, None] * model.total_phi.ravel()
+    parts = [
+        (fitted.effect, weights[:, :, None] * fitted.parameters)
+        for fitted in model.effects
+        if not is_payload(fitted.effect) and len(fitted.parameters)
+    ]
+    return _with_effects(model, motion, seen, rows, parts)
+
+
+def _with_effects(
+    model: RobotModel,
+    motion: Motion,
+    seen: RobotMotion,
+    rows: Array,
+    parts: Sequence[tuple[Effect, Array]],
+) -> MotionGradient:
+    """Return the gradient of Σ rows ∘ Y + Σ weights ∘ Y_e; `rows` is changed."""
+    at_velocity, at_position = model.single_places
+    direct, load = RobotGradient.zero(seen), np.zeros(motion.v.shape)
+    unknown = []
+    for effect, weights in parts:
+        gradient = effect.gradient(seen, weights)
+        if gradient is None:
+            unknown.append((effect, weights))
+            continue
+        for name in ("q", "v", "vd"):
+            getattr(direct, name)[:] += getattr(gradient, name)
+        load += gradient.load
+        for body, by_columns in gradient.bodies.items():
+            first = PARAMETERS_PER_BODY * model.bodies.index(body)
+            rows[:, :, first : first + PARAMETERS_PER_BODY] += by_columns
+    if load.any():
+        rows += load[:, :, None] * model.total_phi.ravel()
+    total = inverse_dynamics_regressor_gradient(model.tree, motion.q, motion.v, motion.vd, rows)
+    total.q[:, at_position] += direct.q[:, at_velocity]
+    total.v[:] += direct.v
+    total.vd[:] += direct.vd
+    if unknown:
+        rest = _by_differences(model, motion, unknown, seen.sign_width)
+        for name in ("q", "v", "vd"):
+            getattr(total, name)[:] += getattr(rest, name)
+    return total
+
+
+def _by_differences(
+    model: RobotModel,
+    motion: Motion,
+    parts: Sequence[tuple[Effect, Array]],
+    sign_width: Array,
+) -> MotionGradient:
+    """Central differences for effects that state no gradient, one coordinate of the motion a time.
+
+    Every sample moves at once: an effect's columns depend on their own sample only.
+    """
+
+    def values(moved: Motion) -> Array:
+        seen = model.motion(moved, sign_width=sign_width)
+        shares = [np.einsum("nik,nik->n", w, effect.regressor(seen)) for effect, w in parts]
+        return np.asarray(sum(shares))
+
+    result = MotionGradient(*(np.zeros(x.shape) for x in (motion.q, motion.v, motion.vd)))
+    for name in ("q", "v", "vd"):
+        samples = getattr(motion, name)
+        for column in range(samples.shape[1]):
+            step = _STEP * max(float(np.abs(samples[:, column]).max(initial=0.0)), 1e-3)
+            ends = []
+            for by in (step, -step):
+                moved = samples.copy()
+                moved[:, column] += by
+                ends.append(values(replace(motion, **{name: moved})))
+            getattr(result, name)[:, column] = (ends[0] - ends[1]) / (2.0 * step)
+    return result

@@ -35,6 +35,9 @@ _RANDOM_SAMPLES = 200
 _NOISE = 1e-12, 1e12  # N·m or N; beyond them squares of weighted columns leave what floats can do
 _WEIGHTLESS = 1e-12  # share of gravity in efforts that is rounding alone
 
+SIZE_WORDS = "a tenth of the load, or 2 % of the limit of effort where that is more"
+_LEAST_SHARE = 0.02  # of the limit of effort
+
 
 @dataclass(frozen=True, eq=False)
 class Measurement:
@@ -174,7 +177,7 @@ class Target(Short):
         return Motion(q, rate * v, rate**2 * vd)
 
     def measure(self, motion: Motion) -> Measurement:
-        """The regressor of the measurements of a motion."""
+        """Return the regressor of the measurements of a motion."""
         tree, samples = self.model.tree, (motion.q, motion.v, motion.vd)
         if self.X_WP is not None:
             Y = base_wrench_regressor(tree, *samples, X_WP=self.X_WP)
@@ -198,7 +201,7 @@ def make_target(
     X_WP: RigidTransform | None = None,
     seed: int = 0,
 ) -> Target:
-    """What a motion of a robot is to identify.
+    """Return what a motion of a robot is to identify.
 
     Args:
         model: The robot; its parameters are the nominal ones.
@@ -212,9 +215,6 @@ def make_target(
         X_WP: Frame of the base wrench, if a force plate or base sensor is what measures. Effects
             do not show there.
         seed: Of the random motions that base parameters are found with.
-
-    Raises:
-        ArgumentError: The noise is not positive, or there is no such body, or nothing is unknown.
     """
     instance(model, "model", RobotModel)
     integer(seed, "seed", lower=0)
@@ -262,11 +262,7 @@ def make_target(
 
 
 def _checked_noise(noise: ArrayLike, rows: Sequence[str]) -> Array:
-    """(m,) deviations.
-
-    Raises:
-        ArgumentError: They are not positive, or not as many as measurements.
-    """
+    """Return the deviations (m,)."""
     given = real_array(noise, "noise", finite=False)
     if given.shape not in ((), (1,), (len(rows),)):
         raise ArgumentError(f"The noise is one number or {len(rows)}; got the shape {given.shape}.")
@@ -285,7 +281,7 @@ def _checked_noise(noise: ArrayLike, rows: Sequence[str]) -> Array:
 
 
 def _ranges(model: RobotModel) -> tuple[Array, Array]:
-    """Range of random positions: all of a turn, and of sliding joints what the limits allow."""
+    """Return ranges of random positions: a whole turn, of sliding joints what limits allow."""
     lower, upper = model.position_limits
     at_velocity, at_position = model.single_places
     sliding = [
@@ -295,3 +291,25 @@ def _ranges(model: RobotModel) -> tuple[Array, Array]:
     ]
     limited = np.isin(np.arange(len(lower)), sliding) & np.isfinite(lower) & np.isfinite(upper)
     return np.where(limited, lower, -np.pi), np.where(limited, upper, np.pi)
+
+
+def sized_effects(target: Target) -> tuple[FittedEffect, ...]:
+    """Return the effects of a target, those without values as large as such effects usually are.
+
+    Friction is there however light a load is, so that the load alone does not give its size.
+
+    Those with parameters of zero are those of unknown size; payloads stay as they are.
+    """
+    limits = target.model.effort_limits
+    X = target.measure(target.random_motion).regressor[:, :, len(target.columns) :]
+    acting = np.sqrt(np.mean(np.square(X), axis=0))  # (nv, k)
+    wanted = _LEAST_SHARE * np.where(np.isfinite(limits), limits, 0.0)[:, None]
+    least = np.where(acting > 0, wanted / np.where(acting > 0, acting, 1.0), np.inf).min(axis=0)
+    sizes = np.maximum(target.effect_sizes, np.where(np.isfinite(least), least, 0.0))
+    found, at = [*target.payloads], 0
+    for fitted in target.further:
+        count = len(fitted.parameters)
+        values = np.where(fitted.parameters, fitted.parameters, sizes[at : at + count])
+        found.append(FittedEffect(fitted.effect, values))
+        at += count
+    return tuple(found)

@@ -1,44 +1,334 @@
 """Motions that distinguish two effects which logs so far could not.
 
-    limits = motion_limits(model, acceleration=5.0)
+    limits = motion_limits(model, bounded=True)
     rivals = [make_rival(name, model, limits) for name in ("coulomb_friction", "viscous_friction")]
     separation = make_separation(model, *rivals, noise=0.1)
     result = design_separation(separation, limits, trajectory=FourierMotion(10.0, 5))
 
-Two effects are as far apart as `geodrake.excitation.separation` says. Whatever else a fit may move,
-it may move in both: the inertias, near what is known of them, and all other effects of the model.
+If a robot has effect A, of parameters α, and is thought to have B instead, the best that B can do
+on a motion is
+
+    Δ = min over θ, β of ‖X_A α − X θ − X_B β‖² + θᵀ Λ θ     (T-optimality)
+
+with regressors whitened by the noise, everything else that may move in θ (the inertias, near what
+is known of them, and all other effects of the model), and what is known of it in Λ. As a function
+of α this is αᵀ S α with the Schur complement S of the information matrix of (θ, β, α), as long as
+no bound holds β. √Δ is by how many deviations of the noise A and B differ.
+
+Since θ and β are at a minimum, only the regressors' own change counts: with the residual e and the
+coefficients x = (−θ, −β, α) of all columns, ∂Δ/∂X = 2 e xᵀ. So one gradient costs as much as that
+of a criterion of information.
+
+Samples at which a joint's direction of motion is hardly known count less, by sgn²: what dry
+friction is there, no model says, and a diagnosis leaves them out.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
-from dataclasses import replace
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from functools import cached_property
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.linalg import block_diag
+from scipy.optimize import lsq_linear
 
-from geodrake.boundary.arguments import instance, positive
-from geodrake.effects import Effect, FittedEffect
+from geodrake.boundary.arguments import Sizes, instance, instances, positive, real_array
+from geodrake.boundary.showing import Short
+from geodrake.effects import Effect, FittedEffect, effect_class, make_effect
+from geodrake.effects.user_effects import candidates_of
 from geodrake.errors import ArgumentError
-from geodrake.excitation.criteria import Criterion
-from geodrake.excitation.design import design_objective
-from geodrake.excitation.design_results import DesignOptions, DesignProgress, ExcitationResult
+from geodrake.excitation.design import (
+    DesignOptions,
+    DesignProgress,
+    ExcitationResult,
+    design_objective,
+)
 from geodrake.excitation.families import MotionFamily
 from geodrake.excitation.limits import MotionLimits
-from geodrake.excitation.rivals import Rival, imitations, known_sizes, typical_sizes
-from geodrake.excitation.separation import Pair, Separation
-from geodrake.excitation.target import Target, make_target
+from geodrake.excitation.objective import Criterion, Objective
+from geodrake.excitation.regressor_gradient import regressor_motion_gradient
+from geodrake.excitation.reverse_recursion import MotionGradient
+from geodrake.excitation.target import Measurement, Target, make_target, sized_effects
 from geodrake.identification.logs.criteria import SPREAD
 from geodrake.identification.logs.dataset import is_payload
 from geodrake.identification.logs.unknowns import pullback_information
 from geodrake.inertia import PARAMETERS_PER_BODY
+from geodrake.logs.motion import Motion
 from geodrake.model.robot_model import RobotModel
 
 Array = NDArray[np.float64]
+Indices = NDArray[np.intp]
 
+CLEAR = 5.0
+"""Standard deviations by which effects must differ for a log to distinguish them reliably."""
+
+_LEAST = 1e-12  # separation that counts as none, per sample
+_ALIKE = 0.1  # share of an effect's effort that an imitation must have
 _LOOSE = 1e-4  # of what is known, where that shall not matter
 _SAME = 1e-8  # share of an effect's squared effort that is rounding alone
+
+
+@dataclass(frozen=True)
+class Rival(Short):
+    """One of two effects that are to be distinguished.
+
+    Attributes:
+        alternatives: For each shape that it may have, the effect at each of its places.
+    """
+
+    name: str
+    alternatives: tuple[tuple[Effect, ...], ...]
+
+    @property
+    def effects(self) -> tuple[Effect, ...]:
+        """All of them."""
+        return tuple(effect for alternative in self.alternatives for effect in alternative)
+
+
+def make_rival(
+    name: str,
+    model: RobotModel,
+    limits: MotionLimits,
+    *,
+    where: Sequence[str] = (),
+    shape: Mapping[str, Any] | None = None,
+    extra: Sequence[type[Effect]] = (),
+) -> Rival:
+    """Return an effect by name, at a place or wherever it can be.
+
+    Args:
+        model: The robot; an effect that it has keeps its shape.
+        limits: Whose speeds the shapes scale with that a diagnosis would try.
+        where: One place; all joints, or pairs of joints, if empty.
+        shape: Shape parameters by name. If it is None, those of the model, else the defaults, else
+            all that a diagnosis would try.
+    """
+    instance(model, "model", RobotModel)
+    instance(limits, "limits", MotionLimits)
+    where = instances(where, "where", str)
+    cls = effect_class(name, extra)
+    if not getattr(cls, "parameters", ()):
+        raise ArgumentError(
+            f"{name} has no linear parameters, so that no motion is better for it than another.",
+            advice="Let geodrake diagnose find it.",
+        )
+    places = [tuple(where)] if where else _places(cls, model)
+    speed = dict(zip(model.joints, limits.velocity.tolist(), strict=True))
+    known = {(f.effect.name, f.effect.where): f.effect for f in model.effects}
+    per_place: list[tuple[Effect, ...]] = []
+    for place in places:
+        if shape is None and (name, place) in known:
+            per_place.append((known[name, place],))
+            continue
+        _check_place(cls, place, model)
+        try:
+            per_place.append((make_effect(name, place, shape, extra),))
+        except ArgumentError:
+            if shape is not None or cls.places != "joint":
+                raise
+            per_place.append(candidates_of(cls, place[0], speed[place[0]]))
+    most = max(len(effects) for effects in per_place)
+    every = [effects * most if len(effects) == 1 else effects for effects in per_place]
+    if any(len(effects) != most for effects in every):
+        raise ArgumentError(
+            f"{name} has other shapes at some joints than at others.",
+            advice=f"Ask for one joint at a time, such as {name}@{places[0][0]}.",
+        )
+    return Rival(name, tuple(zip(*every, strict=True)))
+
+
+def _places(cls: type[Effect], model: RobotModel) -> list[tuple[str, ...]]:
+    if cls.places == "robot":
+        return [()]
+    if cls.places == "joint":
+        left_out = model.sliding_joints if cls.turning_only else ()
+        return [(joint,) for joint in model.single_joints if joint not in left_out]
+    if cls.places == "joint_pair":
+        return list(model.joint_pairs)
+    raise ArgumentError(
+        f"{cls.name} cannot be everywhere.",
+        advice=f"Say on which body it is: {cls.name}@{model.bodies[-1]}.",
+    )
+
+
+def _check_place(cls: type[Effect], place: Sequence[str], model: RobotModel) -> None:
+    known = model.bodies if cls.places == "body" else model.joints
+    for name in place:
+        if name not in known:
+            raise ArgumentError(
+                f"There is no {'body' if cls.places == 'body' else 'joint'} {name!r}.",
+                advice=f"There are: {', '.join(known)}.",
+            )
+
+
+@dataclass(frozen=True, eq=False)
+class Pair(Short):
+    """A robot with one effect at a place, explained by another one.
+
+    Attributes:
+        truth: Name of the effect that the robot has.
+        rival: Name of the effect that is to explain it.
+        effects: (r, p) columns' coefficients of r robots, whose separations are added: one if the
+            parameters are known, and one for each parameter if not.
+        columns: (c,) columns that an explanation may use: what may move, and the rival.
+    """
+
+    truth: str
+    rival: str
+    where: tuple[str, ...]
+    effects: Array
+    columns: Indices
+
+
+@dataclass(frozen=True, eq=False)
+class Separation(Objective):
+    """The separations of pairs as a criterion: the least of them, as large as can be.
+
+    They stand in for the eigenvalues of an information matrix: E-optimality is 1/Δ of the pair that
+    is hardest to distinguish, with the smooth form of `Criterion`.
+
+    Attributes:
+        pairs: Who is to be distinguished from whom.
+        prior: (q, p) rows Λ^½ of what is known of each column's parameter.
+        lower: (p,) least change of each column's parameter from its nominal value.
+        upper: (p,) greatest change.
+    """
+
+    pairs: tuple[Pair, ...] = ()
+    prior: Array = field(default_factory=lambda: np.zeros((0, 0)))
+    lower: Array = field(default_factory=lambda: np.zeros(0))
+    upper: Array = field(default_factory=lambda: np.zeros(0))
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        instances(self.pairs, "pairs", Pair)
+        sizes: Sizes = {}
+        real_array(self.prior, "prior", ("q", "p"), sizes)
+        lower = real_array(self.lower, "lower", ("p",), sizes, finite=False)
+        upper = real_array(self.upper, "upper", ("p",), sizes, finite=False)
+        if not (lower <= upper).all():
+            raise ArgumentError("lower must be at most upper, and neither NaN, at every column.")
+
+    def separations(self, motion: Motion) -> Array:
+        """Return Δ (K,) of every pair, in squared standard deviations of all samples together."""
+        measurement = self.target.measure(motion)
+        return self._solve(measurement)[0]
+
+    def efforts(self, motion: Motion) -> Array:
+        """Return the RMS (K,) of what no rival explains, at the joint where it is most."""
+        measurement = self.target.measure(motion)
+        known, values = np.abs(self._known(measurement))[..., None], []
+        for solutions in self._solve(measurement)[1]:
+            left = measurement.regressor @ solutions.T * known
+            values.append(float(np.sqrt(np.mean(np.square(left).sum(2), axis=0)).max()))
+        return np.array(values)
+
+    def imitation(self, motion: Motion, pair: int) -> tuple[Array, Array]:
+        """Return a pair's true effort (N, nv), and the most that its rival makes of it.
+
+        Of several robots, that one's which the rival explains worst.
+        """
+        measurement = self.target.measure(motion)
+        solutions = self._solve(measurement)[1][pair]
+        left = measurement.regressor @ solutions.T
+        worst = int(np.argmax(np.square(left / self.target.noise[:, None]).sum((0, 1))))
+        truth = measurement.regressor @ self.pairs[pair].effects[worst]
+        return truth, truth - left[:, :, worst]
+
+    def eigenvalues(self, motion: Motion) -> Array:
+        """Return the separations (K,), ascending."""
+        return np.sort(self.separations(motion))
+
+    def value_and_gradient(self, motion: Motion) -> tuple[float, MotionGradient]:
+        """Return what a solver minimizes, and its gradient by the motion.
+
+        Raises:
+            ArgumentError: The motion distinguishes some pair not at all, whatever the noise.
+        """
+        measurement = self.target.measure(motion)
+        separations, solutions = self._solve(measurement)
+        alike = np.flatnonzero(~(separations > _LEAST * len(motion)))
+        if len(alike):
+            pair = self.pairs[alike[0]]
+            raise ArgumentError(
+                f"{pair.rival} explains {pair.truth} of {', '.join(pair.where) or 'the robot'} "
+                "wholly on this motion.",
+                advice="Start from another motion, or ask for a pair that differs.",
+            )
+        value, slope = self.criterion.objective(np.log(separations))
+        gains = np.repeat(slope / separations, [len(x) for x in solutions])
+        x, known, noise = np.concatenate(solutions), self._known(measurement), self.target.noise
+        left = (measurement.regressor / noise[:, None]) @ x.T  # (N, nv, robots)
+        weights = (left * known[..., None] ** 2) @ (2.0 * gains[:, None] * x)
+        gradient = regressor_motion_gradient(self.target, measurement, weights / noise[:, None])
+        by_speed = np.square(left) @ gains
+        gradient.v[:] += by_speed * 2.0 * known * (1.0 - known**2) / self.target.sign_width
+        return value, gradient
+
+    def _known(self, measurement: Measurement) -> Array:
+        """Return smoothed signs (N, nv) of joints' speeds, the roots of samples' weights."""
+        return np.tanh(measurement.motion.v / self.target.sign_width)
+
+    def _solve(self, measurement: Measurement) -> tuple[Array, list[Array]]:
+        """Return separations (K,), and of each pair the coefficients (r, p) of what is left."""
+        known = self._known(measurement)[..., None]
+        rows = measurement.regressor * (known / self.target.noise[:, None])
+        rows = rows.reshape(-1, rows.shape[2])
+        R = np.asarray(np.linalg.qr(np.concatenate([rows, self.prior]), mode="r"))
+        solutions = [pair.effects.copy() for pair in self.pairs]
+        for columns, members in self._groups.items():
+            at = np.array(columns, np.intp)
+            robots = np.concatenate([self.pairs[k].effects for k in members])
+            explained = self._explained(R, at, R @ robots.T)
+            for k in members:
+                count = len(solutions[k])
+                solutions[k][:, at] -= explained[:count]
+                explained = explained[count:]
+        return np.array([np.square(R @ x.T).sum() for x in solutions]), solutions
+
+    @cached_property
+    def _groups(self) -> dict[tuple[int, ...], list[int]]:
+        """Columns -> the pairs whose explanations use them."""
+        found: dict[tuple[int, ...], list[int]] = {}
+        for k, pair in enumerate(self.pairs):
+            found.setdefault(tuple(pair.columns.tolist()), []).append(k)
+        return found
+
+    def _explained(self, R: Array, columns: Indices, targets: Array) -> Array:
+        """Return coefficients (r, c) of columns nearest to targets (q, r), within bounds."""
+        A = R[:, columns]
+        sizes = np.linalg.norm(A, axis=0)
+        sizes = np.where(sizes > 0, sizes, 1.0)
+        A, low, high = A / sizes, self.lower[columns] * sizes, self.upper[columns] * sizes
+        found = np.asarray(np.linalg.lstsq(A, targets)[0].T)
+        outside = ((found < low) | (found > high)).any(axis=1)
+        if outside.any():
+            bound = np.isfinite(low) | np.isfinite(high)
+            found[outside] = _bounded(A, bound, targets[:, outside], (low[bound], high[bound]))
+        return found / sizes
+
+
+def _bounded(
+    A: Array, bound: NDArray[np.bool_], targets: Array, bounds: tuple[Array, Array]
+) -> Array:
+    """Return least-squares solutions (r, c), some of the columns within bounds.
+
+    The others are eliminated first, so that the bounded problem is small.
+    """
+    free, held = A[:, ~bound], A[:, bound]
+    shares = np.linalg.lstsq(free, np.concatenate([held, targets], axis=1))[0]
+    count = held.shape[1]
+    small, rest = held - free @ shares[:, :count], targets - free @ shares[:, count:]
+    factor = np.asarray(np.linalg.qr(np.concatenate([small, rest], axis=1), mode="r"))
+    found = np.empty((targets.shape[1], A.shape[1]))
+    for k in range(targets.shape[1]):
+        problem = lsq_linear(factor[:, :count], factor[:, count + k], bounds, method="bvls")
+        found[k, bound] = problem.x
+        found[k, ~bound] = shares[:, count + k] - shares[:, :count] @ problem.x
+    return found
 
 
 def make_separation(
@@ -50,7 +340,7 @@ def make_separation(
     sign_width: ArrayLike | None = None,
     spread: float = SPREAD,
 ) -> Separation:
-    """What distinguishing two effects of a robot amounts to.
+    """Return what distinguishing two effects of a robot amounts to.
 
     Args:
         model: The robot. Its other effects may be refitted within what is known of them; if it has
@@ -58,10 +348,6 @@ def make_separation(
             large as it must be to be taken for it. Rivals of unknown size have a usual one.
         sign_width: Speed over which friction changes sign, as for `make_target`.
         spread: Relative uncertainty of a model file's inertias, as a geometric distance.
-
-    Raises:
-        ArgumentError: Both are the same effect, or mean the same whatever the motion; or the noise
-            is not positive.
     """
     instance(model, "model", RobotModel)
     for name, rival in (("first", first), ("second", second)):
@@ -76,7 +362,10 @@ def make_separation(
     common = [f for f in model.effects if f.effect not in rivals and len(f.effect.parameters)]
     unknown = [FittedEffect(effect, np.zeros(len(effect.parameters))) for effect in rivals]
     target = make_target(model, noise=noise, effects=[*common, *unknown], sign_width=sign_width)
-    columns = _columns(target)
+    columns, start = {}, PARAMETERS_PER_BODY * len(target.bodies)
+    for fitted in target.effects:
+        columns[fitted.effect] = start + np.arange(len(fitted.effect.parameters))
+        start += len(fitted.effect.parameters)
     sizes = _sizes(target, model, (first, second))
     base = np.concatenate(
         [np.arange(PARAMETERS_PER_BODY * len(target.bodies)), *(columns[f.effect] for f in common)]
@@ -100,12 +389,9 @@ def make_separation(
 
 
 def _different(separation: Separation) -> tuple[Pair, ...]:
-    """The pairs of which one is not wholly explained by the other, whatever the motion.
+    """Return the pairs of which one is not wholly explained by the other, whatever the motion.
 
     An effect that contains another one explains it: these can be distinguished one way only.
-
-    Raises:
-        ArgumentError: There is no such pair.
     """
     motion = separation.target.random_motion
     loose = replace(separation, prior=_LOOSE * separation.prior)
@@ -122,27 +408,19 @@ def _different(separation: Separation) -> tuple[Pair, ...]:
 
 
 def _words(rival: Rival, effect: Effect) -> str:
-    """Name of an effect, with its shape if it may have several."""
+    """Return the name of an effect, with its shape if it may have several."""
     if len(rival.alternatives) == 1:
         return rival.name
     shape = ", ".join(f"{name} {value:.3g}" for name, value in effect.shape.items())
     return f"{rival.name} ({shape})"
 
 
-def _columns(target: Target) -> dict[Effect, NDArray[np.intp]]:
-    """Columns of every effect of a target."""
-    found, at = {}, PARAMETERS_PER_BODY * len(target.bodies)
-    for fitted in target.effects:
-        count = len(fitted.effect.parameters)
-        found[fitted.effect] = np.arange(at, at + count)
-        at += count
-    return found
-
-
 def _sizes(target: Target, model: RobotModel, rivals: Sequence[Rival]) -> dict[Effect, Array]:
-    """(r, k) parameters of r robots that have an effect, for every rival effect."""
+    """Return parameters (r, k) of r robots that have an effect, for every rival effect."""
     every = [effect for rival in rivals for effect in rival.effects]
-    known, typical = known_sizes(model, every), typical_sizes(target)
+    values = {fitted.effect: fitted.parameters for fitted in model.effects}
+    known = {e: values[e] for e in every if e in values and np.any(values[e])}
+    typical = {fitted.effect: fitted.parameters for fitted in sized_effects(target)}
     found = {effect: value[None] for effect, value in known.items()}
     for rival, other in zip(rivals, reversed(rivals), strict=True):
         for effect in rival.effects:
@@ -154,7 +432,7 @@ def _sizes(target: Target, model: RobotModel, rivals: Sequence[Rival]) -> dict[E
             for counterpart in other.effects:
                 shared = set(effect.where) & set(counterpart.where) or not effect.where
                 if counterpart in known and shared:
-                    like = imitations(target, counterpart, known[counterpart], effect)
+                    like = _imitations(target, counterpart, known[counterpart], effect)
                     if like is not None:
                         found[effect] = like[None]
     return found
@@ -163,7 +441,7 @@ def _sizes(target: Target, model: RobotModel, rivals: Sequence[Rival]) -> dict[E
 def _bounds(
     target: Target, columns: dict[Effect, NDArray[np.intp]], common: Sequence[FittedEffect]
 ) -> tuple[Array, Array]:
-    """(p,) least and greatest change of every parameter from its nominal value."""
+    """Return the least and greatest change (p,) of every parameter from its nominal value."""
     lower, upper = np.full(target.size, -np.inf), np.full(target.size, np.inf)
     nominal = {fitted.effect: fitted.parameters for fitted in common}
     for effect, at in columns.items():
@@ -174,7 +452,7 @@ def _bounds(
 
 
 def _information(model: RobotModel, common: Sequence[FittedEffect], spread: float) -> Array:
-    """(b, b) what is known of the inertias and of the common effects, whatever the others are."""
+    """Return what is known (b, b) of the inertias and common effects, whatever the others are."""
     if model.information is None:
         sizes = [np.diag(1.0 / np.maximum(f.parameters**2, 1e-12)) for f in common]
         return np.asarray(block_diag(pullback_information(model.phi, spread), *sizes))
@@ -190,7 +468,7 @@ def _information(model: RobotModel, common: Sequence[FittedEffect], spread: floa
 
 
 def _root(information: Array) -> Array:
-    """Rows whose product RᵀR is an information matrix; units are scaled out first."""
+    """Return rows whose product RᵀR is an information matrix; units are scaled out first."""
     sizes = np.sqrt(np.maximum(np.diag(information), 0.0))
     sizes = np.where(sizes > 0, sizes, 1.0)
     values, vectors = np.linalg.eigh(information / sizes[:, None] / sizes)
@@ -206,14 +484,9 @@ def design_separation(
     seeds: int | Sequence[int] = 3,
     progress: Callable[[DesignProgress], None] | None = None,
 ) -> ExcitationResult:
-    """The motion within limits that distinguishes rivals best.
+    """Return the motion within limits that distinguishes rivals best.
 
-    Args:
-        limits: What the robot may do; the limits of its model file if None.
-        trajectory: The family of motions; a Fourier series of 10 s if None.
-
-    Returns:
-        The motion; its objective is the separation, and its eigenvalues are those Δ.
+    Arguments are those of `design_excitation`; the result's eigenvalues are the Δ.
 
     Raises:
         ArgumentError: As `design_excitation`, or on no motion the rivals differ.
@@ -226,3 +499,43 @@ def design_separation(
         seeds=seeds,
         progress=progress,
     )
+
+
+def _imitations(target: Target, truth: Effect, size: Array, rival: Effect) -> Array | None:
+    """Return parameters (k,) with which a rival is most like a known effect, on random motion.
+
+    They are within bounds; None if the effects have nothing to do with each other.
+    """
+    seen = target.measure(target.random_motion).seen
+    if seen is None:
+        return None
+    wanted = (truth.regressor(seen) @ size).ravel()
+    columns = rival.regressor(seen).reshape(len(wanted), -1)
+    bounds = tuple(np.array([getattr(p, s) for p in rival.parameters]) for s in ("lower", "upper"))
+    found = np.asarray(lsq_linear(columns, wanted, bounds).x)
+    return found if np.linalg.norm(columns @ found) > _ALIKE * np.linalg.norm(wanted) else None
+
+
+@dataclass(frozen=True)
+class DistinguishedPair:
+    """A pair of effects on a designed motion.
+
+    Attributes:
+        pair: Who is distinguished from whom.
+        deviations: √Δ, by how many standard deviations of the noise of all samples together.
+        effort: RMS of what the rival does not explain, at the joint where that is most, N·m or N.
+    """
+
+    pair: Pair
+    deviations: float
+    effort: float
+
+
+def distinguished_pairs(result: ExcitationResult) -> tuple[DistinguishedPair, ...]:
+    """Return the pairs of a motion that is to distinguish effects, the hardest first; else none."""
+    objective, motion = result.objective, result.motion
+    if not isinstance(objective, Separation):
+        return ()
+    values = np.sqrt(objective.separations(motion)).tolist(), objective.efforts(motion).tolist()
+    found = [DistinguishedPair(*entry) for entry in zip(objective.pairs, *values, strict=True)]
+    return tuple(sorted(found, key=lambda pair: pair.deviations))

@@ -1,38 +1,127 @@
-"""One motion of a robot out of a family, and the forms that others take it in."""
+"""One motion of a robot, and the files that others take it from: logs, ROS, Drake."""
 
 from __future__ import annotations
 
+import abc
+import json
+from collections.abc import Iterable
 from dataclasses import dataclass
+from pathlib import Path
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
+from pydrake.common.yaml import yaml_load
 from pydrake.math import BsplineBasis
 from pydrake.trajectories import BsplineTrajectory
 from scipy.interpolate import make_interp_spline
 
-from geodrake.boundary.arguments import instance, number, real_array
+from geodrake.boundary.arguments import file_path, instance, number, real_array
+from geodrake.boundary.escaping import quoted
 from geodrake.boundary.showing import Short
-from geodrake.errors import ArgumentError
+from geodrake.boundary.whole_files import Content, write_whole
+from geodrake.errors import ArgumentError, OutputError
 from geodrake.excitation.families import MotionFamily, SplineMotion
 from geodrake.excitation.reverse_recursion import MotionGradient
+from geodrake.logs.files import log_content
 from geodrake.logs.motion import JointLog, Motion
 from geodrake.model.robot_model import RobotModel
 
 Array = NDArray[np.float64]
 
+_LOGS, _YAML, _DRAKE = (".csv", ".txt", ".npz"), (".yaml", ".yml"), (".drake.yaml", ".drake.yml")
 _MOST_INSTANTS = 1e6  # of a file
-_DEGREE = 5  # of the spline that stands for other families in Drake
-_PER_FASTEST = 64  # intervals of that spline in the shortest time: errors of some 1e-9
+_DEGREE = 5  # of the spline that stands for others in Drake
+_PER_FASTEST = 64  # its intervals in a family's shortest time: errors of some 1e-9
+_RAMP_STEPS = 400  # its intervals in a ramp
+
+
+class ExecutableMotion(Short, abc.ABC):
+    """Positions of all joints over time; each joint has one degree of freedom.
+
+    Attributes:
+        joints: Names of the nv joints, in the order of velocities.
+        order: (nv,) joint of each position in Drake's order.
+    """
+
+    joints: tuple[str, ...]
+    order: NDArray[np.intp]
+
+    @property
+    @abc.abstractmethod
+    def length(self) -> float:
+        """Duration, s; zero if samples do not follow each other."""
+
+    @abc.abstractmethod
+    def states(self, times: ArrayLike) -> Array:
+        """Return positions, velocities and accelerations (3, N, nv) by joint at times (N,), s."""
+
+    def motion(self, times: ArrayLike) -> Motion:
+        """Return the motion at instants (N,), in Drake's order."""
+        return self.motion_of(self.states(times), np.atleast_1d(real_array(times, "times")))
+
+    def motion_of(self, states: Array, times: Array | None = None) -> Motion:
+        """Return the motion in Drake's order of states (3, N, nv) by joint, at times (N,), s."""
+        q, v, vd = states
+        return Motion(q[:, self.order], v, vd, times if self.length else None)
+
+    def to_drake(self) -> BsplineTrajectory:
+        """Return the positions in Drake's order as a Drake trajectory, with derivatives.
+
+        A spline motion is itself; a Fourier motion is interpolated to about 1e-9 of its size, ramps
+        to 1e-5.
+
+        Raises:
+            ArgumentError: The samples do not follow each other in time.
+        """
+        self._require_time("a Drake trajectory")
+        knots, points, degree = self._spline()
+        controls = [np.array(point)[:, None] for point in points[:, self.order]]
+        return BsplineTrajectory(BsplineBasis(degree + 1, knots.tolist()), controls)
+
+    @abc.abstractmethod
+    def _spline(self) -> tuple[Array, Array, int]:
+        """Return knots, control points (n, nv) by joint, and degree of a spline."""
+
+    def _interpolated(self, times: Array) -> tuple[Array, Array, int]:
+        q, v, vd = self.states(times)
+        ends = [[(1, v[end]), (2, vd[end])] for end in (0, -1)]
+        spline = make_interp_spline(times, q, k=_DEGREE, bc_type=ends)
+        return spline.t, spline.c, _DEGREE
+
+    def log(self, model: RobotModel, *, rate: float = 100.0, name: str = "excitation") -> JointLog:
+        """Return the motion as a log at a rate (1/s), with the efforts that the model predicts."""
+        instance(model, "model", RobotModel)
+        times = self.instants(rate)
+        q, v, vd = self.states(times)
+        effort = model.effort(self.motion(times))
+        return JointLog(name, self.joints, times, q, effort, v, vd)
+
+    def instants(self, rate: float) -> Array:
+        """Return instants at a rate (1/s) from start to end; the last step may be shorter."""
+        self._require_time("instants")
+        number(rate, "rate", finite=False)
+        if not 0 < rate < np.inf or rate * self.length > _MOST_INSTANTS:
+            raise ArgumentError(
+                f"A rate is a positive number of samples a second; got {rate}.",
+                advice=f"Give at most {_MOST_INSTANTS / self.length:g} a second.",
+            )
+        times = np.arange(np.ceil(self.length * rate - 1e-9)) / rate
+        return np.append(times, self.length)
+
+    def _require_time(self, what: str) -> None:
+        if not self.length:
+            raise ArgumentError(
+                f"There is no {what} of samples that do not follow each other in time.",
+                advice="Design a Fourier or spline motion.",
+            )
 
 
 @dataclass(frozen=True, eq=False)
-class ExcitationTrajectory(Short):
-    """A motion of all joints of a robot whose joints have one degree of freedom each.
+class ExcitationTrajectory(ExecutableMotion):
+    """A motion out of a family.
 
     Attributes:
         coefficients: (count, nv) coefficients, a column a joint.
-        joints: Names of the nv joints, in the order of velocities.
-        order: (nv,) joint of each position in Drake's order.
     """
 
     family: MotionFamily
@@ -40,26 +129,17 @@ class ExcitationTrajectory(Short):
     joints: tuple[str, ...]
     order: NDArray[np.intp]
 
+    @property
+    def length(self) -> float:
+        """Duration, s; zero if samples do not follow each other."""
+        return self.family.length
+
     def states(self, times: ArrayLike) -> Array:
-        """(3, N, nv) positions, velocities and accelerations by joint, at instants (N,), s."""
+        """Return positions, velocities and accelerations (3, N, nv) by joint at times (N,), s."""
         return np.asarray(self.family.basis(times) @ self.coefficients)
 
-    def motion(self, times: ArrayLike) -> Motion:
-        """The motion at instants (N,), in Drake's order."""
-        return self.motion_of(self.states(times), np.atleast_1d(real_array(times, "times")))
-
-    def motion_of(self, states: Array, times: Array | None = None) -> Motion:
-        """The motion in Drake's order of states (3, N, nv) by joint.
-
-        Args:
-            states: (3, N, nv) positions, velocities and accelerations by joint.
-            times: (N,) times, s; not used where the motion is free samples.
-        """
-        q, v, vd = states
-        return Motion(q[:, self.order], v, vd, times if self.family.timed else None)
-
     def coefficient_gradient(self, basis: Array, gradient: MotionGradient) -> Array:
-        """(count, nv) gradient by the coefficients, from one by the motion.
+        """Return the gradient (count, nv) by the coefficients, from one by the motion.
 
         Args:
             basis: (3, N, count) `family.basis` of the samples.
@@ -69,71 +149,204 @@ class ExcitationTrajectory(Short):
         total = basis[0].T @ by_joint + basis[1].T @ gradient.v + basis[2].T @ gradient.vd
         return np.asarray(total)
 
-    def to_drake(self) -> BsplineTrajectory:
-        """The positions in Drake's order as a Drake trajectory, with derivatives.
-
-        A spline motion is itself; others are interpolated to about 1e-9 of their size.
-
-        Raises:
-            ArgumentError: The samples do not follow each other in time.
-        """
-        self._require_time("a Drake trajectory")
+    def _spline(self) -> tuple[Array, Array, int]:
         family = self.family
         if isinstance(family, SplineMotion):
-            knots, points, degree = family.knots, self.coefficients, family.degree
-        else:
-            times = family.limit_times(1.0 / _PER_FASTEST)
-            q, v, vd = self.states(times)
-            ends = [[(1, v[end]), (2, vd[end])] for end in (0, -1)]
-            spline = make_interp_spline(times, q, k=_DEGREE, bc_type=ends)
-            knots, points, degree = spline.t, spline.c, _DEGREE
-        controls = [np.array(point)[:, None] for point in points[:, self.order]]
-        return BsplineTrajectory(BsplineBasis(degree + 1, knots.tolist()), controls)
+            return family.knots, self.coefficients, family.degree
+        return self._interpolated(family.limit_times(1.0 / _PER_FASTEST))
 
-    def log(self, model: RobotModel, *, rate: float = 100.0, name: str = "excitation") -> JointLog:
-        """The motion as a log, with the efforts that the model predicts.
 
-        Raises:
-            ArgumentError: The samples do not follow each other in time, or the rate is not
-                positive.
-        """
-        instance(model, "model", RobotModel)
-        times = self.instants(rate)
-        q, v, vd = self.states(times)
-        effort = model.effort(self.motion(times))
-        return JointLog(name, self.joints, times, q, effort, v, vd)
+@dataclass(frozen=True, eq=False)
+class Ramp(ExecutableMotion):
+    """A way through postures with a rest at each, of polynomials 10 x³ − 15 x⁴ + 6 x⁵ of time.
 
-    def instants(self, rate: float) -> Array:
-        """Instants at a rate (1/s) from the start to the end; the last step may be shorter.
+    Attributes:
+        postures: (k + 1, nv) by joint, rad or m.
+        durations: (k,) of the ways between them, s.
+    """
 
-        Raises:
-            ArgumentError: The samples do not follow each other in time, or the rate is not
-                positive, or gives more samples than a file is good for.
-        """
-        self._require_time("instants")
-        number(rate, "rate", finite=False)
-        length = self.family.length
-        if not 0 < rate < np.inf or rate * length > _MOST_INSTANTS:
-            raise ArgumentError(
-                f"A rate is a positive number of samples a second; got {rate}.",
-                advice=f"Give at most {_MOST_INSTANTS / length:g} a second.",
-            )
-        times = np.arange(np.ceil(length * rate - 1e-9)) / rate
-        return np.append(times, length)
+    postures: Array
+    durations: Array
+    joints: tuple[str, ...]
+    order: NDArray[np.intp]
 
-    def _require_time(self, what: str) -> None:
-        if not self.family.timed:
-            raise ArgumentError(
-                f"There is no {what} of samples that do not follow each other in time.",
-                advice="Design a Fourier or spline motion.",
-            )
+    @property
+    def length(self) -> float:
+        """Duration, s."""
+        return float(self.durations.sum())
+
+    def states(self, times: ArrayLike) -> Array:
+        """Return positions, velocities and accelerations (3, N, nv) by joint at times (N,), s."""
+        t = np.atleast_1d(real_array(times, "times"))
+        ends = np.cumsum(self.durations)
+        leg = np.minimum(np.searchsorted(ends, t, side="left"), len(ends) - 1)
+        T = self.durations[leg]
+        x = np.clip((t - ends[leg] + T) / T, 0.0, 1.0)
+        ways = (self.postures[1:] - self.postures[:-1])[leg]
+        shares = (
+            x**3 * (10.0 - 15.0 * x + 6.0 * x**2),
+            30.0 * x**2 * (1.0 - x) ** 2 / T,
+            60.0 * x * (1.0 - x) * (1.0 - 2.0 * x) / T**2,
+        )
+        states = np.stack([share[:, None] * ways for share in shares])
+        states[0] += self.postures[leg]
+        return states
+
+    def _spline(self) -> tuple[Array, Array, int]:
+        return self._interpolated(np.linspace(0.0, self.length, _RAMP_STEPS + 1))
+
+
+@dataclass(frozen=True, eq=False)
+class RampedTrajectory(ExecutableMotion):
+    """Motions one after the other, such as a ramp, a designed motion, and the ramp back."""
+
+    parts: tuple[ExecutableMotion, ...]
+
+    @property
+    def joints(self) -> tuple[str, ...]:  # type: ignore[override]
+        """Names of the joints."""
+        return self.parts[0].joints
+
+    @property
+    def order(self) -> NDArray[np.intp]:  # type: ignore[override]
+        """(nv,) joint of each position in Drake's order."""
+        return self.parts[0].order
+
+    @property
+    def length(self) -> float:
+        """Duration, s."""
+        return float(sum(part.length for part in self.parts))
+
+    def states(self, times: ArrayLike) -> Array:
+        """Return positions, velocities and accelerations (3, N, nv) by joint at times (N,), s."""
+        t = np.atleast_1d(real_array(times, "times"))
+        ends = np.cumsum([part.length for part in self.parts])
+        which = np.minimum(np.searchsorted(ends, t, side="left"), len(ends) - 1)
+        found = np.empty((3, len(t), len(self.joints)))
+        for k, part in enumerate(self.parts):
+            own = t[which == k] - (ends[k] - part.length)
+            found[:, which == k] = part.states(np.clip(own, 0.0, part.length))
+        return found
+
+    def _spline(self) -> tuple[Array, Array, int]:
+        starts = np.cumsum([0.0, *(part.length for part in self.parts)])
+        times = [0.0 * starts[:1]]
+        for start, part in zip(starts, self.parts, strict=False):
+            steps = _RAMP_STEPS
+            if isinstance(part, ExcitationTrajectory):
+                steps = len(part.family.limit_times(1.0 / _PER_FASTEST)) - 1
+            times.append(start + np.linspace(0.0, part.length, steps + 1)[1:])
+        return self._interpolated(np.concatenate(times))
 
 
 def joint_order(model: RobotModel) -> NDArray[np.intp]:
-    """(nq,) joint of each position in Drake's order.
+    """Return the joint (nq,) of each position in Drake's order.
 
     Raises:
         ArgumentError: The robot has joints of several degrees of freedom.
     """
     joints = np.arange(len(model.joints), dtype=float)
     return np.asarray(np.rint(model.positions(joints[None])[0]), np.intp)
+
+
+def write_trajectory(
+    trajectory: ExecutableMotion, path: str | Path, model: RobotModel, *, rate: float = 100.0
+) -> None:
+    """Write a motion, whole or not at all.
+
+    Args:
+        path: Where to: `.csv` or `.npz` for a log with the predicted efforts, `.yaml` for a ROS
+            trajectory_msgs/JointTrajectory, which `ros2 topic pub` takes, `.drake.yaml` for a
+            Drake BsplineTrajectory, which `read_drake_trajectory` takes.
+
+    Raises:
+        OutputError: The suffix is another, or the file cannot be written.
+        ArgumentError: The samples do not follow each other in time.
+    """
+    path = file_path(path)
+    write_whole(path, trajectory_content(trajectory, path, model, rate=rate))
+
+
+def trajectory_content(
+    trajectory: ExecutableMotion, path: str | Path, model: RobotModel, *, rate: float = 100.0
+) -> Content:
+    """Return the content of the file; see `write_trajectory` for arguments and errors."""
+    instance(trajectory, "trajectory", ExecutableMotion)
+    instance(model, "model", RobotModel)
+    path = file_path(path)
+    suffix = path.suffix.lower()
+    if suffix in _LOGS:
+        return log_content(trajectory.log(model, rate=rate, name=path.stem), path)
+    if path.name.lower().endswith(_DRAKE):
+        return drake_trajectory(trajectory)
+    if suffix in _YAML:
+        return ros_joint_trajectory(trajectory, rate=rate)
+    raise OutputError(
+        f"A motion cannot be written to {str(path)!r}.",
+        advice=f"Use {', '.join((*_LOGS, *_YAML, *_DRAKE))}.",
+    )
+
+
+def ros_joint_trajectory(trajectory: ExecutableMotion, *, rate: float = 100.0) -> str:
+    """Return a motion as YAML of the message trajectory_msgs/JointTrajectory of ROS 2.
+
+    Efforts are left empty, since position and velocity controllers refuse them.
+    """
+    times = instance(trajectory, "trajectory", ExecutableMotion).instants(rate)
+    lines = [
+        "header:",
+        "  stamp: {sec: 0, nanosec: 0}",
+        '  frame_id: ""',
+        f"joint_names: [{', '.join(map(quoted, trajectory.joints))}]",
+        "points:",
+    ]
+    for time, q, v, vd in zip(times.tolist(), *trajectory.states(times), strict=True):
+        nanoseconds = round(time * 1e9)
+        lines += [
+            f"- positions: {_numbers(q)}",
+            f"  velocities: {_numbers(v)}",
+            f"  accelerations: {_numbers(vd)}",
+            "  effort: []",
+            f"  time_from_start: {{sec: {nanoseconds // 10**9}, nanosec: {nanoseconds % 10**9}}}",
+        ]
+    return "\n".join(lines) + "\n"
+
+
+def drake_trajectory(trajectory: ExecutableMotion) -> str:
+    """Return a motion's positions, in Drake's order, as YAML of a Drake BsplineTrajectory.
+
+    The fields are those by which Drake's C++ classes go through YAML: `LoadYamlFile` of
+    `BsplineTrajectory<double>` takes it as well.
+
+    Raises:
+        ArgumentError: The samples do not follow each other in time.
+    """
+    spline = instance(trajectory, "trajectory", ExecutableMotion).to_drake()
+    basis = spline.basis()
+    points = [f"- {json.dumps(point.tolist())}" for point in spline.control_points()]
+    lines = ["basis:", f"  order: {basis.order()}", f"  knots: {json.dumps(basis.knots())}"]
+    return "\n".join([*lines, "control_points:", *points]) + "\n"
+
+
+def read_drake_trajectory(path: str | Path) -> BsplineTrajectory:
+    """Return a motion that was written to `.drake.yaml`.
+
+    Returns:
+        The positions in Drake's order over time, s.
+    """
+    path = file_path(path)
+    try:
+        found = yaml_load(filename=str(path))
+        basis, points = found["basis"], np.array(found["control_points"], float)
+        knots = [float(knot) for knot in basis["knots"]]
+        return BsplineTrajectory(BsplineBasis(int(basis["order"]), knots), list(points))
+    except Exception as error:  # YAML's errors are of many kinds, and Drake's RuntimeErrors
+        raise ArgumentError(
+            f"There is no B-spline to read in {str(path)!r}: {error}",
+            advice="Give a .drake.yaml file that `geodrake excite --save` wrote.",
+        ) from error
+
+
+def _numbers(values: Iterable[float]) -> str:
+    """Return a list in decimal notation with a point, which every YAML reader takes for floats."""
+    return "[" + ", ".join(f"{value:.9f}" for value in values) + "]"

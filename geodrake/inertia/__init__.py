@@ -26,6 +26,8 @@ from geodrake.inertia.kernels import PARAMETERS_PER_BODY, Array
 from geodrake.inertia.parameters import (
     PARAMETER_NAMES,
     PARAMETER_UNITS,
+    PrincipalAxes,
+    central_second_moment,
     change_frame,
     change_units,
     dual,
@@ -34,20 +36,16 @@ from geodrake.inertia.parameters import (
     from_point_masses,
     from_pseudo_inertia,
     is_physical,
+    principal_axes,
     pseudo_inertia,
     pseudo_inertia_basis,
     pullback_metric,
     rotational_inertia,
     to_mass_com_inertia,
+    triangle_margins,
 )
 from geodrake.inertia.perturbation import Perturbation, perturb
 from geodrake.inertia.positive_definite import karcher_mean
-from geodrake.inertia.principal import (
-    PrincipalAxes,
-    central_second_moment,
-    principal_axes,
-    triangle_margins,
-)
 from geodrake.inertia.spatial import (
     from_spatial_inertia,
     from_spatial_inertia_matrix,

@@ -15,8 +15,7 @@ from pydrake.multibody.plant import MultibodyPlant
 from pydrake.multibody.tree import BodyIndex, RigidBody
 from pydrake.systems.framework import Context, System
 
-from geodrake.boundary.arguments import instance
-from geodrake.boundary.arguments.words import shown
+from geodrake.boundary.arguments import instance, shown
 from geodrake.errors import ArgumentError, ModelError
 
 
@@ -50,22 +49,13 @@ class LumpedBody:
 
 
 def check_plant(plant: MultibodyPlant, name: str = "plant") -> None:
-    """Refuses what is no finalized plant.
-
-    Raises:
-        ArgumentError: It is something else.
-        ModelError: It is not finalized.
-    """
+    """Refuses what is no finalized plant."""
     if not instance(plant, name, MultibodyPlant).is_finalized():
         raise ModelError(f"The {name} is not finalized.", advice="Call plant.Finalize() first.")
 
 
 def check_context(system: System, context: Context) -> None:
-    """Refuse what is no Context of a system, such as a plant.
-
-    Raises:
-        ArgumentError: It is something else.
-    """
+    """Refuse what is no Context of a system, such as a plant."""
     try:
         system.ValidateContext(context)
     except TypeError as error:
@@ -82,10 +72,6 @@ def lumped_bodies(plant: MultibodyPlant) -> tuple[LumpedBody, ...]:
 
     Returns:
         The groups without the one welded to the world, in order of the representative's BodyIndex.
-
-    Raises:
-        ArgumentError: It is no plant.
-        ModelError: The plant is not finalized.
     """
     check_plant(plant)
     context = plant.CreateDefaultContext()

@@ -21,9 +21,9 @@ from geodrake.inertia.parameters import (
     from_dual,
     from_mass_com_inertia,
     is_physical,
+    principal_axes,
     pseudo_inertia,
 )
-from geodrake.inertia.principal import principal_axes
 
 _FLAT = 1e-9  # thickness over length at which points are said to lie in a plane
 _MOST_STEPS = 100_000
@@ -137,10 +137,6 @@ def equivalent_ellipsoid(phi: ArrayLike, *, least_semi_axis: float = 0.0) -> Ell
 
     Returns:
         Ellipsoids with semi-axes √(5 σᵢ/m) of the principal second moments σ, in ascending order.
-
-    Raises:
-        ArgumentError: A body is not physical, so that no ellipsoid is like it, or the least
-            semi-axis is negative.
     """
     phi = checked_phi(phi)
     least_semi_axis = number(least_semi_axis, "least_semi_axis", lower=0.0)
@@ -161,10 +157,6 @@ def ellipsoid_of_quadric(Q: ArrayLike) -> Ellipsoid:
 
     Args:
         Q: (..., 4, 4) symmetric matrices.
-
-    Raises:
-        ArgumentError: Q describes no bounded region, as with its sign turned around, or is not
-            symmetric, finite and of that shape.
     """
     Q = real_array(Q, "Q", ("...", 4, 4))
     if (np.abs(Q - np.swapaxes(Q, -1, -2)) > 1e-8 * np.abs(Q).max((-2, -1), keepdims=True)).any():
@@ -197,9 +189,6 @@ def realizability(phi: ArrayLike, Q: ArrayLike) -> Array:
     Returns:
         (...) averages of [x;1]ᵀ Q [x;1] over the mass: 1 if all is at the centre, ⅖ for a uniform
         body that fills the ellipsoid, 0 if all is on the surface, for an `Ellipsoid.quadric`.
-
-    Raises:
-        ArgumentError: A mass is not above zero, or a shape does not fit.
     """
     trace, mass = _trace(phi, Q), np.asarray(phi, float)[..., 0]
     if not (mass > 0).all():
@@ -216,9 +205,6 @@ def is_realizable(phi: ArrayLike, Q: ArrayLike) -> NDArray[np.bool_]:
 
     Returns:
         (...) booleans, P(φ) ≻ 0 and tr(P(φ) Q) ≥ 0 ([Lee2019] Eqs. (3.2.7), (3.5.46)).
-
-    Raises:
-        ArgumentError: A shape does not fit.
     """
     return np.asarray(is_physical(phi) & (_trace(phi, Q) >= 0))
 
@@ -245,11 +231,6 @@ def bounding_ellipsoid(points: ArrayLike, *, tolerance: float = 1e-6) -> Ellipso
 
     Returns:
         An ellipsoid that contains every point.
-
-    Raises:
-        ArgumentError: There are too few points, all lie in a plane, or the tolerance is not above
-            zero.
-        ConvergenceError: The tolerance was not reached.
     """
     positive(tolerance, "tolerance")
     points = real_array(points, "points", ("k", 3))

@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from geodrake.boundary.arguments import Sizes, number, positive, real_array
+from geodrake.boundary.showing import Short
 from geodrake.errors import ArgumentError
 from geodrake.inertia.kernels import (
     BASIS,
@@ -44,9 +47,6 @@ def rotational_inertia(phi: ArrayLike) -> Array:
 
     Returns:
         (..., 3, 3) symmetric matrices, kg·m² ([Lee2019] Eq. (B.1.1)).
-
-    Raises:
-        ArgumentError: phi is something else, or not finite.
     """
     return calc_rotational_inertia(checked_phi(phi))
 
@@ -59,9 +59,6 @@ def pseudo_inertia(phi: ArrayLike) -> Array:
 
     Returns:
         (..., 4, 4) symmetric matrices [[Σ, h], [hᵀ, m]] ([Lee2019] Eq. (B.1.4)).
-
-    Raises:
-        ArgumentError: phi is something else, or not finite.
     """
     return calc_pseudo_inertia(checked_phi(phi))
 
@@ -74,9 +71,6 @@ def from_pseudo_inertia(matrix: ArrayLike) -> Array:
 
     Returns:
         (..., 10) inertial parameters ([Lee2019] Eq. (B.1.6)).
-
-    Raises:
-        ArgumentError: matrix is something else, or not finite.
     """
     return calc_from_pseudo_inertia(real_array(matrix, "matrix", ("...", 4, 4)))
 
@@ -94,9 +88,6 @@ def dual(covector: ArrayLike) -> Array:
 
     Returns:
         (..., 4, 4) symmetric matrices ([Lee2019] Eqs. (B.1.8), (B.1.9)).
-
-    Raises:
-        ArgumentError: covector is something else, or not finite.
     """
     return calc_dual(checked_phi(covector, "covector"))
 
@@ -109,9 +100,6 @@ def from_dual(matrix: ArrayLike) -> Array:
 
     Returns:
         (..., 10) coefficients tr(P(eᵢ) X).
-
-    Raises:
-        ArgumentError: matrix is something else, or not finite.
     """
     matrix = real_array(matrix, "matrix", ("...", 4, 4))
     return np.asarray(np.einsum("...ab,iab->...i", matrix, BASIS))
@@ -127,9 +115,6 @@ def is_physical(phi: ArrayLike, *, tolerance: float = 0.0) -> NDArray[np.bool_]:
 
     Returns:
         (...) booleans ([Lee2019] Eq. (3.2.7)).
-
-    Raises:
-        ArgumentError: phi or tolerance is something else.
     """
     phi = real_array(phi, "phi", ("...", PARAMETERS_PER_BODY), finite=False)
     tolerance = number(tolerance, "tolerance")
@@ -156,9 +141,6 @@ def from_mass_com_inertia(mass: ArrayLike, com: ArrayLike, inertia_com: ArrayLik
 
     Returns:
         (..., 10) inertial parameters about Bo.
-
-    Raises:
-        ArgumentError: A value is something else, or not finite, or the shapes do not fit together.
     """
     sizes: Sizes = {}
     mass = real_array(mass, "mass", ("...",), sizes)
@@ -177,9 +159,6 @@ def to_mass_com_inertia(phi: ArrayLike) -> tuple[Array, Array, Array]:
 
     Returns:
         mass (...), com (..., 3) and inertia_com (..., 3, 3).
-
-    Raises:
-        ArgumentError: phi is something else, or not finite, or a mass is zero.
     """
     phi = checked_phi(phi)
     mass = phi[..., 0]
@@ -202,9 +181,6 @@ def change_frame(phi: ArrayLike, R_AB: ArrayLike, p_AoBo_A: ArrayLike) -> Array:
 
     Returns:
         (..., 10) inertial parameters in A ([Lee2019] Eq. (3.3.24)).
-
-    Raises:
-        ArgumentError: A value is something else, or not finite, or the shapes do not fit together.
     """
     sizes: Sizes = {}
     phi = checked_phi(phi, "phi", sizes)
@@ -223,9 +199,6 @@ def change_units(phi: ArrayLike, *, metre: float, kilogram: float) -> Array:
 
     Returns:
         (..., 10) the numbers of the same bodies in the new units ([Lee2019] Eq. (3.3.24)).
-
-    Raises:
-        ArgumentError: phi is something else, or not finite, or a unit is not above zero.
     """
     metre, kilogram = positive(metre, "metre"), positive(kilogram, "kilogram")
     return checked_phi(phi) * kilogram * metre ** np.repeat([0, 1, 2], [1, 3, 6])
@@ -240,9 +213,6 @@ def from_point_masses(masses: ArrayLike, positions: ArrayLike) -> Array:
 
     Returns:
         (..., 10) parameters of Σ mₖ [xₖ;1][xₖ;1]ᵀ ([Lee2019] Eq. (3.2.5)).
-
-    Raises:
-        ArgumentError: A value is something else, or not finite, or the shapes do not fit together.
     """
     sizes: Sizes = {}
     masses = real_array(masses, "masses", ("...", "k"), sizes)
@@ -260,9 +230,6 @@ def pullback_metric(phi: ArrayLike) -> Array:
 
     Returns:
         (..., 10, 10) matrices ½ tr(P⁻¹ P(e_i) P⁻¹ P(e_j)) ([Lee2019] Eq. (B.1.7)).
-
-    Raises:
-        ArgumentError: phi is something else, or a body is not physical, so that there is no metric.
     """
     phi = checked_phi(phi)
     bad = np.flatnonzero(~is_physical(phi)).tolist()
@@ -277,3 +244,72 @@ def pullback_metric(phi: ArrayLike) -> Array:
             bodies=bad,
         ) from None
     return 0.5 * np.einsum("...iab,...jba->...ij", solved, solved)
+
+
+@dataclass(frozen=True, eq=False)
+class PrincipalAxes(Short):
+    """A body about its centre of mass, along its principal axes.
+
+    Attributes:
+        mass: (...) masses, kg.
+        center: (..., 3) centres of mass p_BoBcm_B, m.
+        rotation: (..., 3, 3) right-handed rotations R_BP, whose columns are the axes.
+        moments: (..., 3) principal moments of inertia, kg·m², in descending order.
+        second_moments: (..., 3) principal second moments ∫ x² dm, kg·m², in ascending order.
+    """
+
+    mass: Array
+    center: Array
+    rotation: Array
+    moments: Array
+    second_moments: Array
+
+
+def central_second_moment(phi: ArrayLike) -> Array:
+    """Second moment matrix about the centre of mass, Σᶜ = Σ − m p pᵀ.
+
+    Args:
+        phi: (..., 10) inertial parameters with mass other than zero.
+
+    Returns:
+        (..., 3, 3) symmetric matrices, kg·m² ([Lee2019] Eq. (3.3.17)).
+    """
+    matrix = pseudo_inertia(phi)
+    h, mass = matrix[..., :3, 3], matrix[..., 3, 3]
+    if not mass.all():
+        bad = np.asarray(phi, float).reshape(-1, 10)[int(np.argmin(np.abs(mass).ravel()))]
+        raise ArgumentError(f"A body without mass has no centre of mass; got {bad.tolist()}.")
+    squared = h[..., :, None] * h[..., None, :] / mass[..., None, None]
+    return np.asarray(matrix[..., :3, :3] - squared)
+
+
+def principal_axes(phi: ArrayLike) -> PrincipalAxes:
+    """Principal axes of bodies.
+
+    Args:
+        phi: (..., 10) inertial parameters with mass other than zero.
+    """
+    phi = checked_phi(phi)
+    values, axes = np.linalg.eigh(central_second_moment(phi))
+    handedness = np.where(np.linalg.det(axes) < 0, -1.0, 1.0)
+    rotation = np.concatenate([axes[..., :2], handedness[..., None, None] * axes[..., 2:]], -1)
+    moments = values.sum(-1, keepdims=True) - values
+    return PrincipalAxes(phi[..., 0], phi[..., 1:4] / phi[..., :1], rotation, moments, values)
+
+
+def triangle_margins(phi: ArrayLike) -> Array:
+    """By how much each principal moment is less than the sum of the other two.
+
+    Args:
+        phi: (..., 10) inertial parameters with mass other than zero.
+
+    Returns:
+        (..., 3) margins (J₂ + J₃ − J₁) / (J₁ + J₂ + J₃) and so on, in ascending order: all above
+        zero for a body that can exist, zero for a flat one, and they add up to one ([Lee2019]
+        Eqs. (3.2.8)–(3.2.10)).
+    """
+    values = principal_axes(phi).second_moments
+    if not (extent := values.sum(-1) > 0).all():
+        bad = np.asarray(phi, float).reshape(-1, 10)[int(np.argmin(extent.ravel()))]
+        raise ArgumentError(f"A body without extent has no margins; got {bad.tolist()}.")
+    return np.asarray(values / values.sum(-1, keepdims=True))

@@ -64,10 +64,6 @@ def perturb(
         point_masses: Number of point masses a body.
         support: Ellipsoids of the bodies, of shape (nb,), or one for all; the equivalent uniform
             ones if None.
-
-    Raises:
-        ArgumentError: A body is not physical, or a number is out of its range.
-        ConvergenceError: Hardly any draw of a body is physical.
     """
     phi = real_array(phi, "phi", ("nb", 10))
     if not is_physical(phi).all():

@@ -27,9 +27,6 @@ def spatial_inertia_matrix(phi: ArrayLike) -> Array:
     Returns:
         (..., 6, 6) symmetric matrices with T = ½ Vᵀ G V for V = (ω, v) ([Lee2019] Eq. (3.2.3)):
         rotation first, as in Drake.
-
-    Raises:
-        ArgumentError: phi is something else, or not finite.
     """
     phi = checked_phi(phi)
     matrix = np.zeros((*phi.shape[:-1], 6, 6))
@@ -49,9 +46,6 @@ def from_spatial_inertia_matrix(matrix: ArrayLike) -> Array:
 
     Returns:
         (..., 10) inertial parameters.
-
-    Raises:
-        ArgumentError: matrix is something else, or not finite.
     """
     matrix = real_array(matrix, "matrix", ("...", 6, 6))
     places = ((5, 5), (2, 4), (0, 5), (1, 3), (0, 0), (1, 1), (2, 2), (0, 1), (1, 2), (2, 0))
@@ -59,11 +53,7 @@ def from_spatial_inertia_matrix(matrix: ArrayLike) -> Array:
 
 
 def from_spatial_inertia(spatial: SpatialInertia) -> Array:
-    """Inertial parameters of Drake's M_BBo_B; shape (10,).
-
-    Raises:
-        ArgumentError: spatial is something else.
-    """
+    """Inertial parameters of Drake's M_BBo_B; shape (10,)."""
     instance(spatial, "spatial", SpatialInertia)
     inertia = spatial.get_mass() * spatial.get_unit_inertia().CopyToFullMatrix3()
     moments = [inertia[i, j] for i, j in ((0, 0), (1, 1), (2, 2), (0, 1), (1, 2), (2, 0))]
@@ -71,11 +61,7 @@ def from_spatial_inertia(spatial: SpatialInertia) -> Array:
 
 
 def to_spatial_inertia(phi: ArrayLike) -> SpatialInertia:
-    """Drake's M_BBo_B of one body's inertial parameters (10,); a zero mass gives zero inertia.
-
-    Raises:
-        ArgumentError: phi is something else, or not finite.
-    """
+    """Drake's M_BBo_B of one body's inertial parameters (10,); a zero mass gives zero inertia."""
     phi = real_array(phi, "phi", (PARAMETERS_PER_BODY,))
     mass = phi[0]
     if mass == 0.0:
@@ -93,10 +79,6 @@ def inertial_parameters(plant: MultibodyPlant, context: Context | None = None) -
 
     Returns:
         (nb, 10) parameters of `lumped_bodies(plant)`, each in the frame of its representative.
-
-    Raises:
-        ArgumentError: It is no plant, or the context belongs to another system.
-        ModelError: The plant is not finalized.
     """
     check_plant(plant)
     if context is None:

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from geodrake.boundary.arguments.arrays import LARGEST
+from geodrake.boundary.arguments import LARGEST
 from geodrake.compiling import contiguous
 from geodrake.inertia import PARAMETERS_PER_BODY, is_physical, pullback_metric
 from geodrake.inertia.kernels import (

@@ -12,7 +12,7 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from geodrake.boundary.arguments.arrays import LARGEST
+from geodrake.boundary.arguments import LARGEST
 from geodrake.compiling import compiled, contiguous, inlined
 from geodrake.inertia import PARAMETERS_PER_BODY
 from geodrake.manifolds.base import Array

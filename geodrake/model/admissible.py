@@ -10,7 +10,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from geodrake.boundary.arguments.arrays import LARGEST
+from geodrake.boundary.arguments import LARGEST
 from geodrake.effects import FittedEffect
 from geodrake.errors import ModelError
 from geodrake.inertia import PARAMETER_NAMES, Array, is_physical, pseudo_inertia

@@ -20,8 +20,7 @@ from msgspec import to_builtins
 from msgspec.structs import asdict
 from numpy.typing import NDArray
 
-from geodrake.boundary.arguments import file_path, instance, instances, typed
-from geodrake.boundary.arguments.arrays import LARGEST
+from geodrake.boundary.arguments import LARGEST, file_path, instance, instances, typed
 from geodrake.boundary.escaping import one_line
 from geodrake.boundary.input_files import open_regular, regular_file, sha256_of
 from geodrake.boundary.whole_files import write_whole

@@ -8,16 +8,10 @@ from typing import Any
 import numpy as np
 
 from geodrake.excitation import ExcitationResult, FourierMotion, Separation, SplineMotion
-from geodrake.excitation.identifiability import LogIdentifiability
-from geodrake.excitation.identifiability.results import IdentifiableBlock
+from geodrake.excitation.design import THRESHOLD, identifiable_directions, improvement
+from geodrake.excitation.identifiable import IdentifiableBlock, LogIdentifiability
 from geodrake.excitation.limits import MotionLimits
-from geodrake.excitation.verdict import (
-    CLEAR,
-    THRESHOLD,
-    distinguished_pairs,
-    identifiable_directions,
-    improvement,
-)
+from geodrake.excitation.tell_apart import CLEAR, distinguished_pairs
 from geodrake.inertia import Array
 from geodrake.report.charts import MOST_PANELS, Chart, Panel, Plot, Stage
 from geodrake.report.json_output import number_or, picked
@@ -59,7 +53,7 @@ def excitation_page(result: ExcitationResult, about: About) -> Page:
         "compared",
         "designed",
         excitation_verdict(result),
-        (f"Nearest to each other: {nearest}",) if nearest else (),
+        tuple(filter(None, (f"Nearest to each other: {nearest}" * bool(nearest), _time(result)))),
         _pair_tiles(result) if apart else _tiles(result),
         (
             _pairs_section(result, units) if apart else _directions_section(result),
@@ -137,12 +131,29 @@ def _times(factor: float) -> str:
 
 
 def _nearest(result: ExcitationResult) -> str:
-    """Return how near bodies come to each other; "" if collisions were not looked for."""
+    """Say how near the robot comes to itself and to each obstacle; "" if nobody looked."""
     use = result.use
-    if not np.isfinite(use.distance):
+    if not use.clearances:
         return ""
-    least, kept = (f"{1e3 * distance:.0f} mm" for distance in (use.distance, use.clearance))
-    return f"{use.nearest}, {least} apart, where {kept} are to be kept."
+    parts = [
+        f"{names} {1e3 * least:.0f} mm apart"
+        for least, names in sorted(use.clearances.values(), key=lambda each: each[0])
+    ]
+    return f"{'; '.join(parts)}, where {1e3 * use.clearance:.0f} mm are to be kept."
+
+
+def _time(result: ExcitationResult) -> str:
+    """Say how long the motion takes and where it starts; "" of samples without a time."""
+    trajectory = result.trajectory
+    if not trajectory.length:
+        return ""
+    units = Units.of(result.objective.target.model)
+    pairs = zip(result.limits.joints, trajectory.states([0.0])[0, 0].tolist(), strict=True)
+    at = ", ".join(f"{joint} {number(q)} {units.at(joint, 'rad')}" for joint, q in pairs)
+    words = f"{trajectory.length:g} s from rest to rest, starting at {at}; "
+    if result.ramps is not None:
+        return f"{words}{result.executed.length:.1f} s with the ramps from and to where it stands."
+    return f"{words}bring the robot there first, or say where it stands: --stand."
 
 
 def _tiles(result: ExcitationResult) -> tuple[Tile, ...]:
@@ -287,12 +298,14 @@ def limits_table(result: ExcitationResult, units: Units) -> Table:
                 percent(float(getattr(use, name)[j]))
                 if np.isfinite(getattr(limits, name)[j])
                 else UNKNOWN
-                for name in ("velocity", "acceleration", "effort")
+                for name in ("velocity", "acceleration", "jerk", "effort")
             ),
+            *(number(float(use.peaks[name][j])) for name in ("velocity", "acceleration")),
         )
         for j, joint in enumerate(limits.joints)
     )
-    head = ("joint", "limits", "moves in", "range", "velocity", "acceleration", "effort")
+    shares = ("range", "velocity", "acceleration", "jerk", "effort")
+    head = ("joint", "limits", "moves in", *shares, "peak speed", "peak acceleration")
     return Table(head, rows)
 
 
@@ -549,7 +562,7 @@ def excitation_dict(result: ExcitationResult) -> dict[str, Any]:
     """
     objective, family, use = result.objective, result.trajectory.family, result.use
     pairs = distinguished_pairs(result)
-    shares = ("position", "velocity", "acceleration", "effort")
+    shares = ("position", "velocity", "acceleration", "effort", "jerk")
     return {
         "criterion": "separation" if pairs else objective.criterion.name,
         "normalization": objective.normalization,
@@ -588,6 +601,22 @@ def excitation_dict(result: ExcitationResult) -> dict[str, Any]:
             joint: {name: getattr(use, name)[j] for name in shares}
             for j, joint in enumerate(result.limits.joints)
         },
+        "peaks": {
+            joint: {name: values[j] for name, values in use.peaks.items()}
+            for j, joint in enumerate(result.limits.joints)
+        },
+        "clearances": {
+            party: {"least": least, "between": names}
+            for party, (least, names) in use.clearances.items()
+        },
+        "seconds": {
+            "motion": result.trajectory.length,
+            "with_ramps": result.executed.length,
+            "search": result.seconds,
+        },
+        "start": dict(
+            zip(result.limits.joints, result.trajectory.states([0.0])[0, 0], strict=True)
+        ),
         "distance": {
             "least": number_or(use.distance, "collisions were not looked for"),
             "between": use.nearest,

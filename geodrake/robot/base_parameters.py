@@ -30,6 +30,7 @@ from geodrake.robot.regressor import checked_tree, inverse_dynamics_regressor
 Indices = NDArray[np.intp]
 
 _ROUNDING = 1e-17  # share of the greatest singular value that is none
+_OWN_SHARE = 1e-1  # of a column that others before it must not give, if it is to be independent
 _KINDS = (np.array([0]), np.arange(1, 4), np.arange(4, PARAMETERS_PER_BODY))  # m, h, I
 _PREFERENCE = (*range(4, PARAMETERS_PER_BODY), 1, 2, 3, 0)  # what is kept: I, then h, then m
 
@@ -250,23 +251,35 @@ def _scales(factor: Array, bodies: int) -> Array:
 
 
 def _independent(scaled: Array, rank: int, bodies: int, tolerance: float) -> Indices:
-    """(rank,) independent columns, by preference those of bodies near the base, I before m."""
+    """(rank,) independent columns, by preference those of bodies near the base, I before m.
+
+    A column that the ones before it nearly give, by the chance of a frame, would lose digits: it
+    waits, and what is still missing at the end is taken in the order of size.
+    """
     split = bodies * PARAMETERS_PER_BODY
     order = np.arange(split).reshape(-1, PARAMETERS_PER_BODY)[:, _PREFERENCE].ravel()
     order = np.concatenate([order, np.arange(split, scaled.shape[1])])
+    least = np.maximum(
+        np.sqrt(len(scaled)) * tolerance, _OWN_SHARE * np.linalg.norm(scaled, axis=0)
+    )
     basis = np.zeros((len(scaled), rank))
     kept: list[int] = []
     for column in order:
-        rest = scaled[:, column]
-        for _ in range(2):  # twice is enough for orthogonality to rounding
-            rest = rest - basis @ (basis.T @ rest)
+        rest = _outside(basis, scaled[:, column])
         size = np.linalg.norm(rest)
-        if size > np.sqrt(len(scaled)) * tolerance and len(kept) < rank:
+        if size > least[column] and len(kept) < rank:
             basis[:, len(kept)] = rest / size
             kept.append(int(column))
-    if len(kept) < rank:  # columns nearly dependent in this order: take what is safest instead
-        kept = qr(scaled, mode="r", pivoting=True)[1][:rank].tolist()
+    if len(kept) < rank:
+        kept += qr(_outside(basis, scaled), mode="r", pivoting=True)[1][: rank - len(kept)].tolist()
     return np.array(sorted(kept), np.intp)
+
+
+def _outside(basis: Array, columns: Array) -> Array:
+    """The part of columns that is orthogonal to a basis; two passes are enough for rounding."""
+    for _ in range(2):
+        columns = columns - basis @ (basis.T @ columns)
+    return columns
 
 
 def _sum(row: Array, names: Sequence[str]) -> str:

@@ -83,13 +83,6 @@ def test_folders_that_were_made_in_vain_go(tmp_path):
     assert files_in(tmp_path) == ["there"]
 
 
-def test_folders_with_something_in_them_stay(tmp_path):
-    with pytest.raises(OutputError, match="No space"), made_folder(tmp_path / "x" / "y"):
-        write_together({tmp_path / "x" / "a": "whole"})
-        write_together({tmp_path / "x" / "y" / "z": full})
-    assert files_in(tmp_path) == ["x", "x/a"]
-
-
 def test_a_folder_below_a_file_cannot_be_made(tmp_path):
     (tmp_path / "file").touch()
     with (
@@ -116,14 +109,6 @@ def test_new_files_have_the_permissions_that_the_user_wants(tmp_path):
     finally:
         os.umask(before)
     assert stat.S_IMODE((tmp_path / "new").stat().st_mode) == 0o640
-
-
-@pytest.mark.skipif(os.geteuid() != 0, reason="only root may give files away")
-def test_the_owner_stays(tmp_path):
-    (kept := tmp_path / "kept").touch()
-    os.chown(kept, 12345, 23456)
-    write_whole(kept, "{}")
-    assert (kept.stat().st_uid, kept.stat().st_gid) == (12345, 23456)
 
 
 def test_a_target_whose_temporary_name_is_taken(tmp_path):

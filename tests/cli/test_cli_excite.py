@@ -19,7 +19,7 @@ from geodrake.cli.option_values import joint_values, limits_of
 from geodrake.effects import CoulombFriction, FittedEffect
 from geodrake.errors import ArgumentError
 from geodrake.excitation import make_target
-from geodrake.excitation.effect_sizes import sized_effects
+from geodrake.excitation.target import sized_effects
 from geodrake.logs.files import read_log
 from geodrake.logs.motion import Motion
 from geodrake.model import EffortSignal
@@ -225,7 +225,11 @@ class TestTellApart:
             (PAIR, ("--criterion", "d_optimality"), "Leave --criterion out"),
             (PAIR, ("--normalization", "none"), "Leave --normalization out"),
             (PAIR, ("--effects", "effort_offset"), "brings a FILE.py alone; got effort_offset"),
-            (PAIR, ("--limits", "effort=0.001"), "hold still within its limits, but hardly move"),
+            (
+                PAIR,
+                ("--limits", "acceleration=inf,effort=0.001"),
+                "hold still within its limits, but hardly move",
+            ),
         ],
     )
     def test_bad_input_leaves_no_trace(self, tmp_path, text, more, words):
@@ -307,7 +311,12 @@ def test_effects_of_unknown_size_are_felt():
         (("--points", "9"), "--points is for --trajectory spline"),
         (("--trajectory", "spline", "--harmonics", "3"), "--harmonics is for --trajectory fourier"),
         (("--trajectory", "free", "--save", "m.csv"), "nothing for --save to write"),
-        (("--trajectory", "free"), "acceleration of joint 'shoulder' is not limited"),
+        (("--trajectory", "free", "--limits", "acceleration=inf"), "is not limited"),
+        (("--obstacle", "wall"), "'wall' is no obstacle. Write box:"),
+        (("--obstacle", "box:1,1@0,0,0"), "A box has 3 sizes"),
+        (("--obstacle", "none.obj"), "does not exist"),
+        (("--obstacle", "box:1,1,1@0,0"), "is at 2 numbers"),
+        (("--stand", "99"), "robot's stand is outside the limits: joint 'shoulder'"),
         (("--duration", "-1"), "needs a positive duration"),
         (("--harmonics", "0"), "at least one mode"),
         (("--seeds", "0"), "--seeds is a positive number"),
@@ -317,7 +326,10 @@ def test_effects_of_unknown_size_are_felt():
         (("--solver", "magic"), "No nonlinear solver 'magic'"),
         (("--noise", "0"), "noise of shoulder, elbow is not a positive number"),
         (("--limits", "velocity=inf"), "not limited"),
-        (("--limits", "effort=0.001"), "hold still within its limits, but hardly move"),
+        (
+            ("--limits", "acceleration=inf,effort=0.001"),
+            "hold still within its limits, but hardly move",
+        ),
         (("--start", "99"), "start is outside the limits: joint 'shoulder'"),
         (("--effects", "friction"), "no effect 'friction'"),
         (("--save", "motion.bag"), "does not end in .csv or .npz"),
@@ -348,17 +360,17 @@ STANDING = """<robot name="standing"><link name="base"/>
   <link name="post"><inertial><mass value="2"/><inertia ixx="0.01" iyy="0.01" izz="0.01" ixy="0"
     ixz="0" iyz="0"/></inertial></link>
   <joint name="pitch" type="revolute"><parent link="post"/><child link="arm"/><axis xyz="0 1 0"/>
-    <limit lower="{lower}" upper="3" velocity="3" effort="50"/></joint>
+    <limit lower="{lower}" upper="{upper}" velocity="3" effort="50"/></joint>
   <link name="arm"><inertial><origin xyz="0.2 0 0"/><mass value="1"/><inertia ixx="0.01"
     iyy="0.01" izz="0.01" ixy="0" ixz="0" iyz="0"/></inertial>
     <collision><origin xyz="0.5 0 0"/><geometry><sphere radius="0.05"/></geometry></collision>
   </link></robot>"""
 
 
-def lowest_of(folder, *options, lower=-3.0):
+def lowest_of(folder, *options, lower=-3.0, upper=3.0):
     """Least height of the arm's sphere in a designed motion by Pinocchio, m; and the notes."""
     model, motion = folder / "standing.urdf", folder / "motion.csv"
-    model.write_text(STANDING.format(lower=lower))
+    model.write_text(STANDING.format(lower=lower, upper=upper))
     command = [*SOON, "--seconds", 30, "--save", motion, *options]
     result = excite(model, *command)
     assert result.exit_code == 0, result.output
@@ -377,5 +389,5 @@ def test_a_motion_stays_above_the_floor_that_the_robot_stands_on(tmp_path):
     assert "nothing goes below the base" in words
     height, words = lowest_of(tmp_path, "--no-floor")
     assert height < -0.05
-    height, words = lowest_of(tmp_path, lower=1.2)  # hangs where it starts
-    assert "there is no floor, as arm is below the base at the start" in words
+    height, words = lowest_of(tmp_path, lower=1.2, upper=2.0)  # hangs
+    assert "there is no floor, as the robot is below its base in every posture" in words

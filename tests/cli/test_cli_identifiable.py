@@ -12,7 +12,7 @@ from geodrake.cli.app import app
 from geodrake.cli.identify import named_effects
 from geodrake.errors import ArgumentError
 from geodrake.excitation import identifiable_parameters, make_target, measurement_factor
-from geodrake.excitation.identifiability import log_identifiability
+from geodrake.excitation.identifiable import log_identifiability
 from geodrake.logs.files import write_log
 from geodrake.logs.motion import JointLog
 from geodrake.model.saved_model import load_model

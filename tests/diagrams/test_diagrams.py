@@ -21,6 +21,7 @@ APART = "computed_torque_or_passivity"
 LONG = {  # whose parts are tested elsewhere, too
     "adaptive_soak",
     "ambidex_sandbags",
+    "excite_arms",
     "fleet_kills",
     "fleet_speed",
     "fleet_study",

@@ -39,7 +39,7 @@ class Clock:
 @pytest.fixture
 def clock(monkeypatch):
     clock = Clock()
-    monkeypatch.setattr("geodrake.excitation.budget.time", clock)
+    monkeypatch.setattr("geodrake.excitation.solve.time", clock)
     monkeypatch.setattr(SlowWorld, "wait", clock.wait)
     return clock
 
@@ -53,6 +53,10 @@ class SlowWorld(CollisionWorld):
     def distances(self, q):
         self.wait(self.seconds * len(q))
         return np.full(len(q), np.inf), ("",) * len(q)
+
+    def nearest(self, q):
+        self.wait(self.seconds * len(q))
+        return {}
 
     def constraint(self, q):
         self.wait(self.seconds * len(q))

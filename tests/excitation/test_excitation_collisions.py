@@ -1,5 +1,6 @@
 """Collision geometry of model files: meshes wherever they are, and public robots as others see."""
 
+import re
 from importlib.metadata import PackageNotFoundError, distribution
 from pathlib import Path
 from xml.etree import ElementTree
@@ -9,16 +10,19 @@ import pytest
 from pydrake.geometry import Box, Sphere
 from pydrake.math import RigidTransform
 
-from geodrake.errors import ModelError
+from geodrake.errors import ArgumentError, GeodrakeError, ModelError
 from geodrake.excitation import (
     CollisionWorld,
     DesignOptions,
+    ExcitationTrajectory,
     FourierMotion,
     Solid,
     design_excitation,
     make_target,
     motion_limits,
+    read_obstacles,
 )
+from geodrake.excitation.ramps import RampPlanner
 from geodrake.model.robot_model import load_description
 from geodrake.robot import joint_names
 from geodrake.robot.mesh_files import stl_vertices
@@ -223,3 +227,74 @@ def test_a_table_of_an_mjcf_stands_in_the_way(tmp_path):
     path.write_text(text, encoding="utf-8")
     distances, names = CollisionWorld(load_description(path)).distances(np.array([[np.pi, 0.0]]))
     assert distances[0] == pytest.approx(0.02, abs=1e-6) and "0_ground" in names[0]
+
+
+SCENE = """<sdf version="1.9"><model name="cell"><static>true</static><link name="shelf">
+  <pose>1 0 0.5 0 0 0</pose>
+  <collision name="board"><pose>0 0 0.1 0 0 0</pose>
+    <geometry><box><size>0.2 0.4 0.1</size></box></geometry></collision></link></model></sdf>"""
+
+
+def test_obstacles_as_people_write_them(tmp_path):
+    """Nearest distances of a ball at the origin from each are known."""
+    scene, mesh = tmp_path / "cell.sdf", tmp_path / "cube.stl"
+    scene.write_text(SCENE)
+    write_binary(mesh)
+    texts = {
+        "table=box:0.4,0.2,0.2@0.5,0,0": ("table", 0.3),
+        "box:0.4,0.2,0.2@0,0,0.5,0,1.5707963,0": ("box 1", 0.3),
+        "sphere:0.1@0,0.5,0": ("sphere 1", 0.4),
+        "cylinder:0.2,0.6@0,0,-0.5": ("cylinder 1", 0.2),
+        "floor:-0.25": ("floor 1", 0.25),
+        f"{mesh}@3,0,0": ("cube", 2.0),
+        f"{scene}": ("cell: board", np.hypot(0.9, 0.55)),
+    }
+    path = tmp_path / "ball.urdf"
+    ball = '<geometry><sphere radius="0.01"/></geometry>'
+    path.write_text(re.sub("<origin.*</geometry>", ball, ARM, flags=re.DOTALL))
+    model = load_description(path)
+    for text, (name, distance) in texts.items():
+        world = CollisionWorld(model, obstacles=read_obstacles([text]), clearance=5.0)
+        [(party, (least, names))] = world.nearest(np.zeros((1, 1))).items()
+        assert party == name and name in names
+        assert least == pytest.approx(distance - 0.01, abs=1e-6)
+
+
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [
+        ("wall", "'wall' is no obstacle"),
+        ("box:1,1@0,0,0", "A box has 3 sizes"),
+        ("sphere:-1@0,0,0", "positive"),
+        ("box:1,1,1@0,0", "is at 2 numbers"),
+        ("box:1,1,x@0,0,0", "is not numbers"),
+        ("none.stl", "does not exist"),
+        ("none.obj", "does not exist"),
+    ],
+)
+def test_what_is_no_obstacle(text, words):
+    with pytest.raises(GeodrakeError, match=words):
+        read_obstacles([text])
+
+
+def test_ramps_lead_around_what_is_in_the_way(tmp_path):
+    """By way of one more posture, at rest at both ends, at half of the limits."""
+    model = arm_with_mesh(tmp_path, "cube.obj", "../meshes/{name}")
+    post = Solid("post", Sphere(0.1), RigidTransform([1.0, 0.0, 0.0]))
+    limits = motion_limits(model, bounded=True)
+    still = FourierMotion(4.0, 1)
+    motion = ExcitationTrajectory(
+        still, np.array([[0.6], [0.0], [0.0]]), model.joints, np.arange(1)
+    )
+    free = RampPlanner(model, limits, CollisionWorld(model)).ramped(motion, np.array([-0.6]))
+    times = np.linspace(0.0, free.length, 2001)
+    q, v, vd = free.states(times)
+    np.testing.assert_allclose([q[0], q[-1]], -0.6)
+    assert q[1000] == pytest.approx(0.6)
+    for values, most in ((v, limits.velocity), (vd, limits.acceleration)):
+        assert 0.4 * most < np.abs(values).max() <= 0.5 * most + 1e-9 or np.abs(values).max() < most
+        np.testing.assert_allclose(values[[0, -1]], 0.0, atol=1e-9)
+    np.testing.assert_allclose(np.gradient(q[:, 0], times), v[:, 0], atol=2e-2)
+    with pytest.raises(ArgumentError, match=r"No ramp leads .* --start"):
+        world = CollisionWorld(model, obstacles=[post])
+        RampPlanner(model, limits, world).ramped(motion, np.array([-0.6]))

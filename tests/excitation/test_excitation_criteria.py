@@ -21,9 +21,13 @@ from geodrake.effects import (
 )
 from geodrake.effects.base import BodyEffect, Parameter
 from geodrake.errors import ArgumentError
-from geodrake.excitation.criteria import CRITERIA, Criterion
-from geodrake.excitation.information import Objective
-from geodrake.excitation.normalization import NORMALIZATIONS, normalizing_map
+from geodrake.excitation.objective import (
+    CRITERIA,
+    NORMALIZATIONS,
+    Criterion,
+    Objective,
+    normalizing_map,
+)
 from geodrake.excitation.target import make_target
 from geodrake.inertia import from_mass_com_inertia
 from geodrake.logs.motion import Motion
@@ -78,14 +82,6 @@ class TestValues:
         above = 0.0 if name in ("a_optimality", "d_optimality") else np.log(kept or 6) / 16.0
         assert exact - 1e-12 <= value <= exact + above + 1e-12
 
-    def test_sharper_is_closer(self):
-        logs = np.array([0.0, 0.01, 0.5, 2.0])
-        values = [
-            Criterion("e_optimality", sharpness=s).objective(logs)[0] for s in (2, 8, 64, np.inf)
-        ]
-        assert values == sorted(values, reverse=True)
-        assert values[-1] == 0.0
-
     @pytest.mark.parametrize("name", CRITERIA)
     def test_multiple_eigenvalues_are_no_corner(self, name):
         """Along any line of matrices through a multiple eigenvalue, slopes agree on both sides."""
@@ -105,10 +101,6 @@ class TestValues:
             slope = criterion.objective(np.log(logs))[1] / logs
             analytic = np.einsum("i,ai,ab,bi->", slope, axes, turn, axes)
             assert analytic == pytest.approx(0.5 * (right + left), abs=1e-6)
-
-    def test_corner_without_smoothing(self):
-        gradient = Criterion(sharpness=np.inf).objective(np.array([0.0, 0.0, 1.0]))[1]
-        np.testing.assert_array_equal(gradient, [-0.5, -0.5, 0.0])
 
     def test_kept(self):
         eigenvalues = np.array([1e-9, 2.0, 8.0])
@@ -144,20 +136,6 @@ class TestNormalizations:
             found = Objective(target, normalization=normalization).eigenvalues(motion)
             expected = eigh(M, metric, eigvals_only=True)
             np.testing.assert_allclose(found, expected, rtol=1e-6)
-
-    def test_nonzero_eigenvalues_of_the_whole(self):
-        """[Lee2019] Eq. (4.3.39): base parameters are not needed for the geometric criterion."""
-        target = make_target(arm(), noise=0.1)
-        motion = motion_of(target.model)
-        root = target.metric_root
-        whole = np.linalg.eigvalsh(root.T @ information_matrix(target, motion) @ root)
-        found = Objective(target).eigenvalues(motion)
-        np.testing.assert_allclose(found, whole[-len(found) :], rtol=1e-7)
-
-    def test_nothing_of_zero_value_disturbs_the_diagonal_one(self):
-        B = np.eye(2)
-        K = normalizing_map("diagonal", B, np.array([0.0, 5.0]), np.diag([2.0, 1.0]))
-        np.testing.assert_allclose(K, np.diag([2e-3, 5.0]))
 
     def test_bad_arguments(self):
         good = np.eye(2), np.ones(2), np.eye(2)
@@ -284,18 +262,6 @@ class TestGradient:
         X_WP = random_pose(np.random.default_rng(3))
         target = make_target(arm(), noise=[1.5] * 3 + [0.5] * 3, X_WP=X_WP)
         self.assert_gradient(Objective(target), motion_of(target.model))
-
-    def test_prismatic_joints(self):
-        target = make_target(arm(joints="RPR"), noise=0.1)
-        self.assert_gradient(Objective(target), motion_of(target.model))
-
-    def test_a_payload_alone(self):
-        payload = FittedEffect(Payload("body_2"), BODY)
-        target = make_target(arm(), bodies=(), effects=[payload], noise=0.03)
-        assert target.base.rank == 10
-        self.assert_gradient(
-            Objective(target, Criterion("condition_number")), motion_of(target.model)
-        )
 
 
 class TestTarget:

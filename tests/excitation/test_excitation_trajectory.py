@@ -10,8 +10,9 @@ from excitation_robots import arm
 from geodrake.errors import ArgumentError, OutputError
 from geodrake.excitation.families import FourierMotion, FreeSamples, SplineMotion
 from geodrake.excitation.regressor_gradient import inverse_dynamics_regressor_gradient
-from geodrake.excitation.trajectory import ExcitationTrajectory, joint_order
-from geodrake.excitation.trajectory_files import (
+from geodrake.excitation.trajectory import (
+    ExcitationTrajectory,
+    joint_order,
     read_drake_trajectory,
     ros_joint_trajectory,
     write_trajectory,
@@ -53,10 +54,6 @@ class TestTimed:
         assert ends[0, 0] == pytest.approx(0.0, abs=1e-9)
         assert np.abs(family.basis(family.times(20)) @ c).max() > 0.01
 
-    def test_nothing_is_fixed_unless_asked_for(self, family):
-        assert family.conditions(rest=False, start=False).shape == (0, family.count)
-        assert len(family.conditions(rest=False, start=True)) == 1
-
     def test_limits_hold_between_their_instants(self, family):
         """The greatest value of any motion is hardly greater than that at the instants."""
         coarse, fine = family.limit_times(), np.linspace(0.0, family.length, 4001)
@@ -90,32 +87,6 @@ class TestTimed:
         np.testing.assert_allclose(log.acceleration, vd)
         expected = inverse_dynamics(model.plant, q, v, vd, model.phi)
         np.testing.assert_allclose(log.effort, expected, atol=1e-9)
-
-
-def test_known_fourier_values():
-    family = FourierMotion(2.0, 2)
-    c = np.array([0.5, 1.0, 0.0, 0.0, 2.0])  # ½ + cos πt + 2 sin 2πt
-    t = np.array([0.0, 0.25, 1.0])
-    q, v, vd = family.basis(t) @ c
-    np.testing.assert_allclose(q, 0.5 + np.cos(np.pi * t) + 2 * np.sin(2 * np.pi * t))
-    np.testing.assert_allclose(v, -np.pi * np.sin(np.pi * t) + 4 * np.pi * np.cos(2 * np.pi * t))
-    curvature = -(np.pi**2) * np.cos(np.pi * t) - 8 * np.pi**2 * np.sin(2 * np.pi * t)
-    np.testing.assert_allclose(vd, curvature)
-
-
-def test_periodic_motions_have_fewer_conditions():
-    assert len(FourierMotion(10.0, 5).conditions(rest=True, start=False)) == 2
-    half = FourierMotion(10.0, 5, 0.3 * np.pi)
-    assert len(half.conditions(rest=True, start=False)) == 4
-    with pytest.raises(ArgumentError, match="cannot meet 3 conditions"):
-        FourierMotion(10.0, 1).conditions(rest=True, start=True)
-
-
-def test_splines_rest_with_equal_points():
-    family = SplineMotion(4.0, 10)
-    c = np.random.default_rng(0).normal(size=10)
-    c[:3], c[-3:] = c[0], c[-1]
-    np.testing.assert_allclose(family.conditions(rest=True, start=False) @ c, 0.0, atol=1e-9)
 
 
 def test_free_samples():

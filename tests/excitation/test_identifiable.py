@@ -1,8 +1,5 @@
 """What data can tell: the source's formulas, a second solver, statistics, and invariance."""
 
-from dataclasses import replace
-from types import SimpleNamespace
-
 import numpy as np
 import pytest
 from excitation_robots import arm, motion_of, random_pose
@@ -22,7 +19,6 @@ from geodrake.excitation import (
     identifiable_parameters,
     make_target,
     measurement_factor,
-    reduced_design,
     reduced_identification,
 )
 from geodrake.logs.motion import Motion
@@ -90,23 +86,6 @@ class TestFormulas:
         expected = Solve(program).GetSolution(x)
         np.testing.assert_allclose(found.base_parameters, expected, rtol=1e-5, atol=1e-6)
 
-    def test_all_directions_are_least_squares(self):
-        target, motion, b, _ = measured_case(2)
-        A = target.base.regressor(target.measure(motion).regressor).reshape(-1, target.base.rank)
-        expected = np.linalg.lstsq(A, b.ravel())[0]
-        factor = measurement_factor(target, motion, [b])
-        full = reduced_identification(target, factor, threshold=np.inf)
-        assert full.identifiable.kept == target.base.rank
-        np.testing.assert_allclose(full.base_parameters, expected, rtol=1e-6, atol=1e-7)
-        assert full.phi.shape == (3, 10)
-
-    def test_what_is_not_seen_stays_nearest_to_the_prior(self):
-        target, motion, b, _ = measured_case(3)
-        found = reduced_identification(target, measurement_factor(target, motion, [b]), kept=5)
-        step = np.linalg.solve(target.metric_root, found.parameters - target.prior)
-        null = np.linalg.svd(target.base.matrix @ target.metric_root)[2][target.base.rank :]
-        np.testing.assert_allclose(null @ step, 0.0, atol=1e-9)
-
 
 class TestProperties:
     def test_variances_are_those_of_estimates(self):
@@ -152,15 +131,6 @@ class TestProperties:
         np.testing.assert_allclose(found.shares.sum(axis=0), 1.0)
         assert found.counts.sum() == pytest.approx(found.kept)
         assert (found.counts[:3] <= 10).all() and 0 <= found.counts[3] <= 1 + 1e-9
-
-    def test_more_data_keep_more(self):
-        target, motion, *_ = measured_case()
-        motions = [motion_of(target.model, seed, 200) for seed in range(5)]
-        kept = [
-            identifiable_parameters(target, measurement_factor(target, some), threshold=1e-2).kept
-            for some in ([motions[0]], motions, [*motions, motion])
-        ]
-        assert kept == sorted(kept) and kept[0] < kept[-1]
 
     def test_reduced_beats_full_where_data_are_poor(self):
         """Parameter errors √(⟨φ_B* − φ_B, ·⟩/n_B), as in table 4.3."""
@@ -267,39 +237,3 @@ class TestReducedExcitation:
         assert everything.kept == target.base.rank and len(everything.tried) == 1
         with pytest.raises(ArgumentError, match="even one direction"):
             design_reduced_excitation(target, limits, threshold=1e-12, **settings)
-
-    def test_the_motion_is_the_one_that_tells_so_many(self, monkeypatch):
-        """Motions that were tried in between, and tell fewer, do not take its place."""
-        model = arm(joints="RR")
-        target = make_target(model, noise=0.05)
-        rank = target.base.rank
-        spectra = (
-            np.r_[np.full(rank - 2, 1.0), 100.0, 100.0],  # tells two directions well enough
-            np.r_[np.full(rank - 1, 5.0), 100.0],  # tells one
-        )
-
-        def designed(*_, criterion, options, **__):
-            """The first motion is for all directions; for two, the solver stays at the guess."""
-            number = {rank: 0, 2: options.guess}.get(criterion.kept, 1)
-            return SimpleNamespace(
-                value=criterion.value(spectra[number]),
-                eigenvalues=spectra[number],
-                trajectory=SimpleNamespace(coefficients=number),
-            )
-
-        monkeypatch.setattr(reduced_design, "design_excitation", designed)
-        found = design_reduced_excitation(target, threshold=0.02)
-        assert found.kept == 2 and len(found.tried) > 2
-        assert found.result.value <= 0.02
-
-    def test_guess(self):
-        model = arm(joints="RR")
-        limits = MotionLimits(model.joints, *self.LIMITS, np.full(2, np.inf))
-        target, family = make_target(model, noise=0.05), FourierMotion(4.0, 2)
-        wrong = replace(self.OPTIONS, guess=np.zeros((3, 2)))
-        with pytest.raises(
-            ArgumentError, match=r"guess has the shape \(3, 2\) and must be \(5, 2\)"
-        ):
-            design_reduced_excitation(
-                target, limits, threshold=1.0, trajectory=family, options=wrong
-            )

@@ -13,7 +13,6 @@ from geodrake.errors import ArgumentError
 from geodrake.excitation.regressor_gradient import (
     base_wrench_regressor_gradient,
     inverse_dynamics_regressor_gradient,
-    regressor_jacobian,
 )
 from geodrake.inertia import inertial_parameters
 from geodrake.robot.floating_base import base_wrench_regressor
@@ -113,16 +112,6 @@ def test_base_wrench(base):
         assert_gradient(gradient, differences(value, motion))
 
 
-def test_jacobian_has_every_entry():
-    rng = np.random.default_rng(3)
-    plant = random_plant(rng, ("revolute", "prismatic", "revolute"), chain=True)
-    motion = random_motion(plant, rng, 2)
-    expected = differences(lambda *m: inverse_dynamics_regressor(plant, *m), motion)
-    for part, values in zip(regressor_jacobian(plant, *motion), expected, strict=True):
-        assert part.shape == (2, 3, 30, 3)
-        np.testing.assert_allclose(part, values, atol=1e-8)
-
-
 def test_samples_do_not_mix():
     rng = np.random.default_rng(4)
     plant = random_plant(rng, ("revolute", "ball", "revolute"), chain=True)
@@ -137,19 +126,6 @@ def test_samples_do_not_mix():
         for name in NAMES:
             found = getattr(whole, name)[i]
             np.testing.assert_allclose(found, getattr(alone, name)[0], rtol=1e-12, atol=1e-12)
-
-
-def test_linear_in_weights_and_nothing_at_all():
-    rng = np.random.default_rng(5)
-    plant = random_plant(rng, ("universal", "screw"))
-    motion, weights = random_motion(plant, rng, 6), rng.normal(size=(2, 6, 3, 20))
-    parts = [inverse_dynamics_regressor_gradient(plant, *motion, w) for w in weights]
-    both = inverse_dynamics_regressor_gradient(plant, *motion, 2.0 * weights[0] - weights[1])
-    for name in NAMES:
-        expected = 2.0 * getattr(parts[0], name) - getattr(parts[1], name)
-        np.testing.assert_allclose(getattr(both, name), expected, atol=1e-11)
-    empty = inverse_dynamics_regressor_gradient(plant, *(x[:0] for x in motion), weights[0, :0])
-    assert empty.q.shape == (0, plant.num_positions())
 
 
 def test_bad_arguments():

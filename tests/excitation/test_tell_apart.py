@@ -95,24 +95,6 @@ class TestSeparation:
             left = best_imitation(rows.reshape(len(truth), -1), truth, prior, lower)
             assert found == pytest.approx(left, rel=1e-5)
 
-    def test_without_bounds_it_is_a_schur_complement(self):
-        model = arm(3)
-        motion = motion_of(model, 3)
-        separation = separation_of(
-            model, ("effort_offset", "coulomb_friction"), noise=NOISE, sign_width=WIDTH
-        )
-        separation = replace(separation, lower=np.full_like(separation.lower, -np.inf))
-        Y, sign, columns = written_out(model, motion)
-        weight = np.abs(sign)[..., None] / NOISE[:, None]
-        prior = block_diag(pullback_information(model.phi, SPREAD), np.zeros((3, 3)))
-        for pair, found in zip(separation.pairs, separation.separations(motion), strict=True):
-            joint = model.joints.index(*pair.where)
-            (size,) = pair.effects[pair.effects != 0]
-            X = (np.concatenate([Y, columns[pair.rival]], axis=2) * weight).reshape(sign.size, -1)
-            a = size * (columns[pair.truth] * weight)[:, :, joint].ravel()
-            schur = a @ a - a @ X @ np.linalg.solve(X.T @ X + prior, X.T @ a)
-            assert found == pytest.approx(schur, rel=1e-6)
-
     def test_friction_that_drives_is_no_explanation(self):
         """What pushes forwards, viscous friction could only explain with a negative sign."""
         model, v = pendulum(), np.linspace(-1.0, 1.0, 41)[:, None] * np.ones(2)
@@ -236,10 +218,6 @@ class TestRivals:
         ):
             separation_of(pendulum(), ("coulomb_friction", "coulomb_friction"))
 
-    def test_no_noise(self):
-        with pytest.raises(ArgumentError, match="not a positive number"):
-            separation_of(pendulum(), ("coulomb_friction", "viscous_friction"), noise=0.0)
-
     def test_a_pair_that_means_the_same(self):
         model = pendulum()
         limits = motion_limits(model)
@@ -275,18 +253,6 @@ class TestDesign:
         assert (np.abs(vd) <= limits.acceleration * (1 + 1e-3)).all()
         effort = np.abs(model.effort(result.trajectory.motion_of(np.stack([q, v, vd]))))
         assert (effort <= limits.effort * (1 + 1e-3)).all()
-
-    def test_no_room(self):
-        model = pendulum()
-        separation = separation_of(model, ("coulomb_friction", "viscous_friction"), noise=0.1)
-        weak = motion_limits(model, effort=dict.fromkeys(model.joints, 1e-3))
-        with pytest.raises(ArgumentError, match="hold still within its limits, but hardly move"):
-            design_separation(separation, weak, trajectory=SHORT, options=FAST, seeds=1)
-
-    def test_no_seed(self):
-        separation = separation_of(pendulum(), ("coulomb_friction", "viscous_friction"))
-        with pytest.raises(ArgumentError, match="at least one seed"):
-            design_separation(separation, trajectory=SHORT, options=FAST, seeds=0)
 
     def test_a_motion_on_which_rivals_agree(self):
         """At one speed, forwards and backwards, an offset of viscosity is Coulomb friction."""

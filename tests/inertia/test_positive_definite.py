@@ -47,14 +47,6 @@ class TestAgainstScipy:
         close(pd.exponential(A, V), root @ scipy.linalg.expm(inverse @ V @ inverse) @ root)
 
     @on_random_matrices
-    def test_geodesic(self, seed, n):
-        A, B = random_matrices(np.random.default_rng(seed), 2, n=n)
-        root = scipy.linalg.sqrtm(A)
-        inverse = np.linalg.inv(root)
-        power = scipy.linalg.fractional_matrix_power(inverse @ B @ inverse, 0.3)
-        close(pd.geodesic(A, B, 0.3), root @ power @ root)  # [Lee2019] Eq. (2.2.7)
-
-    @on_random_matrices
     def test_distance_and_divergence(self, seed, n):
         A, B = random_matrices(np.random.default_rng(seed), 2, n=n)
         eigenvalues = scipy.linalg.eigvalsh(B, A)
@@ -68,14 +60,6 @@ class TestAgainstScipy:
 
 class TestAxioms:
     @on_random_matrices
-    def test_distance(self, seed, n):
-        A, B, C = random_matrices(np.random.default_rng(seed), 3, n=n)
-        assert pd.distance(A, A) < 1e-12
-        assert pd.distance(A, B) > 0
-        np.testing.assert_allclose(pd.distance(A, B), pd.distance(B, A), rtol=1e-9)
-        assert pd.distance(A, C) <= (pd.distance(A, B) + pd.distance(B, C)) * (1 + 1e-12)
-
-    @on_random_matrices
     def test_invariance(self, seed, n):
         rng = np.random.default_rng(seed)
         P = random_matrices(rng, 3, n=n)
@@ -88,13 +72,6 @@ class TestAxioms:
         assert pd.distance(pd.karcher_mean(seen), G.T @ mean @ G) < 1e-9
 
     @on_random_matrices
-    def test_inverse_keeps_distances(self, seed, n):
-        A, B = random_matrices(np.random.default_rng(seed), 2, n=n)
-        inverses = np.linalg.inv([A, B])
-        inverses = 0.5 * (inverses + np.swapaxes(inverses, -1, -2))
-        np.testing.assert_allclose(pd.distance(*inverses), pd.distance(A, B), rtol=1e-9)
-
-    @on_random_matrices
     def test_geodesic_is_minimal_and_of_even_speed(self, seed, n):
         rng = np.random.default_rng(seed)
         A, B = random_matrices(rng, 2, n=n)
@@ -105,15 +82,6 @@ class TestAxioms:
         velocity = pd.logarithm(A, B)
         length = np.sqrt(2 * pd.inner_product(A, velocity, velocity))  # the ½ of (2.2.5)
         np.testing.assert_allclose(length, pd.distance(A, B), rtol=1e-9)
-
-    @on_random_matrices
-    def test_exponential_undoes_logarithm(self, seed, n):
-        rng = np.random.default_rng(seed)
-        A, B = random_matrices(rng, 2, n=n)
-        close(pd.exponential(A, pd.logarithm(A, B)), B)
-        V = random_symmetric(rng, n=n)
-        V *= 3.0 / np.sqrt(2 * pd.inner_product(A, V, V))
-        close(pd.logarithm(A, pd.exponential(A, V)), V)
 
     @on_random_matrices
     def test_measures_agree_nearby(self, seed, n):
@@ -155,11 +123,6 @@ class TestKarcherMean:
         for V in random_symmetric(rng, 20):
             near = pd.exponential(mean, 1e-2 * V)
             assert (w * pd.distance(near, P) ** 2).sum() > best
-
-    def test_commuting_matrices_have_the_geometric_mean(self):
-        diagonals = np.array([[1.0, 8.0], [4.0, 2.0], [2.0, 0.5]])
-        expected = np.diag(np.exp(np.log(diagonals).mean(0)))
-        close(pd.karcher_mean([np.diag(d) for d in diagonals]), expected)
 
     def test_far_apart(self):
         P = random_matrices(np.random.default_rng(1), 5)
@@ -236,12 +199,6 @@ def test_bad_matrices(matrix, message):
             function(matrix, np.eye(2))
 
 
-def test_the_bad_matrix_is_shown():
-    P = np.array([np.eye(2), [[2.0, 3.0], [3.0, 2.0]]])
-    with pytest.raises(ArgumentError, match=r"\[\[2\.0, 3\.0\]"):
-        pd.distance(P, np.eye(2))
-
-
 @pytest.mark.parametrize("tangent", [np.eye(3), np.full((2, 2), np.nan)])
 def test_bad_tangents(tangent):
     for call in (pd.exponential, lambda P, V: pd.inner_product(P, V, V)):
@@ -252,9 +209,3 @@ def test_bad_tangents(tangent):
 def test_matrices_of_different_sizes():
     with pytest.raises(ArgumentError, match=r"n = 2; it has the shape \(3, 3\)"):
         pd.distance(np.eye(2), np.eye(3))
-
-
-@pytest.mark.parametrize("limits", [{"tolerance": 0.0}, {"max_iterations": 0}])
-def test_limits_of_the_mean(limits):
-    with pytest.raises(ArgumentError, match=r"max_iterations|tolerance must be"):
-        pd.karcher_mean(np.stack([np.eye(2), 2 * np.eye(2)]), **limits)

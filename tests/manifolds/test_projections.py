@@ -32,7 +32,7 @@ from geodrake.manifolds.projections import (
     halfspace,
     slab,
 )
-from geodrake.manifolds.projections.half_space import half_space_projection
+from geodrake.manifolds.slabs import half_space_projection
 
 SEEDS = st.integers(0, 2**32 - 1)
 EXAMPLES = settings(max_examples=25)
@@ -106,17 +106,6 @@ class TestEverywhere:
         sides = manifold.divergence(truth, y) + manifold.divergence(y, x)
         np.testing.assert_allclose(sides, manifold.divergence(truth, x), rtol=1e-8)
 
-    @EXAMPLES
-    @given(SEEDS)
-    def test_projection_is_the_nearest(self, manifold, seed):
-        rng = np.random.default_rng(seed)
-        x, truth = random_point(manifold, rng), random_point(manifold, rng)
-        constraints = random_set(truth, rng)
-        y = bregman_projection(manifold, x, constraints)
-        toward = y + np.array([1e-3, 1e-2, 0.1, 0.5])[:, None] * (truth - y)
-        least = manifold.divergence(y, x)
-        assert (manifold.divergence(toward, x) >= least * (1 - 1e-9) - 1e-12).all()
-
 
 @EXAMPLES
 @given(SEEDS)
@@ -143,18 +132,6 @@ def test_halfspace_of_inertias_in_closed_form(seed):
 
 @EXAMPLES
 @given(SEEDS)
-def test_slab_of_positive_parameters_in_closed_form(seed):
-    """yᵢ = xᵢ / (1 − λ aᵢ xᵢ)."""
-    rng = np.random.default_rng(seed)
-    x, a = rng.uniform(0.1, 3.0, (2, 4))
-    upper = rng.uniform(0.2, 0.9) * (a @ x)
-    multiplier = brentq(lambda t: (a * x / (1 + t * a * x)).sum() - upper, 0, 1e6, rtol=1e-15)
-    y = bregman_projection(Positive(4), x, slab(a, 0.1 * upper, upper))
-    np.testing.assert_allclose(y, x / (1 + multiplier * a * x), rtol=1e-9)
-
-
-@EXAMPLES
-@given(SEEDS)
 def test_half_space_projections_are_those_onto_polyhedra(seed):
     """Of one body, of all bodies, and of parameters of all kinds together."""
     rng = np.random.default_rng(seed)
@@ -177,14 +154,6 @@ def test_half_space_projections_are_those_onto_polyhedra(seed):
         assert a @ y == pytest.approx(limit, rel=1e-9, abs=1e-9)
         nearest = bregman_projection(manifold, x, halfspace(-a, -limit))
         assert manifold.divergence(y, nearest) < 1e-12
-
-
-def test_free_parameters_are_projected_orthogonally():
-    y = bregman_projection(Free(2), np.array([3.0, 4.0]), halfspace([-1.0, -1.0], -1.0))
-    np.testing.assert_allclose(y, [0.0, 1.0], atol=1e-9)
-    square = Polyhedron(np.eye(2), np.zeros(2), np.ones(2))
-    y = bregman_projection(Free(2), np.array([3.0, 0.5]), square)
-    np.testing.assert_allclose(y, [1.0, 0.5], atol=1e-9)
 
 
 @pytest.mark.parametrize("seed", range(4))

@@ -37,7 +37,7 @@ from geodrake.report.series_table import check_series
 MODEL = str(PENDULUM)
 PACKAGES = (
     "inertia", "manifolds", "logs", "robot", "effects", "model", "identification",
-    "identification.models", "diagnosis", "excitation", "excitation.identifiability",
+    "identification.models", "diagnosis", "excitation",
     "control", "control.rollout",
 )  # fmt: skip
 

@@ -4,7 +4,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import example, given, settings
 from hypothesis import strategies as st
 from pydrake.math import RigidTransform
 from pydrake.multibody.plant import MultibodyPlant
@@ -115,6 +115,7 @@ frames = st.integers(0, 2**32 - 1)
 
 @settings(max_examples=15)
 @given(frames, st.sampled_from([1e-3, 1.0, 1e3]))
+@example(10**9, 1e-3)  # an axis of the last body is nearly at right angles to its joint's
 def test_rank_and_criterion_do_not_depend_on_frames_units_and_basis(seed, unit):
     plant = serial([[0, 0, 1], [0, 1, 0], [0, 1, 0]])
     random, phi = np.random.default_rng(seed), inertial_parameters(plant)

@@ -29,8 +29,7 @@ from geodrake.excitation import (
     motion_limits,
 )
 from geodrake.excitation.design import make_problem
-from geodrake.excitation.guess import random_guess
-from geodrake.excitation.postures import possible_postures
+from geodrake.excitation.starts import possible_postures, random_guess
 from geodrake.identification.logs.unknowns import pullback_information
 from geodrake.logs import Motion
 from geodrake.model import RobotModel, load_model
@@ -137,7 +136,7 @@ def motions(case: Case, seed: int, iterations: int) -> dict[str, ExcitationTraje
     separation, limits = separation_of(case), allowed()
     family, options = (
         FourierMotion(SECOND, 5, 2.0 * np.pi * PERIODS / SECOND),
-        DesignOptions(SAMPLES, iterations=iterations),
+        DesignOptions(SAMPLES, iterations=iterations, quick=False),
     )
     problem = make_problem(separation, limits, family, options)
     postures = possible_postures(known_model(), limits, None)

@@ -15,8 +15,8 @@ from geodrake.excitation import (
     Target,
 )
 from geodrake.excitation.design import make_problem
-from geodrake.excitation.guess import within_limits
-from geodrake.excitation.nonlinear_solvers import solve
+from geodrake.excitation.solve import Budget, solve
+from geodrake.excitation.starts import within_limits
 
 Array = NDArray[np.float64]
 
@@ -38,13 +38,13 @@ def refined(
     objective = Objective(target, Criterion("e_optimality", _SHARPNESS))
     problem = make_problem(objective, limits, family, options)
     start = problem.variables(coefficients)
-    found, status = solve(
+    found = solve(
         problem,
         start,
         solver=options.solver,
         iterations=options.iterations,
-        seconds=options.seconds,
+        budget=Budget.of(options.seconds),
         watch=lambda _value, _variables: None,
     )
-    end = within_limits(problem, found.reshape(start.shape), start)
-    return problem.trajectory(end), problem.cost(end)[0], status
+    end = within_limits(problem, found.variables.reshape(start.shape), start)
+    return problem.trajectory(end), problem.cost(end)[0], found.status

@@ -16,7 +16,7 @@ from geodrake.errors import ArgumentError, ConvergenceError, GeodrakeError
 from geodrake.inertia import Array
 from geodrake.manifolds import Manifold, Product
 from geodrake.manifolds.projections import Polyhedron, bregman_projection
-from geodrake.manifolds.projections.half_space import half_space_projection
+from geodrake.manifolds.slabs import half_space_projection
 
 _MOST_CUTS = 60
 _SHORTENED = (8.0, 2.0)  # lengths in the metric of steps in place of ones that are too long

@@ -18,7 +18,7 @@ from geodrake.errors import ArgumentError, GeodrakeError
 from geodrake.inertia import Array
 from geodrake.manifolds import Product
 from geodrake.manifolds.projections import Polyhedron
-from geodrake.manifolds.projections.slabs import SlabProjection, slab_projection
+from geodrake.manifolds.slabs import SlabProjection, slab_projection
 
 Rows = tuple[Array, Array]
 """A regressor (k, n) and its efforts (k,)."""

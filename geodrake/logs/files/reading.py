@@ -9,8 +9,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
-from geodrake.boundary.arguments import instance, instances, integer
-from geodrake.boundary.arguments.arrays import LARGEST
+from geodrake.boundary.arguments import LARGEST, instance, instances, integer
 from geodrake.errors import ArgumentError
 from geodrake.logs.files.units import unit_of
 from geodrake.logs.motion import EFFORT_KINDS, USUAL_GAIN_DEVIATION

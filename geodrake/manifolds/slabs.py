@@ -8,10 +8,9 @@ import numpy as np
 
 from geodrake.compiling import contiguous
 from geodrake.errors import GeodrakeError
-from geodrake.manifolds.base import Array
+from geodrake.manifolds.base import Array, Manifold
 from geodrake.manifolds.product import Product
-from geodrake.manifolds.projections.bregman import bregman_projection
-from geodrake.manifolds.projections.polyhedron import Polyhedron
+from geodrake.manifolds.projections import Polyhedron, bregman_projection
 from geodrake.manifolds.slab_kernels import calc_slab_projection
 
 TOLERANCE = 1e-8
@@ -80,3 +79,20 @@ def slab_projection(
     except (GeodrakeError, np.linalg.LinAlgError):
         return SlabProjection(x, np.inf, -1)
     return SlabProjection(y, TOLERANCE if y is not x else 0.0, -1)
+
+
+def half_space_projection(manifold: Manifold, x: Array, a: Array, limit: float) -> Array:
+    """The projection of x onto aᵀ y ≤ limit: ∇h(y) = ∇h(x) − λ a, with λ ≥ 0 where aᵀ y = limit.
+
+    For every sample: it trusts its arrays, and what comes out carries no certificate as that of
+    `bregman_projection` does. Check that it is in the half-space.
+
+    Args:
+        x: (n,) point inside of the manifold, outside of the half-space.
+        a: (n,) normal of the half-space, not zero.
+
+    Returns:
+        (n,) the projection; the last point on the way to it if the half-space is out of reach.
+    """
+    line = manifold.calc_mirror_line(x, -a)
+    return line.point(line.time_of(-limit))

@@ -1,0 +1,257 @@
+"""Motions of `geodrake excite` for six popular arms, checked by Pinocchio.
+
+Each command runs as a user types it, from where the arm stands, with its usual limits. What it
+saved is then looked at by another engine at 200 Hz: distances of all links from each other and from
+the floor (convex hulls of the file's collision geometry), joints against the file's limits, efforts
+of inverse dynamics, and whether the saved speeds are the slopes of the saved positions. Links that
+overlap however the arm moves are left out, as the command says it does.
+
+    python -m diagrams.benchmarks.excite_arms --json arms.json
+
+Models come with the package `example-robot-data`.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import subprocess
+import sys
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass
+from importlib.metadata import distribution
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import Any
+from xml.etree import ElementTree
+
+import coal
+import numpy as np
+import pinocchio as pin
+from numpy.typing import NDArray
+from rich.console import Console
+from rich.table import Table
+
+from geodrake import load_model
+from geodrake.excitation import CollisionWorld, floor_of, motion_limits
+from geodrake.excitation.starts import possible_postures
+from geodrake.robot import joint_names
+
+Array = NDArray[np.float64]
+
+ARMS = {
+    "UR5": "ur_description/urdf/ur5_robot.urdf",
+    "Panda": "panda_description/urdf/panda.urdf",
+    "xArm7": "xarm_description/urdf/xarm7.urdf",
+    "Z1": "z1_description/urdf/z1.urdf",
+    "SO-101": "so_arm_description/urdf/so101.urdf",
+    "UR10": "ur_description/urdf/ur10_joint_limited_robot.urdf",
+}
+MARGIN, CLEARANCE, RATE = 0.9, 0.01, 200.0
+_FAR = 0.2  # m, beyond which distances do not matter here
+
+
+@dataclass(frozen=True)
+class Checked:
+    """What Pinocchio says of a motion, and geodrake of its search.
+
+    Attributes:
+        cpu: CPU time of the whole command, s.
+        statuses: How each start of the search ended.
+        gain: By what factor the worst variance is better than by the best random motion.
+        length: Duration with ramps, s.
+        distance: Least distance of links from each other, m; at most 0.2.
+        height: Least distance of a moving link from the floor, m; at most 0.2.
+        position, velocity, effort: Largest shares of the file's limits.
+        acceleration: Largest, rad/s².
+        slope: Largest difference of saved speeds and slopes of saved positions, rad/s.
+    """
+
+    arm: str
+    joints: int
+    cpu: float
+    statuses: tuple[str, ...]
+    gain: float
+    length: float
+    distance: float
+    height: float
+    position: float
+    velocity: float
+    acceleration: float
+    effort: float
+    slope: float
+
+    @property
+    def is_safe(self) -> bool:
+        """Whether nothing collides and all margins are kept, to what sampling can tell."""
+        clear = min(self.distance, self.height) >= CLEARANCE - 1e-3
+        shares = self.position <= 1.0 and self.velocity <= MARGIN + 1e-3 and self.effort <= 1.0
+        return clear and shares and self.slope < 1e-2
+
+
+def arm_file(name: str) -> Path:
+    """Return the model file of an arm of `ARMS`."""
+    share = Path(str(distribution("example-robot-data").locate_file("cmeel.prefix/share")))
+    return share / "example-robot-data" / "robots" / ARMS[name]
+
+
+def excited(path: Path, folder: Path, options: Sequence[str]) -> tuple[dict[str, Any], Any, float]:
+    """Run the command; returns its numbers, the table it saved, and its CPU time, s."""
+    files = ["--json", str(folder / "numbers.json"), "--save", str(folder / "motion.csv")]
+    rate = ["--rate", f"{RATE:g}"]
+    command = [sys.executable, "-m", "geodrake", "excite", str(path), *files, *rate, *options]
+    timed = ["-c", _TIMED, *command]
+    done = subprocess.run([sys.executable, *timed], check=True, capture_output=True, text=True)
+    numbers = json.loads((folder / "numbers.json").read_text())
+    table = np.genfromtxt(folder / "motion.csv", delimiter=",", names=True, deletechars="")
+    return numbers, table, float(done.stdout.rpartition("cpu ")[2])
+
+
+_TIMED = """
+import resource, subprocess, sys
+subprocess.run(sys.argv[1:], check=True, stdout=subprocess.DEVNULL)
+used = resource.getrusage(resource.RUSAGE_CHILDREN)
+print("cpu", used.ru_utime + used.ru_stime)
+"""
+
+
+def checked(name: str, options: Sequence[str]) -> Checked:
+    """Design a motion for an arm with the command, and check it with Pinocchio."""
+    path = arm_file(name)
+    model = load_model(path)
+    lower, upper = model.position_limits
+    world = CollisionWorld(model, obstacles=(floor_of(model),), clearance=CLEARANCE)
+    held = possible_postures(model, motion_limits(model, bounded=True), world, most=1)[0]
+    stand = ",".join(f"{j}={q:.6g}" for j, q in zip(model.joints, held, strict=True))
+    with TemporaryDirectory() as folder:
+        numbers, table, cpu = excited(path, Path(folder), ("--stand", stand, *options))
+    columns = [
+        np.column_stack([table[f"{joint}.{kind}"] for joint in model.joints])
+        for kind in ("position", "velocity", "acceleration")
+    ]
+    q, v, vd = columns
+    robot = pin.buildModelFromUrdf(str(path))
+    order = [joint_names(model.plant).index(joint) for joint in robot.names[1:]]
+    whole = model.plant_positions(q)[:, order]
+    distance, height = distances(robot, path, whole, numbers["notes"])
+    own = [robot.idx_vs[robot.getJointId(joint)] for joint in model.joints]
+    data, efforts = robot.createData(), np.zeros_like(v)
+    for k in range(len(q)):
+        rates = np.zeros((2, robot.nv))
+        rates[:, own] = v[k], vd[k]
+        efforts[k] = pin.rnea(robot, data, whole[k], *rates)[own]
+    slopes = (q[2:] - q[:-2]) * RATE / 2.0
+    return Checked(
+        arm=name,
+        joints=len(model.joints),
+        cpu=cpu,
+        statuses=tuple(start["status"] for start in numbers["starts"]),
+        gain=numbers["improvement_over_random"],
+        length=numbers["seconds"]["with_ramps"],
+        distance=distance,
+        height=height,
+        position=float(np.abs((q - (lower + upper) / 2) / ((upper - lower) / 2)).max()),
+        velocity=float((np.abs(v) / robot.velocityLimit[own]).max()),
+        acceleration=float(np.abs(vd).max()),
+        effort=float((np.abs(efforts) / robot.effortLimit[own]).max()),
+        slope=float(np.abs(slopes - v[1:-1])[:-1].max()),
+    )
+
+
+def distances(robot: pin.Model, path: Path, q: Array, notes: Sequence[str]) -> tuple[float, float]:
+    """Return the least distances of links from each other and from the floor, m."""
+    shapes = pin.buildGeomFromUrdf(
+        robot, str(path), pin.GeometryType.COLLISION, package_dirs=[str(path.parents[4])]
+    )
+    for shape in shapes.geometryObjects:
+        if isinstance(shape.geometry, coal.BVHModelBase):
+            shape.geometry.buildConvexHull(True, "Qt")
+            shape.geometry = shape.geometry.convex
+    links = [shape.name.rpartition("_")[0] for shape in shapes.geometryObjects]
+    allowed = neighbours(path) | {
+        frozenset(note.partition(" of ")[0].split(" and ")) for note in notes
+    }
+    floor = pin.GeometryObject(
+        "floor_0", 0, pin.SE3(np.eye(3), np.array([0.0, 0.0, -0.5])), coal.Box(20.0, 20.0, 1.0)
+    )
+    at = shapes.addGeometryObject(floor)
+    kinds = []
+    for i, first in enumerate(links):
+        if shapes.geometryObjects[i].parentJoint:
+            shapes.addCollisionPair(pin.CollisionPair(i, at))
+            kinds.append(1)
+        for j, second in enumerate(links[:i]):
+            if first != second and frozenset((first, second)) not in allowed:
+                shapes.addCollisionPair(pin.CollisionPair(j, i))
+                kinds.append(0)
+    data, found, least = robot.createData(), shapes.createData(), np.full((len(q), 2), _FAR)
+    for k, posture in enumerate(q):
+        pin.computeDistances(robot, data, shapes, found, posture)
+        for kind, result in zip(kinds, found.distanceResults, strict=True):
+            least[k, kind] = min(least[k, kind], result.min_distance)
+    return float(least[:, 0].min()), float(least[:, 1].min())
+
+
+def neighbours(path: Path) -> set[frozenset[str]]:
+    """Return pairs of links that a joint connects, or that are welded together."""
+    joints = []
+    for joint in ElementTree.parse(path).getroot().iter("joint"):
+        parent, child = joint.find("parent"), joint.find("child")
+        if parent is not None and child is not None:
+            ends = parent.get("link", ""), child.get("link", "")
+            joints.append((*ends, joint.get("type") == "fixed"))
+    group = {name: name for pair in joints for name in pair[:2]}
+    for parent_link, child_link, is_welded in joints:
+        if is_welded:
+            old, new = group[child_link], group[parent_link]
+            group = {name: new if g == old else g for name, g in group.items()}
+    touching = {frozenset((group[a], group[b])) for a, b, _ in joints}
+    every = list(group)
+    return {
+        frozenset((a, b))
+        for a in every
+        for b in every
+        if group[a] == group[b] or frozenset((group[a], group[b])) in touching
+    }
+
+
+def show(found: Sequence[Checked]) -> None:
+    """Print the table."""
+    table = Table("arm", "CPU, s", "starts", "gain", "s", "mm", "floor", "q", "v", "τ", "v̇", "safe")
+    for one in found:
+        shares = (f"{100 * x:.0f} %" for x in (one.position, one.velocity, one.effort))
+        apart = (f"{1e3 * x:.1f}" for x in (one.distance, one.height))
+        ends = ", ".join(one.statuses)
+        numbers = (f"{one.cpu:.1f}", ends, f"{one.gain:.3g}", f"{one.length:.1f}")
+        table.add_row(
+            one.arm, *numbers, *apart, *shares, f"{one.acceleration:.1f}", str(one.is_safe)
+        )
+    Console(width=120).print(table)
+
+
+def main() -> None:
+    """Run from the command line."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--quick", action="store_true", help="one start of each of two arms")
+    parser.add_argument("--seed", type=int, default=0, help="first random start")
+    parser.add_argument("--json", type=Path, help="file for the table")
+    parser.add_argument("--figures", type=Path, help="not used: the table is all there is")
+    parser.add_argument("--arms", nargs="*", choices=list(ARMS), default=list(ARMS))
+    chosen = parser.parse_args()
+    options = ["--seed", str(chosen.seed)]
+    if chosen.quick:
+        options += ["--seeds", "1", "--seconds", "20", "--iterations", "10", "--samples", "100"]
+    arms = chosen.arms[:2] if chosen.quick else chosen.arms
+    found = []
+    for name in arms:
+        found.append(checked(name, options))
+    show(found)
+    if chosen.json:
+        table = [{**asdict(one), "safe": one.is_safe} for one in found]
+        chosen.json.write_text(json.dumps(table, indent=1))
+    if not all(one.is_safe for one in found):
+        raise SystemExit("A motion does not keep its margins.")
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,265 @@
+"""How much a motion identifies, as one number, [Lee2019] §4.2.1 and §4.3.3.
+
+With the regressor A of all p parameters, whitened by the noise, the normalized information is
+
+    (A K)ᵀ (A K),   B K Kᵀ Bᵀ = H⁻¹,
+
+for base parameters φ_B = B φ whose errors are measured by the metric H: the identity (`none`),
+[diag φ_B⁰]⁻² (`diagonal`, Eq. (4.2.26)) or the pushforward H₀ of the metric on physical bodies
+(`geometric`, Eq. (4.3.38)). The columns of K are parameter changes of length one. Only the last is
+indifferent to frames, units and B. Its K = G₀^(−½) Q, with orthonormal columns Q that span the rows
+of B G₀^(−½), needs no inverse, so it is so to rounding.
+
+Criteria are symmetric functions of the eigenvalues λ of that matrix; less is better.
+
+| name | value |
+|---|---|
+| `a_optimality` | Σ 1/λᵢ, the expected squared error |
+| `d_optimality` | −Σ log λᵢ, the volume of the confidence ellipsoid |
+| `e_optimality` | 1/λ_min, the variance along the worst direction |
+| `condition_number` | √(λ_max/λ_min) |
+
+A solver gets the logarithm of the value (for D-optimality, its mean), which no scale disturbs.
+λ_min is not smooth where eigenvalues meet, and optimal motions make them meet. What is minimized in
+its place is the mean log (Σ λᵢ⁻ˢ)/s, a function of power sums, smooth everywhere, and never further
+above log(1/λ_min) than log(n)/s.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+from scipy.linalg import solve_triangular
+
+from geodrake.boundary.arguments import instance, integer, number, one_of, real_array
+from geodrake.boundary.showing import Short
+from geodrake.errors import ArgumentError
+from geodrake.excitation.regressor_gradient import regressor_motion_gradient
+from geodrake.excitation.reverse_recursion import MotionGradient
+from geodrake.excitation.target import Measurement, Target
+from geodrake.logs.motion import Motion
+
+Array = NDArray[np.float64]
+
+CRITERIA = ("a_optimality", "d_optimality", "e_optimality", "condition_number")
+NORMALIZATIONS = ("none", "diagonal", "geometric")
+_EQUAL = 1e-9  # relative difference below which eigenvalues are one that is multiple
+_LEAST_SHARE = 1e-3  # of a parameter's geometric unit that its nominal value counts for
+
+
+@dataclass(frozen=True)
+class Criterion:
+    """A function of the eigenvalues of an information matrix.
+
+    Attributes:
+        sharpness: s of the smooth forms of λ_min and λ_max; infinite for those themselves, whose
+            gradient at a multiple eigenvalue is one of many.
+        kept: Look at the r greatest eigenvalues only, [Lee2019] §4.5.2 step b.2; all if None.
+    """
+
+    name: str = "e_optimality"
+    sharpness: float = 16.0
+    kept: int | None = None
+
+    def __post_init__(self) -> None:
+        if instance(self.name, "criterion", str) not in CRITERIA:
+            raise ArgumentError(
+                f"There is no criterion {self.name!r}.", advice=f"Use one of {', '.join(CRITERIA)}."
+            )
+        if not number(self.sharpness, "sharpness", finite=False) > 0:
+            raise ArgumentError(f"A criterion needs a positive sharpness; got {self.sharpness}.")
+        if self.kept is not None:
+            integer(self.kept, "kept", lower=1)
+
+    def value(self, eigenvalues: ArrayLike) -> float:
+        """Return the criterion itself, as in the table; infinite for a singular matrix.
+
+        Args:
+            eigenvalues: (n,) eigenvalues, none negative.
+        """
+        kept = self._largest(real_array(eigenvalues, "eigenvalues", ("n",)))
+        if not kept.min() > 0:
+            return np.inf
+        match self.name:
+            case "a_optimality":
+                return float((1.0 / kept).sum())
+            case "d_optimality":
+                return float(-np.log(kept).sum())
+            case "e_optimality":
+                return float(1.0 / kept.min())
+            case _:
+                return float(np.sqrt(kept.max() / kept.min()))
+
+    def objective(self, log_eigenvalues: ArrayLike) -> tuple[float, Array]:
+        """Return what a solver minimizes, and its gradient (n,), as functions of log λ (n,)."""
+        logs = real_array(log_eigenvalues, "log_eigenvalues", ("n",))
+        order = np.argsort(logs, kind="stable")[len(logs) - len(self._largest(logs)) :]
+        kept, gradient = logs[order], np.zeros_like(logs)
+        if self.name == "d_optimality":
+            gradient[order] = -1.0 / len(kept)
+            return -float(kept.mean()), gradient
+        sharpness = 1.0 if self.name == "a_optimality" else self.sharpness
+        value, down = _soft_maximum(-kept, sharpness)
+        gradient[order] = -down
+        if self.name == "condition_number":
+            high, up = _soft_maximum(kept, sharpness)
+            value, gradient[order] = 0.5 * (high + value), 0.5 * (up - down)
+        return value, gradient
+
+    def _largest(self, eigenvalues: Array) -> Array:
+        """Return the r greatest eigenvalues."""
+        count = len(eigenvalues) if self.kept is None else self.kept
+        if count > len(eigenvalues) or not len(eigenvalues):
+            raise ArgumentError(
+                f"A criterion of {count} eigenvalues needs as many; there are {len(eigenvalues)}."
+            )
+        return np.sort(eigenvalues)[len(eigenvalues) - count :]
+
+
+def _soft_maximum(x: Array, sharpness: float) -> tuple[float, Array]:
+    """Return log(Σ exp(s x))/s and its gradient; the maximum itself for an infinite s."""
+    highest = float(x.max())
+    if np.isinf(sharpness):
+        multiple = x >= highest - _EQUAL
+        return highest, multiple / multiple.sum()
+    parts = np.exp(sharpness * (x - highest))
+    total = float(parts.sum())
+    return highest + float(np.log(total)) / sharpness, parts / total
+
+
+def normalizing_map(
+    normalization: str, base: ArrayLike, prior: ArrayLike, metric_root: ArrayLike
+) -> Array:
+    """Return the matrix K (p, n_B) of a normalization.
+
+    A base parameter of (nearly) zero nominal value, for which the diagonal normalization is not
+    defined, counts with a thousandth of its geometric unit √(H₀⁻¹)ᵢᵢ.
+
+    Args:
+        base: (n_B, p) B.
+        prior: (p,) nominal parameters φ⁰.
+        metric_root: (p, p) root L of the inverse metric, G₀⁻¹ = L Lᵀ.
+    """
+    B, prior, L = (np.asarray(x, float) for x in (base, prior, metric_root))
+    if normalization not in NORMALIZATIONS:
+        raise ArgumentError(
+            f"There is no normalization {normalization!r}.",
+            advice=f"Use one of {', '.join(NORMALIZATIONS)}.",
+        )
+    if B.ndim != 2 or prior.shape != B.shape[1:] or L.shape != (len(prior), len(prior)):
+        raise ArgumentError(
+            f"B {B.shape}, the nominal parameters {prior.shape} and the root of the metric "
+            f"{L.shape} do not fit together."
+        )
+    if normalization == "geometric":
+        return np.asarray(L @ _row_space(B @ L)[0])
+    Q, R = _row_space(B)
+    pseudo_inverse = solve_triangular(R, Q.T).T  # Q R⁻ᵀ
+    if normalization == "none":
+        return np.asarray(pseudo_inverse)
+    least = _LEAST_SHARE * np.linalg.norm(B @ L, axis=1)
+    return np.asarray(pseudo_inverse * np.maximum(np.abs(B @ prior), least))
+
+
+def _row_space(B: Array) -> tuple[Array, Array]:
+    """Return Q (p, n) and triangular R with B = Rᵀ Qᵀ; rows are scaled first: they have units."""
+    sizes = np.linalg.norm(B, axis=1)
+    if not (sizes > 0).all():
+        raise ArgumentError("A row of B is zero.", advice="Take B from `base_parameters`.")
+    Q, R = np.linalg.qr((B / sizes[:, None]).T)
+    if len(R) < len(B) or np.abs(np.diagonal(R)).min(initial=1.0) < 1e-12:
+        raise ArgumentError(
+            "Rows of B are dependent, so they are no base parameters.",
+            advice="Take B from `base_parameters`.",
+        )
+    return Q, R * sizes
+
+
+@dataclass(frozen=True, eq=False)
+class Objective(Short):
+    """A normalized criterion of a target, as a function of the motion.
+
+    Attributes:
+        base: (n_B, p) base parameters B, for the normalizations that depend on the choice; those
+            of the target if None.
+    """
+
+    target: Target
+    criterion: Criterion = field(default_factory=Criterion)
+    normalization: str = "geometric"
+    base: Array | None = None
+
+    def __post_init__(self) -> None:
+        instance(self.target, "target", Target)
+        instance(self.criterion, "criterion", Criterion)
+        one_of(self.normalization, "normalization", NORMALIZATIONS)
+        if self.base is not None:
+            real_array(self.base, "base", ("n_B", "p"))
+
+    @cached_property
+    def normalizing_map(self) -> Array:
+        """(p, n_B) K: parameter changes of length one."""
+        base = self.target.base.matrix if self.base is None else self.base
+        return normalizing_map(self.normalization, base, self.target.prior, self.target.metric_root)
+
+    def factor(self, measurement: Measurement) -> Array:
+        """Return the whitened and normalized regressor A K (N m, n_B) of a motion.
+
+        Raises:
+            ArgumentError: There are fewer measurements than base parameters.
+        """
+        X, K = measurement.regressor, self.normalizing_map
+        if X.shape[0] * X.shape[1] < K.shape[1]:
+            raise ArgumentError(
+                f"{X.shape[0]} samples of {X.shape[1]} measurements cannot identify {K.shape[1]} "
+                "parameters.",
+                advice="Use more samples.",
+            )
+        return np.asarray((X / self.target.noise[:, None]).reshape(-1, len(K)) @ K)
+
+    def eigenvalues(self, motion: Motion) -> Array:
+        """Return the eigenvalues (n_B,) of the normalized information matrix, ascending.
+
+        Their inverses are variances: of parameter errors in units of the normalization.
+        """
+        return np.asarray(_spectrum(self.factor(self.target.measure(motion)))[0] ** 2)
+
+    def value(self, motion: Motion) -> float:
+        """Return the criterion, [Lee2019] Eqs. (4.2.19), (4.2.26), (4.3.38)."""
+        return self.criterion.value(self.eigenvalues(motion))
+
+    def value_and_gradient(self, motion: Motion) -> tuple[float, MotionGradient]:
+        """Return what a solver minimizes (`Criterion.objective`), and its gradient by the motion.
+
+        [Lee2019] Eqs. (4.4.48) to (4.4.52), by way of the regressor's entries.
+
+        Raises:
+            ArgumentError: There are fewer measurements than base parameters, or the motion leaves
+                some wholly unknown.
+        """
+        measurement = self.target.measure(motion)
+        A, K = self.factor(measurement), self.normalizing_map
+        singular, V = _spectrum(A)
+        if not singular[0] > 0:
+            raise ArgumentError(
+                "The motion says nothing of some parameters, so that the criterion is infinite.",
+                advice="Start from a motion of all joints.",
+            )
+        value, slope = self.criterion.objective(2.0 * np.log(singular))
+        # ∂f/∂A = A V diag(2 ∂f/∂λ) Vᵀ, with ∂f/∂λ = slope/λ.
+        weights = A @ ((V * (2.0 * slope / singular**2)) @ (V.T @ K.T))
+        shape = len(motion), len(self.target.noise), len(K)
+        weights = weights.reshape(shape) / self.target.noise[:, None]
+        return value, regressor_motion_gradient(self.target, measurement, weights)
+
+
+def _spectrum(A: Array) -> tuple[Array, Array]:
+    """Singular values (n,) ascending and right singular vectors (n, n) of a tall matrix.
+
+    By a QR factorization, not from AᵀA, whose small eigenvalues have lost half their digits.
+    """
+    _, singular, Vt = np.linalg.svd(np.linalg.qr(A, mode="r"))
+    return singular[::-1], Vt[::-1].T

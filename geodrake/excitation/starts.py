@@ -1,0 +1,257 @@
+"""Where a motion can begin: postures that a robot can hold, and first motions within limits."""
+
+from __future__ import annotations
+
+from contextlib import suppress
+
+import numpy as np
+from numpy.typing import NDArray
+from pydrake.solvers import ClpSolver, MathematicalProgram
+
+from geodrake.errors import ArgumentError
+from geodrake.excitation.collisions import CollisionWorld
+from geodrake.excitation.limits import MotionLimits
+from geodrake.excitation.margins import COARSE, keeps_limits
+from geodrake.excitation.problem import DesignProblem, limit_motion
+from geodrake.excitation.solve import UNLIMITED, Budget, OutOfTimeError
+from geodrake.excitation.trajectory import joint_order
+from geodrake.logs.motion import Motion
+from geodrake.model.robot_model import RobotModel
+
+Array = NDArray[np.float64]
+
+_POSTURES, _TRIED = 400, 5
+_ROUNDING, _NOTHING = 1e-9, 1e-9
+_FILL = (0.6, 0.95)  # share of the limits that a random motion uses
+_CORNERS = 2
+_SHRINK, _STEPS = 0.8, 40
+_BISECTIONS, _FIRST_STEP_BACK = 14, 0.002
+
+
+def holding_efforts(model: RobotModel, postures: Array) -> Array:
+    """Return efforts (N, nv) that hold a robot still in postures (N, nv) by joint, N·m or N.
+
+    Dry friction is no help: what it would hold depends on how the robot came there.
+    """
+    q = postures[:, joint_order(model)]
+    still = np.zeros_like(postures)
+    return np.asarray(model.effort(Motion(q, still, still)))
+
+
+def check_start(
+    model: RobotModel,
+    limits: MotionLimits,
+    start: Array,
+    collisions: CollisionWorld | None,
+    *,
+    name: str = "start",
+) -> None:
+    """Refuse a start (nv,) by joint, rad or m, that the robot cannot hold.
+
+    Args:
+        name: What messages call it.
+
+    Raises:
+        ArgumentError: It is outside the limits, needs more effort than there is, or is in
+            collision; the message says which joint or which bodies.
+    """
+    if start.shape != (len(limits.joints),) or not np.isfinite(start).all():
+        raise ArgumentError(
+            f"The {name} has the shape {start.shape} and must be {len(limits.joints)} finite "
+            f"positions: {start.tolist()}."
+        )
+    slack = _ROUNDING * (1.0 + limits.reach)
+    outside = (start < limits.lower - slack) | (start > limits.upper + slack)
+    if outside.any():
+        i = int(np.argmax(outside))
+        raise ArgumentError(
+            f"The {name} is outside the limits: joint {limits.joints[i]!r} is at {start[i]:.4g}, "
+            f"and may be from {limits.lower[i]:.4g} to {limits.upper[i]:.4g}.",
+            advice="Move the robot inside first, or leave the start out.",
+            joint=limits.joints[i],
+        )
+    effort = np.abs(holding_efforts(model, start[None])[0])
+    if (effort > limits.effort).any():
+        i = int(np.argmax(effort / limits.effort))
+        raise ArgumentError(
+            f"Joint {limits.joints[i]!r} needs {effort[i]:.4g} to hold the robot at the {name}, "
+            f"and may give {limits.effort[i]:.4g}.",
+            advice="Start from a posture that gravity pulls less at, or raise the limit.",
+            joint=limits.joints[i],
+        )
+    if collisions is not None:
+        distance, names = collisions.distances(start[None, joint_order(model)])
+        if distance[0] < collisions.clearance:
+            raise ArgumentError(
+                f"The {name} is in collision: {names[0]} are {distance[0]:.4g} m apart, and shall "
+                f"be {collisions.clearance:g} m.",
+                advice="Start elsewhere, or check the geometry.",
+            )
+
+
+def possible_postures(
+    model: RobotModel,
+    limits: MotionLimits,
+    collisions: CollisionWorld | None,
+    *,
+    seed: int = 0,
+    most: int = _POSTURES,
+) -> Array:
+    """Return postures (n, nv) by joint that a robot can hold, the middle of its ranges first.
+
+    Raises:
+        ArgumentError: No posture can be held; the message says why.
+    """
+    random = np.random.default_rng(seed)
+    shares = random.uniform(-1.0, 1.0, (_POSTURES, len(limits.joints)))
+    shares *= np.linspace(0.0, 0.95, _POSTURES)[:, None]  # the middle, and then further out
+    postures = limits.middle + limits.reach * shares
+    efforts = np.abs(holding_efforts(model, postures))
+    holds = (efforts <= limits.effort).all(axis=1)
+    if not holds.any():
+        least = int(np.argmin((efforts / limits.effort).max(axis=1)))
+        i = int(np.argmax(efforts[least] / limits.effort))
+        at = ", ".join(
+            f"{n} {x:.3g}" for n, x in zip(limits.joints, postures[least].tolist(), strict=True)
+        )
+        raise ArgumentError(
+            f"Gravity is stronger than the robot: in the best of {_POSTURES} postures ({at}), "
+            f"joint {limits.joints[i]!r} needs {efforts[least, i]:.4g} to hold it, and may give "
+            f"{limits.effort[i]:.4g}.",
+            advice="Raise the limits of effort, or check masses and units of the model.",
+            joint=limits.joints[i],
+        )
+    postures = postures[holds]
+    if collisions is None:
+        return postures[:most]
+    return _apart(postures, joint_order(model), collisions, most)
+
+
+def _apart(
+    postures: Array, order: NDArray[np.intp], collisions: CollisionWorld, most: int
+) -> Array:
+    """Return the first postures in which nothing collides; the others are not looked at."""
+    free: list[Array] = []
+    best, nearest = -np.inf, ""
+    for posture in postures:
+        distance, names = collisions.distances(posture[None, order])
+        if distance[0] >= collisions.clearance:
+            free.append(posture)
+        if distance[0] > best:
+            best, nearest = float(distance[0]), names[0]
+        if len(free) == most:
+            break
+    if not free:
+        raise ArgumentError(
+            f"The robot collides in all of {len(postures)} postures; in the best one, "
+            f"{nearest} are {best:.4g} m apart, and shall be {collisions.clearance:g} m.",
+            advice="Check the geometry and where the obstacles are.",
+        )
+    return np.array(free)
+
+
+def random_guess(
+    problem: DesignProblem,
+    postures: Array,
+    rng: np.random.Generator,
+    budget: Budget = UNLIMITED,
+) -> Array:
+    """Return variables (f, nv) of a random motion within all limits.
+
+    Args:
+        postures: (n, nv) postures that can be held, about one of which it is.
+    """
+    for _ in range(_TRIED):
+        resting = problem.resting(postures[int(rng.integers(len(postures)))])
+        if problem.start is None:
+            direction = rng.uniform(-1.0, 1.0, resting.shape)
+            moving = resting + rng.uniform(*_FILL) * _room(problem, resting, direction) * direction
+        else:
+            moving = _from_corners(problem, rng)
+        share = 1.0
+        for _ in range(_STEPS):
+            guess = resting + share * (moving - resting)
+            if keeps_limits(problem, guess, stride=COARSE, budget=budget):
+                return np.asarray(guess)
+            budget.check()
+            share *= _SHRINK
+    raise ArgumentError(
+        "The robot can hold still within its limits, but hardly move: no random motion about "
+        f"{_TRIED} postures keeps them.",
+        advice="Widen the limits that are nearly reached at rest, or start elsewhere.",
+    )
+
+
+def _from_corners(problem: DesignProblem, rng: np.random.Generator) -> Array:
+    """Return a random mean (f, nv) of a few motions that go as far as joint limits let them.
+
+    A start may be at a limit, from where most random directions lead out at once. A linear program
+    finds motions that do not.
+    """
+    program = MathematicalProgram()
+    variables = program.NewContinuousVariables(*problem.scale.shape)
+    limit_motion(program, problem, variables)
+    cost = program.AddLinearCost(np.zeros(variables.size), variables.ravel())
+    corners = []
+    aims = rng.normal(size=(_CORNERS, variables.size))
+    for aim in (*aims, *-aims):  # one of the two ways may be none, from a start at a limit
+        cost.evaluator().UpdateCoefficients(aim)
+        result = ClpSolver().Solve(program)
+        if not result.is_success():
+            raise ArgumentError(
+                "No motion of the family leads from the start and keeps the limits of the joints.",
+                advice="Give the family more coefficients or time, or start elsewhere.",
+            )
+        corners.append(result.GetSolution(variables))
+    weights = rng.dirichlet(np.ones(len(corners)), size=problem.scale.shape[1])  # a joint
+    return np.asarray(np.einsum("jc,cfj->fj", weights, np.array(corners)))
+
+
+def _room(problem: DesignProblem, around: Array, direction: Array) -> Array:
+    """(nv,) by how much of a direction each joint can leave a motion within its own limits."""
+    states = problem.limit_basis @ problem.coefficients(around)
+    change = problem.limit_basis @ (problem.free @ (problem.scale * direction))
+    rooms = [
+        _multiple(by, upper - now, now - lower)
+        for by, now, (lower, upper) in zip(change, states, problem.bounds, strict=True)
+    ]
+    return np.asarray(np.min(rooms, axis=0))
+
+
+def _multiple(change: Array, above: Array, below: Array) -> Array:
+    """(nv,) largest multiple of a change (n, nv) that stays within the room on either side."""
+    size = np.abs(change)
+    moving = size > _NOTHING * size.max(axis=0)
+    room = np.where(change > 0, above, below)
+    ratio = np.where(moving, room, np.inf) / np.where(moving, size, 1.0)
+    return np.asarray(np.maximum(ratio.min(axis=0), 0.0))
+
+
+def within_limits(
+    problem: DesignProblem,
+    variables: Array,
+    inside: Array,
+    budget: Budget = UNLIMITED,
+    *,
+    stride: int = 1,
+) -> Array:
+    """Return the motion nearest to one, on the way from another within limits, that keeps them too.
+
+    Args:
+        variables: (f, nv) variables of a motion that keeps the limits, or nearly so.
+        inside: (f, nv) variables of a motion that keeps them.
+        budget: When it is up, the nearest one found by then counts.
+    """
+    least, step = 0.0, _FIRST_STEP_BACK
+    most = 1.0
+    with suppress(OutOfTimeError):
+        if keeps_limits(problem, variables, stride=stride, budget=budget):
+            return variables
+        for _ in range(_BISECTIONS):
+            share = most - step if most - step > least else 0.5 * (least + most)
+            tried = inside + share * (variables - inside)
+            if keeps_limits(problem, tried, stride=stride, budget=budget):
+                least = share
+            else:
+                most, step = share, 4.0 * step
+    return np.asarray(inside + least * (variables - inside))
