@@ -47,7 +47,6 @@ WIDTH = 10.0
 """Width of every figure, inches."""
 DPI = 130
 SMALL, NORMAL = 8.0, 9.0
-_NAME_LENGTH = 30
 _MOST_LETTERS = 160
 _FONT = "DejaVu Sans"  # which comes with matplotlib
 _SETTINGS = {
@@ -98,11 +97,6 @@ def joint_title(ax: Axes, joint: str, detail: str = "") -> None:
     ax.set_title(label(joint, 48), loc="left", pad=4, **plain(fontweight="bold"))
     if detail:
         ax.set_title(label(detail), loc="right", pad=4, **plain(SMALL, QUIET))
-
-
-def joint_label(joint: str) -> str:
-    """A joint's name, short enough for an axis."""
-    return label(joint, _NAME_LENGTH)
 
 
 def label(text: str, most: int = _MOST_LETTERS) -> str:
