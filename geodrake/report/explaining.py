@@ -37,6 +37,7 @@ from geodrake.report.numbers import (
     UNKNOWN,
     Units,
     chance,
+    if_known,
     is_noticed,
     number,
     percent,
@@ -637,15 +638,15 @@ def signals_table(signals: Sequence[EffortSignal], units: Units) -> Table:
     summed = any(signal.integral for signal in signals)
     limited = any(signal.limit < math.inf for signal in signals)
     for signal in signals:
-        gain = with_deviation(signal.gain, signal.deviation)
+        gain = if_known(signal.gain, signal.deviation)
         row = [signal.joint, signal.kind, gain, units.at(signal.joint, signal.unit)]
         if served:
-            damping = with_deviation(signal.damping, signal.damping_deviation)
+            damping = if_known(signal.damping, signal.damping_deviation)
             rate = units.at(signal.joint, "N·m·s/rad")
             row += [f"{damping} {rate}" if signal.damping else UNKNOWN]
             row += [f"{1e3 * signal.delay:.2g} ms"]
         if summed:
-            integral = with_deviation(signal.integral, signal.integral_deviation)
+            integral = if_known(signal.integral, signal.integral_deviation)
             unit = units.at(signal.joint, "N·m/(rad·s)")
             row += [f"{integral} {unit}" if signal.integral else UNKNOWN]
         if limited:

@@ -60,6 +60,13 @@ def with_deviation(value: float, deviation: float, systematic: float = math.nan)
     return f"({text}){_power(scale)}" if scale else text
 
 
+def if_known(value: float, deviation: float) -> str:
+    """Return `with_deviation`, or that a value is unknown where its deviation is no smaller."""
+    if math.isfinite(deviation) and deviation >= abs(value):
+        return f"unknown, ± {number(deviation, 2)}"
+    return with_deviation(value, deviation)
+
+
 def is_noticed(deviation: float, systematic: float) -> bool:
     """Whether a systematic deviation is shown beside another one.
 

@@ -22,6 +22,7 @@ from geodrake.identification.logs.case import open_case
 from geodrake.identification.logs.servo_fit import JointMotions, fit_servo, motions_of
 from geodrake.identification.logs.signal_calibration import (
     calibrated,
+    gain_words,
     signals_as_efforts,
     with_efforts,
 )
@@ -335,6 +336,9 @@ def test_it_is_saved_shown_and_named_by_exports(fitted, summed, tmp_path):
     limited = replace(model.effort_signals[0], limit=7.25)
     assert signals_table((limited,), Units()).head[-1] == "limit"
     assert "7.25 N·m" in str(signals_table((limited,), Units()))
+    vague = replace(limited, gain=39666.0, deviation=291172.0)
+    assert "unknown, ± 2.9·10⁵" in str(signals_table((vague,), Units()))
+    assert f"{vague.joint} unknown, ± 2.9e+05" in gain_words(model, [vague])
     for form, cost in (("mjcf", [summed]), ("isaac", [])):
         notes = " ".join(export_to(form, model, tmp_path / form, cost).notes)
         assert f"servos of {form} have no integral, such as that of hinge" in notes

@@ -257,7 +257,9 @@ def gain_words(model: RobotModel, signals: Sequence[EffortSignal]) -> str:
     for signal in signals:
         slides = signal.joint in model.sliding_joints
         unit = when_sliding(signal.unit) if slides else signal.unit
-        words.append(f"{signal.joint} {signal.gain:.3g} ± {signal.deviation:.2g} {unit}")
+        unknown = signal.deviation >= abs(signal.gain)
+        value = "unknown," if unknown else f"{signal.gain:.3g}"
+        words.append(f"{signal.joint} {value} ± {signal.deviation:.2g} {unit}")
     kinds = " and ".join(dict.fromkeys(f"{signal.kind}s" for signal in signals))
     return f"efforts are those of {kinds}, by gains from the model's inertias: {', '.join(words)}"
 
