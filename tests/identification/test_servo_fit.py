@@ -337,7 +337,7 @@ def test_it_is_saved_shown_and_named_by_exports(fitted, summed, tmp_path):
     assert signals_table((limited,), Units()).head[-1] == "limit"
     assert "7.25 N·m" in str(signals_table((limited,), Units()))
     vague = replace(limited, gain=39666.0, deviation=291172.0)
-    assert "unknown, ± 2.9·10⁵" in str(signals_table((vague,), Units()))
+    assert "unknown, ± 29" in str(signals_table((vague,), Units()))
     assert f"{vague.joint} unknown, ± 2.9e+05" in gain_words(model, [vague])
     for form, cost in (("mjcf", [summed]), ("isaac", [])):
         notes = " ".join(export_to(form, model, tmp_path / form, cost).notes)
