@@ -23,7 +23,8 @@ from geodrake.effects import (
     StribeckFriction,
     ViscousFriction,
 )
-from geodrake.identification import solve_fit
+from geodrake.errors import IdentificationError
+from geodrake.identification import normal_equations, solve_fit
 from geodrake.identification.conic_fit import solve_with_fallback
 from geodrake.identification.logs.candidate_effects import LONGEST_DELAY, candidate_delays
 from geodrake.identification.logs.case import open_case
@@ -358,3 +359,32 @@ def test_delays_are_those_that_can_be_told_apart(period, bandwidth):
     assert len(set(delays)) == len(delays)
     assert max(np.abs(delays)) <= LONGEST_DELAY + 1e-12
     assert np.diff(sorted(delays)).min() >= period - 1e-12
+
+
+@pytest.mark.parametrize("place", [0, 3, 6])
+@pytest.mark.parametrize("wrong", [np.nan, np.inf, -2.0])
+def test_one_matrix_of_many_that_has_no_factor_is_seen(place, wrong):
+    root = np.random.default_rng(0).normal(size=(7, 4, 4))
+    many = 0.1 * (root + np.swapaxes(root, 1, 2)) + np.eye(4)
+    for matrix, factor in zip(many, normal_equations.cholesky(many), strict=True):
+        np.testing.assert_allclose(np.tril(factor) @ np.tril(factor).T, matrix, atol=1e-8)
+    many[place, 2, 1] = many[place, 1, 2] = wrong
+    with pytest.raises(IdentificationError, match="not positive definite"):
+        normal_equations.cholesky(many)
+
+
+def test_problem_has_the_residuals_of_the_rows(dataset, model):
+    """‖R [x; −1]‖² of the program is the weighted sum of squares, for any parameters."""
+    unknowns = with_effects(dataset, model_unknowns(dataset, model), *EFFECTS)
+    rng = np.random.default_rng(3)
+    problem = fit_problem(dataset, unknowns, WEIGHTS, without=1, delay=1)
+    for _ in range(3):
+        x = rng.normal(size=len(unknowns.columns))
+        residual = problem.factor @ np.r_[x, -1.0]
+        expected = sum(
+            WEIGHTS[joint] * np.sum((b - A @ x) ** 2)
+            for fold in (0, 2, 3)
+            for joint in range(2)
+            for A, b in [stacked(dataset, unknowns.columns, fold, joint, 1)]
+        )
+        assert residual @ residual == pytest.approx(expected, rel=1e-9)

@@ -9,6 +9,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from identified_bodies import THREE as PRIOR
 from identified_bodies import random_data, restated
+from measurements import DATA
 from scipy.linalg import block_diag, eigh
 
 from geodrake.errors import ArgumentError
@@ -193,3 +194,23 @@ def test_what_newton_refuses():
     with pytest.raises(ArgumentError, match=r"entropic or quadratic prior for every.*\[20\]"):
         priors = {start: problem.entropic[start] for start in BODIES[:2]}
         solve_newton(replace(problem, entropic=priors))
+
+
+@pytest.mark.thorough
+@pytest.mark.measurements("data/human_force_plate.npz")
+def test_the_human_as_clarabel_has_it():
+    human = np.load(DATA / "human_force_plate.npz")
+    sigma = np.tile(human["sigma"], len(human["b"]) // 3)
+    arguments = (human["A"], human["b"], human["phi_prior"])
+    options = {"sigma": sigma, "ellipsoids": human["Q"], "regularizer": "entropic"}
+    for gamma in (1e6, 1e2, 1.0):
+        newton = identify(*arguments, gamma=gamma, solver="newton", **options)
+        conic = identify(*arguments, gamma=gamma, **options)
+        costs = [result.residual + gamma * result.divergence for result in (newton, conic)]
+        assert costs[0] == pytest.approx(costs[1], rel=1e-9)
+        assert is_physical(newton.phi).all()
+        inside = np.einsum("bij,bji->b", pseudo_inertia(newton.phi), human["Q"])
+        assert (inside > -1e-9).all()
+    assert (inside < 1e-6).any()
+    bound = identify(*arguments, residual_bound=1331878.41, solver="newton", **options)
+    assert bound.residual == pytest.approx(1331878.41, rel=1e-9)

@@ -6,10 +6,11 @@ import numpy as np
 import pytest
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
+from measurements import REFERENCE
 from pydrake.math import RigidTransform
 from pydrake.multibody.plant import MultibodyPlant
 from pydrake.multibody.tree import FixedOffsetFrame, PrismaticJoint, RevoluteJoint, SpatialInertia
-from scipy.linalg import block_diag, solve_triangular
+from scipy.linalg import block_diag, null_space, solve_triangular
 from scipy.spatial.transform import Rotation
 
 from geodrake.errors import ArgumentError
@@ -201,3 +202,16 @@ def test_base_parameters_reproduce_efforts_of_other_motions(arm):
     np.testing.assert_allclose(actual, expected, atol=1e-11 * np.abs(expected).max())
     np.testing.assert_allclose(base.regressor(regressor) @ base.matrix, regressor, atol=1e-11)
     np.testing.assert_array_equal(base.matrix[:, base.independent], np.eye(base.rank))
+
+
+@pytest.mark.measurements("reference/iiwa14.sdf", "reference/ur10e.urdf")
+@pytest.mark.parametrize(("name", "rank"), [("iiwa14.sdf", 43), ("ur10e.urdf", 36)])
+def test_known_ranks_of_real_robots(name, rank):
+    assert structural_base_parameters(load_plant(REFERENCE / name).plant).rank == rank
+
+
+def test_what_data_cannot_tell_is_the_null_space(arm):
+    base, regressor = structural_base_parameters(arm), random_regressor(arm, 60).reshape(-1, 60)
+    directions = null_space(regressor, rcond=1e-10)
+    assert base.rank + directions.shape[1] == 60
+    np.testing.assert_allclose(base.matrix @ directions, 0.0, atol=1e-11)

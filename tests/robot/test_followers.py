@@ -1,8 +1,10 @@
 """Joints that follow others, against Pinocchio's mimic joints, MuJoCo's equalities, and J."""
 
+from pathlib import Path
+
 import numpy as np
 import pytest
-from known_robots import assert_close
+from known_robots import assert_close, robots
 
 from geodrake import load_model, save_model
 from geodrake.errors import ModelError
@@ -214,3 +216,8 @@ def test_efforts_of_followers_are_added_to_their_leaders(tmp_path):
     np.testing.assert_allclose(log.effort[:, 0], values[:, 0] + 9.0 * values[:, 2])
     np.testing.assert_allclose(log.effort[:, 1], values[:, 1] + 0.2 * values[:, 3])
     assert any("spin is added" in note for note in log.notes)
+
+
+def test_the_fingers_of_a_panda_follow_each_other():
+    model = load_model(robots() / Path("panda_description/urdf/panda.urdf"))
+    assert len(model.joints) == 8 and model.sliding_joints == ("panda_finger_joint1",)

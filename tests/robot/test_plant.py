@@ -4,6 +4,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from measurements import REFERENCE
 from pydrake.multibody.tree import MultibodyForces
 
 from geodrake.errors import ArgumentError, ModelError
@@ -368,3 +369,41 @@ def test_several_roots_are_each_welded(load):
     loaded = load(urdf(inertial(), extra=f'<link name="ball">{inertial()}</link>'))
     assert loaded.plant.num_velocities() == 1
     assert any("ball" in note for note in loaded.notes)
+
+
+@pytest.mark.measurements("reference/*.urdf", "reference/iiwa14.sdf")
+@pytest.mark.parametrize(
+    ("name", "nv", "repaired"),
+    [
+        ("ur10e.urdf", 6, set()),
+        ("tx40.urdf", 6, {"link_6"}),
+        ("panda_arm.urdf", 7, set()),
+        ("atlas_v5.urdf", 30, set()),
+        ("iiwa14.sdf", 7, set()),
+    ],
+)
+def test_reference_models(name, nv, repaired, capfd):
+    loaded = load_plant(REFERENCE / name)
+    assert capfd.readouterr() == ("", "")
+    assert loaded.plant.num_velocities() == nv
+    assert {repair.body for repair in loaded.repairs} == repaired
+    assert is_physical(inertial_parameters(loaded.plant), tolerance=1e-6).all()
+    assert np.isfinite(effort_limits(loaded.plant)).all()
+
+
+@pytest.mark.parametrize("floating", [False, True])
+@pytest.mark.parametrize("name", ["ur5_robot", "xarm7", "talos_reduced", "kinova"])
+def test_mass_agrees_with_pinocchio(name, floating, capfd):
+    pin = pytest.importorskip("pinocchio")
+    folder = Path(pin.__file__).parents[4] / "share" / "example-robot-data" / "robots"
+    path = next(folder.rglob(f"{name}.urdf"), None)
+    if path is None:
+        pytest.skip("example-robot-data is not installed")
+    loaded = load_plant(path, floating=floating)
+    assert capfd.readouterr() == ("", "")
+    floats = bool(loaded.plant.GetFloatingBaseBodies())
+    base = (pin.JointModelFreeFlyer(),) if floats else ()
+    model = pin.buildModelFromUrdf(str(path), *base)
+    added = sum(repair.after[0] - repair.before[0] for repair in loaded.repairs)
+    mass = inertial_parameters(loaded.plant)[:, 0].sum() - added
+    assert mass == pytest.approx(sum(body.mass for body in model.inertias[1:]), rel=1e-6)

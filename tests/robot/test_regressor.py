@@ -135,3 +135,11 @@ def test_the_first_sample_that_is_not_finite_is_named(arm):
     with pytest.raises(ArgumentError, match=r"holds nan at \[5, 1\]") as caught:
         inverse_dynamics_regressor(arm, q, v, vd)
     assert caught.value.evidence["place"][0] == 5
+
+
+def test_gravity_is_read_at_the_call():
+    rng = np.random.default_rng(7)
+    plant = random_plant(rng, ["revolute", "revolute"])
+    assert_equals_drake(plant, rng)
+    plant.mutable_gravity_field().set_gravity_vector([1.0, 2.0, 3.0])
+    assert_equals_drake(plant, rng)

@@ -11,6 +11,7 @@ from pydrake.multibody.tree import (
     SpatialInertia,
     UnitInertia,
 )
+from pydrake.systems.analysis import Simulator
 
 from geodrake.errors import ArgumentError
 from geodrake.inertia import inertial_parameters
@@ -269,3 +270,75 @@ def test_bad_input():
     for nothing in (SideBySide, InSequence):
         with pytest.raises(ArgumentError, match="at least one"):
             nothing(())
+
+
+@pytest.mark.parametrize("name", PARTS)
+def test_joint_motion_is_the_motion_in_time(name):
+    part = PARTS[name]
+    start = random_motion(width=part.num_actuators)
+
+    def at(time):
+        q = start.q + time * start.v + 0.5 * time**2 * start.vd
+        return part.joint_positions(q)
+
+    step, moved = 1e-4, part.joint_motion(start)
+    np.testing.assert_allclose(moved.v, (at(step) - at(-step)) / (2 * step), atol=1e-6)
+    acceleration = (at(step) - 2 * at(0) + at(-step)) / step**2
+    np.testing.assert_allclose(moved.vd, acceleration, atol=1e-5)
+
+
+def test_accelerations_are_those_of_drakes_coupler_constraints():
+    """One step of Drake's discrete solver, whose constraints are only nearly rigid."""
+    step = 1e-5
+    plant = arm(rotors=True, time_step=step)
+    names = ["joint0", "joint1", "spin0", "spin1"]
+    joints = {name: plant.GetJointByName(name) for name in names}
+    for i in range(2):
+        plant.AddCouplerConstraint(joints[f"spin{i}"], joints[f"joint{i}"], RATIO, 0.0)
+        plant.AddJointActuator(f"spin{i}", joints[f"spin{i}"])
+    plant.Finalize()
+    transmission, continuous = spinning(plant), arm(rotors=True)
+    continuous.Finalize()
+    assert joint_names(continuous) == joint_names(plant)
+    q, v = np.array([[0.4, 0.9]]), np.array([[1.0, -0.7]])
+    torque = np.array([0.2, -0.1])  # of the rotors
+    simulator = Simulator(plant)
+    context = simulator.get_mutable_context()
+    plant.SetPositions(context, transmission.joint_positions(q)[0])
+    plant.SetVelocities(context, (transmission.jacobian(q) @ v[:, :, None])[0, :, 0])
+    plant.get_actuation_input_port().FixValue(context, torque)
+    before = plant.GetVelocities(context).copy()
+    simulator.AdvanceTo(step)
+    theirs = (plant.GetVelocities(context) - before) / step
+
+    def efforts(vd):
+        return actuator_efforts(continuous, transmission, Motion(q, v, vd[None]))[0]
+
+    bias = efforts(np.zeros(2))
+    M = np.stack([efforts(unit) - bias for unit in np.eye(2)], -1)
+    vd = np.linalg.solve(M, RATIO * torque - bias)  # a rotor's torque moves q by its ratio
+    np.testing.assert_allclose(theirs, transmission.matrix @ vd, rtol=2e-3)
+
+
+def test_power_through_a_crank_is_the_change_of_energy():
+    plant = arm(rotors=True)
+    plant.Finalize()
+    linkage = FunctionTransmission(
+        (4, 2),
+        lambda q: np.hstack([crank(q), 3 * q[:, :1]]),
+        lambda q: np.concatenate(
+            [crank_jacobian(q), np.broadcast_to([[[3.0, 0.0]]], (len(q), 1, 2))], 1
+        ),
+    )
+    motion, context, step = random_motion(), plant.CreateDefaultContext(), 1e-5
+    efforts = actuator_efforts(plant, linkage, motion)
+
+    def energy(q, v):
+        moved = linkage.joint_motion(Motion(q[None], v[None], v[None]))
+        plant.SetPositions(context, moved.q[0])
+        plant.SetVelocities(context, moved.v[0])
+        return plant.CalcKineticEnergy(context) + plant.CalcPotentialEnergy(context)
+
+    for q, v, vd, effort in zip(motion.q, motion.v, motion.vd, efforts, strict=True):
+        after, before = (energy(q + h * v, v + h * vd) for h in (step, -step))
+        assert effort @ v == pytest.approx((after - before) / (2 * step), rel=1e-6, abs=1e-6)

@@ -1,7 +1,13 @@
 """Xacro files: expanded as the package xacro expands them, unless they ask for more than values."""
 
+import contextlib
 import os
+import random
+import warnings
 from pathlib import Path
+from types import SimpleNamespace
+from xml.etree import ElementTree
+from xml.sax.saxutils import quoteattr
 
 import pytest
 
@@ -277,3 +283,37 @@ def test_a_file_is_expanded_again_only_if_something_in_it_has_changed(tmp_path, 
     part.unlink()
     with pytest.raises(ModelError, match=r"part\.xacro"):
         read_expanded(top, given)
+
+
+LITERALS = ("0", "7", "0.5", "'ab'", "[1, 2]", "(3, 'b')", "dict([(1, 'a')])", "True", "None", "x")
+SHAPES = (
+    *("({} + {})", "({} * {})", "({} - {})", "({} / {})", "({} // {})", "({} % {})"),
+    *("({} < {})", "({} == {} != {})", "({} in {})", "({} is not {})", "({} and {})", "({} or {})"),
+    *("(not {})", "(-{})", "({} if {} else {})", "({} or x)[{} or x]", "({} or x)[{}:]"),
+    *("[{}, *{}]", "len({})", "[i for i in {} if {}]", "[(i, j) for i in {} for j in {}]"),
+    *("str({}).upper()", "({},)", "dict(a={})['a']", "python.sorted({}, reverse={})"),
+    *("list(map(str, {}))", "python.any(i for i in {})", "({} & {})", "({} | {})"),
+    *("max({}, {})", "'%s-%s' % ({}, {})"),
+)
+
+
+def grown(rng: random.Random, depth: int) -> str:
+    if not depth:
+        return rng.choice(LITERALS)
+    shape = rng.choice(SHAPES)
+    count = shape.count("{}")
+    return shape.format(*(grown(rng, rng.randrange(depth)) for _ in range(count)))
+
+
+def test_random_expressions_have_the_values_that_python_gives(tmp_path):
+    rng, values = random.Random(43), {}
+    names = {"x": 2, "python": SimpleNamespace(sorted=sorted, any=any)}
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", SyntaxWarning)  # such as of `7 is not None`
+        while len(values) < 500:
+            text = grown(rng, 4)
+            with contextlib.suppress(Exception):
+                values[text] = str(eval(text, dict(names)))
+        body = "".join(f"<a v={quoteattr(f'${{{text}}}')}/>" for text in values)
+        found = ElementTree.fromstring(read_expanded(written(tmp_path, body), Given())).iter("a")
+    assert {text: each.get("v") for text, each in zip(values, found, strict=True)} == values
