@@ -13,6 +13,7 @@ from pathlib import Path
 
 import fsspec
 import numpy as np
+import psutil
 import pytest
 from processes import limited
 from small_fleet import (
@@ -576,3 +577,26 @@ def test_digests_that_go_while_their_history_is_used_are_said(task, gone):
         (task.folder / DIGESTS / record.digest).unlink()
     with pytest.raises(FleetError, match="of robot carrier changed while"):
         kept.read()
+
+
+@pytest.mark.thorough
+def test_workers_that_are_killed_are_replaced(own, tmp_path):
+    path, killed = own(FEW, range(4)), []
+
+    def kill_one(words, share=None):
+        if words.startswith("Digested") and not killed:
+            children = psutil.Process().children(recursive=True)
+            alive = [p for p in children if p.status() != psutil.STATUS_ZOMBIE]
+            (pid, *_) = [p.pid for p in alive if any("spawn_main" in word for word in p.cmdline())]
+            killed.append(pid)
+            os.kill(pid, signal.SIGKILL)
+
+    lines = []
+    result, seen = run_fleet(
+        read_fleet(path), FleetWork(workers=1), told=kill_one, said=lines.append
+    )
+    assert len(killed) == 1
+    assert seen.made == 8
+    assert "http://127.0.0.1" in lines[0]
+    shutil.rmtree(tmp_path / "results")
+    assert text_of(run_fleet(read_fleet(path), HERE)[0]) == text_of(result)
