@@ -146,7 +146,8 @@ def open_case(
     def prepare(logs: Sequence[JointLog]) -> tuple[tuple[Trajectory, ...], list[str]]:
         uniform = [make_uniform(log) for log in logs]
         hints = [hint for each in uniform for hint in _hints(each.log, model.effort_limits)]
-        known = {model.bandwidths.get(log.fingerprint) for log in logs}
+        seen = ([x for key in known_as(log) if (x := model.bandwidths.get(key))] for log in logs)
+        known = {own[0] if own else None for own in seen}
         with _naming_units(hints):
             if bandwidth is not None:
                 sharp = motion_bandwidth
@@ -160,7 +161,8 @@ def open_case(
 
     (trajectories, hints), matched, left_out = _with_usable(matched, prepare)
     hints += payload_notes(model, matched)
-    fitted = all(log.fingerprint in model.fitted_to for log in matched)
+    trained = [log for log in matched if not set(model.fitted_to).isdisjoint(known_as(log))]
+    fitted = len(trained) == len(matched)
     with _naming_units(hints):
         folds = validation_blocks(trajectories, blocks=blocks)
     effects = effects_of(model)
@@ -181,16 +183,15 @@ def open_case(
         shared=shared,
     )
     hints += [_filtered_note(t, fitted=fitted or candidates) for t in trajectories]
-    trained = (
-        f"the model was fitted to {log.name} before: all errors on it are those of training data, "
-        "and a fit counts it twice"
-        for log in matched
-        if log.fingerprint in model.fitted_to
-    )
     notes = [*left_out, *model.notes, *gain_notes, *filter(None, hints)]
     notes += [f"{t.name}: {note}" for t in trajectories for note in t.notes]
-    notes += [*_still_notes(dataset), f"validated on {len(folds)} held-out folds", *trained]
-    fingerprints, said = tuple(log.fingerprint for log in matched), tuple(dict.fromkeys(notes))
+    notes += [*_still_notes(dataset), f"validated on {len(folds)} held-out folds"]
+    notes += [
+        f"the model was fitted to {log.name} before: all errors on it are those of training data, "
+        "and a fit counts it twice"
+        for log in trained
+    ]
+    fingerprints, said = tuple(measured[log.name] for log in matched), tuple(dict.fromkeys(notes))
     opened = Asked(tuple(matched), tuple(extra), bandwidth, blocks)
     return Case(model, trajectories, folds, dataset, fingerprints, said, opened, shared=shared)
 
