@@ -218,6 +218,19 @@ def test_cells_without_a_name_are_said(tmp_path, write, old, new, row):
         read_log(path)
 
 
+@pytest.mark.parametrize("without", [{"elbow"}, {*JOINTS}])
+def test_a_joint_without_time_is_said(tmp_path, without):
+    """Without a warning of NumPy's, which tests take for an error."""
+    rows = [
+        ["" if joint in without else TIME[k], joint, POSITION[k, j], EFFORT[k, j]]
+        for j, joint in enumerate(JOINTS)
+        for k in range(ROWS)
+    ]
+    path = _write(tmp_path / "long.csv", ["time", "joint", "position", "effort"], rows)
+    with pytest.raises(LogError, match="has no number in its column of time"):
+        read_log(path)
+
+
 @pytest.mark.parametrize("kind", ["json", "parquet"])
 def test_lists_that_are_missing_in_some_rows(tmp_path, kind):
     content = {"time": TIME.tolist(), "q": POSITION.tolist(), "tau": EFFORT.tolist()}

@@ -53,7 +53,8 @@ def joined_tables(log: Path, tables: Sequence[LogTable], reading: Reading) -> Lo
             advice="Give time in each part, or in one if all have the same rows.",
         )
     known = [time for time in times if time is not None]
-    periods = [float(np.nanmedian(np.diff(time))) if len(time) > 1 else np.nan for time in known]
+    steps = [np.diff(time[np.isfinite(time)]) for time in known]
+    periods = [float(np.median(step)) if len(step) else np.nan for step in steps]
     slowest = _ALIKE * np.nanmax(periods)
     base = next(k for k, period in enumerate(periods) if period >= slowest)
     if max(periods) > _MIXED * min(periods):
@@ -106,6 +107,12 @@ def _one_clock(
     """Return time stamps of each table, s, since when they are if known, and notes of units."""
     stamps = [_time(table, reading) for table in tables]
     times = [time for time, _ in stamps]
+    for table, time in zip(tables, times, strict=True):
+        if time is not None and not np.isfinite(time).any():
+            raise LogError(
+                f"A part of log {str(log)!r}, {table.path}, has no number in its column of time.",
+                advice="Give each row its time.",
+            )
     notes = tuple(dict.fromkeys(note for _, note in stamps if note))
     zeros = [next((o for c, o in t.origins.items() if is_time(c)), None) for t in tables]
     known = [zero for zero in zeros if zero is not None]
@@ -295,8 +302,10 @@ def _check_at_once(table: LogTable, naming: str, words: Texts) -> None:
     time = next((values for name, values in table.columns.items() if is_time(name)), None)
     if time is None or changes > _MOST_CHANGES * len(words):
         return
-    own = [time[words == joint] for joint in dict.fromkeys(words.tolist())]
-    first, last = ([float(end(each)) for each in own] for end in (np.nanmin, np.nanmax))
+    own = [time[(words == joint) & np.isfinite(time)] for joint in dict.fromkeys(words.tolist())]
+    if not all(map(len, own)):
+        return
+    first, last = ([float(end(each)) for each in own] for end in (np.min, np.max))
     longest = max(np.subtract(last, first))
     counts = [len(each) for each in own]
     if min(last) - max(first) < _TOGETHER * longest or min(counts) < _TOGETHER * max(counts):
