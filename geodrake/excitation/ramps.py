@@ -55,6 +55,8 @@ class RampPlanner:
         return RampedTrajectory(tuple(parts))
 
     def _ramp(self, begin: Array, end: Array, like: ExcitationTrajectory) -> Ramp:
+        if np.array_equal(begin, end):
+            return Ramp(np.array([begin, end]), np.zeros(1), like.joints, like.order)
         for postures in self._ways(begin, end):
             way = Ramp(postures, self._durations(postures), like.joints, like.order)
             if self.collisions is not None and not _is_clear(way, self.collisions):
@@ -77,7 +79,8 @@ class RampPlanner:
         via = possible_postures(self.model, self.limits, self.collisions, most=_VIA)
         sizes = [np.abs((via - p) / self.limits.reach).max(axis=1) for p in (begin, end)]
         for k in np.argsort(sizes[0] + sizes[1]):
-            yield np.array([begin, via[k], end])
+            if sizes[0][k] > 0 and sizes[1][k] > 0:
+                yield np.array([begin, via[k], end])
 
     def _durations(self, postures: Array) -> Array:
         """Return the durations (k,) of ways between postures at half of the limits, s."""
@@ -87,7 +90,7 @@ class RampPlanner:
             (peak * ways / (_SHARE * bound)) ** (1.0 / order)
             for order, (peak, bound) in enumerate(zip(_PEAKS, bounds, strict=True), 1)
         ]
-        return np.maximum(np.max(needed, axis=(0, 2)), _LEAST * (ways.max(axis=1) > 0))
+        return np.maximum(np.max(needed, axis=(0, 2)), _LEAST)
 
 
 def _is_clear(way: Ramp, collisions: CollisionWorld) -> bool:

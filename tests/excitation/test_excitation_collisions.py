@@ -295,6 +295,8 @@ def test_ramps_lead_around_what_is_in_the_way(tmp_path):
         assert 0.4 * most < np.abs(values).max() <= 0.5 * most + 1e-9 or np.abs(values).max() < most
         np.testing.assert_allclose(values[[0, -1]], 0.0, atol=1e-9)
     np.testing.assert_allclose(np.gradient(q[:, 0], times), v[:, 0], atol=2e-2)
+    there = RampPlanner(model, limits, CollisionWorld(model)).ramped(motion, np.array([0.6]))
+    assert there.parts == (motion,) and there.length == motion.length
     with pytest.raises(ArgumentError, match=r"No ramp leads .* --start"):
         world = CollisionWorld(model, obstacles=[post])
         RampPlanner(model, limits, world).ramped(motion, np.array([-0.6]))
