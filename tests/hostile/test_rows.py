@@ -11,7 +11,7 @@ from makers import BODY, HEAD, damage, effect, log, npz, read_rows
 from geodrake.control.rollout import simulation
 from geodrake.effects import load_effect_file
 from geodrake.errors import GeodrakeError, LogError
-from geodrake.logs.files import read_log, room
+from geodrake.logs.files import read_log, table
 
 MISSED = {
     "x.csv: a joint that stands": "the bandwidth that is chosen leaves no samples of so short a log"
@@ -56,7 +56,7 @@ def test_what_must_not_be_read(tmp_path):
 
 @pytest.mark.parametrize(("name", "content"), [("x.npz", npz()), ("x.csv", BODY)])
 def test_more_than_memory_is_refused_before_it_is_read(tmp_path, monkeypatch, name, content):
-    monkeypatch.setattr(room, "machine_memory", lambda: 100_000)
+    monkeypatch.setattr(table, "machine_memory", lambda: 100_000)
     put(tmp_path, {name: content})
     with pytest.raises(LogError, match=r"of 5 numbers, 9\.6.*; this machine has 0\.0001 GB"):
         read_log(tmp_path / name)
