@@ -96,7 +96,7 @@ def identify(  # noqa: PLR0913 - the stable interface
             too instead.
         solver: By default a closed form or Newton's method, and Clarabel where that gives up
             (`note` of the result) and for point masses. Or one alone: "newton", but for point
-            masses, or a name of `SOLVERS`; SCS and CSDP are there to cross-check Clarabel.
+            masses, or a name of `SOLVERS`; SCS is there to cross-check Clarabel.
         certify: Whether, without a `solver`, the MathematicalProgram of the fit is solved too, and
             its better solution taken if there is one (`certificate` of the result); some 0.1 s,
             which series of fits can save.

@@ -312,7 +312,7 @@ def design_filter(period: float, bandwidth: float) -> ZeroPhaseFilter:
 
 
 def differentiate(signal: ArrayLike, period: float) -> Array:
-    """Return time derivative of a smooth uniformly sampled signal, by its quintic spline.
+    """Return the time derivative of a smooth uniformly sampled signal, by its quintic spline.
 
     Args:
         signal: (N, ...) samples, at least 6.

@@ -94,10 +94,8 @@ def _is_coarse(effort: Array) -> bool:
     return bool(np.abs(levels).max() < _STEPS * np.diff(levels).min())
 
 
-_PROBES, _PROBE_ROWS = (
-    32,
-    8,
-)  # places of a log that are looked for in another, and rows at each of them
+_PROBES = 32  # places of a log that are looked for in another
+_PROBE_ROWS = 8  # at each of them
 _FIRST_PROBES = 4  # of them, one of which must be there for the others to be looked for
 _MOST_PROBES = 0.5  # of the probes that another log may have
 

@@ -147,7 +147,7 @@ def joint_motions(joint: Joint, sign: float) -> list[FrameMotion]:
 def axis_motion(
     axis: Array, *, translation: Array | None = None, angular: Array | None = None
 ) -> FrameMotion:
-    """Return rotation about an axis (3,) by the last position, with a translation T q at T v.
+    """Return the rotation about an axis (3,) by the last position, with a translation T q at T v.
 
     Args:
         translation: (3, nq) T; zero if None.
@@ -162,7 +162,7 @@ def axis_motion(
 
 
 def slide_motion(axis: Array) -> FrameMotion:
-    """Return translation along an axis (3,)."""
+    """Return the translation along an axis (3,)."""
     along = axis[:, None]
     return FrameMotion(Features.CONSTANT, _IDENTITY.reshape(9, 1), along, 0.0 * along, along)
 

@@ -214,7 +214,7 @@ def _is_own(meaning: Meaning) -> bool:
 
 
 def _preference(meaning: Meaning, said: str | None) -> tuple[bool, bool, bool, int, int]:
-    """Return the least is taken, of several columns of one quantity of one joint."""
+    """Return what orders several columns of one quantity of one joint: the least is taken."""
     if meaning.log_quantity != "effort":
         return False, not _is_own(meaning), False, 0, meaning.role
     kind = EFFORT_KINDS.index(meaning.quantity)
@@ -480,7 +480,7 @@ class _Understood:
         return cls(path, names, reading, places, (), rate, frozenset(mapping.joints))
 
     def dated(self, origins: Mapping[str, int]) -> _Understood:
-        """With the time in seconds, whatever its name says, where it is since a known instant."""
+        """Return it with time in seconds, whatever its name says, where it is since a known instant."""
         for (joint, quantity), source in self.places.items():
             if quantity != "time" and source.column in origins:
                 raise LogError(

@@ -196,7 +196,7 @@ def _own(name: str) -> Meaning | None:
 
 
 def _time(name: str) -> Meaning | None:
-    """Return names of time stamps, such as `Time (ms)`, `header.stamp.secs` and `%time`."""
+    """Read a name of time stamps, such as `Time (ms)`, `header.stamp.secs` or `%time`."""
     plain, unit = _without_brackets(name, "time")
     parts = [part for part in re.split(r"[_\s./]+", plain) if part]
     if unit is None and len(parts) > 1 and parts[-1].lower() not in _TIMES | _NANOSECONDS:
@@ -219,7 +219,7 @@ def _time(name: str) -> Meaning | None:
 
 
 def _joint(column: str) -> Meaning | None:
-    """Return names of a quantity of a joint, in whatever order."""
+    """Read a name of a quantity of a joint, its words in whatever order."""
     name = _INDEX.sub(r"_\1", _SECOND.sub("qdd", column))
     brackets = _BRACKETS.search(name)
     cut = brackets.start() if brackets else len(name)
