@@ -54,11 +54,14 @@ def test_what_must_not_be_read(tmp_path):
     Row("file", "compare robot.urdf x.csv", ("Permission denied",), make).check(tmp_path)
 
 
-@pytest.mark.parametrize(("name", "content"), [("x.npz", npz()), ("x.csv", BODY)])
-def test_more_than_memory_is_refused_before_it_is_read(tmp_path, monkeypatch, name, content):
+@pytest.mark.parametrize(
+    ("name", "content", "much"),
+    [("x.npz", npz(), "12000 numbers"), ("x.csv", BODY, "of 5 numbers")],
+)
+def test_more_than_memory_is_refused_before_it_is_read(tmp_path, monkeypatch, name, content, much):
     monkeypatch.setattr(table, "machine_memory", lambda: 100_000)
     put(tmp_path, {name: content})
-    with pytest.raises(LogError, match=r"of 5 numbers, 9\.6.*; this machine has 0\.0001 GB"):
+    with pytest.raises(LogError, match=rf"{much}, 9\.6.*; this machine has 0\.0001 GB"):
         read_log(tmp_path / name)
 
 

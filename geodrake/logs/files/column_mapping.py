@@ -480,7 +480,7 @@ class _Understood:
         return cls(path, names, reading, places, (), rate, frozenset(mapping.joints))
 
     def dated(self, origins: Mapping[str, int]) -> _Understood:
-        """Return it with time in seconds, whatever its name says, where it is since a known instant."""
+        """Return it with time in seconds, whatever its name says, if since a known instant."""
         for (joint, quantity), source in self.places.items():
             if quantity != "time" and source.column in origins:
                 raise LogError(
