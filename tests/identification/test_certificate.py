@@ -127,3 +127,16 @@ def test_a_prior_that_fits_already_is_certified(regularizer):
     found = identify(A, A @ PRIOR.ravel(), PRIOR, regularizer=regularizer, gamma=1.0)
     np.testing.assert_allclose(found.phi, PRIOR, atol=1e-9)
     assert found.certificate.holds
+
+
+def test_costs_that_drake_evaluates_are_those_of_the_source():
+    problem = constrained(example(1, gamma=0.3, rows=40))
+    program = build_fit(problem)
+    points = [solve_newton(problem).x, problem.prior_mean]
+    values = [program.point(x) for x in points]
+    drakes = [
+        sum(program.program.EvalBinding(c, v)[0] for c in program.program.GetAllCosts())
+        for v in values
+    ]
+    own = cost(problem, points[0]) - cost(problem, points[1])
+    assert program.cost_scale * (drakes[0] - drakes[1]) == pytest.approx(own, rel=1e-10)

@@ -9,6 +9,7 @@ from hypothesis import strategies as st
 from identified_bodies import TWO as PRIOR
 from identified_bodies import random_data, restated
 from scipy.linalg import expm
+from scipy.optimize import NonlinearConstraint, minimize
 
 from geodrake.errors import ArgumentError, ConvergenceError
 from geodrake.identification import geodesic_least_squares
@@ -226,3 +227,21 @@ def test_bad_arguments_are_refused():
         geodesic_least_squares(np.eye(20)[:1], [-1.0], PRIOR, gamma=1.0)
     with pytest.raises(ConvergenceError, match="from its minimum after 2 iterations"):
         geodesic_least_squares(A, b, PRIOR, gamma=1e-3, method="cyclic", max_iterations=2)
+
+
+def test_a_projection_is_the_nearest_point_by_slsqp():
+    A, b = data(1)
+    X = covectors(A)
+    found = project(ROOTS, X, b)
+    for i in range(4):
+
+        def velocity(y):
+            return np.einsum("bk,kij->bij", y.reshape(2, 10), SYMMETRIC_BASIS)
+
+        plane = NonlinearConstraint(
+            lambda y, i=i: np.einsum("bij,bji->", bodies(velocity(y)), X[i]), b[i], b[i]
+        )
+        other = minimize(
+            lambda y: 0.5 * y @ y, np.zeros(20), jac=lambda y: y, method="SLSQP", constraints=plane
+        )
+        assert found.half_squared_distances[i] == pytest.approx(other.fun, rel=1e-5)

@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 from identified_bodies import TWO as PRIOR
 from identified_bodies import random_data, restated
 from scipy.linalg import block_diag, expm
-from scipy.optimize import minimize
+from scipy.optimize import NonlinearConstraint, minimize
 
 from geodrake.errors import ArgumentError
 from geodrake.identification import BodyConstraints, Riemannian, identify
@@ -161,3 +161,23 @@ def test_several_minima_are_found_and_reported():
 def test_bad_settings_are_refused():
     with pytest.raises(ArgumentError, match="must begin with 'entropic'"):
         Riemannian(starts=("prior",))
+
+
+def test_the_point_to_set_form_against_slsqp():
+    A, b = data(4)
+    first = identify(A, b, PRIOR, regularizer="riemannian", gamma=2.0)
+    bound = identify(A, b, PRIOR, regularizer="riemannian", residual_bound=first.residual)
+    assert bound.gamma == pytest.approx(2.0, rel=1e-6)
+    np.testing.assert_allclose(bound.phi, first.phi, rtol=1e-6, atol=1e-8)
+    root = block_diag(*np.linalg.inv(np.linalg.cholesky(pullback_metric(PRIOR)))).T
+    other = minimize(
+        lambda y: squared_distance((PRIOR.ravel() + root @ y).reshape(2, 10)),
+        np.zeros(20),
+        method="SLSQP",
+        constraints=NonlinearConstraint(
+            lambda y: np.sum((A @ (PRIOR.ravel() + root @ y) - b) ** 2), -np.inf, first.residual
+        ),
+        options={"ftol": 1e-12, "maxiter": 500},
+    )
+    assert bound.divergence <= other.fun * (1 + 1e-6)
+    assert bound.divergence == pytest.approx(other.fun, rel=1e-5)
