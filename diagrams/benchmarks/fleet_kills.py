@@ -114,13 +114,18 @@ def killed_run(path: Path, expected: bytes, what: str, after: int) -> KilledRun:
     run = begin(path)
 
     def kill(there: int) -> bool:
-        processes = [psutil.Process(run.pid)]
-        if what == WORKER:
-            children = processes[0].children(recursive=True)
-            processes = [p for p in children if any("spawn_main" in word for word in p.cmdline())]
-        if there < after or not processes:
+        if there < after:
             return False
-        processes[-1].kill()
+        try:
+            processes = [psutil.Process(run.pid)]
+            if what == WORKER:
+                children = processes[0].children(recursive=True)
+                processes = [p for p in children if any("spawn_main" in w for w in p.cmdline())]
+            if not processes:
+                return False
+            processes[-1].kill()
+        except psutil.NoSuchProcess:  # it ended meanwhile
+            return False
         at.append(there)
         return True
 
@@ -164,9 +169,13 @@ def main() -> None:
         follow(begin(path), Digests(Path(folder) / "results"))
         expected = (Path(folder) / "fleet.json").read_bytes()
         for k in range(runs):
-            after = int(rng.integers(robots * days))
+            after = int(rng.integers(1, robots * days))
             what = (WORKER, RUN)[k % 2]
-            rows.append(killed_run(path, expected, what, after))
+            row = killed_run(path, expected, what, after)
+            while row.there < 0 and after > 1:  # it was over before: once more, and sooner
+                after //= 2
+                row = killed_run(path, expected, what, after)
+            rows.append(row)
     table = {
         "logs": robots * days,
         "runs": runs,
