@@ -126,7 +126,11 @@ def _numbers(text: str, whole: str) -> list[float]:
 def _pose(text: str, whole: str) -> RigidTransform:
     values = _numbers(text, whole)
     if len(values) not in (3, 6):
-        raise ArgumentError(f"The obstacle {whole!r} is at {len(values)} numbers.", advice=_FORMS)
+        raise ArgumentError(
+            f"The place of the obstacle {whole!r} has 3 numbers, or 6 if it is turned; got "
+            f"{len(values)}.",
+            advice=_FORMS,
+        )
     return RigidTransform(RollPitchYaw(*(*values[3:], 0.0, 0.0, 0.0)[:3]), values[:3])
 
 

@@ -315,7 +315,7 @@ def test_effects_of_unknown_size_are_felt():
         (("--obstacle", "wall"), "'wall' is no obstacle. Write box:"),
         (("--obstacle", "box:1,1@0,0,0"), "A box has 3 sizes"),
         (("--obstacle", "none.obj"), "does not exist"),
-        (("--obstacle", "box:1,1,1@0,0"), "is at 2 numbers"),
+        (("--obstacle", "box:1,1,1@0,0"), "3 numbers, or 6 if it is turned; got 2"),
         (("--stand", "99"), "robot's stand is outside the limits: joint 'shoulder'"),
         (("--duration", "-1"), "needs a positive duration"),
         (("--harmonics", "0"), "at least one mode"),

@@ -266,7 +266,7 @@ def test_obstacles_as_people_write_them(tmp_path):
         ("wall", "'wall' is no obstacle"),
         ("box:1,1@0,0,0", "A box has 3 sizes"),
         ("sphere:-1@0,0,0", "positive"),
-        ("box:1,1,1@0,0", "is at 2 numbers"),
+        ("box:1,1,1@0,0", "3 numbers, or 6 if it is turned; got 2"),
         ("box:1,1,x@0,0,0", "is not numbers"),
         ("none.stl", "does not exist"),
         ("none.obj", "does not exist"),
