@@ -60,7 +60,8 @@ def fleet_page(found: WatchedFleet | FleetResult, about: About) -> Page:
     steady = [robot for robot in result.robots if not robot.findings]
     shown = (changed or [robot for robot in steady if robot.logs][:1])[:_MOST_PAGES]
     place = f" All of it is in {folder}." if folder else ""
-    count = f"{len(result.robots)} robots, {sum(robot.logs for robot in result.robots)} logs"
+    logs = sum(robot.logs for robot in result.robots)
+    count = f"{_counted(len(result.robots), 'robot')}, {_counted(logs, 'log')}"
     unused = [f"{each.robot}: {each.log}: {each.reason}" for each in result.unused]
     more = [f"and {len(unused) - _MOST_UNUSED} more, in {folder}"]
     return Page(

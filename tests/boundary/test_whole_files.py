@@ -153,3 +153,18 @@ def test_content_that_cannot_be_made_leaves_what_was_there(tmp_path):
         write_together({tmp_path / "new": "all", tmp_path / "kept": broken})
     assert files_in(tmp_path) == ["kept"]
     assert (tmp_path / "kept").read_text(encoding="utf-8") == "before"
+
+
+def test_folders_with_something_in_them_stay(tmp_path):
+    with pytest.raises(OutputError, match="No space"), made_folder(tmp_path / "x" / "y"):
+        write_together({tmp_path / "x" / "a": "whole"})
+        write_together({tmp_path / "x" / "y" / "z": full})
+    assert files_in(tmp_path) == ["x", "x/a"]
+
+
+@pytest.mark.skipif(os.geteuid() != 0, reason="only root may give files away")
+def test_the_owner_stays(tmp_path):
+    (kept := tmp_path / "kept").touch()
+    os.chown(kept, 12345, 23456)
+    write_whole(kept, "{}")
+    assert (kept.stat().st_uid, kept.stat().st_gid) == (12345, 23456)
