@@ -6,6 +6,7 @@ import json
 import numpy as np
 import pytest
 from flexible_arm import arm_log, soft_arm
+from scipy.integrate import solve_ivp
 from two_masses import FRICTION, GAP, ROTOR, STIFFNESS, URDF, having, loose, springy, swung
 from typer.testing import CliRunner
 
@@ -196,3 +197,37 @@ def test_what_is_known_of_other_parameters_stays(pendulum):
     assert better.information[12, 12] == pytest.approx(1e8)
     assert np.linalg.eigvalsh(better.information).min() > 0.0
     assert better.effects[-1].effect.damping == 0.1
+
+
+def test_slopes_with_the_start_are_those_of_its_equations(pendulum):
+    """For a pendulum s is 2: link and motor."""
+    model = springy(pendulum, 0.8)
+    *_, (_, _, near, couplings) = near_motion(model, swung(0))
+    plain, none = near.departure(model.effects, couplings)
+    found, slopes = near.departure(model.effects, couplings, slopes=True)
+    assert none.shape[2] == 0
+    np.testing.assert_allclose(found, plain, atol=1e-12)
+    still = dataclasses.replace(near, rest=np.zeros_like(near.rest))
+    for k, start in enumerate(np.eye(4).reshape(4, 2, 2)):
+        np.testing.assert_allclose(slopes[:, 0, k], moved(still, couplings, start), atol=2e-3)
+
+
+def moved(near, couplings, start):
+    """(N,) departure of the motor from a start of link and motor, by scipy's integrator."""
+    (coupling,) = couplings
+    t = near.period * np.arange(len(near.rest))
+
+    def at(values, instant):
+        k = min(int(instant / near.period), len(t) - 2)
+        f = instant / near.period - k
+        return (1.0 - f) * values[k] + f * values[k + 1]
+
+    def slope(instant, x):
+        y, v = x[:2], x[2:]
+        torque = coupling.stiffness * (y[1] - y[0]) + coupling.damping * (v[1] - v[0])
+        b = np.array([torque, -torque]) - at(near.rest, instant)
+        b -= at(near.damping, instant) @ v + at(near.stiffness, instant) @ y
+        return np.concatenate([v, np.linalg.solve(at(near.inertia, instant), b)])
+
+    span = (0.0, t[-1])
+    return solve_ivp(slope, span, start.ravel(), "DOP853", t, rtol=1e-10, atol=1e-13).y[1]

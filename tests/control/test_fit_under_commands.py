@@ -24,6 +24,7 @@ from geodrake.control.rollout import (
     RolloutFit,
     command_rollout,
     fit_rollouts,
+    simulation,
 )
 from geodrake.control.rollout.fit_rollouts import better_model
 from geodrake.control.rollout.near_motion import NearMotion
@@ -298,3 +299,40 @@ def test_results_say_what_they_are_under(pendulum):
     told = rollout_fit_dict(found)
     for part in ("fitted", "held_out"):
         assert {stage["under"] for stage in told[part].values()} == {"commands"}
+
+
+@pytest.mark.thorough
+@pytest.mark.parametrize("name", SERVOS)
+def test_all_servos_are_as_in_the_diagram(pendulum, name, monkeypatch):
+    """An integral that is held or not takes the diagram small steps."""
+    monkeypatch.setattr(simulation, "_ACCURACY", 1e-6)
+    monkeypatch.setattr(simulation, "LARGEST_STEP", 5e-4)
+    log = followed(1, SERVOS[name])
+    case = open_case(servoed(pendulum, 2.0, SERVOS[name]), [log], candidates=False)
+    check_changes(case, 2.0 / STIFFNESS, horizon=0.5, most=6, share=0.05)
+
+
+def test_slopes_with_integrals_are_differences(pendulum):
+    """They are one more of what a window begins with, and have no velocities."""
+    servo = SERVOS["pid"]
+    log = followed(0, servo, seconds=1.5)
+    case = open_case(servoed(pendulum, 2.0, servo), [log], candidates=False, bandwidth=12.0)
+    (passage,) = chosen_passages(case, 0.2, 1)
+    made = simulations(case, [passage], commands=True)("followed0")
+    near, law = NearMotion.of(made, passage), made.law
+    couplings = law.soft.couplings(law.mu)
+    plain, slopes = near.departure(case.model.effects, couplings, slopes=True)
+    assert slopes.shape[2] == 2 * 2 + 1
+    more = near.servos.effort + servo.integral  # what an integral that is larger by 1 gives
+    pushed = dataclasses.replace(near, servos=dataclasses.replace(near.servos, effort=more))
+    found, _ = pushed.departure(case.model.effects, couplings)
+    np.testing.assert_allclose(found - plain, slopes[..., -1], atol=1e-9)
+
+
+@pytest.mark.thorough
+@pytest.mark.parametrize("servos", [(3,), (0, 1, 2), (2, 3, 4)])
+def test_joints_without_servos_get_their_efforts(servos):
+    """Soft or not: what is measured is where motors are."""
+    log = arm_log(2000.0, weight=0.0)
+    case = open_case(servoed_arm(0.8, servos), [log], candidates=False)
+    check_changes(case, 0.8 / 2000.0, horizon=0.4, share=0.1)

@@ -16,8 +16,10 @@ from geodrake.manifolds import (
     Free,
     Interval,
     PhysicalInertia,
+    Polyhedron,
     Positive,
     Product,
+    bregman_projection,
 )
 
 STEP = 1e-3
@@ -273,3 +275,31 @@ def test_updates_that_make_no_sense_are_refused(options, message):
         update(**options)
     with pytest.raises(ArgumentError, match="tolerance must be"):
         SampleUpdate(MANIFOLD, np.array([0.0, 1.0]))
+
+
+def test_rows_of_held_efforts_are_exact_to_second_order():
+    fine, errors = samples(1201), []
+    for every in (4, 2):
+        filtered = FilteredRegressor(CONTROL, every * STEP, 15.0, held_effort=True)
+        memory, mean = filtered.start(), np.zeros(2)
+        for i in range(0, len(fine[0]), every):
+            if i:
+                held = fine[2][i - every : i + 1]
+                mean = (0.5 * (held[1:] + held[:-1])).mean(0)
+            memory = filtered.advanced(memory, fine[0][i], fine[1][i], mean)
+        Y, u = filtered.rows(memory)
+        errors.append(np.abs(Y @ TRUTH - u).max())
+    assert errors[1] < 0.3 * errors[0] < 1e-3
+
+
+def test_small_steps_are_toward_the_projection():
+    """Newton's first step is the projection itself, to second order of a small error."""
+    rng = np.random.default_rng(1)
+    x, row = inside(rng), rng.normal(size=(1, MIXED.dimension))
+    for size in (1e-3, 1e-4):
+        effort, tolerance = row @ x - size, np.array([0.1 * size])
+        y = slab_step(MIXED, x, row, effort, tolerance)
+        nearest = bregman_projection(
+            MIXED, x, Polyhedron(row, effort - tolerance, effort + tolerance)
+        )
+        assert np.abs(y - nearest).max() < 0.02 * np.abs(nearest - x).max()

@@ -237,3 +237,38 @@ def test_an_effect_that_does_not_say_how_is_refused(pendulum):
 
     with pytest.raises(ArgumentError, match="sagging does not say how motor and link"):
         EffectForce(pendulum.plant, [(Sagging("hinge"), [1e-3])])
+
+
+@pytest.mark.thorough
+def test_a_link_is_thrown_from_side_to_side(pendulum):
+    """The same sides and motors, written out for scipy."""
+    gap, size, rate = 0.02, 3.0, 14.0
+    terms = [*MOTORS, (effects.Backlash("hinge", gap), [1.0])]
+    builder = DiagramBuilder()
+    plant = builder.AddSystem(load_model(pendulum.path).plant)
+    force = EffectForce.AddToBuilder(builder, plant, terms)
+    effort = builder.AddSystem(Sine([size], [rate], [0.0])).get_output_port(0)
+    builder.Connect(effort, force.GetInputPort("applied_effort"))
+    add_generalized_force(builder, plant, effort)
+    log = LogVectorOutput(force.GetOutputPort("motor_state"), builder, 0.02)
+    simulator = Simulator(builder.Build())
+    ResetIntegratorFromFlags(simulator, "runge_kutta5", 1e-2)
+    simulator.get_mutable_integrator().set_target_accuracy(1e-6)
+    simulator.AdvanceTo(0.8)
+    found = log.FindLog(simulator.get_context())
+    (side,) = force.law.soft.couplings(force.law.mu)
+
+    def rates(t, x):
+        motor, speed, link, v = x
+        over, away = abs(motor - link) - gap, np.sign(motor - link)
+        push = side.stiffness * over + side.damping * away * (speed - v) * min(over / side.ramp, 1)
+        torque = away * max(push, 0.0) if over > 0 else 0.0
+        accelerated = (size * np.sin(rate * t) - FRICTION * speed - torque) / MOTOR
+        return [speed, accelerated, v, (torque - WEIGHT * np.sin(link)) / INERTIA]
+
+    time = found.sample_times()
+    x = solve_ivp(rates, time[[0, -1]], np.zeros(4), "LSODA", time, rtol=1e-8, atol=1e-10).y
+    np.testing.assert_allclose(found.data()[0], x[0], atol=1e-4)
+    lag = x[0] - x[2]
+    assert lag.max() > gap
+    assert lag.min() < -gap
