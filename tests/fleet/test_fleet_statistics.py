@@ -271,3 +271,12 @@ def test_looking_every_night_is_as_safe_as_looking_once():
         largest.append(passed)
     for bound in (2 * nights, 5 * nights, 10 * nights):
         assert np.mean(np.array(largest) >= bound) <= nights / bound
+
+
+@pytest.mark.thorough
+def test_scatter_is_neither_too_small_nor_too_large():
+    for logs, tolerance in ((3, 0.2), (20, 0.08)):
+        rng = np.random.default_rng(6)
+        histories = [robot(rng, logs=logs, rows=60).history() for _ in range(150)]
+        found = learn_type([each.equations() for each in histories], columns(), rounds=20)
+        np.testing.assert_allclose(found.scatter, 0.03, rtol=tolerance)
