@@ -175,6 +175,8 @@ class Scenario:
 
 def load_scenario(path: Path, name: str | None) -> Scenario:
     """Read a scenario of a YAML file, by its name if there are several."""
+    if not path.is_file():
+        raise ArgumentError(f"{path} does not exist, or is no file.", advice="Check the path.")
     with drake_errors(path, advice=ADVICE):
         text = path.read_text(encoding="utf-8")
         names = [key.value for key, _ in yaml.compose(text, yaml.SafeLoader).value]

@@ -25,6 +25,7 @@ Array = NDArray[np.float64]
 _DURATIONS, _PERIODS = (1e-2, 1e5), (1e-4, 1e6)  # s; of the fastest and slowest part of a motion
 _MOST_COEFFICIENTS = 1000  # of a joint
 _LARGEST_BASIS = 30_000_000  # numbers: instants at which limits hold, times coefficients
+_MOST_ORDERS = 8  # derivatives
 _INDEPENDENT = 1e-9  # relative size of a condition that the others do not imply
 
 
@@ -163,6 +164,7 @@ class FourierMotion(MotionFamily):
 
     def basis(self, times: ArrayLike, *, orders: int = 3) -> Array:
         """(orders, N, count): 1, cos jωt, sin jωt and their derivatives."""
+        orders = integer(orders, "orders", lower=1, upper=_MOST_ORDERS)
         t = real_array(np.atleast_1d(real_array(times, "times")), "times", ("N",))
         rates = self.omega * np.arange(1, self.modes + 1)
         cosine, sine = np.cos(np.outer(t, rates)), np.sin(np.outer(t, rates))
@@ -229,6 +231,7 @@ class SplineMotion(MotionFamily):
 
     def basis(self, times: ArrayLike, *, orders: int = 3) -> Array:
         """(orders, N, count): basis functions and their derivatives."""
+        orders = integer(orders, "orders", lower=1, upper=_MOST_ORDERS)
         t = real_array(np.atleast_1d(real_array(times, "times")), "times", ("N",))
         spline = BSpline(self.knots, np.eye(self.points), self.degree)
         return np.stack([spline(t, nu=order) for order in range(orders)])

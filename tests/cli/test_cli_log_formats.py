@@ -160,9 +160,9 @@ def test_one_line_and_no_file(tmp_path, make, part):
 @pytest.mark.parametrize(
     ("module", "extra", "name"),
     [
-        ("rosbags", "ros", "x.mcap"),
-        ("pyarrow", "parquet", "x.parquet"),
-        ("lcm", "lcm", "x.lcm"),
+        ("rosbags", "logs", "x.mcap"),
+        ("pyarrow", "logs", "x.parquet"),
+        ("lcm", "logs", "x.lcm"),
     ],
 )
 def test_packages_that_are_not_installed(tmp_path, monkeypatch, module, extra, name):

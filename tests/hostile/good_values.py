@@ -232,6 +232,7 @@ BY_TYPE = {
     "MotionFamily": lambda: FourierMotion(5.0, 2),
     "Target": target,
     "ExcitationTrajectory": trajectory,
+    "ExecutableMotion": trajectory,
     "LogFacts": facts,
     "FleetWork": lambda: fleet.FleetWork(workers=0),
     "Progress": lambda: lambda *_: None,
