@@ -81,7 +81,7 @@ class Command(Generic[R]):
         name: What the command is called.
         working: What it does, for the progress bar.
         numbers: The result as a dictionary.
-        page: What there is to say of the result.
+        page: The content of the result.
         inputs: Files that are read beside those of the options.
         reads_logs: Whether the logs are read before the work; else the command does so itself.
         takes_bad_logs: Whether it says itself what is wrong with logs that are not there.

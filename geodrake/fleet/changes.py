@@ -237,7 +237,7 @@ class RobotSearch(Short):
         return float(min(max(evidence.total, evidence.joint(places[at]) + lost), most))
 
     def told(self, places: Sequence[ChangePlace]) -> tuple[RobotChange, ...]:
-        """Return what there is to say of some changes."""
+        """Return the changes at some places, each with its size, date and evidence."""
         state = self.state(places)
         end, found = state.fit.size, []
         for at in range(len(places) - 1, -1, -1):

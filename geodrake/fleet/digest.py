@@ -430,7 +430,7 @@ def _joint(
     if p and not (np.diff(columns) > 0).all():
         raise ValueError(f"columns of {name} are not in order")
     if p and not 0 <= columns[0] <= columns[-1] < len(settings.columns):
-        raise ValueError(f"columns of {name} are none of the settings'")
+        raise ValueError(f"columns of {name} are not among those of the settings")
     shapes = {
         "columns": (p,),
         "factors": (blocks, size * (size + 1) // 2),

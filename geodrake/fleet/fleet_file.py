@@ -219,7 +219,7 @@ def _robot(said: _RobotSchema, types: Mapping[str, FleetType], base: Path) -> Fl
     kind = str(said.type or (next(iter(types)) if len(types) == 1 else ""))
     if not name or kind not in types:
         raise ArgumentError(
-            f"robot {name!r} is of type {kind!r}, which is none of the types.",
+            f"robot {name!r} is of type {kind!r}, which is not among the types.",
             advice=f"Types are: {', '.join(types)}.",
         )
     patterns = [said.logs] if isinstance(said.logs, str) else said.logs

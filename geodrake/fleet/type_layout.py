@@ -136,8 +136,8 @@ def _of_joints(kind: FleetType, extra: Sequence[type[Effect]]) -> tuple[type[Eff
             ) from error
         if effect.places != "joint" or effect.shapes or not effect.parameters:
             raise FleetError(
-                f"Type {kind.name} has the effect {name}, which is none of a joint alone without "
-                "shape parameters.",
+                f"Type {kind.name} has the effect {name}, which does not act at one joint alone, "
+                "or has shape parameters, or no parameters.",
                 advice="Give the type a model that was saved with it.",
             )
         found.append(effect)

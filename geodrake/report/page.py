@@ -1,4 +1,4 @@
-"""What there is to say of a result, once: a terminal, an HTML page and a notebook print it."""
+"""The content of a result, said once and printed by a terminal, an HTML page and a notebook."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What there is to see of each kind of result: its page, rows of numbers, samples, and a figure.
+"""Each kind of result as people see it: its page, rows of numbers, samples, and a figure.
 
 `geodrake.boundary.showing.Shown` asks for them by the name of this module.
 """

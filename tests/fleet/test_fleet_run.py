@@ -369,7 +369,7 @@ ROBOT = "robots:\n- {name: a, logs: 'a/*.csv'}\n"
         (f"to: x\n{TYPES}{ROBOT}more: 1\n", "unknown field 'more'"),
         (f"to: x\n{TYPES}{ROBOT}- {{name: a, logs: b}}\n", "robot 'a' is there twice"),
         (f"to: x\n{TYPES}  arm: {{model: b.urdf}}\n{ROBOT}", "'arm' twice in one place"),
-        (f"to: x\n{TYPES}  leg: {{model: b.urdf}}\n{ROBOT}", "is of type '', which is none"),
+        (f"to: x\n{TYPES}  leg: {{model: b.urdf}}\n{ROBOT}", "is of type '', which is not among"),
         (f"to: x\n{TYPES}robots:\n- {{name: a, type: leg, logs: b}}\n", "of type 'leg', which"),
         (f"to: x\n{TYPES}robots:\n- {{name: a}}\n", "robots[0] lacks its logs"),
         (f"to: x\n{TYPES}robots:\n- {{name: a, logs: []}}\n", "robot 'a' has no logs"),
