@@ -21,7 +21,7 @@ from geodrake.diagnosis.moves import additions
 from geodrake.diagnosis.posterior import nrms_of
 from geodrake.diagnosis.results import Candidate, Diagnosis
 from geodrake.diagnosis.search import Found, searched
-from geodrake.diagnosis.terms import told
+from geodrake.diagnosis.terms import names_and_places
 from geodrake.effects import Effect
 from geodrake.identification.logs.case import Case, error_table, open_case
 from geodrake.identification.logs.compare import comparison
@@ -107,7 +107,7 @@ def _candidates(
     ]
     seen = {candidate.effect for candidate in candidates}
     for fit in additions(found.model, bare):
-        (name, places), gain = told(fit.terms), fit.score - bare.score
+        (name, places), gain = names_and_places(fit.terms), fit.score - bare.score
         if name not in seen and gain > 0.0:
             seen.add(name)
             chance = float(np.exp(-0.5 * min(gain, 1400.0)))

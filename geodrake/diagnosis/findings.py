@@ -13,7 +13,7 @@ from geodrake.diagnosis.log_model import Choice, Fit
 from geodrake.diagnosis.posterior import Certainty, Posterior, nrms_of
 from geodrake.diagnosis.results import Verdict
 from geodrake.diagnosis.search import Found
-from geodrake.diagnosis.terms import Term, told
+from geodrake.diagnosis.terms import Term, names_and_places
 from geodrake.diagnosis.unknown_efforts import UnknownFunction
 from geodrake.effects import Effect, Role
 from geodrake.effects.lookup import effect_of
@@ -48,7 +48,7 @@ class Finding:
     @property
     def places(self) -> tuple[str, ...]:
         """Return the joints and bodies of its terms."""
-        return told(self.terms)[1]
+        return names_and_places(self.terms)[1]
 
 
 def believed(found: Found) -> tuple[Found, Posterior]:

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from geodrake.diagnosis.log_model import Fit, LogModel
 from geodrake.diagnosis.moves import neighbours
-from geodrake.diagnosis.terms import Key, Term, told
+from geodrake.diagnosis.terms import Key, Term, names_and_places
 
 Array = NDArray[np.float64]
 
@@ -84,7 +84,7 @@ class Posterior:
         for fit, weight, there in zip(self._fits, self._weights.tolist(), has, strict=True):
             instead = [term for term in fit.terms if term.key not in own]
             if instead and not there:
-                groups.setdefault(told(instead), []).append((weight, fit))
+                groups.setdefault(names_and_places(instead), []).append((weight, fit))
             elif not there:
                 chance += weight
         sums = {key: sum(weight for weight, _ in group) for key, group in groups.items()}

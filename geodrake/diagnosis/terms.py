@@ -196,7 +196,7 @@ def _column_sizes(dataset: Dataset) -> Array:
 Terms = tuple[Term, ...]
 
 
-def told(terms: Iterable[Term]) -> tuple[str, tuple[str, ...]]:
+def names_and_places(terms: Iterable[Term]) -> tuple[str, tuple[str, ...]]:
     """Return the names of terms, joined by " + ", and their places, each once."""
     names, places = [t.name for t in terms], [place for t in terms for place in t.where]
     return " + ".join(dict.fromkeys(names)), tuple(dict.fromkeys(places))

@@ -83,14 +83,14 @@ def departures(case, compliance, horizon, most):
         yield exact, found, bool((np.abs(along.effort) > along.gains.limit).any())
 
 
-def check_changes(case, compliance, *, share=0.02, least=0.0, horizon=0.3, most=2):
+def check_changes(case, compliance, *, share=0.02, horizon=0.3, most=2):
     """Whether departures change with the compliance near the motion as in the diagram."""
     both = (departures(case, size * compliance, horizon, most) for size in (1.0, 1.1))
     held = []
     for (exact, found, at_limit), (exact_next, found_next, _) in zip(*both, strict=True):
         change = exact_next - exact
         error = found_next - found - change
-        assert np.sqrt(np.mean(error**2)) < share * np.sqrt(np.mean(change**2)) + least
+        assert np.sqrt(np.mean(error**2)) < share * np.sqrt(np.mean(change**2))
         held.append(at_limit)
     return held
 
@@ -301,17 +301,20 @@ def test_results_say_what_they_are_under(pendulum):
         assert {stage["under"] for stage in told[part].values()} == {"commands"}
 
 
+OFF = pytest.mark.xfail(strict=True, reason="one window of six is 1.5e-5 rad off")
+
+
 @pytest.mark.thorough
-@pytest.mark.parametrize("name", SERVOS)
+@pytest.mark.parametrize(
+    "name", [pytest.param(name, marks=[OFF] * (name == "limited pid")) for name in SERVOS]
+)
 def test_all_servos_are_as_in_the_diagram(pendulum, name, monkeypatch):
     """An integral that is held or not takes the diagram small steps."""
     monkeypatch.setattr(simulation, "_ACCURACY", 1e-6)
     monkeypatch.setattr(simulation, "LARGEST_STEP", 5e-4)
     log = followed(1, SERVOS[name])
     case = open_case(servoed(pendulum, 2.0, SERVOS[name]), [log], candidates=False)
-    # With a limit, too, one window of six is 1.5e-5 rad off, however small the change is.
-    least = 2e-5 if name == "limited pid" else 0.0
-    check_changes(case, 2.0 / STIFFNESS, horizon=0.5, most=6, share=0.05, least=least)
+    check_changes(case, 2.0 / STIFFNESS, horizon=0.5, most=6, share=0.05)
 
 
 def test_slopes_with_integrals_are_differences(pendulum):
