@@ -22,6 +22,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from geodrake.diagnosis.beliefs import Beliefs
+from geodrake.diagnosis.normal_kernels import RIDGE, calc_most_probable
 from geodrake.diagnosis.terms import (
     Compatibility,
     Term,
@@ -35,7 +36,7 @@ from geodrake.diagnosis.unknown_efforts import UnresolvedReversal
 from geodrake.effects.base import Effect
 from geodrake.effects.episode import Episode
 from geodrake.identification.logs.criteria import LEAST_NOISE, NOISE_MARGIN, SPREAD
-from geodrake.identification.logs.dataset import LEAST_INERTIA, Dataset, is_payload
+from geodrake.identification.logs.dataset import Dataset, is_payload
 from geodrake.identification.logs.hypothesis import (
     CrossValidation,
     HeldOut,
@@ -45,7 +46,7 @@ from geodrake.identification.logs.hypothesis import (
 )
 from geodrake.identification.logs.model_fit import model_unknowns
 from geodrake.identification.logs.unknowns import Unknowns
-from geodrake.identification.normal_equations import scaled_cholesky, solved
+from geodrake.identification.normal_equations import not_held, scaled_cholesky, solved
 from geodrake.inertia import PARAMETERS_PER_BODY, pseudo_inertia_basis
 from geodrake.model.robot_model import RobotModel
 
@@ -54,9 +55,6 @@ Indices = NDArray[np.intp]
 Delay = tuple[int, ...]
 
 _LEAST_SHARE = 1e-4
-_RIDGE = 1e-11
-_ALIKE = 0.02  # noise is settled if no logarithm of a variance changes by more
-_MOST_FITS = 8
 _SIMPLER = 0.5
 _FREE, _WIDTHS = 0.01, 20  # to hold the inertias, as a search may do, does not make them known
 _USUAL_SHARE = 0.3
@@ -305,26 +303,21 @@ class LogModel:
         prior, logarithm = known
         own = [self.at[term] for term in choice.terms]
         columns, rows = np.concatenate([np.arange(self.first_term), *own]), self.rows
-        grams, (moments, powers) = self.normal(columns), self.moments(columns, choice.delay)
-        mean = self.mean[columns]
-        pull = prior @ mean
-        inertias, inertia = self._inertias[:, columns], np.ones(len(rows))
-        passive = inertias.any(axis=1)
+        mean, inertias = self.mean[columns], self._inertias.take(columns, axis=1)
+        efforts, joints = self.efforts(choice.delay), np.arange(len(rows))
         if variance is None:
+            powers, passive = self.grams[joints, efforts, efforts], inertias.any(axis=1)
             variance = np.where(passive, self.dataset.effort_std**2, powers / rows)
-        for _ in range(_MOST_FITS):
-            weights = shares / np.maximum(variance, self.floor)
-            hessian = prior + np.tensordot(weights, grams, 1)
-            factor, scale = scaled_cholesky(hessian, _RIDGE)
-            own_pull = pull + (shares * rows / inertia)[passive] @ inertias[passive]
-            x = scale * solved(factor, scale * (own_pull + weights @ moments))
-            inertia[passive] = np.maximum(inertias[passive] @ x, LEAST_INERTIA)
-            left = powers - 2.0 * moments @ x + (grams @ x) @ x
-            before, variance = variance, np.maximum(left / rows, self.floor)
-            if np.all(np.abs(np.log(variance / before)) < _ALIKE):
-                break
+        of_joints = self.grams, self.places.take(columns, axis=1), efforts
+        noise, known = (shares, rows, self.floor), (prior, prior @ mean)
+        try:
+            x, variance, found = calc_most_probable(of_joints, known, inertias, noise, variance)
+        except np.linalg.LinAlgError as error:
+            raise not_held() from error
+        weights, inertia, hessian, determinant = found
+        if not np.isfinite(determinant):
+            raise not_held()
         way = x - mean
-        determinant = 2.0 * (np.log(np.diag(factor)).sum() - np.log(scale).sum())
         score = (
             -float((shares * rows) @ np.log(variance / inertia**2))
             - float(way @ prior @ way)
@@ -439,7 +432,7 @@ class LogModel:
         """Return (nv, nv) second moments of the gains' errors, as prior and data have them."""
         first = len(self.unknowns.columns)
         at = np.arange(first, first + len(self.rows))
-        factor, scale = scaled_cholesky(fit.hessian, _RIDGE)
+        factor, scale = scaled_cholesky(fit.hessian, RIDGE)
         covariance = solved(factor, np.eye(len(scale))[:, at])[at]
         return covariance * scale[at, None] * scale[at] + np.outer(fit.x[at], fit.x[at])
 
@@ -506,12 +499,19 @@ class LogModel:
         )
         return self._hypothesis(choice, unknowns, fit, held_out)
 
-    def validated(self, fit: Fit) -> Hypothesis:
-        """Validate a fit fold by fold, with the noise that it has."""
-        return self._hypothesis(fit.choice, self.unknowns_of(fit.choice), fit, None)
+    def validated(self, fit: Fit, *, physical: bool = True) -> Hypothesis:
+        """Validate a fit fold by fold, with the noise that it has, and bodies that can exist."""
+        unknowns = self.unknowns_of(fit.choice)
+        return self._hypothesis(fit.choice, unknowns, fit, None, physical=physical)
 
     def _hypothesis(
-        self, choice: Choice, unknowns: Unknowns, fit: Fit, held_out: HeldOut | None
+        self,
+        choice: Choice,
+        unknowns: Unknowns,
+        fit: Fit,
+        held_out: HeldOut | None,
+        *,
+        physical: bool = True,
     ) -> Hypothesis:
         effective = self.shares(fit) * self.rows
         # Bodies and payloads alone: all that have inertia.
@@ -522,7 +522,12 @@ class LogModel:
                 x[unknowns.span(term.effect)] = fit.x[span]
         unknowns = unknowns.pulled(self.dataset, x, effective)
         cv = CrossValidation(
-            self.dataset, unknowns, fit.weights, delay=choice.delay, held_out=held_out
+            self.dataset,
+            unknowns,
+            fit.weights,
+            delay=choice.delay,
+            held_out=held_out,
+            physical=physical,
         )
         looseness = choice.width / self._spread
         return Hypothesis(

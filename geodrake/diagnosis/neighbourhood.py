@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from geodrake.diagnosis.log_model import Delay, Fit, LogModel
+from geodrake.diagnosis.normal_kernels import add_normal
 from geodrake.diagnosis.terms import Term, Terms
 
 Array = NDArray[np.float64]
@@ -36,12 +37,7 @@ class Neighbourhood:
         size = len(model.mean)
         gram, right = np.zeros((size, size)), np.zeros(size)
         efforts = model.efforts(fit.choice.delay)
-        joints = zip(model.grams, model.places, fit.weights, strict=True)
-        for j, (own, places, weight) in enumerate(joints):
-            at = np.flatnonzero(places >= 0)
-            local = places[at]
-            gram[np.ix_(at, at)] += weight * own[np.ix_(local, local)]
-            right[at] += weight * own[efforts[j], local]
+        add_normal((model.grams, model.places, efforts), fit.weights, gram, right)
         columns = fit.columns
         self._inverse = np.linalg.inv(fit.hessian)
         self._turned = self._inverse @ gram[columns]

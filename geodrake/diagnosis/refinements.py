@@ -120,7 +120,7 @@ def _finer(effect: Effect, grid: Sequence[Effect], share: float) -> list[Effect]
 
     There are none where no parameter varies on the grid, more than one does, or not continuously.
     """
-    tried = [e for e in grid if (e.name, e.where) == (effect.name, effect.where)]
+    tried = [e for e in grid if e.name == effect.name and e.where == effect.where]
     values = {f.name: {getattr(e, f.name) for e in tried} for f in fields(effect)}  # type: ignore[arg-type]
     varied = [(name, found) for name, found in values.items() if len(found) > 1]
     if len(varied) != 1 or not all(isinstance(x, float) and x > 0.0 for x in varied[0][1]):

@@ -13,6 +13,7 @@ from __future__ import annotations
 import abc
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, fields
+from functools import cache
 from itertools import product
 from numbers import Real
 from typing import Any, ClassVar, Self
@@ -200,7 +201,7 @@ class Effect(CheckedFields, abc.ABC):
     def manifold(self) -> Manifold:
         """Return the barrier-Hessian manifold that the linear parameters live on."""
         every = self.parameters
-        return Interval(tuple(p.lower for p in every), tuple(p.upper for p in every))
+        return _interval(tuple(p.lower for p in every), tuple(p.upper for p in every))
 
     @property
     def shape(self) -> dict[str, Any]:
@@ -320,6 +321,11 @@ class Effect(CheckedFields, abc.ABC):
         del kwargs
         place, speed = args[:1], args[1:2]
         return cls.shaped(*place, **({"speed": speed[0]} if speed else {}))
+
+
+@cache
+def _interval(lower: tuple[float, ...], upper: tuple[float, ...]) -> Interval:
+    return Interval(lower, upper)
 
 
 @dataclass(frozen=True)

@@ -52,7 +52,8 @@ def of_geodrake(kind: type[Any]) -> bool:
 
 def stacked(effect: Any, columns: Any, joint: str, count: int) -> Array:
     """Columns of a joint, one for each parameter, as an array (N, k)."""
-    name, line = effect.name, line_of(type(effect), "columns")
+    name = effect.name
+    line = "" if of_geodrake(type(effect)) else line_of(type(effect), "columns")
     if isinstance(columns, str) or not isinstance(columns, Sequence | np.ndarray):
         raise ArgumentError(
             f"{name} gives {columns!r:.60} instead of columns{line}.",
@@ -70,6 +71,9 @@ def stacked(effect: Any, columns: Any, joint: str, count: int) -> Array:
 
 def _checked(what: str, line: str, values: ArrayLike, shape: tuple[int, ...]) -> Array:
     """A column or several of an effect and joint as finite floats of a shape."""
+    of_shape = isinstance(values, np.ndarray) and values.shape == shape
+    if not line and of_shape and values.dtype == float and np.isfinite(values).all():
+        return values
     advice = "Let columns() return arrays of the shape of joint.q, or numbers."
     if np.iscomplexobj(values):
         raise ArgumentError(f"{what} gives complex numbers{line}.", advice=advice)

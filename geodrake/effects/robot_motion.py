@@ -85,6 +85,15 @@ class RobotMotion(Short):
         Raises:
             ArgumentError: There is no such joint.
         """
+        if name not in self._joint_motions:
+            self._joint_motions[name] = self._joint(name)
+        return self._joint_motions[name]
+
+    @cached_property
+    def _joint_motions(self) -> dict[str, JointMotion]:
+        return {}
+
+    def _joint(self, name: str) -> JointMotion:
         if (found := self._behind(name)) is not None:
             tree, at_q, at_v = found
             theta, rates, accelerations, J = tree

@@ -266,7 +266,10 @@ def _rivals(found: Found, joint: str) -> list[str]:
 
 
 def _correlates(found: Found, joint: str) -> list[Correlate]:
-    """Return what the error at a joint goes with, each set of signals once."""
+    """Return what the error at a joint goes with, each set of signals once.
+
+    Shares are of fits whose bodies need not exist, as none of them is kept.
+    """
     model, fit = found.model, found.fit
     j = model.dataset.joints.index(joint)
     offered = [t for t in model.terms if isinstance(t.effect, Formula) and t.joint == joint]
@@ -277,12 +280,12 @@ def _correlates(found: Found, joint: str) -> list[Correlate]:
         if len(best) < _TRIED and isinstance(offered[k].effect, Formula):
             (term,) = offered[k].effect.terms
             best.setdefault(term.signals, (offered[k], term))
-    hypothesis, was = model.validated(fit), fit.choice
+    hypothesis, was = model.validated(fit, physical=False), fit.choice
     before, shares = float(hypothesis.held_out.sse[:, j].sum()), model.shares(fit)
     told = list[tuple[float, FormulaTerm]]()
     for each, term in best.values():
         choice = model.choice(was, (*fit.terms, each))
-        other = model.validated(model.unbounded(choice, shares, fit.variance))
+        other = model.validated(model.unbounded(choice, shares, fit.variance), physical=False)
         told.append((1.0 - float(other.held_out.sse[:, j].sum()) / before, term))
     told.sort(key=lambda each: -each[0])
     chosen = list[tuple[float, FormulaTerm]]()

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import ClassVar
 
 import numpy as np
@@ -183,7 +184,7 @@ class Formula(Effect):
     terms: tuple[FormulaTerm, ...]
     places: ClassVar[str] = "joint"
 
-    @property
+    @cached_property
     def name(self) -> str:  # type: ignore[override]
         """Its words, constants forgotten: a formula has no term twice but for constants."""
         return " + ".join(term.kind.words(self.joint) for term in self.terms)
@@ -193,12 +194,12 @@ class Formula(Effect):
         """Return the joint."""
         return (self.joint,)
 
-    @property
+    @cached_property
     def parameters(self) -> tuple[Parameter, ...]:  # type: ignore[override]
         """Names and units of the coefficients."""
         return tuple(Parameter(f"c{k + 1}", term.unit) for k, term in enumerate(self.terms))
 
-    @property
+    @cached_property
     def complexity(self) -> int:  # type: ignore[override]
         """Sum over the terms, one each for its coefficient."""
         return sum(1 + term.complexity for term in self.terms)
