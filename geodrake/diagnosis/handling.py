@@ -251,12 +251,13 @@ class _Sums:
         for each in rows:
             output = np.rint(each.time / period)
             at = np.searchsorted(first, output, side="right") - 1
-            starts = np.flatnonzero(np.diff(at, prepend=-1))
-            ends = np.append(starts[1:], len(at))
-            for start, end in zip(starts.tolist(), ends.tolist(), strict=True):
-                rows_of_bin = each.part(np.s_[start:end])
-                sums[at[start]] += rows_of_bin.products(rows_of_bin.body)
-            counts += np.bincount(at, minlength=len(first))
+            own = np.bincount(at, minlength=len(first))
+            wide = np.hstack([each.known, each.left[:, None], each.body])
+            binned = np.zeros((len(first), own.max(), wide.shape[1]))
+            binned[at, np.arange(len(at)) - np.repeat(np.cumsum(own) - own, own)] = wide
+            of_body = binned[:, :, -PARAMETERS_PER_BODY:]
+            sums += each.weight * np.swapaxes(of_body, 1, 2) @ binned
+            counts += own
         edges = np.append((first - 0.5) * period, (every[-1] + 0.5) * period)
         total = np.concatenate([np.zeros((1, *sums.shape[1:])), np.cumsum(sums, axis=0)])
         counts = np.concatenate([[0.0], np.cumsum(counts)])

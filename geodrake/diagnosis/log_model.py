@@ -309,9 +309,9 @@ class LogModel:
             powers, passive = self.grams[joints, efforts, efforts], inertias.any(axis=1)
             variance = np.where(passive, self.dataset.effort_std**2, powers / rows)
         of_joints = self.grams, self.places.take(columns, axis=1), efforts
-        noise, known = (shares, rows, self.floor), (prior, prior @ mean)
+        noise, of_prior = (shares, rows, self.floor), (prior, prior @ mean)
         try:
-            x, variance, found = calc_most_probable(of_joints, known, inertias, noise, variance)
+            x, variance, found = calc_most_probable(of_joints, of_prior, inertias, noise, variance)
         except np.linalg.LinAlgError as error:
             raise not_held() from error
         weights, inertia, hessian, determinant = found

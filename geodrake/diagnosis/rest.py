@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from functools import cache
 
 import numpy as np
 from numpy.typing import NDArray
@@ -91,12 +92,13 @@ def _predictable(
         for group in groups
         for features in _waves(group.reshape(len(seen), -1))
     ]
-    rough = np.array([features.held_out(_FIRST_RIDGE) for features in offered])
+    held_out = cache(lambda k, ridge: offered[k].held_out(ridge))
+    rough = np.array([held_out(k, _FIRST_RIDGE) for k in range(len(offered))])
     left = np.empty(rough.shape[1])
     even, odd = slice(0, None, 2), slice(1, None, 2)
     for held, judges in ((even, odd), (odd, even)):
-        promising = np.argsort(rough[:, judges].sum(axis=1))[:_PROMISING]
-        losses = np.array([offered[k].held_out(ridge) for k in promising for ridge in _RIDGES])
+        promising = np.argsort(rough[:, judges].sum(axis=1))[:_PROMISING].tolist()
+        losses = np.array([held_out(k, ridge) for k in promising for ridge in _RIDGES])
         left[held] = losses[losses[:, judges].sum(axis=1).argmin(), held]
     share = float(1.0 - left.sum() / np.square(b).sum())
     gain = -joint.effective * np.log1p(-max(share, 0.0))

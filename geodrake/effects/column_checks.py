@@ -71,9 +71,9 @@ def stacked(effect: Any, columns: Any, joint: str, count: int) -> Array:
 
 def _checked(what: str, line: str, values: ArrayLike, shape: tuple[int, ...]) -> Array:
     """A column or several of an effect and joint as finite floats of a shape."""
-    of_shape = isinstance(values, np.ndarray) and values.shape == shape
-    if not line and of_shape and values.dtype == float and np.isfinite(values).all():
-        return values
+    known = isinstance(values, np.ndarray) and values.dtype == float and not line
+    if known and np.shape(values) == shape and np.isfinite(found := np.asarray(values)).all():
+        return found
     advice = "Let columns() return arrays of the shape of joint.q, or numbers."
     if np.iscomplexobj(values):
         raise ArgumentError(f"{what} gives complex numbers{line}.", advice=advice)

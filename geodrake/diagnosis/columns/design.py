@@ -13,6 +13,7 @@ from geodrake.diagnosis.columns.samples import ColumnSamples
 from geodrake.diagnosis.unknown_efforts import UnknownFunction
 from geodrake.effects.base import Effect, JointMotion
 from geodrake.effects.body_motion import RobotBodies
+from geodrake.effects.episode import Episode
 from geodrake.identification.logs.log_slices import Layout
 from geodrake.logs.motion import Motion
 from geodrake.robot.driven_tree import with_gravity
@@ -126,8 +127,12 @@ def _columns(
     """Per joint (N, ·) columns of bodies and effects, and (N, n) efforts of known payloads."""
     model, columns = layout.model, list[Sequence[Array]]()
     phi, held = model.total_phi.ravel(), np.empty_like(motion[1])
-    for k, trajectory in enumerate(samples.trajectories):
-        here = samples.log == k
+    trajectories, logs = samples.trajectories, samples.log
+    timed = any(isinstance(effect, Episode) for effect in layout.effects)
+    if len({t.payloads for t in trajectories}) == 1 and not timed:
+        trajectories, logs = trajectories[:1], np.zeros_like(logs)  # all logs are alike
+    for k, trajectory in enumerate(trajectories):
+        here = logs == k
         q, v, vd = (own[here] for own in motion)
         seen = Motion(q, v, vd, np.zeros(len(q)))
         found, held[here] = layout.evaluate(seen, trajectory, layout.parts)
@@ -145,4 +150,4 @@ def _unknown_function(joint: str, q: Array, v: Array, width: float) -> Array:
     middle = 0.5 * float(q.max() + q.min())
     function = UnknownFunction(joint, middle, max(reach, 1e-300), max(speed, 1e-300))
     sign, none = np.tanh(v / max(width, 1e-300)), np.zeros_like(v)
-    return np.column_stack(function.columns(JointMotion(q, v, none, none, sign)))
+    return np.stack(function.columns(JointMotion(q, v, none, none, sign)), -1)

@@ -56,12 +56,11 @@ class FirstLook:
         found = np.zeros((3, n, n))
         for source in range(n):
             used = samples.used[rows, source]
-            for j in range(n):
-                v_j = v[used, j]
-                beside = np.column_stack([np.ones(len(v_j)), v_j, np.sign(v_j), vd[used, j]])
-                Q, _ = np.linalg.qr(beside)
-                both = np.column_stack([load[used, j], efforts[used, source]])
-                both -= Q @ (Q.T @ both)
-                products = both.T @ both / max(len(v_j), 1)
-                found[:, j, source] = products[0, 0], products[0, 1], products[1, 1]
+            v_u, effort = v[used], np.broadcast_to(efforts[used, source, None], (used.sum(), n))
+            beside = np.stack([np.ones_like(v_u), v_u, np.sign(v_u), vd[used]], -1).swapaxes(0, 1)
+            both = np.stack([load[used], effort], -1).swapaxes(0, 1)
+            Q, _ = np.linalg.qr(beside)  # (n, K, 4)
+            both = both - Q @ (Q.swapaxes(1, 2) @ both)
+            products = both.swapaxes(1, 2) @ both / max(len(v_u), 1)
+            found[:, :, source] = products[:, 0, 0], products[:, 0, 1], products[:, 1, 1]
         return found[0], found[1], found[2]
