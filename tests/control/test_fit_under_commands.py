@@ -6,14 +6,10 @@ import numpy as np
 import pytest
 from flexible_arm import KD, KP, arm_log, soft_arm
 from two_masses import (
-    FRICTION,
-    GAP,
     ROTOR,
     STIFFNESS,
     URDF,
     followed,
-    having,
-    loose,
     springy,
     swung,
 )
@@ -186,34 +182,6 @@ def test_what_is_free_of_a_motor(pendulum):
     np.testing.assert_allclose(diagonal, [4.0, 1.0, 100.0, 4.0, *np.ones(3), 4.0])
 
 
-def found_beside(model, log):
-    """Values that a fit finds beside the true spring's, by name; it is taken."""
-    found = fit_rollouts(model, [log], commands=True)
-    assert found.taken
-    assert found.notes == found.after.notes
-    values = {(value.effect, value.name): value for value in found.values}
-    spring = values["joint_elasticity", "compliance"]
-    off = abs(STIFFNESS * spring.after - 1.0)
-    assert off < max(0.1, 3.5 * STIFFNESS * spring.deviation)
-    (saved,) = found.model.effort_signals
-    assert saved.delay == values["servo", "delay"].after
-    assert saved.gain == pytest.approx(values["servo", "gain"].after)
-    return off, values
-
-
-@pytest.mark.thorough
-@pytest.mark.parametrize("seed", range(3))
-def test_a_servo_that_was_found_without_the_spring_is_found_with_it(pendulum, seed):
-    log = followed(seed, PD, noise=1e-4)
-    without = explain(having(pendulum, ROTOR, FRICTION), [log]).model
-    (servo,) = without.effort_signals
-    assert abs(servo.delay - PD.delay) > 4e-3
-    for share in (0.5, 2.0):
-        off, values = found_beside(servoed(pendulum, share, servo), log)
-        assert off < 0.05
-        assert values["servo", "delay"].after == pytest.approx(PD.delay, abs=1e-4)
-
-
 @pytest.mark.thorough
 @pytest.mark.parametrize("seed", range(3))
 def test_a_robot_that_was_found_without_the_spring_is_found_with_it(pendulum, seed):
@@ -237,34 +205,10 @@ def test_a_robot_that_was_found_without_the_spring_is_found_with_it(pendulum, se
             assert abs(found.after - value) < 2.5 * found.deviation
 
 
-@pytest.mark.thorough
-def test_an_arm_is_found_under_its_servos():
-    """One soft joint among seven servos, twice as soft as it is."""
-    log = arm_log(2000.0, weight=0.0)
-    log = dataclasses.replace(log, effort=np.full_like(log.effort, np.nan))
-    found = fit_rollouts(servoed_arm(2.0, range(7)), [log], commands=True)
-    value, *_ = found.values
-    assert found.taken
-    assert abs(2000.0 * value.after - 1.0) < min(0.3, 3.0 * 2000.0 * value.deviation)
-    before, after = found.held_out
-    assert after.relative < before.relative
-
-
 def servoed_arm(share, servos):
     model = soft_arm(share)
     signals = [EffortSignal(model.joints[j], "command", KP[j], damping=KD[j]) for j in servos]
     return dataclasses.replace(model, effort_signals=tuple(signals))
-
-
-@pytest.mark.thorough
-@pytest.mark.parametrize("seed", [0, 2])
-def test_a_gap_is_found_under_commands(pendulum, seed):
-    """Its sides are not those of the log, so that it comes out a little narrow."""
-    log = followed(seed, PD, coupling=(2e3, GAP))
-    model = dataclasses.replace(loose(pendulum, 1.3), effort_signals=(PD,))
-    found = fit_rollouts(model, [log], commands=True)
-    assert found.taken
-    assert abs(found.values[0].after / GAP - 1.0) < 0.2
 
 
 def test_what_cannot_follow_commands_is_said(pendulum):

@@ -57,16 +57,6 @@ def test_effects_take_the_departure_away(frictional):
     assert departed == {"shoulder", "elbow"}
 
 
-@pytest.mark.thorough
-def test_late_efforts_are_advanced():
-    log = recording(HiddenEffects(late=0.02), late=0.02)
-    model = load_model(PENDULUM)
-    explained = explain(model, [log]).model
-    np.testing.assert_allclose(explained.delays, 0.02, atol=1e-3)
-    before, after = (roll_out(m, [log], most=4).relative for m in (model, explained))
-    assert after < 0.5 * before
-
-
 def test_departures_are_those_of_the_windows(frictional):
     log, explained = frictional
     rollout = roll_out(explained, [log], most=3, horizon=0.3)

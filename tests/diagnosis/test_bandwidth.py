@@ -80,15 +80,6 @@ class TestPlay:
         assert "backlash" not in places
         assert verdict == "explained"
 
-    @pytest.mark.thorough  # test_backlash.py has one of a right model
-    def test_at_the_next_bandwidth_where_the_first_does_not_do(self):
-        """There it passes for a wrong body."""
-        heavier = replace(MODEL, phi=MODEL.phi * [[1.0], [1.003]])
-        assert told(loose_log(PLAY, noise=0.003), heavier) == (
-            {"backlash": ("elbow",)},
-            "explained",
-        )
-
 
 class TestSoftness:
     @pytest.mark.parametrize(

@@ -42,11 +42,6 @@ def holding(mass):
     )
 
 
-def lighter(share):
-    """A link of the same shape that weighs less."""
-    return lambda link: pin.Inertia(share * link.mass, link.lever, share * link.inertia)
-
-
 @pytest.mark.thorough
 @pytest.mark.parametrize("seed", [1, 2])
 def test_small_payload(seed):
@@ -98,20 +93,6 @@ def test_compensator_in_place_of_a_wrong_link():
     values = step.parameters["joint_2"]
     assert np.hypot(values["sine"], values["cosine"]) == pytest.approx(2.0, rel=0.05)
     assert "wrong_inertia" in step.indistinguishable_from
-
-
-@pytest.mark.thorough  # test_wrong_inertia.py has a lighter link, too
-def test_lighter_link_is_no_payload():
-    log = effort_log("arm7", 3, with_last_link(lighter(0.7)), duration=16.0, share=0.02).log
-    (step,) = explain(model_file("arm7"), [log]).steps
-    assert step.effect == "wrong_inertia"
-
-
-@pytest.mark.thorough  # as is tested in test_hidden_effects.py
-def test_bodies_that_are_all_off_are_no_payload():
-    log = effort_log("arm6", 1, off=0.2, duration=16.0).log
-    (step,) = explain(model_file("arm6"), [log]).steps
-    assert step.effect == "wrong_inertia"
 
 
 def another(seen, joint, change):

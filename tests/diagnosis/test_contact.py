@@ -257,15 +257,6 @@ class TestDiagnosis:
         again = load_model(tmp_path / "arm.yaml")
         assert [f.effect for f in again.effects] == [f.effect for f in found.model.effects]
 
-    @pytest.mark.thorough  # the next one is of a smaller robot
-    def test_in_slow_motion(self):
-        """The bodies' fit follows a push that lasts for a tenth of a slow log."""
-        hidden = pushed(6, [0.0, 0.0, 0.05], np.array([10.0, -25.0, 20.0]), (14.0, 17.0))
-        recording = effort_log("arm6", 2, hidden, off=0.2, share=0.02, pace=0.08)
-        (step,) = explain(ARM, [recording.log]).steps
-        assert (step.effect, step.where) == ("contact", ("flange",))
-        assert step.error_after < 0.2 * step.error_before
-
     @pytest.mark.thorough
     def test_that_free_bodies_follow(self):
         """Two bodies that may move fit a long push half, at the cost of all the rest of the log."""

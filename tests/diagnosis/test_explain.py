@@ -464,18 +464,6 @@ def test_add_whatever_the_evidence(model):
         assert abs(step.parameters[joint]["offset"]) < 5.0 * step.deviations[joint]["offset"]
 
 
-@pytest.mark.thorough
-def test_add_a_pair_and_a_body(model, logs):
-    pair = add("coupled_friction", model, logs, where=JOINTS, bandwidth=BANDWIDTH)
-    assert pair.steps[0].where == JOINTS
-    swapped = add("coupled_friction", model, logs, where=JOINTS[::-1], bandwidth=BANDWIDTH)
-    assert swapped.end == pair.end
-    body = add("payload", model, logs, where=["lower_link"], bandwidth=BANDWIDTH)
-    assert body.steps[0].where == ("lower_link",)
-    anywhere = add("payload", model, logs, bandwidth=BANDWIDTH)
-    assert len(anywhere.steps[0].where) == 1
-
-
 @pytest.mark.parametrize(
     ("effect", "where", "words"),
     [

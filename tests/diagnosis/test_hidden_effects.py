@@ -5,8 +5,6 @@ formulas of the effects and bodies that are 20 % off, and from robots without hi
 """
 
 from functools import cache
-from importlib.resources import files
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -15,7 +13,6 @@ from diagrams.examples import hidden_effect_log as drake
 from geodrake import load_model
 from geodrake.diagnosis.explain import explain
 from geodrake.identification.logs.noise import prepare_for_model
-from geodrake.logs.files import read_log
 
 pytest.importorskip("pinocchio")
 
@@ -124,31 +121,6 @@ class TestDrake:
             value for key, value in values.items() if key not in ("exponent", "center", "sign")
         ]
         assert found[0] == pytest.approx(size[0], rel=0.05)
-
-    @pytest.mark.thorough  # those of Pinocchio are not
-    def test_late_efforts(self):
-        hidden = drake.HiddenEffect("effort_delay", (), (0.012,))
-        scenario = drake.Scenario(hidden=(hidden,))
-        log = drake.simulate(scenario=scenario)
-        recording = Recording(log, scenario.effort_noise * log.effort.std(0))
-        steps = assert_found("arm6", recording, {"effort_delay": ()})
-        # The block samples the efforts at the simulation's steps.
-        assert steps["effort_delay"]["all joints"]["delay"] == pytest.approx(0.012, abs=1.5e-3)
-
-    @pytest.mark.thorough  # tests/cli has the command
-    def test_demo(self):
-        log = read_log(Path(str(files("geodrake.demo") / "demo.csv")))
-        recording = Recording(log, drake.DEMO.effort_noise * log.effort.std(0))
-        joints = ("shoulder_pitch", "elbow_pitch")
-        steps = assert_found(
-            "arm6",
-            recording,
-            {"payload": ("flange",), "coulomb_friction": joints, "viscous_friction": joints},
-        )
-        assert steps["payload"]["flange"]["mass"] == pytest.approx(2.5, abs=0.1)
-        for joint, coulomb, viscous in zip(joints, (8.0, 4.0), (10.0, 5.0), strict=True):
-            assert steps["coulomb_friction"][joint]["coulomb"] == pytest.approx(coulomb, rel=0.03)
-            assert steps["viscous_friction"][joint]["viscous"] == pytest.approx(viscous, rel=0.03)
 
 
 PINOCCHIO = {
@@ -372,21 +344,3 @@ def test_laws_with_a_shape(name, seed):
             values = step.parameters["shoulder"]
             assert values["stribeck_velocity"] == pytest.approx(0.25, rel=0.05)
             assert values["excess"] == pytest.approx(0.35, rel=0.1)
-
-
-@pytest.mark.parametrize("seed", seeds(1, 2))
-@pytest.mark.thorough  # TestShapes of test_search.py has one
-@pytest.mark.parametrize("exponent", [1.7, 2.4])
-def test_exponents_between_those_of_the_grid(exponent, seed):
-    """No further effect is drawn by what a wrong exponent would leave."""
-
-    def law(q, v, vd, load):
-        return SHOULDER * 0.3 * np.sign(v) * np.abs(v) ** exponent
-
-    log = pendulum_log(seed, law, seconds=60.0)
-    found = explain(model_file("double_pendulum"), [log])
-    (step,) = found.steps
-    assert (step.effect, step.where) == ("nonlinear_viscous_friction", ("shoulder",))
-    assert step.parameters["shoulder"]["exponent"] == pytest.approx(exponent, rel=0.01)
-    floor = floor_nrms(model_file("double_pendulum"), Recording(log, NOISE), found.end)
-    assert found.end.nrms < MARGIN * floor

@@ -72,24 +72,6 @@ class TestGravityCompensator:
 
 
 class TestTorqueRipple:
-    @pytest.mark.parametrize("seed", SEEDS)
-    @pytest.mark.parametrize(
-        ("order", "size"),
-        [
-            pytest.param(7.0, 3.0, marks=pytest.mark.thorough),
-            pytest.param(23.4, 1.0, marks=pytest.mark.thorough),
-            pytest.param(101.0, 1.0, marks=pytest.mark.thorough),
-        ],
-    )
-    def test_found(self, order, size, seed):
-        recording = effort_log("arm6", seed, wave(1, size, order), off=0.2)
-        steps, _ = assert_found(
-            model_file("arm6"), recording, {"torque_ripple": ("shoulder_pitch",)}
-        )
-        values = steps["torque_ripple"]["shoulder_pitch"]
-        assert values["order"] == pytest.approx(order, abs=0.06)
-        assert size_of(values) == pytest.approx(size, rel=0.06)
-
     def test_found_in_a_pendulum_under_friction(self):
         """Ripple of an eighteenth of the friction."""
 
@@ -103,28 +85,6 @@ class TestTorqueRipple:
         values = steps["torque_ripple"]["elbow"]
         assert values["order"] == pytest.approx(40.0, abs=0.1)
         assert size_of(values) == pytest.approx(0.05, rel=0.06)
-
-    @pytest.mark.thorough
-    def test_under_friction(self, tmp_path):
-        """Ripple of an eighteenth of the friction; the model is saved and holds."""
-
-        def hidden(seen):
-            return {0: 0.3 * np.cos(23.4 * seen.q[:, 0]) + 4.0 * np.tanh(seen.v[:, 0] / 0.01)}
-
-        recording = effort_log("arm6", 1, hidden, off=0.2)
-        steps, found = assert_found(
-            model_file("arm6"),
-            recording,
-            {"coulomb_friction": ("base_yaw",), "torque_ripple": ("base_yaw",)},
-        )
-        values = steps["torque_ripple"]["base_yaw"]
-        assert values["order"] == pytest.approx(23.4, abs=0.06)
-        assert size_of(values) == pytest.approx(0.3, rel=0.06)
-        save_model(found.model, tmp_path / "arm.yaml")
-        again = load_model(tmp_path / "arm.yaml")
-        assert [f.effect for f in again.effects] == [f.effect for f in found.model.effects]
-        other = explain(again, [effort_log("arm6", 1, hidden, off=0.2, share=0.031).log])
-        assert other.steps == ()
 
     def test_named_by_one_diagnosis(self):
         recording = effort_log("double_pendulum", 3, wave(1, 0.05, 40.0), duration=40.0)
@@ -248,109 +208,6 @@ class TestAerodynamicDrag:
         assert values["drag"] == pytest.approx(3.0, rel=0.05)
         center = [values[axis] + values[f"drag_lever_{axis}"] / values["drag"] for axis in "xz"]
         np.testing.assert_allclose(center, (0.0, -0.3), atol=0.02)
-
-    @pytest.mark.thorough  # by default, test_found_on_the_smallest_robot
-    @pytest.mark.parametrize("seed", SEEDS)
-    @pytest.mark.parametrize(
-        ("joint", "body", "point", "size"),
-        [
-            pytest.param(3, "forearm", (0.2, 0.0, 0.0), 20.0, marks=pytest.mark.thorough),
-            (6, "flange", (0.0, 0.0, 0.05), 5.0),
-        ],
-    )
-    def test_found(self, joint, body, point, size, seed):
-        recording = effort_log("arm6", seed, dragged(joint, point, size), off=0.2)
-        steps, _ = assert_found(model_file("arm6"), recording, {"aerodynamic_drag": (body,)})
-        values = steps["aerodynamic_drag"][body]
-        assert values["drag"] == pytest.approx(size, rel=0.05)
-        center = [values[axis] + values[f"drag_lever_{axis}"] / values["drag"] for axis in "xyz"]
-        np.testing.assert_allclose(center, point, atol=0.01)
-
-
-def belt(i, j, sense, dry, viscous):
-    """Friction of a motor that turns with v_i ± v_j, by a belt from one joint to the other."""
-
-    def hidden(seen):
-        slip = seen.v[:, i] + sense * seen.v[:, j]
-        effort = dry * slip / np.hypot(slip, 5e-3) + viscous * slip
-        return {i: effort, j: sense * effort}
-
-    return hidden
-
-
-class TestCoupledJoints:
-    """Motors that turn with two joints which do not follow each other."""
-
-    @pytest.mark.parametrize("seed", SEEDS)
-    @pytest.mark.parametrize(
-        ("joints", "sense", "dry", "viscous"),
-        [
-            pytest.param((1, 3), 1, 0.8, 0.3, marks=pytest.mark.thorough),
-            pytest.param((3, 5), -1, 0.3, 0.12, marks=pytest.mark.thorough),
-            pytest.param((1, 3), -1, 0.8, 0.3, marks=pytest.mark.thorough),
-            pytest.param((3, 5), 1, 0.01, 0.01, marks=pytest.mark.thorough),
-            pytest.param((0, 2), 1, 3.0, 1.0, marks=pytest.mark.thorough),
-        ],
-    )
-    def test_friction_is_found(self, joints, sense, dry, viscous, seed):
-        recording = effort_log("arm6", seed, belt(*joints, sense, dry, viscous), off=0.2)
-        names = tuple(model_file("arm6").joints[joint] for joint in joints)
-        steps, _ = assert_found(model_file("arm6"), recording, {"coupled_friction": names})
-        values = steps["coupled_friction"][" & ".join(names)]
-        assert values["sign"] == sense
-        assert values["coulomb"] == pytest.approx(dry, rel=0.05)
-        assert values["viscous"] == pytest.approx(viscous, rel=0.1)
-
-    @pytest.mark.thorough  # test_coupled.py has a smaller robot
-    @pytest.mark.parametrize("seed", SEEDS)
-    def test_friction_is_found_beside_that_of_all_joints(self, seed, tmp_path):
-        def hidden(seen):
-            effort = rubbing(seen)
-            for joint, more in belt(3, 5, 1, 0.3, 0.1)(seen).items():
-                effort[:, joint] += more
-            return effort
-
-        recording = effort_log("arm6", seed, hidden, off=0.2)
-        joints = model_file("arm6").joints
-        own = dict.fromkeys(("coulomb_friction", "viscous_friction"), joints)
-        expected = own | {"coupled_friction": (joints[3], joints[5])}
-        steps, found = assert_found(model_file("arm6"), recording, expected)
-        values = steps["coupled_friction"][f"{joints[3]} & {joints[5]}"]
-        assert values["sign"] == 1
-        assert values["coulomb"] == pytest.approx(0.3, rel=0.1)
-        assert values["viscous"] == pytest.approx(0.1, rel=0.15)
-        save_model(found.model, tmp_path / "arm.yaml")
-        again = load_model(tmp_path / "arm.yaml")
-        motion = Motion(*random_states(), time=None)
-        np.testing.assert_allclose(again.effort(motion), found.model.effort(motion))
-
-    @pytest.mark.thorough  # test_coupled.py has a smaller robot
-    @pytest.mark.parametrize("seed", SEEDS)
-    def test_friction_of_either_joint_is_not_coupled(self, seed):
-        def hidden(seen):
-            return {
-                joint: size * seen.v[:, joint] / np.hypot(seen.v[:, joint], 5e-3)
-                for joint, size in ((1, 4.0), (3, 0.6))
-            }
-
-        recording = effort_log("arm6", seed, hidden, off=0.2)
-        expected = {"coulomb_friction": ("shoulder_pitch", "wrist_roll")}
-        assert_found(model_file("arm6"), recording, expected)
-
-    @pytest.mark.thorough  # test_hidden_effects.py has a smaller robot
-    @pytest.mark.parametrize("seed", SEEDS)
-    @pytest.mark.parametrize("sense", [-1, pytest.param(1, marks=pytest.mark.thorough)])
-    def test_rotor_is_found(self, sense, seed):
-        def hidden(seen):
-            spin = 0.05 * (seen.a[:, 3] + sense * seen.a[:, 5])
-            return {3: spin, 5: sense * spin}
-
-        names = ("wrist_roll", "wrist_spin")
-        expected = dict.fromkeys(("coupled_rotor_inertia", "rotor_inertia"), names)
-        recording = effort_log("arm6", seed, hidden)
-        steps, _ = assert_found(model_file("arm6"), recording, expected)
-        values = steps["coupled_rotor_inertia"]["wrist_roll & wrist_spin"]
-        assert values["inertia"] == pytest.approx(0.05 * sense, rel=0.03)
 
 
 class TestFrictionDrift:

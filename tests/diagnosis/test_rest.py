@@ -1,7 +1,6 @@
 """Where nothing explains the rest, `explain` says what it goes with and what to do."""
 
 import json
-import time
 
 import numpy as np
 import pytest
@@ -11,38 +10,13 @@ from scipy.signal import lfilter
 from typer.testing import CliRunner
 
 from geodrake.cli.app import app
-from geodrake.diagnosis import explain, rest_correlates
-from geodrake.diagnosis.explain import investigate
-from geodrake.identification.logs.case import open_case
+from geodrake.diagnosis import explain
 from geodrake.logs.files import write_log
 from geodrake.model.saved_model import load_model
 
 ARM, PENDULUM = MODELS / "arm6.urdf", MODELS / "double_pendulum.urdf"
 WORDS = "its direction of motion times the position of "
 OPTION = "--draft-effect my_effect.py"
-
-
-@pytest.mark.thorough  # the command below is of a smaller robot
-def test_the_brake_is_told_by_joint_and_motion_in_less_time_than_the_search():
-    """Friction of the wrist's pitch that another joint's position tightens."""
-
-    def brake(seen):
-        return {4: 0.3 * np.sign(seen.v[:, 4]) * (1.5 + seen.q[:, 2])}
-
-    log = effort_log("arm6", 1, brake, duration=24.0, share=0.02).log
-    begin = time.process_time()
-    found = investigate(open_case(load_model(ARM), [log], candidates=True))
-    searched = time.process_time() - begin
-    assert found.explanation.verdict == "unexplained"
-    begin = time.process_time()
-    correlates = rest_correlates(found)
-    assert time.process_time() - begin < searched  # about half of it
-    assert {c.joint for c in correlates} == {"wrist_pitch"}
-    assert correlates[0].words == WORDS + "elbow_pitch"
-    assert correlates[0].share > 0.95
-    shares = found.explanation.of_motion
-    assert shares.pop("wrist_pitch") > 0.7
-    assert max(shares.values()) == 0.0
 
 
 def test_what_goes_with_time_alone_or_with_nothing_does_not_go_with_the_motion():
@@ -123,30 +97,3 @@ def test_command_report_and_numbers_tell_it_and_what_to_do(tmp_path):
     correlates = json.loads(numbers.read_text())["correlates"]
     assert correlates[0]["joint"] == "elbow"
     assert correlates[0]["words"] == WORDS + "shoulder"
-
-
-@pytest.mark.thorough
-def test_the_option_is_not_advised_to_who_took_it(tmp_path):
-    path, target = file_of(tightened, tmp_path / "log.csv"), tmp_path / "my_effect.py"
-    output = run("explain", PENDULUM, path, "--draft-effect", target)
-    assert "that nothing explains" in output
-    assert OPTION not in output
-
-
-@pytest.mark.parametrize(
-    "hidden",
-    [
-        pytest.param(None, marks=pytest.mark.thorough),
-        lambda seen: {1: 0.5 * np.sign(seen.v[:, 1])},
-    ],
-)
-@pytest.mark.thorough
-def test_the_option_is_not_advised_without_need(hidden, tmp_path):
-    """Nothing is left but noise, of a right model or beside friction that was found."""
-    path, page, numbers = (tmp_path / f"log.{suffix}" for suffix in ("csv", "html", "json"))
-    output = run("explain", PENDULUM, file_of(hidden, path), "--report", page, "--json", numbers)
-    assert OPTION not in output
-    assert OPTION not in page.read_text()
-    told = json.loads(numbers.read_text())
-    assert told["verdict"] == ("explained" if hidden else "adequate")
-    assert told["correlates"] == []

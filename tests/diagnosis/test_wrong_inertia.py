@@ -47,15 +47,6 @@ def test_one_body(joint, seed):
     assert found.verdict == "explained"
 
 
-@pytest.mark.thorough  # test_hidden_effects.py has a smaller robot
-def test_many_bodies():
-    found = explain(ARM, [effort_log("arm6", 3, off=0.2).log])
-    (step,) = found.steps
-    assert step.effect == "wrong_inertia"
-    assert len(step.where) > 1
-    assert all(values["distance_from_prior"] > 0.0 for values in step.parameters.values())
-
-
 @pytest.mark.sampled(2)
 @pytest.mark.parametrize(
     ("upper", "lower", "body", "may_carry"),

@@ -467,37 +467,12 @@ def test_an_integral_in_a_log_is_held_as_that_of_position_servo():
     assert not limited_integral(np.arange(3.0), nothing, nothing, 1.0, 1.0).any()
 
 
-@pytest.mark.thorough  # by default, test_each_stretch_begins_where_the_fit_sees_it
-@pytest.mark.parametrize("length", [0.05, 0.1, 1.0])
-@pytest.mark.parametrize("count", [4, 12])
-def test_it_is_found_in_logs_with_gaps(model, length, count):
-    log = servo_log(integral=INTEGRAL, seconds=41.0)
-    gaps = np.linspace(0.0, 40.0, count + 2)[1:-1]
-    motions = alone(model, with_gaps(log, gaps, length))
-    fit = fit_servo(motions, EffortSignal("hinge", "command", 50.0))
-    assert fit.parameters[6] == pytest.approx(INTEGRAL, rel=0.05)
-    assert fit.parameters[0] == pytest.approx(TRUTH[0], rel=0.05)
-
-
 def test_late_commands_are_integrated_late(summed):
     signal = EffortSignal("hinge", "command", 60.0, delay=LATE, integral=INTEGRAL)
     plain = servo_effort(summed, 0, replace(signal, integral=0.0))
     integral = (servo_effort(summed, 0, signal) - plain) / INTEGRAL
     rate = np.gradient(integral, summed.time)[10:-10]
     np.testing.assert_allclose(rate, (plain / 60.0)[10:-10], atol=2e-4)
-
-
-@pytest.mark.thorough  # by default, test_velocity_feedback_is_within_the_limit
-@pytest.mark.parametrize("integral", [0.0, 90.0])
-@pytest.mark.parametrize("told", [14.0, 1e4])
-def test_a_limit_that_the_model_does_not_have_is_found(integral, told, tmp_path):
-    model = pendulum(tmp_path, told)
-    known, (log,), _ = with_efforts(model, [servo_log(integral=integral, limit=7.0)])
-    (signal,) = known.effort_signals
-    assert signal.limit == pytest.approx(7.0, rel=0.01)
-    assert signal.gain == pytest.approx(TRUTH[0], rel=0.05)
-    assert signal.integral == pytest.approx(integral, rel=0.05)
-    assert np.abs(log.effort).max() == signal.limit
 
 
 def test_a_limit_that_the_servo_does_not_keep_is_none(tmp_path):

@@ -232,15 +232,6 @@ def test_tables_of_long_names_need_no_scrolling(opened, tmp_path, width):
     assert tables.first.get_by_text(" and ".join((", ".join(joints[:2]), joints[2]))).count() == 1
 
 
-@pytest.mark.thorough
-def test_plots_follow_the_width(opened):
-    page = opened()
-    drawn(page)
-    page.set_viewport_size({"width": 500, "height": 900})
-    page.screenshot()  # a frame later
-    assert page.locator(".uplot canvas").first.bounding_box()["width"] < 500
-
-
 def luminance(page, selector, name):
     color = page.locator(selector).first.evaluate(f"part => getComputedStyle(part).{name}")
     return sum(map(float, re.findall(r"[\d.]+", color)[:3])) / 3
@@ -257,15 +248,6 @@ def test_schemes(opened, scheme):
     assert is_dark() != (scheme == "dark")
     page.emulate_media(media="print")
     assert not is_dark()
-
-
-@pytest.mark.thorough
-def test_paper_has_the_plots(opened):
-    page = opened(color_scheme="dark")
-    assert page.pdf(format="A4").startswith(b"%PDF")
-    assert page.locator("#chart-efforts .panel:visible .uplot").count() == 16
-    page.emulate_media(media="print")
-    assert not page.locator(".tools").first.is_visible()
 
 
 def test_without_scripts_all_but_the_plots_is_there(opened):

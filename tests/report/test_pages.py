@@ -227,12 +227,6 @@ def test_units_of_a_model():
     assert Units.of(model).effort(model.joints) == "N·m"
 
 
-@pytest.mark.thorough
-def test_reports_are_reproducible():
-    shown = explanation(("elbow",))
-    assert page(shown) == page(shown)
-
-
 @pytest.mark.parametrize(
     ("value", "deviation", "text"),
     [
