@@ -20,7 +20,7 @@ from geodrake.diagnosis.findings import (
     verdict_of,
     without_finding,
 )
-from geodrake.diagnosis.notes import changed_notes, left_out_notes, notes_of
+from geodrake.diagnosis.notes import changed_notes, left_out_notes, notes_of, unnamed_notes
 from geodrake.diagnosis.results import Explanation, Step
 from geodrake.diagnosis.search import Found, searched
 from geodrake.diagnosis.search_progress import Progress
@@ -101,13 +101,8 @@ def investigate(
     case: Case, *, beliefs: Beliefs | None = None, progress: Progress | None = None
 ) -> Investigation:
     """Explain a case that has columns for candidates; see `explain`."""
-    found, findings, unknown = named(searched(case, beliefs, progress=progress))
-    notes = [
-        f"what is left at {joint} goes with its position and speed in a way that no effect "
-        "describes; `--draft-effect FILE` looks for a formula"
-        for joint in unknown
-    ]
-    return explained(case, found, findings, notes=notes)
+    found, findings, rest = named(searched(case, beliefs, progress=progress))
+    return explained(case, found, findings, notes=unnamed_notes(rest))
 
 
 def explained(

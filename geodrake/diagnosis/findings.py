@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import pairwise
 
@@ -96,15 +96,24 @@ def _refitted(found: Found, choice: Choice) -> Found:
     return replace(found, fit=model.unbounded(choice, model.shares(was), was.variance))
 
 
-def named(found: Found) -> tuple[Found, list[Finding], list[str]]:
-    """Return what is believed of what was found: findings, and joints with something unknown.
+@dataclass(frozen=True)
+class Unnamed:
+    """What no finding has."""
+
+    joints: tuple[str, ...]  # with something that no effect describes
+    loads: Mapping[str, float]  # body -> how probable a payload is that bodies take in
+
+
+def named(found: Found) -> tuple[Found, list[Finding], Unnamed]:
+    """Return what is believed of what was found: findings, and what has no name.
 
     A function of a joint's motion that no effect describes is not fitted.
     """
     found, posterior = believed(found)
     findings = [f for f in findings_of(found, posterior) if f.name != UnknownFunction.name]
     unknown = [term for term in found.fit.terms if isinstance(term.effect, UnknownFunction)]
-    return without(found, unknown), findings, [term.where[0] for term in unknown]
+    rest = Unnamed(tuple(term.where[0] for term in unknown), posterior.of_loads())
+    return without(found, unknown), findings, rest
 
 
 def findings_of(found: Found, posterior: Posterior | None = None) -> list[Finding]:
@@ -224,7 +233,8 @@ def unknown_probability(found: Found, finding: Finding, errors: Sequence[ErrorTa
 
     Whatever is unknown, some effect takes a part of its squared error away. One that takes away
     many times of what is left in the end is likely to be there itself. What reversals leave that
-    logs do not resolve is known, and not counted.
+    logs do not resolve is known, and not counted. Bodies that may go far from the file take in what
+    a payload does, and are its rival already: it is told with bodies that stay.
 
     `errors` are those before and after it, and in the end, whose noise floor counts.
     """
@@ -234,11 +244,24 @@ def unknown_probability(found: Found, finding: Finding, errors: Sequence[ErrorTa
     weight = felt(found, finding) / np.array([e.std**2 for e in errors[2].joints])
     noise = JOINT_NOISE_MARGIN**2 * np.array([e.floor**2 for e in errors[2].joints])
     left = float(weight @ np.maximum(found.fit.variance - noise, 0.0))
-    gone = max(0.0, float(weight @ (before - after)))
     if left <= 0.0:
         return 0.0
+    carried = [term for term in finding.terms if term.is_whole]
+    falls = _taken_by(found, carried) if carried else before - after
+    gone = max(0.0, float(weight @ falls))
     beliefs = found.model.beliefs
     return 1.0 / (1.0 + (gone / (beliefs.part * left)) ** beliefs.sharpness)
+
+
+def _taken_by(found: Found, terms: Sequence[Term]) -> Array:
+    """Return (nv,) what terms take of the mean squared errors while bodies stay with the file."""
+    model, was = found.model, found.fit
+    rest, width = [term for term in was.terms if term not in terms], model.widths[0]
+    choices = [model.choice(was.choice, kept, width=width) for kept in (rest, was.terms)]
+    without, having = (
+        model.unbounded(choice, model.shares(was), was.variance) for choice in choices
+    )
+    return without.variance - having.variance
 
 
 def felt(found: Found, finding: Finding) -> NDArray[np.bool_]:

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from geodrake.diagnosis.findings import Finding
+from geodrake.diagnosis.findings import Finding, Unnamed
 from geodrake.diagnosis.results import Step
 from geodrake.diagnosis.search import Found
 from geodrake.effects import Role
@@ -36,6 +36,21 @@ def notes_of(found: Found, case: Case, fit: ModelFit, bodies: Sequence[BodyChang
         *_stated_mass(case, fit.model),
         *common_factor_notes(bodies),
     ]
+
+
+def unnamed_notes(rest: Unnamed) -> list[str]:
+    """Describe what no finding has."""
+    unknown = [
+        f"what is left at {joint} goes with its position and speed in a way that no effect "
+        "describes; `--draft-effect FILE` looks for a formula"
+        for joint in rest.joints
+    ]
+    loads = [
+        f"{body} may carry a payload ({p:.0%}), which bodies that are not as in the model take in: "
+        "these logs tell only what all weighs together; move it without the payload"
+        for body, p in rest.loads.items()
+    ]
+    return [*unknown, *loads]
 
 
 def left_out_notes(findings: Sequence[Finding], steps: Sequence[Step]) -> list[str]:

@@ -78,6 +78,15 @@ class Posterior:
         least = self._model.widths[0]
         return self._certainty([fit.choice.width > least for fit in self._fits], set())
 
+    def of_loads(self) -> dict[str, float]:
+        """Return how probable payloads are beside all of the explanation, by body."""
+        own, loads = _keys(self._fit), dict[str, float]()
+        for fit, weight in zip(self._fits, self._weights.tolist(), strict=True):
+            more = [term for term in fit.terms if term.is_whole and term.key not in own]
+            for term in more if own <= _keys(fit) else ():
+                loads[term.where[0]] = loads.get(term.where[0], 0.0) + weight
+        return {body: p for body, p in loads.items() if p >= _LEAST}
+
     def _certainty(self, has: list[bool], keys: set[Key]) -> Certainty:
         own, chance = _keys(self._fit), 0.0
         groups = dict[tuple[str, tuple[str, ...]], list[tuple[float, Fit]]]()
