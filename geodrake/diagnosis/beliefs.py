@@ -79,7 +79,7 @@ class Beliefs:
                     raise ArgumentError(f"{name} holds nothing.", advice="Give one at least.")
                 for each in value:
                     positive(each, name)
-            elif name in ("size", "free", "load"):
+            elif name in ("size", "free", "load", "tool"):
                 positive(value, name)
             else:
                 number(value, name, lower=0.0)

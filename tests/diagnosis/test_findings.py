@@ -7,17 +7,21 @@ import pytest
 
 pytest.importorskip("pinocchio")
 
+import pinocchio as pin
 from effort_logs import MODELS, effort_log
 
 from geodrake import load_model
 from geodrake.diagnosis import Beliefs
 from geodrake.diagnosis.findings import (
     INERTIA,
+    Unnamed,
     findings_of,
     unknown_probabilities,
     unknown_probability,
     without_finding,
 )
+from geodrake.diagnosis.notes import unnamed_notes
+from geodrake.diagnosis.posterior import Posterior
 from geodrake.diagnosis.search import searched
 from geodrake.effects import StribeckFriction
 from geodrake.errors import ArgumentError
@@ -113,6 +117,65 @@ def test_a_finding_is_the_more_likely_the_more_it_takes_beside_what_is_left(foun
     assert unknown_probability(replace(whole, fit=noise), finding, errors) == 0.0
 
 
+def heavier(seen, mass=0.3):
+    """Effort of a ball that the last link holds, by Pinocchio."""
+    model, last = pin.Model(seen.model), seen.model.njoints - 1
+    ball = pin.Inertia(mass, np.array([0.05, 0.02, 0.1]), 1e-3 * mass * np.eye(3))
+    model.inertias[last] = model.inertias[last] + ball
+    data = model.createData()
+    samples = zip(seen.q, seen.v, seen.a, strict=True)
+    return np.array([pin.rnea(model, data, *sample) for sample in samples]) - seen.load
+
+
+@pytest.fixture(scope="module")
+def loaded():
+    log = effort_log("double_pendulum", 5, heavier, duration=16.0, share=0.01).log
+    return searched(open_case(load_model(PENDULUM), [log], candidates=True))
+
+
+def with_load(found, *, width, has_load=True):
+    model, was = found.model, found.fit
+    loads = [t for t in model.terms if t.is_whole and t.where == ("lower_link",)]
+    terms = loads[-2:-1] if has_load else []
+    choice = model.choice(was.choice, terms, width=width)
+    return replace(found, fit=model.unbounded(choice, model.shares(was), was.variance))
+
+
+def test_bodies_that_take_in_a_payload_make_it_no_part_of_an_unknown(found, loaded):
+    """With bodies that go far a payload takes nothing away, whether it is there or not."""
+    errors = [table(0.1, 0.01)] * 3
+    chances = []
+    for each in (found, loaded):
+        whole = with_load(each, width=each.model.widths[-1])
+        left = replace(whole, fit=replace(whole.fit, variance=np.full(2, 0.02**2)))
+        (finding,) = (f for f in findings_of(whole) if f.name == "payload")
+        chances.append(unknown_probability(left, finding, errors))
+    rubbing_alone, carried = chances
+    assert carried < 0.01
+    assert rubbing_alone > 0.5
+
+
+def test_a_payload_that_bodies_may_have_taken_in_is_said(loaded):
+    bodies = with_load(loaded, width=loaded.model.widths[-2], has_load=False)
+    loads = Posterior(bodies.model, bodies.fit).of_loads()
+    assert loads["lower_link"] > 0.5  # a file that is 30 % off is less probable
+    (note,) = (n for n in unnamed_notes(Unnamed((), loads)) if n.startswith("lower_link"))
+    assert f"{loads['lower_link']:.0%}" in note
+    having = with_load(loaded, width=loaded.model.widths[0])
+    assert "lower_link" not in Posterior(having.model, having.fit).of_loads()
+
+
+def test_a_tool_is_as_likely_as_none_where_a_file_has_it_not(found):
+    """Its masses share the odds; on a link that carries others it is rare."""
+    beliefs, bodies = found.model.beliefs, dict[tuple[str, ...], list[float]]()
+    for term in found.model.terms:
+        if term.is_whole:
+            bodies.setdefault(term.where, []).append(np.exp(-0.5 * term.first))
+    last, inner = sum(bodies["lower_link",]), sum(bodies["upper_link",])
+    assert last == pytest.approx(1.0 / (beliefs.tool * (1.0 + 1.0 / beliefs.inner)))
+    assert inner < last / (beliefs.inner * beliefs.rarer) * 1.01
+
+
 def test_every_payload_is_a_finding_of_its_own(found):
     """One that is there does not make up for one that is none."""
     model, was = found.model, found.fit
@@ -134,6 +197,7 @@ def test_every_payload_is_a_finding_of_its_own(found):
         {"payloads": ()},
         {"widths": ()},
         {"load": 0},
+        {"tool": 0.0},
     ],
 )
 def test_beliefs_that_are_none(wrong):
