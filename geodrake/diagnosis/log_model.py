@@ -22,7 +22,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from geodrake.diagnosis.beliefs import Beliefs
-from geodrake.diagnosis.normal_kernels import RIDGE, calc_most_probable
+from geodrake.diagnosis.normal_kernels import RIDGE, calc_most_probable, calc_squares
 from geodrake.diagnosis.terms import (
     Compatibility,
     Term,
@@ -171,8 +171,6 @@ class LogModel:
             known = columns >= 0
             self.places[j, known] = joint.local(columns[known])
             self.places[j, len(self.unknowns.columns) + j] = n
-        common = self.places[:, : self.first_term]
-        self._base = self._gathered(common, common)
         self._ends = np.array([len(joint.columns) for joint in data.data])
         self.mean[: len(self.unknowns.columns)] = self.unknowns.mean
         gains = np.maximum(data.gain_uncertainty, 1e-6) ** -2.0
@@ -304,14 +302,14 @@ class LogModel:
         own = [self.at[term] for term in choice.terms]
         columns, rows = np.concatenate([np.arange(self.first_term), *own]), self.rows
         mean, inertias = self.mean[columns], self._inertias.take(columns, axis=1)
-        efforts, joints = self.efforts(choice.delay), np.arange(len(rows))
+        joints = self.normal(columns, choice.delay)
         if variance is None:
-            powers, passive = self.grams[joints, efforts, efforts], inertias.any(axis=1)
+            powers = calc_squares(joints, np.zeros(len(columns)))
+            passive = inertias.any(axis=1)
             variance = np.where(passive, self.dataset.effort_std**2, powers / rows)
-        of_joints = self.grams, self.places.take(columns, axis=1), efforts
         noise, of_prior = (shares, rows, self.floor), (prior, prior @ mean)
         try:
-            x, variance, found = calc_most_probable(of_joints, of_prior, inertias, noise, variance)
+            x, variance, found = calc_most_probable(joints, of_prior, inertias, noise, variance)
         except np.linalg.LinAlgError as error:
             raise not_held() from error
         weights, inertia, hessian, determinant = found
@@ -386,25 +384,9 @@ class LogModel:
         """Return (nv,) where the efforts of each joint, later by a delay, stand in its matrix."""
         return np.asarray(self._ends + np.array(delay))
 
-    def normal(self, columns: Indices) -> Array:
-        """Return AᵀA (nv, n, n) of each joint."""
-        n, first = len(columns), self.first_term  # which all explanations have in common
-        at, grams = self.places[:, columns], np.empty((len(self.rows), n, n))
-        grams[:, :first, :first] = self._base
-        grams[:, first:] = self._gathered(at[:, first:], at)
-        grams[:, :first, first:] = np.swapaxes(grams[:, first:, :first], 1, 2)
-        return grams
-
-    def _gathered(self, left: Indices, right: Indices) -> Array:
-        """Return blocks (nv, l, r) of the normal matrices at places (nv, l) and (nv, r)."""
-        joints = np.arange(len(self.rows))[:, None, None]
-        return self.grams[joints, left[:, :, None], right[:, None]]
-
-    def moments(self, columns: Indices, delay: Delay) -> tuple[Array, Array]:
-        """Return Aᵀb (nv, n) and bᵀb (nv,) of each joint."""
-        joints, efforts = np.arange(len(self.rows)), self.efforts(delay)
-        moments = self.grams[joints[:, None], efforts[:, None], self.places[:, columns]]
-        return moments, self.grams[joints, efforts, efforts]
+    def normal(self, columns: Indices, delay: Delay) -> tuple[Array, Indices, Indices]:
+        """Return the normal matrices of all joints, and where columns (n,) and efforts stand."""
+        return self.grams, self.places.take(columns, axis=1), self.efforts(delay)
 
     def shares(self, fit: Fit) -> Array:
         """Return (nv,) how many independent samples each row of a fit's residuals is worth."""

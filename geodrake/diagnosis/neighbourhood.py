@@ -13,10 +13,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from geodrake.diagnosis.log_model import Delay, Fit, LogModel
-from geodrake.diagnosis.normal_kernels import add_normal
+from geodrake.diagnosis.normal_kernels import add_normal, calc_squares
 from geodrake.diagnosis.terms import Term, Terms
 
 Array = NDArray[np.float64]
+Indices = NDArray[np.intp]
 
 
 @dataclass(frozen=True, eq=False)
@@ -53,16 +54,16 @@ class Neighbourhood:
         count = len(model.dataset.delays)
         if count < 2:
             return []
-        every = [model.moments(columns, (k,) * len(was)) for k in range(count)]
-        grams, (own, _) = model.normal(columns), model.moments(columns, was)
+        late = [model.normal(columns, (k,) * len(was)) for k in range(count)]
+        own, *every = (_moments(*each) for each in (model.normal(columns, was), *late))
         samples = fit.weights * np.maximum(fit.variance, model.floor) * model.rows
         now, found = fit.variance * model.rows, list[tuple[Delay, float]]()
         for moved in (joints, *([j] for j in joints)):
             tried = []
-            for k, (moments, powers) in enumerate(every):
+            for k, moments in enumerate(every):
                 change = fit.weights[moved] @ (moments[moved] - own[moved])
                 x = fit.x + self._inverse @ change
-                left = [powers[j] - 2.0 * moments[j] @ x + x @ grams[j] @ x for j in moved]
+                left = calc_squares(late[k], x)[moved]
                 ratio = np.maximum(left, 1e-12 * now[moved]) / now[moved]
                 delay = tuple(k if j in moved else was[j] for j in joints)
                 tried.append((delay, float(-samples[moved] @ np.log(ratio))))
@@ -108,3 +109,8 @@ class Neighbourhood:
             below = (positive & ~above).any(axis=1)
             found[chosen] = np.where(below, -np.inf, gain)
         return found
+
+
+def _moments(grams: Array, places: Indices, efforts: Indices) -> Array:
+    """Return Aᵀb (nv, n) of each joint."""
+    return grams[np.arange(len(grams))[:, None], efforts[:, None], places]

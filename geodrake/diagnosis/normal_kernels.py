@@ -43,6 +43,23 @@ def add_normal(
 
 
 @compiled
+def calc_squares(joints: tuple[Array, Indices, Indices], x: Array) -> Array:
+    """Return sums (J,) of squared residuals with parameters (n,)."""
+    grams, places, efforts = joints
+    squares = np.empty(len(grams))
+    for j in range(len(grams)):
+        own = np.flatnonzero(places[j] >= 0)
+        local = places[j][own]
+        squares[j] = grams[j, efforts[j], efforts[j]]
+        for i in range(len(own)):
+            row, product = grams[j, local[i]], 0.0
+            for k in range(len(own)):
+                product += row[local[k]] * x[own[k]]
+            squares[j] += (product - 2.0 * row[efforts[j]]) * x[own[i]]
+    return squares
+
+
+@compiled
 def calc_most_probable(
     joints: tuple[Array, Indices, Indices],  # as above
     prior: tuple[Array, Array],  # information (n, n), and its product with the mean (n,)
@@ -55,8 +72,8 @@ def calc_most_probable(
     That are weights (J,), the inertias of joints without motors (J,), the normal matrix (n, n) with
     the prior, and the logarithm of its determinant.
     """
-    (grams, places, efforts), (information, pull), (shares, rows, floor) = joints, prior, noise
-    n, count = len(pull), len(grams)
+    (information, pull), (shares, rows, floor) = prior, noise
+    n, count = len(pull), len(rows)
     weights, inertia, passive = np.empty(count), np.ones(count), np.zeros(count, np.bool_)
     for j in range(count):
         passive[j] = np.any(inertias[j] != 0.0)
@@ -69,20 +86,11 @@ def calc_most_probable(
                 right += shares[j] * rows[j] / inertia[j] * inertias[j]
         add_normal(joints, weights, gram, right)
         x, logarithm = calc_solution(gram, right, RIDGE)
-        before, variance = variance, np.empty(count)
-        settled = True
+        before, variance, settled = variance, calc_squares(joints, x) / rows, True
         for j in range(count):
             if passive[j]:
                 inertia[j] = max(np.sum(inertias[j] * x), LEAST_INERTIA)
-            own = np.flatnonzero(places[j] >= 0)
-            local = places[j][own]
-            left = grams[j, efforts[j], efforts[j]]
-            for i in range(len(own)):
-                row, product = grams[j, local[i]], 0.0
-                for k in range(len(own)):
-                    product += row[local[k]] * x[own[k]]
-                left += (product - 2.0 * row[efforts[j]]) * x[own[i]]
-            variance[j] = max(left / rows[j], floor[j])
+            variance[j] = max(variance[j], floor[j])
             settled = settled and abs(np.log(variance[j] / before[j])) < _ALIKE
         if settled:
             break

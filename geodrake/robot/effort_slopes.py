@@ -81,16 +81,22 @@ def effort_slopes(
     v: ArrayLike,
     vd: ArrayLike,
     phi: ArrayLike,
+    *,
+    only_position: bool = False,
 ) -> EffortSlopes:
-    """Return the slopes of `geodrake.robot.regressor.inverse_dynamics`."""
+    """Return the slopes of `geodrake.robot.regressor.inverse_dynamics`.
+
+    If `only_position`, the others may be NaN, which takes half of the time.
+    """
     robot = checked_tree(plant)
     tree, samples, J = checked_samples(robot, q, v, vd)
     phi, expected = np.asarray(phi, float), (len(tree.bodies), PARAMETERS_PER_BODY)
     if phi.shape != expected:
         raise ArgumentError(f"phi has the shape {phi.shape}, but the plant needs {expected}.")
     count, nv = len(samples[0]), tree.num_velocities
-    slopes = np.zeros((3, count, nv, nv))
-    calc_effort_slopes(tree.records, samples, contiguous(phi), slopes)
+    kinds, slopes = 1 if only_position and J is None else 3, np.full((3, count, nv, nv), np.nan)
+    slopes[:kinds] = 0.0
+    calc_effort_slopes(tree.records, samples, contiguous(phi), slopes[:kinds])
     found = EffortSlopes(*slopes)
     several = [m.velocities for m in tree.mobilizers if m.velocities.stop - m.velocities.start > 1]
     columns = [at for own in several for at in range(own.start, own.stop)]
@@ -139,7 +145,7 @@ def _at_actuators(
 
 @compiled
 def calc_effort_slopes(tree: TreeRecords, samples: Samples, phi: Array, out: Array) -> None:
-    """Adds the slopes with q, v and v̇ of all bodies' efforts to (3, N, nv, nv)."""
+    """Adds the slopes with q, v and v̇ of all bodies' efforts to (3, N, nv, nv), or the first."""
     mobilizers, dofs = tree
     motions, features, most = np.empty(len(mobilizers), MOTION), np.empty(9), dofs.shape[1]
     turn, slide = subspace_room(dofs)
@@ -157,7 +163,7 @@ def calc_effort_slopes(tree: TreeRecords, samples: Samples, phi: Array, out: Arr
             for j in range(count):
                 s, t = row(turn, i, j), row(slide, i, j)
                 changes = motion_changes(s, t, inboard, j)
-                for kind in range(3):
+                for kind in range(len(out)):
                     by_force, by_moment = wrench_change(
                         phi, body, vector(motions[i].w), changes[kind]
                     )
@@ -168,7 +174,7 @@ def calc_effort_slopes(tree: TreeRecords, samples: Samples, phi: Array, out: Arr
             for k in range(count):
                 s, t = row(turn, i, k), row(slide, i, k)
                 for j in range(count):
-                    for kind in range(3):
+                    for kind in range(len(out)):
                         felt = dot(t, row(forces, kind, j)) + dot(s, row(moments, kind, j))
                         if kind == 0 and k < j:  # inboard of it
                             felt += dot(t, row(forces, _ALONG, j)) + dot(s, row(moments, _ALONG, j))

@@ -112,7 +112,8 @@ def _joint_columns(samples: ColumnSamples, layout: Layout, assignment: Assignmen
             bodies = seen[seen < model.phi.size]
             columns[j][:, : len(bodies)] += weight[:, j, bodies]
     tilts = RobotBodies(tree, at, model.total_phi).gravity_efforts(np.cross(down, np.eye(3)[:2]).T)
-    turned = np.nan_to_num(effort_slopes(tree, at, v, vd, model.total_phi).position)
+    slopes = effort_slopes(tree, at, v, vd, model.total_phi, only_position=True)
+    turned = np.nan_to_num(slopes.position)
     found = []
     for j, joint in enumerate(model.joints):
         unknown = _unknown_function(joint, q[:, j], v[:, j], float(width[j]))

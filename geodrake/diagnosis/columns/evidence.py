@@ -110,6 +110,8 @@ class ColumnModel:
         periods = [segment.period for t in samples.trajectories for segment in t.segments]
         self._rate = 1.0 / float(np.median(periods))
         self._rates = samples.effective(list(samples.v.T), [np.arange(len(samples))] * n)
+        self._reach, self._deviations = np.ptp(samples.q, axis=0), samples.effort.std(axis=0)
+        self._slow = np.mean(samples.v**2, axis=0) < samples.width**2
 
     def designs(self, assignment: Assignment) -> list[JointDesign]:
         """Return the joints' normal matrices for an assignment; those of last motions are kept."""
@@ -157,7 +159,7 @@ class ColumnModel:
 
     def nrms(self, fit: ColumnFit) -> float:
         """Return the root mean square over joints of errors over the deviations of efforts."""
-        return float(np.sqrt(np.mean(fit.mse / self.samples.effort.var(axis=0))))
+        return float(np.sqrt(np.mean(fit.mse / self._deviations**2)))
 
     def moved(self, assignment: Assignment, step: Array) -> Assignment:
         """Return an assignment whose zeros, gains and tilt are moved by a step (p,)."""
@@ -179,7 +181,7 @@ class ColumnModel:
         """Return twice the logarithm of how likely ranges, rates and measured velocities are."""
         samples, model, at = self.samples, self.samples.model, assignment.position
         turns = [joint not in model.sliding_joints for joint in model.joints]
-        reach = np.abs(assignment.scale) * np.ptp(samples.q, axis=0)[at]
+        reach = np.abs(assignment.scale) * self._reach[at]
         far = np.log(np.maximum(reach[turns], LEAST_RANGE) / USUAL_RANGE) / USUAL_SPREAD
         often = np.log(self._rate / assignment.time / USUAL_RATE) / USUAL_SPREAD
         score = -float(far @ far + often**2)
@@ -188,9 +190,8 @@ class ColumnModel:
         v, rate = samples.v[:, at], samples.rate[:, at]
         share = assignment.scale / (assignment.time * assignment.rate)
         error, size = np.mean((rate - v * share) ** 2, axis=0), np.mean(rate**2, axis=0)
-        slow = np.mean(v**2, axis=0) < samples.width[at] ** 2
         relative = np.maximum(error / np.maximum(size, 1e-300), _RATE_AGREEMENT**2)
-        errors = np.where(slow | (size == 0.0), 1.0, relative)
+        errors = np.where(self._slow[at] | (size == 0.0), 1.0, relative)
         return score - float(np.minimum(self._rates, self.beliefs.discrepancy)[at] @ np.log(errors))
 
     def _joints(self, assignment: Assignment) -> list[JointEquations]:
@@ -256,7 +257,7 @@ class ColumnModel:
 
     def _size(self, assignment: Assignment, joint: int) -> float:
         """Return the deviation of a joint's efforts, N·m or N."""
-        deviation = self.samples.effort[:, assignment.effort[joint]].std()
+        deviation = self._deviations[assignment.effort[joint]]
         return max(float(abs(assignment.gain[joint]) * deviation), 1e-300)
 
     def _widen(self, information: Array, assignment: Assignment, wide: Collection[int]) -> None:
