@@ -74,6 +74,7 @@ class Search:
         self, case: Case, beliefs: Beliefs | None = None, progress: Progress | None = None
     ) -> None:
         self.case, self._beliefs, self._progress = case, beliefs or Beliefs(), progress
+        self._measured = case  # the case whose noise is known
         self._effects = list(dict.fromkeys(case.dataset.effects))
         self._grid = tuple(self._effects)
         self._origin = case.model.delays
@@ -257,7 +258,9 @@ class Search:
         own = effects_of(model)
         self._effects = [e for e in self._effects if e in own or is_resolved(e, unsure)]
         columns = [*self._effects, *unsure]
-        dataset = reduced(self.case, columns, delays=self._delays)
+        known = model is self._measured.model and self.case.loads is self._measured.loads
+        dataset = reduced(self.case, columns, delays=self._delays, same_noise=known)
+        self._measured = self.case
         self.case = replace(self.case, dataset=dataset)
         return LogModel(model, dataset, self._effects, self._beliefs, self._on_time)
 

@@ -22,6 +22,9 @@ Array = NDArray[np.float64]
 CHUNK = 20_000
 """Samples that are resampled and smoothed at once."""
 
+_KEPT = 50_000
+"""Samples of a log that stay in memory, smoothed, where it has no more."""
+
 SPLINE_REACH = 40
 """Samples beyond which an interpolating spline does not feel a change."""
 
@@ -174,7 +177,7 @@ def smooth_pieces(
     Args:
         lag: (n,) time by which measured velocities are late, s; None to derive the velocities.
     """
-    kept = sum(map(len, pieces)) <= CHUNK
+    kept = sum(map(len, pieces)) <= _KEPT
     return tuple(SmoothPiece(piece, smoother, lag, kept) for piece in pieces)
 
 

@@ -32,6 +32,7 @@ def long_log(samples, *, velocity=False, seed=0):
 @pytest.mark.parametrize("velocity", [False, True])
 def test_slices_are_those_of_the_whole(monkeypatch, velocity):
     monkeypatch.setattr(smoothing, "CHUNK", 700)
+    monkeypatch.setattr(smoothing, "_KEPT", 700)
     (stretch,) = prepare_log(long_log(9000, velocity=velocity), bandwidth=6.0).segments
     whole = stretch[:]
     assert len(whole) == len(stretch)
@@ -60,6 +61,7 @@ def test_trimming_does_not_depend_on_chunks(monkeypatch):
     log = replace(log, position=np.sin(np.array([2.0, 3.3]) * (still[:, None] - 3.0)))
     (whole,) = prepare_log(log, bandwidth=6.0).segments
     monkeypatch.setattr(smoothing, "CHUNK", 333)
+    monkeypatch.setattr(smoothing, "_KEPT", 333)
     (cut,) = prepare_log(log, bandwidth=6.0).segments
     assert (cut.first, cut.stop) == (whole.first, whole.stop)
     assert cut.first > 0
@@ -70,6 +72,7 @@ def test_memory_grows_with_the_log_alone(monkeypatch, tmp_path):
     """A sample of two joints is 40 bytes; smoothed copies and regressors would be hundreds more."""
     for module in (smoothing, reduce):
         monkeypatch.setattr(module, "CHUNK", 5_000)
+    monkeypatch.setattr(smoothing, "_KEPT", 5_000)
     monkeypatch.setattr(uniform_log, "_PART", 5_000)
     monkeypatch.setattr(noise, "_SAMPLES", 10_000)
     model, peaks = load_model(PENDULUM), []

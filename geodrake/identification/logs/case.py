@@ -273,12 +273,16 @@ def reopen(case: Case, model: RobotModel) -> Case:
 
 
 def reduced(
-    case: Case, effects: Sequence[Effect], *, delays: Sequence[ArrayLike] | None = None
+    case: Case,
+    effects: Sequence[Effect],
+    *,
+    delays: Sequence[ArrayLike] | None = None,
+    same_noise: bool = True,
 ) -> Dataset:
     """Return the logs of a case with columns for other effects.
 
     Delays to try on top of the model's, s, of all joints or (nv,) of each, are by default those of
-    the case.
+    the case. The noise is that of the case unless its model is another one since.
     """
     return reduce_logs(
         case.load_model,
@@ -286,7 +290,7 @@ def reduced(
         case.folds,
         effects=effects,
         delays=[*case.dataset.delays] if delays is None else delays,
-        noise=(case.dataset.noise_floor, case.dataset.noise_known) if delays is None else None,
+        noise=(case.dataset.noise_floor, case.dataset.noise_known) if same_noise else None,
         shared=case.shared,
     )
 
