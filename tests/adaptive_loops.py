@@ -14,7 +14,12 @@ from geodrake.control.adaptation import natural_adaptation, parameter_manifold
 from geodrake.control.loops import add_adaptive_loop
 from geodrake.control.regressor import ControlModel
 from geodrake.effects import FittedEffect, ViscousFriction
-from geodrake.inertia import from_pseudo_inertia, pseudo_inertia, to_spatial_inertia
+from geodrake.inertia import (
+    from_pseudo_inertia,
+    is_physical,
+    pseudo_inertia,
+    to_spatial_inertia,
+)
 from geodrake.model.robot_model import load_description
 
 MODELS = Path(__file__).parents[1] / "models"
@@ -110,6 +115,14 @@ def run(controller, duration, **options):
     found.Initialize()
     found.AdvanceTo(duration)
     return loop.logged(found.get_context())
+
+
+def check_estimates(logs):
+    """All is finite and every estimate physical."""
+    for name, values in logs.items():
+        assert np.isfinite(values).all(), name
+    phi = logs["parameters"][:, : CONTROL.num_inertial]
+    assert is_physical(phi.reshape(len(phi), -1, 10)).all()
 
 
 def tracking_error(logs):

@@ -32,8 +32,25 @@ if hasattr(typer.testing, "_get_command"):
 # What is not quick: studies, files that mean harm, and modules that import what starts processes,
 # runs commands, simulates or searches.
 LONG_FOLDERS = {"diagrams", "hostile"}
-LONG_MODULES = {"subprocess", "typer.testing", "adaptive_loops", "effort_logs", "pinocchio_logs"}
-LONG_FUNCTIONS = {"explain", "diagnose", "add", "roll_out", "draft_effects"}
+LONG_MODULES = {
+    "subprocess",
+    "typer.testing",
+    "playwright.sync_api",
+    "geodrake.robot.files.xacro_process",
+    "adaptive_loops",
+    "effort_logs",
+    "pinocchio_logs",
+    "servo_logs",
+}
+LONG_FUNCTIONS = {
+    "explain",
+    "diagnose",
+    "add",
+    "roll_out",
+    "draft_effects",
+    "export_to",
+    "Simulator",
+}
 LONG_MARKS = ("thorough", "measurements")
 
 
@@ -50,6 +67,12 @@ def is_quick(module):
     return Path(module.__file__).parent.name not in LONG_FOLDERS and not any(
         is_long(name, value) for name, value in vars(module).items()
     )
+
+
+def pytest_ignore_collect(collection_path, config):
+    """Whether a folder need not be imported, as quick tests are asked for and it has none."""
+    asked = config.option.markexpr == "quick"
+    return True if asked and collection_path.name in LONG_FOLDERS else None
 
 
 @pytest.hookimpl(tryfirst=True)  # before marks decide what is run

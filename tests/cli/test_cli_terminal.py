@@ -5,6 +5,7 @@ import re
 from dataclasses import replace
 from html import escape
 from importlib.resources import files
+from itertools import product
 
 import numpy as np
 import pytest
@@ -62,9 +63,9 @@ def test_every_joint_has_its_value(added):
         assert any(line.startswith(joint) and "±" in line for line in lines)
 
 
-@pytest.mark.parametrize("terminal", [True, False])
-def test_nothing_is_wider_than_the_terminal_or_cut(model, added, compared, terminal):
-    for result in (added, compared, diagnose(model, LOG)):
+def test_nothing_is_wider_than_the_terminal_or_cut(model, added, compared):
+    results = added, compared, diagnose(model, LOG)
+    for result, terminal in product(results, (True, False)):
         text = printed(result, model, terminal=terminal)
         long = [line for line in text.splitlines() if len(line) > 80 and "excite" not in line]
         assert not (terminal and long)

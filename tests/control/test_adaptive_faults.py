@@ -9,6 +9,7 @@ from adaptive_loops import (
     MODEL,
     TRUTH,
     FaultySensor,
+    check_estimates,
     closed_loop,
     frozen,
     infinite,
@@ -89,11 +90,8 @@ def of_all(*always):
 
 
 def check(logs):
-    """Everything is finite and every estimate physical."""
-    for name, values in logs.items():
-        assert np.isfinite(values).all(), name
-    phi = logs["parameters"][:, : CONTROL.num_inertial]
-    assert is_physical(phi.reshape(len(phi), -1, 10)).all()
+    """Everything is finite, within the limits, and every estimate physical."""
+    check_estimates(logs)
     assert (logs["parameters"][:, CONTROL.num_inertial :] > 0).all()
     assert (np.abs(logs["actuation"]) <= np.array([8.0, 4.0]) + 1e-9).all()
 

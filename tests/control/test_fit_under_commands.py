@@ -38,6 +38,7 @@ from geodrake.model import EffortSignal
 from geodrake.report import page_of, render
 from geodrake.report.json_output import rollout_fit_dict
 from geodrake.report.page import About
+from geodrake.report.words import rollout_fit_words
 
 PD = EffortSignal("hinge", "command", 100.0, damping=6.0, delay=0.013)
 LIMITED = dataclasses.replace(PD, limit=6.5)
@@ -228,6 +229,8 @@ def test_results_say_what_they_are_under(pendulum):
     unsure = dataclasses.replace(found, model=model)
     assert "servos of hinge are not known exactly" in unsure.notes[-1]
     assert found.notes == rollout.notes
+    doubtful = rollout_fit_words(dataclasses.replace(found, chance=0.2))
+    assert "(probability 0.20, 1 windows): further logs or more" in doubtful
     late = FittedValue("servo", "hinge", "delay", 5.1e-3, 13e-3, 1e-5)
     fitted = dataclasses.replace(unsure, values=(late,))
     assert fitted.notes == rollout.notes

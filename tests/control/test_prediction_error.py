@@ -7,6 +7,7 @@ from adaptive_loops import (
     MANIFOLD,
     MODEL,
     TRUTH,
+    check_estimates,
     motion,
     natural,
     pendulum_plant,
@@ -30,7 +31,6 @@ from geodrake.control.systems import (
 from geodrake.control.systems.prediction_error import Prediction
 from geodrake.control.systems.safeguards import Seen
 from geodrake.errors import ArgumentError
-from geodrake.inertia import is_physical
 from geodrake.manifolds import PhysicalInertia
 
 LAST = adapted_parameters(MODEL, [MODEL.bodies[-1]])
@@ -49,20 +49,12 @@ def computed(prediction, law=LAW, **options):
     return AdaptiveComputedTorqueController(CONTROL, law, prediction=prediction, **options)
 
 
-def check(logs):
-    """Everything is finite and every estimate physical."""
-    for name, values in logs.items():
-        assert np.isfinite(values).all(), name
-    phi = logs["parameters"][:, : CONTROL.num_inertial]
-    assert is_physical(phi.reshape(len(phi), -1, 10)).all()
-
-
 @pytest.mark.parametrize("make", [passive, computed])
 def test_the_estimate_nears_the_truth_faster_than_by_tracking_alone(make):
     fallen = []
     for prediction in (None, PredictionError(0.5)):
         _, logs = run(make(prediction), 1.0)
-        check(logs)
+        check_estimates(logs)
         V = logs["lyapunov"].ravel()
         assert np.diff(V).max() <= 1e-4 * V[0]
         D = MANIFOLD.divergence(TRUTH, logs["parameters"])

@@ -142,6 +142,7 @@ def test_ur10e_payload_that_was_put_down_is_noticed(ur10e_changed):
     assert step.parameters["wrist_3_link"]["mass"] < 0.15
 
 
+@pytest.mark.thorough  # what the same search explains is tested above
 def test_ur10e_payload_is_named_by_one_diagnosis(ur10e_saved, ur10e_changed):
     diagnosis = diagnose(ur10e_saved, [DATA / "ur10e_changed.csv"])
     chosen = diagnosis.candidates[0]

@@ -221,6 +221,10 @@ def test_the_command_plays_a_saved_model_beside_its_file(tmp_path, after):
         (("--seconds", "-1"), "--seconds must be"),
         (("--live", "99999"), "is no port"),
         (("--before", "none.urdf"), "does not exist"),
+        (("--video", "p.avi"), "does not end in .mp4 or .gif"),
+        (("--to", "foxglove", "p.mcap"), "--to must be"),
+        (("--to", "rerun", "p.mcap"), "does not end in .rrd"),
+        (("--video", "no/p.gif"), "which is no folder"),
     ],
 )
 def test_bad_input_is_one_line_and_leaves_nothing(tmp_path, monkeypatch, options, words):

@@ -209,23 +209,6 @@ def test_videos_show_the_robot_in_motion(playback, shapes, draws):
 
 
 @pytest.mark.parametrize(
-    ("options", "words"),
-    [
-        (("--video", "p.avi"), "does not end in .mp4 or .gif"),
-        (("--to", "foxglove", "p.mcap"), "--to must be"),
-        (("--to", "rerun", "p.mcap"), "does not end in .rrd"),
-        (("--video", "no/p.gif"), "which is no folder"),
-    ],
-)
-def test_bad_targets_are_one_line_and_leave_nothing(tmp_path, monkeypatch, options, words):
-    monkeypatch.chdir(tmp_path)
-    result = CliRunner().invoke(app, ["play", str(URDF), str(LOG), *options])
-    assert result.exit_code == 2
-    assert words in result.stderr and result.stderr.count("\n") == 1
-    assert not list(tmp_path.iterdir())
-
-
-@pytest.mark.parametrize(
     ("module", "options"),
     [
         ("imageio_ffmpeg", ("--video", "p.mp4")),

@@ -19,7 +19,7 @@ from typer.testing import CliRunner
 from geodrake import load_model
 from geodrake.boundary.showing import Short, Shown
 from geodrake.cli.app import app
-from geodrake.control.rollout import fit_rollouts, roll_out
+from geodrake.control.rollout import FittedValue, RolloutFit, roll_out
 from geodrake.diagnosis import compare, diagnose
 from geodrake.diagnosis.add import add
 from geodrake.effects import FittedEffect, JointElasticity
@@ -58,10 +58,13 @@ def designed():
 
 
 def soft():
-    """The model with a soft elbow, which the log does not have."""
+    """A fit of a soft elbow that was not taken."""
     model = load_model(MODEL)
     spring = FittedEffect(JointElasticity("elbow"), np.array([1e-3]))
-    return replace(model, effects=(*model.effects, spring))
+    model = replace(model, effects=(*model.effects, spring))
+    motion = roll_out(model, [recorded()], horizon=0.1, most=4)
+    value = FittedValue("joint_elasticity", "elbow", "compliance", 1e-3, 1e-4, 1e-5)
+    return RolloutFit(model, (value,), motion, motion, (False, True) * 2, 1.0, False)
 
 
 MAKERS = {
@@ -76,7 +79,7 @@ MAKERS = {
     "ExcitationResult": designed,
     "LogIdentifiability": lambda: log_identifiability(load_model(MODEL), [recorded()]),
     "Rollout": lambda: roll_out(load_model(MODEL), [recorded()], horizon=0.1, most=3),
-    "RolloutFit": lambda: fit_rollouts(soft(), [recorded()], horizon=0.1, most=4),
+    "RolloutFit": soft,
 }
 SHOWN = [name for name in MAKERS if name[0].isupper()]
 WITH_SAMPLES = [name for name in SHOWN if name != "LogIdentifiability"]
