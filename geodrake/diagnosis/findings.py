@@ -246,22 +246,24 @@ def unknown_probability(found: Found, finding: Finding, errors: Sequence[ErrorTa
     left = float(weight @ np.maximum(found.fit.variance - noise, 0.0))
     if left <= 0.0:
         return 0.0
-    carried = [term for term in finding.terms if term.is_whole]
-    falls = _taken_by(found, carried) if carried else before - after
-    gone = max(0.0, float(weight @ falls))
+    if any(term.is_whole for term in finding.terms):
+        before, after = (fit.variance for fit in _with_bodies_that_stay(found, finding))
+    gone = max(0.0, float(weight @ (before - after)))
     beliefs = found.model.beliefs
     return 1.0 / (1.0 + (gone / (beliefs.part * left)) ** beliefs.sharpness)
 
 
-def _taken_by(found: Found, terms: Sequence[Term]) -> Array:
-    """Return (nv,) what terms take of the mean squared errors while bodies stay with the file."""
+def _with_bodies_that_stay(found: Found, finding: Finding) -> tuple[Fit, Fit]:
+    """Return the explanation without a finding and with it, bodies nearest to the file."""
     model, was = found.model, found.fit
-    rest, width = [term for term in was.terms if term not in terms], model.widths[0]
-    choices = [model.choice(was.choice, kept, width=width) for kept in (rest, was.terms)]
-    without, having = (
-        model.unbounded(choice, model.shares(was), was.variance) for choice in choices
+    rest = [term for term in was.terms if term not in finding.terms]
+    without, whole = (
+        model.unbounded(
+            model.choice(was.choice, terms, width=model.widths[0]), model.shares(was), was.variance
+        )
+        for terms in (rest, was.terms)
     )
-    return without.variance - having.variance
+    return without, whole
 
 
 def felt(found: Found, finding: Finding) -> NDArray[np.bool_]:
@@ -277,8 +279,11 @@ def holds(found: Found, finding: Finding, before: HeldOut, after: HeldOut) -> bo
     The squared error of the joints that feel it must fall, in the mean over the folds, by more than
     the standard error of that mean: what shows in one fold alone just does. That of all joints, as
     nrms counts them, must not rise by as much. Bodies that are far from the file predict as a
-    payload does that they take in: it must not raise the error.
+    payload does that they take in, so that it is judged with bodies that stay.
     """
+    if any(term.is_whole for term in finding.terms):
+        fits = _with_bodies_that_stay(found, finding)
+        before, after = (found.model.validated(fit).held_out for fit in fits)
     scale = np.maximum(found.model.dataset.effort_std, np.finfo(float).tiny)
     own = felt(found, finding) / np.maximum(before.mse, np.finfo(float).tiny)
     falls = (before.sse - after.sse) @ np.stack([own, scale**-2.0], 1)
@@ -286,8 +291,7 @@ def holds(found: Found, finding: Finding, before: HeldOut, after: HeldOut) -> bo
     if len(falls) > 1:
         errors = (1.0 - _ROUNDING) * falls.std(axis=0, ddof=1) / np.sqrt(len(falls))
     mean = falls.mean(axis=0)
-    carried = any(term.is_whole for term in finding.terms)
-    return bool(mean[0] > (-errors[0] if carried else errors[0]) and mean[1] > -errors[1])
+    return bool(mean[0] > errors[0] and mean[1] > -errors[1])
 
 
 def largest_residual(found: Found) -> float:
