@@ -16,6 +16,7 @@ from geodrake.diagnosis.findings import (
     INERTIA,
     Unnamed,
     findings_of,
+    holds,
     unknown_probabilities,
     unknown_probability,
     without_finding,
@@ -153,6 +154,15 @@ def test_bodies_that_take_in_a_payload_make_it_no_part_of_an_unknown(found, load
     rubbing_alone, carried = chances
     assert carried < 0.01
     assert rubbing_alone > 0.5
+
+
+def test_held_out_data_judge_a_payload_by_bodies_that_stay(found, loaded):
+    """Those that go far predict the same without it, so that chance would decide."""
+    for each, is_carried in ((found, False), (loaded, True)):
+        whole = with_load(each, width=each.model.widths[-1])
+        (finding,) = (f for f in findings_of(whole) if f.name == "payload")
+        same = whole.model.validated(whole.fit).held_out
+        assert holds(whole, finding, same, same) is is_carried
 
 
 def test_a_payload_that_bodies_may_have_taken_in_is_said(loaded):
