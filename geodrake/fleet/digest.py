@@ -63,6 +63,9 @@ class JointDigest(Short):
         peaks: (p_j,) largest size of each column.
         autocovariances: (B, lags) sums over rows of r_t r_{t+k} for k = 0, 1, …, where r is what
             the model, refitted to the other blocks of the same log, leaves of this one.
+        inertia: (L, p_j) of L logs, what each column adds to the inertia that a joint without a
+            motor feels, over that of the model's bodies; zeros at others.
+        scale: (L,) of a joint without a motor, how large its effort could be, N·m or N.
     """
 
     joint: str
@@ -74,6 +77,8 @@ class JointDigest(Short):
     carried: Array
     peaks: Array
     autocovariances: Array
+    inertia: Array
+    scale: Array
 
     @property
     def effective(self) -> float:
@@ -187,10 +192,16 @@ class Digest(Short):
 
     @property
     def effort_std(self) -> Array:
-        """(nv,) standard deviation of the measured efforts, N·m or N; 0 of a joint at rest."""
+        """(nv,) standard deviation of the measured efforts, N·m or N; 0 of a joint at rest.
+
+        Of joints without a motor, how large their efforts could be.
+        """
         total, squares = np.array([joint.effort_sums.sum(axis=0) for joint in self.joints]).T
         count = np.maximum(self.samples, 1)
-        return np.sqrt(np.maximum(squares / count - (total / count) ** 2, 0.0))
+        deviation = np.sqrt(np.maximum(squares / count - (total / count) ** 2, 0.0))
+        scale = np.array([np.sqrt(np.square(joint.scale).mean()) for joint in self.joints])
+        passive = np.isin(self.settings.joints, self.settings.passive)
+        return np.where(passive & (self.samples > 0), scale, deviation)
 
     @property
     def noise_floor(self) -> Array:
@@ -222,6 +233,7 @@ class Digest(Short):
         return found
 
 
+_PASSIVE = ("inertia", "scale")  # of each log; only in files of joints without a motor
 _OF_BLOCKS = ("factors", "samples", "seen", "effort_sums", "carried", "autocovariances")
 
 
@@ -274,7 +286,8 @@ def check_same(own: DigestSettings, others: DigestSettings, what: str) -> None:
 def _joined(parts: Sequence[JointDigest]) -> JointDigest:
     """Return what several digests say about one joint."""
     together: dict[str, Any] = {
-        name: np.concatenate([getattr(part, name) for part in parts]) for name in _OF_BLOCKS
+        name: np.concatenate([getattr(part, name) for part in parts])
+        for name in (*_OF_BLOCKS, *_PASSIVE)
     }
     return replace(parts[0], peaks=np.max([part.peaks for part in parts], axis=0), **together)
 
@@ -306,7 +319,8 @@ def digest_content(digest: Digest) -> bytes:
         "settings": _bytes(digest.settings.text().encode()),
     }
     for k, joint in enumerate(digest.joints):
-        for name in _ARRAYS:
+        passive = joint.joint in digest.settings.passive
+        for name in (*_ARRAYS, *(_PASSIVE if passive else ())):
             arrays[f"{k}.{name}"] = getattr(joint, name)
         upper = np.triu_indices(joint.factors.shape[1])
         arrays[f"{k}.factors"] = joint.factors[:, upper[0], upper[1]]
@@ -380,7 +394,9 @@ def read_digest(path: str | Path) -> Digest:
         ) from error
 
 
-_ARRAYS = tuple(f.name for f in fields(JointDigest) if f.name not in ("joint", "factors"))
+_ARRAYS = tuple(
+    f.name for f in fields(JointDigest) if f.name not in ("joint", "factors", *_PASSIVE)
+)
 
 
 def _bytes(text: bytes) -> NDArray[np.uint8]:
@@ -413,17 +429,22 @@ def _digest(
     block_logs = np.array(header["block_logs"], np.intp).reshape(len(blocks))
     if not blocks or not 0 <= block_logs.min() <= block_logs.max() < len(logs):
         raise ValueError("its blocks are of no log")
-    joints = tuple(
-        _joint(name, {n: arrays[f"{k}.{n}"] for n in ("factors", *_ARRAYS)}, settings, len(blocks))
-        for k, name in enumerate(settings.joints)
-    )
-    return Digest(settings, logs, blocks, block_logs, joints)
+    sizes = len(blocks), len(logs)
+    joints = []
+    for k, name in enumerate(settings.joints):
+        names = ("factors", *_ARRAYS, *(_PASSIVE if name in settings.passive else ()))
+        joints.append(_joint(name, {n: arrays[f"{k}.{n}"] for n in names}, settings, sizes))
+    return Digest(settings, logs, blocks, block_logs, tuple(joints))
 
 
 def _joint(
-    name: str, arrays: Mapping[str, NDArray[Any]], settings: DigestSettings, blocks: int
+    name: str,
+    arrays: Mapping[str, NDArray[Any]],
+    settings: DigestSettings,
+    sizes: tuple[int, int],
 ) -> JointDigest:
-    """Return a joint of a digest, its arrays of the shapes that they must have."""
+    """Return a joint of a digest of so many blocks and logs, its arrays of the shapes they need."""
+    blocks, logs = sizes
     columns = np.asarray(arrays["columns"], np.intp).ravel()
     p = len(columns)
     size = p + len(settings.delays)
@@ -440,9 +461,12 @@ def _joint(
         "carried": (blocks, p),
         "peaks": (p,),
         "autocovariances": (blocks, settings.lags),
+        "inertia": (logs, p),
+        "scale": (logs,),
     }
-    found = {}
-    for each, shape in shapes.items():
+    found = {each: np.zeros(shapes[each]) for each in _PASSIVE if each not in arrays}
+    for each in arrays:
+        shape = shapes[each]
         values = np.asarray(arrays[each], np.intp if each in _INTEGERS else float)
         if values.shape != shape or not np.isfinite(values).all():
             raise ValueError(f"{each} of {name} has the shape {values.shape}, or no numbers")

@@ -38,6 +38,7 @@ from geodrake.fleet.settings import (
 from geodrake.logs.files import check_log, parts_of, read_log
 from geodrake.logs.known_payload import KnownPayload
 from geodrake.logs.motion import JointLog
+from geodrake.model.logged_joints import reading_for
 from geodrake.model.robot_model import RobotModel
 
 Array = NDArray[np.float64]
@@ -116,7 +117,7 @@ class _Folder:
                 return DigestRow.of(log, THERE, file, read_digest_of(file, self.settings))
             except DigestError as error:
                 reason = f"made again: {error.problem}"
-        known, reading = self.model.known_joints, self.wanted.reading
+        known, reading = self.model.known_joints, reading_for(self.model, self.wanted.reading)
         read = read_log(log, joints=known, partial=True, reading=reading)
         settings = self.settings or self._chosen_from(read)
         digest = make_digest(self.model, read, settings, facts, extra=self.wanted.extra)

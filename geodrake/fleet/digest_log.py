@@ -28,8 +28,10 @@ from geodrake.identification.logs.noise import known_noise, prepare_for_model
 from geodrake.identification.logs.reduce import (
     STILL_SPEED,
     effort_deviation,
+    effort_scale,
     gain_uncertainty,
     least_sign_widths,
+    passive_inertia,
     peak_speeds,
     reduced_joints,
 )
@@ -191,6 +193,7 @@ def make_settings(
         LAGS,
         version(),
         chosen_from=log.name,
+        passive=tuple(joint for joint in own.joints if joint in log.passive),
     )
 
 
@@ -216,10 +219,12 @@ def make_digest(
     """
     instance(log, "log", JointLog)
     instance(facts, "facts", LogFacts)
-    if log.passive:
+    if differing := sorted(set(log.passive) ^ set(settings.passive)):
+        where = "in the logs before" if differing[0] in settings.passive else f"in {log.name!r}"
         raise LogError(
-            f"{log.passive[0]} of log {log.name!r} has no motor: digests are of measured efforts.",
-            advice="`explain` fits bodies beside joints without a motor.",
+            f"{differing[0]} has no motor {where}, and the digests of a folder are of one robot.",
+            advice=f"Say --passive {differing[0]} for all of them, or measure its effort in all.",
+            joint=differing[0],
         )
     extra = instances(extra, "extra", type)
     own = model_of_digests(model, settings)
@@ -233,7 +238,9 @@ def make_digest(
     layout = layout.over_base(settings.base)
     advance = [*(delays_of_joints(settings) + own.delays)]
     data = reduced_joints(layout, [trajectory], folds, advance)
-    effort_deviation(own.joints, data)  # refuses a joint whose sensor has nothing to say
+    deviation = effort_deviation(
+        own.joints, data, log.passive
+    )  # refuses a joint whose sensor has nothing to say
     for joint, each in zip(own.joints, data, strict=True):
         if not np.isfinite(each.factors).all():
             raise LogError(f"Columns of {joint} are not finite in log {log.name!r}.")
@@ -244,6 +251,10 @@ def make_digest(
         np.zeros(len(folds), np.intp),
         tuple(_joint(*each, settings) for each in zip(own.joints, data, strict=True)),
     )
+    if settings.passive:
+        scale = effort_scale(own, layout.tree, [trajectory], data, deviation)
+        inertia = passive_inertia(own, layout.tree, [trajectory])
+        digest = _with_passive(digest, scale, np.asarray(inertia))
     return with_autocovariances(digest, model, data, extra=extra)
 
 
@@ -354,7 +365,22 @@ def _joint(name: str, data: JointData, settings: DigestSettings) -> JointDigest:
         data.carried,
         data.peaks,
         np.zeros((len(data.samples), settings.lags)),
+        np.zeros((1, len(bodies) + len(effects))),
+        np.zeros(1),
     )
+
+
+def _with_passive(digest: Digest, scale: Array, inertia: Array) -> Digest:
+    """Return a digest with what efforts (nv,) could be, and `Dataset.passive_inertia`."""
+    settings, joints = digest.settings, list(digest.joints)
+    for name in settings.passive:
+        j = settings.joints.index(name)
+        every = np.zeros(len(settings.columns))
+        # Those of base parameters are those of the inertial ones that stand for them.
+        every[: len(settings.independent)] = inertia[j, settings.independent]
+        own = every[joints[j].columns]
+        joints[j] = replace(joints[j], inertia=own[None], scale=scale[j : j + 1])
+    return replace(digest, joints=tuple(joints))
 
 
 def model_of_digests(model: RobotModel, settings: DigestSettings) -> RobotModel:
@@ -407,7 +433,19 @@ def digest_dataset(
         gain_uncertainty(
             model, [t.payloads for t in digest.logs], [t.gain_deviations for t in digest.logs]
         ),
+        passive_inertia=_passive_inertia(digest),
     )
+
+
+def _passive_inertia(digest: Digest) -> Array | None:
+    """Return `Dataset.passive_inertia`, the mean over logs."""
+    settings = digest.settings
+    if not settings.passive:
+        return None
+    base = np.zeros((len(digest.joints), len(settings.columns)))
+    for own, joint in zip(base, digest.joints, strict=True):
+        own[joint.columns] = joint.inertia.mean(axis=0)
+    return np.asarray(base[:, : len(settings.independent)] @ settings.base_matrix)
 
 
 def delays_of_joints(settings: DigestSettings) -> Array:
@@ -460,7 +498,14 @@ def with_autocovariances(
     share = np.full(len(digest.joints), _FIRST_SHARE)
     for _ in range(_ROUNDS):
         weights = np.where(moving, share / power, 0.0)
-        x = CrossValidation(dataset, unknowns, weights, physical=False).held_out.x
+        held_out = CrossValidation(dataset, unknowns, weights, physical=False).held_out
+        if digest.settings.passive:
+            x = held_out.x.mean(axis=0)
+            noisy = weights * held_out.sse.sum(axis=0)
+            noisy *= dataset.inertias(unknowns.columns, x) ** 2
+            unknowns = unknowns.pulled(dataset, x, noisy)
+            held_out = CrossValidation(dataset, unknowns, weights, physical=False).held_out
+        x = held_out.x
         digest = _with_residuals(digest, data, _parameters(dataset, unknowns, x, digest.settings))
         share = digest.effective_share
     return digest

@@ -97,7 +97,7 @@ class RobotHistory(Short):
             own, side = joint.grams[:, :-1, :-1], joint.grams[:, :-1, -1]
             information[:, at[:, None], at] += own
             right[:, at] += side
-            if reference is not None:
+            if reference is not None and joint.grams[:, -1, -1].any():  # there is effort
                 x = np.broadcast_to(reference, (T, p))[:, at]
                 along = np.einsum("tab,tb->ta", own, x)
                 information[:, gain, at] = information[:, at, gain] = along
@@ -345,10 +345,32 @@ def weighted_grams(digest: Digest, kept: Indices) -> tuple[list[JointGrams], Arr
     for joint, share, noise in parts:
         columns, gram = _kept_gram(joint, kept)
         count = float(joint.samples.sum())
+        if joint.joint in digest.settings.passive:
+            found.append(JointGrams(columns, _passive_gram(joint, gram, kept, share)[None]))
+            squares.append(count * float(np.square(joint.scale).mean()))
+            continue
         weight = share / max(_residual_variance(gram, count), noise**2) if count else 0.0
         found.append(JointGrams(columns, weight * gram[None]))
         squares.append(gram[-1, -1])
     return found, np.array(squares)
+
+
+def _passive_gram(joint: JointDigest, gram: Array, kept: Indices, share: float) -> Array:
+    """Return the weighted normal matrix of a joint without a motor, near the model's bodies.
+
+    What a row is worth is what the refitted model leaves. The likelihood of the inertia m that the
+    joint feels, over that of the model, is in it to second order: n (m − 2)², as in `LogFits`.
+    """
+    count = float(joint.samples.sum())
+    if not count:
+        return gram
+    power = max(float(joint.autocovariances[:, 0].sum()), 1e-300)
+    inertia = joint.inertia.mean(axis=0)[np.isin(joint.columns, kept)]
+    found = share * count / power * gram
+    found[:-1, :-1] += share * count * inertia[:, None] * inertia
+    found[:-1, -1] += 2.0 * share * count * inertia
+    found[-1, :-1] = found[:-1, -1]
+    return found
 
 
 def _kept_gram(joint: JointDigest, kept: Indices) -> tuple[Indices, Array]:

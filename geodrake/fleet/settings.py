@@ -143,6 +143,7 @@ class DigestSettings(Short):
         blocks: Blocks into which each log is cut.
         lags: Distance up to which autocovariances are kept, samples.
         format: Name and version of the format.
+        passive: Joints without a motor.
         chosen_from: The log by which they were chosen.
     """
 
@@ -165,6 +166,7 @@ class DigestSettings(Short):
     version: str
     format: str = FORMAT
     chosen_from: str = ""
+    passive: tuple[str, ...] = ()
 
     @cached_property
     def hash(self) -> str:
@@ -173,8 +175,9 @@ class DigestSettings(Short):
 
     @property
     def plain(self) -> dict[str, Any]:
-        """Settings as JSON has them."""
-        return json.loads(json.dumps(asdict(self), default=np.ndarray.tolist))
+        """Settings as JSON has them; `passive` only if there are such joints."""
+        said = json.loads(json.dumps(asdict(self), default=np.ndarray.tolist))
+        return said if self.passive else {k: v for k, v in said.items() if k != "passive"}
 
     @property
     def base(self) -> BaseParameters:
@@ -199,7 +202,7 @@ class DigestSettings(Short):
 
     def differences(self, other: DigestSettings) -> list[str]:
         """Return in words how settings differ from others; nothing if digests of both add up."""
-        own, others = self.plain, other.plain
+        own, others = ({"passive": [], **each.plain} for each in (self, other))
         return [
             f"{_WORDS.get(name, name)} ({_shown(own[name])} and {_shown(others[name])})"
             for name in own
@@ -217,6 +220,7 @@ _WORDS = {
     "extra": "effects of your own",
     "independent": "base parameters",
     "motion_bandwidth": "bandwidth of the motion",
+    "passive": "joints without a motor",
     "sign_width": "widths of signs",
     "still_speed": "speeds of rest",
     "reading": "how logs are read",
@@ -248,7 +252,7 @@ def _settings_of(text: str) -> DigestSettings:
             f"it has the format {said.get('format')!r}, and this version of geodrake reads "
             f"{FORMAT!r}"
         )
-    odd = {f.name for f in fields(DigestSettings)}.symmetric_difference(said)
+    odd = {f.name for f in fields(DigestSettings)}.symmetric_difference({*said, "passive"})
     if odd:
         raise ValueError(f"it has too many or too few of {', '.join(sorted(odd))}")
     found = msgspec.convert(said, DigestSettings, dec_hook=array_of)

@@ -2,47 +2,19 @@
 
 from dataclasses import replace
 
-import mujoco
 import numpy as np
 import pytest
+from acrobot_logs import HEADER, simulated, text
 
 from geodrake import load_model
 from geodrake.diagnosis import compare, explain
+from geodrake.effects import CoulombFriction, ViscousFriction
 from geodrake.errors import LogError
-from geodrake.identification import identify_model
+from geodrake.identification import IdentificationSettings, identify_model
 from geodrake.identification.logs.case import open_case
+from geodrake.identification.logs.log_fits import LogFits, log_unknowns
 from geodrake.logs.files import Reading, read_log, read_mapping, write_log
 from geodrake.model.logged_joints import reading_for
-
-ACROBOT = """<mujoco><option timestep="0.0005"/><worldbody>
-  <body name="upper"><joint name="shoulder" axis="0 1 0" damping="{shoulder}"/>
-    <inertial pos="0 0 -0.25" mass="1.2" diaginertia="0.02 0.02 0.002"/>
-    <body name="lower" pos="0 0 -0.5">
-      <joint name="elbow" axis="0 1 0" frictionloss="{friction}"/>
-      <inertial pos="0 0 -0.2" mass="{mass}" diaginertia="0.01 0.01 0.001"/></body></body>
-  </worldbody><actuator><motor joint="elbow"/></actuator></mujoco>"""
-HEADER = "time,shoulder.position,elbow.position,elbow.effort"
-
-
-def text(shoulder=0.0, friction=0.0, mass=0.8):
-    return ACROBOT.format(shoulder=shoulder, friction=friction, mass=mass)
-
-
-def simulated(xml, seed, seconds=16.0):
-    """(N, 4) time, positions and the elbow's effort with noise, as a servo swings the elbow."""
-    model, rng = mujoco.MjModel.from_xml_string(xml), np.random.default_rng(seed)
-    data, rows = mujoco.MjData(model), []
-    phase, rate, size = (rng.uniform(*ends, 4) for ends in ((0, 6.3), (0.2, 1.1), (0.3, 0.7)))
-    data.qpos[:] = rng.normal(0.0, 0.3, 2)
-    for k in range(int(seconds / model.opt.timestep)):
-        time = k * model.opt.timestep
-        wanted = size @ np.sin(2 * np.pi * rate * time + phase)
-        data.ctrl[0] = 12.0 * (wanted - data.qpos[1]) - 0.8 * data.qvel[1]
-        if k % 8 == 0:
-            rows.append([time, *data.qpos, data.ctrl[0]])
-        mujoco.mj_step(model, data)
-    table = np.array(rows)
-    return table + rng.normal(0.0, 1.0, table.shape) * [0.0, 2e-5, 2e-5, 0.02]
 
 
 @pytest.fixture
@@ -156,7 +128,42 @@ def test_motors_that_logs_do_not_agree_on(files):
         compare(model, none)
 
 
-def test_identify_says_that_it_fits_measured_efforts_alone(files):
-    model, logs = files()
-    with pytest.raises(LogError, match="shoulder has no motor"):
-        identify_model(model, logs)
+@pytest.mark.parametrize("regularizer", ["entropic", "pullback"])
+def test_identify_fits_bodies_beside_a_joint_without_a_motor(files, regularizer):
+    model, logs = files(shoulder=0.08, friction=0.3, mass=1.2)
+    settings = IdentificationSettings(regularizer=regularizer, gamma=1.0)
+    effects = [ViscousFriction("shoulder"), CoulombFriction("elbow")]
+    found = identify_model(model, logs, settings, effects=effects)
+    phi = found.model.phi
+    assert phi[:, 0] == pytest.approx([1.2, 1.2], rel=0.05)
+    known = {f.effect.name: f.parameters[0] for f in found.model.effects}
+    assert known["viscous_friction"] == pytest.approx(0.08, rel=0.05)
+    assert known["coulomb_friction"] == pytest.approx(0.3, rel=0.1)
+    assert found.model.motorless == ("shoulder",)
+    assert found.after.nrms < 0.1 * found.before.nrms
+
+
+def test_the_likelihood_of_what_has_no_motor_is_exact_at_the_solution(files):
+    """‖Ax − b‖² − 2 n log m has the slopes of its rows there, and noise shrinks no body."""
+    model, logs = files(mass=1.2)
+    case = open_case(model, logs, candidates=False)
+    unknowns = log_unknowns(case.dataset, model)
+    x = unknowns.mean * np.random.default_rng(1).uniform(0.8, 1.2, len(unknowns.mean))
+    fits = LogFits(case.dataset, unknowns, np.array([3.0, 2.0]), near=x, power=np.array([40.0, 0]))
+    bare = replace(fits, power=np.zeros(2))
+
+    def slopes(of, h=1e-6):
+        moved = [(x + h * e, x - h * e) for e in np.diag(np.abs(x) + 0.01)]
+        return np.array([(of(a) - of(b)) / (2 * h) for a, b in moved])
+
+    def cost(fits, x):
+        A, b = fits.data()
+        return np.sum((A @ x - b) ** 2)
+
+    def exact(x):
+        inertia = case.dataset.inertias(unknowns.columns, x)[0]
+        return cost(bare, x) - 2 * 40.0 * np.log(inertia)
+
+    expected = slopes(exact)
+    assert slopes(lambda y: cost(fits, y)) == pytest.approx(expected, rel=1e-5, abs=1e-4)
+    assert np.abs(expected - slopes(lambda y: cost(bare, y))).max() > 1.0

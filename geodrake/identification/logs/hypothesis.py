@@ -197,6 +197,12 @@ class Hypothesis(Short):
         """Held-out error over effort standard deviation, root mean square over joints."""
         return float(np.sqrt(np.mean(self.held_out.mse / self.dataset.effort_std**2)))
 
+    @property
+    def power(self) -> Array:
+        """(nv,) weighted sums of squared residuals; see `Dataset.passive_pull`."""
+        inertias = self.dataset.inertias(self.unknowns.columns, self.held_out.x.mean(0))
+        return np.asarray(self.weights * self.held_out.sse.sum(0) * inertias**2)
+
     def loosened(self, factor: float) -> Hypothesis:
         """Return this hypothesis with the prior of bodies `factor` times as wide, refitted."""
         unknowns = self.unknowns.loosened(factor, PARAMETERS_PER_BODY * len(self.dataset.bodies))

@@ -88,6 +88,10 @@ class LogFits:
     weights: Array
     # Mass of all bodies and payloads together, kg; None if it is not known.
     total_mass: float | None = None
+    # (p,) parameters near which the likelihood of joints without motors is taken, and (nv,) the
+    # `power` of their residuals, as in `Dataset.passive_pull`; the prior's, and none.
+    near: Array | None = None
+    power: Array | None = None
 
     @property
     def prior(self) -> Array:
@@ -156,10 +160,25 @@ class LogFits:
         The last rows are the weak prior of the effects.
         """
         factor = fit_problem(self.dataset, self.unknowns, self.weights, without=without).factor
+        factor = np.vstack([factor, self._passive_rows(without)])
         roots = np.sqrt(np.diagonal(self.unknowns.information)) * ~self.unknowns.is_inertial
         prior = np.diag(roots)[self._inertial :]
         A, mean = np.vstack([factor[:, :-1], prior]), self.unknowns.mean
         return A, np.concatenate([factor[:, -1], prior @ mean])
+
+    def _passive_rows(self, without: int | None) -> Array:
+        """Return rows (k, p + 1) of the inertias m at k joints without motors.
+
+        They are what −2 n log m is to second order near m₀: n (m/m₀ − 2)², but for a constant.
+        """
+        near = self.unknowns.mean if self.near is None else self.near
+        power = np.zeros(len(self.dataset.joints)) if self.power is None else self.power
+        shares = self.dataset.passive_shares(self.unknowns.columns)
+        at = np.flatnonzero(shares.any(axis=1))
+        part = 1.0 if without is None else 1.0 - self.dataset.fold_shares[without]
+        inertias = self.dataset.inertias(self.unknowns.columns, near)[at]
+        rows = np.column_stack([shares[at] / inertias[:, None], np.full(len(at), 2.0)])
+        return np.asarray(np.sqrt(part * power[at])[:, None] * rows)
 
     @property
     def extra_bounds(self) -> Array | None:

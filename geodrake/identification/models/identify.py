@@ -11,7 +11,7 @@ import numpy as np
 from geodrake.boundary.arguments import function, instance, instances
 from geodrake.effects import Effect, FittedEffect, Role, catalogue
 from geodrake.effects.effect_columns import declares_signals
-from geodrake.errors import ArgumentError, GeodrakeError, IdentificationError, LogError
+from geodrake.errors import ArgumentError, GeodrakeError, IdentificationError
 from geodrake.identification.fit import FitResult
 from geodrake.identification.identify import IdentificationResult, physical_prior
 from geodrake.identification.logs.case import error_table, open_case, reopen
@@ -114,6 +114,7 @@ def common_factor_notes(bodies: Sequence[BodyChange]) -> list[str]:
 
 
 _MOST_ITERATIONS = 10  # refits until the weights of the joints stay
+_SAME_INERTIA = 1e-3  # share by which that at a joint without a motor changes in the last refit
 _NOTABLY = 0.95  # ratio of held-out errors below which a weaker weight is worth a word
 
 
@@ -157,26 +158,29 @@ def identify_model(
     if case.model.joints != prior.joints:  # some are held
         held = {joint: case.model.held[joint] for joint in prior.joints if joint in case.model.held}
         model, prior = holding(model, held), case.model
-    if passive := {joint for log in case.asked.logs for joint in log.passive}:
-        raise LogError(
-            f"{', '.join(sorted(passive))} has no motor: `identify` fits measured efforts alone.",
-            advice="`explain`, `diagnose` and `add` fit bodies beside joints without a motor.",
-        )
+    prior = replace(prior, motorless=case.model.motorless)
     unknowns = log_unknowns(case.dataset, prior)
     settled = settle(first_hypothesis(case.dataset, unknowns), iterations=_MOST_ITERATIONS)
-    fits = LogFits(case.dataset, unknowns, settled.weights, settings.total_mass)
+    fits = LogFits(
+        case.dataset,
+        unknowns,
+        settled.weights,
+        settings.total_mass,
+        near=settled.held_out.x.mean(0),
+        power=settled.power,
+    )
     gamma, sweep = settings.gamma, tuple[Weighing, ...]()
     if settings.residual_ratio is None and gamma is None:
         progress(f"Choosing the weight of the {settings.regularizer} regularizer")
         gamma, sweep = weigh(fits, settings.regularizer)
-    result, folds = _solved(fits, settings, gamma)
+    fits, result, folds = _settled(fits, settings, gamma)
     if any(_is_friction_by_load(effect) for effect in unknowns.effects):
         # It was fitted by the prior's loads; now it is by those of the first fit.
         phi = result.phi[: len(prior.phi)]
         case = replace(reopen(case, replace(prior, phi=phi)), model=prior)
         unknowns = log_unknowns(case.dataset, prior)
         fits = replace(fits, dataset=case.dataset, unknowns=unknowns)
-        result, folds = _solved(fits, settings, gamma)
+        fits, result, folds = _settled(fits, settings, gamma)
     alternatives, unsolved = tuple[Alternative, ...](), list[str]()
     if settings.compare and np.isfinite(result.gamma):
         progress("Comparing regularizers")
@@ -253,6 +257,22 @@ def with_effects(model: RobotModel, effects: Sequence[Effect]) -> RobotModel:
     if not added:
         return model
     return replace(model, effects=(*model.effects, *added), information=None)
+
+
+def _settled(
+    fits: LogFits, settings: IdentificationSettings, gamma: float | None
+) -> tuple[LogFits, IdentificationResult, list[IdentificationResult]]:
+    """Return `_solved`, with the inertias at joints without motors taken near the solution."""
+    result, folds = _solved(fits, settings, gamma)
+    columns, dataset = fits.unknowns.columns, fits.dataset
+    for _ in range(_MOST_ITERATIONS if dataset.passive_inertia is not None else 0):
+        before = fits.near if fits.near is not None else fits.unknowns.mean
+        was, now = (dataset.inertias(columns, x) for x in (before, result.x))
+        if np.abs(np.log(now / was)).max() < _SAME_INERTIA:
+            break
+        fits = replace(fits, near=result.x)
+        result, folds = _solved(fits, settings, gamma)
+    return fits, result, folds
 
 
 def _solved(
