@@ -16,6 +16,7 @@ from geodrake.diagnosis.diagnose import diagnose
 from geodrake.diagnosis.drafting import draft_effects, rest_correlates, source_of
 from geodrake.diagnosis.explain import investigate
 from geodrake.diagnosis.results import Explanation
+from geodrake.effects import effect_class
 from geodrake.errors import LogError, ModelError
 from geodrake.identification.logs.case import open_case
 from geodrake.identification.logs.compare import compare
@@ -73,7 +74,15 @@ def run_add(options: AddOptions) -> None:
         )
         return Explained(found, added=True)
 
-    run(Command("add", f"Adding {effect}", added, _numbers, explanation_page), options)
+    command = Command(
+        "add",
+        f"Adding {effect}",
+        added,
+        _numbers,
+        explanation_page,
+        check_effects=lambda extra: effect_class(effect, extra),
+    )
+    run(command, options)
 
 
 def run_explain(options: ExplainOptions | Options, promise: str = "") -> None:

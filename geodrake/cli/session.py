@@ -88,6 +88,7 @@ class Command(Generic[R]):
         more: Option -> what else the command writes.
         makers: What makes these files; nothing is written without one.
         saved: Option -> what its file is, where that is not the usual.
+        check_effects: Refuses what there is no effect for, before anything is read.
         check: Refuses a model that the command cannot work on, before the logs are looked at.
         write: Writes the files, and returns those that no option names.
         code: The exit code, 0 if all is well.
@@ -107,6 +108,7 @@ class Command(Generic[R]):
     suffixes: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
     makers: Callable[[R], Mapping[str, Maker]] = lambda result: {}
     saved: Mapping[str, str] = field(default_factory=dict)
+    check_effects: Callable[[Sequence[type[Effect]]], object] = lambda extra: None
     check: Callable[[RobotModel], None] = lambda model: None
     write: Callable[[R, Mapping[Path, Content]], Sequence[Path]] = _write
     code: Callable[[R], int] = lambda result: 0
@@ -252,6 +254,7 @@ def _checked_targets(command: Command[R], options: Any) -> Targets:
 def _read(command: Command[R], options: Any, targets: Targets, update: Activity) -> Input:
     """Return the model, the logs and what is known of them."""
     extra = own_effects(getattr(options, "effects", None) or ())
+    command.check_effects(extra)
     settings = getattr(options, "settings", {})
     if getattr(options, "model", None) is None:
         return Input(cast("RobotModel", None), (), extra, settings, update)

@@ -464,7 +464,9 @@ def _joint(
         "inertia": (logs, p),
         "scale": (logs,),
     }
-    found = {each: np.zeros(shapes[each]) for each in _PASSIVE if each not in arrays}
+    found: dict[str, NDArray[Any]] = {
+        each: np.zeros(shapes[each]) for each in _PASSIVE if each not in arrays
+    }
     for each in arrays:
         shape = shapes[each]
         values = np.asarray(arrays[each], np.intp if each in _INTEGERS else float)

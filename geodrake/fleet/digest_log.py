@@ -167,6 +167,7 @@ def make_settings(
     offered = candidate_effects(own, [trajectory], wanted.extra, speeds=peaks)
     # Shapes that a log's range or duration says are none of a robot's.
     settled = [e for e in offered if e.proposer is None or e.places == "joint_pair"]
+    settled.sort(key=lambda e: (e.name, e.where, str(sorted(e.shape.items()))))  # of no catalogue
     effects = (*effects_of(own), *settled)
     effects = tuple(effect for effect in dict.fromkeys(effects) if effect.parameters)
     widths = own.sign_widths(least_sign_widths(peaks, trajectory.speed_noise))

@@ -184,6 +184,15 @@ class OddFriction(JointEffect):
 """
 
 
+def test_an_effect_that_does_not_exist_is_refused_before_anything_is_read(tmp_path, monkeypatch):
+    def read(*args, **more):
+        raise AssertionError("a model or a log was read")
+
+    monkeypatch.setattr("geodrake.cli.session.read_model", read)
+    (log := tmp_path / "log.csv").write_text("no,log\n")
+    assert "nonsense" in refused("add", "nonsense", PENDULUM, log)
+
+
 def test_targets_are_refused_before_the_work(tmp_path, log, monkeypatch):
     def never(*_arguments, **_settings):
         raise AssertionError("the model was loaded before the targets were checked")
