@@ -90,7 +90,8 @@ class Neighbourhood:
             widths.setdefault(sum(len(term.columns) for term in package), []).append(k)
         for chosen in widths.values():
             alike = [packages[k] for k in chosen]
-            at = np.array([np.concatenate([self._model.at[t] for t in p]) for p in alike])
+            own = [[self._model.at[t] for t in p] for p in alike]
+            at = np.array([p[0] if len(p) == 1 else np.concatenate(p) for p in own])
             schur, pull = self._schur[at[:, :, None], at[:, None]], self._pull[at]
             if dropped is not None:
                 rows = np.moveaxis(dropped.rows[:, at], 1, 0)

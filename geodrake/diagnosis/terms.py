@@ -60,6 +60,8 @@ class Term:
     def log_information(self) -> float:
         """Log |Λ| of the prior, by what is left of it where things are as they must be."""
         share = _PHYSICAL if self.is_whole else 0.5 ** len(self.positive)
+        if len(self.information) == 1:  # as of most
+            return float(np.log(self.information[0, 0]) - 2.0 * np.log(share))
         return float(np.linalg.slogdet(self.information)[1]) - 2.0 * float(np.log(share))
 
     @cached_property
