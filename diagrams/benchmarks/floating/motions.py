@@ -42,7 +42,7 @@ def joint_targets(
     ramp = np.clip(time / _RAMP, 0.0, 1.0)
     ramp = ramp**2 * (3.0 - 2.0 * ramp)
     share = 0.5 if motion == TROT else 1.0
-    sway = np.column_stack([share * half * _waves(time, rng) for half in robot.sway])
+    sway = np.column_stack([share * half * _waves(robot.pace * time, rng) for half in robot.sway])
     sway *= ramp[:, None]
     data = mujoco.MjData(model)
     data.qpos[:] = start
@@ -58,7 +58,7 @@ def joint_targets(
     free = [k for k in range(6, model.nv) if k not in legs]
     wanted = np.tile(start[7:], (len(time), 1))
     for k in free:
-        wanted[:, k - 6] += robot.swing * ramp * _waves(time, rng)
+        wanted[:, k - 6] += robot.swing * ramp * _waves(robot.pace * time, rng)
     has_sole = any(robot.sole)
     for i in range(len(time)):
         data.qpos[:3] = start[:3] + sway[i, :3]

@@ -28,10 +28,15 @@ class Robot:
         sway: Half range of the trunk along x, y, z, m, and about them, rad.
         sole: Half length and half width of a sole, m; zeros for a foot that is a point.
         swing: Half range of joints outside the legs, rad.
+        pace: Speed of sways over that of a quadruped.
         period: Of a trot, s; None where the robot only stands.
         lift: Height of a swinging foot, m.
         friction: Dry and viscous friction of a joint, N·m and N·m·s/rad, as shares of its stiffness.
         rotor: Reflected inertia of joints by a pattern of their names, kg·m².
+        payload: Least and largest mass of a payload, as shares of the robot's.
+        reach: How far it is from the trunk's origin along each axis at most, m.
+        fixed: How names of joints begin that are held fixed.
+        balance: Axis along which a joint holds the centre of mass above the feet, and its sign.
     """
 
     path: str
@@ -46,9 +51,13 @@ class Robot:
     rotor: Mapping[str, float]
     sole: tuple[float, float] = (0.0, 0.0)
     swing: float = 0.0
+    pace: float = 1.0
     period: float | None = None
     lift: float = 0.0
-    fixed: tuple[str, ...] = field(default=())
+    fixed: tuple[str, ...] = ()
+    payload: tuple[float, float] = (0.05, 0.2)
+    reach: float = 0.1
+    balance: Mapping[str, tuple[int, float]] = field(default_factory=dict)
 
 
 def _legs(feet: Mapping[str, str], joints: tuple[str, ...]) -> dict[str, tuple[str, ...]]:
@@ -141,7 +150,7 @@ ROBOTS: Mapping[str, Robot] = {
             "arm_*": 8.0,
             "head_*": 1.0,
         },
-        sway=(0.015, 0.04, 0.025, 0.03, 0.04, 0.05),
+        sway=(0.01, 0.03, 0.025, 0.03, 0.03, 0.05),
         friction=(0.001, 0.0006),
         rotor={
             "leg_*": 0.15,
@@ -151,8 +160,16 @@ ROBOTS: Mapping[str, Robot] = {
             "head_*": 0.01,
         },
         sole=(0.1, 0.06),
-        swing=0.35,
+        swing=0.3,
+        pace=0.6,
         fixed=("gripper",),
+        payload=(0.05, 0.12),
+        reach=0.08,
+        balance={
+            f"leg_{side}_{k}_joint": push
+            for side in ("left", "right")
+            for k, push in ((5, (0, 1.0)), (6, (1, -1.0)))
+        },
     ),
 }
 

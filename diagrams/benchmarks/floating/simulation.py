@@ -33,6 +33,7 @@ _VELOCITY = 0.01  # m/s, of the base
 _EFFORT, _WRENCH = 0.01, 0.005  # of the range of a joint, of the weight
 _ARM = 0.05  # m, of a foot sensor
 _WRONG = 0.1
+_HOLD, _BRAKE = 1000.0, 300.0  # N·m/m and N·m·s/m of the centre of mass, of an ankle
 _XYZ = "xyz"
 
 
@@ -91,9 +92,18 @@ def run(draw: Draw, secret: Secret, log: int) -> Motion:
     begin, steps = round(_SETTLING / STEP), round(length / STEP)
     times = np.arange(steps) * STEP
     wanted, rates = target(times), rate(times)
+    mujoco.mj_forward(model, data)
+    places = [data.body(foot).xpos[:2] for foot in feet]
+    center, before = np.mean(places, axis=0), data.subtree_com[0, :2].copy()
+    balance = [(joints.index(joint), *push) for joint, push in robot.balance.items()]
     found: list[tuple[Array, ...]] = []
     for k in range(steps):
         effort = stiffness * (wanted[k] - data.qpos[7:]) + damping * (rates[k] - data.qvel[6:])
+        now = data.subtree_com[0, :2].copy()
+        push = _HOLD * (now - center) + _BRAKE * (now - before) / STEP
+        before = now
+        for joint, axis, sign in balance:
+            effort[joint] += sign * push[axis]
         data.qfrc_applied[6:] = effort
         if k < begin or k % every:
             mujoco.mj_step(model, data)

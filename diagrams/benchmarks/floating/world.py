@@ -52,12 +52,10 @@ def secret_of(draw: Draw) -> Secret:
     weight, joints = float(plain.body_mass.sum()), joint_names(plain)
     match draw.hidden:
         case s if s == PAYLOAD:
-            mass = float(rng.uniform(0.05, 0.2)) * weight
-            size = 0.05 * weight ** (1.0 / 3.0)
-            place = rng.uniform(-1.0, 1.0, 3) * size + [0.0, 0.0, size]
-            return Secret(
-                mass=mass, place=tuple(place.tolist()), inertia=mass * (0.6 * size) ** 2 / 1.5
-            )
+            mass, size = float(rng.uniform(*robot.payload)) * weight, robot.reach
+            place = rng.uniform(-size, size, 3) + [0.0, 0.0, size]
+            inertia = mass * size**2 / 6.0
+            return Secret(mass=mass, place=tuple(place.tolist()), inertia=inertia)
         case s if s == LIMB:
             limb = str(rng.choice(robot.limbs))
             length = 2.0 * float(np.linalg.norm(plain.body(limb).ipos))
