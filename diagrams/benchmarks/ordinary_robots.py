@@ -44,14 +44,15 @@ def quick_draws(seed: int) -> list[Draw]:
 def report(console: Console, lines: Sequence[Line], rows: Sequence[dict[str, Any]]) -> None:
     """Prints the table, and what was missed."""
     columns = {"figure": "", "asked": "", "reached": "", "interval": "", "of": "d", "": ""}
-    show("Ordinary robots", columns, [_shown(line) for line in lines])
+    show("Ordinary robots", columns, [shown(line) for line in lines])
     missed = [row for row in rows if is_missed(row)]
     console.print(f"Missed, {len(missed)} of {len(rows)} draws:")
     for row in missed:
         console.print(f"- {miss_words(row)}", markup=False, highlight=False, soft_wrap=True)
 
 
-def _shown(line: Line) -> dict[str, Any]:
+def shown(line: Line) -> dict[str, Any]:
+    """Return a line of the report as its table has it."""
     form = "{:.1f}".format if "seconds" in line.figure else "{:.1%}".format
     asked = None if line.bar is None else f"{'≤' if line.most else '≥'} {form(line.bar)}"
     if line.bar is not None and line.highest is not None:

@@ -113,6 +113,12 @@ def names_friction_and_tool_of_an_arm(table):
     assert lines["nothing hidden, white noise: something named"] == 0.0
 
 
+def logs_of_feet_agree_with_inverse_dynamics(table):
+    """What MuJoCo's inverse dynamics need, less the wrenches of the feet, is what motors give."""
+    assert len(table["rows"]) == 2
+    assert all(0.0 < row["inverse_error"] < 1e-9 for row in table["rows"])
+
+
 def finds_changes_of_a_fleet(table):
     """All of what few robots of one type hide, and nothing where there is nothing."""
     assert table["summary"]["found"] == 1.0
@@ -178,6 +184,7 @@ SHOWS = {
     "scara_excitation": orders_normalizations_as_the_source,
     "wam_adaptation": orders_laws_as_the_source,
     "wam_payload": orders_laws_as_the_source,
+    "floating_robots": logs_of_feet_agree_with_inverse_dynamics,
     "fleet_kills": goes_on_where_it_was_killed,
     "fleet_study": finds_changes_of_a_fleet,
     "hidden_effects": reaches_its_bars,

@@ -1,1 +1,1 @@
-"""Robots on their feet by MuJoCo, with something hidden, and what `geodrake explain` says of them."""
+"""Robots on their feet that hide something, and what `geodrake explain` says of them."""

@@ -53,3 +53,56 @@ class Draw:
         """Return a generator of random numbers for a purpose of this draw."""
         words = f"{self.robot} {self.hidden} {purpose}"
         return np.random.default_rng([self.seed, self.number, crc32(words.encode())])
+
+
+_HIDDEN = (  # robot, secret, contacts, whether wrenches and efforts are logged
+    ("a1", PAYLOAD, FLAGS, True, True),
+    ("anymal", DRIVES, FLAGS, False, True),
+    ("talos", PAYLOAD, FLAGS, False, True),
+    ("a1", LIMB, FLAGS, False, True),
+    ("anymal", GAIN, FLAGS, True, True),
+    ("talos", DRIVES, FLAGS, True, True),
+    ("a1", FOOT, FLAGS, True, True),
+    ("anymal", PAYLOAD, NO_FLAGS, False, True),
+    ("talos", GAIN, FLAGS, False, True),
+    ("a1", DRIVES, WRONG_FLAGS, False, True),
+    ("anymal", LIMB, FLAGS, True, True),
+    ("talos", FOOT, FLAGS, True, True),
+    ("a1", PAYLOAD, NO_FLAGS, True, False),
+    ("anymal", DRIVES, NO_FLAGS, True, True),
+    ("talos", LIMB, NO_FLAGS, False, True),
+    ("a1", GAIN, WRONG_FLAGS, False, True),
+    ("anymal", PAYLOAD, WRONG_FLAGS, False, True),
+    ("talos", PAYLOAD, NO_FLAGS, True, False),
+    ("a1", DRIVES, FLAGS, True, True),
+    ("anymal", FOOT, NO_FLAGS, True, True),
+)
+_PLAIN = (
+    ("a1", QUIET, FLAGS, False, True),
+    ("anymal", QUIET, WRONG_FLAGS, False, True),
+    ("talos", QUIET, FLAGS, True, True),
+    ("a1", QUIET, NO_FLAGS, True, True),
+)
+_ALWAYS_STANDS = ("talos",)
+
+
+def all_draws(seed: int, **fixed: object) -> list[Draw]:
+    """Return twenty draws that hide something, with four between them that hide nothing."""
+    rows = [*_HIDDEN]
+    for k, quiet in enumerate(_PLAIN):
+        rows.insert(6 * k + 5, quiet)
+    return [
+        Draw(
+            *(robot, hidden),
+            **{  # type: ignore[arg-type]
+                "motions": (SWAY, SWAY if robot in _ALWAYS_STANDS else TROT),
+                "contacts": contacts,
+                "wrenches": wrenches,
+                "efforts": efforts,
+                "number": number,
+                "seed": seed,
+                **fixed,
+            },
+        )
+        for number, (robot, hidden, contacts, wrenches, efforts) in enumerate(rows)
+    ]

@@ -10,7 +10,7 @@ from scipy.interpolate import CubicSpline
 
 from diagrams.benchmarks.floating.draws import TROT
 from diagrams.benchmarks.floating.robots import ROBOTS, Robot
-from diagrams.benchmarks.floating.world import Array, Secret, compiled, joint_names, sole_points
+from diagrams.benchmarks.floating.world import Array, Secret, compiled, joint_names
 
 _RATE = 100.0  # Hz, of targets
 _RAMP = 2.0  # s, until a motion is whole
@@ -18,6 +18,8 @@ _WAVES = ((0.15, 0.4), (0.4, 0.9), (0.9, 1.8))  # Hz
 _SHARES = (0.5, 0.35, 0.15)
 _STANCE = 0.6  # share of a trot's period in which a foot stands
 _ITERATIONS = 4
+_DAMPING = 1e-8
+_ROOM = 0.8  # of the way to the nearer limit of a joint, which a swing takes
 
 
 def standing(model: mujoco.MjModel, robot: Robot) -> Array:
@@ -34,7 +36,7 @@ def standing(model: mujoco.MjModel, robot: Robot) -> Array:
 
 def joint_targets(
     name: str, motion: str, duration: float, rng: np.random.Generator
-) -> tuple[Array, Callable[[float], Array], Callable[[float], Array]]:
+) -> tuple[Array, Callable[[Array], Array], Callable[[Array], Array]]:
     """Return where a robot starts, and targets of its joints and their rates by time."""
     robot, model = ROBOTS[name], compiled(name, Secret())
     start = standing(model, robot)
@@ -44,56 +46,81 @@ def joint_targets(
     share = 0.5 if motion == TROT else 1.0
     sway = np.column_stack([share * half * _waves(robot.pace * time, rng) for half in robot.sway])
     sway *= ramp[:, None]
-    data = mujoco.MjData(model)
-    data.qpos[:] = start
-    mujoco.mj_kinematics(model, data)
-    feet = [model.body(foot).id for foot in robot.feet]
-    places = data.xpos[feet].copy()
-    turns = data.xmat[feet].copy()
-    lifts = _lifts(robot, time, rng) * ramp[:, None] if motion == TROT else None
-    columns = [
-        [model.joint(joint).dofadr[0] for joint in leg if joint] for leg in robot.feet.values()
-    ]
-    legs = {int(k) for leg in columns for k in leg}
-    free = [k for k in range(6, model.nv) if k not in legs]
-    wanted = np.tile(start[7:], (len(time), 1))
-    for k in free:
-        wanted[:, k - 6] += robot.swing * ramp * _waves(robot.pace * time, rng)
-    has_sole = any(robot.sole)
-    for i in range(len(time)):
-        data.qpos[:3] = start[:3] + sway[i, :3]
-        mujoco.mju_euler2Quat(data.qpos[3:7], sway[i, 3:], "xyz")
-        if i:
-            data.qpos[7:] = np.where(
-                np.isin(np.arange(6, model.nv), free), wanted[i], wanted[i - 1]
-            )
-        for _ in range(_ITERATIONS):
-            _reach(model, data, feet, columns, places, turns, lifts, i, sole=has_sole)
-        wanted[i] = data.qpos[7:]
+    lifts = np.zeros((len(time), len(robot.feet)))
+    if motion == TROT:
+        lifts = _lifts(robot, time, rng) * ramp[:, None]
+    legs = _Legs(model, robot, start)
+    swing = np.zeros((len(time), model.nv))
+    for k in sorted({*range(6, model.nv)} - {k for leg in legs.columns for k in leg}):
+        room = _ROOM * np.abs(model.jnt_range[k - 5] - start[k + 1]).min()
+        swing[:, k] = min(robot.swing, room) * ramp * _waves(robot.pace * time, rng)
+    wanted = np.array(
+        [
+            legs.reach(place, other, lift)
+            for place, other, lift in zip(sway, swing[:, 6:], lifts, strict=True)
+        ]
+    )
     spline = CubicSpline(time, wanted)
     return start, spline, spline.derivative()
 
 
-def _reach(model, data, feet, columns, places, turns, lifts, i, *, sole) -> None:  # type: ignore[no-untyped-def]
-    """Bring each foot nearer to its place, by the joints of its leg."""
-    mujoco.mj_kinematics(model, data)
-    mujoco.mj_comPos(model, data)
-    along, about = np.zeros((3, model.nv)), np.zeros((3, model.nv))
-    for k, (foot, leg) in enumerate(zip(feet, columns, strict=True)):
-        mujoco.mj_jacBody(model, data, along, about, foot)
-        away = places[k] - data.xpos[foot]
-        if lifts is not None:
-            away[2] += lifts[i, k]
-        jacobian = along[:, leg]
-        if sole:
-            turn = turns[k].reshape(3, 3) @ data.xmat[foot].reshape(3, 3).T
-            quaternion, angle = np.zeros(4), np.zeros(3)
-            mujoco.mju_mat2Quat(quaternion, turn.ravel())
-            mujoco.mju_quat2Vel(angle, quaternion, 1.0)
-            away = np.concatenate([away, angle])
-            jacobian = np.vstack([jacobian, about[:, leg]])
-        damped = jacobian.T @ jacobian + 1e-8 * np.eye(len(leg))
-        data.qpos[np.add(leg, 1)] += np.linalg.solve(damped, jacobian.T @ away)
+class _Legs:
+    """Joints of legs for places of the trunk and the feet, each from those before.
+
+    Attributes:
+        columns: Degrees of freedom of each leg.
+    """
+
+    def __init__(self, model: mujoco.MjModel, robot: Robot, start: Array) -> None:
+        self._model, self._data, self._start = model, mujoco.MjData(model), start
+        self._data.qpos[:] = start
+        mujoco.mj_kinematics(model, self._data)
+        self._feet = [model.body(foot).id for foot in robot.feet]
+        self._places = self._data.xpos[self._feet].copy()
+        self._turns = self._data.xmat[self._feet].reshape(-1, 3, 3).copy()
+        self._has_soles = any(robot.sole)
+        self.columns = [
+            [int(model.joint(joint).dofadr[0]) for joint in leg] for leg in robot.feet.values()
+        ]
+
+    def reach(self, sway: Array, other: Array, lift: Array) -> Array:
+        """Return positions of all joints.
+
+        Args:
+            sway: (6,) way of the trunk from where it stands, and its angles.
+            other: Ways of all joints; those of legs do not count.
+            lift: Height of each foot.
+        """
+        data, start = self._data, self._start
+        legs = np.concatenate([np.add(leg, 1) for leg in self.columns])
+        before = data.qpos[legs].copy()
+        data.qpos[:3] = start[:3] + sway[:3]
+        mujoco.mju_euler2Quat(data.qpos[3:7], sway[3:], "xyz")
+        data.qpos[7:] = start[7:] + other
+        data.qpos[legs] = before
+        for _ in range(_ITERATIONS):
+            self._step(lift)
+        return np.asarray(data.qpos[7:].copy())
+
+    def _step(self, lift: Array) -> None:
+        """Bring each foot nearer to its place."""
+        model, data = self._model, self._data
+        mujoco.mj_kinematics(model, data)
+        mujoco.mj_comPos(model, data)
+        along, about = np.zeros((3, model.nv)), np.zeros((3, model.nv))
+        for k, (foot, leg) in enumerate(zip(self._feet, self.columns, strict=True)):
+            mujoco.mj_jacBody(model, data, along, about, foot)
+            away = self._places[k] + [0.0, 0.0, lift[k]] - data.xpos[foot]
+            jacobian = along[:, leg]
+            if self._has_soles:
+                quaternion, angle = np.zeros(4), np.zeros(3)
+                turn = self._turns[k] @ data.xmat[foot].reshape(3, 3).T
+                mujoco.mju_mat2Quat(quaternion, turn.ravel())
+                mujoco.mju_quat2Vel(angle, quaternion, 1.0)
+                away = np.concatenate([away, angle])
+                jacobian = np.vstack([jacobian, about[:, leg]])
+            damped = jacobian.T @ jacobian + _DAMPING * np.eye(len(leg))
+            data.qpos[np.add(leg, 1)] += np.linalg.solve(damped, jacobian.T @ away)
 
 
 def _waves(time: Array, rng: np.random.Generator) -> Array:

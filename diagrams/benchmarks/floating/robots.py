@@ -31,7 +31,7 @@ class Robot:
         pace: Speed of sways over that of a quadruped.
         period: Of a trot, s; None where the robot only stands.
         lift: Height of a swinging foot, m.
-        friction: Dry and viscous friction of a joint, N·m and N·m·s/rad, as shares of its stiffness.
+        friction: Dry and viscous friction of a joint, N·m and N·m·s/rad, over its stiffness.
         rotor: Reflected inertia of joints by a pattern of their names, kg·m².
         payload: Least and largest mass of a payload, as shares of the robot's.
         reach: How far it is from the trunk's origin along each axis at most, m.

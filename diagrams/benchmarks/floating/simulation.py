@@ -10,7 +10,7 @@ import mujoco
 import numpy as np
 import pandas as pd
 
-from diagrams.benchmarks.floating.draws import FLAGS, NO_FLAGS, SWAY, WRONG_FLAGS, Draw
+from diagrams.benchmarks.floating.draws import NO_FLAGS, WRONG_FLAGS, Draw
 from diagrams.benchmarks.floating.motions import joint_targets
 from diagrams.benchmarks.floating.robots import ROBOTS, by_name, robot_text
 from diagrams.benchmarks.floating.world import (
@@ -33,6 +33,8 @@ _VELOCITY = 0.01  # m/s, of the base
 _EFFORT, _WRENCH = 0.01, 0.005  # of the range of a joint, of the weight
 _ARM = 0.05  # m, of a foot sensor
 _WRONG = 0.1
+_EVERY = 17  # samples, of which one is checked
+_UPRIGHT = 0.7
 _HOLD, _BRAKE = 1000.0, 300.0  # N·m/m and N·m·s/m of the centre of mass, of an ankle
 _XYZ = "xyz"
 
@@ -63,17 +65,72 @@ class Motion:
     wrench: Array
 
 
-def simulate(draw: Draw, folder: Path) -> tuple[Path, list[Path], Secret]:
-    """Write the URDF and the logs of a draw; return their paths, and what is hidden."""
+@dataclass(frozen=True, eq=False)
+class Recording:
+    """Files of a draw, and what is true of them.
+
+    Attributes:
+        model, logs: Paths of the URDF and of the tables.
+        secret: What the file has not.
+        deviations: Deviation of each joint's logged effort in all logs, N·m; empty without.
+        same: Links that are welded to the trunk.
+        inverse_error: How far MuJoCo's inverse dynamics are from the logged efforts before noise,
+            with the feet's wrenches, as a share of the largest effort.
+    """
+
+    model: Path
+    logs: tuple[Path, ...]
+    secret: Secret
+    deviations: Mapping[str, float]
+    same: tuple[str, ...]
+    inverse_error: float
+
+
+def simulate(draw: Draw, folder: Path) -> Recording:
+    """Write the URDF and the logs of a draw into a folder."""
     secret = secret_of(draw)
     urdf = folder / f"{draw.robot}.urdf"
     urdf.write_text(robot_text(draw.robot), encoding="utf-8")
-    paths = []
+    paths, errors, tables = [], [], []
     for k, _ in enumerate(draw.motions):
+        motion = run(draw, secret, k)
+        errors.append(inverse_error(draw.robot, secret, motion))
+        tables.append(pd.DataFrame(log_columns(draw, secret, motion, draw.rng(f"noise of {k}"))))
         paths.append(folder / f"log{k + 1}.csv")
-        columns = log_columns(draw, secret, run(draw, secret, k), draw.rng(f"noise of {k}"))
-        pd.DataFrame(columns).to_csv(paths[-1], index=False, float_format="%.10g")
-    return urdf, paths, secret
+        tables[-1].to_csv(paths[-1], index=False, float_format="%.10g")
+    efforts = pd.concat(tables).filter(like=".effort")
+    deviations = {name.removesuffix(".effort"): float(efforts[name].std()) for name in efforts}
+    same = _welded(motion.model, ROBOTS[draw.robot].trunk)
+    return Recording(urdf, tuple(paths), secret, deviations, same, max(errors))
+
+
+def inverse_error(name: str, secret: Secret, motion: Motion) -> float:
+    """Return how far inverse dynamics with measured wrenches are from efforts, at some samples.
+
+    Contacts are off: what they do comes from the wrenches and MuJoCo's Jacobians alone.
+    """
+    model = compiled(name, secret)
+    model.opt.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_CONTACT)
+    data, worst = mujoco.MjData(model), 0.0
+    along, about = np.zeros((3, model.nv)), np.zeros((3, model.nv))
+    for k in range(0, len(motion.time), _EVERY):
+        data.qpos[:], data.qvel[:], data.qacc[:] = motion.q[k], motion.v[k], motion.a[k]
+        mujoco.mj_inverse(model, data)
+        left = data.qfrc_inverse.copy()
+        left[6:] -= motion.effort[k]
+        for foot, wrench in zip(motion.feet, motion.wrench[k], strict=True):
+            body = model.body(foot).id
+            axes = data.xmat[body].reshape(3, 3)
+            mujoco.mj_jacBody(model, data, along, about, body)
+            left -= along.T @ (axes @ wrench[:3]) + about.T @ (axes @ wrench[3:])
+        worst = max(worst, float(np.abs(left).max()))
+    return worst / float(np.abs(motion.effort).max())
+
+
+def _welded(model: mujoco.MjModel, link: str) -> tuple[str, ...]:
+    """Return all links that nothing moves against a link."""
+    own = model.body_weldid[model.body(link).id]
+    return tuple(model.body(k).name for k in np.flatnonzero(model.body_weldid == own))
 
 
 def run(draw: Draw, secret: Secret, log: int) -> Motion:
@@ -119,6 +176,9 @@ def run(draw: Draw, secret: Secret, log: int) -> Motion:
             )
         )
         mujoco.mj_step(model, data)
+    stands = 1.0 - 2.0 * (data.qpos[4] ** 2 + data.qpos[5] ** 2)
+    if not stands > _UPRIGHT:
+        raise RuntimeError(f"{draw.robot} falls over: {draw}")
     stacked = [np.array(each) for each in zip(*found, strict=True)]
     time = np.arange(len(found)) / draw.rate
     return Motion(model, joints, feet, time, *stacked)

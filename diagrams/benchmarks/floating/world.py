@@ -16,6 +16,7 @@ Array = npt.NDArray[np.float64]
 STEP = 5e-4  # s
 BALL = 2e-3  # m, radius of what touches the ground
 _SOFTNESS = (0.01, 1.0)  # time constant, s, and damping ratio of a contact
+_TOLERANCE = 1e-15  # of MuJoCo's solver of contacts
 _GROUND = "ground"
 
 
@@ -53,7 +54,7 @@ def secret_of(draw: Draw) -> Secret:
     match draw.hidden:
         case s if s == PAYLOAD:
             mass, size = float(rng.uniform(*robot.payload)) * weight, robot.reach
-            place = rng.uniform(-size, size, 3) + [0.0, 0.0, size]
+            place = rng.uniform((-size, -size, 0.0), (size, size, 2.0 * size))
             inertia = mass * size**2 / 6.0
             return Secret(mass=mass, place=tuple(place.tolist()), inertia=inertia)
         case s if s == LIMB:
@@ -90,7 +91,7 @@ def compiled(name: str, secret: Secret) -> mujoco.MjModel:
     spec = mujoco.MjSpec.from_string(robot_text(name))
     spec.compiler.fusestatic = False
     spec.worldbody.first_body().add_freejoint()
-    spec.option.timestep = STEP
+    spec.option.timestep, spec.option.tolerance = STEP, _TOLERANCE
     spec.worldbody.add_geom(
         name=_GROUND, type=mujoco.mjtGeom.mjGEOM_PLANE, size=[0, 0, 1], contype=1, conaffinity=0
     )
