@@ -34,7 +34,7 @@ def run_draw(each: Draw, *, seed: int) -> dict[str, Any]:
 
 def quick_draws(seed: int) -> list[Draw]:
     """Return short logs of the smallest robot, with and without a payload."""
-    short = {"contacts": FLAGS, "wrenches": True, "duration": 6.0, "seed": seed}
+    short = {"contacts": FLAGS, "wrenches": True, "duration": 4.0, "seed": seed}
     return [
         Draw("a1", PAYLOAD, motions=(SWAY,), number=0, **short),  # type: ignore[arg-type]
         Draw("a1", QUIET, motions=(TROT,), number=1, **short),  # type: ignore[arg-type]
