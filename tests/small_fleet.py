@@ -17,7 +17,6 @@ MASS, CENTER = 0.6, np.array([0.0, 0.0, -0.4])  # of the payload, kg and m
 HEAVY, STICKY, FROM = "carrier", "sticky", 4  # robots that change, and from which log on
 SHARE = 0.5  # by which dry friction of the elbow rises
 ROBOTS = ("first", HEAVY, STICKY, "last")
-FIRST_DAY = 1_780_000_000.0  # s since 1970
 
 
 @dataclass(frozen=True)

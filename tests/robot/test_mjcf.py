@@ -19,7 +19,6 @@ from geodrake.robot.plant import load_plant
 from geodrake.robot.shapes import robot_shapes
 
 HEAD = '<mujoco model="r">{head}<worldbody>{world}</worldbody>{tail}</mujoco>'
-TIP = '<body name="t" pos=".1 0 .2"><joint name="t" axis="0 1 0"/>{}</body>'
 GEOM = '<geom type="box" size=".05 .04 .1" pos=".1 0 .05"/>'
 ARM = '<body name="a" pos="0 0 .3"><joint name="a" axis="0 1 .2" pos=".02 0 0"/>{}{}</body>'
 CORNERS = [(x, y, z) for x in (0, 0.1) for y in (0, 0.2) for z in (0, 0.3)]
