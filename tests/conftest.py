@@ -34,6 +34,7 @@ if hasattr(typer.testing, "_get_command"):
 LONG_FOLDERS = {"diagrams", "hostile"}
 LONG_MODULES = {
     "subprocess",
+    "runpy",
     "typer.testing",
     "playwright.sync_api",
     "geodrake.robot.files.xacro_process",
