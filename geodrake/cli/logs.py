@@ -18,7 +18,8 @@ from geodrake.fleet.log_places import date_seconds
 from geodrake.logs.files import log_content
 from geodrake.logs.inspection import inspect_log, mapping_text
 from geodrake.logs.motion import JointLog
-from geodrake.model.logged_joints import model_of_logs, reading_for
+from geodrake.logs.unit_hints import position_limit_hint
+from geodrake.model.logged_joints import log_of_model, model_of_logs, reading_for
 from geodrake.model.robot_model import RobotModel
 from geodrake.report.exports import (
     InspectedLogs,
@@ -85,7 +86,21 @@ def _inspected(options: LogCommandOptions, given: Input) -> InspectedLogs:
     if model is None:
         return InspectedLogs(named)
     columns, unchecked = _columns(model, [each.log for each in found])
-    return InspectedLogs(named, columns, unchecked, model.repairs)
+    beyond = _beyond_limits(model, [each.log for each in found])
+    return InspectedLogs(named, columns, unchecked, model.repairs, beyond)
+
+
+def _beyond_limits(model: RobotModel, logs: Sequence[JointLog]) -> list[str]:
+    """Return what is said of positions beyond the model's limits; nothing of other robots' logs."""
+    try:
+        own = model_of_logs(model, logs)
+        matched = [log_of_model(log, own) for log in logs]
+    except GeodrakeError:
+        return []  # `_columns` says why
+    if len(own.position_limits[0]) != len(own.joints):
+        return []
+    hints = [position_limit_hint(log, *own.position_limits) for log in matched]
+    return [hint for hint in hints if hint]
 
 
 def _columns(model: RobotModel, logs: Sequence[JointLog]) -> tuple[tuple[ColumnFinding, ...], str]:
@@ -100,7 +115,7 @@ def _numbers(found: InspectedLogs) -> dict[str, Any]:
     numbers: dict[str, Any] = {"logs": [inspection_dict(each) for _, each in found.logs]}
     if found.repairs is None:
         return numbers
-    notes = [*found.repairs, *filter(None, [found.unchecked])]
+    notes = [*found.repairs, *found.beyond, *filter(None, [found.unchecked])]
     return numbers | {"columns": columns_list(found.columns), "notes": notes}
 
 

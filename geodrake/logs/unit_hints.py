@@ -15,6 +15,8 @@ _JUMP = 0.2  # of its range, between two rows: 0.3 in random order, 0.1 in 20 ro
 _LARGEST = 1e100  # of efforts that are compared with limits, and of positions with each other
 _LEAST_LIMIT = 1e-9  # N·m or N: no motor is that weak
 _LEAST_TICKS = 100.0  # no joint goes there in radians
+_FEW = 0.01  # share of samples that may be spikes
+_MARGIN = 0.01  # of a range, by which a joint may pass its stops
 _ROWS = 100_000  # of a log that are looked at together
 
 
@@ -64,6 +66,52 @@ def position_unit_hint(log: JointLog) -> str | None:
             "--units position=deg converts them."
         )
     return None
+
+
+def position_limit_hint(log: JointLog, lower: ArrayLike, upper: ArrayLike) -> str | None:
+    """Return a sentence for the user if positions are beyond a model's limits; else None.
+
+    Args:
+        lower: (n,) least positions of the model's joints, rad or m; infinite for none.
+        upper: (n,) greatest ones.
+    """
+    ends = np.stack([np.asarray(lower, float), np.asarray(upper, float)])
+    found = []
+    for name, q, (low, high) in zip(log.joints, log.position.T, ends.T, strict=True):
+        known = q[np.isfinite(q)]
+        share = _share_outside(known, low, high)
+        if share > _FEW:
+            beyond = max(low - known.min(), known.max() - high)
+            found.append((share, name, beyond, known, low, high))
+    if not found:
+        return None
+    share, name, beyond, known, low, high = max(found, key=lambda each: each[0])
+    others = f"; joints beyond: {len(found)}" if len(found) > 1 else ""
+    return (
+        f"Positions are beyond the model's limits: {name} in {100 * share:.0f} % of the samples of "
+        f"log {log.name!r}, by up to {beyond:.3g} rad (m) outside of {low:.4g} … {high:.4g}"
+        f"{others}.{_cause_beyond(known, low, high)}"
+    )
+
+
+def _share_outside(q: Array, low: float, high: float) -> float:
+    """Return the share of positions (N,) outside of limits by more than a percent of them."""
+    margin = _MARGIN * min(high - low, 2.0 * np.pi)
+    return float(np.mean((q < low - margin) | (q > high + margin))) if len(q) else 0.0
+
+
+def _cause_beyond(q: Array, low: float, high: float) -> str:
+    """Return what would bring positions (N,) into limits, in a sentence."""
+    if _share_outside(-q, low, high) <= _FEW:
+        return " With the other sign they are inside: is the joint's axis, or the column, reversed?"
+    for quarter in (1, -1, 2, -2, 3, -3, 4, -4):
+        if _share_outside(q - quarter * np.pi / 2, low, high) <= _FEW:
+            return f" Less {90 * quarter}° they are inside: is the zero that of the file?"
+    if _share_outside(np.deg2rad(q), low, high) <= _FEW:
+        if np.quantile(np.abs(q), 1.0 - _FEW) > 2.0 * np.pi:
+            return " Divided by 57.3 they are inside: is the log in degrees?"
+        return " Limits 57.3 times as wide hold them: are the file's in radians or in degrees?"
+    return " Do model and log have the same joints, zeros and units?"
 
 
 def row_order_hint(log: JointLog) -> str | None:

@@ -318,12 +318,14 @@ class InspectedLogs:
         columns: What is wrong with columns.
         unchecked: Why columns were not compared with the model; "" if they were, or there is none.
         repairs: What of the model's file is not believed; None without a model.
+        beyond: Where positions are beyond the model's limits, in sentences.
     """
 
     logs: Sequence[tuple[str, LogInspection]]
     columns: Sequence[ColumnFinding] = ()
     unchecked: str = ""
     repairs: Sequence[str] | None = None
+    beyond: Sequence[str] = ()
 
 
 def logs_page(found: InspectedLogs, about: About) -> Page:
@@ -334,6 +336,7 @@ def logs_page(found: InspectedLogs, about: About) -> Page:
             "Columns were not compared with the model",
             items=(found.unchecked,) if found.unchecked else (),
         ),
+        Section("Positions and limits do not go together", items=tuple(found.beyond)),
     ]
     for name, each in found.logs:
         sections += [

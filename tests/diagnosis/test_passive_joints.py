@@ -167,3 +167,13 @@ def test_the_likelihood_of_what_has_no_motor_is_exact_at_the_solution(files):
     expected = slopes(exact)
     assert slopes(lambda y: cost(fits, y)) == pytest.approx(expected, rel=1e-5, abs=1e-4)
     assert np.abs(expected - slopes(lambda y: cost(bare, y))).max() > 1.0
+
+
+def test_positions_beyond_the_limits_of_a_file_are_noted(files, tmp_path):
+    _, logs = files()
+    joint = '<joint name="elbow"'
+    (tmp_path / "narrow.xml").write_text(text().replace(joint, f'{joint} range="-20 20"'))
+    narrow = load_model(tmp_path / "narrow.xml")  # ±0.35 rad
+    (said,) = [n for n in compare(narrow, logs[:1]).notes if "beyond the model's limits" in n]
+    assert "elbow in" in said
+    assert "of log 'log1'" in said

@@ -164,3 +164,14 @@ def test_what_a_world_includes_and_is_not_there_refuses_no_robot(tmp_path):
 def test_textures_of_a_package_that_is_not_there_refuse_no_robot(tmp_path):
     material = '<material name="m"><texture filename="package://nowhere/m.png"/></material>'
     assert load(tmp_path, URDF, robot=material).joints == ("a",)
+
+
+def test_a_spring_that_is_no_number_is_refused_with_its_line(tmp_path):
+    (path := tmp_path / "m.sdf").write_text(
+        '<sdf version="1.9"><model name="m"><link name="a"/><link name="b"/>\n'
+        '<joint name="j" type="revolute"><parent>a</parent><child>b</child><axis><xyz>0 0 1</xyz>\n'
+        "<dynamics><spring_stiffness>nan</spring_stiffness></dynamics></axis></joint>\n"
+        "</model></sdf>"
+    )
+    with pytest.raises(ModelError, match="line 3: <spring_stiffness> has 'nan' instead"):
+        load_model(path)

@@ -34,7 +34,7 @@ from geodrake.logs.motion import JointLog, Trajectory
 from geodrake.logs.preparation import motion_bandwidth_of, prepare_logs
 from geodrake.logs.smoothing import Segment
 from geodrake.logs.uniform_log import make_uniform
-from geodrake.logs.unit_hints import effort_unit_hint, position_unit_hint
+from geodrake.logs.unit_hints import effort_unit_hint, position_limit_hint, position_unit_hint
 from geodrake.model.carried_payloads import joints_with_known_gain, payload_notes
 from geodrake.model.logged_joints import holding_resting, log_of_model, reading_for
 from geodrake.model.robot_model import RobotModel
@@ -145,7 +145,7 @@ def open_case(
 
     def prepare(logs: Sequence[JointLog]) -> tuple[tuple[Trajectory, ...], list[str]]:
         uniform = [make_uniform(log) for log in logs]
-        hints = [hint for each in uniform for hint in _hints(each.log, model.effort_limits)]
+        hints = [hint for each in uniform for hint in _hints(each.log, model)]
         seen = ([x for key in known_as(log) if (x := model.bandwidths.get(key))] for log in logs)
         known = {own[0] if own else None for own in seen}
         with _naming_units(hints):
@@ -423,6 +423,9 @@ def _naming_units(hints: Sequence[str]) -> Iterator[None]:
         raise LogError(error.problem, advice=advice, **error.evidence) from error
 
 
-def _hints(log: JointLog, limits: object) -> list[str]:
-    hints = (effort_unit_hint(log, limits), position_unit_hint(log))  # type: ignore[arg-type]
+def _hints(log: JointLog, model: RobotModel) -> list[str]:
+    limits = model.position_limits
+    hints = [effort_unit_hint(log, model.effort_limits), position_unit_hint(log)]
+    if len(limits[0]) == len(log.joints):
+        hints.append(position_limit_hint(log, *limits))
     return [hint for hint in hints if hint]

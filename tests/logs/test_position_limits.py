@@ -1,0 +1,50 @@
+"""Positions beyond a model's limits are said, with their likely cause."""
+
+import numpy as np
+import pytest
+
+from geodrake.logs.motion import JointLog
+from geodrake.logs.unit_hints import position_limit_hint
+
+LOW, HIGH = np.array([0.2, -2.0]), np.array([1.2, 2.0])
+
+
+def log(first):
+    time = np.arange(200) * 0.01
+    position = np.stack([first, np.sin(3.0 * time)], 1)
+    return JointLog("run", ("a", "b"), time, position, np.cos(position))
+
+
+SWING = 0.7 + 0.4 * np.sin(np.arange(200) * 0.05)
+
+
+@pytest.mark.parametrize(
+    ("first", "words"),
+    [
+        (-SWING, "With the other sign they are inside"),
+        (SWING + np.pi / 2, "Less 90° they are inside"),
+        (SWING - np.pi, "Less -180° they are inside"),
+        (np.rad2deg(SWING), "Divided by 57.3 they are inside"),
+        (3.0 * SWING, "the same joints, zeros and units?"),
+    ],
+)
+def test_positions_beyond_limits_have_a_likely_cause(first, words):
+    said = position_limit_hint(log(first), LOW, HIGH)
+    outside = np.mean((first < 0.19) | (first > 1.21))
+    assert f"a in {100 * outside:.0f} % of the samples of log 'run'" in said
+    assert "outside of 0.2 … 1.2" in said
+    assert words in said
+
+
+def test_limits_that_were_taken_for_the_wrong_unit():
+    said = position_limit_hint(log(SWING), np.deg2rad(LOW), np.deg2rad(HIGH))
+    assert "Limits 57.3 times as wide hold them" in said
+    assert "joints beyond: 2" in said
+
+
+def test_positions_inside_and_single_spikes_are_nothing_to_say():
+    assert position_limit_hint(log(SWING), LOW, HIGH) is None
+    spike = SWING.copy()
+    spike[7] = 30.0
+    assert position_limit_hint(log(spike), LOW, HIGH) is None
+    assert position_limit_hint(log(9.0 * SWING), [-np.inf] * 2, [np.inf] * 2) is None
