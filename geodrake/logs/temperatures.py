@@ -10,7 +10,8 @@ from numpy.typing import ArrayLike, NDArray
 
 Array = NDArray[np.float64]
 
-_FAILED = (-1.0, 0.0, 255.0)  # °C, what sensors that fail read
+_FAILED = (-1.0, 0.0, 127.0, 255.0, (255.0 - 32.0) / 1.8)  # °C, what sensors that fail read
+_ROUNDING = 1e-4  # °C, of conversions and of numbers of 32 bits
 _NEAR = 5.0  # °C, from one of these within which another reading may make it a true one
 _SECOND = 1.0  # over which readings are averaged, as they come in whole degrees and change slowly
 
@@ -29,8 +30,8 @@ class Temperatures:
     def of(cls, joints: Sequence[str], time: Array, readings: Array | None) -> Temperatures | None:
         """Return the courses of measured temperatures, averaged second by second.
 
-        Readings of −1, 0 and 255 °C far from all others of their joint, or without any, are those
-        of a sensor that fails: they are left out.
+        Readings of −1, 0, 127 and 255 °C and of 255 °F far from all others of their joint, or
+        without any, are those of a sensor that fails: they are left out.
 
         Args:
             time: (N,) time stamps of a log, s.
@@ -65,10 +66,11 @@ class Temperatures:
 
 def _without_failed(readings: Array) -> Array:
     """Readings (N,) with NaN in the place of those of a sensor that fails."""
-    true = ~np.isin(readings, _FAILED) & np.isfinite(readings)
+    failed = {value: np.isclose(readings, value, rtol=0.0, atol=_ROUNDING) for value in _FAILED}
+    true = ~np.any([*failed.values()], axis=0) & np.isfinite(readings)
     for value in _FAILED:
         if not np.any(np.abs(readings[true] - value) <= _NEAR):
-            readings = np.where(readings == value, np.nan, readings)
+            readings = np.where(failed[value], np.nan, readings)
     return readings
 
 

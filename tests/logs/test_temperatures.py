@@ -97,7 +97,7 @@ def test_courses_are_means_over_seconds():
     assert Temperatures.of(JOINTS, TIME, np.full_like(WARMTH, np.nan)) is None
 
 
-@pytest.mark.parametrize("code", [-1.0, 0.0, 255.0])
+@pytest.mark.parametrize("code", [-1.0, 0.0, 127.0, 255.0, 5 * (255 - 32) / 9])
 def test_readings_of_sensors_that_fail_are_none(code):
     readings = np.round(WARMTH)
     readings[:150, 0] = readings[300:303, 0] = code
