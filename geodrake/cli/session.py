@@ -88,7 +88,7 @@ class Command(Generic[R]):
         more: Option -> what else the command writes.
         makers: What makes these files; nothing is written without one.
         saved: Option -> what its file is, where that is not the usual.
-        check_effects: Refuses what there is no effect for, before anything is read.
+        check_effects: Refuses effects that do not exist, before anything is read.
         check: Refuses a model that the command cannot work on, before the logs are looked at.
         write: Writes the files, and returns those that no option names.
         code: The exit code, 0 if all is well.

@@ -33,7 +33,6 @@ class Beliefs:
         payloads: Masses of payloads, from light to heavy, in tenths of the robot's mass; what a
             body carries that carries others is thought to be the last but one.
         load: How well each of these is known, as a geometric distance.
-        tool: Odds against a payload, of any mass, on a last body of a model file.
         inner: Odds against a payload on a body that carries others.
         unknown: As `size`, for each term of a function of the motion that no effect describes.
         reversal: As `size`, for what friction does at speeds that a log does not resolve.
@@ -60,7 +59,6 @@ class Beliefs:
     free: float = 3.0
     payloads: tuple[float, ...] = (0.05, 0.2, 0.7, 2.4)
     load: float = 0.7
-    tool: float = 5.0
     inner: float = 30.0
     unknown: float = 0.3
     reversal: float = 0.3
@@ -78,7 +76,7 @@ class Beliefs:
                     raise ArgumentError(f"{name} holds nothing.", advice="Give one at least.")
                 for each in value:
                     positive(each, name)
-            elif name in ("size", "free", "load", "tool"):
+            elif name in ("size", "free", "load"):
                 positive(value, name)
             else:
                 number(value, name, lower=0.0)

@@ -131,8 +131,6 @@ def terms_of(
             )
             odds = len(priors) * (usual + (len(held_by) - usual) / beliefs.inner)
             odds *= 1.0 if last else beliefs.inner
-            if last and model.information is None and is_payload(effect):
-                odds *= beliefs.tool / beliefs.rarer**effect.complexity
         else:
             priors = [(np.zeros(len(columns)), _slab(effect, sizes[columns], beliefs))]
             if is_own:  # what a file states is as likely wrong as right

@@ -175,17 +175,6 @@ def test_a_payload_that_bodies_may_have_taken_in_is_said(loaded):
     assert "lower_link" not in Posterior(having.model, having.fit).of_loads()
 
 
-def test_a_tool_of_any_mass_has_its_own_odds_where_a_file_has_it_not(found):
-    """Its masses share the odds; on a link that carries others it is rare."""
-    beliefs, bodies = found.model.beliefs, dict[tuple[str, ...], list[float]]()
-    for term in found.model.terms:
-        if term.is_whole:
-            bodies.setdefault(term.where, []).append(np.exp(-0.5 * term.first))
-    last, inner = sum(bodies["lower_link",]), sum(bodies["upper_link",])
-    assert last == pytest.approx(1.0 / (beliefs.tool * (1.0 + 1.0 / beliefs.inner)))
-    assert inner < last / beliefs.inner * 1.01
-
-
 def test_every_payload_is_a_finding_of_its_own(found):
     """One that is there does not make up for one that is none."""
     model, was = found.model, found.fit
@@ -207,7 +196,6 @@ def test_every_payload_is_a_finding_of_its_own(found):
         {"payloads": ()},
         {"widths": ()},
         {"load": 0},
-        {"tool": 0.0},
     ],
 )
 def test_beliefs_that_are_none(wrong):
