@@ -36,7 +36,7 @@ from geodrake.excitation import (
     read_obstacles,
 )
 from geodrake.excitation.collision_geometry import FLOOR
-from geodrake.excitation.design import DesignProgress, design_objective
+from geodrake.excitation.design import DesignProgress, design_excitation
 from geodrake.excitation.identifiable import LogIdentifiability, log_identifiability
 from geodrake.excitation.limits import FULL_EFFORT, FULL_SPEED
 from geodrake.excitation.solve import Budget
@@ -213,7 +213,7 @@ def _designed(
         seconds=max(budget.left, _LEAST_SECONDS),
     )
     update("Designing")
-    result = design_objective(
+    result = design_excitation(
         objective,
         limits,
         trajectory=family,

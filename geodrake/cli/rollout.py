@@ -12,7 +12,6 @@ from geodrake.cli.session import Command, Input, run
 from geodrake.control.rollout import (
     Rollout,
     RolloutFit,
-    command_rollout,
     fit_rollouts,
     roll_out,
 )
@@ -89,12 +88,12 @@ def _simulating(options: RolloutOptions) -> Command[Simulated]:
         return Simulated(rolled_out(given.model, given, ""), before)
 
     def rolled_out(model: RobotModel, given: Input, prefix: str) -> Rollout:
-        simulate = command_rollout if options.commands else roll_out
-        return simulate(
+        return roll_out(
             model,
             given.logs,
             horizon=options.horizon,
             most=options.windows,
+            commands=options.commands,
             **given.settings,
             progress=lambda words, share: given.progress(f"{prefix}{words}", share),
         )

@@ -12,7 +12,7 @@ from geodrake.control.adaptation import (
 from geodrake.control.loops import AdaptiveLoop, add_adaptive_loop
 from geodrake.control.online_estimation import FilteredRegressor, SampleUpdate
 from geodrake.control.regressor import ControlModel
-from geodrake.control.rollout import Rollout, RolloutFit, command_rollout, fit_rollouts, roll_out
+from geodrake.control.rollout import Rollout, RolloutFit, fit_rollouts, roll_out
 from geodrake.control.systems import (
     AdaptiveComputedTorqueController,
     BregmanProjectionEstimator,
@@ -51,7 +51,6 @@ __all__ = [
     "adapted_parameters",
     "add_adaptive_loop",
     "add_tracking_drives",
-    "command_rollout",
     "euclidean_adaptation",
     "fit_rollouts",
     "natural_adaptation",

@@ -216,10 +216,6 @@ def check_base(robot: RobotInstance, controller: AdaptiveController) -> None:
 
     A controller whose model has an effect of the whole robot may know by it that the base leans,
     and is believed.
-
-    Raises:
-        ArgumentError: It is another robot, or its base leans otherwise, or moves; or the
-            controller's model is behind a transmission, and the plant's efforts are not.
     """
     control = controller.control
     if isinstance(control.tree, DrivenTree):

@@ -34,7 +34,6 @@ from geodrake.excitation.objective import CRITERIA, NORMALIZATIONS, Criterion, O
 from geodrake.excitation.target import Target, make_target
 from geodrake.excitation.tell_apart import (
     Separation,
-    design_separation,
     make_rival,
     make_separation,
 )
@@ -69,7 +68,6 @@ __all__ = [
     "Target",
     "design_excitation",
     "design_reduced_excitation",
-    "design_separation",
     "drake_trajectory",
     "floor_of",
     "identifiable_parameters",

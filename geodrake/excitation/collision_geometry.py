@@ -13,7 +13,6 @@ from tempfile import TemporaryDirectory
 from xml.etree.ElementTree import Element, tostring
 
 import numpy as np
-from numpy.typing import NDArray
 from pydrake.geometry import Box, Convex, Cylinder, Mesh, SceneGraph, Shape, Sphere
 from pydrake.math import RigidTransform, RollPitchYaw
 from pydrake.multibody.parsing import PackageMap, Parser
@@ -24,6 +23,7 @@ from pydrake.systems.framework import DiagramBuilder
 from geodrake.boundary.arguments import instance, instances, typed
 from geodrake.boundary.input_files import regular_file
 from geodrake.errors import ArgumentError, ModelError
+from geodrake.inertia import Array
 from geodrake.model.robot_model import RobotModel
 from geodrake.robot.files import Given, read_description
 from geodrake.robot.files.description import drake_errors, drake_messages
@@ -34,8 +34,6 @@ from geodrake.robot.files.xml_text import parse_xml_bytes
 from geodrake.robot.mesh_files import check_mesh, stl_vertices
 from geodrake.robot.mjcf_shapes import SHAPES_ADVICE, mjcf_geoms
 from geodrake.robot.plant import arrange_as
-
-Array = NDArray[np.float64]
 
 FLOOR = "floor"
 _HALF = 10.0, 0.5  # m, of the sides and the depth of a floor

@@ -6,7 +6,6 @@ from collections import Counter
 from collections.abc import Mapping, Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 from pydrake.autodiffutils import ExtractGradient, ExtractValue, InitializeAutoDiff
 from pydrake.geometry import CollisionFilterDeclaration, GeometrySet, Role, SignedDistancePair
 from pydrake.multibody.inverse_kinematics import MinimumDistanceLowerBoundConstraint
@@ -16,9 +15,8 @@ from pydrake.systems.framework import DiagramBuilder
 from geodrake.boundary.arguments import instance, instances, integer, number, typed
 from geodrake.errors import ArgumentError
 from geodrake.excitation.collision_geometry import Solid, add_collision_plant
+from geodrake.inertia import Array
 from geodrake.model.robot_model import RobotModel
-
-Array = NDArray[np.float64]
 
 ITSELF = "itself"
 

@@ -8,7 +8,7 @@ from contextlib import suppress
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from geodrake.boundary.arguments import (
     function,
@@ -50,10 +50,9 @@ from geodrake.excitation.trajectory import (
     ExecutableMotion,
     RampedTrajectory,
 )
+from geodrake.inertia import Array
 from geodrake.logs.motion import Motion
 from geodrake.model.robot_model import RobotModel
-
-Array = NDArray[np.float64]
 
 THRESHOLD = 1e-2
 """Largest relative variance of a direction that counts as identifiable, as for given logs."""
@@ -218,7 +217,7 @@ def improvement(result: ExcitationResult) -> float:
 
 
 def design_excitation(
-    what: RobotModel | Target,
+    what: RobotModel | Target | Objective,
     limits: MotionLimits | None = None,
     *,
     criterion: str | Criterion = "e_optimality",
@@ -232,7 +231,8 @@ def design_excitation(
 
     Args:
         what: A robot, of which all inertias and the model's effects are to be identified from
-            efforts; or a `Target`: what is unknown, what is measured and with which noise.
+            efforts; or a `Target`: what is unknown, what is measured and with which noise; or an
+            `Objective`, such as a `Separation`, which has a criterion of its own.
         limits: What the robot may do; those of `motion_limits(model, bounded=True)` if None.
         criterion: One of `CRITERIA`, or a `Criterion`.
         normalization: One of `NORMALIZATIONS`.
@@ -242,32 +242,12 @@ def design_excitation(
         progress: Called after every evaluation of the criterion. It may raise `StopSearch`, as a
             handler of signals may: then the best motion so far is the result.
     """
-    target = what if isinstance(what, Target) else make_target(what)
-    criterion = criterion if isinstance(criterion, Criterion) else Criterion(criterion)
-    return design_objective(
-        Objective(target, criterion, normalization),
-        limits,
-        trajectory=trajectory,
-        options=options,
-        seeds=seeds,
-        progress=progress,
-    )
-
-
-def design_objective(
-    objective: Objective,
-    limits: MotionLimits | None = None,
-    *,
-    trajectory: MotionFamily | None = None,
-    options: DesignOptions | None = None,
-    seeds: int | Sequence[int] = 3,
-    progress: Callable[[DesignProgress], None] | None = None,
-) -> ExcitationResult:
-    """Return the motion within limits that is best by an objective.
-
-    Args and errors are those of `design_excitation`.
-    """
-    instance(objective, "objective", Objective)
+    if isinstance(what, Objective):
+        objective = what
+    else:
+        target = what if isinstance(what, Target) else make_target(what)
+        criterion = criterion if isinstance(criterion, Criterion) else Criterion(criterion)
+        objective = Objective(target, criterion, normalization)
     if limits is not None:
         instance(limits, "limits", MotionLimits)
     if progress is not None:
@@ -367,12 +347,7 @@ def make_problem(
     family: MotionFamily,
     options: DesignOptions,
 ) -> DesignProblem:
-    """Return the design problem of options.
-
-    Raises:
-        ArgumentError: Limits leave no room or let samples be without bounds, or the ends leave no
-            coefficient free.
-    """
+    """Return the design problem of options."""
     model = objective.target.model
     limits = motion_limits(model, bounded=True) if limits is None else limits
     if limits.joints != model.joints:
@@ -417,10 +392,6 @@ class _Run:
 
         A start has half of the time that is left, the last one all of it; those that it does not
         reach are left out.
-
-        Raises:
-            ArgumentError: Not even a first motion within the limits was found in time.
-            StopSearch: It was stopped before there was one.
         """
         given = None if self.options.guess is None else self._given(self.options.guess)
         asked: list[int | None] = [*seeds, *([] if given is None else [None])]

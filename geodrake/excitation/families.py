@@ -14,13 +14,12 @@ from dataclasses import dataclass
 from typing import ClassVar
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 from scipy.interpolate import BSpline
 
 from geodrake.boundary.arguments import integer, number, positive, real_array
 from geodrake.errors import ArgumentError
-
-Array = NDArray[np.float64]
+from geodrake.inertia import Array
 
 _DURATIONS, _PERIODS = (1e-2, 1e5), (1e-4, 1e6)  # s; of the fastest and slowest part of a motion
 _MOST_COEFFICIENTS = 1000  # of a joint

@@ -44,12 +44,10 @@ from geodrake.identification.logs.dataset import is_payload
 from geodrake.identification.logs.hypothesis import first_hypothesis, settle
 from geodrake.identification.logs.log_fits import log_unknowns
 from geodrake.identification.models.identify import with_effects
-from geodrake.inertia import PARAMETERS_PER_BODY
+from geodrake.inertia import PARAMETERS_PER_BODY, Array
 from geodrake.logs.motion import JointLog, Motion
 from geodrake.model.robot_model import RobotModel
 from geodrake.robot.reduction import triangular_factor
-
-Array = NDArray[np.float64]
 
 _SAMPLES = 2000  # of which there is a regressor in memory at once
 _ITERATIONS = 6  # refits until the weights of the joints stay

@@ -6,17 +6,17 @@ from collections.abc import Mapping
 from dataclasses import dataclass, fields, replace
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from geodrake.boundary.arguments import instance, instances, number, positive, real_array
 from geodrake.boundary.showing import Short
 from geodrake.errors import ArgumentError
 from geodrake.excitation.trajectory import joint_order
+from geodrake.inertia import Array
 from geodrake.logs.motion import SIGNAL_KINDS, Motion
 from geodrake.model.effort_signal import signal_of
 from geodrake.model.robot_model import RobotModel
 
-Array = NDArray[np.float64]
 ByJoint = float | Mapping[str, float] | ArrayLike | None
 
 FULL_SPEED, FULL_EFFORT = 0.2, 0.1

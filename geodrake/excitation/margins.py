@@ -6,14 +6,12 @@ from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from geodrake.excitation.collisions import CollisionWorld
 from geodrake.excitation.problem import DesignProblem
 from geodrake.excitation.solve import UNLIMITED, Budget
+from geodrake.inertia import Array
 from geodrake.logs.motion import Motion
-
-Array = NDArray[np.float64]
 
 FINE = 0.005
 """Share of the family's shortest time between instants at which a motion is checked."""

@@ -31,7 +31,7 @@ from dataclasses import dataclass, field
 from functools import cached_property
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 from scipy.linalg import solve_triangular
 
 from geodrake.boundary.arguments import instance, integer, number, one_of, real_array
@@ -40,9 +40,8 @@ from geodrake.errors import ArgumentError
 from geodrake.excitation.regressor_gradient import regressor_motion_gradient
 from geodrake.excitation.reverse_recursion import MotionGradient
 from geodrake.excitation.target import Measurement, Target
+from geodrake.inertia import Array
 from geodrake.logs.motion import Motion
-
-Array = NDArray[np.float64]
 
 CRITERIA = ("a_optimality", "d_optimality", "e_optimality", "condition_number")
 NORMALIZATIONS = ("none", "diagonal", "geometric")

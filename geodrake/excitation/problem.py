@@ -26,10 +26,10 @@ from geodrake.excitation.limits import MotionLimits
 from geodrake.excitation.objective import Objective
 from geodrake.excitation.regressor_gradient import effort_gradient
 from geodrake.excitation.trajectory import ExcitationTrajectory, joint_order
+from geodrake.inertia import Array
 from geodrake.logs.motion import Motion
 from geodrake.model.robot_model import RobotModel
 
-Array = NDArray[np.float64]
 Differentiable = Callable[[Array], tuple[Any, Array]]
 
 _EFFORT_SHARE = 0.1  # of the family's shortest time, between instants at which efforts are limited

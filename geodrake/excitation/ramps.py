@@ -6,7 +6,6 @@ from collections.abc import Iterator
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from geodrake.errors import ArgumentError
 from geodrake.excitation.collisions import CollisionWorld
@@ -14,9 +13,8 @@ from geodrake.excitation.limits import MotionLimits
 from geodrake.excitation.margins import stays_clear
 from geodrake.excitation.starts import possible_postures
 from geodrake.excitation.trajectory import ExcitationTrajectory, Ramp, RampedTrajectory
+from geodrake.inertia import Array
 from geodrake.model.robot_model import RobotModel
-
-Array = NDArray[np.float64]
 
 _SHARE = 0.5  # of the limits of speed, acceleration and jerk
 _PEAKS = 1.875, 10.0 / np.sqrt(3.0), 60.0  # of 10 x³ − 15 x⁴ + 6 x⁵ and its derivatives
@@ -40,11 +38,7 @@ class RampPlanner:
     collisions: CollisionWorld | None
 
     def ramped(self, trajectory: ExcitationTrajectory, stand: Array) -> RampedTrajectory:
-        """Return a motion with ramps from and to where the robot stands, (nv,) by joint.
-
-        Raises:
-            ArgumentError: Nothing in the way is avoided like this, or efforts do not suffice.
-        """
+        """Return a motion with ramps from and to where the robot stands, (nv,) by joint."""
         q = trajectory.states([0.0, trajectory.length])[0]
         first = self._ramp(stand, q[0], trajectory)
         if np.allclose(q[0], q[1]):

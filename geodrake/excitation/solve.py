@@ -7,15 +7,13 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from pydrake.solvers import IpoptSolver, SnoptSolver, SolverInterface, SolverOptions
 
 from geodrake.boundary.interrupts import StopSearch, is_stop
 from geodrake.errors import ArgumentError
 from geodrake.excitation.problem import DesignProblem, build_program
+from geodrake.inertia import Array
 from geodrake.robot.files.description import drake_messages
-
-Array = NDArray[np.float64]
 
 SOLVERS: dict[str, type[SolverInterface]] = {"snopt": SnoptSolver, "ipopt": IpoptSolver}
 INTERRUPTED, OUT_OF_TIME, SETTLED = "interrupted", "out of time", "settled"

@@ -15,10 +15,9 @@ from geodrake.excitation.margins import COARSE, keeps_limits
 from geodrake.excitation.problem import DesignProblem, limit_motion
 from geodrake.excitation.solve import UNLIMITED, Budget, OutOfTimeError
 from geodrake.excitation.trajectory import joint_order
+from geodrake.inertia import Array
 from geodrake.logs.motion import Motion
 from geodrake.model.robot_model import RobotModel
-
-Array = NDArray[np.float64]
 
 _POSTURES, _TRIED = 400, 5
 _ROUNDING, _NOTHING = 1e-9, 1e-9
@@ -50,10 +49,6 @@ def check_start(
 
     Args:
         name: What messages call it.
-
-    Raises:
-        ArgumentError: It is outside the limits, needs more effort than there is, or is in
-            collision; the message says which joint or which bodies.
     """
     if start.shape != (len(limits.joints),) or not np.isfinite(start).all():
         raise ArgumentError(
@@ -97,11 +92,7 @@ def possible_postures(
     seed: int = 0,
     most: int = _POSTURES,
 ) -> Array:
-    """Return postures (n, nv) by joint that a robot can hold, the middle of its ranges first.
-
-    Raises:
-        ArgumentError: No posture can be held; the message says why.
-    """
+    """Return postures (n, nv) by joint that a robot can hold, the middle of its ranges first."""
     random = np.random.default_rng(seed)
     shares = random.uniform(-1.0, 1.0, (_POSTURES, len(limits.joints)))
     shares *= np.linspace(0.0, 0.95, _POSTURES)[:, None]  # the middle, and then further out

@@ -17,7 +17,7 @@ from geodrake.effects import Effect, FittedEffect, RobotMotion
 from geodrake.errors import ArgumentError
 from geodrake.identification.logs.dataset import is_payload
 from geodrake.identification.logs.unknowns import payload_reference
-from geodrake.inertia import PARAMETERS_PER_BODY, is_physical
+from geodrake.inertia import PARAMETERS_PER_BODY, Array, is_physical
 from geodrake.logs.motion import Motion
 from geodrake.manifolds import PhysicalInertia
 from geodrake.model.robot_model import RobotModel
@@ -26,7 +26,6 @@ from geodrake.robot.driven_tree import inside
 from geodrake.robot.floating_base import base_wrench_regressor
 from geodrake.robot.regressor import inverse_dynamics, inverse_dynamics_regressor
 
-Array = NDArray[np.float64]
 Indices = NDArray[np.intp]
 
 _SIGN_SHARE = 0.02  # of a joint's fastest speed, over which its friction changes sign

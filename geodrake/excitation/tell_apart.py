@@ -3,7 +3,7 @@
     limits = motion_limits(model, bounded=True)
     rivals = [make_rival(name, model, limits) for name in ("coulomb_friction", "viscous_friction")]
     separation = make_separation(model, *rivals, noise=0.1)
-    result = design_separation(separation, limits, trajectory=FourierMotion(10.0, 5))
+    result = design_excitation(separation, limits, trajectory=FourierMotion(10.0, 5))
 
 If a robot has effect A, of parameters α, and is thought to have B instead, the best that B can do
 on a motion is
@@ -25,7 +25,7 @@ friction is there, no model says, and a diagnosis leaves them out.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Any
@@ -40,13 +40,7 @@ from geodrake.boundary.showing import Short
 from geodrake.effects import Effect, FittedEffect, effect_class, make_effect
 from geodrake.effects.user_effects import candidates_of
 from geodrake.errors import ArgumentError
-from geodrake.excitation.design import (
-    DesignOptions,
-    DesignProgress,
-    ExcitationResult,
-    design_objective,
-)
-from geodrake.excitation.families import MotionFamily
+from geodrake.excitation.design import ExcitationResult
 from geodrake.excitation.limits import MotionLimits
 from geodrake.excitation.objective import Criterion, Objective
 from geodrake.excitation.regressor_gradient import regressor_motion_gradient
@@ -55,11 +49,10 @@ from geodrake.excitation.target import Measurement, Target, make_target, sized_e
 from geodrake.identification.logs.criteria import SPREAD
 from geodrake.identification.logs.dataset import is_payload
 from geodrake.identification.logs.unknowns import pullback_information
-from geodrake.inertia import PARAMETERS_PER_BODY
+from geodrake.inertia import PARAMETERS_PER_BODY, Array
 from geodrake.logs.motion import Motion
 from geodrake.model.robot_model import RobotModel
 
-Array = NDArray[np.float64]
 Indices = NDArray[np.intp]
 
 CLEAR = 5.0
@@ -473,32 +466,6 @@ def _root(information: Array) -> Array:
     sizes = np.where(sizes > 0, sizes, 1.0)
     values, vectors = np.linalg.eigh(information / sizes[:, None] / sizes)
     return np.asarray(np.sqrt(np.maximum(values, 0.0))[:, None] * vectors.T * sizes)
-
-
-def design_separation(
-    separation: Separation,
-    limits: MotionLimits | None = None,
-    *,
-    trajectory: MotionFamily | None = None,
-    options: DesignOptions | None = None,
-    seeds: int | Sequence[int] = 3,
-    progress: Callable[[DesignProgress], None] | None = None,
-) -> ExcitationResult:
-    """Return the motion within limits that distinguishes rivals best.
-
-    Arguments are those of `design_excitation`; the result's eigenvalues are the Δ.
-
-    Raises:
-        ArgumentError: As `design_excitation`, or on no motion the rivals differ.
-    """
-    return design_objective(
-        separation,
-        limits,
-        trajectory=trajectory,
-        options=options,
-        seeds=seeds,
-        progress=progress,
-    )
 
 
 def _imitations(target: Target, truth: Effect, size: Array, rival: Effect) -> Array | None:

@@ -22,11 +22,10 @@ from geodrake.boundary.whole_files import Content, write_whole
 from geodrake.errors import ArgumentError, OutputError
 from geodrake.excitation.families import MotionFamily, SplineMotion
 from geodrake.excitation.reverse_recursion import MotionGradient
+from geodrake.inertia import Array
 from geodrake.logs.files import log_content
 from geodrake.logs.motion import JointLog, Motion
 from geodrake.model.robot_model import RobotModel
-
-Array = NDArray[np.float64]
 
 _LOGS, _YAML, _DRAKE = (".csv", ".txt", ".npz"), (".yaml", ".yml"), (".drake.yaml", ".drake.yml")
 _MOST_INSTANTS = 1e6  # of a file
@@ -69,9 +68,6 @@ class ExecutableMotion(Short, abc.ABC):
 
         A spline motion is itself; a Fourier motion is interpolated to about 1e-9 of its size, ramps
         to 1e-5.
-
-        Raises:
-            ArgumentError: The samples do not follow each other in time.
         """
         self._require_time("a Drake trajectory")
         knots, points, degree = self._spline()
@@ -240,11 +236,7 @@ class RampedTrajectory(ExecutableMotion):
 
 
 def joint_order(model: RobotModel) -> NDArray[np.intp]:
-    """Return the joint (nq,) of each position in Drake's order.
-
-    Raises:
-        ArgumentError: The robot has joints of several degrees of freedom.
-    """
+    """Return the joint (nq,) of each position in Drake's order."""
     joints = np.arange(len(model.joints), dtype=float)
     return np.asarray(np.rint(model.positions(joints[None])[0]), np.intp)
 

@@ -27,8 +27,8 @@ from scipy.special import logsumexp
 from geodrake.boundary.showing import Short
 from geodrake.fleet.type_columns import RAMP, STEP, ChangeHypothesis
 from geodrake.fleet.type_model import RobotFit
+from geodrake.inertia import Array
 
-Array = NDArray[np.float64]
 Indices = NDArray[np.intp]
 
 UNTIL = "until"

@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
+from typing import Generic, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,14 +19,15 @@ from geodrake.fleet.change_evidence import (
     calc_change_evidence,
     kind_of,
 )
-from geodrake.fleet.history import History, LogEquations, ReferredLogs, RobotHistory
+from geodrake.fleet.history import History, LogEquations, RobotHistory
 from geodrake.fleet.type_columns import RAMP, ChangeHypothesis, TypeColumns
 from geodrake.fleet.type_learning import learn_type, least_squares, pooled
 from geodrake.fleet.type_model import RobotFit, TypeModel
 from geodrake.fleet.workers import HERE, Workers
+from geodrake.inertia import Array
 
-Array = NDArray[np.float64]
 Indices = NDArray[np.intp]
+R = TypeVar("R")
 
 MONTH = 30.0
 """Days."""
@@ -111,12 +113,11 @@ class RobotSearch(Short):
     The last few states are kept while changes are sought or told, and no longer: they are large.
 
     Attributes:
-        reference: (T, p) or (p,) parameters that gains refer to at first.
+        source: Its logs, with the parameters that gains refer to at first.
     """
 
     model: TypeModel
     source: History
-    reference: Array
     hypotheses: Sequence[ChangeHypothesis]
     level: float = 0.01
     _states: dict[tuple[ChangePlace, ...], SearchState] = field(default_factory=dict, init=False)
@@ -137,7 +138,7 @@ class RobotSearch(Short):
 
     def _fitted(self, places: Sequence[ChangePlace]) -> SearchState:
         changes, odd = self.design(places), self.model.odd[0]
-        reference = self.reference
+        reference = self.source.reference
         for _ in range(_REFITS):
             logs = self._equations(reference)
             fit = self.model.fit(0, logs, changes, odd)
@@ -147,9 +148,9 @@ class RobotSearch(Short):
         fit = self.model.fit(0, logs, changes, odd)
         return SearchState(logs, odd, float(cost.sum()), fit)
 
-    def _equations(self, reference: Array) -> LogEquations:
+    def _equations(self, reference: Array | None) -> LogEquations:
         gains = self.model.columns.gains
-        return ReferredLogs(self.history, reference if gains else None).equations()
+        return replace(self.history, reference=reference if gains else None).equations()
 
     def settled(self, places: Sequence[ChangePlace]) -> tuple[Array, Array]:
         """(T, p) parameters of the day with some changes, and (T, K) how odd logs are."""
@@ -326,23 +327,17 @@ def _beginnings(evidence: ChangeEvidence, hypothesis: int, kind: str) -> tuple[I
     return same[0][0], np.sum([share for _, share in same], axis=0)
 
 
-def months(history: History) -> float:
-    """Months of a robot's logs; a day more than from the first to the last."""
-    return float(history.days[-1] - history.days[0] + 1.0) / MONTH
-
-
 @dataclass(frozen=True, eq=False)
-class FleetChanges(Short):
-    """What changed in robots of a type.
-
-    Attributes:
-        references: (T, p) of every robot, parameters that its gains referred to.
-    """
+class FleetChanges(Short, Generic[R]):
+    """What changed in robots of a type: the type, and what is told of each robot."""
 
     model: TypeModel
-    changes: tuple[tuple[RobotChange, ...], ...]
-    places: tuple[tuple[ChangePlace, ...], ...]
-    references: tuple[Array, ...]
+    changes: tuple[R, ...]
+
+
+def tell_changes(search: RobotSearch) -> tuple[RobotChange, ...]:
+    """Find and tell the changes of one robot."""
+    return search.told(search.find())
 
 
 def find_changes(
@@ -352,8 +347,9 @@ def find_changes(
     *,
     false_alarms: float = 0.01,
     passes: int = 3,
+    tell: Callable[[RobotSearch], R] = tell_changes,  # type: ignore[assignment]
     team: Workers = HERE,
-) -> FleetChanges:
+) -> FleetChanges[R]:
     """Find which robots of a type changed, at which joint or body, by which effect, since when.
 
     What all share, the scatter of logs and the common course are learnt with the changes that were
@@ -362,26 +358,21 @@ def find_changes(
     Args:
         histories: Logs of each robot, over the same p columns.
         false_alarms: At most how many robots in which nothing changed are named, a robot-month.
+        tell: Makes of a search what is told of its robot.
     """
     # What gains refer to at first is what all robots are in the mean.
-    first = least_squares(*pooled(team, [ReferredLogs(history) for history in histories]))
+    first = least_squares(*pooled(team, [replace(each, reference=None) for each in histories]))
     references: list[Array] = [first] * len(histories)
 
-    def logs() -> list[ReferredLogs]:
+    def logs() -> list[History]:
         pairs = zip(histories, references, strict=True)
-        return [ReferredLogs(h, reference if columns.gains else None) for h, reference in pairs]
+        return [replace(h, reference=each if columns.gains else None) for h, each in pairs]
 
     def searches() -> list[RobotSearch]:
-        return [
-            RobotSearch(
-                model.of(r),
-                history,
-                reference,
-                hypotheses,
-                min(1.0, false_alarms * months(history)),
-            )
-            for r, (history, reference) in enumerate(zip(histories, references, strict=True))
-        ]
+        months = [float(each.days[-1] - each.days[0] + 1.0) / MONTH for each in histories]
+        levels = [min(1.0, false_alarms * each) for each in months]
+        every = enumerate(zip(logs(), levels, strict=True))
+        return [RobotSearch(model.of(r), own, hypotheses, level) for r, (own, level) in every]
 
     model = learn_type(logs(), columns, rounds=_FIRST, team=team)
     for _ in range(passes - 1):
@@ -389,8 +380,7 @@ def find_changes(
         references, designs, odd = map(list, zip(*settled, strict=True))
         start = replace(model, odd=tuple(odd))
         model = learn_type(logs(), columns, changes=designs, start=start, rounds=_LATER, team=team)
-    places, changes = zip(*team.in_order(_told, searches()), strict=True)
-    return FleetChanges(model, changes, places, tuple(references))
+    return FleetChanges(model, tuple(team.in_order(tell, searches())))
 
 
 def _settled(search: RobotSearch) -> tuple[Array, Array, Array]:
@@ -398,8 +388,3 @@ def _settled(search: RobotSearch) -> tuple[Array, Array, Array]:
     places = search.find()
     reference, odd = search.settled(places)
     return reference, search.design(places), odd
-
-
-def _told(search: RobotSearch) -> tuple[tuple[ChangePlace, ...], tuple[RobotChange, ...]]:
-    places = search.find()
-    return tuple(places), search.told(places)

@@ -37,9 +37,9 @@ from geodrake.boundary.showing import Short
 from geodrake.errors import ArgumentError, DigestError
 from geodrake.fleet.settings import FORMAT, DigestColumn, DigestSettings, array_of, settings_of
 from geodrake.identification.logs.evidence import effective_by_covariance
+from geodrake.inertia import Array
 from geodrake.logs.known_payload import KnownPayload
 
-Array = NDArray[np.float64]
 Indices = NDArray[np.intp]
 
 _LARGEST_FILE = 500_000_000  # bytes, also of what an archive says it unpacks to

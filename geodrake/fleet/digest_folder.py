@@ -35,13 +35,13 @@ from geodrake.fleet.settings import (
     own_sources,
     read_settings,
 )
+from geodrake.inertia import Array
 from geodrake.logs.files import check_log, parts_of, read_log
 from geodrake.logs.known_payload import KnownPayload
 from geodrake.logs.motion import JointLog
 from geodrake.model.logged_joints import reading_for
 from geodrake.model.robot_model import RobotModel
 
-Array = NDArray[np.float64]
 Told = Callable[[str, float | None], None]
 """Called with what is going on, and the share of it that is done, if that is known."""
 

@@ -36,6 +36,7 @@ from geodrake.identification.logs.reduce import (
     reduced_joints,
 )
 from geodrake.identification.logs.unknowns import Unknowns, payload_reference
+from geodrake.inertia import Array
 from geodrake.logs.files import Reading
 from geodrake.logs.folds import validation_blocks
 from geodrake.logs.known_payload import KnownPayload
@@ -50,7 +51,6 @@ from geodrake.model.signal_efforts import in_efforts, kind_of
 from geodrake.robot.base_parameters import structural_base_parameters
 from geodrake.robot.reduction import triangular_factor
 
-Array = NDArray[np.float64]
 Indices = NDArray[np.intp]
 
 _MOST_BLOCKS = 100  # of a log

@@ -19,8 +19,7 @@ from geodrake.errors import FleetError
 from geodrake.fleet.changes import ChangeRival
 from geodrake.fleet.history import DAY
 from geodrake.fleet.type_layout import FleetParameter
-
-Array = NDArray[np.float64]
+from geodrake.inertia import Array
 
 CHANGED, STEADY, UNKNOWN = "changed", "steady", "no logs"
 """What can be said of a robot."""

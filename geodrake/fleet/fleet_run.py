@@ -7,7 +7,6 @@ from dataclasses import dataclass, replace
 from typing import cast
 
 import numpy as np
-from numpy.typing import NDArray
 
 from geodrake.boundary.arguments import instance, integer, number, typed
 from geodrake.boundary.showing import Short
@@ -27,9 +26,8 @@ from geodrake.fleet.settings import DigestSettings
 from geodrake.fleet.type_findings import type_findings
 from geodrake.fleet.type_layout import TypeLayout, own_model, type_layout, type_source
 from geodrake.fleet.workers import Workers, workers
+from geodrake.inertia import Array
 from geodrake.model.holding import holding
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -25,8 +25,8 @@ from geodrake.fleet.digest import DAMAGED, Digest, JointDigest, read_digest_of
 from geodrake.fleet.fleet_logs import DIGESTS, LogRecord, robot_folder
 from geodrake.fleet.hashes import text_hash
 from geodrake.fleet.settings import DigestSettings
+from geodrake.inertia import Array
 
-Array = NDArray[np.float64]
 Indices = NDArray[np.intp]
 
 DAY = 86400.0
@@ -68,6 +68,8 @@ class RobotHistory(Short):
         days: (T,) when each log was recorded, days, ascending.
         joints: (n,) what they say of each joint, over some of the p columns.
         temperature: (T,) mean temperature of each log, °C; NaN where it is not known.
+        reference: (p,) or (T, p) parameters of the robot, as far as they are known, that
+            gains of its joints refer to; None without gains.
     """
 
     robot: str
@@ -75,21 +77,19 @@ class RobotHistory(Short):
     joints: tuple[JointGrams, ...]
     columns: int
     temperature: Array
+    reference: Array | None = None
 
     def read(self) -> RobotHistory:
         """Return this one, which is in memory."""
         return self
 
-    def equations(self, reference: Array | None = None) -> LogEquations:
+    def equations(self) -> LogEquations:
         """Return normal equations; with a reference, of a further column for each joint's gain.
 
         The column of joint j is the effort there by the reference, and zero at the other joints,
         so that its parameter is ε where the logged effort is 1 + ε times that.
-
-        Args:
-            reference: (p,) or (T, p) parameters of the robot, as far as they are known.
         """
-        T, p = len(self.days), self.columns
+        T, p, reference = len(self.days), self.columns, self.reference
         size = p if reference is None else p + len(self.joints)
         information, right = np.zeros((T, size, size)), np.zeros((T, size))
         for gain, joint in enumerate(self.joints, start=p):
@@ -98,7 +98,7 @@ class RobotHistory(Short):
             information[:, at[:, None], at] += own
             right[:, at] += side
             if reference is not None and joint.grams[:, -1, -1].any():  # there is effort
-                x = np.broadcast_to(reference, (T, p))[:, at]
+                x = np.broadcast_to(reference[..., :p], (T, p))[:, at]
                 along = np.einsum("tab,tb->ta", own, x)
                 information[:, gain, at] = information[:, at, gain] = along
                 information[:, gain, gain] = np.einsum("ta,ta->t", along, x)
@@ -161,6 +161,7 @@ class KeptHistory(Short):
         temperature: (T,) mean temperature of each log, °C; NaN where it is not known.
         effort: (n,) root of the mean square of the robot's efforts, N·m or N.
         logs: How many logs are in it, of which those of a time count as one.
+        reference: As that of `RobotHistory`.
     """
 
     task: HistoryTask
@@ -169,6 +170,7 @@ class KeptHistory(Short):
     temperature: Array
     effort: Array
     logs: int
+    reference: Array | None = None
 
     @property
     def robot(self) -> str:
@@ -185,43 +187,20 @@ class KeptHistory(Short):
                     f"The digests of robot {self.robot} changed while they were looked at.",
                     advice="Run the command again when no other one changes them.",
                 )
-        return sums.history(self.robot, len(self.task.kept))
+        found = sums.history(self.robot, len(self.task.kept))
+        return replace(found, reference=self.reference)
+
+    def equations(self) -> LogEquations:
+        """Read normal equations."""
+        return self.read().equations()
 
 
 History = RobotHistory | KeptHistory
 """A robot's history: in memory, or in its file."""
 
 
-@dataclass(frozen=True, eq=False)
-class ReferredLogs(Short):
-    """A robot's logs over the columns of a type.
-
-    Attributes:
-        reference: (T, p) or (p,) parameters that gains refer to; None without gains.
-    """
-
-    source: History
-    reference: Array | None = None
-
-    @property
-    def days(self) -> Array:
-        """(T,) days of the logs, ascending."""
-        return self.source.days
-
-    @property
-    def temperature(self) -> Array:
-        """(T,) mean temperature of each log, °C; NaN where it is not known."""
-        return self.source.temperature
-
-    def equations(self) -> LogEquations:
-        """Read their normal equations."""
-        history = self.source.read()
-        reference = None if self.reference is None else self.reference[..., : history.columns]
-        return history.equations(reference)
-
-
-Logs = LogEquations | ReferredLogs
-"""Normal equations of a robot's logs: in memory, or where they come from."""
+Logs = LogEquations | History
+"""Normal equations of a robot's logs, or what gives them."""
 
 
 def read_history(task: HistoryTask) -> tuple[KeptHistory | None, list[tuple[LogRecord, str]]]:

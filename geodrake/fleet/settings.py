@@ -27,10 +27,9 @@ from geodrake.effects import Effect, make_effect
 from geodrake.errors import ArgumentError, DigestError
 from geodrake.fleet.hashes import source_hash, text_hash
 from geodrake.identification.logs.dataset import is_payload
-from geodrake.inertia import PARAMETER_NAMES, PARAMETERS_PER_BODY
+from geodrake.inertia import PARAMETER_NAMES, PARAMETERS_PER_BODY, Array
 from geodrake.robot.base_parameters import BaseParameters
 
-Array = NDArray[np.float64]
 Indices = NDArray[np.intp]
 
 SETTINGS_FILE = "digest_settings.json"

@@ -8,9 +8,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from geodrake.boundary.showing import Short
-from geodrake.inertia import pullback_metric
+from geodrake.inertia import Array, pullback_metric
 
-Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 
 STEP, RAMP = "step", "ramp"

@@ -3,14 +3,21 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import replace
+from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
 
 from geodrake.errors import FleetError
 from geodrake.fleet.change_evidence import ChangePlace
-from geodrake.fleet.changes import RobotChange, RobotSearch, SearchState, find_changes
+from geodrake.fleet.changes import (
+    FleetChanges,
+    RobotChange,
+    RobotSearch,
+    SearchState,
+    find_changes,
+)
 from geodrake.fleet.fleet_result import (
     ChangedParameter,
     FleetFinding,
@@ -23,8 +30,7 @@ from geodrake.fleet.type_columns import narrow_factor
 from geodrake.fleet.type_layout import BODIES, TypeLayout
 from geodrake.fleet.type_model import RobotFit, TypeModel, calc_marginal, own_parameters
 from geodrake.fleet.workers import Workers
-
-Array = NDArray[np.float64]
+from geodrake.inertia import Array
 
 _LOOSE = 100.0  # deviations of the type that a parameter may be off where a log says nothing
 
@@ -66,20 +72,6 @@ def parameter_levels(
     return values, np.sqrt(variance + scattered), variance < usual
 
 
-@dataclass(frozen=True, eq=False)
-class _Found:
-    """A robot with its changes, of which more is to be told."""
-
-    type: str
-    history: KeptHistory
-    layout: TypeLayout
-    model: TypeModel
-    reference: Array
-    changes: tuple[RobotChange, ...]
-    places: tuple[ChangePlace, ...]
-    of_model: Array | None
-
-
 def type_findings(
     name: str,
     histories: Sequence[KeptHistory],
@@ -95,44 +87,39 @@ def type_findings(
         models: Robot -> (p,) what its own model file says; others have that of the type.
         false_alarms: At most how many robots in which nothing changed are named, a robot-month.
     """
+    tell = partial(_result, kind=name, layout=layout, models=models)
+    found: FleetChanges[RobotResult]
     try:
         found = find_changes(
-            histories, layout.columns, layout.hypotheses, false_alarms=false_alarms, team=team
+            histories,
+            layout.columns,
+            layout.hypotheses,
+            false_alarms=false_alarms,
+            tell=tell,
+            team=team,
         )
     except (np.linalg.LinAlgError, ValueError, FloatingPointError) as error:
         raise FleetError(
             f"Robots of type {name} cannot be compared: what they share has no solution ({error}).",
             advice="More robots, or logs with more motion, may help; their digests are kept.",
         ) from error
-    pieces = [
-        _Found(
-            name,
-            history,
-            layout,
-            found.model.of(at),
-            found.references[at],
-            found.changes[at],
-            found.places[at],
-            models.get(history.robot),
-        )
-        for at, history in enumerate(histories)
-    ]
-    return team.in_order(_result, pieces)
+    logs = {each.robot: each.logs for each in histories}
+    return [replace(each, logs=logs[each.robot]) for each in found.changes]
 
 
-def _result(found: _Found) -> RobotResult:
-    history, model = found.history, found.model
-    hypotheses = found.layout.hypotheses
-    search = RobotSearch(model, history, found.reference, hypotheses)
-    state = search.state(found.places)
+def _result(
+    search: RobotSearch, *, kind: str, layout: TypeLayout, models: Mapping[str, Array]
+) -> RobotResult:
+    places, history, model = search.find(), search.history, search.model
+    state, changes = search.state(places), search.told(places)
     return RobotResult(
         history.robot,
-        found.type,
-        history.logs,
+        kind,
+        len(history.days),
         history.days * DAY,
-        _findings(found.changes, found.places, found.layout),
-        _histories(model, found.layout, state),
-        _own(model, found.layout, state, found.of_model),
+        _findings(changes, places, layout),
+        _histories(model, layout, state),
+        _own(model, layout, state, models.get(history.robot)),
     )
 
 

@@ -45,7 +45,7 @@ from geodrake.fleet.type_columns import (
 )
 from geodrake.identification.logs.criteria import SPREAD
 from geodrake.identification.logs.unknowns import pullback_information
-from geodrake.inertia import from_mass_com_inertia, is_physical
+from geodrake.inertia import Array, from_mass_com_inertia, is_physical
 from geodrake.logs.files import Reading, read_mapping
 from geodrake.model.robot_model import RobotModel
 from geodrake.model.saved_model import load_model
@@ -169,7 +169,6 @@ def with_joint_effects(model: RobotModel, kinds: Sequence[type[Effect]]) -> Robo
     )
 
 
-Array = NDArray[np.float64]
 Indices = NDArray[np.intp]
 
 BODIES = "bodies"

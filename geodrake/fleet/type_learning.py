@@ -10,15 +10,13 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.special import gammaincinv
 
 from geodrake.fleet.history import Logs
 from geodrake.fleet.type_columns import TypeColumns
 from geodrake.fleet.type_model import Course, LogScores, RobotFit, TypeModel, kept_share
 from geodrake.fleet.workers import HERE, Workers
-
-Array = NDArray[np.float64]
+from geodrake.inertia import Array
 
 _START_DEVIATION, _START_SCATTER, _START_RESPONSE = 0.1, 0.03, 0.2
 _WEAK = 10.0  # scale of spreads in the prior of what all share

@@ -21,8 +21,8 @@ from scipy.special import gammaincinv
 from geodrake.boundary.showing import Short
 from geodrake.fleet.history import LogEquations, Logs
 from geodrake.fleet.type_columns import TypeColumns, narrow_factor
+from geodrake.inertia import Array
 
-Array = NDArray[np.float64]
 Indices = NDArray[np.intp]
 
 

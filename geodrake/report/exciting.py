@@ -557,8 +557,8 @@ def excitation_dict(result: ExcitationResult) -> dict[str, Any]:
     """A designed motion: its coefficients, what it is worth, what it uses of the limits.
 
     Args:
-        result: The result of `geodrake.excitation.design_excitation`, or of `design_separation`,
-            whose value is 1/Δ of the pair that is hardest to distinguish.
+        result: The result of `geodrake.excitation.design_excitation`; of a `Separation`, its value
+            is 1/Δ of the pair that is hardest to distinguish.
     """
     objective, family, use = result.objective, result.trajectory.family, result.use
     pairs = distinguished_pairs(result)

@@ -26,7 +26,7 @@ from geodrake.control.adaptation import (
     natural_adaptation,
     parameter_manifold,
 )
-from geodrake.control.adaptation.plausible import limited
+from geodrake.control.adaptation.outer_laws import limited
 from geodrake.control.regressor import ControlModel
 from geodrake.control.systems import (
     AdaptiveComputedTorqueController,

@@ -6,7 +6,7 @@ import mujoco
 import numpy as np
 import pytest
 
-from geodrake.control import command_rollout, roll_out
+from geodrake.control import roll_out
 from geodrake.control.rollout import commanded_motions
 from geodrake.effects import EffortDelay, FittedEffect, RotorInertia, ViscousFriction
 from geodrake.errors import ArgumentError, LogError
@@ -95,7 +95,7 @@ def without_efforts(log, *joints):
 def test_the_true_servos_move_the_model_as_the_robot(arm):
     log, model = arm
     silent = without_efforts(log, "a", "b")
-    rollout = command_rollout(model, [silent], most=4)
+    rollout = roll_out(model, [silent], most=4, commands=True)
     assert rollout.broken == 0 and len(rollout.windows) == 4
     assert rollout.relative < 0.002
     for joint in rollout.joints:
@@ -107,7 +107,7 @@ def test_the_true_servos_move_the_model_as_the_robot(arm):
 def test_wrong_servos_depart(arm):
     log, model = arm
     silent = without_efforts(log, "a", "b")
-    true = command_rollout(model, [silent], most=1).relative
+    true = roll_out(model, [silent], most=1, commands=True).relative
     a, b = model.effort_signals
     for wrong in (
         replace(b, gain=0.5 * b.gain),
@@ -115,7 +115,7 @@ def test_wrong_servos_depart(arm):
         replace(b, delay=0.0),
         replace(b, limit=3.0),
     ):
-        worse = command_rollout(replace(model, effort_signals=(a, wrong)), [silent], most=1)
+        worse = roll_out(replace(model, effort_signals=(a, wrong)), [silent], most=1, commands=True)
         assert worse.joints[1].relative > max(10 * true, 0.05)
 
 
@@ -144,17 +144,17 @@ def test_servos_at_motors_behind_gears(arm):
         velocity=N * log.velocity,
         command=N * log.command,
     )
-    assert command_rollout(geared, [turned], most=2, horizon=0.2).relative < 0.01
+    assert roll_out(geared, [turned], most=2, horizon=0.2, commands=True).relative < 0.01
 
 
 def test_joints_without_a_servo_get_their_efforts(arm):
     log, model = arm
     mixed = replace(model, effort_signals=model.effort_signals[:1])
     brief = {"most": 1, "horizon": 0.3}
-    assert command_rollout(mixed, [without_efforts(log, "a")], **brief).relative < 0.02
+    assert roll_out(mixed, [without_efforts(log, "a")], **brief, commands=True).relative < 0.02
     # The efforts of the other joint matter: without what they carry, it falls.
     light = replace(log, effort=log.effort * [1.0, 0.5])
-    half = command_rollout(mixed, [without_efforts(light, "a")], **brief)
+    half = roll_out(mixed, [without_efforts(light, "a")], **brief, commands=True)
     assert half.joints[1].relative > 0.1
 
 
@@ -162,7 +162,7 @@ def test_the_loop_is_closed(arm):
     """A push that the model lacks drives an open loop away, and a servo holds against it."""
     log, model = arm
     heavier = replace(model, phi=1.3 * model.phi)
-    closed = command_rollout(heavier, [log], most=2, horizon=1.0)
+    closed = roll_out(heavier, [log], most=2, horizon=1.0, commands=True)
     opened = roll_out(heavier, [log], most=2, horizon=1.0)
     assert closed.relative < 0.5 * opened.relative
 
@@ -172,7 +172,7 @@ def test_reports_say_what_the_model_was_under(arm):
     late = replace(
         model, effects=(*model.effects, FittedEffect(EffortDelay(0.002, "b"), np.zeros(0)))
     )
-    found = command_rollout(late, [log], most=1, horizon=0.2)
+    found = roll_out(late, [log], most=1, horizon=0.2, commands=True)
     assert any("effort_delay of b does not count" in note for note in found.notes)
     assert rollout_dict(found)["under"] == "commands"
     about = About("arm", ("log",))
@@ -199,8 +199,8 @@ def test_models_on_the_way_have_their_motions(arm):
 def test_logs_without_commands_are_refused(arm):
     log, model = arm
     with pytest.raises(LogError, match="commands of a servo"):
-        command_rollout(replace(model, effort_signals=()), [log])
+        roll_out(replace(model, effort_signals=()), [log], commands=True)
     with pytest.raises(LogError, match="commands of a servo"):
-        command_rollout(model, [replace(log, command=None)])
+        roll_out(model, [replace(log, command=None)], commands=True)
     with pytest.raises(ArgumentError, match="horizon"):
-        command_rollout(model, [log], horizon=0.0)
+        roll_out(model, [log], horizon=0.0, commands=True)

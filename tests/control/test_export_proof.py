@@ -13,8 +13,7 @@ from pydrake.systems.primitives import Adder, ConstantVectorSource
 from geodrake.control import EffectForce
 from geodrake.control.export_proof import export_to
 from geodrake.control.export_proof.engines import MujocoEngine
-from geodrake.control.export_proof.reference import STEP, Start, roll_out_all
-from geodrake.control.export_proof.samples import random_motion
+from geodrake.control.export_proof.reference import STEP, Start, random_motion, roll_out_all
 from geodrake.effects import (
     CoulombFriction,
     FittedEffect,

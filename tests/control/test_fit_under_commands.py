@@ -18,8 +18,8 @@ from geodrake import effects, load_model
 from geodrake.control.rollout import (
     FittedValue,
     RolloutFit,
-    command_rollout,
     fit_rollouts,
+    roll_out,
     simulation,
 )
 from geodrake.control.rollout.fit_rollouts import better_model
@@ -223,7 +223,7 @@ def test_what_cannot_follow_commands_is_said(pendulum):
 def test_results_say_what_they_are_under(pendulum):
     model = servoed(pendulum, 0.5, PD)
     log = followed(0, PD, seconds=1.5)
-    rollout = command_rollout(model, [log], horizon=0.1, most=2, bandwidth=12.0)
+    rollout = roll_out(model, [log], horizon=0.1, most=2, bandwidth=12.0, commands=True)
     found = RolloutFit(model, (), rollout, rollout, (False, True), 1.0, False)
     model = servoed(pendulum, 0.5, dataclasses.replace(PD, deviation=1.0))
     unsure = dataclasses.replace(found, model=model)

@@ -9,7 +9,7 @@ from scipy.signal import lfilter
 
 from geodrake.control.adaptation import LinearSet, mass_limits
 from geodrake.control.online_estimation import FilteredRegressor, SampleUpdate
-from geodrake.control.online_estimation.slab_step import slab_step
+from geodrake.control.online_estimation.sample_update import slab_step
 from geodrake.errors import ArgumentError
 from geodrake.manifolds import (
     ConstrainedInertia,

@@ -20,7 +20,7 @@ from geodrake.errors import ArgumentError
 from geodrake.excitation import (
     DesignOptions,
     FourierMotion,
-    design_separation,
+    design_excitation,
     make_rival,
     make_separation,
     motion_limits,
@@ -239,7 +239,7 @@ class TestDesign:
         limits = motion_limits(model, acceleration=dict.fromkeys(model.joints, 6.0))
         separation = separation_of(model, names, noise=0.1)
         told = []
-        result = design_separation(
+        result = design_excitation(
             separation, limits, trajectory=SHORT, options=FAST, seeds=2, progress=told.append
         )
         assert told and len(result.outcomes) == 2

@@ -74,7 +74,7 @@ def test_alarms_are_no_more_than_asked_for(level):
     model = learn_type([each.equations() for each in histories], columns())
     alarms = 0
     for r, each in enumerate(histories):
-        search = RobotSearch(model.of(r), each, model.mean, hypotheses(), level)
+        search = RobotSearch(model.of(r), each, hypotheses(), level)
         alarms += bool(search.find())
     assert alarms <= level * len(histories)
 
@@ -111,7 +111,7 @@ def test_one_log_tells_no_change():
 
 def test_no_states_are_kept_of_robots_that_were_searched(found):
     history = fleet(1, 10, STEP, SEASON)[2]
-    search = RobotSearch(found.model.of(2), history, found.model.mean, hypotheses())
+    search = RobotSearch(found.model.of(2), history, hypotheses())
     places = search.find()
     assert places and not search._states
     assert search.told(places) and not search._states

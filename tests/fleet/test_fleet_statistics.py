@@ -76,7 +76,7 @@ def test_gains_are_columns_of_what_a_reference_says():
     weights, reference = rng.uniform(1.0, 2.0, size=(3, 2)), rng.normal(size=(3, P))
     joints = tuple(Rows(A[:, j], b[:, j]).grams(weights[:, j, None, None]) for j in range(2))
     history = RobotHistory("a", np.arange(3.0), joints, P, np.full(3, np.nan))
-    found = history.equations(reference)
+    found = replace(history, reference=reference).equations()
     assert history.joints[1].columns.tolist() == [2, 3]
     for t in range(3):
         said = A[t] @ reference[t]

@@ -102,7 +102,7 @@ def test_histories_hold_what_such_a_joint_says_of_bodies(made, tmp_path):
     at, gram = shoulder.columns, shoulder.grams[0]
     scale = gram[:-1, -1] @ x[at] / (x[at] @ gram[:-1, :-1] @ x[at])
     assert 0.5 < scale < 2.0  # 0 by the residuals alone
-    with_gains = history.equations(x)
+    with_gains = replace(history, reference=x).equations()
     assert not with_gains.information[0, history.columns].any()  # nothing scales an effort of none
     assert with_gains.information[0, history.columns + 1].any()
     assert isinstance(shoulder, JointGrams)

@@ -93,14 +93,6 @@ def log(seconds=12.0):
     return JointLog("swing", JOINTS, time, motion.q, effort)
 
 
-def commanded():
-    """A short log of what servos were told."""
-    short = log(3.0)
-    speed = np.gradient(short.position, short.time, axis=0)
-    command = short.position + 0.05 * speed + 0.01 * short.effort
-    return replace(short, effort=np.full_like(command, np.nan), command=command)
-
-
 @cache
 def folder():
     """A folder with a file of each kind that is read."""
@@ -310,7 +302,6 @@ BY_CALL = {
     **dict.fromkeys(("add_adaptive_loop", "EffectForce.AddToBuilder"), IN_BUILDER),
     "add_tracking_drives": IN_BUILDER,
     "EffectForce": {"log": "swing"},
-    "command_rollout": {"logs": Fresh(lambda: (commanded(),))},
     "roll_out": {"logs": Fresh(lambda: (log(3.0),))},
     "fit_rollouts": {"model": Fresh(soft), "logs": Fresh(lambda: (log(3.0),)), "most": 4},
     "export_to": {"folder": in_folder("out"), "force": True},

@@ -8,7 +8,7 @@ from scipy.integrate import solve_ivp
 from servo_logs import LATE, PENDULUM, TRUTH, command, servo_log
 
 from geodrake import load_model
-from geodrake.control import PositionServo, command_rollout
+from geodrake.control import PositionServo, roll_out
 from geodrake.control.export_proof import export_to
 from geodrake.control.systems.position_servo import (
     ServoError,
@@ -354,7 +354,7 @@ def test_the_true_servo_moves_the_model_as_mujoco(model, summed):
     servo = PositionServo.of(true)
     assert servo.gains(servo.CreateDefaultContext()).ki == pytest.approx([INTEGRAL])
     departures = [
-        command_rollout(replace(true, effort_signals=(each,)), [summed], most=2).relative
+        roll_out(replace(true, effort_signals=(each,)), [summed], most=2, commands=True).relative
         for each in (signal, replace(signal, integral=0.0), replace(signal, integral=45.0))
     ]
     assert departures[0] < 0.02 and departures[0] < 0.3 * min(departures[1:])

@@ -9,7 +9,7 @@ import pytest
 
 from geodrake.control.export_proof import export_to
 from geodrake.control.export_proof.proof import prove
-from geodrake.control.export_proof.samples import compared, random_motion, random_starts
+from geodrake.control.export_proof.reference import compared, random_motion, random_starts
 from geodrake.effects import EffortDelay, FittedEffect
 from geodrake.errors import ModelError
 from geodrake.model import EffortSignal, holding, save_model

@@ -23,7 +23,7 @@ from geodrake.excitation import (
     FourierMotion,
     MotionLimits,
     Separation,
-    design_separation,
+    design_excitation,
     make_rival,
     make_separation,
     motion_limits,
@@ -141,7 +141,7 @@ def motions(case: Case, seed: int, iterations: int) -> dict[str, ExcitationTraje
     problem = make_problem(separation, limits, family, options)
     postures = possible_postures(known_model(), limits, None)
     guess = random_guess(problem, postures, np.random.default_rng(seed))
-    result = design_separation(separation, limits, trajectory=family, options=options, seeds=[seed])
+    result = design_excitation(separation, limits, trajectory=family, options=options, seeds=[seed])
     return {"random": problem.trajectory(guess), "designed": result.trajectory}
 
 

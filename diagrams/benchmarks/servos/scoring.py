@@ -16,7 +16,7 @@ from diagrams.benchmarks.servos.draws import (
     make_servo_log,
     servo_model,
 )
-from geodrake.control.rollout import command_rollout, commanded_motions
+from geodrake.control.rollout import commanded_motions, roll_out
 from geodrake.diagnosis import Explanation, explain
 from geodrake.effects import CoulombFriction, FittedEffect, RotorInertia, ViscousFriction
 from geodrake.model import EffortSignal, RobotModel
@@ -136,7 +136,7 @@ def _motion(made: ServoLog, model: RobotModel, found: Explanation) -> dict[str, 
     seconds = time.process_time() - began
     if motions is None:
         raise RuntimeError("A log of commands has servos.")
-    best = command_rollout(truth, [made.log], most=_WINDOWS)
+    best = roll_out(truth, [made.log], most=_WINDOWS, commands=True)
     on_the_way = [[joint.relative for joint in motion.joints] for motion in motions]
     return {
         "seconds of motions": seconds,

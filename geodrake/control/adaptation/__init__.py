@@ -27,8 +27,7 @@ from geodrake.control.adaptation.law import (
     natural_adaptation,
     pullback_adaptation,
 )
-from geodrake.control.adaptation.partial import PartialLaw
-from geodrake.control.adaptation.projected import ProjectedLaw
+from geodrake.control.adaptation.outer_laws import PartialLaw, ProjectedLaw
 from geodrake.control.adaptation.robot_manifold import adapted_parameters, parameter_manifold
 
 __all__ = [

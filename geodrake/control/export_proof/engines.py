@@ -85,11 +85,7 @@ class Engine(abc.ABC):
 
 
 def order_of(model: RobotModel, place: Callable[[str], int], file: Path, name: str) -> list[int]:
-    """Return where a simulator has each joint of a model, by its place or a KeyError.
-
-    Raises:
-        ModelError: A joint is not there.
-    """
+    """Return where a simulator has each joint of a model, by its place or a KeyError."""
     found = []
     for joint in model.joints:
         try:

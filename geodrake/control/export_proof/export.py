@@ -14,7 +14,7 @@ import numpy as np
 from geodrake.boundary.arguments import file_path, instances, number, positive, typed
 from geodrake.boundary.whole_files import Content, made_folder, write_together
 from geodrake.control.export_proof.proof import Proof, prove
-from geodrake.control.export_proof.samples import (
+from geodrake.control.export_proof.reference import (
     compared,
     logged_motions,
     logged_starts,
@@ -166,10 +166,6 @@ def export_with_proof(
             random motion within the limits of the robot serves.
         bandwidth: Bandwidth of the filter of the logs, Hz; by default that of the model's fit.
         progress: Called with what is going on.
-
-    Raises:
-        ModelError: The model's file cannot take what is to be written.
-        LogError: A log cannot be used.
     """
     check_format(model, form)
     if bandwidth is not None:
@@ -219,12 +215,7 @@ def export_with_proof(
 def check_folder(
     model: RobotModel, form: ExportFormat, folder: Path, inputs: Iterable[Path], *, force: bool
 ) -> None:
-    """Refuse a folder in which the files cannot be written, before the long work.
-
-    Raises:
-        OutputError: It is no folder, or has such files already.
-        ModelError: The model's file cannot take what is to be written.
-    """
+    """Refuse a folder in which the files cannot be written, before the long work."""
     if folder.exists() and not folder.is_dir():
         raise OutputError(
             f"Cannot export to {folder}: it is there and is no folder.",
@@ -256,9 +247,6 @@ def write_files(
 
     Returns:
         The files of the export.
-
-    Raises:
-        OutputError: One cannot be written.
     """
     files: dict[Path, Content] = {folder / name: d for name, d in found.exported.files.items()}
     with ExitStack() as stack:
@@ -269,12 +257,7 @@ def write_files(
 
 
 def check_format(model: RobotModel, form: ExportFormat) -> None:
-    """Refuse a format that has no place for what the model has.
-
-    Raises:
-        ModelError: It has no closed loops, or efforts and friction at joints, and the model at
-            actuators.
-    """
+    """Refuse a format that has no place for what the model has."""
     if loops := [", ".join(drive.joints) for drive in model.transmission if drive.is_loop]:
         raise ModelError(
             f"The format {form.name} cannot have a closed loop, and the model has one of "

@@ -147,11 +147,7 @@ class ControlModel:
 
 
 def checked_control(control: ControlModel) -> ControlModel:
-    """Return a `ControlModel`, or what gives regressors as one does.
-
-    Raises:
-        ArgumentError: It is something else.
-    """
+    """Return a `ControlModel`, or what gives regressors as one does."""
     if not all(hasattr(control, name) for name in ("at", "joints", "prior", "single_joints")):
         raise ArgumentError(f"control must be a ControlModel; it is {control!r}.")
     return control

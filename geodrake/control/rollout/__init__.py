@@ -9,19 +9,13 @@ from __future__ import annotations
 
 from geodrake.control.rollout.fit_rollouts import fit_rollouts
 from geodrake.control.rollout.results import FittedValue, Rollout, RolloutFit
-from geodrake.control.rollout.roll_out import (
-    case_rollout,
-    command_rollout,
-    commanded_motions,
-    roll_out,
-)
+from geodrake.control.rollout.roll_out import case_rollout, commanded_motions, roll_out
 
 __all__ = [
     "FittedValue",
     "Rollout",
     "RolloutFit",
     "case_rollout",
-    "command_rollout",
     "commanded_motions",
     "fit_rollouts",
     "roll_out",

@@ -75,8 +75,8 @@ def fit_rollouts(
     other log, is held out. The fit is taken if it departs less in those, by more than chance: they
     are compared window by window, as the folds of a diagnosis are. Else the model stays as it was.
 
-    Simulations are those of `roll_out`, under the efforts of logs, or those of `command_rollout`,
-    in which servos close the loop. Soft joints would make up for what these are off by: where the
+    Simulations are those of `roll_out`, under the efforts of logs, or under their commands, where
+    servos close the loop. Soft joints would make up for what these are off by: where the
     servo of one has deviations, its gains and its delay are fitted, too, held by their deviations,
     and by 10 ms for a delay, and with them what resists its motor, friction and the rotor's
     inertia, as far as these have deviations, held to a factor of e. Limits stay. The stiffer a
@@ -92,7 +92,7 @@ def fit_rollouts(
         horizon: Length of a window, s.
         most: Most windows, fitted and held out together.
         bandwidth: As for `roll_out`.
-        commands: Whether joints with servos follow the commands of logs, as in `command_rollout`.
+        commands: Whether joints with servos follow the commands of logs, as in `roll_out`.
         progress: Called with what is simulated, and the share of that which is done.
 
     Raises:

@@ -57,10 +57,6 @@ def chosen_passages(case: Case, horizon: float, most: int) -> list[Passage]:
 
     Args:
         horizon: Length of each passage, s.
-
-    Raises:
-        LogError: There is none.
-        ArgumentError: The length is less than that between two samples.
     """
     peak = peak_speeds(case.trajectories)
     found = [

@@ -39,9 +39,10 @@ def roll_out(
     horizon: float = HORIZON,
     most: int = MOST_WINDOWS,
     bandwidth: float | None = None,
+    commands: bool = False,
     progress: Progress | None = None,
 ) -> Rollout:
-    """Simulate a model under the efforts of logs, window by window.
+    """Simulate a model under the efforts of logs, or under their commands, window by window.
 
     The simulation is a Drake diagram: the plant with the model's inertias, `EffectForce` with its
     effects, and the measured efforts, advanced by the model's delays. It runs in the time of the
@@ -52,61 +53,33 @@ def roll_out(
     Where joints follow others, or are behind a transmission, efforts are those of leaders and
     actuators (`DrivenPlant`).
 
+    Under commands, a joint with a servo (`RobotModel.effort_signals` of the kind "command") gets
+    the effort that the servo makes of the command of the log, late by its delay, and of the
+    *simulated* position and velocity. Measured positions count where a window starts, and
+    afterwards only as what is compared. Joints without a servo, or without a command in a log, get
+    the efforts of the log all the same.
+
     Args:
-        model: The model.
-        logs: Logs or their files.
+        model: The model; servos that it does not know are found by its inertias first.
+        logs: Logs or their files; under commands, one with commands at least.
         horizon: Length of a window, s.
         most: Most windows; they are spread evenly over all that moves.
         bandwidth: Bandwidth of the filter that the initial states are smoothed with, Hz; by default
             that of the model's fit to the same logs, or chosen from the data.
-        progress: Called with each window: its log, and the share that is done.
-
-    Raises:
-        ArgumentError: The horizon is not from 1 ms to 1000 s, or there are no windows.
-        LogError: A log cannot be used, or none moves for as long as a window.
-        ModelError: Joints follow others or are behind a transmission, and the model has soft joints
-            or effects with hidden states.
-    """
-    check_windows(horizon, most, progress)
-    case = open_case(model, logs, candidates=False, bandwidth=bandwidth)
-    return case_rollout(case, horizon=horizon, most=most, progress=progress)
-
-
-def command_rollout(
-    model: RobotModel,
-    logs: Sequence[JointLog | str | Path],
-    *,
-    horizon: float = HORIZON,
-    most: int = MOST_WINDOWS,
-    bandwidth: float | None = None,
-    progress: Progress | None = None,
-) -> Rollout:
-    """Simulate a model under the commands of logs: its servos close the loop.
-
-    As `roll_out`, but a joint with a servo (`RobotModel.effort_signals` of the kind "command")
-    gets the effort that the servo makes of the command of the log, late by its delay, and of the
-    *simulated* position and velocity. Measured positions count where a window starts, and
-    afterwards only as what is compared: departures are those of the motion itself, in rad or m,
-    and as shares of what each joint moves. Joints without a servo, or without a command in a log,
-    get the efforts of the log, as in `roll_out`.
-
-    Args:
-        model: The model; servos that it does not know are found by its inertias first.
-        logs: Logs or their files, one with commands at least.
-        horizon: Length of a window, s.
-        most: Most windows; they are spread evenly over all that moves.
-        bandwidth: As for `roll_out`.
+        commands: Whether servos close the loop, under the commands of logs.
         progress: Called with each window: its log, and the share that is done.
 
     Raises:
         ArgumentError: The horizon is not from 1 ms to 1000 s, or there are no windows.
         LogError: A log cannot be used, or none moves for as long as a window, or has commands of
-            servos.
-        ModelError: As for `roll_out`.
+            servos that are to be followed.
+        ModelError: Joints follow others or are behind a transmission, and the model has soft joints
+            or effects with hidden states.
     """
     check_windows(horizon, most, progress)
+    instance(commands, "commands", bool)
     case = open_case(model, logs, candidates=False, bandwidth=bandwidth)
-    return case_rollout(case, horizon=horizon, most=most, commands=True, progress=progress)
+    return case_rollout(case, horizon=horizon, most=most, commands=commands, progress=progress)
 
 
 def commanded_motions(
@@ -152,7 +125,7 @@ def case_rollout(
     """Return the rollout of the model of a case, whose logs are prepared; see `roll_out`.
 
     Args:
-        commands: Whether servos close the loop, as in `command_rollout`.
+        commands: Whether servos close the loop.
     """
     model, logs = case.model, case.asked.logs
     if commands and not any(told_joints(model, log).any() for log in logs):
@@ -185,11 +158,7 @@ def _unheard(case: Case) -> list[str]:
 
 
 def check_windows(horizon: float, most: int, progress: Progress | None) -> None:
-    """Refuse windows that cannot be.
-
-    Raises:
-        ArgumentError: The horizon is not from 1 ms to 1000 s, or there are no windows.
-    """
+    """Refuse windows that cannot be."""
     real_array(horizon, "horizon", (), finite=False)
     integer(most, "most", upper=np.inf)
     if not (_SHORTEST <= horizon <= _LONGEST and most >= 1):

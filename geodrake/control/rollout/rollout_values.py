@@ -64,9 +64,6 @@ def rollout_values(model: RobotModel, *, commands: bool = False) -> tuple[Rollou
     Under commands soft joints would make up for what their servos are off by: what is not known
     exactly of these is such a value, too, and so is what is not known exactly of their motors'
     friction and inertia.
-
-    Raises:
-        ModelError: There is nothing.
     """
     found = []
     for at, fitted in enumerate(model.effects):

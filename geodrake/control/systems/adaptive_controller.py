@@ -22,7 +22,7 @@ from pydrake.systems.framework import (
 
 from geodrake.boundary.arguments import instance, number, positive
 from geodrake.control.adaptation import UpdateLaw
-from geodrake.control.adaptation.plausible import limited
+from geodrake.control.adaptation.outer_laws import limited
 from geodrake.control.regressor import ControlModel
 from geodrake.control.regressor.control_model import ControlSample
 from geodrake.control.systems.prediction_error import Prediction, PredictionError
@@ -91,7 +91,7 @@ class AdaptiveController(LeafSystem):
       `settling_time` (with a time step only).
 
     With V = V_t + γ D(p‖p̂), the law of the covector b keeps V̇ ≤ 0, [Lee2019] Proposition 5.7. So
-    does the projection onto limits of plausible parameters (`adaptation.plausible`; none if the law
+    does the projection onto limits of plausible parameters (`outer_laws.limited`; none if the law
     is a `ProjectedLaw`), Eq. (5.4.57) and (5.4.59), as long as the truth is within them
     (Propositions 5.8 and 5.9). Where adaptation waits, D(p‖p̂) stays or becomes what it was, and V
     may rise by what the actual state makes of V_t. Leakage may raise V near the truth, see

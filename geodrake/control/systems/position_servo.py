@@ -129,10 +129,6 @@ class _PositionServo(ScalarSystem):
         Args:
             **gains: Those of kp, kd, ki, limit and dead_band that change; one for all joints or
                 (n,).
-
-        Raises:
-            ArgumentError: There is no such gain, a gain is negative, or ki is given to a servo that
-                was made without an integral.
         """
         check_context(self, context)
         names = ServoGains._fields

@@ -42,7 +42,7 @@ class Safeguards(Short):
         settling_time: For how long states must have been believed, and efforts within their limits,
             before adaptation goes on, s.
         factor: How many times the parameters of the model, or the first estimate, an estimate may
-            reach, see `control.adaptation.plausible`; inf for no limits.
+            reach, see `adaptation.outer_laws.limited`; inf for no limits.
 
     Raises:
         ArgumentError: A number is out of range.
@@ -257,11 +257,7 @@ def usable(x: Array) -> bool:
 
 
 def require_single_joints(control: ControlModel) -> None:
-    """Check that positions are as many as velocities, joint by joint.
-
-    Raises:
-        ArgumentError: They are not.
-    """
+    """Check that positions are as many as velocities, joint by joint."""
     if not checked_control(control).single_joints:
         raise ArgumentError(
             "Controllers and estimators need joints of one degree of freedom each; this robot has "
@@ -277,9 +273,6 @@ def checked_estimate(
 
     Args:
         domain: The manifold where the estimate lives, or the law that moves it; None for neither.
-
-    Raises:
-        ArgumentError: They are not as many as the robot's, not finite or not in the domain.
     """
     given = control.prior if parameters is None else parameters
     p = real_array(given, "parameters", control.prior.shape).copy()

@@ -1,20 +1,26 @@
-"""Update laws that keep an estimate inside of a convex set, [Lee2019] §5.4.2."""
+"""Update laws made of another one: of some parameters alone, or inside of a convex set.
+
+[Lee2019] §5.4.2 and §5.5.2.
+"""
 
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from functools import cached_property
+from typing import Self
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
+from scipy.linalg import block_diag
 from scipy.optimize import nnls
 
-from geodrake.boundary.arguments import instance, number, real_array
+from geodrake.boundary.arguments import instance, mask, number, real_array
+from geodrake.boundary.showing import Short
 from geodrake.control.adaptation.constraints import ConvexSet, LinearSet
 from geodrake.control.adaptation.law import AdaptationLaw, UpdateLaw
 from geodrake.errors import ArgumentError, ConvergenceError, GeodrakeError
 from geodrake.inertia import Array
-from geodrake.manifolds import Manifold, Product
+from geodrake.manifolds import ConstrainedInertia, Interval, Manifold, PhysicalInertia, Product
 from geodrake.manifolds.projections import Polyhedron, bregman_projection
 from geodrake.manifolds.slabs import half_space_projection
 
@@ -24,8 +30,99 @@ _CUT_TOLERANCE = 1e-9  # distance outside of the set, in the metric, that counts
 _ROUNDING = 1e-13  # of a limit, relative to its terms
 
 
+class _OuterLaw(UpdateLaw):
+    """What a law takes from `law` inside of it: all but its rate and its step."""
+
+    law: UpdateLaw
+
+    def _own(self, values: Array) -> Array:
+        """Return those of values (..., n) that the law inside sees."""
+        return values
+
+    @property
+    def dimension(self) -> int | None:
+        """Number n of all parameters."""
+        return self.law.dimension
+
+    @property
+    def slowness(self) -> float:
+        """That of the law inside."""
+        return self.law.slowness
+
+    def with_slowness(self, gamma: float) -> Self:
+        """Return the same law with another γ."""
+        return replace(self, law=self.law.with_slowness(gamma))  # type: ignore[type-var]
+
+    def calc_contains(self, parameters: Array) -> bool:
+        """Return whether the law inside can move an estimate (n,), be it outside of a set."""
+        return self.law.calc_contains(self._own(parameters))
+
+    def calc_reach(self, parameters: Array, rows: Array) -> float:
+        """That of the law inside: limits make no rate greater."""
+        return self.law.calc_reach(self._own(parameters), self._own(rows))
+
+    def calc_parameter_error(self, truth: Array, parameters: Array) -> Array:
+        """V_p of the law inside."""
+        return self.law.calc_parameter_error(self._own(truth), self._own(parameters))
+
+
 @dataclass(frozen=True, eq=False)
-class ProjectedLaw(UpdateLaw):
+class PartialLaw(_OuterLaw, Short):
+    """A law of some parameters, such as those of a load; the others are known and stay as they are.
+
+    It is the law of the submanifold on which only those parameters vary: V̇_t ≤ (p̂ − p)ᵀ b has no
+    part of parameters that are equal to the truth. What is held does not change by a single bit.
+
+    Attributes:
+        law: The law of the k parameters that are adapted, on their own manifold.
+        adapted: (n,) booleans, true for these k; `adapted_parameters` makes them from names.
+
+    Raises:
+        ArgumentError: The law moves another number of parameters, or none is adapted.
+    """
+
+    law: UpdateLaw
+    adapted: NDArray[np.bool_]
+
+    def __post_init__(self) -> None:
+        instance(self.law, "law", UpdateLaw)
+        adapted = mask(self.adapted, "adapted")
+        if not adapted.any():
+            raise ArgumentError("adapted must be booleans (n,), some of them true.")
+        if self.law.dimension not in (None, count := int(adapted.sum())):
+            raise ArgumentError(
+                f"The law moves {self.law.dimension} parameters; {count} are to be adapted.",
+                advice="Make its manifold of just these, such as PhysicalInertia() for one body.",
+            )
+        object.__setattr__(self, "adapted", adapted.copy())
+
+    @cached_property
+    def _places(self) -> NDArray[np.intp]:
+        return np.flatnonzero(self.adapted)
+
+    @property
+    def dimension(self) -> int:
+        """Number n of all parameters."""
+        return len(self.adapted)
+
+    def calc_rate(self, parameters: Array, b: Array) -> Array:
+        """Return the rate (n,), zero for what is held."""
+        rate = np.zeros(len(self.adapted))
+        rate[self._places] = self.law.calc_rate(self._own(parameters), self._own(b))
+        return rate
+
+    def calc_step(self, parameters: Array, b: Array, dt: float) -> Array:
+        """Return the estimate (n,) after dt seconds, what is held as it was."""
+        following = parameters.copy()
+        following[self._places] = self.law.calc_step(self._own(parameters), self._own(b), dt)
+        return following
+
+    def _own(self, values: Array) -> Array:
+        return values[..., self._places]
+
+
+@dataclass(frozen=True, eq=False)
+class ProjectedLaw(_OuterLaw):
     """An adaptation law whose estimate stays in a convex set C that holds the truth.
 
     The rate is projected onto the limits that bind, Eq. (5.4.57), and a step that ends outside of C
@@ -59,28 +156,6 @@ class ProjectedLaw(UpdateLaw):
                 f"The law moves {n} parameters; the limits are on "
                 f"{convex.polyhedron.matrix.shape[1]}."
             )
-
-    @property
-    def slowness(self) -> float:
-        """That of the law inside of C."""
-        return self.law.slowness
-
-    def with_slowness(self, gamma: float) -> ProjectedLaw:
-        """Return the same law with another γ."""
-        return replace(self, law=self.law.with_slowness(gamma))
-
-    @property
-    def dimension(self) -> int:
-        """That of the law inside of C."""
-        return self.law.dimension
-
-    def calc_contains(self, parameters: Array) -> bool:
-        """Return whether an estimate (n,) is inside of the manifold; it may begin outside of C."""
-        return self.law.calc_contains(parameters)
-
-    def calc_reach(self, parameters: Array, rows: Array) -> float:
-        """That of the law inside of C: limits make no rate greater."""
-        return self.law.calc_reach(parameters, rows)
 
     @cached_property
     def _set(self) -> ConvexSet:
@@ -156,10 +231,6 @@ class ProjectedLaw(UpdateLaw):
         for part in self._parts:
             projected[part.places] = part.project(p[part.places])
         return projected
-
-    def calc_parameter_error(self, truth: Array, parameters: Array) -> Array:
-        """That of the law inside of C."""
-        return self.law.calc_parameter_error(truth, parameters)
 
 
 @dataclass(frozen=True, eq=False)
@@ -251,3 +322,47 @@ def _least_push(G: Array, a_v: Array) -> Array:
     root = np.sqrt(values[kept])
     multipliers, _ = nnls(root[:, None] * axes[:, kept].T, (axes[:, kept].T @ a_v) / root)
     return np.asarray(multipliers)
+
+
+def limited(law: UpdateLaw, points: ArrayLike, factor: float) -> UpdateLaw:
+    """Return a law with limits about the model's parameters and a first estimate.
+
+    Limited are tr(P₀⁻¹ P) of each body, which is four for P = P₀ and does not depend on units and
+    frames, and how far each parameter of an effect is from its bound, if it has only one. They stay
+    within `factor` times what the points have. As P ≤ tr(P₀⁻¹ P) P₀, mass matrices stay below
+    4 factor times the model's: sampled gains K = λ M̂ with h λ M̂ > 2 M make a loop chatter, chatter
+    makes estimates grow, and such a loop would not come back.
+
+    A law of a flat manifold, one of Euler steps and one with limits of its own stay as they are.
+
+    Args:
+        points: (k, n) the model's parameters, and the first estimate.
+    """
+    if not number(factor, "factor") > 1:
+        raise ArgumentError(f"factor must be above one; got {factor}.")
+    points = real_array(points, "points", ("k", instance(law, "law", UpdateLaw).dimension or "n"))
+    if isinstance(law, PartialLaw):
+        return replace(law, law=limited(law.law, points[:, law.adapted], factor))
+    if not isinstance(law, AdaptationLaw) or law.integrator != "geodesic":
+        return law
+    product = law.manifold if isinstance(law.manifold, Product) else Product((law.manifold,))
+    places = np.split(points, np.cumsum([m.dimension for m in product.manifolds])[:-1], axis=1)
+    cones = [_cone(*each) for each in zip(product.manifolds, places, strict=True)]
+    A, tip = block_diag(*(cone[0] for cone in cones)), np.concatenate([cone[1] for cone in cones])
+    heights = (points - tip) @ A.T
+    least = heights.min(0, where=heights > 0, initial=np.inf) / factor + A @ tip
+    limits = Polyhedron(A, least, heights.max(0, initial=0.0) * factor + A @ tip)
+    return ProjectedLaw(law, limits) if len(A) else law
+
+
+def _cone(manifold: Manifold, points: Array) -> tuple[Array, Array]:
+    """Return what grows inside of a manifold that is a cone, (rows, n), and its tip (n,)."""
+    inside = points[manifold.contains(points)]
+    if isinstance(manifold, PhysicalInertia | ConstrainedInertia) and len(inside):
+        return -PhysicalInertia().gradient(inside[:1]), np.zeros(points.shape[1])
+    if isinstance(manifold, Interval):
+        lower, upper = np.array(manifold.lower), np.array(manifold.upper)
+        sign = np.isfinite(lower).astype(float) - np.isfinite(upper)
+        tip = np.where(sign > 0, lower, np.where(sign < 0, upper, 0.0))
+        return np.diag(sign)[sign != 0], tip
+    return np.zeros((0, points.shape[1])), np.zeros(points.shape[1])
