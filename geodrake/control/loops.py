@@ -44,7 +44,6 @@ class AdaptiveLoop:
         state: Positions and velocities of the robot, in the order of the controller's joints; of
             the motors where effects make joints soft.
         measured_state: What the controller sees of them.
-        actuation: Efforts of the controller, by joint.
         logs: Sinks of "state", "desired_state", "actuation", "parameters" and, where the truth is
             known, "lyapunov"; none if nothing is logged.
     """
@@ -133,7 +132,6 @@ def add_adaptive_loop(
     """Make a robot follow a motion under an adaptive controller.
 
     Args:
-        builder: Where the plant is and the rest goes.
         plant: A finalized plant of one robot, continuous or discrete; `RobotInstance(plant, name)`
             where it holds more than the robot; or the ports of a robot that is elsewhere. There is
             an actuator at every joint, or none at all: efforts are generalized forces then.

@@ -53,7 +53,6 @@ class Solid:
     """A shape that stands in the way, or that a link has.
 
     Attributes:
-        name: What messages call it.
         shape: Drake's shape, such as `Box(0.5, 0.5, 0.1)`.
         X_BG: Its pose in the link's frame; for an obstacle, in the world.
     """

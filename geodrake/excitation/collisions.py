@@ -32,7 +32,6 @@ class CollisionWorld:
     they are drawn so; `notes` says which.
 
     Args:
-        model: The robot; collision geometry is read from its file.
         links: Body name -> further shapes of the link.
         clearance: Least distance to keep, m.
         use_file: Whether the file's own geometry counts.

@@ -79,7 +79,6 @@ class DesignOptions(Short):
         start: (nv,) positions at the start by joint, rad or m; free if None. Free samples have no
             start, and none is looked at.
         stand: (nv,) positions where the robot stands, from and to which ramps lead; none if None.
-        collisions: What may not be hit.
         solver: "snopt" or "ipopt". Where much may collide, one may go far where the other stops.
         iterations: Most iterations of the solver, for each stage.
         seconds: Most time of the whole design, which its starts share, s.
@@ -163,11 +162,9 @@ class ExcitationResult(Shown):
     """A designed motion.
 
     Attributes:
-        objective: The criterion that it is best by, with the target.
         value: Its value, as the source defines it (not the logarithm).
         eigenvalues: (n_B,) of the normalized information matrix, ascending: the inverse variances
             of an estimate from `samples` samples, along its principal directions.
-        samples: Number of samples that count.
         use: What it uses of its limits, all of which it keeps, ramps included.
         ramps: The motion with ramps from and to where the robot stands; None if nobody said where.
         seconds: How long the search took, s.
@@ -237,7 +234,6 @@ def design_excitation(
         criterion: One of `CRITERIA`, or a `Criterion`.
         normalization: One of `NORMALIZATIONS`.
         trajectory: The family of motions; a Fourier series of 10 s if None.
-        options: How the design is made.
         seeds: Number of random starts, or their seeds.
         progress: Called after every evaluation of the criterion. It may raise `StopSearch`, as a
             handler of signals may: then the best motion so far is the result.
@@ -572,7 +568,6 @@ def design_reduced_excitation(
         limits: What the robot may do; the limits of its model file if None.
         threshold: ε_J for the criterion's value, which has no unit: with E-optimality, the
             variance of the worst direction.
-        options: How each design is made.
         seeds: Random starts of each design; the best motion so far is one more.
 
     Raises:

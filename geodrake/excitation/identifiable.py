@@ -188,7 +188,6 @@ def reduced_identification(
     """Least squares along what data identify, and the prior elsewhere, [Lee2019] step a.5.
 
     Args:
-        target: What is unknown; its nominal parameters are the prior.
         factor: (p + 1, p + 1) `measurement_factor` with what was measured.
         threshold: ε_λ; infinite for least squares of all base parameters.
         kept: Number of directions instead of the threshold.
@@ -325,14 +324,10 @@ class LogIdentifiability(Shown):
     """What is identifiable of a model from logs.
 
     Attributes:
-        model: The model, with the effects that were asked for.
-        identifiable: Directions with their variances, and how many are identifiable.
-        effects: Every parameter of an effect.
         noise: (nv,) deviation that a filtered sample counts with, N·m or N.
         floor: (nv,) estimated sensor noise after filtering, N·m or N.
         floor_variances: (n_B,) variances if the sensor noise were all there is, ascending.
         samples: (nv,) filtered samples of each joint.
-        notes: What was done to the logs and noticed about the model.
     """
 
     model: RobotModel
@@ -394,7 +389,6 @@ def log_identifiability(
 
     Args:
         model: The model; its parameters are the nominal ones.
-        logs: Logs or their files.
         effects: Effects to identify beside those of the model.
         threshold: ε_λ, largest variance of what counts as identifiable; 10⁻² is a deviation of
             a tenth.
@@ -403,7 +397,6 @@ def log_identifiability(
         bandwidth: Bandwidth of the filter, Hz; by default that of the model's fit to the same logs,
             or chosen from the data.
         blocks: Blocks into which every log is cut for validation.
-        progress: Called with what is going on, in words.
     """
     function(progress, "progress")
     wanted = with_effects(model, effects)

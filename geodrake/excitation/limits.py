@@ -197,7 +197,6 @@ def signal_limits(model: RobotModel, signal: Mapping[str, float]) -> Array:
     """Return the efforts (nv,) that limited currents, voltages or duty cycles make, N·m or N.
 
     Args:
-        model: The robot, which knows what makes efforts of these.
         signal: Their largest values of joints by name, A, V or 1; efforts of others are inf.
     """
     efforts = np.full(len(model.joints), np.inf)

@@ -69,7 +69,6 @@ def limit_use(problem: DesignProblem, variables: Array, *, budget: Budget = UNLI
     """Return what a motion uses of its limits.
 
     Args:
-        variables: (f nv,) its variables.
         budget: Time for collisions, which are the slow part: what is left out when it is up is
             between instants at which they were looked for.
     """

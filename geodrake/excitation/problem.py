@@ -46,12 +46,9 @@ class DesignProblem(Short):
     """The most informative motion of a family within limits, as a function of variables.
 
     Attributes:
-        objective: What the motion is to identify.
-        limits: What the robot may do.
         samples: Number of samples of a motion, by which information is counted.
         rest: Whether the motion starts and ends at rest, and with no jump of acceleration.
         start: (nv,) position at the start by joint; free if None.
-        collisions: What may not be hit; nothing if None.
         quick: Whether derivatives are constrained at half as many instants.
     """
 

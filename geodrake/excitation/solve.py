@@ -66,7 +66,6 @@ class SolverEnd:
     Attributes:
         variables: (f nv,) the last that it saw, whether or not limits are kept.
         seen: Values and variables of all that it saw, the best first.
-        status: What it said, or how it ended.
     """
 
     variables: Array
@@ -95,7 +94,6 @@ def solve(
 
     Args:
         guess: (f, nv) variables to start from, within the limits.
-        watch: Called with every cost and its variables.
         quick: Whether to end once the value changes by less than 1 % in twelve evaluations.
     """
     raised: list[BaseException] = []

@@ -45,11 +45,7 @@ def check_start(
     *,
     name: str = "start",
 ) -> None:
-    """Refuse a start (nv,) by joint, rad or m, that the robot cannot hold.
-
-    Args:
-        name: What messages call it.
-    """
+    """Refuse a start (nv,) by joint, rad or m, that the robot cannot hold."""
     if start.shape != (len(limits.joints),) or not np.isfinite(start).all():
         raise ArgumentError(
             f"The {name} has the shape {start.shape} and must be {len(limits.joints)} finite "

@@ -184,7 +184,6 @@ class Separation(Objective):
     is hardest to distinguish, with the smooth form of `Criterion`.
 
     Attributes:
-        pairs: Who is to be distinguished from whom.
         prior: (q, p) rows Λ^½ of what is known of each column's parameter.
         lower: (p,) least change of each column's parameter from its nominal value.
         upper: (p,) greatest change.
@@ -488,7 +487,6 @@ class DistinguishedPair:
     """A pair of effects on a designed motion.
 
     Attributes:
-        pair: Who is distinguished from whom.
         deviations: √Δ, by how many standard deviations of the noise of all samples together.
         effort: RMS of what the rival does not explain, at the joint where that is most, N·m or N.
     """

@@ -79,11 +79,7 @@ class Profiles(Short):
         return np.asarray(after * (self.days - begun) / (self.days[-1] - begun))
 
     def sums(self, per_log: Array) -> Array:
-        """(K, ...) sums Σ_t f_k(t) X_t, of cumulative sums.
-
-        Args:
-            per_log: (T, ...) X.
-        """
+        """(K, ...) sums Σ_t f_k(t) X_t, of cumulative sums."""
         if self.form == UNTIL:
             return np.asarray(np.cumsum(per_log, axis=0)[self.first - 1])
         zeroth = _tail_sums(per_log)[self.first]
@@ -93,11 +89,7 @@ class Profiles(Short):
         return np.asarray(zeroth - _tail_sums(left * per_log)[self.first] / span)
 
     def squares(self, per_log: Array) -> Array:
-        """(K, ...) sums Σ_t f_k(t)² X_t, of cumulative sums.
-
-        Args:
-            per_log: (T, ...) X.
-        """
+        """(K, ...) sums Σ_t f_k(t)² X_t, of cumulative sums."""
         if self.form != RAMP:
             return self.sums(per_log)
         left, span = self._ramp(per_log)

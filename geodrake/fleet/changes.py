@@ -67,9 +67,7 @@ class RobotChange(Short):
         interval: Days within which that is with a probability of 95 %.
         coordinates: (d,) the change z in the coordinates of its hypothesis; of a ramp up to the
             last log.
-        covariance: (d, d) its covariance.
         size: (p,) change of the robot's parameters; of a ramp up to the last log.
-        deviation: (p,) its standard deviation.
         share: (p,) the size in shares of the robot's own values, for relative columns.
         probability: Probability of the effect, joint and kind, given that something changed.
         false_alarm_probability: At most by what chance logs of a robot in which nothing more

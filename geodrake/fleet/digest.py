@@ -107,12 +107,10 @@ class DigestedLog(Short):
 
     Attributes:
         content: SHA-256 of the bytes of its file.
-        fingerprint: Fingerprint of its measurements, as `JointLog.fingerprint`.
         key: Name of its digest: hash of content, settings and known payloads.
         date: When it began, s since 1970.
         date_from: Where the date is from: `stamps`, `option` or `file`, which is when the file was
             changed last.
-        seconds: Its length, s.
         period: Time between its samples, s.
         bandwidth: Bandwidth of the filter that its period allows, nearest to the settings', Hz.
         payloads: Known payloads that the robot carried; their efforts are taken off.
@@ -121,7 +119,6 @@ class DigestedLog(Short):
         position: (2, nv) least and largest position of each joint, rad or m.
         speed: (2, nv) least and largest velocity, rad/s or m/s.
         temperature: (nv,) mean temperature of each joint, °C; NaN where it was not measured.
-        notes: What was done to the log and noticed, in words.
     """
 
     name: str
@@ -152,11 +149,8 @@ class Digest(Short):
     differences from them: b is the whole measured effort (less what known payloads need).
 
     Attributes:
-        settings: What all digests of a folder have in common.
         logs: The logs, one unless it is merged.
-        blocks: Names of the B blocks.
         block_logs: (B,) which log a block is of.
-        joints: What they say about each joint, in the model's order.
     """
 
     settings: DigestSettings
@@ -242,9 +236,6 @@ def merge(digests: Sequence[Digest]) -> Digest:
 
     Blocks stay what they are, so that any normal matrix is the sum of those of the digests, and
     triangular factors lose no digits.
-
-    Args:
-        digests: Digests by the same settings, of different logs.
 
     Raises:
         DigestError: Settings differ, or a log is there twice.

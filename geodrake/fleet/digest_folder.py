@@ -56,8 +56,6 @@ class DigestRow(Short):
     """What became of one log.
 
     Attributes:
-        digest: Its digest's file, if there is one.
-        about: What that says of the log.
         samples: (nv,) filtered samples of each joint.
         effective: (nv,) independent samples that these are worth.
         reason: Why there is no digest; or what else is to say of it.
@@ -83,8 +81,6 @@ class DigestRun(Short):
 
     Attributes:
         settings: Their settings; None if no log could be used, so that none are chosen.
-        rows: The logs, in the order in which they were named.
-        chosen: Whether the settings are new.
         repairs: What of the model's file is not believed.
     """
 
@@ -167,13 +163,10 @@ def digest_logs(
     A log that cannot be read or used is a row with its reason, and the others go on.
 
     Args:
-        model: The model, the same for all digests of the folder.
         to: The folder. If it has settings, they count; else they are chosen by the model and the
             first log that can be used, and written.
-        wanted: How logs are read, and what settings are to be like.
         date: When logs were recorded whose stamps do not say it, s since 1970.
         payloads: Log -> what the robot carried all the time, of known mass, beyond its model.
-        told: Called with what is going on.
 
     Raises:
         DigestError: The folder's settings are damaged, of another version or model, or not what is

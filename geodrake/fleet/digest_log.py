@@ -66,8 +66,6 @@ class Wanted:
 
     Attributes:
         bandwidth: Bandwidth of the filter, Hz.
-        blocks: Blocks into which each log is cut.
-        reading: How all logs are read.
         extra: Effect classes of the user's own, which get columns too.
 
     Raises:
@@ -143,10 +141,6 @@ def make_settings(
     log, as are the speeds below which joints rest. A joint that stands still in this log is thought
     to become as fast as the fastest. Effects are those of the model and all that a diagnosis tries.
 
-    Args:
-        log: A log that is like the others.
-        wanted: What is asked for.
-
     Raises:
         LogError: The log cannot be used.
         ArgumentError: What is asked for cannot be.
@@ -210,8 +204,6 @@ def make_digest(
 
     Args:
         model: The model as it was given when the settings were made.
-        log: The log, read as the settings say.
-        facts: What is known of the log.
         extra: Effect classes of the user's own that have columns.
 
     Raises:

@@ -73,7 +73,7 @@ class FleetType(Short):
 
     Attributes:
         own_effects: Python files with effects of the user's own.
-        effects: Effects that each joint has beside the model's; None for those that hardly any
+        effects: Effects that each joint has beside the model's; None for friction and offsets.
         bandwidth: Bandwidth of the digests, Hz; None if it is chosen by the first log.
         blocks: Blocks that each log is cut into; None for the usual number.
         payload: Mass of a usual payload, kg; None for a tenth of the robot's own.
@@ -128,10 +128,7 @@ class Fleet(Short):
     """Types and robots.
 
     Attributes:
-        path: The file that says so.
         folder: Where digests and results go.
-        types: The types, by name.
-        robots: The robots, in the order of the file.
     """
 
     path: Path

@@ -47,13 +47,11 @@ class FleetFinding(Short):
     """A change of a robot.
 
     Attributes:
-        robot: Name of the robot.
         effect: Name of the effect that changed, or of several, joined by `+`.
         where: Its joint or body.
         kind: "step", or "ramp" for what goes on changing.
         date: First log after the step, or at which the ramp begins, s since 1970.
         interval: When that is with a probability of 95 %, s since 1970.
-        parameters: What changed by how much.
         probability: Probability of effect, place and kind, given that something changed.
         rivals: What else it may be, most probable first.
         false_alarm_probability: At most by what chance logs of a robot in which nothing more
@@ -118,8 +116,6 @@ class RobotResult(Short):
     Attributes:
         dates: (T,) when these were recorded, s since 1970; neighbours together if they are many.
         findings: What changed, the surest first.
-        histories: Its parameters over time.
-        own: Its parameters beside those of others.
     """
 
     robot: str
@@ -159,7 +155,6 @@ class FleetResult(Short):
     Attributes:
         robots: The robots, worst first.
         unused: Logs that findings are not of.
-        false_alarms: At most how many robots in which nothing changed are named, a robot-month.
         settings: Type -> hash of the settings of its digests.
         repairs: What of the model files is not believed.
     """

@@ -66,8 +66,6 @@ def run_fleet(
     """Digest the logs of a fleet, and tell which robots changed.
 
     Args:
-        work: Who works, and how careful findings are.
-        told: Called with what is going on.
         said: Called with what is worth a line that stays.
 
     Returns:

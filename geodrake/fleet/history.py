@@ -111,7 +111,6 @@ class LogEquations(Short):
     """Normal equations of a robot's logs.
 
     Attributes:
-        days: (T,) days of the logs.
         information: (T, p, p) weighted normal matrices Aᵀ W A.
         right: (T, p) right sides Aᵀ W b.
         temperature: (T,) mean temperature of each log, °C; NaN where it is not known.

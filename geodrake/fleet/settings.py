@@ -125,8 +125,6 @@ class DigestSettings(Short):
 
     Attributes:
         model: Hash of the model; see `model_hash`.
-        joints: Names of the nv velocities.
-        bodies: Names of the nb bodies.
         held: Joint that no log says anything of -> where it is held, rad or m.
         bandwidth: Bandwidth that efforts and regressors are filtered to, Hz.
         motion_bandwidth: That of the smoothed motion, Hz.
@@ -139,9 +137,7 @@ class DigestSettings(Short):
         base_matrix: (n_B, 10·nb) base parameters of inertial parameters, φ_B = B φ.
         extra: Effect of the user's own that may have columns -> SHA-256 of its source.
         reading: How logs are read, as far as that is the same for all.
-        blocks: Blocks into which each log is cut.
         lags: Distance up to which autocovariances are kept, samples.
-        format: Name and version of the format.
         passive: Joints without a motor.
         chosen_from: The log by which they were chosen.
     """

@@ -36,7 +36,6 @@ class ChangeHypothesis(Short):
     Attributes:
         effect: Name of the effect, or of several in one word.
         factor: (p, d) D; rows of relative columns are shares of the robot's own values.
-        kinds: Steps, ramps or both.
     """
 
     effect: str

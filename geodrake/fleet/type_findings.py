@@ -85,7 +85,6 @@ def type_findings(
 
     Args:
         models: Robot -> (p,) what its own model file says; others have that of the type.
-        false_alarms: At most how many robots in which nothing changed are named, a robot-month.
     """
     tell = partial(_result, kind=name, layout=layout, models=models)
     found: FleetChanges[RobotResult]

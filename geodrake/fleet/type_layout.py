@@ -63,7 +63,6 @@ class TypeSource:
 
     Attributes:
         model: The model, with what each joint has beside what its file says.
-        wanted: How logs are read, and what settings are to be like.
     """
 
     model: RobotModel

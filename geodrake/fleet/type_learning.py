@@ -37,7 +37,6 @@ def learn_type(
     """Learn what robots of a type share, and how they differ, by the logs of all.
 
     Args:
-        logs: Those of each robot, over the columns of the type.
         changes: (T, p, m) of each robot: changes that were found in it, as further parameters.
     """
     model = _begun(team, logs, columns) if start is None else start
@@ -209,12 +208,7 @@ def _scatter_ratio(model: TypeModel, told: Sequence[_RobotTells]) -> Array:
 
 
 def least_squares(information: Array, right: Array) -> Array:
-    """Return the shortest (p,) solution of normal equations, in units of the columns' own sizes.
-
-    Args:
-        information: (p, p) normal matrix.
-        right: (p,) right side.
-    """
+    """Return the shortest (p,) solution of normal equations, in units of the columns' own sizes."""
     unit = _units(information)
     scaled = information * unit[:, None] * unit
     return np.asarray(unit * np.linalg.lstsq(scaled, unit * right, _FLAT)[0])

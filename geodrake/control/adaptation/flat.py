@@ -23,7 +23,6 @@ class ConstantMetric(Manifold, Short):
 
     Attributes:
         matrix: (n, n) symmetric positive definite Γ.
-        inverse: (n, n) its inverse.
     """
 
     matrix: Array

@@ -234,7 +234,6 @@ def pullback_adaptation(manifold: Manifold, at: ArrayLike, gamma: float = 1.0) -
     """Return the law with the constant gain Γ = γ g(p̂₀), [Lee2019] §5.5.
 
     Args:
-        manifold: The manifold whose metric is taken.
         at: (n,) the initial estimate p̂₀, inside of the manifold.
     """
     n = instance(manifold, "manifold", Manifold).dimension

@@ -131,7 +131,6 @@ class ProjectedLaw(_OuterLaw):
     estimate that begins outside of C stays outside by its rate alone: begin with `project` of it.
 
     Attributes:
-        law: The law inside of C.
         constraints: C; a `Polyhedron`, or any `ConvexSet`.
         margin: Distance in the manifold's metric below which a limit binds.
 

@@ -45,9 +45,7 @@ class Engine(abc.ABC):
     Joints are those of the model, one position and one velocity each.
 
     Attributes:
-        name: Name of the simulator and its version.
         ignores: Effects that may be in the file, but which the simulator does not act upon.
-        messages: What it said about the file.
         drives: Actuators of the file that efforts of rollouts pass through; None for none.
     """
 
@@ -100,10 +98,6 @@ def order_of(model: RobotModel, place: Callable[[str], int], file: Path, name: s
 
 class DrakeEngine(Engine):
     """A plant, continuous in time; it does not act upon dry friction of its joints.
-
-    Args:
-        file: The exported file that is loaded first.
-        model: The model, for the names of its joints and the packages around its file.
 
     Raises:
         ModelError: Drake cannot read the file.

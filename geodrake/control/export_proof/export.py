@@ -71,8 +71,6 @@ class Costs:
     """Errors of a model and of its export on logs.
 
     Attributes:
-        whole: nrms of the whole model.
-        held: nrms of what the export holds.
         effects: What each effect costs that the export lacks, alone; the largest first.
         ignored: nrms of what the export holds less what the simulator does not act upon; None
             where it acts upon all.
@@ -89,10 +87,7 @@ class ProvenExport:
     """An export, and what is known about it.
 
     Attributes:
-        held: The model that the files hold.
-        lacks: The effects that they do not hold as they are.
         costs: Errors on the logs; None without logs.
-        proof: What simulators make of it.
         notes: What was done to the logs, and what is worth knowing about the files.
     """
 
@@ -119,12 +114,10 @@ def export_to(
 
     Args:
         to: Name of the format: urdf, sdf, mjcf, drake, isaac, python, cpp or ros2.
-        model: The model.
         folder: Where the files go; made if it is not there.
         logs: Logs, or their files, on whose motion what the format lacks is fitted, and the error
             that it costs is measured; without any, random motion within the limits of the robot
             serves.
-        force: Replace files that are there.
         bandwidth: Bandwidth of the filter of the logs, Hz; by default that of the model's fit.
 
     Returns:
@@ -165,7 +158,6 @@ def export_with_proof(
         logs: Logs, or their files, on whose motion the export is fitted and tried; without any,
             random motion within the limits of the robot serves.
         bandwidth: Bandwidth of the filter of the logs, Hz; by default that of the model's fit.
-        progress: Called with what is going on.
     """
     check_format(model, form)
     if bandwidth is not None:
@@ -283,7 +275,6 @@ def costs_of(
     """Return the errors with and without what an export lacks.
 
     Args:
-        motions: Motion of the logs, on which effects are approximated.
         ignored: Names of effects upon which the simulator does not act.
     """
     holds = form.holding(case.model)

@@ -33,10 +33,8 @@ class Difference:
     """By how much a simulator differs from the model.
 
     Attributes:
-        engine: Name and version of the simulator.
         what: "effort", needed along the motion, or "position", in rollouts.
         largest: Largest difference: N·m or N, or rad or m.
-        joint: The joint that has it.
         typical: RMS of the values that are compared, at that joint.
         compared: Share of the samples that are compared.
         without: Names of effects in the file that take no part.

@@ -113,7 +113,6 @@ def roll_out_all(
 
     Args:
         model: The model, whose effects depend on nothing but q, v and v̇.
-        starts: Where the W rollouts start, and their K efforts.
         step: Length of a step, s.
         drives: Actuators that are told `Drives.controls` in the place of efforts, if any.
 

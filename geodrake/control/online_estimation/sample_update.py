@@ -58,7 +58,6 @@ class SampleUpdate(Short):
     Neither takes the estimate farther from a truth that is in the slabs.
 
     Attributes:
-        manifold: The manifold of the parameters, as `parameter_manifold` gives it.
         tolerance: (nv,) or one ε, N·m or N: the error of filtered efforts that is not believed.
         constraints: A convex set that holds the truth, if one is known.
         relaxation: Share in (0, 1] of the way to the slabs that is gone: less follows noise less.

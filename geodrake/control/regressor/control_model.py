@@ -29,10 +29,7 @@ class ControlModel:
     Parameters are one vector p = [φ, μ]: φ of the nb bodies, ten each, and μ of the effects.
 
     Attributes:
-        tree: Kinematics of the rigid bodies.
         effects: The effects, in the order of their parameters.
-        bodies: Names of the nb bodies.
-        joints: Names of the nv velocities.
         prior: (p,) parameters of the robot model.
         measured_friction: Whether effects see the measured velocity q̇ instead of the reference v.
     """

@@ -87,13 +87,10 @@ def fit_rollouts(
     was, as a motion tells the gain for given inertias only.
 
     Args:
-        model: The model.
-        logs: Logs or their files.
         horizon: Length of a window, s.
         most: Most windows, fitted and held out together.
         bandwidth: As for `roll_out`.
         commands: Whether joints with servos follow the commands of logs, as in `roll_out`.
-        progress: Called with what is simulated, and the share of that which is done.
 
     Raises:
         ArgumentError: The horizon is not from 1 ms to 1000 s, or there are no windows.

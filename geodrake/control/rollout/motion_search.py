@@ -42,9 +42,6 @@ class SearchWindow:
     """A window that values are fitted to.
 
     Attributes:
-        law: The force law of the model there, with what it carries.
-        near: The window near its measured motion.
-        passage: The window in its log.
         acting: What acts in that log, with the servos of a model.
         departure: (N, nv) simulated − logged positions at the start of the search, rad or m.
     """

@@ -60,7 +60,6 @@ class Rollout(Shown):
     """A model simulated under logged efforts or commands.
 
     Attributes:
-        joints: Departures of every joint.
         horizon: Length of the windows, s.
         broken: Windows in which the simulation could not go on to the end, or left all reason.
         notes: What was done to the logs, noticed about the model, and assumed in the simulation.

@@ -122,11 +122,7 @@ def case_rollout(
     commands: bool = False,
     progress: Progress | None = None,
 ) -> Rollout:
-    """Return the rollout of the model of a case, whose logs are prepared; see `roll_out`.
-
-    Args:
-        commands: Whether servos close the loop.
-    """
+    """Return the rollout of the model of a case, whose logs are prepared; see `roll_out`."""
     model, logs = case.model, case.asked.logs
     if commands and not any(told_joints(model, log).any() for log in logs):
         raise LogError(
