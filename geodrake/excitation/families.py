@@ -39,6 +39,7 @@ class MotionFamily(abc.ABC):
 
     name: ClassVar[str]
     timed: ClassVar[bool] = True
+    duration: float = 0.0
 
     @property
     @abc.abstractmethod
@@ -46,9 +47,9 @@ class MotionFamily(abc.ABC):
         """Number of coefficients of a joint."""
 
     @property
-    @abc.abstractmethod
     def length(self) -> float:
         """Duration, s; zero if samples do not follow each other."""
+        return self.duration
 
     @property
     @abc.abstractmethod
@@ -152,11 +153,6 @@ class FourierMotion(MotionFamily):
         return 2 * self.modes + self.offset
 
     @property
-    def length(self) -> float:
-        """Return the duration, s."""
-        return self.duration
-
-    @property
     def fastest(self) -> float:
         """Period of the last mode, s."""
         return 2.0 * np.pi / (self.omega * self.modes)
@@ -213,11 +209,6 @@ class SplineMotion(MotionFamily):
         return self.points
 
     @property
-    def length(self) -> float:
-        """Return the duration, s."""
-        return self.duration
-
-    @property
     def fastest(self) -> float:
         """Two intervals between knots, s."""
         return 2.0 * self.duration / (self.points - self.degree)
@@ -260,11 +251,6 @@ class FreeSamples(MotionFamily):
     def count(self) -> int:
         """Three coefficients a sample: all q, then all v, then all v̇."""
         return 3 * self.samples
-
-    @property
-    def length(self) -> float:
-        """Zero."""
-        return 0.0
 
     @property
     def fastest(self) -> float:

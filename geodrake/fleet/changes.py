@@ -167,16 +167,13 @@ class RobotSearch(Short):
 
     def design(self, places: Sequence[ChangePlace]) -> Array:
         """(T, p, m) parameters of some changes, of sizes that are hardly limited."""
-        parts = [self._values(place)[:, None, None] * self._factor(place) for place in places]
-        none = np.zeros((len(self.history.days), len(self.model.mean), 0))
-        return np.concatenate([none, *parts], axis=2)
-
-    def _values(self, place: ChangePlace) -> Array:
-        return Profiles(place.form, np.array([place.first]), self.history.days).values[0]
-
-    def _factor(self, place: ChangePlace) -> Array:
-        scale = self.model.scale(0)[:, None]
-        return np.asarray(_WIDE * scale * self.hypotheses[place.hypothesis].factor)
+        days, wide = self.history.days, _WIDE * self.model.scale(0)[:, None]
+        parts = [np.zeros((len(days), len(wide), 0))]
+        for place in places:
+            values = Profiles(place.form, np.array([place.first]), days).values[0]
+            factor = self.hypotheses[place.hypothesis].factor
+            parts.append(values[:, None, None] * (wide * factor))
+        return np.concatenate(parts, axis=2)
 
     def find(self) -> list[ChangePlace]:
         """Find changes that hardly come by chance, in the order in which they are found."""

@@ -241,28 +241,28 @@ def _row(
 
 def _check_folder(path: Path) -> None:
     """Refuse a folder that cannot be written to, before the work."""
+    reason, there = "", path
     try:
         if not path.is_dir():
+            there = path.parent
             if path.exists() or path.is_symlink():
-                raise _refused(path, "is there and is no folder")
-            if not path.parent.is_dir():
-                raise _refused(path, f"is in {path.parent}, which is no folder")
-        probe = path if path.is_dir() else path.parent
-        check_writable(probe / f"digest{_SUFFIX}")
+                reason = "is there and is no folder"
+            elif not there.is_dir():
+                reason = f"is in {there}, which is no folder"
+        if not reason:
+            check_writable(there / f"digest{_SUFFIX}")
     except (OSError, ValueError) as error:
-        raise _refused(path, f"cannot be used: {getattr(error, 'strerror', error)}") from error
+        reason = f"cannot be used: {getattr(error, 'strerror', error)}"
     except OutputError as error:
         if "reason" not in error.evidence:
             raise
-        raise _refused(path, f"cannot be written to: {error.evidence['reason']}") from error
-
-
-def _refused(path: Path, reason: str) -> OutputError:
-    return OutputError(
-        f"Digests cannot be written to {path}: it {reason}.",
-        advice="Choose another folder.",
-        path=path,
-    )
+        reason = f"cannot be written to: {error.evidence['reason']}"
+    if reason:
+        raise OutputError(
+            f"Digests cannot be written to {path}: it {reason}.",
+            advice="Choose another folder.",
+            path=path,
+        )
 
 
 def check_settings(settings: DigestSettings, model: RobotModel, wanted: Wanted) -> None:

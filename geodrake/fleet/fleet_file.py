@@ -102,6 +102,9 @@ class FleetType(Short):
         """The files that it is read from."""
         return (self.model, *self.own_effects, *filter(None, [self.mapping]))
 
+    def __hash__(self) -> int:
+        return hash((self.name, self.files))
+
 
 @dataclass(frozen=True)
 class FleetRobot(Short):

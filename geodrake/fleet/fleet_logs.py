@@ -162,12 +162,11 @@ def check_places(fleet: Fleet, *, local: bool) -> tuple[str, ...]:
                 )
     models = list[RobotModel]()
     for kind in fleet.types.values():
-        source = type_source(kind)
-        model = source.model
+        model, wanted = type_source(kind)
         models.append(model)
         settings = read_settings(fleet.folder / kind.name / DIGESTS)
         if settings is not None:
-            check_settings(settings, model, source.wanted)
+            check_settings(settings, model, wanted)
         for robot in fleet.of_type(kind.name):
             models += _check_robot(kind, robot, model)
     found = [f"{model.path.name}: {each}" for model in models for each in model.repairs]
@@ -303,7 +302,7 @@ def _choose_settings(
 
 def digest_task(task: LogTask) -> LogRecord:
     """Digest a log, wherever this runs."""
-    source, folder = type_source(task.kind), task.folder / DIGESTS
+    (model, wanted), folder = type_source(task.kind), task.folder / DIGESTS
     if not folder.is_dir():
         raise OutputError(
             f"A worker does not find the folder {folder}.",
@@ -314,9 +313,7 @@ def digest_task(task: LogTask) -> LogRecord:
         date = date_in_path(task.place.address, task.robot.dates) if said else None
         with local_log(task.place) as path:
             payloads = {path: task.robot.payloads}
-            run = digest_logs(
-                source.model, [path], folder, wanted=source.wanted, date=date, payloads=payloads
-            )
+            run = digest_logs(model, [path], folder, wanted=wanted, date=date, payloads=payloads)
     except UnreachableLogError as error:  # which may be there when it is looked for next
         return replace(_failure(task, str(error)), stamp="")
     except (OutputError, FleetError, DigestError):  # which are not of this log alone

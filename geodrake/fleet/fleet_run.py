@@ -158,7 +158,7 @@ def _of_type(
     team: Workers,
 ) -> tuple[list[RobotResult], list[UnusedLog]]:
     """Return findings in robots of a type that have logs, and logs whose digest is damaged."""
-    model, folder = type_source(kind).model, fleet.folder / kind.name
+    model, folder = type_source(kind)[0], fleet.folder / kind.name
     kept = type_layout(model, settings, np.ones(len(settings.joints)), payload=kind.payload).kept
     tasks = [HistoryTask(name, own, folder, settings, kept) for name, own in records.items() if own]
     histories, damaged = list[KeptHistory](), list[UnusedLog]()

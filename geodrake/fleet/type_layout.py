@@ -57,39 +57,20 @@ _MODELS = 4  # that a process keeps
 _LITTLE = 1e-6  # information on parameters of which nothing is known, 1/unit²
 
 
-@dataclass(frozen=True, eq=False)
-class TypeSource:
-    """What digests of a type are made by.
+def type_source(kind: FleetType) -> tuple[RobotModel, Wanted]:
+    """Return the model of a type, with what each joint has beside what its file says.
 
-    Attributes:
-        model: The model, with what each joint has beside what its file says.
+    Also return how its logs are read, and what settings are to be like.
     """
-
-    model: RobotModel
-    wanted: Wanted
-
-
-def type_source(kind: FleetType) -> TypeSource:
-    """Return the model of a type, and how its logs are read."""
     for path in kind.files:
         regular_file(path, f"file of type {kind.name}", FleetError)
-    return _read_source(_Key(kind, file_hash(kind.files)))
-
-
-@dataclass(frozen=True)
-class _Key:
-    """A type by what its files hold."""
-
-    kind: FleetType
-    files: str
-
-    def __hash__(self) -> int:
-        return hash((self.kind.name, self.files))
+    return _read_source(kind, file_hash(kind.files))
 
 
 @lru_cache(_MODELS)
-def _read_source(key: _Key) -> TypeSource:
-    kind = key.kind
+def _read_source(kind: FleetType, files: str) -> tuple[RobotModel, Wanted]:
+    """Do the same, once as long as the files hold the same."""
+    del files
     extra: dict[str, type[Effect]] = {}
     for path in kind.own_effects:
         for effect in load_effect_file(path):
@@ -100,7 +81,7 @@ def _read_source(key: _Key) -> TypeSource:
     model = _loaded(kind, kind.model, own)
     mapping = None if kind.mapping is None else read_mapping(kind.mapping)
     reading = Reading(mapping=mapping, units=kind.units)
-    return TypeSource(
+    return (
         with_joint_effects(model, _of_joints(kind, own)),
         Wanted(kind.bandwidth, kind.blocks, reading, own),
     )
@@ -108,7 +89,7 @@ def _read_source(key: _Key) -> TypeSource:
 
 def own_model(kind: FleetType, path: Path) -> RobotModel:
     """Return the model of one robot, read as that of its type."""
-    return _loaded(kind, path, type_source(kind).wanted.extra)
+    return _loaded(kind, path, type_source(kind)[1].extra)
 
 
 def _loaded(kind: FleetType, path: Path, extra: Sequence[type[Effect]]) -> RobotModel:

@@ -132,11 +132,12 @@ def _told(piece: tuple[TypeModel, Logs, Array | None]) -> _RobotTells:
 
 def _scattered(model: TypeModel, scale: Array, fit: RobotFit, scores: LogScores) -> Array:
     """(3, K) what a robot's logs tell of their scatter, as `_RobotTells` has it."""
-    squares, norm = scores.squares.sum(axis=0), np.maximum(scores.norm.sum(axis=0), 1e-300)
+    along, trace, norm = scores
+    squares, norm = along.sum(axis=0), np.maximum(norm.sum(axis=0), 1e-300)
     expected = model.columns.parts(fit.expected_squares(scale[:, None] * model.factor))[:-1]
     # The middle of few squares is less than their mean; without large ones, they are less skew.
-    count = np.maximum(expected * scores.trace.sum(axis=0) / norm, 1.0)
-    kept = kept_share(np.square(scores.trace).sum(axis=0) / norm)
+    count = np.maximum(expected * trace.sum(axis=0) / norm, 1.0)
+    kept = kept_share(np.square(trace).sum(axis=0) / norm)
     middle = np.minimum(2.0 * gammaincinv(0.5 * count, 0.5) / count, kept)
     return np.stack([squares, expected, middle])
 

@@ -52,21 +52,11 @@ def calc_marginal(
     return marginal, right[..., columns] - (seen[..., columns, :] @ solved[..., -1:])[..., 0]
 
 
-@dataclass(frozen=True, eq=False)
-class LogScores(Short):
-    """How large scores of logs are along the directions of K factors F_k.
+LogScores = tuple[Array, Array, Array]
+"""(T, K) squares |F_kᵀ score_t|² of logs along K factors; traces of G and G² for G = F_kᵀ M_t F_k.
 
-    With G = F_kᵀ M_t F_k, scores of known parameters have the covariance G.
-
-    Attributes:
-        squares: (T, K) |F_kᵀ score_t|².
-        trace: (T, K) traces of G.
-        norm: (T, K) traces of G².
-    """
-
-    squares: Array
-    trace: Array
-    norm: Array
+G is the covariance of these scores where parameters are known.
+"""
 
 
 @dataclass(frozen=True, eq=False)
@@ -155,7 +145,7 @@ class RobotFit(Short):
         along = np.split((self.score @ every) ** 2, ends, axis=1)
         shown = np.split(self.information @ every, ends, axis=2)
         blocks = [f.T @ each for f, each in zip(factors, shown, strict=True)]
-        return LogScores(
+        return (
             np.stack([each.sum(axis=1) for each in along], axis=1),
             np.stack([np.trace(each, axis1=1, axis2=2) for each in blocks], axis=1),
             np.stack([np.square(each).sum(axis=(1, 2)) for each in blocks], axis=1),
@@ -375,8 +365,9 @@ class TypeModel(Short):
         """
         # Of directions of a spread count those of which a log tells: squared deviations and what
         # they are expected to be. Where it tells nothing, both are 0.
-        norm = np.where(scores.norm > 0.0, scores.norm, 1.0)
-        squared, expected = scores.squares / norm, scores.trace / norm
+        squares, trace, norm = scores
+        norm = np.where(norm > 0.0, norm, 1.0)
+        squared, expected = squares / norm, trace / norm
         # Both know of what was odd before; a log's own scatter does not.
         before = np.maximum(expected - odd, _LEAST * expected)
         beyond = np.maximum(squared / _USUAL - before, 0.0)
