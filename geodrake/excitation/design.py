@@ -29,7 +29,6 @@ from geodrake.excitation.limits import MotionLimits, motion_limits
 from geodrake.excitation.margins import COARSE, FINE, LimitUse, keeps_limits, least_of, limit_use
 from geodrake.excitation.objective import Criterion, Objective
 from geodrake.excitation.problem import DesignProblem
-from geodrake.excitation.ramps import RampPlanner
 from geodrake.excitation.solve import (
     INTERRUPTED,
     Budget,
@@ -39,6 +38,7 @@ from geodrake.excitation.solve import (
     solve,
 )
 from geodrake.excitation.starts import (
+    RampPlanner,
     check_start,
     possible_postures,
     random_guess,

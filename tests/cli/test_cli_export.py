@@ -11,7 +11,7 @@ from pendulum_logs import sines
 from typer.testing import CliRunner
 
 from geodrake.cli.app import app
-from geodrake.control.export_proof import proof
+from geodrake.control.export_proof import export as proof
 from geodrake.effects import (
     CoulombFriction,
     EffortDelay,

@@ -22,7 +22,7 @@ from geodrake.excitation import (
     motion_limits,
     read_obstacles,
 )
-from geodrake.excitation.ramps import RampPlanner
+from geodrake.excitation.starts import RampPlanner
 from geodrake.model.robot_model import load_description
 from geodrake.robot import joint_names
 from geodrake.robot.mesh_files import stl_vertices

@@ -9,9 +9,9 @@ from scipy.linalg import block_diag
 from scipy.stats import multivariate_normal
 
 from geodrake.fleet.change_evidence import FORMS, SCALES, Profiles, calc_change_evidence, kind_of
+from geodrake.fleet.fleet_run import parameter_levels
 from geodrake.fleet.history import RobotHistory
 from geodrake.fleet.type_columns import Spread, body_factor, distance_factor, narrow_factor
-from geodrake.fleet.type_findings import parameter_levels
 from geodrake.fleet.type_learning import learn_type
 from geodrake.fleet.type_model import Course, TypeModel, calc_marginal, own_parameters
 from geodrake.inertia import pullback_distance

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from geodrake.control.export_proof import export_to
-from geodrake.control.export_proof.proof import prove
+from geodrake.control.export_proof.export import prove
 from geodrake.control.export_proof.reference import compared, random_motion, random_starts
 from geodrake.effects import EffortDelay, FittedEffect
 from geodrake.errors import ModelError

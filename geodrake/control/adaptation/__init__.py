@@ -19,9 +19,9 @@ from geodrake.control.adaptation.constraints import (
     mass_limits,
     parameter_limits,
 )
-from geodrake.control.adaptation.flat import ConstantMetric
 from geodrake.control.adaptation.law import (
     AdaptationLaw,
+    ConstantMetric,
     UpdateLaw,
     euclidean_adaptation,
     natural_adaptation,
