@@ -105,8 +105,8 @@ class DesignOptions(Short):
     quick: bool = True
 
     def __post_init__(self) -> None:
-        for name in ("samples", "iterations"):
-            integer(getattr(self, name), name, upper=_MOST)
+        integer(self.samples, "samples", lower=1, upper=_MOST_SAMPLES)
+        integer(self.iterations, "iterations", upper=_MOST)
         positive(self.seconds, "seconds")
         instance(self.quick, "quick", bool)
         instance(self.solver, "solver", str)
@@ -255,12 +255,10 @@ def design_excitation(
     instance(family, "trajectory", MotionFamily)
     asked = _asked(seeds)
     check_solver(options.solver)
-    many = not 1 <= options.samples <= _MOST_SAMPLES or len(asked) > _MOST_SEEDS
-    if many or not len(asked) or options.sharpness == ():
+    if not 1 <= len(asked) <= _MOST_SEEDS or options.sharpness == ():
         raise ArgumentError(
-            f"A design needs at least one seed, sample and stage; got {len(asked)} seeds, "
-            f"{options.samples} samples and {options.sharpness}.",
-            advice=f"Give at most {_MOST_SEEDS} seeds and {_MOST_SAMPLES} samples.",
+            f"A design needs one to {_MOST_SEEDS} seeds, and a stage at least; got {len(asked)} "
+            f"seeds and the stages {options.sharpness}."
         )
     chosen = [*asked]
     problem = make_problem(objective, limits, family, options)
@@ -426,13 +424,7 @@ class _Run:
 
     def _given(self, guess: Array) -> Array:
         """Return the variables of the motion that was given."""
-        expected = self.problem.offset.shape
-        if np.shape(guess) != expected or not np.isfinite(guess).all():
-            raise ArgumentError(
-                f"The guess has the shape {np.shape(guess)} and must be {expected}, and finite.",
-                advice="Take it from a trajectory of the same family.",
-            )
-        return self.problem.variables(np.asarray(guess, float))
+        return self.problem.variables(real_array(guess, "guess", self.problem.offset.shape))
 
     def _from(
         self, number: int, seed: int | None, guess: Array, budget: Budget

@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 from scipy.interpolate import BSpline
 
-from geodrake.boundary.arguments import integer, number, positive, real_array
+from geodrake.boundary.arguments import integer, number, real_array
 from geodrake.errors import ArgumentError
 from geodrake.inertia import Array
 
@@ -126,21 +126,11 @@ class FourierMotion(MotionFamily):
     name = "fourier"
 
     def __post_init__(self) -> None:
-        real_array(self.duration, "duration", (), finite=False)
-        integer(self.modes, "modes", upper=np.inf)
+        number(self.duration, "duration", lower=_DURATIONS[0], upper=_DURATIONS[1])
+        integer(self.modes, "modes", lower=1, upper=_MOST_COEFFICIENTS // 2 - 1)
         if self.frequency is not None:
-            positive(self.frequency, "frequency")
-        least, most = _DURATIONS
-        fits = least <= self.duration <= most and 1 <= 2 * self.modes < _MOST_COEFFICIENTS
-        slowest = 2.0 * np.pi / _PERIODS[1]
-        if not (fits and slowest <= self.omega and self.fastest >= _PERIODS[0]):
-            raise ArgumentError(
-                f"A Fourier motion needs a positive duration and frequency and at least one mode; "
-                f"got {self.duration} s, {self.frequency} rad/s and {self.modes}.",
-                advice=f"It lasts {least:g} to {most:g} s, has fewer than "
-                f"{_MOST_COEFFICIENTS // 2} modes, and periods of {_PERIODS[0]:g} to "
-                f"{_PERIODS[1]:g} s.",
-            )
+            number(self.frequency, "frequency", lower=2.0 * np.pi / _PERIODS[1])
+        number(self.fastest, "the period of the last mode", lower=_PERIODS[0])
 
     @property
     def omega(self) -> float:
@@ -190,18 +180,9 @@ class SplineMotion(MotionFamily):
     name = "spline"
 
     def __post_init__(self) -> None:
-        real_array(self.duration, "duration", (), finite=False)
-        integer(self.points, "points", upper=np.inf)
-        integer(self.degree, "degree")
-        least, most = _DURATIONS
-        points = self.degree < self.points <= _MOST_COEFFICIENTS
-        if not (least <= self.duration <= most and 3 <= self.degree <= 5 and points):
-            raise ArgumentError(
-                f"A spline motion needs a positive duration, a degree of 3 to 5 and more control "
-                f"points than that; got {self.duration} s, {self.degree} and {self.points}.",
-                advice=f"It lasts {least:g} to {most:g} s and has at most {_MOST_COEFFICIENTS} "
-                "points.",
-            )
+        number(self.duration, "duration", lower=_DURATIONS[0], upper=_DURATIONS[1])
+        integer(self.degree, "degree", lower=3, upper=5)
+        integer(self.points, "points", lower=self.degree + 1, upper=_MOST_COEFFICIENTS)
 
     @property
     def count(self) -> int:
@@ -240,12 +221,7 @@ class FreeSamples(MotionFamily):
     timed: ClassVar[bool] = False
 
     def __post_init__(self) -> None:
-        integer(self.samples, "samples", upper=np.inf)
-        if not 1 <= self.samples <= _MOST_COEFFICIENTS:
-            raise ArgumentError(
-                f"There must be at least one sample, and at most {_MOST_COEFFICIENTS} that need "
-                f"not follow each other; got {self.samples}."
-            )
+        integer(self.samples, "samples", lower=1, upper=_MOST_COEFFICIENTS)
 
     @property
     def count(self) -> int:

@@ -153,11 +153,8 @@ def _whitened(
 ) -> Iterator[Array]:
     """Yield whitened rows, some samples at a time."""
     for motion, output in zip(motions, outputs, strict=True):
-        if output is not None and output.shape != (len(motion), len(target.noise)):
-            raise ArgumentError(
-                f"The measurements have the shape {output.shape}; the motion needs "
-                f"{(len(motion), len(target.noise))}."
-            )
+        if output is not None:
+            real_array(output, "measured", (len(motion), len(target.noise)))
         for start in range(0, len(motion), _SAMPLES):
             part = slice(start, start + _SAMPLES)
             rows = target.measure(motion[part]).regressor
@@ -192,13 +189,8 @@ def reduced_identification(
         threshold: ε_λ; infinite for least squares of all base parameters.
         kept: Number of directions instead of the threshold.
     """
-    both, size = real_array(factor, "factor"), instance(target, "target", Target).size
-    if both.shape != (size + 1, size + 1):
-        raise ArgumentError(
-            f"The factor has the shape {both.shape}; with measurements it is "
-            f"{(size + 1, size + 1)}.",
-            advice="Pass what was measured to `measurement_factor`.",
-        )
+    size = instance(target, "target", Target).size
+    both = real_array(factor, "factor", (size + 1, size + 1))  # with what was measured
     found, U, singular = _decompose(target, both[:, :size], threshold, kept)
     r, seen = found.kept, _seen(singular)
     if r > seen:

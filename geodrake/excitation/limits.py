@@ -8,7 +8,7 @@ from dataclasses import dataclass, fields, replace
 import numpy as np
 from numpy.typing import ArrayLike
 
-from geodrake.boundary.arguments import instance, instances, number, positive, real_array
+from geodrake.boundary.arguments import instance, instances, number, one_of, positive, real_array
 from geodrake.boundary.showing import Short
 from geodrake.errors import ArgumentError
 from geodrake.excitation.trajectory import joint_order
@@ -53,15 +53,11 @@ class MotionLimits(Short):
     def __post_init__(self) -> None:
         object.__setattr__(self, "joints", instances(self.joints, "joints", str))
         for field in fields(self)[1:]:
-            values = real_array(getattr(self, field.name), field.name, finite=False).copy()
-            if field.name == "jerk" and values.shape == ():
-                values = np.full(len(self.joints), values)
-            if values.shape != (len(self.joints),):
-                raise ArgumentError(
-                    f"The limits of {field.name} have the shape {values.shape}; there are "
-                    f"{len(self.joints)} joints."
-                )
-            object.__setattr__(self, field.name, values)
+            given = getattr(self, field.name)
+            if field.name == "jerk" and np.ndim(given) == 0:
+                given = np.full(len(self.joints), given)
+            values = real_array(given, field.name, (len(self.joints),), finite=False)
+            object.__setattr__(self, field.name, values.copy())
         for joint, low, high in zip(
             self.joints, self.lower.tolist(), self.upper.tolist(), strict=True
         ):
@@ -151,10 +147,8 @@ def motion_limits(
     upper = np.where(turning & np.isposinf(upper), np.maximum(np.pi, lower + 2 * np.pi), upper)
     ranges = {} if position is None else instance(position, "position", Mapping)
     for joint, pair in ranges.items():
-        at, limits = _index(model, joint), real_array(pair, f"position of {joint}", finite=False)
-        if limits.shape != (2,):
-            raise ArgumentError(f"Limits of position are pairs; {joint!r} has {pair}.")
-        lower[at], upper[at] = limits
+        at = _index(model, joint)
+        lower[at], upper[at] = real_array(pair, f"position of {joint}", (2,), finite=False)
     found = MotionLimits(
         model.joints,
         lower,
@@ -230,8 +224,4 @@ def _overridden(model: RobotModel, values: Array, given: ByJoint, what: str) -> 
 
 
 def _index(model: RobotModel, joint: str) -> int:
-    if joint not in model.joints:
-        raise ArgumentError(
-            f"There is no joint {joint!r}.", advice=f"Joints are: {', '.join(model.joints)}."
-        )
-    return model.joints.index(joint)
+    return model.joints.index(one_of(joint, "joint", model.joints))

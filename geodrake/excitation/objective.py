@@ -34,7 +34,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 from scipy.linalg import solve_triangular
 
-from geodrake.boundary.arguments import instance, integer, number, one_of, real_array
+from geodrake.boundary.arguments import Sizes, instance, integer, number, one_of, real_array
 from geodrake.boundary.showing import Short
 from geodrake.errors import ArgumentError
 from geodrake.excitation.regressor_gradient import regressor_motion_gradient
@@ -64,12 +64,9 @@ class Criterion:
     kept: int | None = None
 
     def __post_init__(self) -> None:
-        if instance(self.name, "criterion", str) not in CRITERIA:
-            raise ArgumentError(
-                f"There is no criterion {self.name!r}.", advice=f"Use one of {', '.join(CRITERIA)}."
-            )
+        one_of(self.name, "criterion", CRITERIA)
         if not number(self.sharpness, "sharpness", finite=False) > 0:
-            raise ArgumentError(f"A criterion needs a positive sharpness; got {self.sharpness}.")
+            raise ArgumentError(f"sharpness must be above zero; it is {self.sharpness}.")
         if self.kept is not None:
             integer(self.kept, "kept", lower=1)
 
@@ -142,17 +139,13 @@ def normalizing_map(
         prior: (p,) nominal parameters φ⁰.
         metric_root: (p, p) root L of the inverse metric, G₀⁻¹ = L Lᵀ.
     """
-    B, prior, L = (np.asarray(x, float) for x in (base, prior, metric_root))
-    if normalization not in NORMALIZATIONS:
-        raise ArgumentError(
-            f"There is no normalization {normalization!r}.",
-            advice=f"Use one of {', '.join(NORMALIZATIONS)}.",
-        )
-    if B.ndim != 2 or prior.shape != B.shape[1:] or L.shape != (len(prior), len(prior)):
-        raise ArgumentError(
-            f"B {B.shape}, the nominal parameters {prior.shape} and the root of the metric "
-            f"{L.shape} do not fit together."
-        )
+    one_of(normalization, "normalization", NORMALIZATIONS)
+    sizes: Sizes = {}
+    B, prior = (
+        real_array(base, "base", ("n_B", "p"), sizes),
+        real_array(prior, "prior", ("p",), sizes),
+    )
+    L = real_array(metric_root, "metric_root", ("p", "p"), sizes)
     if normalization == "geometric":
         return np.asarray(L @ _row_space(B @ L)[0])
     Q, R = _row_space(B)

@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 from pydrake.solvers import ClpSolver, MathematicalProgram
 
+from geodrake.boundary.arguments import real_array
 from geodrake.errors import ArgumentError
 from geodrake.excitation.collisions import CollisionWorld
 from geodrake.excitation.limits import MotionLimits
@@ -48,11 +49,7 @@ def check_start(
     name: str = "start",
 ) -> None:
     """Refuse a start (nv,) by joint, rad or m, that the robot cannot hold."""
-    if start.shape != (len(limits.joints),) or not np.isfinite(start).all():
-        raise ArgumentError(
-            f"The {name} has the shape {start.shape} and must be {len(limits.joints)} finite "
-            f"positions: {start.tolist()}."
-        )
+    real_array(start, name, (len(limits.joints),))
     slack = _ROUNDING * (1.0 + limits.reach)
     outside = (start < limits.lower - slack) | (start > limits.upper + slack)
     if outside.any():

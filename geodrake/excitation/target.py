@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike, NDArray
 from pydrake.math import RigidTransform
 from scipy.linalg import block_diag
 
-from geodrake.boundary.arguments import instance, instances, integer, real_array
+from geodrake.boundary.arguments import instance, instances, integer, one_of, real_array
 from geodrake.boundary.showing import Short
 from geodrake.effects import Effect, FittedEffect, RobotMotion
 from geodrake.errors import ArgumentError
@@ -230,10 +230,7 @@ def make_target(
     ordered = tuple(sorted(known, key=lambda fitted: not is_payload(fitted.effect)))
     carriers = [fitted.effect.where[0] for fitted in known if is_payload(fitted.effect)]
     for name in (*bodies, *carriers):
-        if name not in model.bodies:
-            raise ArgumentError(
-                f"There is no body {name!r}.", advice=f"Bodies are: {', '.join(model.bodies)}."
-            )
+        one_of(name, "body", model.bodies)
     if not bodies and not ordered:
         raise ArgumentError(
             "There is nothing to identify: no body and no effect is unknown.",

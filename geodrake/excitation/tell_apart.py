@@ -35,7 +35,7 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.linalg import block_diag
 from scipy.optimize import lsq_linear
 
-from geodrake.boundary.arguments import Sizes, instance, instances, positive, real_array
+from geodrake.boundary.arguments import Sizes, instance, instances, one_of, positive, real_array
 from geodrake.boundary.showing import Short
 from geodrake.effects import Effect, FittedEffect, effect_class, make_effect
 from geodrake.effects.user_effects import candidates_of
@@ -148,13 +148,9 @@ def _places(cls: type[Effect], model: RobotModel) -> list[tuple[str, ...]]:
 
 
 def _check_place(cls: type[Effect], place: Sequence[str], model: RobotModel) -> None:
-    known = model.bodies if cls.places == "body" else model.joints
+    what, known = ("body", model.bodies) if cls.places == "body" else ("joint", model.joints)
     for name in place:
-        if name not in known:
-            raise ArgumentError(
-                f"There is no {'body' if cls.places == 'body' else 'joint'} {name!r}.",
-                advice=f"There are: {', '.join(known)}.",
-            )
+        one_of(name, what, known)
 
 
 @dataclass(frozen=True, eq=False)

@@ -477,11 +477,11 @@ class TestBadInput:
         weak = EffortSignal(model.joints[1], "effort", 1.0, limit=90.0)
         told = motion_limits(replace(model, effort_signals=(weak,)))
         assert told.effort.tolist() == [320, 90, 180, 180, 110, 45, 45]
-        with pytest.raises(ArgumentError, match=r"no joint 'elbow'"):
+        with pytest.raises(ArgumentError, match=r"joint must be .*'elbow'"):
             motion_limits(model, effort={"elbow": 1.0})
         with pytest.raises(ArgumentError, match=r"shape \(2,\)"):
             motion_limits(model, velocity=[1.0, 2.0])
-        with pytest.raises(ArgumentError, match="pairs"):
+        with pytest.raises(ArgumentError, match=r"must be \(2,\)"):
             motion_limits(model, position={"joint_1": 2.0})
         with pytest.raises(ArgumentError, match="share"):
             limits.scaled(0.0)
@@ -490,7 +490,7 @@ class TestBadInput:
         model = arm()
         for start, message in (
             ([0.0, 2.5, 0.0], r"'joint_1' is at 2\.5, and may be from -2 to 2"),
-            ([0.0, 0.0], "3 finite positions"),
+            ([0.0, 0.0], "must be \\(3,\\)"),
         ):
             with pytest.raises(ArgumentError, match=message):
                 design_excitation(
@@ -514,10 +514,9 @@ class TestBadInput:
         model = arm()
         limits = limits_of(model)
         for arguments, message in (
-            ({"criterion": "g"}, "no criterion"),
+            ({"criterion": "g"}, "criterion must be one of"),
             ({"normalization": "g"}, "normalization must be one of"),
-            ({"seeds": 0}, "at least one seed"),
-            ({"options": replace(FAST, samples=0)}, "at least one seed"),
+            ({"seeds": 0}, "one to 1000 seeds"),
             ({"options": replace(FAST, solver="magic")}, "No nonlinear solver 'magic'.*snopt"),
             ({"options": replace(FAST, samples=3)}, "Use more samples"),
             ({"trajectory": FourierMotion(4.0, 1, offset=False)}, "more coefficients"),
@@ -528,6 +527,8 @@ class TestBadInput:
                 )
         with pytest.raises(ArgumentError, match="are of the joints"):
             design_excitation(model, limits_of(arm(joints="RR")))
+        with pytest.raises(ArgumentError, match="samples must be"):
+            replace(FAST, samples=0)
         off = limits_of(model, lower=np.array([0.5, -2, -2]))
         with pytest.raises(ArgumentError, match=r"about zero, which joint 'joint_0' cannot"):
             design_excitation(

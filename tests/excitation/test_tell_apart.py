@@ -201,8 +201,8 @@ class TestRivals:
         ("name", "where", "message"),
         [
             ("coulomb", (), "no effect 'coulomb'"),
-            ("coulomb_friction", ("knee",), "no joint 'knee'"),
-            ("payload", ("hand",), "no body 'hand'"),
+            ("coulomb_friction", ("knee",), "joint must be .*'knee'"),
+            ("payload", ("hand",), "body must be .*'hand'"),
             ("payload", (), "cannot be everywhere"),
             ("effort_delay", (), "no linear parameters"),
         ],

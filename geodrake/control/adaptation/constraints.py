@@ -10,7 +10,7 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import ArrayLike
 
-from geodrake.boundary.arguments import instance, integer, integers, number, real_array
+from geodrake.boundary.arguments import function, instance, integer, integers, number, real_array
 from geodrake.errors import ArgumentError
 from geodrake.inertia import PARAMETERS_PER_BODY, Array
 from geodrake.inertia.ellipsoids import realizability_row
@@ -45,8 +45,7 @@ class FunctionSet(ConvexSet):
 
     def __post_init__(self) -> None:
         for name in ("function", "gradient"):
-            if not callable(given := getattr(self, name)):
-                raise ArgumentError(f"{name} must be a function; it is {given!r}.")
+            function(getattr(self, name), name)
 
     def values(self, p: Array) -> Array:
         """Return c(p) (k,)."""

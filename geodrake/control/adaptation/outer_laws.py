@@ -145,10 +145,7 @@ class ProjectedLaw(_OuterLaw):
     def __post_init__(self) -> None:
         n = instance(self.law, "law", AdaptationLaw).manifold.dimension
         number(self.margin, "margin", lower=0.0)
-        if not isinstance(self.constraints, ConvexSet | Polyhedron):
-            raise ArgumentError(
-                f"constraints must be a Polyhedron or a ConvexSet; got {self.constraints!r}."
-            )
+        instance(self.constraints, "constraints", (ConvexSet, Polyhedron))
         convex = self._set
         if isinstance(convex, LinearSet) and convex.polyhedron.matrix.shape[1] != n:
             raise ArgumentError(
@@ -337,8 +334,7 @@ def limited(law: UpdateLaw, points: ArrayLike, factor: float) -> UpdateLaw:
     Args:
         points: (k, n) the model's parameters, and the first estimate.
     """
-    if not number(factor, "factor") > 1:
-        raise ArgumentError(f"factor must be above one; got {factor}.")
+    number(factor, "factor", lower=1.0, strict=True)
     points = real_array(points, "points", ("k", instance(law, "law", UpdateLaw).dimension or "n"))
     if isinstance(law, PartialLaw):
         return replace(law, law=limited(law.law, points[:, law.adapted], factor))

@@ -10,7 +10,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike
 
-from geodrake.boundary.arguments import instance, number, one_of, positive, real_array
+from geodrake.boundary.arguments import instance, number, one_of, one_or_each, positive, real_array
 from geodrake.boundary.showing import Short
 from geodrake.compiling import compiled
 from geodrake.control.adaptation import ConvexSet, ProjectedLaw, natural_adaptation
@@ -81,10 +81,7 @@ class SampleUpdate(Short):
     def __post_init__(self) -> None:
         instance(self.manifold, "manifold", Product)
         epsilon = real_array(self.tolerance, "tolerance")
-        if epsilon.ndim > 1 or not (epsilon > 0).all():
-            raise ArgumentError(
-                f"tolerance must be positive numbers, one or (nv,); it is {epsilon.tolist()}."
-            )
+        one_or_each(epsilon, "tolerance", epsilon.size, strict=True)
         one_of(self.method, "method", METHODS)
         if self.relaxation is not None:
             number(self.relaxation, "relaxation", upper=1.0)

@@ -8,14 +8,14 @@ from pathlib import Path
 
 import numpy as np
 
-from geodrake.boundary.arguments import function, instance, instances, integer, real_array, typed
+from geodrake.boundary.arguments import function, instance, instances, integer, number, typed
 from geodrake.control.rollout.acting import told_joints
 from geodrake.control.rollout.passages import chosen_passages
 from geodrake.control.rollout.results import Rollout, Window
 from geodrake.control.rollout.simulation import simulations
 from geodrake.effects import Role
 from geodrake.effects.lookup import effect_of
-from geodrake.errors import ArgumentError, LogError
+from geodrake.errors import LogError
 from geodrake.identification.logs.case import Case, checked_logs, open_case
 from geodrake.logs.motion import JointLog
 from geodrake.model.robot_model import RobotModel
@@ -155,12 +155,7 @@ def _unheard(case: Case) -> list[str]:
 
 def check_windows(horizon: float, most: int, progress: Progress | None) -> None:
     """Refuse windows that cannot be."""
-    real_array(horizon, "horizon", (), finite=False)
-    integer(most, "most", upper=np.inf)
-    if not (_SHORTEST <= horizon <= _LONGEST and most >= 1):
-        raise ArgumentError(
-            f"A rollout needs a horizon of {_SHORTEST:g} to {_LONGEST:g} s and a window at least; "
-            f"it got a horizon of {horizon} s and {most} windows."
-        )
+    number(horizon, "horizon", lower=_SHORTEST, upper=_LONGEST)
+    integer(most, "most", lower=1, upper=np.inf)
     if progress is not None:
         function(progress, "progress")

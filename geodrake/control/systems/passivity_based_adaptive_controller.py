@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 from pydrake.systems.framework import Context
 
-from geodrake.boundary.arguments import one_or_each, positive, real_array
+from geodrake.boundary.arguments import instance, one_or_each, positive, real_array
 from geodrake.boundary.showing import Short
 from geodrake.control.adaptation import UpdateLaw
 from geodrake.control.regressor import ControlModel
@@ -39,8 +39,7 @@ class FixedGains(Short):
     def __post_init__(self) -> None:
         for name in ("damping", "rate"):
             values = real_array(getattr(self, name), name)
-            if values.ndim > 1 or not (values > 0).all():
-                raise ArgumentError(f"{name} must be positive; got {values.tolist()}.")
+            one_or_each(values, name, values.size, strict=True)
 
 
 @dataclass(frozen=True)
@@ -167,8 +166,7 @@ class PassivityBasedAdaptiveController(AdaptiveController):
 
 def _gain_vector(gains: VaryingGains | FixedGains, nv: int) -> Array:
     """Return rates Λ and, where gains are fixed, damping K: (nv,) or (2 nv,)."""
-    if not isinstance(gains, VaryingGains | FixedGains):
-        raise ArgumentError(f"Expected VaryingGains or FixedGains; got {gains!r}.")
+    instance(gains, "gains", (VaryingGains, FixedGains))
     rate = one_or_each(gains.rate, "rates", nv, strict=True)
     if isinstance(gains, VaryingGains):
         return rate

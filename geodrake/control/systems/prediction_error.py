@@ -69,8 +69,7 @@ class PredictionError(Short):
     def __post_init__(self) -> None:
         for name in ("weight", "tolerance"):
             values = real_array(getattr(self, name), name)
-            if values.ndim > 1 or not (values >= 0).all():
-                raise ArgumentError(f"{name} must be zero or more; got {values.tolist()}.")
+            one_or_each(values, name, values.size)
         positive(self.bandwidth, "bandwidth")
         instance(self.measured, "measured", bool)
         instance(self.alone, "alone", bool)
