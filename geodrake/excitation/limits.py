@@ -23,6 +23,7 @@ FULL_SPEED, FULL_EFFORT = 0.2, 0.1
 """Shortest times in which a joint may reach its largest speed, and its largest acceleration, s."""
 
 _FARTHEST = 1e9  # rad or m: a limit beyond is none
+_SIZES = ("velocity", "acceleration", "effort", "jerk")
 _POSTURES = 200  # random ones, for the worst inertia
 
 
@@ -53,42 +54,33 @@ class MotionLimits(Short):
     def __post_init__(self) -> None:
         object.__setattr__(self, "joints", instances(self.joints, "joints", str))
         for field in fields(self)[1:]:
-            given = getattr(self, field.name)
-            if field.name == "jerk" and np.ndim(given) == 0:
+            given = real_array(getattr(self, field.name), field.name, finite=False)
+            if field.name == "jerk" and given.ndim == 0:
                 given = np.full(len(self.joints), given)
             values = real_array(given, field.name, (len(self.joints),), finite=False)
             object.__setattr__(self, field.name, values.copy())
-        for joint, low, high in zip(
-            self.joints, self.lower.tolist(), self.upper.tolist(), strict=True
-        ):
+        for j, joint in enumerate(self.joints):
+            low, high = float(self.lower[j]), float(self.upper[j])
+            room, places = f"Joint {joint!r} has no room to move: its", f"{low:g} … {high:g}"
+            sizes = {name: float(getattr(self, name)[j]) for name in _SIZES}
+            none = next((name for name, size in sizes.items() if not size > 0), None)
             if not low < high:
-                raise ArgumentError(
-                    f"Joint {joint!r} has no room to move: its positions are limited to {low:g} "
-                    f"… {high:g}.",
-                    advice="Correct the limits, or weld the joint.",
-                    joint=joint,
+                words = f"{room} positions are limited to {places}."
+                advice = "Correct the limits, or weld the joint."
+            elif not -_FARTHEST < low < high < _FARTHEST:
+                words = f"The position of joint {joint!r} is not limited: {places}."
+                advice = f"Say how far it may go, such as position={{{joint!r}: (-0.5, 0.5)}}."
+            elif none is not None:
+                words = f"{room} largest {none} is {sizes[none]:g}."
+                advice = f"Give it a positive limit of {none}, or weld the joint."
+            elif not sizes["velocity"] < np.inf:
+                words = (
+                    f"The speed of joint {joint!r} is not limited, so the best motion has no end."
                 )
-            if not -_FARTHEST < low < high < _FARTHEST:
-                raise ArgumentError(
-                    f"The position of joint {joint!r} is not limited: {low:g} … {high:g}.",
-                    advice=f"Say how far it may go, such as position={{{joint!r}: (-0.5, 0.5)}}.",
-                    joint=joint,
-                )
-        for name in ("velocity", "acceleration", "effort", "jerk"):
-            for joint, value in zip(self.joints, getattr(self, name).tolist(), strict=True):
-                if not value > 0:
-                    raise ArgumentError(
-                        f"Joint {joint!r} has no room to move: its largest {name} is {value:g}.",
-                        advice=f"Give it a positive limit of {name}, or weld the joint.",
-                        joint=joint,
-                    )
-        for joint, value in zip(self.joints, self.velocity.tolist(), strict=True):
-            if not value < np.inf:
-                raise ArgumentError(
-                    f"The speed of joint {joint!r} is not limited, so the best motion has no end.",
-                    advice=f"Say how fast it may be, such as velocity={{{joint!r}: 1.0}}.",
-                    joint=joint,
-                )
+                advice = f"Say how fast it may be, such as velocity={{{joint!r}: 1.0}}."
+            else:
+                continue
+            raise ArgumentError(words, advice=advice, joint=joint)
 
     @property
     def middle(self) -> Array:

@@ -268,34 +268,37 @@ def _check_folder(path: Path) -> None:
 def check_settings(settings: DigestSettings, model: RobotModel, wanted: Wanted) -> None:
     """Refuse settings that are of something else than what is wanted."""
     if settings.version != (own := version()):
-        raise DigestError(
-            f"The settings of the digests are of geodrake {settings.version}, this is {own}: "
-            "columns may be computed otherwise.",
-            advice="Digest the logs again into a new folder.",
+        raise _other(
+            f"are of geodrake {settings.version}, this is {own}: columns may be others.",
+            "Digest the logs again into a new folder.",
         )
     model_of_digests(model, settings)
     asked = {"bandwidth": wanted.bandwidth, "blocks": wanted.blocks}
     for name, value in asked.items():
         there = getattr(settings, name)
         if value is not None and not np.isclose(value, there, rtol=1e-9, atol=0.0):
-            raise DigestError(
-                f"The settings of the digests have {name} {there:g}, and {value:g} is asked for.",
-                advice="Leave it out, or choose a new folder.",
+            raise _other(
+                f"have {name} {there:g}, and {value:g} is asked for.",
+                "Leave it out, or choose a new folder.",
             )
     said = said_of_reading(wanted.reading)
     odd = [name for name in said if text_hash(said[name]) != text_hash(settings.reading.get(name))]
     if odd:
-        raise DigestError(
-            f"The settings of the digests have logs read otherwise: {', '.join(odd)} differ.",
-            advice="Give the options of the first digest, or choose a new folder.",
+        raise _other(
+            f"have logs read otherwise: {', '.join(odd)} differ.",
+            "Give the options of the first digest, or choose a new folder.",
         )
     given = own_sources(wanted.extra)
     if given != dict(settings.extra):
         names = [", ".join(each) or "none" for each in (settings.extra, given)]
-        raise DigestError(
-            f"The settings of the digests have effects of your own: {names[0]}; now there are "
-            f"{names[1]}, or their source is another one.",
-            advice="Give the same files by --effects, or choose a new folder.",
+        raise _other(
+            f"have effects of your own: {names[0]}; now there are {names[1]}, or their source is "
+            "another one.",
+            "Give the same files by --effects, or choose a new folder.",
         )
     for effect in settings.effects:
         effect.made(wanted.extra)
+
+
+def _other(words: str, advice: str) -> DigestError:
+    return DigestError(f"The settings of the digests {words}", advice=advice)

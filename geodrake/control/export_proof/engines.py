@@ -8,7 +8,7 @@ from __future__ import annotations
 import abc
 import platform
 import runpy
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from importlib import import_module
 from importlib.metadata import version
@@ -82,18 +82,11 @@ class Engine(abc.ABC):
         return None
 
 
-def order_of(model: RobotModel, place: Callable[[str], int], file: Path, name: str) -> list[int]:
-    """Return where a simulator has each joint of a model, by its place or a KeyError."""
-    found = []
-    for joint in model.joints:
-        try:
-            index = place(joint)
-        except KeyError:
-            index = -1
-        if index < 0:
-            raise ModelError(f"{name} finds no joint {joint!r} in {file.name}.")
-        found.append(index)
-    return found
+def order_of(model: RobotModel, places: Mapping[str, int], file: Path, name: str) -> list[int]:
+    """Return where a simulator has each joint of a model, of all the places that it has."""
+    if lacking := [joint for joint in model.joints if joint not in places]:
+        raise ModelError(f"{name} finds no joint {lacking[0]!r} in {file.name}.")
+    return [places[joint] for joint in model.joints]
 
 
 class DrakeEngine(Engine):
@@ -123,9 +116,7 @@ class DrakeEngine(Engine):
         said = (message.partition("\n")[0].rpartition("warning: ")[2] for message in messages)
         self.messages = tuple(dict.fromkeys(said))
         plant, names = self._plant, joint_names(self._plant)
-        self._at = order_of(
-            model, {name: k for k, name in enumerate(names)}.__getitem__, file, self.name
-        )
+        self._at = order_of(model, {n: k for k, n in enumerate(names)}, file, self.name)
         joints = (plant.get_joint(index) for index in plant.GetJointIndices())
         starts = {j.velocity_start(): j.position_start() for j in joints if j.num_velocities() == 1}
         self._positions = [starts[at] for at in self._at]
@@ -215,7 +206,7 @@ class MujocoEngine(Engine):
         ):
             self._model.opt.disableflags |= int(bit)
         places = self._places()
-        self._at = order_of(model, places.__getitem__, file, self.name)
+        self._at = order_of(model, places, file, self.name)
         self._positions = [self._qpos(at) for at in self._at]
         self._held = {places[n]: value for n, value in model.held.items() if n in places}
         self._friction = self._model.dof_frictionloss[self._at].copy()
@@ -363,7 +354,7 @@ class PinocchioEngine(Engine):
             if hasattr(self._model, values):
                 getattr(self._model, values)[:] = 0.0
         names = {name: k for k, name in enumerate(self._model.names)}
-        self._joints = order_of(model, names.__getitem__, file, self.name)
+        self._joints = order_of(model, names, file, self.name)
         self._held = {names[n]: place for n, place in model.held.items() if n in names}
 
     def effort(self, q: Array, v: Array, vd: Array) -> tuple[Array, Mask]:
@@ -401,7 +392,7 @@ class PythonEngine(Engine):
         names = runpy.run_path(str(file))
         self._effort = names["effort"]
         places = {joint: k for k, joint in enumerate(names["JOINTS"])}
-        self._order = order_of(model, places.__getitem__, file, self.name)
+        self._order = order_of(model, places, file, self.name)
         self._positions = model.single_places[1]
 
     def effort(self, q: Array, v: Array, vd: Array) -> tuple[Array, Mask]:

@@ -224,19 +224,14 @@ def check_folder(
     check_format(model, form)
     taken = {os.path.realpath(path) for path in (*inputs, model.path)}
     for name in form.write(model, HeldModel(model, ()), folder).files:
-        path = folder / name
+        path, advice = folder / name, "Choose another folder"
         if os.path.realpath(path) in taken:
-            raise OutputError(
-                f"Cannot write {path}: it is an input of this command.",
-                advice="Choose another folder.",
-                path=path,
-            )
-        if path.exists() and not force:
-            raise OutputError(
-                f"Cannot write {path}: it is there already.",
-                advice="Choose another folder, or give --force to replace it.",
-                path=path,
-            )
+            reason = "an input of this command"
+        elif path.exists() and not force:
+            reason, advice = "there already", f"{advice}, or give --force to replace it"
+        else:
+            continue
+        raise OutputError(f"Cannot write {path}: it is {reason}.", advice=f"{advice}.", path=path)
 
 
 def write_files(
