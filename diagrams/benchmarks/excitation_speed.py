@@ -18,7 +18,7 @@ from diagrams.harness import bars, cpu_clock, cpu_time, medians, script_parser, 
 from diagrams.public_data import add_folder_option
 from diagrams.studies.excitation.manipulator import IIWA, NOISE, family, limits, manipulator
 from geodrake.excitation import Criterion, DesignOptions, Objective, design_excitation, make_target
-from geodrake.excitation.design import make_problem
+from geodrake.excitation.problem import make_problem
 from geodrake.logs import Motion
 from geodrake.model import RobotModel
 

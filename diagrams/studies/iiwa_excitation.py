@@ -47,7 +47,7 @@ from geodrake.excitation import (
     Target,
     design_excitation,
 )
-from geodrake.excitation.design import make_problem
+from geodrake.excitation.problem import make_problem
 from geodrake.excitation.starts import random_guess
 from geodrake.logs import Motion
 from geodrake.report import style

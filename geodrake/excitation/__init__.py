@@ -13,7 +13,6 @@ two effects are on it (`geodrake.excitation.tell_apart`).
 from geodrake.excitation.collision_geometry import Solid, floor_of, read_obstacles
 from geodrake.excitation.collisions import CollisionWorld
 from geodrake.excitation.design import (
-    DesignOptions,
     ExcitationResult,
     ReducedExcitation,
     design_excitation,
@@ -31,6 +30,7 @@ from geodrake.excitation.identifiable import (
 )
 from geodrake.excitation.limits import MotionLimits, motion_limits
 from geodrake.excitation.objective import CRITERIA, NORMALIZATIONS, Criterion, Objective
+from geodrake.excitation.problem import DesignOptions
 from geodrake.excitation.target import Target, make_target
 from geodrake.excitation.tell_apart import (
     Separation,

@@ -8,16 +8,13 @@ from contextlib import suppress
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import ArrayLike
 
 from geodrake.boundary.arguments import (
     function,
     instance,
-    instances,
     integer,
     integers,
     number,
-    positive,
     real_array,
 )
 from geodrake.boundary.interrupts import StopSearch, is_stop
@@ -25,10 +22,10 @@ from geodrake.boundary.showing import Short, Shown
 from geodrake.errors import ArgumentError
 from geodrake.excitation.collisions import CollisionWorld
 from geodrake.excitation.families import FourierMotion, MotionFamily
-from geodrake.excitation.limits import MotionLimits, motion_limits
+from geodrake.excitation.limits import MotionLimits
 from geodrake.excitation.margins import COARSE, FINE, LimitUse, keeps_limits, least_of, limit_use
 from geodrake.excitation.objective import Criterion, Objective
-from geodrake.excitation.problem import DesignProblem
+from geodrake.excitation.problem import DesignOptions, DesignProblem, make_problem
 from geodrake.excitation.solve import (
     INTERRUPTED,
     Budget,
@@ -57,7 +54,7 @@ from geodrake.model.robot_model import RobotModel
 THRESHOLD = 1e-2
 """Largest relative variance of a direction that counts as identifiable, as for given logs."""
 
-_MOST, _MOST_SAMPLES, _MOST_SEEDS = 1_000_000, 10_000, 1000
+_MOST_SEEDS = 1000
 _FOR_STARTS, _FOR_STAGE, _FOR_SOLVER = 0.9, 0.85, 0.8  # of the time; the rest is for closer looks
 _FOR_WAY = 0.5  # of what is left of a stage; the rest is for motions that the solver saw
 _A_MOMENT = 1.0  # s
@@ -67,58 +64,6 @@ _LOOKED_AT = 200  # most of the motions that a solver saw
 _STOPPED = "interrupted: the motion is the best by then, and a longer search may find a better one"
 _RAMP_LOOKS = 200  # at collisions of a ramp
 _NEAREST_POSTURES = 50  # to the middle, out of which seeds take theirs
-
-
-@dataclass(frozen=True, eq=False)
-class DesignOptions(Short):
-    """How a design is made.
-
-    Attributes:
-        samples: Number of samples by which information is counted.
-        rest: Whether the motion starts and ends at rest, without a jump of acceleration.
-        start: (nv,) positions at the start by joint, rad or m; free if None. Free samples have no
-            start, and none is looked at.
-        stand: (nv,) positions where the robot stands, from and to which ramps lead; none if None.
-        solver: "snopt" or "ipopt". Where much may collide, one may go far where the other stops.
-        iterations: Most iterations of the solver, for each stage.
-        seconds: Most time of the whole design, which its starts share, s.
-        sharpness: Stages of the smooth forms of E-optimality and condition number; see
-            `Criterion`. If None, one of 24 in a quick search, otherwise 8 and then 64.
-        guess: (count, nv) coefficients of a motion to start from, besides the random ones. What
-            is beyond the limits is scaled down.
-        quick: Whether a stage ends once the value changes by less than 1 % in twelve evaluations
-            (solvers polish the last digits for minutes), with speeds and accelerations of many
-            joints constrained at half as many instants, to 96 % of their limits. What is checked
-            in the end is the same.
-    """
-
-    samples: int = 300
-    rest: bool = True
-    start: ArrayLike | None = None
-    stand: ArrayLike | None = None
-    collisions: CollisionWorld | None = None
-    solver: str = "snopt"
-    iterations: int = 300
-    seconds: float = 180.0
-    sharpness: tuple[float, ...] | None = None
-    guess: Array | None = None
-    quick: bool = True
-
-    def __post_init__(self) -> None:
-        integer(self.samples, "samples", lower=1, upper=_MOST_SAMPLES)
-        integer(self.iterations, "iterations", upper=_MOST)
-        positive(self.seconds, "seconds")
-        instance(self.quick, "quick", bool)
-        instance(self.solver, "solver", str)
-        for sharpness in instances(self.sharpness or (), "sharpness", object):
-            number(sharpness, "sharpness", lower=0.0, finite=False)
-        for name in ("start", "stand"):
-            if getattr(self, name) is not None:
-                real_array(getattr(self, name), name, ("nv",))
-        if self.guess is not None:
-            real_array(self.guess, "guess")
-        if self.collisions is not None:
-            instance(self.collisions, "collisions", CollisionWorld)
 
 
 @dataclass(frozen=True)
@@ -273,7 +218,7 @@ def design_excitation(
     stand = None if options.stand is None else np.asarray(options.stand, float)
     if stand is not None:
         check_start(model, problem.limits, stand, options.collisions, name="robot's stand")
-    run = _Run(problem, options, postures, progress)
+    run = _Run(problem, postures, progress)
     ends = run.from_seeds(chosen, budget.part(_FOR_STARTS))
     best, _ = min(ends, key=lambda end: end[1].value)
     use = limit_use(problem, best, budget=run.for_a_closer_look(budget))
@@ -335,46 +280,11 @@ def _asked(seeds: int | Sequence[int]) -> Sequence[int]:
     return integers(seeds, "seeds", lower=0)
 
 
-def make_problem(
-    objective: Objective,
-    limits: MotionLimits | None,
-    family: MotionFamily,
-    options: DesignOptions,
-) -> DesignProblem:
-    """Return the design problem of options."""
-    model = objective.target.model
-    limits = motion_limits(model, bounded=True) if limits is None else limits
-    if limits.joints != model.joints:
-        raise ArgumentError(
-            f"The limits are of the joints {limits.joints}; the robot has {model.joints}."
-        )
-    if not family.timed and not np.isfinite(limits.acceleration).all():
-        joint = limits.joints[int(np.argmin(np.isfinite(limits.acceleration)))]
-        raise ArgumentError(
-            f"The acceleration of joint {joint!r} is not limited, and free samples have no other "
-            "bound for it.",
-            advice=f"Say how large it may be, such as acceleration={{{joint!r}: 5.0}}.",
-            joint=joint,
-        )
-    start = None if options.start is None else np.asarray(options.start, float)
-    return DesignProblem(
-        objective,
-        limits,
-        family,
-        samples=options.samples,
-        rest=options.rest,
-        start=start if family.timed else None,
-        collisions=options.collisions,
-        quick=options.quick,
-    )
-
-
 @dataclass
 class _Run:
     """The starts of one design, one after the other."""
 
     problem: DesignProblem
-    options: DesignOptions
     postures: Array
     progress: Callable[[DesignProgress], None] | None
     starts: int = 0
@@ -387,7 +297,8 @@ class _Run:
         A start has half of the time that is left, the last one all of it; those that it does not
         reach are left out.
         """
-        given = None if self.options.guess is None else self._given(self.options.guess)
+        options = self.problem.options
+        given = None if options.guess is None else self._given(options.guess)
         asked: list[int | None] = [*seeds, *([] if given is None else [None])]
         self.starts = len(asked)
         ends: list[tuple[Array, SeedOutcome]] = []
@@ -412,7 +323,7 @@ class _Run:
             ends.append(self._from(start, seed, guess, own))
         if not ends:
             raise ArgumentError(
-                f"No motion within the limits was found in {self.options.seconds:g} s.",
+                f"No motion within the limits was found in {options.seconds:g} s.",
                 advice="Allow more seconds, or start from a motion that keeps them.",
             )
         return ends
@@ -461,11 +372,9 @@ class _Run:
         found = solve(
             problem,
             guess,
-            solver=self.options.solver,
-            iterations=self.options.iterations,
             budget=budget.part(_FOR_STAGE * _FOR_SOLVER),
             watch=lambda value, _: self._notify(number, value),
-            quick=self.options.quick,
+            quick=problem.options.quick,
         )
         if found.status == INTERRUPTED:
             self._stop(number, self._value(guess))
@@ -511,7 +420,8 @@ class _Run:
         criterion = self.problem.objective.criterion
         if criterion.name in ("a_optimality", "d_optimality"):
             return [criterion]
-        stages = self.options.sharpness or ((_ONE_STAGE,) if self.options.quick else _STAGES)
+        options = self.problem.options
+        stages = options.sharpness or ((_ONE_STAGE,) if options.quick else _STAGES)
         return [replace(criterion, sharpness=sharpness) for sharpness in stages]
 
     def _value(self, variables: Array) -> float:

@@ -13,16 +13,17 @@ from functools import cached_property
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 from pydrake.autodiffutils import ExtractGradient, ExtractValue, InitializeAutoDiff
 from pydrake.solvers import MathematicalProgram
 from scipy.linalg import null_space
 
+from geodrake.boundary.arguments import instance, instances, integer, number, positive, real_array
 from geodrake.boundary.showing import Short
 from geodrake.errors import ArgumentError
 from geodrake.excitation.collisions import CollisionWorld
 from geodrake.excitation.families import MotionFamily
-from geodrake.excitation.limits import MotionLimits
+from geodrake.excitation.limits import MotionLimits, motion_limits
 from geodrake.excitation.objective import Objective
 from geodrake.excitation.regressor_gradient import effort_gradient
 from geodrake.excitation.trajectory import ExcitationTrajectory, joint_order
@@ -32,6 +33,7 @@ from geodrake.model.robot_model import RobotModel
 
 Differentiable = Callable[[Array], tuple[Any, Array]]
 
+_MOST, _MOST_SAMPLES = 1_000_000, 10_000
 _EFFORT_SHARE = 0.1  # of the family's shortest time, between instants at which efforts are limited
 _COLLISION_SHARE = 0.05  # likewise of collisions
 _AFTER_START = np.array([0.02, 0.05, 0.1, 0.2, 0.4, 0.7])  # of the first interval
@@ -42,24 +44,79 @@ _MANY = 40  # variables from which a quick search constrains derivatives at each
 
 
 @dataclass(frozen=True, eq=False)
+class DesignOptions(Short):
+    """How a design is made.
+
+    Attributes:
+        samples: Number of samples by which information is counted.
+        rest: Whether the motion starts and ends at rest, without a jump of acceleration.
+        start: (nv,) positions at the start by joint, rad or m; free if None. Free samples have no
+            start, and none is looked at.
+        stand: (nv,) positions where the robot stands, from and to which ramps lead; none if None.
+        solver: "snopt" or "ipopt". Where much may collide, one may go far where the other stops.
+        iterations: Most iterations of the solver, for each stage.
+        seconds: Most time of the whole design, which its starts share, s.
+        sharpness: Stages of the smooth forms of E-optimality and condition number; see
+            `Criterion`. If None, one of 24 in a quick search, otherwise 8 and then 64.
+        guess: (count, nv) coefficients of a motion to start from, besides the random ones. What
+            is beyond the limits is scaled down.
+        quick: Whether a stage ends once the value changes by less than 1 % in twelve evaluations
+            (solvers polish the last digits for minutes), with speeds and accelerations of many
+            joints constrained at half as many instants, to 96 % of their limits. What is checked
+            in the end is the same.
+    """
+
+    samples: int = 300
+    rest: bool = True
+    start: ArrayLike | None = None
+    stand: ArrayLike | None = None
+    collisions: CollisionWorld | None = None
+    solver: str = "snopt"
+    iterations: int = 300
+    seconds: float = 180.0
+    sharpness: tuple[float, ...] | None = None
+    guess: Array | None = None
+    quick: bool = True
+
+    def __post_init__(self) -> None:
+        integer(self.samples, "samples", lower=1, upper=_MOST_SAMPLES)
+        integer(self.iterations, "iterations", upper=_MOST)
+        positive(self.seconds, "seconds")
+        instance(self.quick, "quick", bool)
+        instance(self.solver, "solver", str)
+        for sharpness in instances(self.sharpness or (), "sharpness", object):
+            number(sharpness, "sharpness", lower=0.0, finite=False)
+        for name in ("start", "stand"):
+            if getattr(self, name) is not None:
+                real_array(getattr(self, name), name, ("nv",))
+        if self.guess is not None:
+            real_array(self.guess, "guess")
+        if self.collisions is not None:
+            instance(self.collisions, "collisions", CollisionWorld)
+
+
+@dataclass(frozen=True, eq=False)
 class DesignProblem(Short):
     """The most informative motion of a family within limits, as a function of variables.
 
-    Attributes:
-        samples: Number of samples of a motion, by which information is counted.
-        rest: Whether the motion starts and ends at rest, and with no jump of acceleration.
-        start: (nv,) position at the start by joint; free if None.
-        quick: Whether derivatives are constrained at half as many instants.
+    The objective is what the motion is to identify.
     """
 
     objective: Objective
     limits: MotionLimits
     family: MotionFamily
-    samples: int = 400
-    rest: bool = True
-    start: Array | None = None
-    collisions: CollisionWorld | None = None
-    quick: bool = False
+    options: DesignOptions
+
+    @property
+    def start(self) -> Array | None:
+        """(nv,) position at the start by joint; None if it is free, as of free samples."""
+        start = self.options.start
+        return None if start is None or not self.family.timed else np.asarray(start, float)
+
+    @property
+    def collisions(self) -> CollisionWorld | None:
+        """What may not be hit."""
+        return self.options.collisions
 
     @property
     def model(self) -> RobotModel:
@@ -74,7 +131,7 @@ class DesignProblem(Short):
     @cached_property
     def conditions(self) -> Array:
         """(k, count) rows E; E c is zero but for the start, which is the last row."""
-        return self.family.conditions(rest=self.rest, start=self.start is not None)
+        return self.family.conditions(rest=self.options.rest, start=self.start is not None)
 
     @cached_property
     def free(self) -> Array:
@@ -97,7 +154,7 @@ class DesignProblem(Short):
     @cached_property
     def times(self) -> Array:
         """(N,) instants of the samples."""
-        return self.family.times(self.samples)
+        return self.family.times(self.options.samples)
 
     @cached_property
     def basis(self) -> Array:
@@ -226,6 +283,30 @@ class DesignProblem(Short):
         return values, jacobian.reshape(len(values), -1)
 
 
+def make_problem(
+    objective: Objective,
+    limits: MotionLimits | None,
+    family: MotionFamily,
+    options: DesignOptions,
+) -> DesignProblem:
+    """Return the design problem of options."""
+    model = objective.target.model
+    limits = motion_limits(model, bounded=True) if limits is None else limits
+    if limits.joints != model.joints:
+        raise ArgumentError(
+            f"The limits are of the joints {limits.joints}; the robot has {model.joints}."
+        )
+    if not family.timed and not np.isfinite(limits.acceleration).all():
+        joint = limits.joints[int(np.argmin(np.isfinite(limits.acceleration)))]
+        raise ArgumentError(
+            f"The acceleration of joint {joint!r} is not limited, and free samples have no other "
+            "bound for it.",
+            advice=f"Say how large it may be, such as acceleration={{{joint!r}: 5.0}}.",
+            joint=joint,
+        )
+    return DesignProblem(objective, limits, family, options)
+
+
 def build_program(
     problem: DesignProblem,
     watch: Callable[[float, Array], None] | None = None,
@@ -272,7 +353,7 @@ def limit_motion(
 ) -> None:
     """Add the linear constraints of every joint, with the program's variables (f, nv)."""
     # A sine exceeds its samples, 20 a period or 10, by less than what is kept of the limits.
-    stride = 2 if problem.quick and variables.size >= _MANY else 1
+    stride = 2 if problem.options.quick and variables.size >= _MANY else 1
     for j in range(len(problem.limits.joints)):
         for order, (Phi, (lower, upper)) in enumerate(
             zip(problem.limit_basis, problem.bounds, strict=True)

@@ -11,7 +11,7 @@ from pydrake.solvers import IpoptSolver, SnoptSolver, SolverInterface, SolverOpt
 
 from geodrake.boundary.interrupts import StopSearch, is_stop
 from geodrake.errors import ArgumentError
-from geodrake.excitation.problem import DesignProblem, build_program
+from geodrake.excitation.problem import DesignOptions, DesignProblem, build_program
 from geodrake.inertia import Array
 from geodrake.robot.files.description import drake_messages
 
@@ -84,18 +84,16 @@ def solve(
     problem: DesignProblem,
     guess: Array,
     *,
-    solver: str,
-    iterations: int,
     budget: Budget,
     watch: Callable[[float, Array], None],
     quick: bool = False,
 ) -> SolverEnd:
-    """Improve a motion.
+    """Improve a motion, from variables (f, nv) within the limits.
 
     Args:
-        guess: (f, nv) variables to start from, within the limits.
         quick: Whether to end once the value changes by less than 1 % in twelve evaluations.
     """
+    options = problem.options
     raised: list[BaseException] = []
     seen: list[tuple[float, Array]] = []
 
@@ -107,12 +105,12 @@ def solve(
             raise _SettledError
 
     program, variables = build_program(problem, see, raised, budget.check)
-    engine = SOLVERS[solver]()
+    engine = SOLVERS[options.solver]()
     y = guess.ravel()
     try:
         with drake_messages():  # of iteration limits, which are no news here
-            options = _settings(engine, solver, iterations, max(budget.left, 1e-3))
-            result = engine.Solve(program, y, options)
+            settings = _settings(engine, options, max(budget.left, 1e-3))
+            result = engine.Solve(program, y, settings)
         y = np.asarray(result.GetSolution(variables), float)
         status = result.get_solution_result().name
     except (RuntimeError, StopSearch, _SettledError, OutOfTimeError) as error:
@@ -129,20 +127,18 @@ def solve(
     return SolverEnd(y, tuple(sorted(seen, key=lambda one: one[0])), status)
 
 
-def _settings(
-    engine: SolverInterface, solver: str, iterations: int, seconds: float
-) -> SolverOptions:
+def _settings(engine: SolverInterface, asked: DesignOptions, seconds: float) -> SolverOptions:
     settings: dict[str, float | int]
-    if solver == "snopt":
+    if asked.solver == "snopt":
         settings = {
-            "Major iterations limit": iterations,
+            "Major iterations limit": asked.iterations,
             "Major optimality tolerance": _OPTIMAL,
             "Major feasibility tolerance": _FEASIBLE,
             "Time limit": seconds,
         }
     else:
         settings = {
-            "max_iter": iterations,
+            "max_iter": asked.iterations,
             "tol": _OPTIMAL,
             "constr_viol_tol": _FEASIBLE,
             "max_cpu_time": seconds,

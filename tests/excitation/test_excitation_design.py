@@ -26,7 +26,7 @@ from geodrake.excitation import (
     make_target,
     motion_limits,
 )
-from geodrake.excitation.design import make_problem
+from geodrake.excitation.problem import make_problem
 from geodrake.excitation.starts import possible_postures, random_guess
 from geodrake.model.effort_signal import EffortSignal
 from geodrake.model.robot_model import load_description

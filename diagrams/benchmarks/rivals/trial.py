@@ -28,7 +28,7 @@ from geodrake.excitation import (
     make_separation,
     motion_limits,
 )
-from geodrake.excitation.design import make_problem
+from geodrake.excitation.problem import make_problem
 from geodrake.excitation.starts import possible_postures, random_guess
 from geodrake.identification.logs.unknowns import pullback_information
 from geodrake.logs import Motion

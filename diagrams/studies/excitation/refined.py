@@ -14,7 +14,7 @@ from geodrake.excitation import (
     Objective,
     Target,
 )
-from geodrake.excitation.design import make_problem
+from geodrake.excitation.problem import make_problem
 from geodrake.excitation.solve import Budget, solve
 from geodrake.excitation.starts import within_limits
 
@@ -41,8 +41,6 @@ def refined(
     found = solve(
         problem,
         start,
-        solver=options.solver,
-        iterations=options.iterations,
         budget=Budget.of(options.seconds),
         watch=lambda _value, _variables: None,
     )
