@@ -19,7 +19,8 @@ from geodrake.fleet.change_evidence import (
     calc_change_evidence,
     kind_of,
 )
-from geodrake.fleet.history import History, LogEquations, RobotHistory
+from geodrake.fleet.fleet_result import ChangeRival, FleetFinding
+from geodrake.fleet.history import DAY, History, LogEquations, RobotHistory
 from geodrake.fleet.type_columns import RAMP, ChangeHypothesis, TypeColumns
 from geodrake.fleet.type_learning import learn_type, least_squares, pooled
 from geodrake.fleet.type_model import RobotFit, TypeModel
@@ -48,46 +49,28 @@ _FIRST, _LATER = 12, 4  # rounds of learning what robots share
 _REFITS = 2  # of a robot, until its gains and odd logs are settled
 
 
-@dataclass(frozen=True)
-class ChangeRival:
-    """What may have changed in the place of a finding."""
-
-    effect: str
-    where: str
-    kind: str
-    probability: float
-
-
 @dataclass(frozen=True, eq=False)
 class RobotChange(Short):
     """A change of a robot.
 
     Attributes:
-        day: First day after the step, or on which the ramp begins.
-        interval: Days within which that is with a probability of 95 %.
+        finding: What is told of it, without the parameters that changed.
+        hypothesis: Which of the hypotheses it is.
         coordinates: (d,) the change z in the coordinates of its hypothesis; of a ramp up to the
             last log.
+        covariance: (d, d) its covariance.
         size: (p,) change of the robot's parameters; of a ramp up to the last log.
+        deviation: (p,) its standard deviation.
         share: (p,) the size in shares of the robot's own values, for relative columns.
-        probability: Probability of the effect, joint and kind, given that something changed.
-        false_alarm_probability: At most by what chance logs of a robot in which nothing more
-            changed say so much for a change.
     """
 
-    robot: str
-    effect: str
-    where: str
-    kind: str
-    day: float
-    interval: tuple[float, float]
+    finding: FleetFinding
+    hypothesis: int
     coordinates: Array
     covariance: Array
     size: Array
     deviation: Array
     share: Array
-    probability: float
-    rivals: tuple[ChangeRival, ...]
-    false_alarm_probability: float
 
 
 @dataclass(frozen=True, eq=False)
@@ -249,29 +232,26 @@ class RobotSearch(Short):
             evidence, kind = self.instead(state, others), kind_of(place.form)
             shares = kind_shares(evidence)
             chance = np.exp(min(0.0, -self.support(places, at)))
-            found.append(
-                RobotChange(
-                    self.history.robot,
-                    hypothesis.effect,
-                    hypothesis.where,
-                    kind,
-                    float(self.history.days[place.first]),
-                    self._interval(evidence, place),
-                    z,
-                    covariance,
-                    size,
-                    np.sqrt(np.maximum(variance, 0.0)),
-                    size / self.model.scale(0),
-                    shares.pop((place.hypothesis, kind)),
-                    self._rivals(shares),
-                    float(chance),
-                )
+            finding = FleetFinding(
+                self.history.robot,
+                hypothesis.effect,
+                hypothesis.where,
+                kind,
+                float(self.history.days[place.first]) * DAY,
+                self._interval(evidence, place),
+                (),
+                shares.pop((place.hypothesis, kind)),
+                self._rivals(shares),
+                float(chance),
             )
+            deviation = np.sqrt(np.maximum(variance, 0.0))
+            sizes = size, deviation, size / self.model.scale(0)
+            found.append(RobotChange(finding, place.hypothesis, z, covariance, *sizes))
         self._states.clear()
         return tuple(found[::-1])
 
     def _interval(self, evidence: ChangeEvidence, place: ChangePlace) -> tuple[float, float]:
-        """Shortest days around that of a finding that hold the probability of an interval."""
+        """Shortest time around that of a finding that holds the probability of an interval, s."""
         first, share = _beginnings(evidence, place.hypothesis, kind_of(place.form))
         share = share / max(share.sum(), _TINY)
         low = high = int(np.flatnonzero(first == place.first)[0])
@@ -279,8 +259,8 @@ class RobotSearch(Short):
             before = share[low - 1] if low > 0 else -1.0
             after = share[high + 1] if high < len(share) - 1 else -1.0
             low, high = (low - 1, high) if before > after else (low, high + 1)
-        days = self.history.days[first]
-        return float(days[low]), float(days[high])
+        dates = self.history.days[first] * DAY
+        return float(dates[low]), float(dates[high])
 
     def _rivals(self, shares: dict[tuple[int, str], float]) -> tuple[ChangeRival, ...]:
         told = [

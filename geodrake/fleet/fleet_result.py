@@ -16,7 +16,6 @@ from geodrake.boundary.input_files import read_regular
 from geodrake.boundary.showing import Short
 from geodrake.boundary.whole_files import write_whole
 from geodrake.errors import FleetError
-from geodrake.fleet.changes import ChangeRival
 from geodrake.fleet.history import DAY
 from geodrake.fleet.type_layout import FleetParameter
 from geodrake.inertia import Array
@@ -40,6 +39,16 @@ class ChangedParameter:
     size: float
     deviation: float
     share: float
+
+
+@dataclass(frozen=True)
+class ChangeRival:
+    """What may have changed in the place of a finding."""
+
+    effect: str
+    where: str
+    kind: str
+    probability: float
 
 
 @dataclass(frozen=True)

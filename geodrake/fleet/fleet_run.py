@@ -13,7 +13,6 @@ from numpy.typing import NDArray
 from geodrake.boundary.arguments import instance, integer, number, typed
 from geodrake.boundary.showing import Short
 from geodrake.errors import FleetError
-from geodrake.fleet.change_evidence import ChangePlace
 from geodrake.fleet.changes import (
     FleetChanges,
     RobotChange,
@@ -309,52 +308,30 @@ def _robot_result(
     search: RobotSearch, *, kind: str, layout: TypeLayout, models: Mapping[str, Array]
 ) -> RobotResult:
     places, history, model = search.find(), search.history, search.model
-    state, changes = search.state(places), search.told(places)
+    state = search.state(places)
+    findings = [_finding(change, layout) for change in search.told(places)]
     return RobotResult(
         history.robot,
         kind,
         len(history.days),
         history.days * DAY,
-        _findings(changes, places, layout),
+        tuple(sorted(findings, key=lambda each: (each.false_alarm_probability, each.date))),
         _histories(model, layout, state),
         _own(model, layout, state, models.get(history.robot)),
     )
 
 
-def _findings(
-    changes: Sequence[RobotChange], places: Sequence[ChangePlace], layout: TypeLayout
-) -> tuple[FleetFinding, ...]:
-    """Return changes of a robot, the surest first."""
-    pairs = zip(changes, places, strict=True)
-    findings = [_finding(change, place.hypothesis, layout) for change, place in pairs]
-    return tuple(sorted(findings, key=lambda each: (each.false_alarm_probability, each.date)))
-
-
-def _finding(change: RobotChange, hypothesis: int, layout: TypeLayout) -> FleetFinding:
-    if hypothesis in layout.payload_roots:
-        parameters = _payload(change, layout.payload_roots[hypothesis])
+def _finding(change: RobotChange, layout: TypeLayout) -> FleetFinding:
+    if change.hypothesis in layout.payload_roots:
+        parameters = _payload(change, layout.payload_roots[change.hypothesis])
     else:
-        parameters = _columns(change, layout, hypothesis)
-    low, high = change.interval
-    return FleetFinding(
-        change.robot,
-        change.effect,
-        change.where,
-        change.kind,
-        change.day * DAY,
-        (low * DAY, high * DAY),
-        parameters,
-        change.probability,
-        change.rivals,
-        change.false_alarm_probability,
-    )
+        parameters = _columns(change, layout)
+    return replace(change.finding, parameters=parameters)
 
 
-def _columns(
-    change: RobotChange, layout: TypeLayout, hypothesis: int
-) -> tuple[ChangedParameter, ...]:
+def _columns(change: RobotChange, layout: TypeLayout) -> tuple[ChangedParameter, ...]:
     """Return what changed of columns that are parameters themselves."""
-    moved = np.flatnonzero(layout.hypotheses[hypothesis].factor.any(axis=1))
+    moved = np.flatnonzero(layout.hypotheses[change.hypothesis].factor.any(axis=1))
     relative = layout.columns.relative
     return tuple(
         ChangedParameter(

@@ -181,9 +181,9 @@ def test_a_sample_is_explained_at_once(seed):
     u, left = Y @ TRUTH, {}
     for method in ("projection", "nudge"):
         found = update(method=method).updated(p, Y, u, STEP)
-        left[method] = np.abs(Y @ found.parameters - u).max()
+        left[method] = np.abs(Y @ found.point - u).max()
         assert (found.error <= 1e-8) == (method == "projection")
-        assert MANIFOLD.divergence(TRUTH, found.parameters) <= MANIFOLD.divergence(TRUTH, p)
+        assert MANIFOLD.divergence(TRUTH, found.point) <= MANIFOLD.divergence(TRUTH, p)
     assert left["projection"] < 2e-3 * (1 + 1e-6)
     assert left["nudge"] > 0.3 * np.abs(Y @ p - u).max() > 10 * left["projection"]
 
@@ -195,11 +195,11 @@ def test_an_earlier_sample_holds_too_if_it_agrees():
     found = made.updated(p, Y, Y @ TRUTH, STEP, earlier=earlier)
     assert found.error <= 1e-8
     for rows in (Y, other):
-        assert np.abs(rows @ (found.parameters - TRUTH)).max() < 2e-3 * (1 + 1e-6)
+        assert np.abs(rows @ (found.point - TRUTH)).max() < 2e-3 * (1 + 1e-6)
     # One that contradicts this sample is left out.
-    alone = made.updated(p, Y, Y @ TRUTH, STEP).parameters
+    alone = made.updated(p, Y, Y @ TRUTH, STEP).point
     against = made.updated(p, Y, Y @ TRUTH, STEP, earlier=(Y, Y @ TRUTH + 1.0))
-    np.testing.assert_array_equal(against.parameters, alone)
+    np.testing.assert_array_equal(against.point, alone)
 
 
 def test_bodies_with_constraints_are_estimated_too():
@@ -210,7 +210,7 @@ def test_bodies_with_constraints_are_estimated_too():
     before = manifold.divergence(truth, p)
     for _ in range(60):
         Y = rng.normal(size=(2, 10))
-        p = made.updated(p, Y, Y @ truth, STEP).parameters
+        p = made.updated(p, Y, Y @ truth, STEP).point
         assert manifold.contains(p)
     assert manifold.divergence(truth, p) < 0.2 * before
 
@@ -219,11 +219,11 @@ def test_a_nudge_goes_a_little_toward_efforts_that_no_body_has():
     p = perturbed(0.2)
     Y = np.zeros((2, len(p)))
     Y[:, 0] = 1.0
-    moved = update(method="nudge").updated(p, Y, np.full(2, -3.0), STEP).parameters
+    moved = update(method="nudge").updated(p, Y, np.full(2, -3.0), STEP).point
     assert 0 < moved[0] < p[0]
     assert MANIFOLD.contains(moved)
     for wrong in (np.nan, np.inf):
-        assert update().updated(p, Y, np.array([0.0, wrong]), STEP).parameters is p
+        assert update().updated(p, Y, np.array([0.0, wrong]), STEP).point is p
 
 
 def test_efforts_that_no_body_has_are_left_out_by_a_projection():
@@ -232,7 +232,7 @@ def test_efforts_that_no_body_has_are_left_out_by_a_projection():
     Y = np.zeros((2, len(p)))
     Y[:, 0] = 1.0
     found = update().updated(p, Y, np.full(2, -3.0), STEP)
-    assert found.parameters is p
+    assert found.point is p
     assert found.error == np.inf
 
 
@@ -242,7 +242,7 @@ def test_constraints_hold_after_every_sample():
     p = TRUTH.copy()
     for _ in range(50):
         Y = rng.normal(size=(2, len(p)))
-        p = made.updated(p, Y, rng.normal(size=2), STEP).parameters
+        p = made.updated(p, Y, rng.normal(size=2), STEP).point
         assert (LinearSet(limits).values(p) <= 1e-9).all()
 
 
@@ -252,7 +252,7 @@ def test_forgetting_goes_back_where_no_sample_holds():
     nothing = (np.zeros((2, len(p))), np.zeros(2))
     gap = MANIFOLD.gradient(p) - MANIFOLD.gradient(TRUTH)
     for _ in range(1000):
-        p = made.updated(p, *nothing, STEP).parameters
+        p = made.updated(p, *nothing, STEP).point
     left = MANIFOLD.gradient(p) - MANIFOLD.gradient(TRUTH)
     np.testing.assert_allclose(left, np.exp(-2.0) * gap, rtol=1e-5, atol=1e-7 * np.abs(gap).max())
 

@@ -7,6 +7,7 @@ import pytest
 from fleet_data import MEAN, columns, hypotheses, robot
 
 from geodrake.fleet.changes import RobotSearch, find_changes
+from geodrake.fleet.history import DAY
 from geodrake.fleet.type_learning import learn_type
 
 STEP = {2: lambda t: np.array([0.0, 0.0, 0.25, 0.0]) * (t >= 12)}
@@ -33,17 +34,21 @@ def test_changes_are_told_with_day_effect_and_kind(found):
     told = {r: each for r, each in enumerate(found.changes) if each}
     assert set(told) == {2, 5, 7}
     (step,), (ramp,), (load,) = told[2], told[5], told[7]
-    assert (step.robot, step.where, step.kind, step.day) == ("robot 2", "elbow", "step", 12.0)
-    assert "dry" in {step.effect, *(rival.effect for rival in step.rivals)}
+    finding = step.finding
+    told = finding.robot, finding.where, finding.kind, finding.date
+    assert told == ("robot 2", "elbow", "step", 12.0 * DAY)
+    assert "dry" in {finding.effect, *(rival.effect for rival in finding.rivals)}
     assert step.share[2] == pytest.approx(0.25, abs=4 * step.deviation[2] / 0.5)
-    assert ramp.kind == "ramp" and abs(ramp.day - 10.0) <= 2.0
-    assert ramp.interval[0] <= ramp.day <= ramp.interval[1]
+    finding = ramp.finding
+    assert finding.kind == "ramp" and abs(finding.date / DAY - 10.0) <= 2.0
+    assert finding.interval[0] <= finding.date <= finding.interval[1]
     assert ramp.share[3] == pytest.approx(0.36, abs=0.08)
-    assert (load.effect, load.kind, load.day) == ("load", "step", 6.0)
+    finding = load.finding
+    assert (finding.effect, finding.kind, finding.date) == ("load", "step", 6.0 * DAY)
     np.testing.assert_allclose(load.size[:2], [-0.4, -0.3], rtol=0.3)  # shares of its own
     np.testing.assert_allclose(load.coordinates, load.size[:2])
     np.testing.assert_allclose(np.diagonal(load.covariance), load.deviation[:2] ** 2)
-    assert all(each.false_alarm_probability < 1e-4 for each in (step, ramp, load))
+    assert all(each.finding.false_alarm_probability < 1e-4 for each in (step, ramp, load))
 
 
 def test_a_season_is_of_all_and_of_no_single_robot(found):
@@ -98,8 +103,8 @@ def test_two_changes_of_one_robot():
         )
     }
     found = find_changes(fleet(4, 8, both), columns(), hypotheses(), passes=2)
-    told = sorted(found.changes[3], key=lambda change: change.day)
-    assert [(change.where, change.day) for change in told] == [("elbow", 6.0), ("hand", 13.0)]
+    told = sorted((each.finding.date / DAY, each.finding.where) for each in found.changes[3])
+    assert told == [(6.0, "elbow"), (13.0, "hand")]
     assert sum(map(bool, found.changes)) == 1
 
 
@@ -123,7 +128,8 @@ def test_changes_are_found_however_large(size):
     load = {7: lambda t: size * LOAD[7](t)}
     less = {3: lambda t: size * np.array([0.0, 0.0, 0.3, 0.0]) * (t < 9)}
     changes = find_changes(fleet(1, 10, {**load, **less}), columns(), hypotheses()).changes
-    told = [(r, c.effect, c.kind, c.day) for r, each in enumerate(changes) for c in each]
+    findings = [(r, c.finding) for r, each in enumerate(changes) for c in each]
+    told = [(r, each.effect, each.kind, each.date / DAY) for r, each in findings]
     assert told == [(3, "dry", "step", 9.0), (7, "load", "step", 6.0)]
     assert changes[3][0].share[2] == pytest.approx(-0.3 * size, rel=0.1)
     sizes = [-0.2 * size * MEAN[0], 0.3 * size * MEAN[1]]

@@ -16,7 +16,8 @@ from diagrams.benchmarks.fleets.draws import (
 )
 from diagrams.benchmarks.fleets.files import day_of
 from geodrake.fleet import FleetFinding
-from geodrake.fleet.changes import MONTH, ChangeRival
+from geodrake.fleet.changes import MONTH
+from geodrake.fleet.fleet_result import ChangeRival
 from geodrake.fleet.type_columns import RAMP, STEP
 
 _DRY, _VISCOUS = frozenset({"coulomb_friction"}), frozenset({"viscous_friction"})

@@ -6,6 +6,6 @@ that moves it least in the divergence of its manifold. Both are pure: array in, 
 """
 
 from geodrake.control.online_estimation.filtered_regressor import FilteredRegressor
-from geodrake.control.online_estimation.sample_update import SampleUpdate, UpdatedEstimate
+from geodrake.control.online_estimation.sample_update import SampleUpdate
 
-__all__ = ["FilteredRegressor", "SampleUpdate", "UpdatedEstimate"]
+__all__ = ["FilteredRegressor", "SampleUpdate"]

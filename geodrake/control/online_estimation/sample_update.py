@@ -5,7 +5,6 @@ from __future__ import annotations
 from dataclasses import dataclass
 from functools import cached_property
 from math import expm1, isfinite, sqrt
-from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -27,20 +26,6 @@ Rows = tuple[Array, Array]
 METHODS = ("projection", "nudge")
 _SHARING = 1e-2  # of a row's squared length, added to it
 _NOTHING = 1e-300  # squared length of a row that says nothing
-
-
-class UpdatedEstimate(NamedTuple):
-    """An estimate after a sample.
-
-    Attributes:
-        parameters: (n,) the estimate; the one before if it could not be moved.
-        error: Greatest error of the conditions of optimality of the projection onto the slabs, in
-            lengths of the metric: its certificate, 1e-8 at most. Infinite where no projection was
-            found, or none was sought.
-    """
-
-    parameters: Array
-    error: float
 
 
 @dataclass(frozen=True, eq=False)
@@ -117,8 +102,11 @@ class SampleUpdate(Short):
 
     def updated(
         self, p: Array, Y: Array, effort: Array, dt: float, *, earlier: Rows | None = None
-    ) -> UpdatedEstimate:
+    ) -> SlabProjection:
         """Return the estimate after a sample; the one before if something is not finite.
+
+        Its error, the certificate of the projection onto the slabs, is 1e-8 at most; infinite where
+        none was found or sought.
 
         Args:
             p: (n,) estimate inside of the manifold.
@@ -128,18 +116,17 @@ class SampleUpdate(Short):
             earlier: Regressor and efforts of an earlier sample, which are to hold as well: what one
                 sample says of the parameters is little, and soon forgotten without.
         """
-        stays = UpdatedEstimate(p, np.inf)
+        stays = SlabProjection(p, np.inf, 0)
         if not (isfinite(np.vdot(Y, Y)) and isfinite(np.vdot(effort, effort))):
             return stays
         moved = self._forgotten(p, dt) if self.forgetting > 0 else p
         try:
             found = self._toward(moved, (Y, effort), earlier)
-            moved, error = found.point, found.error
             if self._limited is not None:
-                moved = self._limited.project(moved)
+                found = found._replace(point=self._limited.project(found.point))
         except (GeodrakeError, np.linalg.LinAlgError):
             return stays
-        return UpdatedEstimate(moved, error) if self.manifold.calc_contains(moved) else stays
+        return found if self.manifold.calc_contains(found.point) else stays
 
     def _toward(self, p: Array, rows: Rows, earlier: Rows | None) -> SlabProjection:
         """Return where a sample takes an estimate, together with an earlier one if they agree."""

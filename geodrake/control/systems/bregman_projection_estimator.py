@@ -200,7 +200,7 @@ class BregmanProjectionEstimator(LeafSystem):
             earlier = samples.turn(number, number // self._spacing)
             since = self._time_step * self._every
             following = self._sample_update.updated(p, Y, known, since, earlier=earlier)
-            state.set_value(self._estimate, following.parameters)
+            state.set_value(self._estimate, following.point)
             state.set_value(self._error, [following.error])
 
     def _remember(self, context: Context, state: State) -> None:
