@@ -198,11 +198,11 @@ def test_slopes_with_the_start_are_those_of_its_equations(pendulum):
 def moved(near, couplings, start):
     """(N,) departure of the motor from a start of link and motor, by scipy's integrator."""
     (coupling,) = couplings
-    t = near.period * np.arange(len(near.rest))
+    t = near.passage.segment.period * np.arange(len(near.rest))
 
     def at(values, instant):
-        k = min(int(instant / near.period), len(t) - 2)
-        f = instant / near.period - k
+        k = min(int(instant / near.passage.segment.period), len(t) - 2)
+        f = instant / near.passage.segment.period - k
         return (1.0 - f) * values[k] + f * values[k + 1]
 
     def slope(instant, x):

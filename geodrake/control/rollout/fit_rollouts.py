@@ -87,10 +87,7 @@ def fit_rollouts(
     was, as a motion tells the gain for given inertias only.
 
     Args:
-        horizon: Length of a window, s.
-        most: Most windows, fitted and held out together.
-        bandwidth: As for `roll_out`.
-        commands: Whether joints with servos follow the commands of logs, as in `roll_out`.
+        most: Most windows, fitted and held out together; all else is as for `roll_out`.
 
     Raises:
         ArgumentError: The horizon is not from 1 ms to 1000 s, or there are no windows.
@@ -165,7 +162,7 @@ def _windows(
         simulation = made(passage.log)
         near = NearMotion.of(simulation, passage, free)
         departure = window.simulated - passage.logged
-        found.append(SearchWindow(simulation.law, near, passage, acting[passage.log], departure))
+        found.append(SearchWindow(near, acting[passage.log], departure))
     return found
 
 

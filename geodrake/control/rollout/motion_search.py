@@ -18,7 +18,6 @@ from scipy.optimize import least_squares
 
 from geodrake.control.rollout.acting import Acting
 from geodrake.control.rollout.near_motion import NearMotion
-from geodrake.control.rollout.passages import Passage
 from geodrake.control.rollout.rollout_values import (
     RolloutValue,
     giving_way,
@@ -27,7 +26,6 @@ from geodrake.control.rollout.rollout_values import (
 )
 from geodrake.inertia import Array
 from geodrake.model.robot_model import RobotModel
-from geodrake.model.simulation.force_law import ForceLaw
 
 _TRIED = np.log([0.1, 0.2, 0.4, 0.7, 1.4, 2.5, 5.0, 10.0])  # steps of one value alone, at first
 _STEP = 0.02  # of a step, for slopes
@@ -42,13 +40,11 @@ class SearchWindow:
     """A window that values are fitted to.
 
     Attributes:
-        acting: What acts in that log, with the servos of a model.
+        acting: What acts in its log, with the servos of a model.
         departure: (N, nv) simulated − logged positions at the start of the search, rad or m.
     """
 
-    law: ForceLaw
     near: NearMotion
-    passage: Passage
     acting: Callable[[RobotModel], Acting]
     departure: Array
 
@@ -93,9 +89,9 @@ class MotionSearch:
         model = with_values(self.model, self.values, values, values)
         gives, found = giving_way(model.effects), []
         for window in self.windows:
-            along = window.acting(model).along(window.passage)
-            near = window.near.under(window.law, along, model.effects)
-            soft = near.soft_joints(window.law.soft, model.effects)
+            along = window.acting(model).along(window.near.passage)
+            near = window.near.under(along, model.effects)
+            soft = near.soft_joints(model.effects)
             couplings = soft.held_by([gives[joint] for joint in soft.names])
             found.append(near.departure(model.effects, couplings, slopes=slopes))
         return found

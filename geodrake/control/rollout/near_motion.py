@@ -113,32 +113,28 @@ class NearMotion:
     """A passage, ready to be simulated near its measured motion with other soft joints.
 
     Attributes:
-        period: Time between samples, s.
+        law: The force law of the model there, with what it carries.
         rest: (N, s) r.
         inertia: (N, s, s) H.
         damping: (N, s, s) C.
         stiffness: (N, s, s) K.
         motors: (nv,) where in y the motor of each joint is.
-        soft: (m,) velocities of the soft joints.
         load: (k, m) efforts of their links at the first samples, N·m or N.
         give_way: (k, m) by how much these change when a link moves on, N·m/rad or N/m.
-        time: (k,) instants of these samples, s.
         before: The motion before the passage.
         forces: What single parameters of effects at motors make, of those that may change.
     """
 
-    period: float
+    law: ForceLaw
+    passage: Passage
     rest: Array
     inertia: Array
     damping: Array
     stiffness: Array
     motors: NDArray[np.intp]
     servos: NearServos
-    soft: NDArray[np.intp]
-    names: tuple[str, ...]
     load: Array
     give_way: Array
-    time: Array
     before: RobotMotion
     forces: tuple[MotorForce, ...] = ()
 
@@ -174,27 +170,23 @@ class NearMotion:
         places = len(L) + np.arange(len(soft))
         acceleration[:, places, places] += added
         return cls(
-            segment.period,
+            law,
+            passage,
             contiguous(rest),
             contiguous(acceleration),
             contiguous(velocity),
             contiguous(position),
             motors,
             servos,
-            soft,
-            law.soft.names,
             at_links[:AT_START, soft],
             slopes.position[:AT_START, soft, soft],
-            passage.time[:AT_START],
             motion_before(model, passage, simulation.sign_width),
             tuple(_motor_force(model, seen, motors, *each) for each in free),
         )
 
-    def under(
-        self, law: ForceLaw, along: EffortAlong, effects: Sequence[FittedEffect]
-    ) -> NearMotion:
+    def under(self, along: EffortAlong, effects: Sequence[FittedEffect]) -> NearMotion:
         """Return the passage under other servos of the same joints, and other forces at motors."""
-        servos, rest = NearServos.of(law, along, self.motors)[0], self.rest.copy()
+        servos, rest = NearServos.of(self.law, along, self.motors)[0], self.rest.copy()
         stiffness, damping, inertia = (
             whole.copy() for whole in (self.stiffness, self.damping, self.inertia)
         )
@@ -207,8 +199,9 @@ class NearMotion:
             self, rest=rest, stiffness=stiffness, damping=damping, inertia=inertia, servos=servos
         )
 
-    def soft_joints(self, soft: SoftJoints, effects: Sequence[FittedEffect]) -> SoftJoints:
+    def soft_joints(self, effects: Sequence[FittedEffect]) -> SoftJoints:
         """Return the soft joints with other inertias of their motors, which damp springs."""
+        soft = self.law.soft
         inertia, places = soft.motor_inertia.copy(), self.motors[soft.velocities]
         for force in self.forces:
             inertia[places == force.place] += force.change(effects) * force.slopes[2].mean()
@@ -233,16 +226,17 @@ class NearMotion:
         free = self.servos.gains[:, 2].astype(bool)  # integrals
         units = np.eye(2 * s + len(free))[:, np.append(np.ones(2 * s, bool), free)]
         start = np.zeros((len(units), 1 + (units.shape[1] if slopes else 0)))
-        start[self.soft, 0], start[s + self.soft, 0] = -lag, -rate
+        soft, period = self.law.soft.velocities, self.passage.segment.period
+        start[soft, 0], start[s + soft, 0] = -lag, -rate
         start[2 * s :, 0] = self.servos.begun
         start[:, 1:] = units[:, : start.shape[1] - 1]
         held = np.array([[c.stiffness, c.play, c.damping, c.ramp] for c in couplings])
         out = np.empty((len(self.rest), s, start.shape[1]))
-        steps = max(1, int(np.ceil(self.period / _STEP)))
+        steps = max(1, int(np.ceil(period / _STEP)))
         equations, servos = (self.rest, self.inertia, self.damping, self.stiffness), self.servos
-        soft = self.soft, self.motors[self.soft], held
+        coupled = soft, self.motors[soft], held
         driven = servos.effort, servos.behind, servos.motors, servos.gains
-        calc_near_motion(equations, (self.period, steps), (soft, driven), start, out)
+        calc_near_motion(equations, (period, steps), (coupled, driven), start, out)
         found = out[:, self.motors]
         return found[..., 0], found[..., 1:]
 
@@ -257,7 +251,8 @@ class NearMotion:
                 lags[:, i] = torques[:, i] / coupling.stiffness
                 lags[:, i] += coupling.play * np.sign(torques[:, i])
         plays = np.array([coupling.play for coupling in couplings])
-        return first_lag(lags, plays, self.time, lambda: thrown(effects, self.before, self.names))
+        time, names = self.passage.time[:AT_START], self.law.soft.names
+        return first_lag(lags, plays, time, lambda: thrown(effects, self.before, names))
 
 
 def _seen(simulation: Simulation, passage: Passage) -> RobotMotion:

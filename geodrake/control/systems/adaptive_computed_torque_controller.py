@@ -74,13 +74,8 @@ class AdaptiveComputedTorqueController(AdaptiveController):
         """Construct the system.
 
         Args:
-            law: How the estimate moves; None for a controller that does not adapt.
-            rate: λ of both poles of each joint's error, 1/s: K_v = 2 λ and K_p = λ².
-            time_step: Period of control and adaptation, s; zero for continuous time.
-            parameters: (p,) first estimate; that of the model if None.
-            truth: (p,) true parameters, for the port `lyapunov`.
-            safeguards: Those of `Safeguards()` if None, which has no limits of effort.
-            prediction: Adaptation by the error of prediction; needs a time step.
+            rate: λ of both poles of each joint's error, 1/s: K_v = 2 λ and K_p = λ². All else is as
+                for `PassivityBasedAdaptiveController`.
 
         Raises:
             ArgumentError: The robot has joints of several degrees of freedom, or an argument does
