@@ -51,7 +51,6 @@ class TypeColumns(Short):
     Attributes:
         prior: (p,) parameters before any log: those of the model file; 0 for gains and for effects
             that it does not have.
-        free: (p,) whether the type's common value is learnt; gains have none but 0.
         relative: (p,) whether differences are shares of the value itself, as those of friction are.
         course: (p,) whether all robots may change together from day to day, as friction does with
             the season; such columns are relative.
@@ -62,12 +61,16 @@ class TypeColumns(Short):
     """
 
     prior: Array
-    free: Mask
     relative: Mask
     course: Mask
     gains: int
     spreads: tuple[Spread, ...]
     units: tuple[str, ...] = ()
+
+    @property
+    def free(self) -> Mask:
+        """(p,) whether the type's common value is learnt; gains have none but 0."""
+        return np.arange(len(self.prior)) < len(self.prior) - self.gains
 
     @property
     def sizes(self) -> list[int]:

@@ -237,8 +237,8 @@ def type_layout(
         roots[len(changes)] = root
         changes.append(ChangeHypothesis(_LOAD, name, body_factor(root, body, B, p), (STEP,)))
     units = tuple(each.unit for each in parameters)
-    free, spread = np.arange(p) < p - n, (*of_bodies, *spreads)
-    columns = TypeColumns(prior, free, relative, relative.copy(), n, spread, units)
+    spread = (*of_bodies, *spreads)
+    columns = TypeColumns(prior, relative, relative.copy(), n, spread, units)
     return TypeLayout(kept, parameters, columns, tuple(changes), roots)
 
 

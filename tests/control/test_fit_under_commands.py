@@ -146,7 +146,7 @@ def test_what_is_free_of_a_servo(pendulum):
         "delay",
     ]
     assert rollout_values(servoed(pendulum, 2.0, PD), commands=True) == springs
-    new = values_at(values, np.array([np.log(0.5), 0.0, 1.0, -1.0, 0.5, -2.0]))
+    new, _ = values_at(values, np.array([np.log(0.5), 0.0, 1.0, -1.0, 0.5, -2.0]))
     expected = [1.0 / STIFFNESS, 0.05, 110.0, 1.1 * (6.0 - 0.6), 1.1 * 210.0, 0.013 / 30.0]
     np.testing.assert_allclose(new, expected, rtol=1e-12)
     (servo,) = with_values(model, values, new, np.full(6, 0.1)).effort_signals
@@ -178,7 +178,9 @@ def test_what_is_free_of_a_motor(pendulum):
         (friction, "viscous_negative"),
         ("rotor_inertia", "inertia"),
     ]
-    known = better_model(model, values, values_at(values, np.zeros(len(values))), np.full(7, 0.5))
+    known = better_model(
+        model, values, values_at(values, np.zeros(len(values)))[0], np.full(7, 0.5)
+    )
     diagonal = np.diag(known.information)[model.phi.size + 1 :]
     np.testing.assert_allclose(diagonal, [4.0, 1.0, 100.0, 4.0, *np.ones(3), 4.0])
 

@@ -39,8 +39,7 @@ def columns(course=False):
         Spread("dry", unit[:, [2]]),
         Spread("viscous", unit[:, [3]]),
     )
-    free = np.ones(P, bool)
-    return TypeColumns(1.1 * MEAN, free, relative, relative & course, 0, spreads)
+    return TypeColumns(1.1 * MEAN, relative, relative & course, 0, spreads)
 
 
 def hypotheses():

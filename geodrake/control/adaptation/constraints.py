@@ -107,11 +107,8 @@ def body_limits(
 
 def mass_limits(size: int, body: int, lower: float, upper: float) -> Polyhedron:
     """Return limits on the mass of a body, kg; −inf and inf for none."""
-    limits = {
-        "lower": number(lower, "lower", finite=False),
-        "upper": number(upper, "upper", finite=False),
-    }
-    return body_limits(size, body, np.eye(PARAMETERS_PER_BODY)[0], **limits)
+    lower, upper = number(lower, "lower", finite=False), number(upper, "upper", finite=False)
+    return body_limits(size, body, np.eye(PARAMETERS_PER_BODY)[0], lower=lower, upper=upper)
 
 
 def center_of_mass_box(size: int, body: int, lower: ArrayLike, upper: ArrayLike) -> Polyhedron:

@@ -35,7 +35,6 @@ from geodrake.control.rollout.roll_out import (
 )
 from geodrake.control.rollout.rollout_values import (
     RolloutValue,
-    changes_at,
     forces_at_motors,
     rollout_values,
     values_at,
@@ -121,7 +120,8 @@ def fit_rollouts(
         progress("fitting", 0.5)
     windows = _windows(case, passages, before, forces_at_motors(case.model, values))
     x, deviations = MotionSearch(case.model, values, [windows[k] for k in fitted]).fit()
-    found, deviations = values_at(values, x), changes_at(values, x) * deviations
+    found, changes = values_at(values, x)
+    deviations = changes * deviations
     better = better_model(case.model, values, found, deviations)
     after = simulated(better, "after")
     departures = [after.windows[k].simulated - passages[k].logged for k in seen]

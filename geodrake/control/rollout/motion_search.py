@@ -85,7 +85,7 @@ class MotionSearch:
             x: (k,) steps of values from the start.
             slopes: Whether these are asked for.
         """
-        values = values_at(self.values, x).tolist()
+        values = values_at(self.values, x)[0].tolist()
         model = with_values(self.model, self.values, values, values)
         gives, found = giving_way(model.effects), []
         for window in self.windows:

@@ -135,36 +135,24 @@ def forces_at_motors(
     return tuple(found)
 
 
-def values_at(values: Sequence[RolloutValue], x: Array) -> Array:
-    """(k,) values after steps.
+def values_at(values: Sequence[RolloutValue], x: Array) -> tuple[Array, Array]:
+    """(k,) values after some steps x (k,) of each, and by how much one more step changes each.
 
-    Args:
-        x: (k,) how many steps of each.
+    Gains of servos take along what of these is known beside them.
     """
-    moved = [value.moved(steps) for value, steps in zip(values, x.tolist(), strict=True)]
-    return np.array(moved) * _gains(values, x)
-
-
-def changes_at(values: Sequence[RolloutValue], x: Array) -> Array:
-    """(k,) by how much one more step changes each value.
-
-    Args:
-        x: (k,) how many steps were made of each.
-    """
-    changes = [value.change(steps) for value, steps in zip(values, x.tolist(), strict=True)]
-    return np.array(changes) * _gains(values, x)
-
-
-def _gains(values: Sequence[RolloutValue], x: Array) -> Array:
-    """(k,) factors by which gains of servos take along what of these is known beside them."""
+    pairs = list(zip(values, x.tolist(), strict=True))
+    moved = [(value.moved(steps), value.change(steps)) for value, steps in pairs]
     shares = {
-        value.joint: value.moved(steps) / value.value
-        for value, steps in zip(values, x.tolist(), strict=True)
+        value.joint: now / value.value
+        for value, (now, _) in zip(values, moved, strict=True)
         if value.at is None and value.name == "gain"
     }
-    return np.array(
-        [shares.get(v.joint, 1.0) if v.at is None and v.name in _BESIDE else 1.0 for v in values]
-    )
+    beside = [value.at is None and value.name in _BESIDE for value in values]
+    gains = [
+        shares.get(v.joint, 1.0) if own else 1.0 for v, own in zip(values, beside, strict=True)
+    ]
+    found, changes = np.array(moved).T * gains
+    return found, changes
 
 
 def with_values(
