@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import cached_property
 
@@ -98,8 +98,10 @@ class ControlModel:
             _positions=positions,
             _single=single,
             _all_single=bool(single.all()),
-            _payloads=_payloads(model),
-            _scales=_scales(model),
+            _payloads=tuple((bodies.index(name), part) for name, part in _placed(model, Role.BODY)),
+            _scales=tuple(
+                (joints.index(name), part.start) for name, part in _placed(model, Role.SCALE)
+            ),
             _total_phi=model.total_phi,
         )
 
@@ -150,12 +152,15 @@ def checked_control(control: ControlModel) -> ControlModel:
     return control
 
 
-def _parts(model: RobotModel) -> Iterator[tuple[Effect, slice]]:
-    """Every effect, and its place in the parameter vector."""
-    start = model.phi.size
+def _placed(model: RobotModel, role: Role) -> list[tuple[str, slice]]:
+    """Return where effects of a role are, and their places in the parameter vector."""
+    found, start = [], model.phi.size
     for fitted in model.effects:
-        yield fitted.effect, slice(start, start + len(fitted.effect.parameters))
-        start += len(fitted.effect.parameters)
+        part = slice(start, start + len(fitted.effect.parameters))
+        start = part.stop
+        if fitted.effect.role is role:
+            found.append((fitted.effect.where[0], part))
+    return found
 
 
 def _trial(model: RobotModel, sign_width: Array) -> Trial:
@@ -167,18 +172,6 @@ def _trial(model: RobotModel, sign_width: Array) -> Trial:
         return model.motion(Motion(q, v, vd), sign_width=sign_width, load=load)
 
     return seen
-
-
-def _scales(model: RobotModel) -> tuple[tuple[int, int], ...]:
-    """Velocity and place in the parameter vector of every scale of efforts."""
-    found = [(e.where[0], part.start) for e, part in _parts(model) if e.role is Role.SCALE]
-    return tuple((model.joints.index(joint), place) for joint, place in found)
-
-
-def _payloads(model: RobotModel) -> tuple[tuple[int, slice], ...]:
-    """Body and place in the parameter vector of every payload."""
-    found = [(e, part) for e, part in _parts(model) if e.role is Role.BODY]
-    return tuple((model.bodies.index(effect.where[0]), part) for effect, part in found)
 
 
 @dataclass(frozen=True, eq=False)
