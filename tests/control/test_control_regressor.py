@@ -12,7 +12,7 @@ from known_robots import PINOCCHIO_ORDER, plant_of
 from random_plants import JOINTS, random_plant
 
 from geodrake.control.regressor import ControlModel
-from geodrake.control.regressor.rigid_bodies import RigidSample
+from geodrake.control.rigid_bodies import RigidSample
 from geodrake.effects import (
     AerodynamicDrag,
     CoulombFriction,

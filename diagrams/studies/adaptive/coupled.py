@@ -18,7 +18,7 @@ from pydrake.multibody.plant import DiscreteContactApproximation, MultibodyPlant
 from diagrams.studies.adaptive.laws import make_law
 from diagrams.studies.ambidex.arm import COULOMB, MODEL, REDUCTION, ROTOR_INERTIA, VISCOUS, Array
 from geodrake.control import ControlModel, PartialLaw, parameter_manifold
-from geodrake.control.regressor.control_model import ControlSample
+from geodrake.control.regressor import ControlSample
 from geodrake.effects import (
     CoulombFriction,
     CoupledFriction,

@@ -10,8 +10,7 @@ import numpy as np
 
 from geodrake.boundary.arguments import integer, positive
 from geodrake.compiling import compiled, contiguous
-from geodrake.control.regressor import ControlModel
-from geodrake.control.regressor.control_model import ControlSample, checked_control
+from geodrake.control.regressor import ControlModel, ControlSample, checked_control
 from geodrake.errors import ArgumentError, GeodrakeError
 from geodrake.inertia import Array
 

@@ -9,8 +9,7 @@ from scipy.linalg import solve_continuous_lyapunov
 
 from geodrake.boundary.arguments import one_or_each
 from geodrake.control.adaptation import UpdateLaw
-from geodrake.control.regressor import ControlModel
-from geodrake.control.regressor.control_model import checked_control
+from geodrake.control.regressor import ControlModel, checked_control
 from geodrake.control.systems.adaptive_controller import AdaptiveController, ControlResult
 from geodrake.control.systems.prediction_error import PredictionError
 from geodrake.control.systems.safeguards import Safeguards, Seen

@@ -23,8 +23,7 @@ from pydrake.systems.framework import (
 from geodrake.boundary.arguments import instance, number, positive
 from geodrake.control.adaptation import UpdateLaw
 from geodrake.control.adaptation.outer_laws import limited
-from geodrake.control.regressor import ControlModel
-from geodrake.control.regressor.control_model import ControlSample
+from geodrake.control.regressor import ControlModel, ControlSample
 from geodrake.control.systems.prediction_error import Prediction, PredictionError
 from geodrake.control.systems.safeguards import (
     SUSPECT,

@@ -11,8 +11,7 @@ from pydrake.systems.framework import Context
 from geodrake.boundary.arguments import instance, one_or_each, positive, real_array
 from geodrake.boundary.showing import Short
 from geodrake.control.adaptation import UpdateLaw
-from geodrake.control.regressor import ControlModel
-from geodrake.control.regressor.control_model import checked_control
+from geodrake.control.regressor import ControlModel, checked_control
 from geodrake.control.systems.adaptive_controller import AdaptiveController, ControlResult
 from geodrake.control.systems.prediction_error import PredictionError
 from geodrake.control.systems.safeguards import Safeguards, Seen

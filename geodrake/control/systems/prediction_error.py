@@ -11,8 +11,7 @@ from geodrake.boundary.arguments import instance, number, one_or_each, positive,
 from geodrake.boundary.showing import Short
 from geodrake.control.adaptation import UpdateLaw
 from geodrake.control.online_estimation import FilteredRegressor
-from geodrake.control.regressor import ControlModel
-from geodrake.control.regressor.control_model import ControlSample
+from geodrake.control.regressor import ControlModel, ControlSample
 from geodrake.control.systems.safeguards import Seen
 from geodrake.errors import ArgumentError
 from geodrake.inertia import Array

@@ -14,8 +14,7 @@ from geodrake.boundary.arguments import number, one_or_each, real_array
 from geodrake.boundary.showing import Short
 from geodrake.compiling import compiled, contiguous
 from geodrake.control.adaptation import UpdateLaw
-from geodrake.control.regressor import ControlModel
-from geodrake.control.regressor.control_model import checked_control
+from geodrake.control.regressor import ControlModel, checked_control
 from geodrake.errors import ArgumentError
 from geodrake.inertia import Array
 from geodrake.inertia.bodies import check_plant

@@ -1,4 +1,11 @@
-"""A robot model as a controller sees it: one parameter vector, one sample at a time."""
+"""Regressors for control: one sample at a time, a thousand times a second.
+
+    M(q, p) a + C(q, q̇, p) v + g(q, p) + effects(v, a, p) = Y(q, q̇, v, a) p  [Lee2019] (5.2.10)
+
+`ControlModel.of(model)` reads a robot model once; `ControlModel.at(q, qd, v, a)` gives a
+`ControlSample` for which Y p, Yᵀ r and the mass matrix are a few array operations. Parameters are
+one vector p = [φ, μ]: inertial parameters, ten a body, and then the effects' parameters.
+"""
 
 from __future__ import annotations
 
@@ -10,7 +17,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from geodrake.boundary.arguments import instance, one_or_each
-from geodrake.control.regressor.rigid_bodies import RigidSample
+from geodrake.control.rigid_bodies import RigidSample
 from geodrake.effects import Effect, JointMotion, RobotMotion, Role
 from geodrake.effects.body_motion import RobotBodies
 from geodrake.effects.effect_columns import EffectColumns, Seen, Trial
