@@ -9,7 +9,7 @@ import numpy as np
 from pydrake.autodiffutils import ExtractGradient, ExtractValue, InitializeAutoDiff
 from pydrake.geometry import CollisionFilterDeclaration, GeometrySet, Role, SignedDistancePair
 from pydrake.multibody.inverse_kinematics import MinimumDistanceLowerBoundConstraint
-from pydrake.multibody.tree import BodyIndex
+from pydrake.multibody.tree import BodyIndex, RigidBody
 from pydrake.systems.framework import DiagramBuilder
 
 from geodrake.boundary.arguments import instance, instances, integer, number, typed
@@ -138,13 +138,17 @@ class CollisionWorld:
             result.append(query.ComputeSignedDistancePairwiseClosestPoints(within))
         return result
 
-    def _names(self, pair: SignedDistancePair) -> tuple[str, str]:
+    def _bodies(self, pair: SignedDistancePair) -> list[RigidBody]:
         inspector = self._scene.model_inspector()
-        names = []
-        for geometry in (pair.id_A, pair.id_B):
-            body = self._plant.GetBodyFromFrameId(inspector.GetFrameId(geometry))
-            is_world = body.index() == self._plant.world_body().index()
-            names.append(inspector.GetName(geometry).split("::")[-1] if is_world else body.name())
+        frames = (inspector.GetFrameId(geometry) for geometry in (pair.id_A, pair.id_B))
+        return [self._plant.GetBodyFromFrameId(frame) for frame in frames]
+
+    def _names(self, pair: SignedDistancePair) -> tuple[str, str]:
+        inspector, world = self._scene.model_inspector(), self._plant.world_body().index()
+        names = [
+            inspector.GetName(geometry).split("::")[-1] if body.index() == world else body.name()
+            for geometry, body in zip((pair.id_A, pair.id_B), self._bodies(pair), strict=True)
+        ]
         return names[0], names[1]
 
     def _allow_overlaps(self, model: RobotModel, seed: int) -> tuple[str, ...]:
@@ -153,33 +157,24 @@ class CollisionWorld:
         bounded = np.isfinite(lower) & np.isfinite(upper)
         lower, upper = np.where(bounded, lower, -np.pi), np.where(bounded, upper, np.pi)
         q = np.random.default_rng(seed).uniform(lower, upper, (_POSTURES, len(lower)))
-        count: Counter[tuple[int, int]] = Counter()
-        words = {}
-        inspector = self._scene.model_inspector()
+        count: Counter[tuple[int, ...]] = Counter()
+        words: dict[tuple[int, ...], str] = {}
         for pairs in self._pairs(q, 0.0):
-            bodies = set()
+            found = {}
             for pair in pairs:
-                frames = (inspector.GetFrameId(g) for g in (pair.id_A, pair.id_B))
-                key = sorted(int(self._plant.GetBodyFromFrameId(f).index()) for f in frames)
-                bodies.add((key[0], key[1]))
-                words[key[0], key[1]] = " and ".join(self._names(pair))
-            count.update(bodies)
+                key = tuple(sorted(int(body.index()) for body in self._bodies(pair)))
+                found[key] = " and ".join(self._names(pair))
+            words |= found
+            count.update(found.keys())
         world = int(self._plant.world_body().index())  # obstacles, which are not drawn to overlap
         overlapping = [
             key for key, times in count.items() if times >= _ALWAYS * _POSTURES and world not in key
         ]
-        manager = self._scene.collision_filter_manager(
-            self._scene.GetMyMutableContextFromRoot(self._root)
-        )
-        for first, second in overlapping:
-            sets = (
-                GeometrySet(
-                    self._plant.GetCollisionGeometriesForBody(
-                        self._plant.get_body(BodyIndex(index))
-                    )
-                )
-                for index in (first, second)
-            )
+        context = self._scene.GetMyMutableContextFromRoot(self._root)
+        manager = self._scene.collision_filter_manager(context)
+        for key in overlapping:
+            bodies = (self._plant.get_body(BodyIndex(index)) for index in key)
+            sets = (GeometrySet(self._plant.GetCollisionGeometriesForBody(b)) for b in bodies)
             manager.Apply(CollisionFilterDeclaration().ExcludeBetween(*sets))
         return tuple(
             f"{words[key]} of {model.path.name} overlap in nearly all postures: they may."

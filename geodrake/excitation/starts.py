@@ -273,7 +273,7 @@ class RampPlanner:
         else:
             last = self._ramp(q[1], stand, trajectory)
         parts = [part for part in (first, trajectory, last) if part.length]
-        return RampedTrajectory(tuple(parts))
+        return RampedTrajectory(tuple(parts), trajectory.joints, trajectory.order)
 
     def _ramp(self, begin: Array, end: Array, like: ExcitationTrajectory) -> Ramp:
         if np.array_equal(begin, end):

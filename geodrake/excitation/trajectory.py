@@ -75,10 +75,12 @@ class ExecutableMotion(Short, abc.ABC):
         return BsplineTrajectory(BsplineBasis(degree + 1, knots.tolist()), controls)
 
     @abc.abstractmethod
+    def _instants(self) -> Array:
+        """Return instants from start to end through which a spline hardly differs."""
+
     def _spline(self) -> tuple[Array, Array, int]:
         """Return knots, control points (n, nv) by joint, and degree of a spline."""
-
-    def _interpolated(self, times: Array) -> tuple[Array, Array, int]:
+        times = self._instants()
         q, v, vd = self.states(times)
         ends = [[(1, v[end]), (2, vd[end])] for end in (0, -1)]
         spline = make_interp_spline(times, q, k=_DEGREE, bc_type=ends)
@@ -145,11 +147,14 @@ class ExcitationTrajectory(ExecutableMotion):
         total = basis[0].T @ by_joint + basis[1].T @ gradient.v + basis[2].T @ gradient.vd
         return np.asarray(total)
 
+    def _instants(self) -> Array:
+        return self.family.limit_times(1.0 / _PER_FASTEST)
+
     def _spline(self) -> tuple[Array, Array, int]:
         family = self.family
         if isinstance(family, SplineMotion):
             return family.knots, self.coefficients, family.degree
-        return self._interpolated(family.limit_times(1.0 / _PER_FASTEST))
+        return super()._spline()
 
 
 @dataclass(frozen=True, eq=False)
@@ -188,8 +193,8 @@ class Ramp(ExecutableMotion):
         states[0] += self.postures[leg]
         return states
 
-    def _spline(self) -> tuple[Array, Array, int]:
-        return self._interpolated(np.linspace(0.0, self.length, _RAMP_STEPS + 1))
+    def _instants(self) -> Array:
+        return np.linspace(0.0, self.length, _RAMP_STEPS + 1)
 
 
 @dataclass(frozen=True, eq=False)
@@ -197,16 +202,8 @@ class RampedTrajectory(ExecutableMotion):
     """Motions one after the other, such as a ramp, a designed motion, and the ramp back."""
 
     parts: tuple[ExecutableMotion, ...]
-
-    @property
-    def joints(self) -> tuple[str, ...]:  # type: ignore[override]
-        """Names of the joints."""
-        return self.parts[0].joints
-
-    @property
-    def order(self) -> NDArray[np.intp]:  # type: ignore[override]
-        """(nv,) joint of each position in Drake's order."""
-        return self.parts[0].order
+    joints: tuple[str, ...]
+    order: NDArray[np.intp]
 
     @property
     def length(self) -> float:
@@ -224,15 +221,10 @@ class RampedTrajectory(ExecutableMotion):
             found[:, which == k] = part.states(np.clip(own, 0.0, part.length))
         return found
 
-    def _spline(self) -> tuple[Array, Array, int]:
+    def _instants(self) -> Array:
         starts = np.cumsum([0.0, *(part.length for part in self.parts)])
-        times = [0.0 * starts[:1]]
-        for start, part in zip(starts, self.parts, strict=False):
-            steps = _RAMP_STEPS
-            if isinstance(part, ExcitationTrajectory):
-                steps = len(part.family.limit_times(1.0 / _PER_FASTEST)) - 1
-            times.append(start + np.linspace(0.0, part.length, steps + 1)[1:])
-        return self._interpolated(np.concatenate(times))
+        pairs = zip(starts, self.parts, strict=False)
+        return np.concatenate([[0.0], *(start + part._instants()[1:] for start, part in pairs)])
 
 
 def joint_order(model: RobotModel) -> NDArray[np.intp]:
