@@ -21,6 +21,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from rich.console import Console
 from rich.progress import track
@@ -32,6 +33,7 @@ MODELS = Path(__file__).parents[1] / "models"
 ONE_THREAD = {"OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1"}
 VERSION = 2
 """Of what a draw is; one more when kept draws of older versions must not be used."""
+JOBS = min(2, os.cpu_count() or 1)
 
 _PEAK = """
 import resource, sys
@@ -64,7 +66,6 @@ def script_parser(
     """Return a parser with the options that all scripts have.
 
     Args:
-        quick: What `--quick` does.
         draws: Whether there are draws, which processes share and a file keeps.
     """
     parser = argparse.ArgumentParser(description=doc.splitlines()[0])
@@ -73,15 +74,10 @@ def script_parser(
     parser.add_argument("--json", type=Path, help="file for the numbers")
     parser.add_argument("--figures", type=Path, help="folder for figures")
     if draws:
-        jobs = min(2, os.cpu_count() or 1)
-        parser.add_argument("--jobs", type=positive_number, default=jobs, help="processes")
+        jobs = f"processes ({JOBS}; 1 with --quick)"
+        parser.add_argument("--jobs", "--workers", type=positive_number, help=jobs)
         parser.add_argument("--cache", type=Path, help="file of draws (beside that of --json)")
     return parser
-
-
-def cache_beside(path: Path | None) -> Path | None:
-    """Return the file of finished designs beside that of a table."""
-    return path and path.with_suffix(".designs.jsonl")
 
 
 def write(
@@ -128,20 +124,19 @@ def show(
 def run_draws(
     parser: argparse.ArgumentParser,
     options: argparse.Namespace,
-    task: Callable[..., Any],
+    task: Callable[[Any], Any],
     draws: Sequence[Any],
+    **key: Any,
 ) -> list[Any]:
-    """Return what a task makes of all draws and the seed; it is called with `seed`."""
-    cache = options.cache
-    if cache is None and options.json is not None:
-        cache = options.json.with_suffix(".draws.jsonl")
+    """Return what a task makes of all draws; `key` is what else than the seed tells runs apart."""
+    cache = options.cache or (options.json and options.json.with_suffix(".draws.jsonl"))
     if cache is not None:
         cache.parent.mkdir(parents=True, exist_ok=True)
     study = Path(parser.prog).stem.rpartition(".")[2]
-    key = {"version": VERSION, "study": study, "seed": options.seed}
+    own = {"version": VERSION, "study": study, "seed": options.seed, **key}
+    jobs = options.jobs or (1 if options.quick else JOBS)
     try:
-        own = partial(task, seed=options.seed)
-        return results_of(own, draws, key=key, cache=cache, workers=options.jobs)
+        return results_of(task, draws, key=own, cache=cache, workers=jobs)
     except KeyboardInterrupt:
         where = f"Finished draws are in {cache}; the same command goes on." if cache else ""
         parser.exit(130, f"Interrupted. {where}\n")
@@ -159,7 +154,6 @@ def results_of(
 
     Args:
         task: A function that can be pickled; its results can be written as JSON.
-        draws: Numbers, names or dataclasses.
         key: What else a kept result must have been made with.
         cache: A JSON-lines file, which need not exist; None to keep nothing.
     """
@@ -257,15 +251,21 @@ def peak_memory(code: str, *arguments: object) -> tuple[float, list[str]]:
     return float(peak), said
 
 
+def titled(ax: Axes, title: str, grid: str = "both") -> Axes:
+    """Give axes the common look and a title."""
+    style.polish(ax, grid=grid)
+    ax.set_title(title, loc="left", **style.plain(fontweight="bold"))
+    return ax
+
+
 def bars(panels: Mapping[str, Mapping[str, float]], unit: str) -> Figure:
     """Draw numbers by name, a panel for each title."""
     figure = style.new_figure(0.8 + 0.35 * max(map(len, panels.values())))
     axes = np.ravel(figure.subplots(1, len(panels)))
     for ax, (title, values) in zip(axes, panels.items(), strict=True):
-        style.polish(ax, grid="x")
         drawn = ax.barh(list(values), list(values.values()), color=style.AFTER, height=0.6)
         ax.bar_label(drawn, [f"{value:.3g} {unit}" for value in values.values()], padding=4)
         ax.invert_yaxis()
         ax.margins(x=0.3)
-        ax.set_title(title, loc="left", **style.plain(fontweight="bold"))
+        titled(ax, title, grid="x")
     return figure

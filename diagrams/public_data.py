@@ -45,8 +45,6 @@ def require(parser: argparse.ArgumentParser, folder: Path, *names: str) -> None:
     """End a script with a message where measurements are absent: which, and where they go.
 
     Args:
-        parser: Of the script.
-        folder: What `--shared` says.
         names: Files or patterns below the folder.
     """
     absent = [name for name in names if not any(folder.glob(name))]

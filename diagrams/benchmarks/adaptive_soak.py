@@ -17,6 +17,7 @@ import argparse
 import gc
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 from time import process_time
 from typing import Any
@@ -27,8 +28,8 @@ from pydrake.multibody.plant import MultibodyPlant
 from pydrake.trajectories import PiecewisePolynomial
 
 from diagrams.harness import MODELS, run_draws, script_parser, show, write
-from diagrams.studies.adaptive.faults import FAULTS, Array, Episode
-from diagrams.studies.adaptive.faulty_loop import Moment, moments
+from diagrams.studies.adaptive.faults import FAULTS, Array, Episode, Moment, moments
+from diagrams.studies.adaptive.figures import soak_figure
 from geodrake.control import (
     ControlModel,
     PassivityBasedAdaptiveController,
@@ -61,12 +62,7 @@ CONTROLLERS = ("passivity", "computed torque", "unguarded")
 
 @dataclass(frozen=True)
 class Draw:
-    """One loop.
-
-    Attributes:
-        controller: One of `CONTROLLERS`.
-        duration: s.
-    """
+    """One loop."""
 
     controller: str
     duration: float
@@ -247,11 +243,8 @@ def main() -> None:
         {"fault": "", "error": ".1f", "recovery": ".1f", "ratio": ".2f"},
         worst(guarded),
     )
-    write(options, {"rows": rows, "worst": worst(guarded)})
-    if options.figures:
-        from diagrams.studies.adaptive.soak_figures import write_soak_figure
-
-        write_soak_figure(options.figures, rows)
+    table = {"rows": rows, "worst": worst(guarded)}
+    write(options, table, adaptive_soak=lambda: soak_figure(rows))
 
 
 def worst(rows: Sequence[dict[str, Any]]) -> list[dict[str, Any]]:
@@ -270,7 +263,7 @@ def run(parser: argparse.ArgumentParser, options: argparse.Namespace) -> list[di
     duration = 60.0 * (QUICK if options.quick else MINUTES)
     draws = [Draw(name, duration) for name in CONTROLLERS if name != "unguarded"]
     draws.append(Draw("unguarded", min(duration, 60.0)))  # lost by then
-    return run_draws(parser, options, run_draw, draws)
+    return run_draws(parser, options, partial(run_draw, seed=options.seed), draws)
 
 
 if __name__ == "__main__":

@@ -61,12 +61,7 @@ WRONG = 0.1  # size of the congruences that spoil the first estimate
 
 @dataclass(frozen=True)
 class Arm:
-    """The arm, a wrong estimate of it, and a motion.
-
-    Attributes:
-        model: The arm with its friction.
-        seed: Of the wrong estimate and the noise.
-    """
+    """The arm, a wrong estimate of it, and a motion."""
 
     model: RobotModel
     seed: int

@@ -11,12 +11,12 @@ from __future__ import annotations
 import json
 import tempfile
 from collections.abc import Sequence
-from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
-from diagrams.harness import MODELS, bars, cpu_times, plain, script_parser, write
+from diagrams.harness import MODELS, bars, cpu_times, script_parser, write
 from geodrake.fleet import (
     Digest,
     LogFacts,
@@ -34,36 +34,6 @@ from geodrake.model import RobotModel, load_model
 NOISE = 0.05  # N·m
 
 
-@dataclass(frozen=True)
-class DigestCost:
-    """What a digest of one log took.
-
-    Attributes:
-        rate: Samples a second of the log, Hz.
-        seconds: Its length, s.
-        bandwidth: Bandwidth of the filter, Hz.
-        samples: Filtered samples of each joint.
-        columns: Columns of all joints.
-        bytes: Size of the file.
-        made: CPU time to make it from the log in memory, s.
-        reading: CPU time to open the same log with all candidates, s.
-        read: CPU time to read the file, s.
-        merged: Largest difference of normal matrices of two merged digests from those of a reading
-            of both logs, relative to the sizes of rows and columns.
-    """
-
-    rate: float
-    seconds: float
-    bandwidth: float
-    samples: int
-    columns: int
-    bytes: int
-    made: float
-    reading: float
-    read: float
-    merged: float
-
-
 def swinging(model: RobotModel, rate: float, seconds: float, pace: float, seed: int) -> JointLog:
     """Return a log of sums of sines, up to 0.6 Hz times a pace, with efforts and noise."""
     rng, nv = np.random.default_rng(seed), len(model.joints)
@@ -78,8 +48,11 @@ def swinging(model: RobotModel, rate: float, seconds: float, pace: float, seed: 
 
 def measure(
     model: RobotModel, rate: float, pace: float, *, seconds: float, times: int, seed: int
-) -> DigestCost:
-    """Measure digests of two logs, of some seconds at some Hz, and readings of them."""
+) -> dict[str, Any]:
+    """Measure digests of two logs, of some seconds at some Hz, and readings of them.
+
+    "reading" opens the same log with all candidates; "merged" is `merged_difference`.
+    """
     first = swinging(model, rate, seconds, pace, seed)
     second = swinging(model, rate, seconds, 0.7 * pace, seed)  # slower, so that the first counts
     settings = make_settings(model, first)
@@ -104,9 +77,16 @@ def measure(
             "read": lambda: read_digest(path),
         }
         least = {name: min(times) for name, times in cpu_times(works, times).items()}
-    sizes = int(digest.samples.max()), len(settings.columns), len(content)
-    merged = merged_difference(model, [first, second], [digest, digested(second)])
-    return DigestCost(rate, seconds, digest.logs[0].bandwidth, *sizes, **least, merged=merged)
+    return {
+        "rate": rate,
+        "seconds": seconds,
+        "bandwidth": digest.logs[0].bandwidth,
+        "samples": int(digest.samples.max()),
+        "columns": len(settings.columns),
+        "bytes": len(content),
+        **least,
+        "merged": merged_difference(model, [first, second], [digest, digested(second)]),
+    }
 
 
 def merged_difference(
@@ -143,9 +123,9 @@ def main() -> None:
     how = {"seconds": 15.0 if options.quick else 60.0, "seed": options.seed}
     times = 1 if options.quick else options.times
     costs = [measure(model, rate, pace, times=times, **how) for rate, pace in cases]
-    print(json.dumps(plain(costs), indent=2))
+    print(json.dumps(costs, indent=2))
     panels = {
-        title: {f"{c.rate:g} Hz, bandwidth {c.bandwidth:.2g} Hz": getattr(c, name) for c in costs}
+        title: {f"{c['rate']:g} Hz, bandwidth {c['bandwidth']:.2g} Hz": c[name] for c in costs}
         for name, title in (("made", "a digest"), ("reading", "reading with all candidates"))
     }
     write(options, costs, digest_speed=lambda: bars(panels, "s"))

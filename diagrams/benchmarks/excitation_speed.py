@@ -16,7 +16,7 @@ import numpy as np
 
 from diagrams.harness import bars, cpu_clock, cpu_time, medians, script_parser, show, write
 from diagrams.public_data import add_folder_option
-from diagrams.studies.excitation.manipulator import IIWA, NOISE, family, limits, manipulator
+from diagrams.studies.iiwa_excitation import IIWA, NOISE, family, limits, manipulator
 from geodrake.excitation import Criterion, DesignOptions, Objective, design_excitation, make_target
 from geodrake.excitation.problem import make_problem
 from geodrake.logs import Motion

@@ -13,7 +13,6 @@ Models come with the package `example-robot-data`.
 
 from __future__ import annotations
 
-import argparse
 import json
 import subprocess
 import sys
@@ -29,9 +28,8 @@ import coal
 import numpy as np
 import pinocchio as pin
 from numpy.typing import NDArray
-from rich.console import Console
-from rich.table import Table
 
+from diagrams.harness import bars, script_parser, show, write
 from geodrake import load_model
 from geodrake.excitation import CollisionWorld, floor_of, motion_limits
 from geodrake.excitation.starts import possible_postures
@@ -56,10 +54,7 @@ class Checked:
     """What Pinocchio says of a motion, and geodrake of its search.
 
     Attributes:
-        cpu: CPU time of the whole command, s.
-        statuses: How each start of the search ended.
         gain: By what factor the worst variance is better than by the best random motion.
-        length: Duration with ramps, s.
         distance: Least distance of links from each other, m; at most 0.2.
         height: Least distance of a moving link from the floor, m; at most 0.2.
         position, velocity, effort: Largest shares of the file's limits.
@@ -215,40 +210,23 @@ def neighbours(path: Path) -> set[frozenset[str]]:
     }
 
 
-def show(found: Sequence[Checked]) -> None:
-    """Print the table."""
-    table = Table("arm", "CPU, s", "starts", "gain", "s", "mm", "floor", "q", "v", "τ", "v̇", "safe")
-    for one in found:
-        shares = (f"{100 * x:.0f} %" for x in (one.position, one.velocity, one.effort))
-        apart = (f"{1e3 * x:.1f}" for x in (one.distance, one.height))
-        ends = ", ".join(one.statuses)
-        numbers = (f"{one.cpu:.1f}", ends, f"{one.gain:.3g}", f"{one.length:.1f}")
-        table.add_row(
-            one.arm, *numbers, *apart, *shares, f"{one.acceleration:.1f}", str(one.is_safe)
-        )
-    Console(width=120).print(table)
-
-
 def main() -> None:
     """Run from the command line."""
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--quick", action="store_true", help="one start of each of two arms")
-    parser.add_argument("--seed", type=int, default=0, help="first random start")
-    parser.add_argument("--json", type=Path, help="file for the table")
-    parser.add_argument("--figures", type=Path, help="not used: the table is all there is")
+    parser = script_parser(__doc__, "one start of each of two arms")
     parser.add_argument("--arms", nargs="*", choices=list(ARMS), default=list(ARMS))
     chosen = parser.parse_args()
     options = ["--seed", str(chosen.seed)]
     if chosen.quick:
         options += ["--seeds", "1", "--seconds", "20", "--iterations", "10", "--samples", "100"]
-    arms = chosen.arms[:2] if chosen.quick else chosen.arms
-    found = []
-    for name in arms:
-        found.append(checked(name, options))
-    show(found)
-    if chosen.json:
-        table = [{**asdict(one), "safe": one.is_safe} for one in found]
-        chosen.json.write_text(json.dumps(table, indent=1))
+    found = [checked(name, options) for name in chosen.arms[: 2 if chosen.quick else None]]
+    rows = [{**asdict(one), "safe": one.is_safe} for one in found]
+    shares = dict.fromkeys(("position", "velocity", "effort"), ".0%")
+    columns = {"arm": "", "cpu": ".1f", "statuses": "", "gain": ".3g", "length": ".1f"}
+    columns |= {"distance": ".4f", "height": ".4f", **shares, "acceleration": ".1f", "safe": ""}
+    lines = [{**row, "statuses": ", ".join(row["statuses"])} for row in rows]
+    show("Motions of arms: s, m, shares of limits and rad/s²", columns, lines)
+    apart = {one.arm: 1e3 * min(one.distance, one.height) for one in found}
+    write(chosen, rows, excite_arms=lambda: bars({"least distance": apart}, "mm"))
     if not all(one.is_safe for one in found):
         raise SystemExit("A motion does not keep its margins.")
 

@@ -24,9 +24,8 @@ import numpy as np
 import psutil
 from matplotlib.figure import Figure
 
-from diagrams.benchmarks.fleets.draws import TYPES, FleetDraw
-from diagrams.benchmarks.fleets.files import LogWriter, write_fleet_file
-from diagrams.harness import positive_number, script_parser, show, write
+from diagrams.benchmarks.fleets.logs import TYPES, FleetDraw, write_fleet_file, write_logs
+from diagrams.harness import positive_number, script_parser, show, titled, write
 from geodrake.report import style
 
 _POLL = 0.01  # s
@@ -38,7 +37,6 @@ class KilledRun:
     """What came of a run in which something was killed.
 
     Attributes:
-        killed: What was.
         there: Digests that were there at that moment.
         again: How many digests were made that had been made before.
         same: Whether the results are those of the undisturbed run, letter by letter.
@@ -55,9 +53,7 @@ class Digests:
     """The digests of a run, looked at again and again.
 
     Attributes:
-        folder: Folder of the results.
         seen: File -> what changes if it is written again.
-        again: How many were.
     """
 
     folder: Path
@@ -100,14 +96,7 @@ def follow(
 
 
 def killed_run(path: Path, expected: bytes, what: str, after: int) -> KilledRun:
-    """One run in which something is killed, and what is needed to bring it to its end.
-
-    Args:
-        path: The fleet file.
-        expected: Results of an undisturbed run.
-        what: `WORKER` or `RUN`.
-        after: Digests after which it is killed.
-    """
+    """One run in which something is killed, and what is needed to bring it to its end."""
     shutil.rmtree(path.parent / "results", ignore_errors=True)
     (path.parent / "fleet.json").unlink(missing_ok=True)
     digests, at = Digests(path.parent / "results"), []
@@ -140,7 +129,6 @@ def kills_figure(rows: Sequence[KilledRun], logs: int) -> Figure:
     """How far runs were when something was killed, and those whose results differ."""
     figure = style.new_figure(1.6)
     ax = figure.subplots()
-    style.polish(ax, grid="x")
     for at, what in enumerate((WORKER, RUN)):
         for same, color in ((True, style.AFTER), (False, style.BEFORE)):
             there = [row.there for row in rows if (row.killed, row.same) == (what, same)]
@@ -149,7 +137,7 @@ def kills_figure(rows: Sequence[KilledRun], logs: int) -> Figure:
     title = (
         f"digests of {logs} that were there; results that differ: {sum(not r.same for r in rows)}"
     )
-    ax.set_title(title, loc="left", **style.plain(fontweight="bold"))
+    titled(ax, title, grid="x")
     return figure
 
 
@@ -164,7 +152,7 @@ def main() -> None:
     rng, rows = np.random.default_rng([options.seed, 20]), []
     with tempfile.TemporaryDirectory() as folder:
         for draw in draws:
-            LogWriter(Path(folder))(draw)
+            write_logs(draw, Path(folder))
         path = write_fleet_file(Path(folder), draws)
         follow(begin(path), Digests(Path(folder) / "results"))
         expected = (Path(folder) / "fleet.json").read_bytes()

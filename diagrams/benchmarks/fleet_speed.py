@@ -12,8 +12,9 @@ from __future__ import annotations
 import json
 import tempfile
 import time
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -47,29 +48,6 @@ run_fleet(read_fleet(sys.argv[1]), FleetWork(workers=0))
 """
 
 
-@dataclass(frozen=True)
-class RunCost:
-    """What a run took.
-
-    Attributes:
-        robots: Robots of one type.
-        logs: Logs of each.
-        length: Length of a log, s.
-        workers: Processes that digest.
-        seconds: Time of a clock until findings are there, s.
-        again: The same when digests and histories are there, s.
-        memory: Most memory of a process that makes findings of digests, MB.
-    """
-
-    robots: int
-    logs: int
-    length: float
-    workers: int
-    seconds: float
-    again: float
-    memory: float
-
-
 def friction(log: JointLog, robot: int, day: int) -> Array:
     """Return friction (N, nv) of a log, N·m: robots differ, and the days of each, by seeds."""
     n, v = len(log.joints), np.gradient(log.position, 1.0 / RATE, axis=0)
@@ -101,8 +79,11 @@ def write_logs(
     return folder / "fleet.yaml"
 
 
-def measure(path: Path, logs: int, length: float, workers: int) -> RunCost:
-    """Measure one run of a fleet whose digests are not made, and one more of what it left."""
+def measure(path: Path, logs: int, length: float, workers: int) -> dict[str, Any]:
+    """Measure one run of a fleet whose digests are not made, s, and "again" of what it left.
+
+    "memory" is the most, MB, of a process that makes findings of digests.
+    """
     fleet, work, times = read_fleet(path), FleetWork(workers=workers), [time.monotonic()]
     for _ in range(2):
         run_fleet(fleet, work)
@@ -110,7 +91,9 @@ def measure(path: Path, logs: int, length: float, workers: int) -> RunCost:
     for kept in path.parent.glob("results/*/logs/*/history.npz"):
         kept.unlink()
     memory = peak_memory(_FINDINGS, path)[0] / 1e6
-    return RunCost(len(fleet.robots), logs, length, workers, *np.diff(times).tolist(), memory)
+    seconds, again = np.diff(times).tolist()
+    what = {"robots": len(fleet.robots), "logs": logs, "length": length, "workers": workers}
+    return {**what, "seconds": seconds, "again": again, "memory": memory}
 
 
 def main() -> None:
@@ -126,7 +109,7 @@ def main() -> None:
             print(costs[-1], flush=True)
     panels = {
         f"{what}, {unit}": {
-            f"{c.robots} × {c.logs} × {c.length:g} s, {c.workers} workers": getattr(c, what)
+            "{robots} × {logs} × {length:g} s, {workers} workers".format(**c): c[what]
             for c in costs
         }
         for what, unit in (("seconds", "s"), ("memory", "MB"))

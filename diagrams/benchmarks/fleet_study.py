@@ -17,28 +17,21 @@ import tempfile
 import time
 from collections.abc import Sequence
 from contextlib import ExitStack
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 from rich.progress import track
 
-from diagrams.benchmarks.fleets.draws import TYPES, FleetDraw
-from diagrams.benchmarks.fleets.figures import save_days, save_history
-from diagrams.benchmarks.fleets.files import LogWriter, write_fleet_file
-from diagrams.benchmarks.fleets.scoring import robot_row, summary
-from diagrams.harness import finished, positive_number, script_parser, show, write
+from diagrams.benchmarks.fleets.logs import TYPES, FleetDraw, write_fleet_file, write_logs
+from diagrams.benchmarks.fleets.scoring import figures_of, robot_row, summary
+from diagrams.harness import JOBS, finished, positive_number, script_parser, show, write
 from geodrake.fleet import FleetResult, FleetWork, read_fleet, run_fleet
 
 
 def study(folder: Path, draws: Sequence[FleetDraw], jobs: int) -> tuple[FleetResult, float]:
-    """What is found in a fleet, and how long that took on the clock, s.
-
-    Args:
-        folder: Where its files are or go.
-        draws: Its robots.
-        jobs: Processes that write logs and digest; 1 for this one.
-    """
-    made = finished(LogWriter(folder), draws, jobs)
+    """What is found in a fleet, and how long that took on the clock, s."""
+    made = finished(partial(write_logs, folder=folder), draws, jobs)
     for _ in track(made, "logs", len(draws), transient=True):
         pass
     fleet = read_fleet(write_fleet_file(folder, draws))
@@ -69,7 +62,7 @@ def main() -> None:
         folder = options.folder or Path(stack.enter_context(tempfile.TemporaryDirectory()))
         # Logs of other draws are others.
         own = f"seed_{options.seed}_{draws[0].days}_days" + "_still" * options.still
-        result, seconds = study(folder / own, draws, 1 if options.quick else options.jobs)
+        result, seconds = study(folder / own, draws, options.jobs or (1 if options.quick else JOBS))
     rows = rows_of(result, draws)
     table = summary(rows) | {"seconds until findings are there": seconds}
     columns = {"figure": "", "value": ".3g", "found": ".0%", "or among rivals": ".0%", "of": ""}
@@ -78,11 +71,9 @@ def main() -> None:
         for name, value in table.items()
     ]
     show("A fleet whose robots change", columns, lines)
-    if options.figures is not None:
-        save_days(rows, options.figures)
-        save_history(result, options.figures)
     unused = [vars(log) for log in result.unused]
-    write(options, {"summary": table, "rows": rows, "unused": unused})
+    found = {"summary": table, "rows": rows, "unused": unused}
+    write(options, found, fleet=lambda: figures_of(rows, result))
 
 
 if __name__ == "__main__":

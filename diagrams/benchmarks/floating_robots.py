@@ -11,25 +11,210 @@ logged; wrenches of the feet and efforts of the joints are logged, or not.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import json
+import math
+import subprocess
+import sys
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict
+from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import Any
 
-from rich.console import Console
+from diagrams.benchmarks.floating.simulation import Recording, simulate
+from diagrams.benchmarks.floating.world import (
+    DRIVES,
+    FLAGS,
+    FOOT,
+    GAIN,
+    LIMB,
+    PAYLOAD,
+    QUIET,
+    SWAY,
+    TROT,
+    Draw,
+    all_draws,
+)
+from diagrams.benchmarks.hidden.bars import Line, median, share, tell_draws, told
+from diagrams.benchmarks.ordinary_robots import calibration, calibration_figure
+from diagrams.harness import cpu_clock, positive_number, run_draws, script_parser, write
 
-from diagrams.benchmarks.floating.draws import FLAGS, PAYLOAD, QUIET, SWAY, TROT, Draw, all_draws
-from diagrams.benchmarks.floating.lines import lines_of
-from diagrams.benchmarks.floating.scoring import is_missed, miss_words, score_draw
-from diagrams.benchmarks.hidden.bars import Line
-from diagrams.benchmarks.ordinary.figures import calibration_figure
-from diagrams.benchmarks.ordinary_robots import shown
-from diagrams.harness import positive_number, run_draws, script_parser, show, write
+Truth = Mapping[str, Sequence[str]]
+_DRIVES = ("coulomb_friction", "viscous_friction", "rotor_inertia")
 
 
-def run_draw(each: Draw, *, seed: int) -> dict[str, Any]:
-    """Return a row of the table; the seed is in what was drawn."""
-    del seed
-    return score_draw(each)
+def score_draw(draw: Draw) -> dict[str, Any]:
+    """Return a row of the table: the draw, what was named, and what of it is right."""
+    with TemporaryDirectory() as folder:
+        recording = simulate(draw, Path(folder))
+        row = {
+            **asdict(draw),
+            "secret": asdict(recording.secret),
+            "inverse_error": recording.inverse_error,
+        }
+        compared, row["compare_seconds"], _ = _said("compare", recording, Path(folder))
+        told, row["explain_seconds"], error = _said("explain", recording, Path(folder))
+    if told is None:
+        return {**row, "failed": error, "steps": [], "missing": [draw.hidden], "wrong": []}
+    truth = truth_of(draw, recording)
+    steps = [_step_row(step, truth) for step in told["steps"]]
+    return {
+        **row,
+        "failed": None,
+        "verdict": told["verdict"],
+        "compare_notes": [] if compared is None else compared["notes"],
+        "notes": told["notes"],
+        "steps": steps,
+        "missing": _missing(draw, steps, truth),
+        "wrong": [_words(step) for step in steps if not step["right"]],
+        "start_error": _share(told["error"]["start"], recording.deviations),
+        "end_error": _share(told["error"]["end"], recording.deviations),
+        **_payload_row(draw, steps, recording),
+    }
+
+
+def _said(
+    command: str, recording: Recording, folder: Path
+) -> tuple[dict[str, Any] | None, float, str]:
+    """Return what a command writes as JSON, None where it fails; its CPU time, and its error."""
+    path = folder / f"{command}.json"
+    began = cpu_clock()
+    run = subprocess.run(
+        [
+            *(sys.executable, "-m", "geodrake", command, str(recording.model)),
+            *(*map(str, recording.logs), "--floating", "--json", str(path), "-q"),
+        ],
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    seconds = cpu_clock() - began
+    if run.returncode or not path.exists():
+        return None, seconds, (run.stderr.strip() or f"exit code {run.returncode}")
+    return json.loads(path.read_text(encoding="utf-8")), seconds, ""
+
+
+def truth_of(draw: Draw, recording: Recording) -> Truth:
+    """Return the names that are right, with the places where they are."""
+    secret = recording.secret
+    match draw.hidden:
+        case s if s == PAYLOAD:
+            return {"payload": recording.same}
+        case s if s == LIMB:
+            return {"wrong_inertia": (secret.limb,), "payload": (secret.limb,)}
+        case s if s == DRIVES:
+            return dict.fromkeys(_DRIVES, tuple(recording.deviations))
+        case s if s == GAIN and secret.gain is not None:
+            return {"effort_scale": (secret.gain[0],)}
+        case s if s == FOOT and secret.offset is not None:
+            return {"wrench_offset": (secret.offset[0],)}
+    return {}
+
+
+def _step_row(step: Mapping[str, Any], truth: Truth) -> dict[str, Any]:
+    wanted = ("effect", "where", "probability", "parameters", "deviations", "systematic")
+    right = step["effect"] in truth and set(step["where"]) <= set(truth[step["effect"]])
+    return {
+        **{name: step[name] for name in wanted},
+        "rivals": step["indistinguishable_from"],
+        "right": right,
+    }
+
+
+def _words(step: Mapping[str, Any]) -> str:
+    return f"{step['effect']} at {', '.join(step['where'])} ({step['probability']:.3f})"
+
+
+def _missing(draw: Draw, steps: Sequence[Mapping[str, Any]], truth: Truth) -> list[str]:
+    """Return what no step has: of friction and rotors place by place, of others any place."""
+    found = {(step["effect"], place) for step in steps for place in step["where"]}
+    if draw.hidden == DRIVES:
+        wanted = [(name, place) for name, places in truth.items() for place in places]
+        return [f"{name} at {place}" for name, place in wanted if (name, place) not in found]
+    named = any(step["right"] for step in steps)
+    return [] if named or draw.hidden == QUIET else [draw.hidden]
+
+
+def _share(errors: Mapping[str, float], deviations: Mapping[str, float]) -> float | None:
+    """Return the root mean square over joints of held-out errors over deviations of efforts."""
+    squares = [(errors[joint] / deviations[joint]) ** 2 for joint in deviations if joint in errors]
+    return math.sqrt(sum(squares) / len(squares)) if squares else None
+
+
+def _payload_row(
+    draw: Draw, steps: Sequence[Mapping[str, Any]], recording: Recording
+) -> dict[str, Any]:
+    """Return the payload's mass as found, and whether the truth is in its interval."""
+    found = [step for step in steps if step["effect"] == "payload" and step["right"]]
+    if draw.hidden != PAYLOAD or not found:
+        return {}
+    step, mass = found[-1], recording.secret.mass
+    (place, *_) = step["where"]
+    said = step["parameters"][place]["mass"]
+    systematic = step["systematic"].get(place, {}).get("mass", 0.0)
+    half = 2.0 * math.hypot(step["deviations"][place]["mass"], systematic)
+    return {
+        "found_mass": said,
+        "mass_half_width": half / mass,
+        "mass_inside": abs(said - mass) <= half,
+        "mass_error": abs(said - mass) / mass,
+    }
+
+
+def is_missed(row: Mapping[str, Any]) -> bool:
+    """Return whether anything is missing, or named and wrong."""
+    return bool(row["failed"] or row["missing"] or row["wrong"])
+
+
+def miss_words(row: Mapping[str, Any]) -> str:
+    """Return what went wrong with a draw, in a line."""
+    logged = [name for name in ("wrenches", "efforts") if row[name]]
+    text = (
+        f"seed {row['seed']} number {row['number']} {row['robot']} (contacts {row['contacts']}, "
+        f"with {' and '.join(logged) or 'neither'}) hides {row['hidden']}"
+    )
+    if row["failed"]:
+        return f"{text}; FAILED: {row['failed']}"
+    for title, what in (("MISSING", row["missing"]), ("WRONG", row["wrong"])):
+        text += f"; {title}: {', '.join(what)}" if what else ""
+    right = "; ".join(_words(step) for step in row["steps"] if step["right"])
+    return f"{text}; right: {right or 'nothing'}"
+
+
+Row = Mapping[str, Any]
+_EXACT = 1e-9
+
+
+def lines_of(rows: Sequence[Row]) -> list[Line]:
+    """Return all lines."""
+    hiding = [row for row in rows if row["hidden"] != QUIET]
+    quiet = [row for row in rows if row["hidden"] == QUIET]
+    loads = [row for row in rows if row["hidden"] == PAYLOAD]
+    found = [row for row in loads if "found_mass" in row]
+    told = [row for row in rows if not row["failed"] and row["end_error"] is not None]
+    measured = [row["end_error"] for row in told if row["wrenches"]]
+    unknown = [row["end_error"] for row in told if not row["wrenches"]]
+    return [
+        share(
+            "efforts agree with inverse dynamics", [r["inverse_error"] < _EXACT for r in rows], 1.0
+        ),
+        share("read and explained", [not row["failed"] for row in rows], 1.0),
+        share("truth named and placed", [_is_named(row) for row in hiding], 0.9),
+        share("… and nothing else", [_is_named(row) and not row["wrong"] for row in hiding]),
+        share("payload named", ["found_mass" in row for row in loads]),
+        share("… mass inside its interval", [row["mass_inside"] for row in found], 0.9),
+        share("… mass within 5 %", [row["mass_error"] <= 0.05 for row in found], 0.9),
+        share("nothing hidden: something named", [bool(r["steps"]) for r in quiet], 0.0, most=True),
+        median("held-out joint error, unknown wrenches", unknown, 0.2),
+        median("held-out joint error, measured wrenches", measured, 0.1),
+        median("seconds of CPU of compare", [row["compare_seconds"] for row in told], 5.0),
+        median("seconds of CPU of explain", [row["explain_seconds"] for row in told], 30.0),
+        *calibration(rows),
+    ]
+
+
+def _is_named(row: Row) -> bool:
+    return not (row["failed"] or row["missing"])
 
 
 def quick_draws(seed: int) -> list[Draw]:
@@ -41,31 +226,18 @@ def quick_draws(seed: int) -> list[Draw]:
     ]
 
 
-def report(console: Console, lines: Sequence[Line], rows: Sequence[dict[str, Any]]) -> None:
-    """Print the table, and what was missed."""
-    columns = {"figure": "", "asked": "", "reached": "", "interval": "", "of": "d", "": ""}
-    show("Floating bases", columns, [shown(line) for line in lines])
-    missed = [row for row in rows if is_missed(row)]
-    console.print(f"Missed, {len(missed)} of {len(rows)} draws:")
-    for row in missed:
-        console.print(f"- {miss_words(row)}", markup=False, highlight=False, soft_wrap=True)
-
-
 def main() -> None:
     """Run the study from the command line."""
     parser = script_parser(__doc__, draws=True)
     parser.add_argument("--most", type=positive_number, metavar="N", help="only the first N draws")
     options = parser.parse_args()
     wanted = quick_draws(options.seed) if options.quick else all_draws(options.seed)[: options.most]
-    rows = run_draws(parser, options, run_draw, wanted)
+    rows = run_draws(parser, options, score_draw, wanted)
     lines = lines_of(rows)
-    report(Console(width=120), lines, rows)
-    told = [{**asdict(line), "reached": line.reached} for line in lines]
-    write(
-        options,
-        {"lines": told, "rows": rows},
-        floating_calibration=lambda: calibration_figure(rows),
-    )
+    missed = [miss_words(row) for row in rows if is_missed(row)]
+    tell_draws("Floating bases", lines, missed, len(rows))
+    table = {"lines": told(lines), "rows": rows}
+    write(options, table, floating_calibration=lambda: calibration_figure(rows))
 
 
 if __name__ == "__main__":

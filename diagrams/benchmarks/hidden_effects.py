@@ -13,22 +13,21 @@ hard, `--smallest N` of the smallest effect that is found, by bisection.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import asdict
+from collections.abc import Iterable, Mapping
 from functools import partial
 from typing import Any
 
-from rich.console import Console
-
 from diagrams.benchmarks.hidden.bars import (
-    Line,
     bars,
     confusions,
     coverage_lines,
+    figures_of,
     kind_lines,
+    show_lines,
     smallest_lines,
+    told,
 )
-from diagrams.benchmarks.hidden.draws import (
+from diagrams.benchmarks.hidden.logs import (
     COVERAGE,
     SMALLEST,
     Draw,
@@ -55,9 +54,8 @@ STUDIES = {
 """The studies: how many logs by default, and of what."""
 
 
-def run_draw(draw: Draw, *, seed: int) -> dict[str, Any]:
-    """A row of the table; the seed is in what was drawn."""
-    del seed
+def run_draw(draw: Draw) -> dict[str, Any]:
+    """Return a row of the table."""
     return {COVERAGE: coverage_of, SMALLEST: smallest_of}.get(draw.case, score_draw)(draw)
 
 
@@ -85,40 +83,6 @@ def quick_draws(seed: int) -> list[Draw]:
     return [*found, *smallest_draws(1, seed, effects=QUICK_EFFECTS[:1], **short)]
 
 
-def report(console: Console, lines: Sequence[Line], smallest: Sequence[dict[str, Any]]) -> None:
-    """Prints the tables."""
-    columns = {"figure": "", "asked": "", "reached": "", "interval": "", "logs": "d", "": ""}
-    show("Hidden effects", columns, [_shown(line) for line in lines])
-    if smallest:
-        columns = {"effect": "", "smallest": ".1%", "median": ".1%", "logs": "d"}
-        show("Smallest effect found in 9 of 10 logs", columns, smallest)
-
-
-def _shown(line: Line) -> dict[str, Any]:
-    form = "{:.1%}".format if _is_share(line) else "{:.2f}".format
-    found = line.value is not None
-    return {
-        "figure": line.figure,
-        "asked": _asked(line, form),
-        "reached": form(line.value) if found else None,
-        "interval": f"{form(line.low)} – {form(line.high)}" if found else None,
-        "logs": line.logs,
-        "": {True: "reached", False: "missed", None: ""}[line.reached],
-    }
-
-
-def _asked(line: Line, form: Callable[[float], str]) -> str | None:
-    if line.bar is None:
-        return None
-    if line.highest is not None:
-        return f"{form(line.bar)} – {form(line.highest)}"
-    return f"{'≤' if line.most else '≥'} {form(line.bar)}"
-
-
-def _is_share(line: Line) -> bool:
-    return not ("median" in line.figure or "seconds" in line.figure)
-
-
 def main() -> None:
     """Run the study from the command line."""
     parser = script_parser(__doc__, draws=True)
@@ -138,14 +102,17 @@ def main() -> None:
     rows = run_draws(parser, options, run_draw, wanted)
     lines = [*bars(rows), *kind_lines(rows), *coverage_lines(rows)]
     smallest = smallest_lines([row for row in rows if row["case"] == SMALLEST])
-    report(Console(width=120), lines, smallest)
+    show_lines(
+        "Hidden effects",
+        lines,
+        lambda line: ".2f" if "median" in line.figure or "seconds" in line.figure else ".1%",
+    )
+    if smallest:
+        columns = {"effect": "", "smallest": ".1%", "median": ".1%", "logs": "d"}
+        show("Smallest effect found in 9 of 10 logs", columns, smallest)
     confused = confusions(rows)
-    table = {"lines": [{**asdict(line), "reached": line.reached} for line in lines]}
-    write(options, {**table, "confusions": confused, "smallest": smallest, "rows": rows})
-    if options.figures:
-        from diagrams.benchmarks.hidden.figures import write_figures
-
-        write_figures(options.figures, lines, confused, smallest)
+    table = {"lines": told(lines), "confusions": confused, "smallest": smallest, "rows": rows}
+    write(options, table, hidden_effects=lambda: figures_of(lines, confused, smallest))
 
 
 if __name__ == "__main__":

@@ -11,13 +11,13 @@ from __future__ import annotations
 import json
 import tempfile
 import zipfile
-from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from rich.progress import track
 
-from diagrams.harness import MODELS, bars, peak_memory, plain, script_parser, write
+from diagrams.harness import MODELS, bars, peak_memory, script_parser, write
 from geodrake.logs import Motion
 from geodrake.model import RobotModel, load_model
 
@@ -35,25 +35,6 @@ begin = time.process_time()
 getattr(diagnosis, work)(load_model(model), [log])
 print(time.process_time() - begin)
 """
-
-
-@dataclass(frozen=True)
-class Cost:
-    """What a log took.
-
-    Attributes:
-        work: "compare" or "diagnose".
-        samples: Length of the log.
-        raw: Size of its numbers, GB.
-        peak_memory: Largest memory of the process, with Python and Drake in it, GB.
-        seconds: CPU time, s.
-    """
-
-    work: str
-    samples: int
-    raw: float
-    peak_memory: float
-    seconds: float
 
 
 def write_long_log(path: Path, robot: Path, *, samples: int, seed: int) -> None:
@@ -99,11 +80,12 @@ def _measured(
     return q + rng.normal(0.0, 1e-5, q.shape), effort + rng.normal(0.0, NOISE, q.shape)
 
 
-def measure(work: str, robot: Path, path: Path, samples: int) -> Cost:
-    """Run a command of the library on the log in a process of its own."""
+def measure(work: str, robot: Path, path: Path, samples: int) -> dict[str, Any]:
+    """Run a command of the library on the log in a process of its own; sizes are in GB."""
     peak, (seconds,) = peak_memory(_WORK, work, robot, path)
     raw = 8e-9 * samples * (1 + 2 * len(load_model(robot).joints))
-    return Cost(work, samples, raw, peak / 1e9, float(seconds))
+    sizes = {"samples": samples, "raw": raw, "peak_memory": peak / 1e9}
+    return {"work": work, **sizes, "seconds": float(seconds)}
 
 
 def main() -> None:
@@ -118,9 +100,9 @@ def main() -> None:
         path = Path(folder) / "long.npz"
         write_long_log(path, robot, samples=samples, seed=options.seed)
         costs = [measure(work, robot, path, samples) for work in options.work]
-    print(json.dumps(plain(costs), indent=2))
+    print(json.dumps(costs, indent=2))
     title = f"largest memory for a log of {samples:,} samples, with Python and Drake"
-    sizes = {"raw numbers": costs[0].raw, **{cost.work: cost.peak_memory for cost in costs}}
+    sizes = {"raw numbers": costs[0]["raw"]} | {c["work"]: c["peak_memory"] for c in costs}
     write(options, costs, long_log_memory=lambda: bars({title: sizes}, "GB"))
 
 

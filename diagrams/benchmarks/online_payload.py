@@ -16,17 +16,29 @@ The payload is estimated by exact projections and by nudges, an online arm by nu
 from __future__ import annotations
 
 import argparse
+import time
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
+from pydrake.systems.analysis import Simulator
+from pydrake.systems.framework import DiagramBuilder
+from pydrake.systems.primitives import LogVectorOutput
 
 from diagrams.harness import run_draws, script_parser, show, write
 from diagrams.public_data import add_folder_option, require
-from diagrams.studies.adaptive.stream import Array, Streamed, stream, without_standing
-from geodrake.control import ControlModel, SampleUpdate, parameter_manifold
+from diagrams.studies.adaptive.figures import mass_figure
+from geodrake.control import (
+    BregmanProjectionEstimator,
+    ControlModel,
+    FilteredRegressor,
+    LogSource,
+    SampleUpdate,
+    parameter_manifold,
+)
 from geodrake.effects import (
     CoulombFriction,
     FittedEffect,
@@ -39,6 +51,86 @@ from geodrake.identification import IdentificationSettings, identify_model
 from geodrake.inertia import from_mass_com_inertia, pseudo_inertia
 from geodrake.logs import JointLog, read_log
 from geodrake.model import RobotModel, load_model
+
+Array = NDArray[np.float64]
+
+STANDING = 0.02  # rad/s, below which a joint's friction is not known
+
+
+@dataclass(frozen=True, eq=False)
+class Streamed:
+    """What an estimator made of a log, sample by sample.
+
+    Attributes:
+        time: (N,) s since the log's first sample.
+        parameters: (N, p) the estimate.
+        residual: (N, nv) filtered efforts − their prediction, N·m, before each update.
+        used: (N,) whether the robot moved in all joints.
+    """
+
+    time: Array
+    parameters: Array
+    residual: Array
+    used: NDArray[np.bool_]
+    seconds: float
+
+    def rms(self, start: float = 0.0) -> Array:
+        """(nv,) RMS of the residual of used samples after a share of the log."""
+        part = self.used & (self.time >= start * self.time[-1])
+        return np.sqrt(np.mean(self.residual[part] ** 2, axis=0))
+
+
+def without_standing(log: JointLog) -> JointLog:
+    """A log whose effort is missing while a joint stands.
+
+    A standing joint holds whatever effort dry friction takes; no model predicts it.
+    """
+    effort = log.effort.copy()
+    effort[(np.abs(log.velocity) < STANDING).any(axis=1)] = np.nan
+    return replace(log, effort=effort)
+
+
+def stream(
+    log: JointLog, control: ControlModel, update: SampleUpdate, start: Array, *, period: float
+) -> Streamed:
+    """Plays a log to an estimator.
+
+    Args:
+        start: (p,) first estimate.
+    """
+    builder = DiagramBuilder()
+    source = builder.AddSystem(LogSource(log, control.joints))
+    estimator = builder.AddSystem(
+        BregmanProjectionEstimator(
+            control,
+            update,
+            filtered=FilteredRegressor(control, period),
+            time_step=period,
+            parameters=start,
+        )
+    )
+    builder.Connect(source.GetOutputPort("state"), estimator.GetInputPort("estimated_state"))
+    builder.Connect(source.GetOutputPort("effort"), estimator.GetInputPort("effort"))
+    names = ("parameters", "residual")
+    sinks = {
+        name: LogVectorOutput(estimator.GetOutputPort(name), builder, period) for name in names
+    }
+    sinks["effort"] = LogVectorOutput(source.GetOutputPort("effort"), builder, period)
+    simulator = Simulator(builder.Build())
+    simulator.Initialize()
+    begin = time.process_time()
+    simulator.AdvanceTo(source.duration)
+    seconds = time.process_time() - begin
+    found = {name: sink.FindLog(simulator.get_context()) for name, sink in sinks.items()}
+    data = {name: np.array(one.data().T) for name, one in found.items()}
+    return Streamed(
+        time=np.array(found["residual"].sample_times()),
+        parameters=data["parameters"],
+        residual=data["residual"],
+        used=np.isfinite(data["effort"]).all(axis=1),
+        seconds=seconds,
+    )
+
 
 LEARNED, FREE, CHANGED = "ur10e_free_a", ("ur10e_free_b", "ur10e_free_c"), "ur10e_changed"
 OFFLINE_MASS = 3.08  # kg, by `geodrake explain`
@@ -59,8 +151,6 @@ class Draw:
     """One way to learn the arm.
 
     Attributes:
-        way: "offline" or "online".
-        shared: Folder of the measurements.
         end: How much of every log, s; None for all.
     """
 
@@ -74,8 +164,6 @@ class Arm:
     """The learned arm.
 
     Attributes:
-        model: With a payload as its last effect.
-        control: The same for an estimator.
         start: (p,) its parameters, with the guess of the payload.
         error: (nv,) RMS error of filtered efforts on the log it was learned from, N·m.
         share: That over the standard deviation of the effort, pooled.
@@ -88,8 +176,8 @@ class Arm:
     share: float
 
 
-def run_draw(draw: Draw, *, seed: int) -> list[dict[str, Any]]:
-    """Rows of the logs; nothing is random, whatever the seed."""
+def run_draw(draw: Draw) -> list[dict[str, Any]]:
+    """Rows of the logs; nothing is random."""
     arm = learn(draw)
     weights = {"payload": 1.0}
     manifold = parameter_manifold(
@@ -202,12 +290,8 @@ def main() -> None:
     columns |= {"low": ".2f", "high": ".2f", "reached": ".1f", "close": ".0%"}
     columns |= {"least_eigenvalue": ".1e", "rate": ".0f"}
     show("Mass of the payload in kg, times in s", columns, rows)
-    write(options, {"rows": rows})
-    if options.figures:
-        from diagrams.studies.adaptive.online_figures import write_online_figure
-
-        exact = [row for row in rows if row["method"] == "projection"]
-        write_online_figure(options.figures, exact, OFFLINE_MASS)
+    exact = [row for row in rows if row["method"] == "projection"]
+    write(options, {"rows": rows}, online_payload=lambda: mass_figure(exact, OFFLINE_MASS))
 
 
 def run(parser: argparse.ArgumentParser, options: argparse.Namespace) -> Sequence[dict[str, Any]]:

@@ -12,23 +12,281 @@ with a probability, how much is true.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import time
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict
 from typing import Any
 
-from rich.console import Console
+import numpy as np
+from matplotlib.figure import Figure
 
-from diagrams.benchmarks.hidden.bars import Line
-from diagrams.benchmarks.ordinary.draws import ORDINARY, OUTSIDE, QUIET, Draw, all_draws, draw
-from diagrams.benchmarks.ordinary.lines import lines_of
-from diagrams.benchmarks.ordinary.scoring import is_missed, miss_words, score_draw
-from diagrams.harness import positive_number, run_draws, script_parser, show, write
+from diagrams.benchmarks.hidden.bars import Line, share, tell_draws, told
+from diagrams.benchmarks.hidden.robots import robot_model
+from diagrams.benchmarks.ordinary.logs import (
+    COLOURS,
+    ORDINARY,
+    OUTSIDE,
+    QUIET,
+    TOOL,
+    Draw,
+    Recording,
+    all_draws,
+    draw,
+    make_recording,
+)
+from diagrams.harness import positive_number, run_draws, script_parser, titled, write
+from geodrake.diagnosis import Step, explain
+from geodrake.errors import GeodrakeError
+from geodrake.report import style
+
+WRONG_INERTIA = "wrong_inertia"
 
 
-def run_draw(each: Draw, *, seed: int) -> dict[str, Any]:
-    """A row of the table; the seed is in what was drawn."""
-    del seed
-    return score_draw(each)
+def score_draw(draw: Draw) -> dict[str, Any]:
+    """A row of the table: the draw, what it hid, what was named, and what of it is right."""
+    return score(draw, make_recording(draw))
+
+
+def score(draw: Draw, recording: Recording) -> dict[str, Any]:
+    """The same of a recording that was made."""
+    row = {**asdict(draw), "hidden": recording.hidden, "beside": recording.beside}
+    row |= {"mass": recording.mass, "joints": recording.joints, "values": recording.values}
+    model = robot_model(draw.robot)
+    began = time.process_time()
+    try:
+        explanation = explain(model, list(recording.logs))
+    except GeodrakeError as error:
+        return {**row, "failed": str(error), "steps": [], "missing": ["everything"], "wrong": []}
+    seconds = time.process_time() - began
+    steps = [_step_row(step, draw, recording) for step in explanation.steps]
+    return {
+        **row,
+        "failed": None,
+        "seconds": seconds,
+        "verdict": explanation.verdict,
+        "start_nrms": explanation.start.nrms,
+        "end_nrms": explanation.end.nrms,
+        "notes": list(explanation.notes),
+        "steps": steps,
+        "missing": _missing(explanation.steps, recording.hidden),
+        "wrong": [_words(step) for step in steps if not step["right"]],
+        **_tool_row(explanation.steps, recording),
+    }
+
+
+def _step_row(step: Step, draw: Draw, recording: Recording) -> dict[str, Any]:
+    truth: Mapping[str, Sequence[str]] = {**recording.beside, **recording.hidden}
+    right = step.effect in truth and set(step.where) <= set(truth[step.effect])
+    return {
+        "effect": step.effect,
+        "where": list(step.where),
+        "probability": float(step.probability),
+        "rivals": list(step.indistinguishable_from),
+        "parameters": {place: dict(values) for place, values in step.parameters.items()},
+        "right": right or (step.effect == WRONG_INERTIA and draw.off > 0.0),
+    }
+
+
+def _words(step: Mapping[str, Any]) -> str:
+    return f"{step['effect']} at {', '.join(step['where'])} ({step['probability']:.3f})"
+
+
+def _missing(steps: Sequence[Step], hidden: Mapping[str, Sequence[str]]) -> list[str]:
+    """What no step has, place by place."""
+    found = {(step.effect, place) for step in steps for place in step.where}
+    return [
+        f"{name} at {place}"
+        for name, places in hidden.items()
+        for place in places
+        if (name, place) not in found
+    ]
+
+
+def _tool_row(steps: Sequence[Step], recording: Recording) -> dict[str, Any]:
+    """The tool's mass as found, and how well it is said to be known; nothing without a tool."""
+    (body,) = recording.hidden.get(TOOL, (None,))
+    found = [step for step in steps if step.effect == TOOL and body in step.where]
+    if body is None or not found:
+        return {}
+    step = found[-1]
+    deviation = step.deviations[body]["mass"]
+    systematic = step.systematic.get(body, {}).get("mass", 0.0)
+    off = abs(step.parameters[body]["mass"] - recording.mass)
+    half = 2.0 * float(np.hypot(deviation, systematic))
+    return {
+        "found_mass": step.parameters[body]["mass"],
+        "mass_deviation": deviation,
+        "mass_systematic": systematic,
+        "mass_inside": bool(off <= half),
+        "mass_half_width": half / recording.mass,
+        "mass_error": off / recording.mass,
+    }
+
+
+def is_missed(row: Mapping[str, Any]) -> bool:
+    """Whether a name is wrong or, of an ordinary robot, something is missing."""
+    return bool(row["wrong"] or row["failed"] or (row["missing"] and row["case"] == ORDINARY))
+
+
+def miss_words(row: Mapping[str, Any]) -> str:
+    """What went wrong with a draw, in a line."""
+    what = [f"{row['off']:.0%} off", f"{row['rate']:.0f} Hz", f"noise {row['noise']:.1%}"]
+    what += [row["colour"]] if row["colour"] != "white" else []
+    what += [name for name in ("velocities", "quantised", "calibrated") if row[name]]
+    what += [f"tool {row['mass']:.2f} kg"] if row["mass"] else []
+    hides = [*row["hidden"], *([f"{row['kind']} at {row['joints']}"] if row["kind"] else [])]
+    if "breakaway" in row["values"]:
+        what.append(f"breakaway {row['values']['breakaway'][0]:.3f} rad/s")
+    text = (
+        f"{row['case']} seed {row['seed']} number {row['number']} {row['robot']} {row['engine']} "
+        f"({', '.join(what)}) hides {', '.join(hides) or 'nothing'}"
+    )
+    if row["failed"]:
+        return f"{text}; FAILED: {row['failed']}"
+    if row["missing"]:
+        text += f"; MISSING: {', '.join(row['missing'])}"
+    if row["wrong"]:
+        text += f"; WRONG: {'; '.join(row['wrong'])}"
+    if row["case"] == ORDINARY or row["steps"]:
+        named = "; ".join(_words(step) for step in row["steps"] if step["right"])
+        text += f"; right: {named or 'nothing'}"
+    return f"{text}; nrms {row['start_nrms']:.3g} → {row['end_nrms']:.3g}, {row['seconds']:.1f} s"
+
+
+Row = Mapping[str, Any]
+BINS = ((0.5, 0.7), (0.7, 0.9), (0.9, 0.99), (0.99, 1.0))
+SURE = 0.9
+
+
+def lines_of(rows: Sequence[Row]) -> list[Line]:
+    """All lines."""
+    ordinary = [row for row in rows if row["case"] == ORDINARY]
+    outside = [row for row in rows if row["case"] == OUTSIDE]
+    tools = [row for row in ordinary if row["mass"]]
+    found = [row for row in tools if "found_mass" in row]
+    seconds = [row["seconds"] for row in ordinary if not row["failed"]]
+    said = [row for row in found if row["calibrated"]]
+    widths = [row["mass_half_width"] for row in found]
+    return [
+        share("ordinary: everything named", [not row["missing"] for row in ordinary], 0.95),
+        share("ordinary: nothing else named", [_is_clean(row) for row in ordinary], 0.95),
+        share("… both", [not row["missing"] and _is_clean(row) for row in ordinary], 0.95),
+        share("tool named", ["found_mass" in row for row in tools], 0.98),
+        share(
+            "tool's mass inside its interval",
+            [row["mass_inside"] for row in found],
+            0.9,
+            highest=0.98,
+        ),
+        share("… of calibrated efforts", [row["mass_inside"] for row in said]),
+        *_quantiles("half width of a tool's mass", widths, 0.15),
+        *_quantiles("… calibrated", [row["mass_half_width"] for row in said], 0.15),
+        *_quantiles("error of a tool's mass", [row["mass_error"] for row in found], None),
+        *_quantiles("seconds of CPU", seconds, 5.0),
+        share(
+            "no catalogue has it: a wrong name at > 0.9",
+            [_is_sure_and_wrong(row) for row in outside],
+            0.1,
+            most=True,
+        ),
+        share("… a wrong name at all", [not _is_clean(row) for row in outside], most=True),
+        *(
+            share(
+                f"nothing hidden, {colour} noise: something named",
+                [bool(r["steps"]) for r in rows if r["case"] == QUIET and r["colour"] == colour],
+                0.01,
+                most=True,
+            )
+            for colour in COLOURS
+        ),
+        *calibration(rows),
+    ]
+
+
+def calibration(rows: Sequence[Row]) -> list[Line]:
+    """How many of the things said with a probability in a bin are true."""
+    steps = [step for row in rows for step in row["steps"]]
+    bars = {(0.9, 0.99): {"bar": 0.85, "highest": 0.99}}
+    return [
+        share(
+            f"said at {low:g} – {high:g}: true" if high < 1.0 else f"said at > {low:g}: true",
+            [step["right"] for step in steps if low < step["probability"] <= high],
+            **bars.get((low, high), {}),
+        )
+        for low, high in BINS
+    ]
+
+
+def _is_clean(row: Row) -> bool:
+    return not (row["wrong"] or row["failed"])
+
+
+def _is_sure_and_wrong(row: Row) -> bool:
+    return any(step["probability"] > SURE and not step["right"] for step in row["steps"])
+
+
+def _quantiles(figure: str, values: Sequence[float], bar: float | None) -> list[Line]:
+    """The median, which the bar is for, and what nine of ten are below."""
+    levels = (("median", 0.5, bar), ("90 %", 0.9, None))
+    return [
+        Line(
+            f"{figure}, {name}",
+            most,
+            True,
+            float(np.quantile(values, level)) if values else None,
+            *((min(values), max(values)) if values else (None, None)),
+            len(values),
+        )
+        for name, level, most in levels
+    ]
+
+
+def calibration_figure(rows: Sequence[Mapping[str, Any]]) -> Figure:
+    """How many of the things said with a probability are true, against that probability.
+
+    Probabilities are those of the odds' logarithm, so that 0.9 and 0.99 stand apart.
+    """
+    figure = style.new_figure(4.2)
+    axes = figure.subplots()
+    steps = [step for row in rows for step in row["steps"]]
+    ideal = np.linspace(0.5, 0.9995, 400)
+    axes.plot(_place(ideal), 100 * ideal, color=style.FLOOR, linewidth=1.2, label="as said")
+    for (low, high), line in zip(BINS, calibration(rows), strict=True):
+        said = [step["probability"] for step in steps if low < step["probability"] <= high]
+        if line.value is None:
+            continue
+        at = float(_place(np.mean(said)))
+        axes.plot([at, at], [100 * line.low, 100 * line.high], color=style.AFTER, alpha=0.35, lw=5)
+        axes.plot(at, 100 * line.value, "o", color=style.AFTER)
+        axes.annotate(
+            f"{sum(step['right'] for step in steps if low < step['probability'] <= high)}"
+            f" of {line.logs}",
+            (at, 100 * line.value),
+            xytext=(8, -4),
+            textcoords="offset points",
+            **style.plain(style.SMALL, style.QUIET),
+        )
+    ticks = np.array([0.5, 0.7, 0.9, 0.97, 0.99, 0.999])
+    axes.set_xticks(_place(ticks), [f"{100 * tick:g} %" for tick in ticks])
+    edges = np.array([low for low, _ in BINS[1:]])
+    for edge in _place(edges):
+        axes.axvline(edge, color=style.RULE, linewidth=1.0)
+    axes.set_ylim(0.0, 103.0)
+    axes.set_xlabel("probability that was said, mean of the bin", **style.plain())
+    axes.set_ylabel("of these true, %", **style.plain())
+    titled(
+        axes,
+        f"What was said of {len(rows)} robots: how much of it is true (95 % interval)",
+        grid="y",
+    )
+    style.note_below(figure, "Green: as many as said. Grey: the bins' edges.")
+    return figure
+
+
+def _place(probability: Any) -> Any:
+    """Where a probability stands: decades of its odds, at most as of 0.9995."""
+    p = np.minimum(probability, 0.9995)
+    return np.log10(p / (1.0 - p))
 
 
 def quick_draws(seed: int) -> list[Draw]:
@@ -41,33 +299,6 @@ def quick_draws(seed: int) -> list[Draw]:
     ]
 
 
-def report(console: Console, lines: Sequence[Line], rows: Sequence[dict[str, Any]]) -> None:
-    """Prints the table, and what was missed."""
-    columns = {"figure": "", "asked": "", "reached": "", "interval": "", "of": "d", "": ""}
-    show("Ordinary robots", columns, [shown(line) for line in lines])
-    missed = [row for row in rows if is_missed(row)]
-    console.print(f"Missed, {len(missed)} of {len(rows)} draws:")
-    for row in missed:
-        console.print(f"- {miss_words(row)}", markup=False, highlight=False, soft_wrap=True)
-
-
-def shown(line: Line) -> dict[str, Any]:
-    """Return a line of the report as its table has it."""
-    form = "{:.1f}".format if "seconds" in line.figure else "{:.1%}".format
-    asked = None if line.bar is None else f"{'≤' if line.most else '≥'} {form(line.bar)}"
-    if line.bar is not None and line.highest is not None:
-        asked = f"{form(line.bar)} – {form(line.highest)}"
-    found = line.value is not None
-    return {
-        "figure": line.figure,
-        "asked": asked,
-        "reached": form(line.value) if found else None,
-        "interval": f"{form(line.low)} – {form(line.high)}" if found else None,
-        "of": line.logs,
-        "": {True: "reached", False: "missed", None: ""}[line.reached],
-    }
-
-
 def main() -> None:
     """Run the study from the command line."""
     parser = script_parser(__doc__, draws=True)
@@ -77,17 +308,13 @@ def main() -> None:
     options = parser.parse_args()
     seeds = range(options.seed, options.seed + options.seeds)
     wanted = [each for seed in seeds for each in all_draws(seed)][: options.most]
-    rows = run_draws(
-        parser, options, run_draw, quick_draws(options.seed) if options.quick else wanted
-    )
+    wanted = quick_draws(options.seed) if options.quick else wanted
+    rows = run_draws(parser, options, score_draw, wanted)
     lines = lines_of(rows)
-    report(Console(width=120), lines, rows)
-    told = [{**asdict(line), "reached": line.reached} for line in lines]
-    write(options, {"lines": told, "rows": rows})
-    if options.figures:
-        from diagrams.benchmarks.ordinary.figures import write_figures
-
-        write_figures(options.figures, rows)
+    missed = [miss_words(row) for row in rows if is_missed(row)]
+    tell_draws("Ordinary robots", lines, missed, len(rows))
+    table = {"lines": told(lines), "rows": rows}
+    write(options, table, ordinary_calibration=lambda: calibration_figure(rows))
 
 
 if __name__ == "__main__":

@@ -17,9 +17,8 @@ from typing import Any
 
 import numpy as np
 from rich.console import Console
-from rich.table import Table
 
-from diagrams.harness import script_parser, write
+from diagrams.harness import script_parser, show, write
 from diagrams.public_data import add_folder_option, require
 from geodrake import load_model, save_model
 from geodrake.diagnosis import Candidate, Explanation, Step, add, compare, diagnose, explain
@@ -39,9 +38,7 @@ class Study:
     Attributes:
         name: Name of the study, and of the model it saves for later ones.
         model: Model file below `reference` or the checkout's `models`; or the name of a study.
-        logs: Log files below `data`.
         blocks: Blocks into which a log is cut, None for the default.
-        mapping: Which column is what, where names do not say it.
     """
 
     name: str
@@ -100,35 +97,6 @@ ELSEWHERE = {"ur10e free": ("ur10e_free_c.csv", "ur10e_ptp.csv")}
 """Logs that took no part in a study, on which every one of its steps is to hold."""
 
 
-@dataclass(frozen=True)
-class Row:
-    """One step of a study; the first row of a study is the model as it stands.
-
-    Attributes:
-        study: Name of the study.
-        step: Effect that was added, or "as it stands".
-        where: Joints or bodies.
-        nrms: Held-out error afterwards, over the effort's standard deviation.
-        pooled_rms: Root mean square over joints of the held-out RMS, N·m.
-        parameters: Parameters of the effect, SI units.
-        deviations: Their standard deviations.
-        seconds: Time of the whole study, s.
-        verdict: Verdict of the study.
-        floor_nrms: Estimated noise floor.
-    """
-
-    study: str
-    step: str
-    where: Sequence[str]
-    nrms: float
-    pooled_rms: float
-    parameters: dict[str, dict[str, float]]
-    deviations: dict[str, dict[str, float]]
-    seconds: float
-    verdict: str
-    floor_nrms: float
-
-
 def model_file(name: str, shared: Path) -> Path | None:
     """A model file of the checkout or of the references; None if neither has it."""
     places = (ROOT / "models", shared / "reference", shared / "data" / Path(name).stem)
@@ -137,13 +105,7 @@ def model_file(name: str, shared: Path) -> Path | None:
 
 
 def run(study: Study, *, shared: Path, saved: Path) -> Explanation:
-    """Explain the logs of one study and save its model for later ones.
-
-    Args:
-        study: The study.
-        shared: Folder with `data` and `reference`.
-        saved: Folder for fitted models.
-    """
+    """Explain the logs of one study and save its model for later ones."""
     path = model_file(study.model, shared) or saved / f"{study.model}.yaml"
     model = load_model(path)
     explanation = explain(model, study.read(model, shared), blocks=study.blocks)
@@ -152,13 +114,7 @@ def run(study: Study, *, shared: Path, saved: Path) -> Explanation:
 
 
 def named_afterwards(study: Study, *, shared: Path, saved: Path) -> list[str]:
-    """What `diagnose` names on the logs of a study with the model that `run` saved.
-
-    Args:
-        study: The study.
-        shared: Folder with `data`.
-        saved: Folder of fitted models.
-    """
+    """What `diagnose` names on the logs of a study with the model that `run` saved."""
     model = load_model(saved / f"{study.name}.yaml")
     found = diagnose(model, study.read(model, shared), blocks=study.blocks)
     return [placed(each) for each in found.candidates]
@@ -172,14 +128,7 @@ def placed(found: Candidate | Step) -> str:
 def pairs_of_days(
     model: str, logs: Sequence[str], shared: Path, pairs: Sequence[Sequence[str]] | None = None
 ) -> list[dict[str, Any]]:
-    """Steps on each log with the model of each other one, and the nrms of all others with them.
-
-    Args:
-        model: Model file.
-        logs: One log a day.
-        shared: Folder with `data` and `reference`.
-        pairs: Logs of a fit and of a test; all by default.
-    """
+    """Steps on each log with the model of each other one, and the nrms of all others with them."""
     paths, file = {log: shared / "data" / log for log in logs}, model_file(model, shared)
     pairs = pairs or tuple(permutations(logs, 2))
     fits = {
@@ -203,11 +152,6 @@ def left_out(
 ) -> list[tuple[str, dict[str, float]]]:
     """What every step of a study is worth on other logs: the nrms there, unfitted, without it.
 
-    Args:
-        study: The study, of a model file.
-        explanation: What was found.
-        shared: Folder with `data` and `reference`.
-
     Returns:
         "as found", and "none" and each effect left out of a fit of all others, one after another,
         with the nrms by log.
@@ -229,43 +173,29 @@ def left_out(
     return found
 
 
-def rows_of(study: Study, explanation: Explanation, seconds: float) -> list[Row]:
-    """The table of one study."""
-    rest = (seconds, explanation.verdict, explanation.end.floor_nrms)
+def rows_of(study: Study, explanation: Explanation, seconds: float) -> list[dict[str, Any]]:
+    """Return a row a step of a study; the first one is the model as it stands.
+
+    "nrms" is the held-out error over the effort's deviation, "pooled_rms" that of all joints, N·m.
+    """
     start = explanation.start
-    rows = [Row(study.name, "as it stands", (), start.nrms, start.pooled_rms, {}, {}, *rest)]
-    for step in explanation.steps:
-        errors = (step.error_after, pooled(step))
-        values = [
-            {place: dict(found) for place, found in part.items()}
-            for part in (step.parameters, step.deviations)
-        ]
-        rows.append(Row(study.name, step.effect, step.where, *errors, *values, *rest))
-    return rows
-
-
-def pooled(step: Step) -> float:
-    """Root mean square over joints of the RMS after a step, N·m."""
-    return float(np.sqrt(np.mean(np.square(list(step.rms_after.values())))))
-
-
-def show(rows: Sequence[Row], console: Console) -> None:
-    """Print the table."""
-    table = Table("study", "step", "where", "nrms", "pooled RMS", "floor", "verdict", "s")
-    for row in rows:
-        first = row.step == "as it stands"
-        table.add_row(
-            row.study if first else "",
-            row.step,
-            ", ".join(row.where),
-            f"{row.nrms:.4f}",
-            f"{row.pooled_rms:.3f}",
-            f"{row.floor_nrms:.4f}" if first else "",
-            row.verdict if first else "",
-            f"{row.seconds:.1f}" if first else "",
-            end_section=False,
-        )
-    console.print(table)
+    found: list[dict[str, Any]] = [
+        {"step": "as it stands", "where": (), "nrms": start.nrms, "pooled_rms": start.pooled_rms}
+        | {"parameters": {}, "deviations": {}}
+    ]
+    found += [
+        {
+            "step": step.effect,
+            "where": step.where,
+            "nrms": step.error_after,
+            "pooled_rms": float(np.sqrt(np.mean(np.square(list(step.rms_after.values()))))),
+            "parameters": step.parameters,
+            "deviations": step.deviations,
+        }
+        for step in explanation.steps
+    ]
+    whole = {"study": study.name, "verdict": explanation.verdict, "seconds": seconds}
+    return [{**whole, **row, "floor_nrms": explanation.end.floor_nrms} for row in found]
 
 
 def main() -> None:
@@ -293,7 +223,10 @@ def main() -> None:
         days = pairs_of_days(*QUICK_DAYS, options.shared, QUICK_PAIRS)
     else:
         days = pairs_of_days(*DAYS, options.shared)
-    show(rows, console)
+    columns = {"study": "", "step": "", "where": "", "nrms": ".4f", "pooled_rms": ".3f"}
+    columns |= {"floor_nrms": ".4f", "verdict": "", "seconds": ".1f"}
+    lines = [{**row, "where": ", ".join(row["where"])} for row in rows]
+    show("Steps of all studies", columns, lines, 160)
     for study_name, effects in named.items():
         console.print(
             f"{study_name}, named by diagnose afterwards: {'; '.join(effects) or 'nothing'}"

@@ -12,14 +12,14 @@ from __future__ import annotations
 import json
 import resource
 import time
-from dataclasses import dataclass
 from pathlib import Path
 from tempfile import TemporaryDirectory
+from typing import Any
 
 import numpy as np
 from rich.progress import track
 
-from diagrams.harness import MODELS, bars, medians, plain, script_parser, write
+from diagrams.harness import MODELS, bars, medians, script_parser, write
 from geodrake.inertia import inertial_parameters
 from geodrake.robot import KinematicTree, inverse_dynamics, inverse_dynamics_regressor, load_plant
 from geodrake.robot.reduction import triangular_factor
@@ -30,54 +30,12 @@ CHUNK = 20_000
 NOISE = 0.1  # N·m
 
 
-@dataclass(frozen=True)
-class Speed:
-    """CPU times in µs a sample, and the largest difference of the two regressors.
+def measure_speed(robot: Path, *, samples: int, repeats: int, seed: int) -> dict[str, Any]:
+    """Time both regressors on the same random samples of a robot, µs a sample.
 
-    Attributes:
-        robot: The robot.
-        regressor: `regressor_pieces`, as logs are reduced.
-        at_once: `inverse_dynamics_regressor` of all samples, into new memory.
-        efforts: `inverse_dynamics`.
-        pinocchio: `computeJointTorqueRegressor` in a Python loop; None if it is not installed.
-        ratio: regressor / pinocchio.
-        difference: Largest difference of an entry, relative to the largest entry.
+    "regressor" is that of logs as they are reduced, "at once" that of all samples in new memory,
+    and "difference" that of an entry at most, relative to the largest.
     """
-
-    robot: str
-    regressor: float
-    at_once: float
-    efforts: float
-    pinocchio: float | None
-    ratio: float | None
-    difference: float | None
-
-
-@dataclass(frozen=True)
-class Reduction:
-    """Reduction of a log to one triangular factor a joint.
-
-    Attributes:
-        samples: Length of the log.
-        seconds: Wall time of all, s.
-        microseconds_per_sample: The same a sample, µs.
-        factor_share: Share of it that went into the factors.
-        gigaflops: Arithmetic rate of the factors, 10⁹/s.
-        peak_memory: Largest memory of the process, GB.
-        noise_found: Standard deviation of the noise as read from the factors of the joints, N·m.
-    """
-
-    samples: int
-    seconds: float
-    microseconds_per_sample: float
-    factor_share: float
-    gigaflops: float
-    peak_memory: float
-    noise_found: list[float]
-
-
-def measure_speed(robot: Path, *, samples: int, repeats: int, seed: int) -> Speed:
-    """Times both regressors on the same random samples of a robot."""
     plant = load_plant(robot).plant
     tree, phi = KinematicTree.from_plant(plant), inertial_parameters(plant)
     motion = random_motion(np.random.default_rng(seed), samples, tree.num_velocities)
@@ -95,7 +53,7 @@ def measure_speed(robot: Path, *, samples: int, repeats: int, seed: int) -> Spee
     try:
         import pinocchio
     except ImportError:
-        return Speed(robot.stem, **ours, pinocchio=None, ratio=None, difference=None)
+        return {"robot": robot.stem, **ours}
     model = pinocchio.buildModelFromUrdf(str(robot))
     data = model.createData()
 
@@ -108,13 +66,13 @@ def measure_speed(robot: Path, *, samples: int, repeats: int, seed: int) -> Spee
     expected = pinocchio.computeJointTorqueRegressor(model, data, *first).reshape(n, n, 10)
     own = inverse_dynamics_regressor(tree, *(x[:1] for x in motion)).reshape(n, n, 10)
     error = np.abs(own - expected[:, :, [0, 1, 2, 3, 4, 6, 9, 5, 8, 7]]).max()
-    return Speed(
-        robot.stem,
+    return {
+        "robot": robot.stem,
         **ours,
-        pinocchio=theirs,
-        ratio=ours["regressor"] / theirs,
-        difference=float(error / np.abs(expected).max()),
-    )
+        "pinocchio": theirs,
+        "ratio": ours["regressor"] / theirs,
+        "difference": float(error / np.abs(expected).max()),
+    }
 
 
 def write_tree(folder: Path, *, limbs: int = 5, joints: int = 6, seed: int = 0) -> Path:
@@ -146,7 +104,7 @@ def write_tree(folder: Path, *, limbs: int = 5, joints: int = 6, seed: int = 0) 
     return path
 
 
-def measure_reduction(*, samples: int, seed: int) -> Reduction:
+def measure_reduction(*, samples: int, seed: int) -> dict[str, Any]:
     """Reduces a simulated log, whose samples exist only while their chunk is worked on."""
     plant = load_plant(ARM).plant
     tree, phi = KinematicTree.from_plant(plant), inertial_parameters(plant).ravel()
@@ -166,15 +124,15 @@ def measure_reduction(*, samples: int, seed: int) -> Reduction:
                 factor_time += time.perf_counter() - before
     seconds = time.perf_counter() - start
     operations = sum(2 * samples * len(factor) ** 2 for factor in factors)
-    return Reduction(
-        samples=samples,
-        seconds=seconds,
-        microseconds_per_sample=1e6 * seconds / samples,
-        factor_share=factor_time / seconds,
-        gigaflops=operations / factor_time / 1e9,
-        peak_memory=resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * 1024 / 1e9,
-        noise_found=[abs(factor[-1, -1]) / np.sqrt(samples) for factor in factors],
-    )
+    return {
+        "samples": samples,
+        "seconds": seconds,
+        "microseconds_per_sample": 1e6 * seconds / samples,
+        "factor_share": factor_time / seconds,
+        "gigaflops": operations / factor_time / 1e9,
+        "peak_memory": resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * 1024 / 1e9,
+        "noise_found": [abs(factor[-1, -1]) / np.sqrt(samples) for factor in factors],
+    }
 
 
 def random_motion(rng: np.random.Generator, samples: int, joints: int) -> tuple[np.ndarray, ...]:
@@ -196,13 +154,11 @@ def main() -> None:
             measure_speed(robot, samples=count // part, repeats=repeats, seed=options.seed)
             for robot, count in robots.items()
         ]
-    table = plain({"speed": speeds, "reduction": reduction})
+    table = {"speed": speeds, "reduction": reduction}
     print(json.dumps(table, indent=2))
     panels = {
-        f"{speed.robot}, one core": {
-            name: time
-            for name in ("efforts", "regressor", "pinocchio")
-            if (time := getattr(speed, name)) is not None
+        f"{speed['robot']}, one core": {
+            name: speed[name] for name in ("efforts", "regressor", "pinocchio") if name in speed
         }
         for speed in speeds
     }

@@ -14,22 +14,531 @@ their torque, which the model file states, for part of each log.
 
 from __future__ import annotations
 
+import time
+import xml.etree.ElementTree as ET
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
+from dataclasses import asdict, dataclass, replace
+from functools import cache
 from typing import Any
+from zlib import crc32
 
+import mujoco
 import numpy as np
+import pinocchio as pin
+from matplotlib.figure import Figure
+from numpy.typing import NDArray
 
-from diagrams.benchmarks.servos.draws import ServoDraw, servo_draws
-from diagrams.benchmarks.servos.figures import save_ratios
-from diagrams.benchmarks.servos.scoring import score_servo
+from diagrams.benchmarks.hidden.robots import (
+    ENGINES,
+    FAST,
+    PinocchioEngine,
+    RobotFile,
+    make_motion,
+    robot_file,
+    robot_names,
+)
 from diagrams.harness import positive_number, run_draws, script_parser, show, write
+from geodrake.control.rollout import commanded_motions, roll_out
+from geodrake.diagnosis import Explanation, explain
+from geodrake.effects import CoulombFriction, FittedEffect, RotorInertia, ViscousFriction
+from geodrake.logs.motion import JointLog
+from geodrake.model import EffortSignal, RobotModel
+from geodrake.report import style
+
+Array = NDArray[np.float64]
+
+STEP = 0.001  # s
+_FADING = 0.002  # rad/s below which dry friction fades
 
 
-def run_draw(draw: ServoDraw, *, seed: int) -> dict[str, Any]:
-    """A row of the table; the seed is in what was drawn."""
-    del seed
-    return score_servo(draw)
+@dataclass(frozen=True)
+class Servos:
+    """What moves the joints of an arm, and what hinders them; (n,) each.
+
+    Attributes:
+        stiffness: kp, N·m/rad.
+        damping: kd, N·m·s/rad.
+        knows_rate: Whether the damping acts on the rate of the command less the velocity, and not
+            on the velocity alone.
+        delay: How late commands act, s, a whole number of steps.
+        viscous: N·m·s/rad.
+        coulomb: N·m.
+        armature: kg·m².
+        limit: Largest torque, N·m.
+        integral: ki, N·m/(rad·s); it stays where the torque is at its limit and would go beyond.
+    """
+
+    stiffness: Array
+    damping: Array
+    knows_rate: bool
+    delay: float
+    viscous: Array
+    coulomb: Array
+    armature: Array
+    limit: Array
+    integral: Array
+
+
+def simulated(engine: str, urdf: str, servos: Servos, command: Array) -> tuple[Array, Array, Array]:
+    """Positions, velocities and torques (N, n) of an arm that is told where to go.
+
+    Args:
+        command: (N, n) positions it is told to go to, `STEP` apart; it begins there, at rest.
+    """
+    late = round(servos.delay / STEP)
+    told = np.concatenate([np.repeat(command[:1], late, axis=0), command])[: len(command)]
+    rate = np.gradient(told, STEP, axis=0) if servos.knows_rate else np.zeros_like(told)
+    run = _by_pinocchio if engine == "pinocchio" else _by_mujoco
+    return run(urdf, servos, told, rate)
+
+
+def _by_pinocchio(
+    urdf: str, servos: Servos, told: Array, rate: Array
+) -> tuple[Array, Array, Array]:
+    model = pin.buildModelFromXML(urdf)
+    data = model.createData()
+    model.armature = servos.armature
+    q, v, summed = told[0].copy(), np.zeros(model.nv), np.zeros(model.nv)
+    positions, velocities, torques = (np.empty_like(told) for _ in range(3))
+    for k in range(len(told)):
+        raw = servos.stiffness * (told[k] - q) + servos.damping * (rate[k] - v)
+        raw = raw + servos.integral * summed
+        summed = _summed(summed, told[k] - q, raw, servos.limit)
+        torque = np.clip(raw, -servos.limit, servos.limit)
+        positions[k], velocities[k], torques[k] = q, v, torque
+        # Friction at the end of the step, so that joints that stick do not shake.
+        pin.computeAllTerms(model, data, q, v)
+        M = pin.crba(model, data, q)
+        M = np.triu(M) + np.triu(M, 1).T
+        M[np.diag_indices(model.nv)] += 0.0 if _has_armature() else servos.armature
+        free = torque - data.nle
+        v = _with_friction(M, v, free, servos)
+        q = q + STEP * v
+    return positions, velocities, torques
+
+
+def _summed(summed: Array, error: Array, raw: Array, limit: Array) -> Array:
+    """Integrals after a step; those of joints at their limit do not go on beyond it."""
+    beyond = (np.abs(raw) > limit) & (np.sign(raw) == np.sign(error))
+    return np.where(beyond, summed, summed + STEP * error)
+
+
+def _has_armature() -> bool:
+    """Whether `crba` adds the armature, as Pinocchio 3 does."""
+    return int(pin.__version__.split(".")[0]) >= 3
+
+
+def _with_friction(M: Array, v: Array, free: Array, servos: Servos) -> Array:
+    """Velocities after a step, friction F tanh(v/ε) + c v implicit, by Newton's method."""
+    after = v + STEP * np.linalg.solve(M, free - servos.viscous * v)
+    for _ in range(6):
+        sign = np.tanh(after / _FADING)
+        slope = servos.viscous + servos.coulomb * (1.0 - sign**2) / _FADING
+        left = M @ (after - v) - STEP * (free - servos.viscous * after - servos.coulomb * sign)
+        step = np.linalg.solve(M + STEP * np.diag(slope), -left)
+        after = after + np.clip(step, -0.05, 0.05) if np.abs(step).max() > 0.5 else after + step
+        if np.abs(step).max() < 1e-10:
+            break
+    return after
+
+
+def _by_mujoco(urdf: str, servos: Servos, told: Array, rate: Array) -> tuple[Array, Array, Array]:
+    spec = mujoco.MjSpec.from_string(urdf)
+    spec.option.timestep = STEP
+    spec.option.integrator = mujoco.mjtIntegrator.mjINT_IMPLICITFAST
+    spec.option.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_CONTACT)
+    for i, joint in enumerate(spec.joints):
+        joint.limited = 0
+        joint.damping = _first(joint.damping, servos.viscous[i])
+        joint.armature, joint.frictionloss = servos.armature[i], servos.coulomb[i]
+        kp, kd = float(servos.stiffness[i]), float(servos.damping[i])
+        actuator = spec.add_actuator(name=f"servo{i}", target=joint.name)
+        actuator.trntype = mujoco.mjtTrn.mjTRN_JOINT
+        actuator.gaintype, actuator.biastype = (
+            mujoco.mjtGain.mjGAIN_FIXED,
+            mujoco.mjtBias.mjBIAS_AFFINE,
+        )
+        # u = kp c + kd dc/dt, so that the force is u − kp q − kd v.
+        actuator.gainprm[0], actuator.biasprm[1], actuator.biasprm[2] = 1.0, -kp, -kd
+        actuator.forcelimited = 1
+        actuator.forcerange = [-servos.limit[i], servos.limit[i]]
+    model = spec.compile()
+    data = mujoco.MjData(model)
+    data.qpos[:] = told[0]
+    positions, velocities, torques = (np.empty_like(told) for _ in range(3))
+    summed = np.zeros(model.nv)
+    for k in range(len(told)):
+        data.ctrl[:] = servos.stiffness * told[k] + servos.damping * rate[k]
+        data.ctrl[:] += servos.integral * summed
+        raw = data.ctrl - servos.stiffness * data.qpos - servos.damping * data.qvel
+        summed = _summed(summed, told[k] - data.qpos, raw, servos.limit)
+        positions[k], velocities[k] = data.qpos, data.qvel
+        mujoco.mj_step(model, data)
+        torques[k] = data.actuator_force
+    return positions, velocities, torques
+
+
+def _first(values: object, number: float) -> object:
+    """A number in the form that a field of MuJoCo has: alone, or the first of several."""
+    if np.ndim(values) == 0:
+        return number
+    filled = np.zeros(np.shape(values))
+    filled[0] = number
+    return filled
+
+
+PENDULUM = "pendulum"
+_EVERY = 0.004  # s, between rows of a log
+_SETTLED = 1.0  # s, after which a log begins
+_NOISE = 1e-5  # rad
+_LIMIT = 0.75  # of the largest torque
+_SHAKES = 3  # sines of each joint's command that are faster than its motion
+
+
+@dataclass(frozen=True)
+class ServoDraw:
+    """One log.
+
+    Attributes:
+        knows_rate: Whether the servos' damping acts on the command's rate less the velocity.
+        limited: Whether their torques have limits, which the model file states.
+    """
+
+    robot: str
+    engine: str
+    knows_rate: bool
+    number: int
+    seed: int
+    duration: float = 40.0
+    integral: bool = False
+    limited: bool = False
+
+
+@dataclass(frozen=True)
+class ServoLog:
+    """A log, and what was hidden.
+
+    Attributes:
+        torques: (N, n) what the servos gave, N·m.
+    """
+
+    servos: Servos
+    log: JointLog
+    torques: Array
+
+
+def servo_draws(logs: int, seed: int, **fixed: object) -> list[ServoDraw]:
+    """Logs of every robot, kind of servo and engine in turn."""
+    robots = (PENDULUM, *(name for name in robot_names() if name != "arm6"))
+    return [
+        ServoDraw(
+            robots[k % len(robots)],
+            ENGINES[(k // len(robots)) % len(ENGINES)],
+            bool((k // len(robots) // len(ENGINES)) % 2),
+            k,
+            seed,
+            **fixed,  # type: ignore[arg-type]
+        )
+        for k in range(logs)
+    ]
+
+
+def make_servo_log(draw: ServoDraw) -> ServoLog:
+    """The log of a draw.
+
+    Stiffness makes a servo follow within 15 to 40 rad/s of bandwidth; damping is 0.4 to 1 of what
+    is critical. Friction is 5 to 30 % of the efforts' deviation, the armature 10 to 50 % of the
+    inertia that the joint moves, the delay 0 to 12 ms, and the integral, if there is one, has a
+    time kp / ki of 0.3 to 2 s. A limit is three quarters of the largest torque that the servo gives
+    without.
+    """
+    words = f"{draw.robot} {draw.engine} {draw.knows_rate}"
+    rng = np.random.default_rng([draw.seed, draw.number, crc32(words.encode())])
+    file = servo_file(draw.robot)
+    engine = PinocchioEngine(file)
+    time = np.arange(0.0, draw.duration + _SETTLED, STEP)
+    command, v, a = make_motion(FAST, engine, time, rng)
+    coarse = slice(None, None, round(0.02 / STEP))
+    efforts = engine.efforts(command[coarse], v[coarse], a[coarse]).std(axis=0)
+    speeds, inertia = v.std(axis=0), _inertia(engine, command[:: round(1.0 / STEP)])
+    n = len(efforts)
+    armature = inertia * rng.uniform(0.1, 0.5, n)
+    pace = rng.uniform(15.0, 40.0, n)
+    stiffness = (inertia + armature) * pace**2
+    servos = Servos(
+        stiffness=stiffness,
+        damping=2.0 * rng.uniform(0.4, 1.0, n) * stiffness / pace,
+        knows_rate=draw.knows_rate,
+        delay=0.001 * int(rng.integers(0, 13)),
+        viscous=efforts * rng.uniform(0.05, 0.3, n) / speeds,
+        coulomb=efforts * rng.uniform(0.05, 0.3, n),
+        armature=armature,
+        limit=np.full(n, 1e6),
+        integral=np.zeros(n),
+    )
+    command = command + _shaking(time, n, rng)
+    if draw.integral:
+        servos = replace(servos, integral=stiffness / rng.uniform(0.3, 2.0, n))
+    q, _, torques = simulated(draw.engine, file.text, servos, command)
+    if draw.limited:
+        servos = replace(servos, limit=_LIMIT * np.abs(torques).max(axis=0))
+        q, _, torques = simulated(draw.engine, file.text, servos, command)
+    rows = slice(round(_SETTLED / STEP), None, round(_EVERY / STEP))
+    measured = (q + _NOISE * rng.normal(size=q.shape))[rows]
+    log = JointLog(
+        f"servo_{draw.number}",
+        engine.joints,
+        time[rows],
+        measured,
+        np.full(measured.shape, np.nan),
+        command=command[rows],
+    )
+    return ServoLog(servos, log, torques[rows])
+
+
+def _inertia(engine: PinocchioEngine, q: Array) -> Array:
+    """(n,) inertia that each joint moves, the mean over some positions."""
+    still, n = np.zeros_like(q), q.shape[1]
+    base = engine.efforts(q, still, still)
+    moved = [engine.efforts(q, still, still + np.eye(n)[j])[:, j] - base[:, j] for j in range(n)]
+    return np.mean(moved, axis=1)
+
+
+def _shaking(time: Array, n: int, rng: np.random.Generator) -> Array:
+    """(N, n) small fast sines, up to 5 Hz, at which a servo's lag shows."""
+    rate = 2.0 * np.pi * rng.uniform(1.5, 5.0, (_SHAKES, n))
+    phase = rng.uniform(0.0, 2.0 * np.pi, (_SHAKES, n))
+    size = 3.0 * rng.uniform(0.5, 1.0, (_SHAKES, n)) / rate**2  # 3 rad/s² each
+    return np.asarray((size * np.sin(rate * time[:, None, None] + phase)).sum(axis=1))
+
+
+@cache
+def servo_file(name: str) -> RobotFile:
+    """The model file of a robot: one of the benchmark of effects, or a pendulum."""
+    if name != PENDULUM:
+        return robot_file(name)
+    return RobotFile.holding(name, robot_file("double_pendulum"), ["elbow"])
+
+
+@cache
+def servo_model(name: str) -> RobotModel:
+    """What geodrake knows of a robot: its model file."""
+    return servo_file(name).model
+
+
+def limited_model(name: str, joints: Sequence[str], limits: Array) -> RobotModel:
+    """The same with limits (n,) of torques, N·m, in the file."""
+    root, largest = ET.fromstring(servo_file(name).text), dict(zip(joints, limits, strict=True))
+    for joint in root.iter("joint"):
+        limit = joint.find("limit")
+        if limit is not None and joint.get("name") in largest:
+            limit.set("effort", repr(float(largest[joint.get("name", "")])))
+    return RobotFile(f"{name}_limited", ET.tostring(root, encoding="unicode")).model
+
+
+ARMATURE = "rotor_inertia"
+HIDDEN = {
+    "coulomb_friction": "coulomb",
+    "viscous_friction": "viscous",
+    ARMATURE: "inertia",
+}
+"""Effects that every joint has, and the parameter of each that is reported."""
+
+_NOTABLE = 0.05  # of a joint's torque, above which a hidden effect is to be named
+_WINDOWS = 6  # of rollouts
+_SIDES = 2.0  # standard deviations of an interval
+
+
+def score_servo(draw: ServoDraw) -> dict[str, Any]:
+    """A row of the table."""
+    made, model = make_servo_log(draw), servo_model(draw.robot)
+    if draw.limited:
+        model = limited_model(draw.robot, made.log.joints, made.servos.limit)
+    began = time.process_time()
+    found = explain(model, [made.log])
+    seconds = time.process_time() - began
+    return {
+        **asdict(draw),
+        "joints": len(model.joints),
+        "samples": len(made.log),
+        "seconds": seconds,
+        "verdict": found.verdict,
+        "at limit": np.mean(np.abs(made.torques) >= made.servos.limit, axis=0).tolist(),
+        "limits found": [bool(np.isfinite(s.limit)) for s in found.model.effort_signals],
+        "steps": [[step.effect, list(step.where)] for step in found.steps],
+        "extra": sorted({s.effect for s in found.steps} - {*HIDDEN, "effort_delay"}),
+        "nrms": [found.start.nrms, found.refitted.nrms, found.end.nrms],
+        **_in_set(made, model, found),
+        **_motion(made, model, found),
+        "values": [*_gains(made, found.model), *_effects(made, model, found)],
+    }
+
+
+def _truths(made: ServoLog, model: RobotModel) -> Mapping[str, Mapping[str, float]]:
+    """Effect -> joint -> true value, in the order of the model's joints.
+
+    A servo that damps the velocity alone is viscous friction to its joint.
+    """
+    servos, names = made.servos, made.log.joints
+    viscous = servos.viscous + (0.0 if servos.knows_rate else servos.damping)
+    values = {
+        "coulomb_friction": servos.coulomb,
+        "viscous_friction": viscous,
+        ARMATURE: servos.armature,
+    }
+    return {e: dict(zip(names, v.tolist(), strict=True)) for e, v in values.items()}
+
+
+def _in_set(made: ServoLog, model: RobotModel, found: Explanation) -> dict[str, Any]:
+    """Whether every notable effect is among what was found, or what cannot be told from it."""
+    position = made.log.position
+    velocity = np.gradient(position, made.log.time, axis=0)
+    motions = {
+        "coulomb_friction": np.sign(velocity),
+        "viscous_friction": velocity,
+        ARMATURE: np.gradient(velocity, made.log.time, axis=0),
+    }
+    torque = made.torques.std(axis=0)
+    named = {name for s in found.steps for name in (s.effect, *s.indistinguishable_from)}
+    missing = []
+    for effect, values in _truths(made, model).items():
+        share = motions[effect].std(axis=0) * np.array([*values.values()]) / torque
+        if effect == ARMATURE:
+            share[0] = 0.0  # at the first joint it is as if its link were heavier
+        if share.max() > _NOTABLE and effect not in named:
+            missing.append(effect)
+    return {"in_set": not missing, "missing": missing}
+
+
+def _motion(made: ServoLog, model: RobotModel, found: Explanation) -> dict[str, Any]:
+    """Departures from the motion under the commands: of what was found and of the true model.
+
+    They are shares of what each joint moves; those on the way are before and after every step.
+    """
+    servos, joints = made.servos, made.log.joints
+    true = [
+        *(CoulombFriction(joint) for joint in joints),
+        *(ViscousFriction(joint) for joint in joints),
+        *(RotorInertia(joint) for joint in joints),
+    ]
+    values = np.concatenate([servos.coulomb, servos.viscous, servos.armature])
+    damping = servos.damping if servos.knows_rate else np.zeros(len(joints))
+    if not servos.knows_rate:
+        values[len(joints) : 2 * len(joints)] += servos.damping
+    truth = replace(
+        model,
+        effects=tuple(
+            FittedEffect(effect, np.array([value]))
+            for effect, value in zip(true, values.tolist(), strict=True)
+        ),
+        effort_signals=tuple(
+            EffortSignal(
+                joint, "command", kp, damping=kd, delay=servos.delay, integral=ki, limit=limit
+            )
+            for joint, kp, kd, ki, limit in zip(
+                joints,
+                servos.stiffness.tolist(),
+                damping.tolist(),
+                servos.integral.tolist(),
+                servos.limit.tolist(),
+                strict=True,
+            )
+        ),
+    )
+    between = [step.model for step in found.steps if step.model is not None]
+    began = time.process_time()
+    motions = commanded_motions(model, found.model, [made.log], between=between)
+    seconds = time.process_time() - began
+    if motions is None:
+        raise RuntimeError("A log of commands has servos.")
+    best = roll_out(truth, [made.log], most=_WINDOWS, commands=True)
+    on_the_way = [[joint.relative for joint in motion.joints] for motion in motions]
+    return {
+        "seconds of motions": seconds,
+        "motion": on_the_way[-1],
+        "motion on the way": on_the_way,
+        "motion of the true model": [joint.relative for joint in best.joints],
+    }
+
+
+def _gains(made: ServoLog, model: RobotModel) -> list[dict[str, Any]]:
+    """Stiffness, damping, and the integral where there or found one, beside the truth."""
+    rows = []
+    for signal in model.effort_signals:
+        at = made.log.joints.index(signal.joint)
+        stiffness = float(made.servos.stiffness[at])
+        rows.append(_row("kp", signal.joint, signal.gain, signal.deviation, stiffness))
+        if made.servos.knows_rate:
+            damping = float(made.servos.damping[at])
+            spread = float(np.hypot(signal.damping_deviation, signal.uncertainty * signal.damping))
+            rows.append(_row("kd", signal.joint, signal.damping, spread, damping))
+        integral = float(made.servos.integral[at])
+        if integral or signal.integral:
+            rough = signal.uncertainty * signal.integral
+            spread = float(np.hypot(signal.integral_deviation, rough))
+            rows.append(_row("ki", signal.joint, signal.integral, spread, integral))
+    return rows
+
+
+def _effects(made: ServoLog, model: RobotModel, found: Explanation) -> list[dict[str, Any]]:
+    """Values of effects, beside the truth."""
+    rows = []
+    truths = _truths(made, model)
+    for step in found.steps:
+        if step.effect not in truths:
+            continue
+        name = HIDDEN[step.effect]
+        for joint, values in step.parameters.items():
+            key = name if name in values else next(iter(values))
+            spread = np.hypot(
+                step.deviations.get(joint, {}).get(key, np.nan),
+                step.systematic.get(joint, {}).get(key, 0.0),
+            )
+            truth = truths[step.effect][joint]
+            rows.append(_row(step.effect, joint, values[key], float(spread), truth))
+    return rows
+
+
+def _row(what: str, joint: str, value: float, spread: float, truth: float) -> dict[str, Any]:
+    return {
+        "what": what,
+        "joint": joint,
+        "value": value,
+        "deviation": spread,
+        "truth": truth,
+        "inside": bool(abs(value - truth) <= _SIDES * spread),
+        "ratio": value / truth if truth else None,
+    }
+
+
+TITLES: Mapping[str, str] = {
+    "kp": "stiffness",
+    "kd": "damping",
+    "ki": "integral gain",
+    "coulomb_friction": "dry friction",
+    "viscous_friction": "viscous friction",
+    "rotor_inertia": "armature",
+}
+_RANGE = (0.5, 2.0)
+
+
+def ratios_figure(rows: Sequence[Mapping[str, Any]]) -> Figure:
+    """Draw every value over the truth with its interval, a panel for each quantity."""
+    values = [value for row in rows for value in row["values"] if value["ratio"]]
+    kinds = [kind for kind in TITLES if any(value["what"] == kind for value in values)]
+    figure = Figure(figsize=(1.0 + 1.9 * len(kinds), 3.2), layout="constrained")
+    for axes, kind in zip(figure.subplots(1, len(kinds), squeeze=False)[0], kinds, strict=True):
+        same = sorted((v for v in values if v["what"] == kind), key=lambda v: v["ratio"])
+        ratios = np.array([value["ratio"] for value in same])
+        spread = 2.0 * np.array([v["deviation"] / abs(v["truth"]) for v in same])
+        places = np.arange(len(same))
+        axes.vlines(places, ratios - spread, ratios + spread, color=style.BEFORE, linewidth=0.8)
+        axes.plot(places, ratios, "o", markersize=2.5, color=style.AFTER)
+        axes.axhline(1.0, color="0.3", linewidth=0.8)
+        axes.set(title=TITLES[kind], ylim=_RANGE, xticks=[])
+        axes.set_xlabel(f"{len(same)} joints")
+    figure.supylabel("found / true, ± 2 standard deviations")
+    return figure
 
 
 def summary(rows: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
@@ -86,7 +595,7 @@ def main() -> None:
     if options.quick:
         first = ServoDraw("double_pendulum", "mujoco", False, 0, options.seed, duration=6.0)
         draws = [replace(first, **kinds)]
-    rows = run_draws(parser, options, run_draw, draws)
+    rows = run_draws(parser, options, score_servo, draws)
     table = summary(rows)
     columns = {"figure": "", "value": ".3g", "inside": ".0%", "off by, median": ".1%", "of": ""}
     lines = [
@@ -101,9 +610,7 @@ def main() -> None:
         for name, value in table.items()
     ]
     show("Servos of unknown gains", columns, lines)
-    if options.figures is not None:
-        save_ratios(rows, options.figures)
-    write(options, {"summary": table, "rows": rows})
+    write(options, {"summary": table, "rows": rows}, servo_gains=lambda: ratios_figure(rows))
 
 
 if __name__ == "__main__":

@@ -16,27 +16,411 @@ so that an interrupted run goes on.
 
 from __future__ import annotations
 
-import os
-from collections.abc import Sequence
-from dataclasses import asdict, dataclass
-from functools import partial
-from pathlib import Path
+import argparse
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import asdict, dataclass, replace
+from functools import cache, partial
 from typing import Any
 
 import numpy as np
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
-from rich.console import Console
-from rich.table import Table
+from numpy.typing import NDArray
+from pydrake.multibody.parsing import Parser
+from pydrake.multibody.plant import MultibodyPlant
 
-from diagrams.benchmarks.rivals.cases import CASES, WORDS
-from diagrams.benchmarks.rivals.trial import Draw, run
-from diagrams.harness import cache_beside, results_of, script_parser, write
+from diagrams.harness import MODELS, run_draws, script_parser, show, write
+from geodrake.diagnosis import Diagnosis, diagnose
+from geodrake.effects import effect_class
+from geodrake.excitation import (
+    DesignOptions,
+    ExcitationTrajectory,
+    FourierMotion,
+    MotionLimits,
+    Separation,
+    design_excitation,
+    make_rival,
+    make_separation,
+    motion_limits,
+)
+from geodrake.excitation.problem import make_problem
+from geodrake.excitation.starts import possible_postures, random_guess
+from geodrake.identification.logs.unknowns import pullback_information
+from geodrake.logs import JointLog, Motion
+from geodrake.model import RobotModel, load_model
 from geodrake.report import style
 from geodrake.report.words import effect_label
+from geodrake.robot import inverse_dynamics
 
-VERSION = 1
-"""Of what a draw is; one more when kept draws of older versions must not be used."""
+Array = NDArray[np.float64]
+Reference = Callable[[Array], tuple[Array, Array, Array]]
+
+STEP = 1e-3  # s
+EVERY = 5  # steps from one sample to the next
+BANDWIDTH = 120.0  # of the drives, rad/s
+DAMPING = 0.7
+LEAST_INERTIA = 0.1  # kg·m² that drives are tuned for at least
+BREAKAWAY = 5e-3  # rad/s
+ENCODER = 1e-5  # rad
+
+
+@dataclass(frozen=True)
+class Hidden:
+    """What the robot has and the model file lacks; (n,) by joint, SI units.
+
+    Attributes:
+        coulomb: Dry friction.
+        load_factor: Share of the gear's load that dry friction takes.
+        viscous: Viscous friction, forwards and backwards alike.
+        one_way: Further viscous friction forwards.
+        quadratic: Friction that grows with the square of the speed.
+        offset: Constant effort.
+        stiffness: Of springs at rest at q = 0.
+        tilt: (2,) angles by which the base is turned about x and y, rad.
+    """
+
+    coulomb: Array
+    load_factor: Array
+    viscous: Array
+    one_way: Array
+    quadratic: Array
+    offset: Array
+    stiffness: Array
+    tilt: Array
+
+    @classmethod
+    def of(cls, joints: int, **effects: dict[int, float] | tuple[float, float]) -> Hidden:
+        """Some effects by joint number; the others are zero."""
+        values = {name: np.zeros(joints) for name in cls.__annotations__} | {"tilt": np.zeros(2)}
+        for name, given in effects.items():
+            pairs = given.items() if isinstance(given, dict) else enumerate(given)
+            for at, value in pairs:
+                values[name][at] = value
+        return cls(**values)
+
+    def effort(self, q: Array, v: Array, load: Array) -> tuple[Array, Array]:
+        """(n,) effort needed, and its slope in v."""
+        root = np.sqrt(v * v + BREAKAWAY**2)
+        height = self.coulomb + self.load_factor * np.abs(load)
+        wet = self.viscous + self.one_way * (v > 0)
+        needed = height * v / root + wet * v + self.quadratic * np.abs(v) * v
+        slope = height * BREAKAWAY**2 / root**3 + wet + 2.0 * self.quadratic * np.abs(v)
+        return needed + self.offset + self.stiffness * q, slope
+
+
+def tilted(plant: MultibodyPlant, tilt: Array) -> None:
+    """Turns the gravity of a plant as a base turned by small angles about x and y sees it."""
+    field = plant.mutable_gravity_field()
+    turn = np.array([tilt[0], tilt[1], 0.0])
+    field.set_gravity_vector(field.gravity_vector() + np.cross(field.gravity_vector(), turn))
+
+
+def simulate(
+    plant: MultibodyPlant, model: RobotModel, hidden: Hidden, motion: Reference, duration: float
+) -> tuple[Array, Array, Array]:
+    """Positions, velocities and applied efforts (steps, n) of the robot on a motion.
+
+    Args:
+        plant: The robot itself, finalized, its positions in the order of its joints.
+        motion: Position, velocity and acceleration (N, n) at instants (N,).
+    """
+    steps = round(duration / STEP)
+    q_ref, v_ref, a_ref = motion(STEP * np.arange(steps + 1))
+    forward = inverse_dynamics(model.tree, q_ref, v_ref, a_ref, model.total_phi)
+    context = plant.CreateDefaultContext()
+    plant.SetPositions(context, q_ref[0])
+    inertia = LEAST_INERTIA + np.diag(plant.CalcMassMatrix(context))
+    stiffness, damping = BANDWIDTH**2 * inertia, 2.0 * DAMPING * BANDWIDTH * inertia
+    implicit = damping + STEP * stiffness
+    q, v, load = q_ref[0].copy(), v_ref[0].copy(), np.zeros(len(inertia))
+    rows = np.empty((3, steps, len(inertia)))
+    for k in range(steps):
+        middle = q + 0.5 * STEP * v
+        plant.SetPositions(context, middle)
+        plant.SetVelocities(context, v)
+        u = forward[k] + stiffness * (q_ref[k + 1] - q - STEP * v) + damping * (v_ref[k + 1] - v)
+        f, slope = hidden.effort(middle, v, load)
+        rest = plant.CalcBiasTerm(context) - plant.CalcGravityGeneralizedForces(context)
+        mass = plant.CalcMassMatrix(context)
+        a = np.linalg.solve(mass + np.diag(STEP * (slope + implicit)), u - f - rest)
+        u -= STEP * implicit * a
+        load = mass @ a + rest
+        rows[:, k] = q, v, u
+        q, v = q + STEP * (v + 0.5 * STEP * a), v + STEP * a
+    return rows[0], rows[1], rows[2]
+
+
+def record(
+    name: str, model: RobotModel, rows: tuple[Array, Array, Array], noise: Array, seed: int
+) -> JointLog:
+    """What sensors make of a simulation: white noise (n,) on efforts, an encoder's on positions."""
+    q, v, u = rows
+    rng = np.random.default_rng(seed)
+    at = np.arange(1, len(q), EVERY)
+    effort = 0.5 * (u[at] + u[at - 1])  # an effort is held over a step
+    return JointLog(
+        name,
+        model.joints,
+        STEP * at,
+        q[at] + ENCODER * rng.normal(size=effort.shape),
+        effort + noise * rng.normal(size=effort.shape),
+        v[at] + 20.0 * ENCODER * rng.normal(size=effort.shape),
+    )
+
+
+JOINTS = ("shoulder", "elbow")
+CENTER = np.array([0.3, 1.27])  # the lower link is level: there gravity's direction moves one joint
+
+
+@dataclass(frozen=True)
+class Case:
+    """A robot and what it is taken for."""
+
+    truth: str
+    rival: str
+    joint: str
+    hidden: str
+    size: float
+    motion: str
+    parameters: tuple[float, ...] = (1.0,)
+
+    def drawn_size(self, rng: np.random.Generator) -> float:
+        """Up to a fifth more or less than usual."""
+        return self.size * rng.uniform(0.8, 1.2)
+
+    def robot(self, size: float) -> Hidden:
+        """A robot with the effect."""
+        if self.hidden == "tilt":
+            return Hidden.of(len(JOINTS), tilt=(0.0, size))
+        return Hidden.of(len(JOINTS), **{self.hidden: {JOINTS.index(self.joint): size}})
+
+    def first_motion(self, rng: np.random.Generator) -> Reference:
+        """The first motion, a little different each time."""
+        return MOTIONS[self.motion](rng)
+
+
+def sway(rng: np.random.Generator) -> Reference:
+    """A slow sway of a degree or two."""
+    center = CENTER + rng.uniform(-0.01, 0.01, 2)
+    rates = 2.0 * np.pi * np.array([0.11, 0.24])[:, None] * rng.uniform(0.9, 1.1, (2, 2))
+    sizes, phases = 0.02 * rng.uniform(0.5, 1.0, (2, 2)), rng.uniform(0.0, 2.0 * np.pi, (2, 2))
+
+    def motion(t: Array) -> tuple[Array, Array, Array]:
+        angle = rates * t[:, None, None] + phases
+        q, v = sizes * np.sin(angle), sizes * rates * np.cos(angle)
+        return center + q.sum(1), v.sum(1), -(rates**2 * q).sum(1)
+
+    return motion
+
+
+def shuttle(rng: np.random.Generator, reach: float = 0.08) -> Reference:
+    """Back and forth at one speed through a few degrees: a triangle wave with rounded corners."""
+    rates = 2.0 * np.pi * np.array([0.13, 0.19]) * rng.uniform(0.9, 1.1, 2)
+    phases, order = rng.uniform(0.0, 2.0 * np.pi, 2), np.arange(1, 24, 2)[:, None]
+    triangle = 8.0 / np.pi**2 * (-1.0) ** ((order - 1) // 2) / order**2
+    weights = reach * triangle * np.sinc(order / 25.0)
+    center = CENTER + rng.uniform(-0.05, 0.05, 2)
+
+    def motion(t: Array) -> tuple[Array, Array, Array]:
+        k, angle = order * rates, order * (rates * t[:, None, None] + phases)
+        q, v = weights * np.sin(angle), weights * k * np.cos(angle)
+        return center + q.sum(1), v.sum(1), -(k**2 * weights * np.sin(angle)).sum(1)
+
+    return motion
+
+
+def long_shuttle(rng: np.random.Generator) -> Reference:
+    """The same through a larger range, and faster."""
+    return shuttle(rng, 0.4)
+
+
+def sweep(rng: np.random.Generator) -> Reference:
+    """In one direction at one slow speed."""
+    start = np.array([-0.3, 0.6]) + rng.uniform(-0.05, 0.05, 2)
+    speed = 0.08 * rng.uniform(0.9, 1.1, 2)
+
+    def motion(t: Array) -> tuple[Array, Array, Array]:
+        v = np.broadcast_to(speed, (len(t), 2))
+        return start + t[:, None] * speed, v, np.zeros((len(t), 2))
+
+    return motion
+
+
+MOTIONS = {"sway": sway, "shuttle": shuttle, "long shuttle": long_shuttle, "sweep": sweep}
+WORDS: Mapping[str, str] = {
+    "sway": "a sway of a degree or two",
+    "shuttle": "back and forth, 5° at one speed",
+    "long shuttle": "back and forth, 25° at one speed",
+    "sweep": "one way at one speed",
+}
+
+DRY, LOAD = "coulomb_friction", "load_dependent_friction"
+VISCOUS, QUADRATIC = "viscous_friction", "nonlinear_viscous_friction"
+OFFSET, ASYMMETRIC = "effort_offset", "asymmetric_friction"
+SPRING, TILT = "joint_spring", "gravity_tilt"
+
+CASES = (
+    Case(DRY, LOAD, "elbow", "coulomb", 0.15, "shuttle"),
+    Case(LOAD, DRY, "elbow", "load_factor", 0.1, "shuttle"),
+    Case(VISCOUS, QUADRATIC, "elbow", "viscous", 0.25, "long shuttle"),
+    Case(QUADRATIC, VISCOUS, "elbow", "quadratic", 0.8, "long shuttle"),
+    Case(OFFSET, ASYMMETRIC, "elbow", "offset", 0.1, "sweep"),
+    Case(ASYMMETRIC, OFFSET, "elbow", "one_way", 1.2, "sweep", (0.0, 0.0, 1.0, 0.0)),
+    Case(SPRING, TILT, "shoulder", "stiffness", 0.2, "sway", (1.0, 0.0)),
+    Case(TILT, SPRING, "shoulder", "tilt", 0.03, "sway", (0.0, 1.0)),
+)
+
+
+ROBOT = MODELS / "double_pendulum.urdf"
+NOISE = 0.06  # N·m, white, at 200 Hz
+KNOWN = 0.01  # how well the inertias are known, as a geometric distance
+FIRST = 16.0  # s, length of the first log
+SECOND, PERIODS = 12.0, 3  # s, of the others; how often they repeat, so that each block tells
+SAMPLES = 240  # by which separations are counted
+SPEED, ACCELERATION, RANGE = 0.8, 4.0, 0.8  # rad/s, rad/s², rad about the first motion: allowed
+
+
+@dataclass(frozen=True)
+class Draw:
+    """A robot of the study."""
+
+    case: int
+    seed: int
+
+
+@cache
+def known_model() -> RobotModel:
+    """The model file, its inertias identified before to within 1 %."""
+    model = load_model(ROBOT)
+    information = pullback_information(model.phi, KNOWN)
+    noise = np.full(len(model.joints), NOISE)
+    return replace(model, information=information, effort_noise=noise)
+
+
+def real_robot(hidden: Hidden) -> MultibodyPlant:
+    """The robot itself: the model file on a base that may be tilted."""
+    plant = MultibodyPlant(0.0)
+    (arm,) = Parser(plant).AddModels(str(ROBOT))
+    root = plant.get_body(plant.GetBodyIndices(arm)[0])
+    plant.WeldFrames(plant.world_frame(), root.body_frame())
+    tilted(plant, hidden.tilt)
+    plant.Finalize()
+    return plant
+
+
+def allowed() -> MotionLimits:
+    """What the robot may do."""
+    joints = known_model().joints
+    return motion_limits(
+        known_model(),
+        position={j: (q - RANGE, q + RANGE) for j, q in zip(joints, CENTER, strict=True)},
+        velocity=dict.fromkeys(joints, SPEED),
+        acceleration=dict.fromkeys(joints, ACCELERATION),
+    )
+
+
+@cache
+def separation_of(case: Case) -> Separation:
+    """What telling a case's two effects apart amounts to, both of unknown size."""
+    model, limits = known_model(), allowed()
+    rivals = []
+    for name in (case.truth, case.rival):
+        where = [case.joint] if effect_class(name).places == "joint" else []
+        shape = {"exponent": 2.0} if name == QUADRATIC else None
+        rivals.append(make_rival(name, model, limits, where=where, shape=shape))
+    return make_separation(model, *rivals, sign_width=0.02 * limits.velocity)
+
+
+def run(draw: Draw, *, iterations: int) -> dict[str, Any]:
+    """What the first log leaves ambiguous, and, if that is the pair, what other motions show.
+
+    Args:
+        iterations: Most iterations of the solver in each of its two stages.
+    """
+    case, rng = CASES[draw.case], np.random.default_rng([draw.seed, draw.case])
+    size = case.drawn_size(rng)
+    hidden, motion = case.robot(size), case.first_motion(rng)
+    first = measured(draw, "first", hidden, motion, FIRST)
+    row: dict[str, Any] = {
+        "case": draw.case,
+        "seed": draw.seed,
+        "size": size,
+        "truth": case.truth,
+        "rival": case.rival,
+        "first": verdict(case, first),
+        "ambiguous": stands(first, case.truth) and stands(first, case.rival),
+        "first_deviations": deviations(case, size, motion, FIRST),
+    }
+    if row["ambiguous"]:
+        for name, trajectory in motions(case, draw.seed, iterations).items():
+            reference = states_of(trajectory)
+            found = measured(draw, name, hidden, reference, SECOND)
+            row[name] = verdict(case, found)
+            row[f"{name}_deviations"] = deviations(case, size, reference, SECOND)
+    return row
+
+
+def motions(case: Case, seed: int, iterations: int) -> dict[str, ExcitationTrajectory]:
+    """A random motion that uses the limits, and the one designed from it."""
+    separation, limits = separation_of(case), allowed()
+    family, options = (
+        FourierMotion(SECOND, 5, 2.0 * np.pi * PERIODS / SECOND),
+        DesignOptions(SAMPLES, iterations=iterations, quick=False),
+    )
+    problem = make_problem(separation, limits, family, options)
+    postures = possible_postures(known_model(), limits, None)
+    guess = random_guess(problem, postures, np.random.default_rng(seed))
+    result = design_excitation(separation, limits, trajectory=family, options=options, seeds=[seed])
+    return {"random": problem.trajectory(guess), "designed": result.trajectory}
+
+
+def states_of(trajectory: ExcitationTrajectory) -> Reference:
+    """Position, velocity and acceleration by joint."""
+
+    def motion(t: Array) -> tuple[Array, Array, Array]:
+        q, v, vd = trajectory.states(np.minimum(t, trajectory.family.length))
+        return q, v, vd
+
+    return motion
+
+
+def measured(
+    draw: Draw, name: str, hidden: Hidden, motion: Callable[..., Any], duration: float
+) -> Diagnosis:
+    """A diagnosis of the log of a motion."""
+    model = known_model()
+    rows = simulate(real_robot(hidden), model, hidden, motion, duration)
+    seed = 1000 * draw.seed + 10 * draw.case + len(name)
+    log = record(name, model, rows, np.full(len(model.joints), NOISE), seed)
+    return diagnose(model, [log])
+
+
+def deviations(case: Case, size: float, motion: Reference, duration: float) -> float:
+    """By how many deviations of the noise the robot differs from the best that its rival can do."""
+    q, v, vd = motion(np.linspace(0.0, duration, SAMPLES))
+    separation = separation_of(case)
+    pair = next(p for p in separation.pairs if p.truth == case.truth)
+    acting = np.flatnonzero(pair.effects.any(axis=0))
+    effects = np.zeros((1, pair.effects.shape[1]))
+    effects[0, acting] = size * np.array(case.parameters)
+    own = replace(separation, pairs=(replace(pair, effects=effects),))
+    return float(np.sqrt(own.separations(Motion(q, v, vd))[0]))
+
+
+def stands(diagnosis: Diagnosis, name: str) -> bool:
+    """Whether an effect is among those that a log cannot distinguish from the best."""
+    return any(c.tied and name in c.effect.split(" + ") for c in diagnosis.candidates)
+
+
+def verdict(case: Case, diagnosis: Diagnosis) -> dict[str, Any]:
+    """What a diagnosis says of a case."""
+    return {
+        "told": stands(diagnosis, case.truth) and not stands(diagnosis, case.rival),
+        "wrong": stands(diagnosis, case.rival) and not stands(diagnosis, case.truth),
+        "tied": [c.effect for c in diagnosis.candidates if c.tied],
+    }
+
+
 LOGS = {"first": style.MEASURED, "random": style.BEFORE, "designed": style.AFTER}
 LEAST_SHOWN = 0.01  # deviations
 
@@ -46,11 +430,9 @@ class Plan:
     """What a run is made of.
 
     Attributes:
-        cases: Numbers of the cases.
         wanted: Robots of each case whose first log is ambiguous.
         most: Robots of each case that are tried at most.
         iterations: Most iterations of the solver, in each of its two stages.
-        seed: Of the first robot.
     """
 
     cases: tuple[int, ...] = tuple(range(len(CASES)))
@@ -60,10 +442,11 @@ class Plan:
     seed: int = 0
 
 
-def draws_of(plan: Plan, *, cache: Path | None, workers: int) -> list[dict[str, Any]]:
+def draws_of(
+    plan: Plan, parser: argparse.ArgumentParser, options: argparse.Namespace
+) -> list[dict[str, Any]]:
     """Robots of every case, until enough first logs are ambiguous."""
-    task, key = partial(run, iterations=plan.iterations), {"version": VERSION}
-    key |= {"iterations": plan.iterations}
+    task = partial(run, iterations=plan.iterations)
     rows: list[dict[str, Any]] = []
     tried = dict.fromkeys(plan.cases, 0)
     while True:
@@ -75,7 +458,7 @@ def draws_of(plan: Plan, *, cache: Path | None, workers: int) -> list[dict[str, 
             tried[case] += max(more, 0)
         if not draws:
             return rows
-        rows += results_of(task, draws, key=key, cache=cache, workers=workers)
+        rows += run_draws(parser, options, task, draws, iterations=plan.iterations)
 
 
 def summary(case: int, rows: Sequence[dict[str, Any]]) -> dict[str, Any]:
@@ -99,18 +482,26 @@ def summary(case: int, rows: Sequence[dict[str, Any]]) -> dict[str, Any]:
     return result
 
 
-def show(rows: Sequence[dict[str, Any]], console: Console) -> None:
+def tell(rows: Sequence[dict[str, Any]]) -> None:
     """Print the table."""
-    table = Table("robot has", "taken for", "first motion", "robots", "ambiguous")
-    for column in ("distinguished by random", "by designed", "σ first", "σ random", "σ designed"):
-        table.add_column(column, justify="right")
-    for row in rows:
-        logs = [row[log] for log in LOGS]
-        counts = (f"{log['told']} of {row['ambiguous']}" for log in logs[1:])
-        deviations = ("-" if x["deviations"] is None else f"{x['deviations']:.2g}" for x in logs)
-        names = effect_label(row["truth"]), effect_label(row["rival"]), row["first_motion"]
-        table.add_row(*names, str(row["robots"]), str(row["ambiguous"]), *counts, *deviations)
-    console.print(table)
+    lines = [
+        {
+            "robot has": effect_label(row["truth"]),
+            "taken for": effect_label(row["rival"]),
+            **row,
+            **{f"{log}, σ": row[log]["deviations"] for log in LOGS},
+            **{f"told by {log}": row[log]["told"] for log in LOGS},
+        }
+        for row in rows
+    ]
+    columns = dict.fromkeys(("robot has", "taken for", "first_motion", "robots", "ambiguous"), "")
+    columns |= {"told by random": "", "told by designed": ""}
+    columns |= dict.fromkeys((f"{log}, σ" for log in LOGS), ".2g")
+    show("Effects told apart, and by how many deviations they differ", columns, lines, 150)
+    for log in ("random", "designed"):
+        count = sum(row[log]["told"] for row in rows)
+        total = sum(row["ambiguous"] for row in rows)
+        print(f"The {log} motions distinguish {count} of {total} ambiguous pairs.")
 
 
 def draw(table: dict[str, Any]) -> Figure:
@@ -157,32 +548,18 @@ def draw(table: dict[str, Any]) -> Figure:
     return figure
 
 
-def table_of(plan: Plan, *, cache: Path | None, workers: int) -> dict[str, Any]:
-    """The whole study."""
-    draws = draws_of(plan, cache=cache, workers=workers)
-    rows = [summary(case, draws) for case in plan.cases]
-    return {"plan": asdict(plan), "rows": rows, "draws": draws}
-
-
 def main() -> None:
     """Run the study from the command line."""
-    parser = script_parser(__doc__)
+    parser = script_parser(__doc__, draws=True)
     parser.add_argument("--wanted", type=int, help="ambiguous robots of each case (10)")
-    parser.add_argument("--workers", type=int, help="number of processes")
     options = parser.parse_args()
     plan = Plan(seed=options.seed, wanted=options.wanted or 10)
     if options.quick:
         plan = Plan((0,), options.wanted or 1, 3, 5, options.seed)
-    workers = options.workers or (1 if options.quick else min(2, os.cpu_count() or 1))
-    if options.json:
-        options.json.parent.mkdir(parents=True, exist_ok=True)
-    table = table_of(plan, cache=cache_beside(options.json), workers=workers)
-    console = Console(width=150)
-    show(table["rows"], console)
-    for log in ("random", "designed"):
-        count = sum(row[log]["told"] for row in table["rows"])
-        total = sum(row["ambiguous"] for row in table["rows"])
-        console.print(f"The {log} motions distinguish {count} of {total} ambiguous pairs.")
+    draws = draws_of(plan, parser, options)
+    rows = [summary(case, draws) for case in plan.cases]
+    tell(rows)
+    table = {"plan": asdict(plan), "rows": rows, "draws": draws}
     write(options, table, tell_apart=lambda: draw(table))
 
 

@@ -53,9 +53,7 @@ class Example:
     """An effect of usual size.
 
     Attributes:
-        effect: The effect at its place.
         values: Its parameters, SI.
-        joint: The joint that is shown.
     """
 
     effect: Effect

@@ -62,7 +62,6 @@ class HiddenEffect:
     """An effect of the simulated robot.
 
     Attributes:
-        name: Its name, as in `geodrake.effects`.
         where: Joints or body it acts at; nothing for a delay of all efforts.
         size: Its linear parameters in SI units; the delay in s for `effort_delay`; mass and centre
             (m, x, y, z) for a `payload`, which is then a ball.
@@ -88,12 +87,7 @@ class Scenario:
     """What is simulated and logged.
 
     Attributes:
-        robot: Name of a model file in `models/`.
-        hidden: What the robot has and the model lacks.
-        duration: Length of the log, s.
-        rate: Samples a second, 1/s.
         effort_noise: Deviation of the efforts' white noise, as a share of their own.
-        seed: Of motion and noise.
     """
 
     robot: str = "arm6"

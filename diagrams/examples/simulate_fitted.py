@@ -10,9 +10,10 @@ feedback where it has other ones, or friction; its efforts are compared with the
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from importlib.resources import files
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from matplotlib.figure import Figure
@@ -22,10 +23,8 @@ from pydrake.systems.controllers import InverseDynamicsController
 from pydrake.systems.framework import DiagramBuilder
 from pydrake.systems.primitives import LogVectorOutput, TrajectorySource
 from pydrake.trajectories import PiecewisePolynomial
-from rich.console import Console
-from rich.table import Table
 
-from diagrams.harness import script_parser, write
+from diagrams.harness import script_parser, show, write
 from geodrake import load_model
 from geodrake.diagnosis import explain
 from geodrake.effects import Role
@@ -42,23 +41,6 @@ COLORS = {FILE: style.BEFORE, BODIES: style.TIED, FITTED: style.AFTER}
 KNOT = 0.04  # s between those of the motion that is followed
 BANDWIDTH = 60.0  # of the controller, rad/s
 SETTLED = 0.2  # s from the start on that are not compared
-
-
-@dataclass(frozen=True)
-class EffortError:
-    """How far the efforts of a simulated robot are from the logged ones.
-
-    Attributes:
-        robot: Which one.
-        joint: Name of the joint.
-        rms: RMS of simulated − logged effort, N·m.
-        logged: Standard deviation of the logged effort, N·m.
-    """
-
-    robot: str
-    joint: str
-    rms: float
-    logged: float
 
 
 def robots(log: JointLog) -> dict[str, RobotModel]:
@@ -96,15 +78,19 @@ def simulate(models: dict[str, RobotModel], log: JointLog, seconds: float) -> di
     return {name: sink.FindLog(root).data().T for name, sink in logs.items()}
 
 
-def errors(log: JointLog, efforts: dict[str, Array]) -> list[EffortError]:
-    """By robot and joint, once the controllers have settled."""
+def errors(log: JointLog, efforts: dict[str, Array]) -> list[dict[str, Any]]:
+    """Return RMS differences of simulated and logged efforts, once the controllers have settled."""
     found = []
     for name, simulated in efforts.items():
         first = int(np.searchsorted(log.time - log.time[0], SETTLED))
         logged = log.effort[first : len(simulated)]
         rms = np.sqrt(np.square(simulated[first:] - logged).mean(0))
-        rows = zip(log.joints, rms.tolist(), logged.std(0).tolist(), strict=True)
-        found += [EffortError(name, *row) for row in rows]
+        found += [
+            {"robot": name, "joint": joint, "rms": error, "logged": own}
+            for joint, error, own in zip(
+                log.joints, rms.tolist(), logged.std(0).tolist(), strict=True
+            )
+        ]
     return found
 
 
@@ -125,18 +111,6 @@ def effort_figure(log: JointLog, efforts: dict[str, Array]) -> Figure:
     return figure
 
 
-def show(found: list[EffortError]) -> None:
-    """Prints the errors, a row a joint."""
-    table = Table(title="RMS of simulated − logged effort, N·m")
-    for column in ("joint", *COLORS, "logged"):
-        table.add_column(column, justify="left" if column == "joint" else "right")
-    for joint in dict.fromkeys(row.joint for row in found):
-        rows = [row for row in found if row.joint == joint]
-        values = [*(row.rms for row in rows), rows[0].logged]
-        table.add_row(joint, *(f"{value:.3f}" for value in values))
-    Console(width=100).print(table)
-
-
 def main() -> None:
     """Explains, simulates, prints, and writes what was asked for."""
     options = script_parser(__doc__, "4 s of the log, and 0.5 s of motion").parse_args()
@@ -146,7 +120,12 @@ def main() -> None:
         log = replace(log, **{name: getattr(log, name)[:800] for name in arrays})
     efforts = simulate(robots(log), log, 0.5 if options.quick else 8.0)
     found = errors(log, efforts)
-    show(found)
+    lines = [
+        one | {other["robot"]: other["rms"] for other in found if other["joint"] == one["joint"]}
+        for one in found[: len(log.joints)]
+    ]
+    columns = {"joint": "", **dict.fromkeys(COLORS, ".3f"), "logged": ".3f"}
+    show("RMS of simulated − logged effort, N·m", columns, lines)
     write(options, found, simulate_fitted=lambda: effort_figure(log, efforts))
 
 

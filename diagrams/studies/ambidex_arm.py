@@ -16,37 +16,391 @@ those of the others do not. Whether it is better than the prior depends on that 
 
 from __future__ import annotations
 
+import time
 from collections.abc import Sequence
-from dataclasses import asdict
+from contextlib import suppress
+from dataclasses import asdict, dataclass, replace
 from functools import partial
-from pathlib import Path
 from statistics import fmean, pstdev
 from typing import Any
 
-from rich.console import Console
-from rich.table import Table
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
 
-from diagrams.harness import results_of, script_parser, write
-from diagrams.studies.ambidex.arm import Arm
-from diagrams.studies.ambidex.draws import NAMES, Plan, run_draw
-from diagrams.studies.ambidex.measurements import TRAINING, Measurements, measure
+from diagrams.harness import plain, run_draws, script_parser, show, titled, write
+from diagrams.studies.ambidex.arm import (
+    LINKS,
+    PERIOD,
+    TRAINING,
+    Arm,
+    Array,
+    Measurements,
+    factor_of,
+    measure,
+    perturbed,
+    point_masses,
+)
+from geodrake.errors import IdentificationError
+from geodrake.identification import (
+    IdentificationResult,
+    PointMassEuclidean,
+    PointMassKL,
+    Regularizer,
+    Riemannian,
+    identify,
+)
+from geodrake.inertia import PARAMETERS_PER_BODY, riemannian_distance
+from geodrake.inertia.ellipsoids import ellipsoid_of_quadric
+from geodrake.report import style
+from geodrake.report.ellipsoid_figure import ellipsoid_figure
+from geodrake.report.ellipsoids import EllipsoidSet
+from geodrake.robot import zero_moment_point
 
-VERSION = 1
-"""Of what a draw is; one more when kept draws of older versions must not be used."""
+NAMES = (
+    "euclidean",
+    "point_mass_euclidean",
+    "point_mass_kl",
+    "pullback",
+    "entropic",
+    "riemannian",
+)
+"""In the order of the figures."""
+
+
+@dataclass(frozen=True)
+class Plan:
+    """What is to be done.
+
+    Attributes:
+        gamma: γ of the entropic divergence, (N·m)²; the other regularizers get its residual.
+        delta: Share δ of its mass by which a prior is off, at most.
+        hull: Semi-axes of hulls over those of the equivalent uniform ellipsoids.
+    """
+
+    draws: int
+    counts: tuple[int, ...]
+    gamma: float
+    delta: float
+    hull: float
+    seed: int
+
+
+def run_draw(draw: int, *, plan: Plan, measured: Measurements) -> list[dict[str, object]]:
+    """All fits of one draw as rows of a table; a fit that fails is left out."""
+    rng, prior = prior_of(draw, plan, measured)
+    points = point_masses(prior, ellipsoid_of_quadric(measured.hulls), rng)
+    kinds: dict[str, Regularizer | str] = {
+        "euclidean": "euclidean",
+        "pullback": "pullback",
+        "riemannian": Riemannian(starts=("entropic",)),
+        "point_mass_euclidean": PointMassEuclidean(points),
+        "point_mass_kl": PointMassKL(points),
+    }
+    friction = full_friction(prior, plan, measured)
+    rows = [row_of(measured, prior, friction, (draw, 0, "prior"))]
+    for count in plan.counts:
+        data = training_data(draw, count, friction, plan, measured)
+        begin = time.process_time()
+        entropic = fit(data, prior, "entropic", measured, gamma=plan.gamma)
+        name = (draw, count, "entropic")
+        rows.append(row_of(measured, entropic, friction, name, time.process_time() - begin))
+        for kind, regularizer in kinds.items():
+            begin = time.process_time()
+            try:
+                found = compared(data, points.parameters(), regularizer, measured, entropic)
+            except IdentificationError:
+                continue
+            seconds = time.process_time() - begin
+            rows.append(row_of(measured, found, friction, (draw, count, kind), seconds))
+    return rows
+
+
+def prior_of(draw: int, plan: Plan, measured: Measurements) -> tuple[np.random.Generator, Array]:
+    """Random numbers of a draw, and its prior (17, 10)."""
+    rng = np.random.default_rng([plan.seed, 1 + draw])
+    return rng, perturbed(measured.truth, rng, plan.delta)
+
+
+def full_friction(prior: Array, plan: Plan, measured: Measurements) -> Array:
+    """Friction parameters (14,) identified from all training samples, as the source fixes them."""
+    A, b = measured.full[:, :-1], measured.full[:, -1]
+    return identify(
+        A,
+        b,
+        prior,
+        regularizer="entropic",
+        gamma=plan.gamma,
+        ellipsoids=measured.hulls,
+        extra_bounds=np.tile([0.0, np.inf], (A.shape[1] - prior.size, 1)),
+        solver="newton",
+    ).extra
+
+
+def training_data(
+    draw: int, count: int, friction: Array, plan: Plan, measured: Measurements
+) -> Array:
+    """Triangular factor of [bodies | torque without friction] of consecutive random samples."""
+    if count == len(measured.torque):
+        bodies, rest = np.split(measured.full, [measured.truth.size], axis=1)
+        return np.column_stack([bodies, rest[:, -1] - rest[:, :-1] @ friction])
+    rng = np.random.default_rng([plan.seed, 1 + draw, count])
+    start = int(rng.integers(0, len(measured.torque) - count + 1))
+    part = slice(start, start + count)
+    torque = measured.torque[part] - measured.friction[part] @ friction
+    return factor_of(measured.bodies[part], torque)
+
+
+def fit(
+    data: Array,
+    prior: Array,
+    regularizer: str | Regularizer,
+    measured: Measurements,
+    *,
+    gamma: float | None = None,
+    residual_bound: float | None = None,
+) -> IdentificationResult:
+    """A fit to a triangular factor, with all bodies inside their hulls."""
+    by_points = isinstance(regularizer, PointMassEuclidean | PointMassKL)
+    return identify(
+        data[:, :-1],
+        data[:, -1],
+        prior,
+        regularizer=regularizer,
+        gamma=gamma,
+        residual_bound=residual_bound,
+        ellipsoids=None if by_points else measured.hulls,
+        solver="newton" if gamma is not None else "clarabel",
+    )
+
+
+def compared(
+    data: Array,
+    prior: Array,
+    regularizer: str | Regularizer,
+    measured: Measurements,
+    entropic: IdentificationResult,
+) -> IdentificationResult:
+    """A fit to be compared with the entropic one ([Lee2019] §3.5.1).
+
+    At the same training residual; with the Riemannian distance, which is not convex, with the same
+    γ (Eq. (3.5.53)).
+    """
+    if isinstance(regularizer, Riemannian):
+        return fit(data, prior, regularizer, measured, gamma=entropic.gamma)
+    try:
+        return fit(data, prior, regularizer, measured, residual_bound=entropic.residual)
+    except IdentificationError:
+        # A solver that got stuck finds its way from a bound that is the same to five digits.
+        bound = entropic.residual * (1 + 5e-6)
+        return fit(data, prior, regularizer, measured, residual_bound=bound)
+
+
+def row_of(
+    measured: Measurements,
+    found: IdentificationResult | Array,
+    friction: Array,
+    name: tuple[int, int, str],
+    seconds: float = 0.0,
+) -> dict[str, object]:
+    """Return the table's row of a fit, or of a prior (17, 10); RMS errors in N·m.
+
+    "rigid" is the difference from the torques of the true bodies on the test motions, "distance"
+    that of all links from the true ones, "zmp" the mean distance of zero-moment points, m, "gamma"
+    what belongs to the solution, and "at_boundary" counts bodies.
+    """
+    fitted = isinstance(found, IdentificationResult)
+    phi = found.phi if fitted else found
+    draw, samples, regularizer = name
+    change = (phi - measured.truth).ravel()
+    rigid = np.linalg.norm(measured.test[:, : change.size] @ change) / np.sqrt(measured.test_rows)
+    links = LINKS // 10
+    truth = measured.truth[:links]
+    miss = zmp(measured, phi) - zmp(measured, measured.truth)
+    return {
+        "draw": draw,
+        "samples": samples,
+        "regularizer": regularizer,
+        "training": float(np.sqrt(found.residual / (7 * samples))) if fitted else None,
+        "test": measured.test_rms(phi, friction),
+        "rigid": float(rigid),
+        "distance": float(np.linalg.norm(riemannian_distance(phi[:links], truth))),
+        "zmp": float(np.linalg.norm(miss, axis=1).mean()),
+        "gamma": found.gamma if fitted else None,
+        "at_boundary": len(found.active_blocks) if fitted else 0,
+        "seconds": seconds,
+    }
+
+
+def zmp(measured: Measurements, phi: Array) -> Array:
+    """(T, 2) zero-moment points on the ground of every fifth test sample, m."""
+    return zero_moment_point(measured.wrenches(phi))
+
+
+COLORS = {
+    "euclidean": "#c8442f",
+    "point_mass_euclidean": "#e08a3c",
+    "point_mass_kl": "#b9a03a",
+    "pullback": "#3f9c6b",
+    "entropic": "#1b6ca8",
+    "riemannian": "#7b5aa6",
+}
+LABELS = {
+    "euclidean": "Euclidean",
+    "point_mass_euclidean": "Euclidean, point masses",
+    "point_mass_kl": "KL, point masses",
+    "pullback": "constant pullback",
+    "entropic": "entropic",
+    "riemannian": "Riemannian",
+}
+MILLI = 1e3
+SHOWN = 400  # samples of the ZMP, 4 s
+EXAMPLE = 30  # training samples of the fits that are drawn
+TRUTH, PRIOR = "true bodies", "prior"
+
+
+def figures_of(
+    summary: Sequence[dict[str, Any]], plan: Plan, made: tuple[Arm, Measurements]
+) -> dict[str, Figure]:
+    """Return all figures of a run."""
+    arm, measured = made
+    models = example(measured, plan)
+    return {
+        "ambidex_errors": error_figure(summary, plan),
+        "ambidex_zmp": zmp_figure(measured, models),
+        "ambidex_ellipsoids": link_figure(arm, models),
+    }
+
+
+def error_figure(summary: Sequence[dict[str, Any]], plan: Plan) -> Figure:
+    """Errors against the number of training samples, like figure 3.7 of the source."""
+    figure = style.new_figure(7.4)
+    panels = {
+        "training": "Motor torques, training samples: RMS error, mN·m",
+        "test": "Motor torques, test samples: RMS error, mN·m",
+        "rigid": "Torques of the true bodies on test motions: RMS error, mN·m",
+        "distance": "Geodesic distance of the links from the true ones",
+    }
+    axes = figure.subplots(2, 2).ravel()
+    for ax, (column, title) in zip(axes, panels.items(), strict=True):
+        titled(ax, title)
+        scale = 1.0 if column == "distance" else MILLI
+        _draw_errors(ax, summary, column, scale)
+        ax.set_xscale("log")
+        ax.set_xticks(plan.counts, [str(count) for count in plan.counts])
+        ax.minorticks_off()
+        ax.set_xlabel("training samples, at 100 Hz", **style.plain(style.SMALL, style.QUIET))
+    style.log_scale(axes[3], "y")
+    handles = [
+        Line2D([], [], color=COLORS[name], marker="o", markersize=4, label=LABELS[name])
+        for name in NAMES
+    ]
+    handles.append(Line2D([], [], color=style.QUIET, linestyle="--", label="prior"))
+    handles.append(Line2D([], [], color="black", linewidth=2, label="entropic, all samples"))
+    style.legend_above(figure, handles, columns=4)
+    style.note_below(
+        figure,
+        f"Means and standard deviations over {plan.draws} draws of prior and samples; all at the "
+        f"training residual of the entropic divergence with γ = {plan.gamma:g} (N·m)², the "
+        "Riemannian distance at its γ.",
+    )
+    return figure
+
+
+def _draw_errors(ax: Axes, summary: Sequence[dict[str, Any]], column: str, scale: float) -> None:
+    """One line a regularizer, side by side at each number of samples."""
+    for k, name in enumerate(NAMES):
+        lines = [line for line in summary if line["regularizer"] == name]
+        count = np.array([line["samples"] for line in lines]) * 1.06 ** (k - len(NAMES) / 2)
+        mean = scale * np.array([line[column] for line in lines])
+        deviation = scale * np.array([line[f"{column}_deviation"] for line in lines])
+        if column == "distance":  # whose axis is logarithmic
+            deviation = np.minimum(deviation, 0.9 * mean)
+        ax.errorbar(
+            count,
+            mean,
+            deviation,
+            color=COLORS[name],
+            marker="o",
+            markersize=3.5,
+            linewidth=1.2,
+            elinewidth=0.9,
+            capsize=2,
+        )
+    prior = next(line for line in summary if line["regularizer"] == "prior")
+    entropic = [line for line in summary if line["regularizer"] == "entropic"]
+    if column in prior:
+        ax.axhline(scale * prior[column], color=style.QUIET, linestyle="--", linewidth=1.4)
+        last = max(entropic, key=lambda line: line["samples"])
+        ax.axhline(scale * last[column], color="black", linewidth=1.8, zorder=0.5)
+
+
+def zmp_figure(measured: Measurements, models: Sequence[EllipsoidSet]) -> Figure:
+    """Zero-moment points on the ground, like figure 3.9 of the source."""
+    points = {one.name: 100.0 * zmp(measured, one.phi)[: SHOWN // 5] for one in models}
+    colors = {one.name: one.color for one in models}
+    time = 5 * PERIOD * np.arange(SHOWN // 5)
+    figure = style.new_figure(4.6)
+    grid = figure.add_gridspec(2, 2, width_ratios=(1.6, 1.0))
+    axes = [figure.add_subplot(grid[0, 0]), figure.add_subplot(grid[1, 0])]
+    plane = figure.add_subplot(grid[:, 1])
+    for name, at in points.items():
+        look = {
+            "color": colors[name],
+            "linewidth": 2.4 if name == TRUTH else 1.2,
+            "linestyle": "--" if name == PRIOR else "-",
+            "label": name,
+        }
+        for ax, values in zip(axes, at.T, strict=True):
+            ax.plot(time, values, **look)
+        plane.plot(at[:, 0], at[:, 1], **look)
+    for ax, name in zip(axes, "xy", strict=True):
+        style.polish(ax).set_ylabel(f"{name}, cm", **style.plain())
+    axes[1].set_xlabel("time, s", **style.plain())
+    style.polish(plane).set_xlabel("x, cm", **style.plain())
+    plane.set_ylabel("y, cm", **style.plain())
+    plane.set_aspect("equal", adjustable="datalim")
+    style.legend_above(figure, plane.get_legend_handles_labels()[0])
+    style.note_below(
+        figure,
+        "Zero-moment point of the arm alone on the ground, 1 m below its shoulder; test motions, "
+        "one draw, 30 training samples.",
+    )
+    return figure
+
+
+def link_figure(arm: Arm, models: Sequence[EllipsoidSet]) -> Figure:
+    """The links as ellipsoids, like figure 3.8 of the source."""
+    links = [replace(one, phi=one.phi[:10], at_boundary=one.at_boundary[:10]) for one in models]
+    context = arm.plant.CreateDefaultContext()
+    turns = np.array([[0.3, -0.5, 0.2, 1.2, 0.0, 0.4, 0.0]])
+    arm.plant.SetPositions(context, arm.transmission.joint_positions(arm.motors(turns))[0])
+    return ellipsoid_figure(arm.plant, links, context=context)
+
+
+def example(measured: Measurements, plan: Plan) -> list[EllipsoidSet]:
+    """Truth, prior, and fits to 30 samples of the first draw, as far as there are solutions."""
+    _, prior = prior_of(0, plan, measured)
+    friction = full_friction(prior, plan, measured)
+    data = training_data(0, EXAMPLE, friction, plan, measured)
+    entropic = fit(data, prior, "entropic", measured, gamma=plan.gamma)
+    fits = {"entropic": entropic}
+    with suppress(IdentificationError):
+        found = compared(data, prior, "euclidean", measured, entropic)
+        fits = {"euclidean": found, **fits}
+    models = [
+        EllipsoidSet.of(TRUTH, measured.truth, color=style.INK),
+        EllipsoidSet.of(PRIOR, prior, color=style.QUIET),
+    ]
+    for name, one in fits.items():
+        flat = [column // PARAMETERS_PER_BODY for column in one.active_blocks]
+        models.append(EllipsoidSet.of(LABELS[name], one.phi, color=COLORS[name], at_boundary=flat))
+    return models
+
+
 GAMMA = 0.03  # the source's, (N·m)²
 COUNTS = (10, 30, 100, 300, 1000, TRAINING)
-
-
-def run(plan: Plan, measured: Measurements, *, cache: Path | None, workers: int) -> list[Any]:
-    """Rows of all draws, from the cache as far as they are there."""
-    task = partial(run_draw, plan=plan, measured=measured)
-    found = results_of(task, range(plan.draws), key=key(plan), cache=cache, workers=workers)
-    return [row for rows in found for row in rows]
-
-
-def key(plan: Plan) -> dict[str, Any]:
-    """What a kept draw must have been made with."""
-    return {"version": VERSION, **asdict(plan), "counts": list(plan.counts), "draws": None}
 
 
 def summarize(rows: Sequence[Any], plan: Plan) -> list[dict[str, Any]]:
@@ -68,32 +422,20 @@ def summarize(rows: Sequence[Any], plan: Plan) -> list[dict[str, Any]]:
     return summary
 
 
-def show(summary: Sequence[dict[str, Any]], console: Console) -> None:
+def tell(summary: Sequence[dict[str, Any]]) -> None:
     """Print the summary."""
-    table = Table(
-        "samples", "regularizer", "draws", "training", "test", "of the bodies", "distance"
-    )
-    for name in ("ZMP cm", "worse than prior", "at boundary", "s"):
-        table.add_column(name)
+    lines = []
     for line in summary:
-        spread = [
-            f"{1e3 * line[c]:.2f} ± {1e3 * line[f'{c}_deviation']:.2f}" if c in line else ""
-            for c in ("training", "test", "rigid")
-        ]
-        table.add_row(
-            str(line["samples"]),
-            line["regularizer"],
-            str(line["draws"]),
-            *spread,
-            f"{line['distance']:.2f}",
-            f"{100 * line['zmp']:.2f}",
-            f"{100 * line['worse_than_prior']:.0f} %",
-            f"{line['at_boundary']:.1f}",
-            f"{line['seconds']:.2f}",
-            end_section=line["regularizer"] in ("prior", NAMES[-1]),
-        )
-    console.print("RMS errors of motor torques in mN·m, means and deviations over the draws")
-    console.print(table)
+        spread = {
+            name: f"{1e3 * line[name]:.2f} ± {1e3 * line[f'{name}_deviation']:.2f}"
+            for name in ("training", "test", "rigid")
+            if name in line
+        }
+        lines.append({**line, **spread, "zmp, cm": 100.0 * line["zmp"]})
+    columns = {"samples": "", "regularizer": "", "draws": "", "training": "", "test": ""}
+    columns |= {"rigid": "", "distance": ".2f", "zmp, cm": ".2f", "worse_than_prior": ".0%"}
+    columns |= {"at_boundary": ".1f", "seconds": ".2f"}
+    show("RMS errors of motor torques in mN·m, means and deviations", columns, lines, 160)
 
 
 def main() -> None:
@@ -117,21 +459,15 @@ def main() -> None:
         hull=options.hull,
         seed=options.seed,
     )
-    cache = options.cache or (options.json and options.json.with_suffix(".draws.jsonl"))
-    arm, console = Arm.load(), Console(width=160)
+    arm = Arm.load()
     measured = measure(arm, seed=plan.seed, hull=plan.hull)
-    try:
-        rows = run(plan, measured, cache=cache, workers=options.jobs)
-    except KeyboardInterrupt:
-        where = f"Finished draws are in {cache}; the same command goes on." if cache else ""
-        parser.exit(130, f"Interrupted. {where}\n")
+    task, key = partial(run_draw, plan=plan, measured=measured), {**asdict(plan), "draws": None}
+    found = run_draws(parser, options, task, range(draws), plan=plain(key))
+    rows = [row for own in found for row in own]
     summary = summarize(rows, plan)
-    show(summary, console)
-    write(options, {"plan": plan, "summary": summary, "rows": rows})
-    if options.figures:
-        from diagrams.studies.ambidex.figures import write_figures
-
-        write_figures(options.figures, summary, plan, (arm, measured))
+    tell(summary)
+    table = {"plan": plan, "summary": summary, "rows": rows}
+    write(options, table, ambidex=lambda: figures_of(summary, plan, (arm, measured)))
 
 
 if __name__ == "__main__":

@@ -5,7 +5,7 @@ them, as in `ambidex_arm.py`: bodies and friction of the motors are a little off
 uneven, which no parameter explains. Its gains are small, λ = 3 1/s, it acts at 1 kHz, and friction
 adapts twice as fast as inertia. Fourteen random point-to-point motions of 1.5 s (figures 5.8, 5.9).
 The plant has ten joints, coupled in pairs by constraints. Adaptation speeds γ⁻¹ are the source's,
-or with `--gains rule` chosen by one rule for all laws (`adaptive/gains.py`), with other motions and
+or with `--gains rule` chosen by one rule for all laws (`adaptive/laws.py`), with other motions and
 a sandbag at link 8; there is no V here to rule out any, as the truth is not among the parameters.
 
     python -m diagrams.studies.ambidex_sandbags --json sandbags.json --figures figures
@@ -13,32 +13,385 @@ a sandbag at link 8; there is no V here to rule out any, as the truth is not amo
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from functools import cache
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from functools import cache, partial
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
+from pydrake.multibody.parsing import Parser
+from pydrake.multibody.plant import DiscreteContactApproximation, MultibodyPlant
+from pydrake.systems.framework import BasicVector, Context, DiagramBuilder, LeafSystem
+from pydrake.systems.primitives import Adder, MatrixGain
+from pydrake.trajectories import PiecewisePolynomial, Trajectory
 
 from diagrams.harness import run_draws, script_parser, show, write
-from diagrams.studies.adaptive.coupled import BAGS, CoupledArm, Known
-from diagrams.studies.adaptive.gains import (
+from diagrams.studies.adaptive.figures import sandbag_figure
+from diagrams.studies.adaptive.laws import (
     CALIBRATION_SEED,
+    EUCLIDEAN,
     GRID,
+    LAWS,
+    NATURAL,
+    NONE,
+    PULLBACK,
     add_gains,
+    make_law,
     speeds,
-    summarize_grid,
+    tell_grid,
 )
-from diagrams.studies.adaptive.laws import EUCLIDEAN, LAWS, NATURAL, NONE, PULLBACK
-from diagrams.studies.adaptive.loop import LOG_PERIOD
-from diagrams.studies.adaptive.sandbag_loop import (
-    DURATION,
-    identified,
-    point_to_point,
-    simulate_coupled,
+from diagrams.studies.adaptive.loop import LOG_PERIOD, Record, resting, simulate_loop
+from diagrams.studies.ambidex.arm import (
+    COULOMB,
+    MODEL,
+    REACH,
+    REDUCTION,
+    ROTOR_INERTIA,
+    UNEVEN,
+    VISCOUS,
+    WAVES,
+    Arm,
+    Array,
+    measure,
 )
-from diagrams.studies.ambidex.arm import REDUCTION
-from geodrake.control import PassivityBasedAdaptiveController, VaryingGains
-from geodrake.inertia import is_physical
+from diagrams.studies.ambidex_arm import Plan, prior_of
+from geodrake.control import (
+    ControlModel,
+    EffectForce,
+    PartialLaw,
+    PassivityBasedAdaptiveController,
+    VaryingGains,
+    add_adaptive_loop,
+    parameter_manifold,
+)
+from geodrake.control.regressor import ControlSample
+from geodrake.control.systems import AdaptiveController
+from geodrake.effects import (
+    CoulombFriction,
+    CoupledFriction,
+    Effect,
+    FittedEffect,
+    RotorInertia,
+    ViscousFriction,
+)
+from geodrake.identification import identify
+from geodrake.inertia import from_mass_com_inertia, is_physical, to_spatial_inertia
+from geodrake.manifolds import Product
+from geodrake.model import RobotModel, load_description
+from geodrake.robot import RobotPorts
+
+FIRST = (0, 1, 2, 3, 5, 6, 8)
+"""The joint that stands for each turn."""
+PAIRS = ((3, 4), (6, 7), (8, 9))
+SHARES = np.array([1.0, 1.0, 1.0, 0.5, 1.0, 0.5, 0.5])
+BAGS = {"link 10": (9,), "links 3, 10": (2, 9), "links 3, 5, 10": (2, 4, 9)}
+"""Where the sandbags are ([Lee2019] figure 5.7), counted from zero."""
+BAG_AT = {
+    2: (0.05, 0.0, -0.12),
+    4: (0.045, 0.0, -0.06),
+    7: (0.04, 0.0, -0.01),
+    9: (0.04, 0.0, -0.06),
+}
+BAG_MASS, BAG_RADIUS = 0.5, 0.04  # kg, m
+FRICTION_WEIGHT = 0.5  # [Lee2019] §5.6: friction adapts twice as fast
+SIGN_WIDTH = 0.02  # rad/s
+PLANT_STEP = 5e-4  # s
+
+
+def joint_map() -> Array:
+    """J (10, 7)."""
+    J = np.zeros((10, 7))
+    J[FIRST, range(7)] = SHARES
+    for first, second in PAIRS:
+        J[second] = J[first]
+    return J
+
+
+@dataclass(frozen=True, eq=False)
+class CoupledSample:
+    """The regressor of the turns at one sample.
+
+    Attributes:
+        J: (10, 7) joints of turns.
+    """
+
+    joints: ControlSample
+    J: Array
+
+    @property
+    def regressor(self) -> Array:
+        """(7, p)."""
+        return self.J.T @ self.joints.regressor
+
+    def effort(self, parameters: Array) -> Array:
+        """(7,) N·m."""
+        return self.J.T @ self.joints.effort(parameters)
+
+    def covector(self, r: Array) -> Array:
+        """(p,) Yᵀ r."""
+        return self.joints.covector(self.J @ r)
+
+    def mass_matrix(self, parameters: Array) -> Array:
+        """(7, 7)."""
+        return self.J.T @ self.joints.mass_matrix(parameters) @ self.J
+
+
+@dataclass(frozen=True, eq=False)
+class CoupledControl:
+    """What a controller knows of the arm, in its seven turns; stands in for a ControlModel.
+
+    Attributes:
+        own: The arm of ten joints.
+        J: (10, 7) joints of turns.
+    """
+
+    own: ControlModel
+    J: Array
+
+    @property
+    def joints(self) -> tuple[str, ...]:
+        """Names of the turns."""
+        return tuple(self.own.joints[k] for k in FIRST)
+
+    @property
+    def prior(self) -> Array:
+        """(p,) parameters."""
+        return self.own.prior
+
+    @property
+    def single_joints(self) -> bool:
+        """True: a turn is one number."""
+        return self.own.single_joints
+
+    def at(self, q: Array, qd: Array, v: Array, a: Array) -> CoupledSample:
+        """The Slotine–Li regressor, as that of a ControlModel."""
+        return CoupledSample(self.own.at(*(self.J @ x for x in (q, qd, v, a))), self.J)
+
+
+@dataclass(frozen=True, eq=False)
+class Known:
+    """Parameters of the arm as they were identified, or as they are.
+
+    Attributes:
+        phi: (17, 10) of links and then rotors.
+        coulomb: (7,) of the motors, N·m.
+        viscous: (7,) of the motors, N·m·s/rad.
+    """
+
+    phi: Array
+    coulomb: Array
+    viscous: Array
+
+    @classmethod
+    def true(cls, phi: Array) -> Known:
+        """The arm as it is."""
+        return cls(phi, COULOMB, VISCOUS)
+
+    def friction(self, joints: Sequence[str]) -> list[FittedEffect]:
+        """Friction of the motors at the joints that they turn.
+
+        A motor that turns k times as fast as its joint, or as the sum or difference of the wrist's
+        two, has there k f_c and k² f_v.
+        """
+        ratio = REDUCTION / SHARES
+        found = []
+        for k in range(5):
+            joint = joints[FIRST[k]]
+            found.append(_fitted(CoulombFriction(joint), ratio[k] * self.coulomb[k]))
+            found.append(_fitted(ViscousFriction(joint), ratio[k] ** 2 * self.viscous[k]))
+        wrist = (joints[FIRST[5]], joints[FIRST[6]])
+        for k, sign in ((5, 1), (6, -1)):
+            both = ratio[k] * self.coulomb[k], ratio[k] ** 2 * self.viscous[k]
+            found.append(_fitted(CoupledFriction(wrist, sign), *both))
+        return found
+
+    def rotors(self) -> Array:
+        """(7,) rotor inertia that each turn's joint feels, kg·m².
+
+        The wrist's two motors turn both of its joints; what their difference couples is left out.
+        """
+        motor = self.phi[10:, 6]
+        felt = np.append(motor[:5], [motor[5:].sum()] * 2)
+        return felt * (REDUCTION / SHARES) ** 2
+
+
+def _fitted(effect: Effect, *parameters: float) -> FittedEffect:
+    return FittedEffect(effect, np.maximum(parameters, 1e-6))
+
+
+@dataclass(frozen=True, eq=False)
+class CoupledArm:
+    """The arm for one experiment.
+
+    Attributes:
+        control: What the controller knows; the rotors' inertias come last, and stay.
+    """
+
+    control: CoupledControl
+    manifold: Product
+
+    @classmethod
+    def of(cls, known: Known) -> CoupledArm:
+        """The arm with identified parameters."""
+        model = load_description(MODEL)
+        friction = known.friction(model.joints)
+        adapted: RobotModel = replace(model, phi=known.phi[:10], effects=tuple(friction))
+        rotors = [
+            _fitted(RotorInertia(model.joints[joint]), inertia)
+            for joint, inertia in zip(FIRST, known.rotors(), strict=True)
+        ]
+        whole = replace(adapted, effects=(*friction, *rotors))
+        control = ControlModel.of(whole, sign_width=SIGN_WIDTH)
+        manifold = parameter_manifold(adapted, effect_weight=FRICTION_WEIGHT)
+        return cls(CoupledControl(control, joint_map()), manifold)
+
+    def law(self, name: str, speed: float) -> PartialLaw | None:
+        """A law of links and friction, by its name and γ⁻¹."""
+        size = self.manifold.dimension
+        law = make_law(name, self.manifold, self.control.prior[:size], speed)
+        part: NDArray[np.bool_] = np.arange(len(self.control.prior)) < size
+        return None if law is None else PartialLaw(law, part)
+
+
+def make_coupled_plant(bags: Sequence[int]) -> MultibodyPlant:
+    """The true arm with sandbags at links, to be simulated: ten joints, coupled by constraints."""
+    plant = MultibodyPlant(PLANT_STEP)
+    plant.set_discrete_contact_approximation(DiscreteContactApproximation.kSap)
+    (instance,) = Parser(plant).AddModels(str(MODEL))
+    model = load_description(MODEL)
+    rotors = Known.true(np.vstack([model.phi, _true_rotors()])).rotors()
+    for joint in model.joints:
+        plant.AddJointActuator(joint, plant.GetJointByName(joint))
+        plant.get_mutable_joint(plant.GetJointByName(joint).index()).set_position_limits(
+            [-np.inf], [np.inf]
+        )
+    for joint, inertia in zip(FIRST, rotors, strict=True):
+        actuator = plant.GetJointActuatorByName(model.joints[joint])
+        actuator.set_default_rotor_inertia(inertia)
+        actuator.set_default_gear_ratio(1.0)
+    for first, second in PAIRS:
+        plant.AddCouplerConstraint(
+            *(plant.GetJointByName(model.joints[k]) for k in (first, second)), 1.0
+        )
+    for link in bags:
+        com = np.array(BAG_AT[link])
+        phi = from_mass_com_inertia(BAG_MASS, com, 0.4 * BAG_MASS * BAG_RADIUS**2 * np.eye(3))
+        body = plant.AddRigidBody(f"sandbag_{link}", instance, to_spatial_inertia(phi))
+        plant.WeldFrames(plant.GetFrameByName(model.bodies[link]), body.body_frame())
+    plant.Finalize()
+    return plant
+
+
+def _true_rotors() -> Array:
+    rotors = np.zeros((7, 10))
+    rotors[:, 6] = ROTOR_INERTIA
+    return rotors
+
+
+DURATION = 1.5  # s of a motion, [Lee2019] §5.6
+GAMMA, DELTA, HULL = 0.03, 0.4, 2.0  # of the identification, as in ambidex_arm.py
+
+
+def identified(seed: int) -> Known:
+    """The arm as identified from the motions of `ambidex_arm.py` with the entropic divergence."""
+    arm = Arm.load()
+    measured = measure(arm, seed=seed, hull=HULL)
+    plan = Plan(draws=1, counts=(), gamma=GAMMA, delta=DELTA, hull=HULL, seed=seed)
+    result = identify(
+        measured.full[:, :-1],
+        measured.full[:, -1],
+        prior_of(0, plan, measured)[1],
+        regularizer="entropic",
+        gamma=GAMMA,
+        ellipsoids=measured.hulls,
+        extra_bounds=np.tile([0.0, np.inf], (14, 1)),
+        solver="newton",
+    )
+    return Known(result.phi, result.extra[:7], result.extra[7:])
+
+
+def point_to_point(count: int, seed: int) -> PiecewisePolynomial:
+    """Turns (7) that go from one random place to the next with least jerk, starting at zero."""
+    rng = np.random.default_rng([seed, 56])
+    ends = np.vstack([np.zeros(7), rng.uniform(-REACH, REACH, (count, 7))])
+    s = np.linspace(0.0, 1.0, 31)
+    share = 10 * s**3 - 15 * s**4 + 6 * s**5
+    return resting(
+        ((s + k) * DURATION, (ends[k] + share[:, None] * (ends[k + 1] - ends[k])).T)
+        for k in range(count)
+    )
+
+
+class UnevenFriction(LeafSystem):
+    """Dry friction of motors that depends on their position, which no parameter explains.
+
+    .. pydrake_system::
+
+        name: UnevenFriction
+        input_ports:
+        - state
+        output_ports:
+        - generalized_force
+    """
+
+    def __init__(self, seed: int) -> None:
+        """Constructs the system."""
+        LeafSystem.__init__(self)
+        self._phase = np.random.default_rng([seed, 57]).uniform(0.0, 2.0 * np.pi, 7)
+        motors = np.eye(7)
+        motors[5:, 5:] = [[1.0, 1.0], [1.0, -1.0]]
+        self._motors = REDUCTION * motors @ np.linalg.pinv(joint_map())
+        self._state = self.DeclareVectorInputPort("state", BasicVector(20))
+        self.DeclareVectorOutputPort("generalized_force", BasicVector(10), self._calc)
+
+    def _calc(self, context: Context, output: BasicVector) -> None:
+        state = self._state.Eval(context)
+        q, v = self._motors @ state[:10], self._motors @ state[10:]
+        sign = np.tanh(v / (SIGN_WIDTH * REDUCTION))
+        share = np.sqrt(2.0) * UNEVEN * np.sin(WAVES * q / REDUCTION + self._phase)
+        output.SetFromVector(-self._motors.T @ (share * COULOMB * sign))
+
+
+def simulate_coupled(
+    controller: AdaptiveController,
+    bags: Sequence[int],
+    motion: Trajectory,
+    *,
+    seed: int,
+    end: float | None = None,
+) -> Record:
+    """Simulates the arm with sandbags over a motion of its turns, to `end`, or until it is lost."""
+    builder = DiagramBuilder()
+    plant = builder.AddSystem(make_coupled_plant(bags))
+    turns = np.linalg.pinv(joint_map())
+    measured = builder.AddSystem(MatrixGain(np.kron(np.eye(2), turns)))
+    applied = builder.AddSystem(MatrixGain(turns.T))
+    builder.Connect(plant.get_state_output_port(), measured.get_input_port())
+    builder.Connect(applied.get_output_port(), plant.get_actuation_input_port())
+    _add_friction(builder, plant, seed)
+    ends = measured.get_output_port(), None, applied.get_input_port()
+    ports = RobotPorts(controller.control.joints, *ends)
+    loop = add_adaptive_loop(builder, ports, controller, motion, log_period=LOG_PERIOD)
+    return simulate_loop(builder, loop, plant, motion, end, joints=joint_map())
+
+
+def _add_friction(builder: DiagramBuilder, plant: MultibodyPlant, seed: int) -> None:
+    """Friction that parameters explain, and friction that they do not."""
+    joints = [plant.get_joint(index).name() for index in plant.GetJointIndices()]
+    moving = [name for name in joints if plant.GetJointByName(name).num_velocities()]
+    known = Known.true(Arm.load().phi).friction(moving)
+    effects = [(fitted.effect, fitted.parameters) for fitted in known]
+    even = builder.AddSystem(EffectForce(plant, effects, sign_width=SIGN_WIDTH))
+    uneven = builder.AddSystem(UnevenFriction(seed))
+    both = builder.AddSystem(Adder(2, 10))
+    state = plant.get_state_output_port()
+    builder.Connect(state, even.GetInputPort("state"))
+    builder.Connect(state, uneven.get_input_port())
+    builder.Connect(even.get_output_port(), both.get_input_port(0))
+    builder.Connect(uneven.get_output_port(), both.get_input_port(1))
+    builder.Connect(both.get_output_port(), plant.get_applied_generalized_force_input_port())
+
 
 RATE = 3.0  # λ, 1/s, [Lee2019] §5.6
 MOTIONS = 14
@@ -52,10 +405,6 @@ class Draw:
     """One closed loop.
 
     Attributes:
-        case: Where sandbags are.
-        law: Its name.
-        speed: γ⁻¹.
-        motions: Number of motions.
         end: When to stop, s; None for the end of the last motion.
     """
 
@@ -84,19 +433,14 @@ def run_draw(draw: Draw, *, seed: int) -> dict[str, Any]:
     p = record.parameters
     physical = is_physical(p[:, :LINKS].reshape(len(p), -1, 10)).all(axis=1)
     physical &= (p[:, LINKS:] > 0).all(axis=1)
+    series = np.degrees(np.sqrt(np.mean(record.error[::SHOWN] ** 2, axis=1)))
     return {
+        **record.told(draw, controller),
         "case": draw.case,
-        "law": draw.law,
-        "speed": draw.speed,
-        "rms": record.rms(),
         "rounds": record.rounds(DURATION, draw.motions),
         "unphysical": float(1.0 - physical.mean()),
         "added": float((p[-1] - p[0])[:LINKS:10].sum()),
-        "rise": None,
-        "lost": record.lost,
-        "series": np.degrees(np.sqrt(np.mean(record.error[::SHOWN] ** 2, axis=1)))
-        .round(4)
-        .tolist(),
+        "series": series.round(4).tolist(),
     }
 
 
@@ -113,26 +457,23 @@ def main() -> None:
     parser = script_parser(__doc__, draws=True)
     add_gains(parser, "source")
     options = parser.parse_args()
-    form = {"law": "", "speed": "g", "lost": "d", "rms": ".2f", "unphysical": ".1%"}
+    task = partial(run_draw, seed=options.seed)
     if options.choose_gains:
         laws = (EUCLIDEAN, PULLBACK, NATURAL)
         draws = [Draw(GRID_CASE, law, speed, 3) for law in laws for speed in GRID]
-        lines = summarize_grid(run_draws(parser, options, run_draw, draws), "case")
-        show("RMS in degrees", {**form, "chosen": ""}, lines)
-        write(options, {"grid": lines})
+        tell_grid(options, run_draws(parser, options, task, draws), "case")
         return
-    rows = run_draws(parser, options, run_draw, all_draws(options.gains, quick=options.quick))
+    rows = run_draws(parser, options, task, all_draws(options.gains, quick=options.quick))
     for row in rows:
         row["motor"] = REDUCTION * row["rms"]
         half = [x for x in row["rounds"][len(row["rounds"]) // 2 :] if x is not None]
         row["late"] = float(np.mean(half)) if half else None
-    columns = {"case": "", **form, "late": ".2f", "motor": ".0f", "added": ".2f"}
+    columns = {"case": "", "law": "", "speed": "g", "lost": "d", "rms": ".2f", "unphysical": ".1%"}
+    columns |= {"late": ".2f", "motor": ".0f", "added": ".2f"}
     show(f"Tracking RMS in degrees, gains: {options.gains}", columns, rows)
-    write(options, {"gains": options.gains, "period": SHOWN * LOG_PERIOD, "rows": rows})
-    if options.figures:
-        from diagrams.studies.adaptive.sandbag_figures import write_sandbag_figure
-
-        write_sandbag_figure(options.figures, rows, SHOWN * LOG_PERIOD)
+    period = SHOWN * LOG_PERIOD
+    table = {"gains": options.gains, "period": period, "rows": rows}
+    write(options, table, ambidex_sandbags=lambda: sandbag_figure(rows, period))
 
 
 if __name__ == "__main__":

@@ -12,7 +12,8 @@ done are kept beside the table, so that an interrupted run goes on.
 
 from __future__ import annotations
 
-import os
+import re
+from collections.abc import Sequence
 from dataclasses import asdict, dataclass, replace
 from functools import partial
 from pathlib import Path
@@ -20,31 +21,205 @@ from typing import Any
 
 import numpy as np
 from matplotlib.figure import Figure
+from numpy.typing import NDArray
 from pydrake.math import RigidTransform
-from rich.console import Console
-from rich.table import Table
+from pydrake.multibody.parsing import Parser
+from pydrake.multibody.plant import MultibodyPlant
+from pydrake.multibody.tree import FixedOffsetFrame, RevoluteJoint, SpatialInertia
 
-from diagrams.harness import cache_beside, results_of, script_parser, write
+from diagrams.harness import run_draws, script_parser, show, write
 from diagrams.public_data import add_folder_option
-from diagrams.studies.excitation.balancing import FAMILY, Balance
-from diagrams.studies.excitation.humanoid import ATLAS, HALF_SOLE, groups, standing_robot
 from geodrake.excitation import (
     ExcitationTrajectory,
     ReducedIdentification,
+    SplineMotion,
     Target,
     make_target,
     measurement_factor,
     reduced_identification,
 )
 from geodrake.excitation.trajectory import joint_order
-from geodrake.inertia import perturb
+from geodrake.inertia import inertial_parameters, perturb
 from geodrake.logs import Motion
 from geodrake.model import RobotModel
 from geodrake.report import style
-from geodrake.robot import inverse_dynamics_regressor, pushforward_metric
+from geodrake.robot import (
+    base_wrench_regressor,
+    inverse_dynamics_regressor,
+    position_limits,
+    pushforward_metric,
+    velocity_limits,
+    zero_moment_point,
+)
+from geodrake.robot.files.description import drake_messages
 
-VERSION = 1
-"""Of what a motion is; one more when kept motions of older versions must not be used."""
+ATLAS = Path("reference") / "atlas_v5.urdf"
+SOLE = "l_foot_sole"
+HALF_SOLE = np.array([0.13, 0.06])
+"""Half length and half width of the sole, m; the length is Atlas's, the width is ours."""
+STANCE = ("l_leg_akx", "l_leg_aky")
+GROUPS = {
+    "hip": r"leg_hp",
+    "knee": r"leg_kn",
+    "ankle": r"leg_ak",
+    "waist": r"back_",
+    "shoulder": r"arm_sh",
+    "elbow": r"arm_el",
+    "wrist": r"arm_(uw|mw|lw)",
+}
+"""Joints of table 4.4 by name."""
+
+_X, _Y, _Z = np.eye(3)
+_LEG, _TRUNK = (0.08, 0.08, 0.4), (0.2, 0.3, 0.4)
+_SMALL = (
+    # joint, parent, place of the joint in the parent, axis, mass, box about its centre, its centre
+    ("l_leg_akx", None, (0, 0, 0.08), _X, 0.5, (0.05, 0.05, 0.05), (0, 0, 0)),
+    ("l_leg_aky", "l_leg_akx", (0, 0, 0), _Y, 3.0, _LEG, (0, 0, 0.2)),
+    ("l_leg_kny", "l_leg_aky", (0, 0, 0.4), _Y, 5.0, _LEG, (0, 0, 0.2)),
+    ("l_leg_hpy", "l_leg_kny", (0, 0, 0.4), _Y, 1.0, (0.1, 0.1, 0.1), (0, -0.02, 0)),
+    ("l_leg_hpx", "l_leg_hpy", (0, 0, 0), _X, 8.0, (0.2, 0.25, 0.15), (0, -0.1, 0.05)),
+    ("back_bky", "l_leg_hpx", (0, -0.1, 0.12), _Y, 20.0, _TRUNK, (0, 0, 0.25)),
+    ("l_arm_shx", "back_bky", (0, 0.2, 0.4), _X, 2.0, (0.07, 0.3, 0.07), (0, 0.15, 0)),
+    ("l_arm_elx", "l_arm_shx", (0, 0.3, 0), _X, 1.5, (0.06, 0.25, 0.06), (0, 0.12, 0)),
+    ("r_arm_shx", "back_bky", (0, -0.2, 0.4), _X, 2.0, (0.07, 0.3, 0.07), (0, -0.15, 0)),
+    ("r_arm_elx", "r_arm_shx", (0, -0.3, 0), _X, 1.5, (0.06, 0.25, 0.06), (0, -0.12, 0)),
+    ("r_leg_hpy", "l_leg_hpx", (0, -0.2, 0), _Y, 5.0, _LEG, (0, 0, -0.2)),
+    ("r_leg_kny", "r_leg_hpy", (0, 0, -0.4), _Y, 3.0, _LEG, (0, 0, -0.2)),
+)
+
+
+def standing_robot(shared: Path | None) -> RobotModel:
+    """Atlas on its left foot, of the folder `shared`; our small robot if None.
+
+    Its neck, which is not among the source's 29 joints, is held.
+    """
+    return _small() if shared is None else _atlas(shared / ATLAS)
+
+
+def _atlas(path: Path) -> RobotModel:
+    text = re.sub(r"<safety_controller[^>]*/>", "", path.read_text(encoding="utf-8"))
+    text = re.sub(r'(name="neck_ay"\s+type=)"revolute"', r'\1"fixed"', text)
+    plant = MultibodyPlant(0.0)
+    with drake_messages():
+        Parser(plant).AddModelsFromString(text, "urdf")
+    plant.WeldFrames(plant.world_frame(), plant.GetFrameByName(SOLE), RigidTransform())
+    plant.Finalize()
+    return RobotModel(plant, path, False, inertial_parameters(plant))
+
+
+def _small() -> RobotModel:
+    plant, reach = MultibodyPlant(0.0), 1.0
+    for name, parent, place, axis, mass, box, center in _SMALL:
+        P = plant.world_body() if parent is None else plant.GetBodyByName(parent)
+        inertia = SpatialInertia.SolidBoxWithMass(mass, *box)
+        B = plant.AddRigidBody(name, inertia.Shift(-np.array(center, float)))
+        frame = FixedOffsetFrame(f"{name}_F", P.body_frame(), RigidTransform(np.array(place)))
+        F = plant.AddFrame(frame)
+        joint = plant.AddJoint(RevoluteJoint(name, F, B.body_frame(), axis, -reach, reach))
+        joint.set_velocity_limits([-12.0], [12.0])
+    plant.Finalize()
+    return RobotModel(plant, Path("standing"), False, inertial_parameters(plant))
+
+
+def groups(model: RobotModel) -> dict[str, np.ndarray]:
+    """Indices of the joints of every group that the robot has."""
+    found = {
+        group: np.array([i for i, joint in enumerate(model.joints) if re.search(pattern, joint)])
+        for group, pattern in GROUPS.items()
+    }
+    return {group: indices for group, indices in found.items() if len(indices)}
+
+
+Array = NDArray[np.float64]
+
+FAMILY = SplineMotion(3.0, 10, 5)
+CHECK_RATE = 15.0  # 1/s, at which the source checks balance
+_MARGIN = 0.95  # of the sole, within which the zero-moment point is to be
+_AIM = 0.5  # of the sole, over which centres of mass of postures are
+_REACH = 0.6  # of the joints' ranges
+_SHARES = np.linspace(1.0, 0.2, 17)
+_CLOSE, _STEP, _NEWTON, _BATCH, _TRIES = 1e-3, 1e-5, 8, 40, 60
+
+
+@dataclass(frozen=True, eq=False)
+class Balance:
+    """A robot whose left sole is the world's frame."""
+
+    model: RobotModel
+
+    def zmp(self, q: Array, v: Array, vd: Array) -> Array:
+        """(N, 2) zero-moment points on the ground, m; NaN where the foot would lift off."""
+        Y = base_wrench_regressor(self.model.tree, q, v, vd)
+        return zero_moment_point(Y @ self.model.phi.ravel())
+
+    def postures(self, rng: np.random.Generator, count: int) -> Array:
+        """(count, nv) random postures by joint with the centre of mass over the sole."""
+        model, order = self.model, joint_order(self.model)
+        lower, upper = (np.empty(len(order)) for _ in range(2))
+        lower[order], upper[order] = position_limits(model.plant)
+        middle, half = 0.5 * (lower + upper), 0.5 * (upper - lower)
+        ankle = [model.joints.index(name) for name in STANCE]
+        found: list[Array] = []
+        for _ in range(_TRIES):
+            tried = middle + rng.uniform(-_REACH, _REACH, (_BATCH, len(order))) * half
+            aim = rng.uniform(-_AIM, _AIM, (_BATCH, 2)) * HALF_SOLE
+            error = self._correct(tried, aim, ankle)
+            within = ((tried >= lower) & (tried <= upper)).all(axis=1)
+            found += list(tried[within & (error < _CLOSE)])
+            if len(found) >= count:
+                return np.array(found[:count])
+        raise RuntimeError(f"Only {len(found)} of {count} postures are in balance.")
+
+    def _correct(self, postures: Array, aim: Array, ankle: list[int]) -> Array:
+        """Turns the ankle until centres of mass are over `aim`; the distances (N,) left, m."""
+        order = joint_order(self.model)
+        still = np.zeros_like(postures)
+
+        def off(x: Array) -> Array:
+            return self.zmp(x[:, order], still, still) - aim
+
+        error = off(postures)
+        for _ in range(_NEWTON):
+            jacobian = np.empty((len(postures), 2, 2))
+            for k, joint in enumerate(ankle):
+                moved = postures.copy()
+                moved[:, joint] += _STEP
+                jacobian[:, :, k] = (off(moved) - error) / _STEP
+            jacobian += 1e-9 * np.eye(2)
+            step = np.linalg.solve(jacobian, error[..., None])[..., 0]
+            postures[:, ankle] -= np.clip(step, -0.3, 0.3)
+            error = off(postures)
+        return np.asarray(np.linalg.norm(error, axis=1))
+
+    def motion(self, rng: np.random.Generator) -> tuple[ExcitationTrajectory, float]:
+        """A random motion in balance, from rest to rest, and its share out of the straight line."""
+        inner = FAMILY.points - 4  # two free ends of three equal points each, less the ends
+        along = np.clip((np.arange(FAMILY.points) - 2) / (FAMILY.points - 5), 0.0, 1.0)[:, None]
+        for _ in range(_TRIES):
+            postures = self.postures(rng, inner)
+            straight = (1 - along) * postures[0] + along * postures[-1]
+            detour = np.zeros_like(straight)
+            detour[3:-3] = postures[1:-1] - straight[3:-3]
+            for share in _SHARES:
+                trajectory = ExcitationTrajectory(
+                    FAMILY, straight + share * detour, self.model.joints, joint_order(self.model)
+                )
+                if self.keeps(trajectory):
+                    return trajectory, float(share)
+        raise RuntimeError("No random motion is in balance.")
+
+    def keeps(self, trajectory: ExcitationTrajectory) -> bool:
+        """Whether a motion keeps its zero-moment point in the sole, and speeds in their limits.
+
+        Positions of a spline are between its points, which keep their limits.
+        """
+        motion = trajectory.motion(FAMILY.times(round(CHECK_RATE * FAMILY.length) + 1))
+        if (np.abs(motion.v) > velocity_limits(self.model.plant)).any():
+            return False
+        zmp = self.zmp(motion.q, motion.v, motion.vd)
+        return bool((np.abs(zmp) <= _MARGIN * HALF_SOLE).all())  # NaN is not
+
+
 NOISE = np.array([1.5, 1.5, 1.5, 0.5, 0.5, 0.5])  # N·m and N
 RATE = 300  # samples a second
 
@@ -55,11 +230,8 @@ class Plan:
 
     Attributes:
         shared: Folder with the description of Atlas; None for the small robot.
-        motions: Number of motions, half of which identify.
-        rate: Samples a second for identification.
         threshold: ε_λ.
         uncertainty: How wrong the masses of the prior's links are, at most.
-        seed: Of motions, prior and noise.
     """
 
     shared: str | None
@@ -145,12 +317,9 @@ def rms(x: np.ndarray) -> float:
     return float(np.sqrt(np.mean(np.square(x))))
 
 
-def run(plan: Plan, *, cache: Path | None, workers: int) -> dict[str, Any]:
-    """Figure 4.7 and tables 4.3 and 4.4."""
+def run(found: Sequence[dict[str, Any]], plan: Plan) -> dict[str, Any]:
+    """Figure 4.7 and tables 4.3 and 4.4, of motions in balance."""
     truth, kept = robot(plan), asdict(plan)
-    key = {"version": VERSION, "shared": plan.shared is not None, "seed": plan.seed}
-    task, numbers = partial(one_motion, plan=plan), range(plan.motions)
-    found = results_of(task, numbers, key=key, cache=cache, workers=workers)
     half = plan.motions // 2
     target, full, reduced = identify(
         truth, [sampled(truth, one, plan.rate) for one in found[:half]], plan
@@ -177,25 +346,20 @@ def run(plan: Plan, *, cache: Path | None, workers: int) -> dict[str, Any]:
     }
 
 
-def show(table: dict[str, Any], console: Console) -> None:
+def tell(table: dict[str, Any]) -> None:
     """Print tables 4.3 and 4.4."""
-    plan = table["plan"]
-    console.print(
+    plan, rows = table["plan"], table["rows"]
+    print(
         f"{table['identifiable']} of {table['base_parameters']} base parameters have a variance of "
         f"at most {plan['threshold']:g}; zero-moment points stay within "
         f"{100 * table['largest_zmp']:.0f} % of the sole's half sizes"
     )
-    output = Table("identification", "parameter error", "force, N", "moment, N·m")
-    for row in table["rows"]:
-        values = [f"{row[key]:.4g}" for key in ("error", "force", "moment")]
-        output.add_row(row["way"], *values)
-    console.print(output)
+    columns = {"way": "", "error": ".4g", "force": ".4g", "moment": ".4g"}
+    show("Errors of parameters and RMS errors of wrenches, N and N·m", columns, rows)
     for kind, unit in (("effort", "N·m"), ("acceleration", "rad/s²")):
-        inner = Table(f"RMS error of {kind}, {unit}", *table["rows"][0][kind])
-        for row in table["rows"]:
-            inner.add_row(row["way"], *(f"{value:.3g}" for value in row[kind].values()))
-        console.print(inner)
-    console.print(f"Full over reduced parameter error: {table['error_full_over_reduced']:.3g}")
+        columns = {"way": "", **dict.fromkeys(rows[0][kind], ".3g")}
+        show(f"RMS error of {kind}, {unit}", columns, [{"way": r["way"], **r[kind]} for r in rows])
+    print(f"Full over reduced parameter error: {table['error_full_over_reduced']:.3g}")
 
 
 def draw(table: dict[str, Any]) -> Figure:
@@ -230,12 +394,11 @@ def draw(table: dict[str, Any]) -> Figure:
 
 def main() -> None:
     """Run the study from the command line."""
-    parser = script_parser(__doc__)
+    parser = script_parser(__doc__, draws=True)
     add_folder_option(parser, "with Atlas")
     parser.add_argument("--motions", type=int, help="how many (20; 6 with --quick)")
     parser.add_argument("--threshold", type=float, default=1e-2, help="of identifiable variances")
     parser.add_argument("--uncertainty", type=float, default=0.8, help="of the prior's masses")
-    parser.add_argument("--workers", type=int, help="number of processes")
     options = parser.parse_args()
     small = options.quick or not (options.shared / ATLAS).is_file()
     plan = Plan(
@@ -248,12 +411,11 @@ def main() -> None:
     )
     if plan.motions < 2 or not 0 < plan.uncertainty < 1:
         parser.error("--motions are at least two, and --uncertainty is between 0 and 1.")
-    console = Console(width=140)
     if small and not options.quick:
-        console.print(f"Without {options.shared / ATLAS}, a small robot of our own is on one foot.")
-    workers = options.workers or (1 if small else min(2, os.cpu_count() or 1))
-    table = run(plan, cache=cache_beside(options.json), workers=workers)
-    show(table, console)
+        print(f"Without {options.shared / ATLAS}, a small robot of our own is on one foot.")
+    task, numbers = partial(one_motion, plan=plan), range(plan.motions)
+    table = run(run_draws(parser, options, task, numbers, shared=not small), plan)
+    tell(table)
     write(options, table, atlas_identification=lambda: draw(table))
 
 

@@ -244,8 +244,6 @@ def draw_curves(panels: list[tuple[Curves, Any, Any]], path: Path, log: Sequence
 
     Args:
         panels: Curves with their bodies and target, None if there are no bodies to show.
-        path: File of the figure.
-        log: Axes of each panel that are logarithmic: "", "x" or "xy".
     """
     figure = style.new_figure(4.4)
     rows = figure.subplots(2, len(panels), height_ratios=[1, 3], squeeze=False)

@@ -3,7 +3,7 @@
 As in [Lee2019] §3.6.2.2 and figure 3.12: random true legs, torques without noise from the gallop's
 motion of one leg on a fixed base, next to no regularization, equal residuals; then the errors of
 joint torques and of the force and moment on the trunk while the whole robot gallops. Robot and
-motion are ours, see `models/cheetah.dmd.yaml` and `diagrams/cheetah/gallop.py`.
+motion are ours, see `models/cheetah.dmd.yaml` and `gallop`.
 
     python -m diagrams.studies.cheetah_gallop --json cheetah_gallop.json --figures figures
 """
@@ -13,28 +13,157 @@ from __future__ import annotations
 import logging
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from matplotlib.figure import Figure
+from pydrake.multibody.plant import MultibodyPlant
 from rich.progress import track
 
-from diagrams.harness import plain, script_parser, show, write
-from diagrams.studies.cheetah.fits import COLORS, Condensed, fit, fit_points
-from diagrams.studies.cheetah.gallop import (
-    GEARS,
-    PHASES,
-    STRIDE,
-    gallop,
-    leg_motion,
-    quantities,
-    whole_robot,
+from diagrams.harness import script_parser, show, titled, write
+from diagrams.studies.cheetah.leg import (
+    COLORS,
+    JOINTS,
+    MODELS,
+    Array,
+    Condensed,
+    Leg,
+    fit,
+    fit_points,
+    load_leg,
 )
-from diagrams.studies.cheetah.leg import Array, Leg, load_leg
 from geodrake.identification import PointMasses
-from geodrake.inertia import is_realizable, perturb
+from geodrake.inertia import PARAMETERS_PER_BODY, is_realizable, perturb
 from geodrake.inertia.ellipsoids import ellipsoid_of_quadric
+from geodrake.logs import Motion
 from geodrake.report import style
-from geodrake.robot import base_parameters
+from geodrake.robot import (
+    KinematicTree,
+    LinearTransmission,
+    base_parameters,
+    base_wrench_regressor,
+    body_poses,
+    inverse_dynamics_regressor,
+    joint_names,
+    load_plant,
+)
+
+LEGS = ("front_left", "front_right", "rear_left", "rear_right")
+PHASES = {"front_left": 0.0, "front_right": 0.15, "rear_left": 0.55, "rear_right": 0.7}
+GEARS = (7.667, 7.667, 8.846)
+STRIDE = 2.5  # Hz
+
+
+@dataclass(frozen=True, eq=False)
+class Quantity:
+    """A part of the inverse dynamics as a function of one leg's parameters, all legs being equal.
+
+    Attributes:
+        rows: (m, 60) regressor, over samples and components.
+        components: Number of components that a sample has.
+    """
+
+    rows: Array
+    components: int
+
+    def rms(self, error: Array) -> float:
+        """RMS over samples of the size of the error that errors (6, 10) of the parameters make."""
+        values = (self.rows @ error.ravel()).reshape(-1, self.components)
+        return float(np.sqrt(np.mean(np.square(values).sum(1))))
+
+
+def leg_motion(time: Array, phase: float) -> Motion:
+    """Angles of a leg's joints, with their derivatives."""
+    first = 2 * np.pi * STRIDE * time[:, None] + 2 * np.pi * phase
+    middle = np.array([0.05, 0.75, -1.5])
+    waves = (
+        (1, np.array([0.08, 0.55, 0.35]), np.array([0.4, 0.0, 1.9])),
+        (2, np.array([0.04, 0.12, 0.25]), np.array([1.3, 0.8, 0.5])),
+    )
+    return _sum_of_waves(first, middle, waves)
+
+
+def trunk_motion(time: Array) -> Motion:
+    """Surge, heave and pitch of the trunk, with their derivatives; 3 m/s forward."""
+    first = 2 * np.pi * STRIDE * time[:, None]
+    waves = (
+        (1, np.array([0.02, 0.05, 0.18]), np.array([0.3, 1.1, 0.2])),
+        (2, np.array([0.01, 0.02, 0.05]), np.array([2.0, 0.4, 1.5])),
+    )
+    motion = _sum_of_waves(first, np.array([0.0, 0.55, 0.0]), waves)
+    forward = np.array([3.0, 0.0, 0.0])
+    return Motion(motion.q + time[:, None] * forward, motion.v + forward, motion.vd)
+
+
+def _sum_of_waves(
+    first: Array, middle: Array, waves: tuple[tuple[int, Array, Array], ...]
+) -> Motion:
+    q, v, vd = middle + 0.0 * first, 0.0 * first + 0.0 * middle, 0.0 * first + 0.0 * middle
+    for order, size, phase in waves:
+        angle, rate = order * first + phase, 2 * np.pi * STRIDE * order
+        q = q + size * np.sin(angle)
+        v = v + size * rate * np.cos(angle)
+        vd = vd - size * rate**2 * np.sin(angle)
+    return Motion(q, v, vd)
+
+
+def whole_robot() -> MultibodyPlant:
+    """The trunk, floating, with four legs."""
+    return load_plant(MODELS / "cheetah.dmd.yaml", floating=True).plant
+
+
+def gallop(plant: MultibodyPlant, time: Array) -> Motion:
+    """Motion of the whole robot in Drake's order, rotors included."""
+    names = joint_names(plant)
+    actuators = tuple(f"{leg}_{joint}" for leg in LEGS for joint in JOINTS)
+    legs = [leg_motion(time, PHASES[leg]) for leg in LEGS]
+    driven = Motion(*(np.hstack([getattr(leg, part) for leg in legs]) for part in ("q", "v", "vd")))
+    joints = gearing(names[6:], actuators).joint_motion(driven)
+    trunk, zero = trunk_motion(time), np.zeros(len(time))
+    (x, z, pitch), (xd, zd, w), (xdd, zdd, wd) = (part.T for part in (trunk.q, trunk.v, trunk.vd))
+    base_q = np.stack([np.cos(pitch / 2), zero, np.sin(pitch / 2), zero, x, zero, z], -1)
+    base_v = np.stack([zero, w, zero, xd, zero, zd], -1)
+    base_vd = np.stack([zero, wd, zero, xdd, zero, zdd], -1)
+    return Motion(
+        np.hstack([base_q, joints.q]),
+        np.hstack([base_v, joints.v]),
+        np.hstack([base_vd, joints.vd]),
+        time,
+    )
+
+
+def gearing(joints: tuple[str, ...], actuators: tuple[str, ...]) -> LinearTransmission:
+    """Joints turn with their actuators, rotors by the gear ratio."""
+    ratios = {name: {name: 1.0} for name in actuators}
+    gears = GEARS * (len(actuators) // len(GEARS))
+    ratios |= {f"{n}_rotor": {n: gear} for n, gear in zip(actuators, gears, strict=True)}
+    return LinearTransmission.from_ratios(joints, actuators, ratios)
+
+
+def quantities(plant: MultibodyPlant, motion: Motion) -> dict[str, Quantity]:
+    """Joint torques, and force and moment on the trunk, in its frame."""
+    tree = KinematicTree.from_plant(plant)
+    state = motion.q, motion.v, motion.vd
+    trunk = body_poses(tree, motion.q)[:, tree.bodies.index("trunk")]
+    wrench = base_wrench_regressor(tree, *state, X_WP=trunk)
+    actuators = tuple(f"{leg}_{joint}" for leg in LEGS for joint in JOINTS)
+    transmission = gearing(joint_names(plant)[6:], actuators)
+    torque = transmission.regressor(
+        np.zeros((len(motion), 12)), inverse_dynamics_regressor(tree, *state)[:, 6:]
+    )
+
+    def of_a_leg(regressor: Array) -> Quantity:
+        blocks = regressor.reshape(*regressor.shape[:2], len(tree.bodies), PARAMETERS_PER_BODY)
+        places = [[k for k, b in enumerate(tree.bodies) if b.startswith(leg)] for leg in LEGS]
+        rows = sum(blocks[:, :, place] for place in places)
+        return Quantity(rows.reshape(-1, 6 * PARAMETERS_PER_BODY), regressor.shape[1])
+
+    return {
+        "joint torque": of_a_leg(torque),
+        "body force": of_a_leg(wrench[:, 3:]),
+        "body moment": of_a_leg(wrench[:, :3]),
+    }
+
 
 ALPHA = 1e-11
 """The Euclidean γ over tr(AᵀA)."""
@@ -43,27 +172,6 @@ DELTA, POINTS = 0.5, 10
 SETS = {f"{number} point masses": number for number in (264, 687)}
 """Of Eq. (3.6.78), and how many there are in each."""
 KINDS = ("euclidean", *SETS, "pullback", "entropic")
-
-
-@dataclass(frozen=True)
-class Row:
-    """Errors of one regularizer in the gallop, over the true legs.
-
-    Attributes:
-        regularizer: Its name, or "prior".
-        quantity: What is predicted.
-        unit: Its unit.
-        mean: Mean RMS error.
-        deviation: Standard deviation of the RMS error.
-        train: Mean RMS error of the torques that were fitted, N·m.
-    """
-
-    regularizer: str
-    quantity: str
-    unit: str
-    mean: float
-    deviation: float
-    train: float
 
 
 def true_legs(leg: Leg, count: int, rng: np.random.Generator) -> Array:
@@ -105,7 +213,7 @@ def identified(
     )
 
 
-def run(*, seed: int, truths: int) -> tuple[list[Row], int]:
+def run(*, seed: int, truths: int) -> tuple[list[dict[str, Any]], int]:
     """Identify `truths` random legs.
 
     Returns:
@@ -129,40 +237,43 @@ def run(*, seed: int, truths: int) -> tuple[list[Row], int]:
             errors[k, i] = [q.rms(found[kind] - truth) for q in predicted.values()]
             train[k, i] = fitted[kind]
     rows = [
-        Row(
-            *(kind, name, "N" if name == "body force" else "N·m"),
-            *(float(errors[:, i, j].mean()), float(errors[:, i, j].std())),
-            float(train[:, i].mean()),
-        )
+        {
+            "regularizer": kind,
+            "quantity": name,
+            "unit": "N" if name == "body force" else "N·m",
+            "mean": float(errors[:, i, j].mean()),
+            "deviation": float(errors[:, i, j].std()),
+            "train": float(train[:, i].mean()),
+        }
         for j, name in enumerate(predicted)
         for i, kind in enumerate(kinds)
     ]
     return rows, base_parameters(A).rank
 
 
-def error_figure(rows: Sequence[Row]) -> Figure:
+def error_figure(rows: Sequence[dict[str, Any]]) -> Figure:
     """Errors in the gallop by regularizer, figure 3.12."""
     figure = style.new_figure(3.6)
-    names = list(dict.fromkeys(row.quantity for row in rows))
+    names = list(dict.fromkeys(row["quantity"] for row in rows))
     for ax, name in zip(figure.subplots(1, len(names)), names, strict=True):
-        *bars, prior = (row for row in rows if row.quantity == name)
+        *bars, prior = (row for row in rows if row["quantity"] == name)
+        mean, deviation = ([row[key] for row in bars] for key in ("mean", "deviation"))
         ax.bar(
-            [row.regularizer.replace(" ", "\n") for row in bars],
-            [row.mean for row in bars],
-            yerr=[[min(row.mean, row.deviation) for row in bars], [row.deviation for row in bars]],
-            color=[COLORS[row.regularizer] for row in bars],
+            [row["regularizer"].replace(" ", "\n") for row in bars],
+            mean,
+            yerr=[np.minimum(mean, deviation), deviation],
+            color=[COLORS[row["regularizer"]] for row in bars],
             ecolor=style.INK,
             capsize=3,
             width=0.65,
         )
-        style.polish(ax, grid="y")
-        ax.set_title(f"{name}, {prior.unit}", loc="left", **style.plain(fontweight="bold"))
-        ax.set_title(f"prior: {prior.mean:.3g}", loc="right", **style.plain(color=style.QUIET))
-        top = max(row.mean + row.deviation for row in bars)
+        titled(ax, f"{name}, {prior['unit']}", grid="y")
+        ax.set_title(f"prior: {prior['mean']:.3g}", loc="right", **style.plain(color=style.QUIET))
+        top = float(np.add(mean, deviation).max())
         ax.set_ylim(0, 1.12 * top)
         for k, row in enumerate(bars):
-            place = row.mean + row.deviation + 0.02 * top
-            ax.text(k, place, f"{row.mean:.3g}", ha="center", **style.plain(style.SMALL))
+            place = row["mean"] + row["deviation"] + 0.02 * top
+            ax.text(k, place, f"{row['mean']:.3g}", ha="center", **style.plain(style.SMALL))
     return figure
 
 
@@ -172,7 +283,7 @@ def main() -> None:
     logging.getLogger("drake").setLevel(logging.WARNING)
     rows, rank = run(seed=options.seed, truths=5 if options.quick else 100)
     columns = {"quantity": "", "regularizer": "", "mean": ".3g", "deviation": ".3g"}
-    show("RMS", {**columns, "train": ".3g"}, plain(rows))
+    show("RMS", {**columns, "train": ".3g"}, rows)
     print(f"The leg's motion tells {rank} base parameters of its 60 parameters.")
     write(options, rows, cheetah_gallop_errors=lambda: error_figure(rows))
 

@@ -17,17 +17,23 @@ import logging
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import partial
+from typing import Any
 
 import numpy as np
 from matplotlib.figure import Figure
-from rich.console import Console
 from rich.progress import track
-from rich.table import Table
 
-from diagrams.harness import script_parser, write
-from diagrams.studies.cheetah.fits import COLORS, REGULARIZERS, Condensed, compare
-from diagrams.studies.cheetah.leg import Leg, load_leg
-from diagrams.studies.cheetah.swing import Samples, measure
+from diagrams.harness import script_parser, show, titled, write
+from diagrams.studies.cheetah.leg import (
+    COLORS,
+    REGULARIZERS,
+    Condensed,
+    Leg,
+    Samples,
+    compare,
+    load_leg,
+    measure,
+)
 from geodrake.identification import IdentificationResult
 from geodrake.report import style
 from geodrake.report.ellipsoid_figure import ellipsoid_figure
@@ -39,43 +45,17 @@ DRAWS, QUICK_DRAWS = 35, 8
 POINTS = 300
 
 
-@dataclass(frozen=True)
-class Row:
-    """Errors of one regularizer and size of the training set, over the draws.
-
-    Attributes:
-        samples: Number of training samples, in the last rows all there are.
-        stretch: Whether they are from one stretch, 5 ms apart, or scattered over ten seconds.
-        regularizer: Its name.
-        train: Mean RMS training error, N·m.
-        test: Mean RMS test error, N·m.
-        median: Median of the RMS test error, N·m; a few draws are far worse than most.
-        deviation: Standard deviation of the test error over draws, N·m.
-        prior: RMS test error of the prior, N·m.
-    """
-
-    samples: int
-    stretch: bool
-    regularizer: str
-    train: float
-    test: float
-    median: float
-    deviation: float
-    prior: float
-
-
 @dataclass(frozen=True, eq=False)
 class Study:
     """What the study found.
 
     Attributes:
-        leg: The leg.
         rows: One a size of the training set and regularizer; the last ones for all samples.
         example: Regularizer -> parameters from the first stretch of 30 samples.
     """
 
     leg: Leg
-    rows: tuple[Row, ...]
+    rows: list[dict[str, Any]]
     example: dict[str, IdentificationResult]
 
 
@@ -83,9 +63,7 @@ def run(*, seed: int, sizes: Sequence[int], draws: int) -> Study:
     """Fit all samples, keep the friction found, and fit draws of each size.
 
     Args:
-        seed: Of motion, noise and draws.
         sizes: Numbers of training samples of a stretch; 30 scattered ones are drawn too.
-        draws: Number of draws.
     """
     rng, leg = np.random.default_rng(seed), load_leg()
     points = leg.point_masses(POINTS)
@@ -95,7 +73,7 @@ def run(*, seed: int, sizes: Sequence[int], draws: int) -> Study:
     whole = compare(everything, leg, points, extra_bounds=[(0.0, np.inf)] * 6)
     friction = whole["entropic"].extra
     prior, count = test.rms(leg.prior, friction), len(train.torque)
-    rows: list[Row] = []
+    rows: list[dict[str, Any]] = []
     example: dict[str, IdentificationResult] = {}
     for size, stretch in (*((size, True) for size in sizes), (30, False)):
         errors = np.empty((draws, len(REGULARIZERS), 2))
@@ -107,11 +85,19 @@ def run(*, seed: int, sizes: Sequence[int], draws: int) -> Study:
                 errors[draw, k] = data.rms(found[kind]), test.rms(found[kind].phi, friction)
         for kind, (fitted, tested) in zip(REGULARIZERS, errors.transpose(1, 2, 0), strict=True):
             numbers = (fitted.mean(), tested.mean(), np.median(tested), tested.std(), prior)
-            rows.append(Row(size, stretch, kind, *map(float, numbers)))
+            rows.append(row(size, stretch, kind, numbers))
     for kind, found in whole.items():
         tested = test.rms(found.phi, found.extra)
-        rows.append(Row(count, True, kind, everything.rms(found), tested, tested, 0.0, prior))
-    return Study(leg, tuple(rows), example)
+        numbers = (everything.rms(found), tested, tested, 0.0, prior)
+        rows.append(row(count, True, kind, numbers))
+    return Study(leg, rows, example)
+
+
+def row(samples: int, stretch: bool, kind: str, numbers: Sequence[float]) -> dict[str, Any]:
+    """Return a row of the table: RMS errors in N·m, the deviation over draws."""
+    own = {"samples": samples, "stretch": stretch, "regularizer": kind}
+    names = ("train", "test", "median", "deviation", "prior")
+    return own | dict(zip(names, map(float, numbers), strict=True))
 
 
 def drawn(
@@ -135,25 +121,26 @@ def error_figure(study: Study) -> Figure:
     panels = (("train", "training error"), ("test", "test error"))
     for ax, (what, title) in zip(axes, panels, strict=True):
         for k, kind in enumerate(REGULARIZERS):
-            rows = [r for r in study.rows[: -len(REGULARIZERS)] if r.regularizer == kind]
-            rows = [r for r in rows if r.stretch]
-            at = np.array([r.samples for r in rows]) * 1.02 ** (k - 1.5)
-            error = [r.deviation for r in rows] if what == "test" else None
+            rows = [r for r in study.rows[: -len(REGULARIZERS)] if r["regularizer"] == kind]
+            rows = [r for r in rows if r["stretch"]]
+            at = np.array([r["samples"] for r in rows]) * 1.02 ** (k - 1.5)
+            error = [r["deviation"] for r in rows] if what == "test" else None
             ax.errorbar(
-                *(at, [getattr(r, what) for r in rows], error),
+                *(at, [r[what] for r in rows], error),
                 **{"color": COLORS[kind], "marker": "o", "markersize": 4, "capsize": 2},
                 label=kind.replace("_", " "),
             )
-        style.polish(ax)
         ax.set_xscale("log")
         ax.set_xlabel("training samples", **style.plain())
-        ax.set_title(title, loc="left", **style.plain(fontweight="bold"))
-        sizes = sorted({r.samples for r in study.rows if r.samples != last.samples})
+        titled(ax, title)
+        sizes = sorted({r["samples"] for r in study.rows if r["samples"] != last["samples"]})
         ax.set_xticks(sizes, [str(size) for size in sizes], minor=False)
         ax.set_xticks([], minor=True)
     axes[0].set_ylabel("RMS joint torque, N·m", **style.plain())
-    axes[1].axhline(last.prior, color="#c00000", linestyle="--", linewidth=1, label="prior")
-    axes[1].axhline(last.test, color="black", linewidth=1.4, label=f"all {last.samples} samples")
+    axes[1].axhline(last["prior"], color="#c00000", linestyle="--", linewidth=1, label="prior")
+    axes[1].axhline(
+        last["test"], color="black", linewidth=1.4, label=f"all {last['samples']} samples"
+    )
     for ax in axes:
         ax.set_ylim(0, None)
     axes[1].legend(frameon=False, fontsize=style.SMALL)
@@ -175,23 +162,15 @@ def body_figure(study: Study) -> Figure:
     return ellipsoid_figure(plant, sets, context=context)
 
 
-def show(rows: Sequence[Row], console: Console) -> None:
-    """Print the table."""
-    table = Table("samples", "regularizer", "train", "test", "median", "±", "prior")
-    for row in rows:
-        numbers = (row.train, row.test, row.median, row.deviation, row.prior)
-        name = f"{row.samples}" + ("" if row.stretch else " scattered")
-        table.add_row(name, row.regularizer, *(f"{number:.4f}" for number in numbers))
-    console.print(table)
-
-
 def main() -> None:
     """Run the study from the command line."""
     options = script_parser(__doc__, "eight draws of one size").parse_args()
     logging.getLogger("drake").setLevel(logging.WARNING)
     sizes, draws = (QUICK_SIZES, QUICK_DRAWS) if options.quick else (SIZES, DRAWS)
     study = run(seed=options.seed, sizes=sizes, draws=draws)
-    show(study.rows, Console(width=120))
+    columns = {"samples": "", "stretch": "", "regularizer": "", "train": ".4f", "test": ".4f"}
+    columns |= {"median": ".4f", "deviation": ".4f", "prior": ".4f"}
+    show("RMS errors of joint torques, N·m", columns, study.rows)
     figures = {"cheetah_leg_errors": error_figure, "cheetah_leg_bodies": body_figure}
     write(options, study.rows, **{name: partial(draw, study) for name, draw in figures.items()})
 

@@ -4,7 +4,7 @@ Both have the same poles, (s + λ)² with λ = 10 1/s, and begin with bodies tha
 in `wam_adaptation.py`. Computed torque adapts by the measured acceleration, Eq. (5.2.9), or by the
 filtered regressor, which needs none; passivity-based control needs none either. Each adapts by the
 natural and by the Euclidean law, whose speeds γ⁻¹ are chosen by one rule for all of them
-(`adaptive/gains.py`, `--choose-gains`; of passivity-based control by `wam_adaptation.py`). The
+(`adaptive/laws.py`, `--choose-gains`; of passivity-based control by `wam_adaptation.py`). The
 velocity is exact, or has noise; the acceleration, where it is used, is exact in both cases.
 
     python -m diagrams.studies.computed_torque_or_passivity --json controllers.json
@@ -15,14 +15,25 @@ from __future__ import annotations
 import time
 from collections.abc import Sequence
 from dataclasses import dataclass
-from statistics import fmean, pstdev
+from functools import partial
+from statistics import fmean
 from typing import Any
 
 from diagrams.harness import positive_number, run_draws, script_parser, show, write
-from diagrams.studies.adaptive.gains import CALIBRATION_SEED, GRID, speeds, summarize_grid
-from diagrams.studies.adaptive.laws import EUCLIDEAN, NATURAL, NONE, make_law
+from diagrams.studies.adaptive.faults import NoisyVelocities
+from diagrams.studies.adaptive.figures import controller_figure
+from diagrams.studies.adaptive.laws import (
+    CALIBRATION_SEED,
+    EUCLIDEAN,
+    GRID,
+    NATURAL,
+    NONE,
+    cells,
+    make_law,
+    speeds,
+    tell_grid,
+)
 from diagrams.studies.adaptive.loop import rounds, simulate
-from diagrams.studies.adaptive.noise import NoisyVelocities
 from diagrams.studies.adaptive.wam import (
     AMPLITUDE,
     PERIOD,
@@ -49,18 +60,7 @@ PREDICTION = PredictionError(1.0, alone=True)
 
 @dataclass(frozen=True)
 class Draw:
-    """One closed loop.
-
-    Attributes:
-        controller: One of `CONTROLLERS`.
-        law: Its name.
-        speed: γ⁻¹.
-        sigma: σ of the first estimate.
-        number: Of the first estimate.
-        noise: Of velocities, rad/s.
-        grid: Whether it is one that speeds are chosen on.
-        end: When to stop, s.
-    """
+    """One closed loop."""
 
     controller: str
     law: str
@@ -103,17 +103,13 @@ def run_draw(draw: Draw, *, seed: int) -> dict[str, Any]:
     begin = time.process_time()
     record = simulate(controller, make_plant(), motion, end=draw.end, sensor=sensor)
     return {
+        **record.told(draw, controller),
         "controller": draw.controller,
-        "law": draw.law,
-        "speed": draw.speed,
         "sigma": draw.sigma,
         "draw": draw.number,
         "noise": draw.noise,
-        "rms": record.rms(),
         "late": record.rms(0.5 * draw.end),
         "unphysical": float(wam.unphysical(record.parameters).mean()),
-        "rise": None if controller.law is None else record.rise,
-        "lost": record.lost,
         "seconds": (time.process_time() - begin) / max(record.time[-1], 1e-3),
     }
 
@@ -152,27 +148,14 @@ def grid_draws(count: int) -> list[Draw]:
 
 def summarize(rows: Sequence[Any]) -> list[dict[str, Any]]:
     """Means over draws, one line a noise, σ, controller and law."""
-    names = ("noise", "sigma", "controller", "law")
-    lines = []
-    for cell in dict.fromkeys(tuple(r[name] for name in names) for r in rows):
-        found = [r for r in rows if tuple(r[name] for name in names) == cell]
-        kept = [r for r in found if not r["lost"]]
-        rises = [r["rise"] for r in found if r["rise"] is not None]
-        lines.append(
-            {
-                **dict(zip(names, cell, strict=True)),
-                "speed": found[0]["speed"],
-                "draws": len(found),
-                "lost": len(found) - len(kept),
-                "rms": fmean(r["rms"] for r in kept) if kept else None,
-                "deviation": pstdev(r["rms"] for r in kept) if kept else None,
-                "late": fmean(r["late"] for r in kept) if kept else None,
-                "unphysical": fmean(r["unphysical"] for r in found),
-                "rise": max(rises) if rises else None,
-                "seconds": fmean(r["seconds"] for r in found),
-            }
-        )
-    return lines
+    return [
+        {
+            **line,
+            "late": fmean(r["late"] for r in kept) if kept else None,
+            "seconds": fmean(r["seconds"] for r in found),
+        }
+        for line, found, kept in cells(rows, ("noise", "sigma", "controller", "law"))
+    ]
 
 
 def main() -> None:
@@ -186,23 +169,18 @@ def main() -> None:
     )
     options = parser.parse_args()
     draws = options.draws or (1 if options.quick else 2)
-    form = {"controller": "", "law": "", "speed": "g", "draws": "d", "lost": "d", "rms": ".3f"}
-    form |= {"unphysical": ".1%", "rise": ".1e"}
+    task = partial(run_draw, seed=options.seed)
     if options.choose_gains:
-        rows = run_draws(parser, options, run_draw, grid_draws(draws))
-        lines = summarize_grid(rows, "controller")
-        show("RMS in degrees", {**form, "chosen": ""}, lines)
-        write(options, {"grid": lines})
+        tell_grid(options, run_draws(parser, options, task, grid_draws(draws)), "controller")
         return
-    rows = run_draws(parser, options, run_draw, all_draws(draws, quick=options.quick))
+    rows = run_draws(parser, options, task, all_draws(draws, quick=options.quick))
     summary = summarize(rows)
-    columns = {"noise": "g", "sigma": ".1f", **form, "late": ".3f", "seconds": ".2f"}
+    columns = {"noise": "g", "sigma": ".1f", "controller": "", "law": "", "speed": "g"}
+    columns |= {"draws": "d", "lost": "d", "rms": ".3f", "unphysical": ".1%", "rise": ".1e"}
+    columns |= {"late": ".3f", "seconds": ".2f"}
     show("Tracking RMS in degrees; CPU seconds a simulated second", columns, summary)
-    write(options, {"summary": summary, "rows": rows})
-    if options.figures:
-        from diagrams.studies.adaptive.controller_figures import write_controller_figure
-
-        write_controller_figure(options.figures, summary)
+    table = {"summary": summary, "rows": rows}
+    write(options, table, computed_torque_or_passivity=lambda: controller_figure(summary))
 
 
 if __name__ == "__main__":

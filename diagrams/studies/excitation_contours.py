@@ -18,10 +18,8 @@ from typing import Any
 
 import numpy as np
 from matplotlib.figure import Figure
-from rich.console import Console
-from rich.table import Table
 
-from diagrams.harness import script_parser, write
+from diagrams.harness import script_parser, show, write
 from geodrake.excitation import NORMALIZATIONS, Criterion
 from geodrake.excitation.objective import normalizing_map
 from geodrake.report import style
@@ -40,8 +38,6 @@ class Coordinates:
     """What the link is described in.
 
     Attributes:
-        name: In words.
-        joint: L, position of the joint in the body's frame, m.
         metre: How many units of length a metre is.
     """
 
@@ -123,23 +119,6 @@ def run(points: int, samples: int) -> dict[str, Any]:
     return {"amplitude": A, "offset": offset, "rows": rows}
 
 
-def show(rows: list[dict[str, Any]], console: Console) -> None:
-    """Print where each map is least."""
-    table = Table("normalization", "coordinates", "best A", "q₀", "least value", "map differs by")
-    table.add_column("worse by, geometrically")
-    for row in sorted(rows, key=lambda r: NORMALIZATIONS.index(r["normalization"])):
-        table.add_row(
-            row["normalization"],
-            row["coordinates"],
-            f"{row['best_amplitude']:.3f}",
-            f"{row['best_offset']:.3f}",
-            f"{row['best_value']:.3g}",
-            f"10^{row['shape_difference']:.3g}",
-            f"{100 * (row['geometric_loss'] - 1):.1f} %",
-        )
-    console.print(table)
-
-
 def draw(found: dict[str, Any]) -> Figure:
     """Figure 4.2: a map for every normalization and coordinates, with its best motion."""
     figure = style.new_figure(7.2)
@@ -175,9 +154,13 @@ def main() -> None:
     parser.add_argument("--points", type=int, help="of the grid in each direction (121)")
     options = parser.parse_args()
     found = run(options.points or (41 if options.quick else 121), 200)
-    show(found["rows"], Console(width=140))
     hidden = ("values", "index")
     rows = [{k: v for k, v in row.items() if k not in hidden} for row in found["rows"]]
+    columns = {"normalization": "", "coordinates": "", "best_amplitude": ".3f"}
+    columns |= {"best_offset": ".3f", "best_value": ".3g", "shape_difference": ".3g"}
+    lines = sorted(rows, key=lambda row: NORMALIZATIONS.index(row["normalization"]))
+    title = "Where each map is least, decades by which it differs, and what that costs"
+    show(title, {**columns, "geometric_loss": ".3f"}, lines)
     write(options, {"rows": rows}, excitation_contours=lambda: draw(found))
 
 

@@ -15,24 +15,267 @@ The measurements are not part of the project; without them the script says where
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
 
 import numpy as np
-from rich.console import Console
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from matplotlib.patches import Ellipse
+from numpy.typing import NDArray
 from rich.progress import track
-from rich.table import Table
 
-from diagrams.harness import script_parser, write
+from diagrams.harness import script_parser, show, write
 from diagrams.public_data import add_folder_option, require
-from diagrams.studies.human.figures import ellipsoid_figure, mass_figure, sweep_figure
-from diagrams.studies.human.plate import DATA, NAMES, PREDICTED, Array, Human, blocks
-from diagrams.studies.human.table import Errors, Row, errors_of, rows_of
 from geodrake.identification import (
     PointMasses,
     PointMassEuclidean,
     RegularizerComparison,
     compare_regularizers,
 )
+from geodrake.inertia import central_second_moment, pseudo_inertia
+from geodrake.inertia.positive_definite import distance, relative_logarithms
+from geodrake.report import style
+
+Array = NDArray[np.float64]
+Steps = NDArray[np.intp]
+
+DATA = "data/human_force_plate.npz"
+PREDICTED = ("vertical force, N", "zero-moment x, cm", "zero-moment y, cm")
+ROWS = 3  # of a step: moments about the plate's y and x, then the vertical force
+
+# The data have no names; these are read off the places of the bodies. A and B are the two sides.
+_LIMBS = [f"{name} {side}" for name in ("foot", "shank", "thigh") for side in "AB"]
+_ARMS = [f"{name} {side}" for name in ("hand", "forearm") for side in "AB"]
+NAMES = (*_LIMBS, "pelvis", *_ARMS, "abdomen", "chest", "upper arm A", "upper arm B", "head")
+
+
+@dataclass(frozen=True, eq=False)
+class Human:
+    """The measurements.
+
+    Attributes:
+        A: (3 T, 160) regressor; b: (3 T,) measurements; sigma: (3 T,) their standard deviations.
+        prior: (16, 10) inertial parameters of the mesh with uniform density.
+        ellipsoids: (16, 4, 4) outer ellipsoids, positive inside.
+        X_WB: (16, 4, 4) poses of the bodies, for pictures.
+    """
+
+    A: Array
+    b: Array
+    sigma: Array
+    prior: Array
+    ellipsoids: Array
+    X_WB: Array
+
+    @classmethod
+    def read(cls, path: Path) -> Human:
+        """The measurements of a file."""
+        with np.load(path) as file:
+            sigma = np.tile(file["sigma"], len(file["b"]) // ROWS)
+            return cls(file["A"], file["b"], sigma, file["phi_prior"], file["Q"], file["X_WB"])
+
+    @property
+    def steps(self) -> int:
+        """Number of time steps T."""
+        return len(self.b) // ROWS
+
+    @property
+    def mass(self) -> float:
+        """Mass of the whole human, kg, which is known and which the prior has."""
+        return float(self.prior[:, 0].sum())
+
+    def gamma(self, alpha: float) -> float:
+        """γ = α tr(AᵀΣ⁻¹A)."""
+        return alpha * float(np.square(self.A / self.sigma[:, None]).sum())
+
+    def at(self, steps: Steps) -> Human:
+        """The measurements of some steps."""
+        rows = (ROWS * steps[:, None] + np.arange(ROWS)).ravel()
+        return replace(self, A=self.A[rows], b=self.b[rows], sigma=self.sigma[rows])
+
+    def errors(self, phi: Array) -> Array:
+        """(T, 3) errors of the vertical force, N, and of the zero-moment point's x and y, cm."""
+        wrenches = np.stack([self.A @ phi.ravel(), self.b]).reshape(2, -1, ROWS)
+        points = 100.0 * wrenches[..., [1, 0]] / wrenches[..., 2:]
+        predicted, measured = np.concatenate([wrenches[..., 2:], points], axis=-1)
+        return np.asarray(predicted - measured)
+
+
+def blocks(steps: int, number: int, gap: int) -> Iterator[tuple[Steps, Steps]]:
+    """Steps to train on and to test on, for each of as many blocks of consecutive steps.
+
+    Args:
+        gap: Steps on both sides of the tested block that are left out: velocities and
+            accelerations are differences of filtered poses, so that neighbours share noise.
+    """
+    every = np.arange(steps)
+    for block in np.array_split(every, number):
+        far = (every < block[0] - gap) | (every > block[-1] + gap)
+        yield every[far], block
+
+
+BOUNDARY = 1e-3
+"""Smallest eigenvalue of P(φ⁰)⁻¹P(φ) below which a body is flat or a point, for all purposes."""
+
+
+def rows_of(human: Human, alpha: float, found: RegularizerComparison) -> list[dict[str, Any]]:
+    """Return a row for each regularizer at one α, from all measurements.
+
+    "mismatch" is the relative difference of the residual from the Euclidean one, "distance" that of
+    all bodies from the prior, "least" the smallest eigenvalue of P(φ⁰)⁻¹P(φ), "degenerate" where it
+    is below 1e-3; "starts_agree" is None for convex regularizers.
+    """
+    rows, prior = [], pseudo_inertia(human.prior)
+    for name, result in found.results.items():
+        bodies = pseudo_inertia(result.phi)
+        least = np.exp(relative_logarithms(prior, bodies))
+        rows.append(
+            {
+                "alpha": alpha,
+                "regularizer": name,
+                "gamma": result.gamma,
+                "residual": result.residual,
+                "mismatch": result.residual / found.residual - 1.0,
+                "distance": float(np.linalg.norm(distance(prior, bodies))),
+                "least": float(least.min()),
+                "degenerate": [NAMES[i] for i in np.flatnonzero(least.min(1) < BOUNDARY)],
+                "starts_agree": result.minima.agree if result.minima else None,
+                "masses": result.phi[:, 0].tolist(),
+            }
+        )
+    return rows
+
+
+def errors_of(
+    human: Human, found: RegularizerComparison, tested: Mapping[str, Sequence[Array]]
+) -> list[dict[str, Any]]:
+    """Return the rows of [Lee2019] table 3.1: RMS errors, of all data and of blocks.
+
+    Args:
+        tested: Regularizer -> errors (t, 3) of every block, from fits to the others.
+    """
+    bodies = {"prior": human.prior, **{name: fit.phi for name, fit in found.results.items()}}
+    parts = {"prior": [human.errors(human.prior)], **tested}
+    return [
+        {
+            "regularizer": name,
+            "train": _rms(human.errors(phi)),
+            "test": _rms(np.concatenate(parts[name])),
+        }
+        for name, phi in bodies.items()
+    ]
+
+
+def _rms(errors: Array) -> list[float]:
+    return [float(value) for value in np.sqrt(np.square(errors).mean(0))]
+
+
+COLORS = {
+    "euclidean": style.BEFORE,
+    "point_mass_euclidean": "#c8a415",
+    "pullback": style.AFTER,
+    "entropic": style.FLOOR,
+    "riemannian": "#8a5fa8",
+}
+LABELS = {"point_mass_euclidean": "euclidean,\npoint masses"}
+
+
+def ellipsoid_figure(human: Human, found: Mapping[float, RegularizerComparison]) -> Figure:
+    """Every body as its equivalent uniform ellipsoid, seen from the front (figure 3.13)."""
+    colors = {"prior": style.MEASURED, **COLORS}
+    figure = style.new_figure(2.2 * len(found) + 0.5)
+    axes = figure.subplots(len(found), len(colors), sharex=True, sharey=True, squeeze=False)
+    for line, (alpha, comparison) in zip(axes, found.items(), strict=True):
+        for ax, (name, color) in zip(line, colors.items(), strict=True):
+            phi = human.prior if name == "prior" else comparison.results[name].phi
+            _draw_bodies(ax, human, phi, color)
+            if comparison is next(iter(found.values())):
+                ax.set_title(LABELS.get(name, name), fontsize=8)
+        line[0].set_ylabel(f"α = {alpha:g}\nz, m", fontsize=8)
+    for ax in axes[-1]:
+        ax.set_xlabel("x, m", fontsize=8)
+    style.note_below(
+        figure,
+        "Uniform ellipsoids of the same mass, centre of mass and inertia. "
+        "Red: flat or a point, at the boundary of what a body can be.",
+    )
+    return figure
+
+
+def _draw_bodies(ax: Axes, human: Human, phi: Array, color: str) -> None:
+    style.polish(ax)
+    ax.set(aspect="equal", xlim=(-0.75, 0.85), ylim=(-0.1, 1.85))
+    R, p = human.X_WB[:, :3, :3], human.X_WB[:, :3, 3]
+    centers = p + np.einsum("bij,bj->bi", R, phi[:, 1:4] / phi[:, :1])
+    # A uniform ellipsoid has semi-axes √(5 λ) for eigenvalues λ of Σᶜ/m; its shadow likewise.
+    spread = 5.0 * R @ central_second_moment(phi) @ np.swapaxes(R, 1, 2) / phi[:, :1, None]
+    least = relative_logarithms(pseudo_inertia(human.prior), pseudo_inertia(phi)).min(1)
+    for center, shape, low in zip(centers, spread[:, ::2, ::2], least, strict=True):
+        values, vectors = np.linalg.eigh(shape)
+        angle = np.degrees(np.arctan2(vectors[1, 1], vectors[0, 1]))
+        height, width = 2.0 * np.sqrt(np.maximum(values, 1e-5))
+        flat = low < np.log(BOUNDARY)
+        face = "#c8372d" if flat else color
+        patch = Ellipse(center[::2], width, height, angle=angle, facecolor=face, alpha=0.55)
+        patch.set(edgecolor=style.INK, linewidth=0.5)
+        ax.add_patch(patch)
+
+
+def mass_figure(human: Human, rows: Sequence[dict[str, Any]]) -> Figure:
+    """Mass of every body, side by side."""
+    figure = style.new_figure(3.6)
+    ax = style.polish(figure.subplots(), grid="y")
+    everyone = [("prior", human.prior[:, 0].tolist(), style.MEASURED)]
+    everyone += [(r["regularizer"], r["masses"], COLORS[r["regularizer"]]) for r in rows]
+    width, places = 0.8 / len(everyone), np.arange(len(NAMES))
+    for k, (name, masses, color) in enumerate(everyone):
+        ax.bar(
+            places + (k - 0.5 * (len(everyone) - 1)) * width,
+            masses,
+            width,
+            color=color,
+            label=LABELS.get(name, name).replace("\n", " "),
+        )
+    ax.set_xticks(places, NAMES, rotation=40, ha="right")
+    ax.set_ylabel("mass, kg", fontsize=8)
+    ax.legend(frameon=False, fontsize=8, title=f"α = {rows[0]['alpha']:g}", title_fontsize=8)
+    return figure
+
+
+def sweep_figure(rows: Sequence[dict[str, Any]]) -> Figure:
+    """What α does: residual, distance from the prior, and how flat the flattest body gets."""
+    figure = style.new_figure(3.2)
+    names = {
+        "residual": "residual ‖AΦ − b‖²",
+        "distance": "geodesic distance from the prior",
+        "least": "smallest eigenvalue of P(φ⁰)⁻¹P(φ)",
+    }
+    for ax, (field, label) in zip(figure.subplots(1, 3), names.items(), strict=True):
+        style.polish(ax)
+        for name, color in COLORS.items():
+            own = [row for row in rows if row["regularizer"] == name]
+            values = [row[field] for row in own]
+            dashed = "--" if name == "riemannian" else "-"
+            ax.plot(
+                [row["alpha"] for row in own],
+                values,
+                dashed,
+                marker="o",
+                ms=3,
+                color=color,
+                label=LABELS.get(name, name).replace("\n", " "),
+            )
+        style.log_scale(ax, "x")
+        if field != "distance":
+            style.log_scale(ax, "y")
+        ax.set_title(label, fontsize=8, loc="left")
+        ax.set_xlabel("α", fontsize=8)
+    figure.axes[0].legend(frameon=False, fontsize=8, loc="upper left")
+    return figure
+
 
 REGULARIZERS = ("euclidean", "point_mass_euclidean", "pullback", "entropic", "riemannian")
 BASELINE = 1e-2
@@ -74,30 +317,6 @@ def held_out(human: Human, points: PointMasses, number: int) -> dict[str, list[A
     return found
 
 
-def show(rows: Sequence[Row], errors: Sequence[Errors], console: Console) -> None:
-    """Print the tables."""
-    table = Table("α", "regularizer", "residual", "mismatch", "distance", "least λ", "degenerate")
-    table.add_column("starts")
-    for row in rows:
-        table.add_row(
-            f"{row.alpha:g}" if row.regularizer == REGULARIZERS[0] else "",
-            row.regularizer,
-            f"{row.residual:.2f}",
-            f"{row.mismatch:.1e}",
-            f"{row.distance:.2f}",
-            f"{row.least:.1e}",
-            f"{len(row.degenerate)} of {len(NAMES)}",
-            {None: "", True: "agree", False: "differ"}[row.starts_agree],
-        )
-    console.print(table)
-    table = Table(
-        "RMS errors", *(f"{when}: {what}" for when in ("train", "test") for what in PREDICTED)
-    )
-    for line in errors:
-        table.add_row(line.regularizer, *(f"{value:.2f}" for value in (*line.train, *line.test)))
-    console.print(table)
-
-
 def main() -> None:
     """Run the study from the command line."""
     parser = script_parser(__doc__, "only α = 0.01 and 1, three blocks")
@@ -111,9 +330,16 @@ def main() -> None:
         rows += rows_of(human, alpha, found[alpha])
     tested = held_out(human, points, QUICK_BLOCKS if options.quick else BLOCKS)
     errors = errors_of(human, found[BASELINE], tested)
-    show(rows, errors, Console(width=160))
+    columns = {"alpha": "g", "regularizer": "", "residual": ".2f", "mismatch": ".1e"}
+    columns |= {"distance": ".2f", "least": ".1e", "degenerate": "", "starts_agree": ""}
+    lines = [{**row, "degenerate": len(row["degenerate"])} for row in rows]
+    show(f"Fits; degenerate bodies, of {len(NAMES)}", columns, lines)
+    columns = [f"{when}: {what}" for when in ("train", "test") for what in PREDICTED]
+    lines = [dict(zip(columns, (*each["train"], *each["test"]), strict=True)) for each in errors]
+    lines = [{"": each["regularizer"], **line} for each, line in zip(errors, lines, strict=True)]
+    show("RMS errors", {"": "", **dict.fromkeys(columns, ".2f")}, lines, 160)
     shown = {alpha: found[alpha] for alpha in (1e-4, BASELINE, 1.0) if alpha in found}
-    baseline = [row for row in rows if row.alpha == BASELINE]
+    baseline = [row for row in rows if row["alpha"] == BASELINE]
     write(
         options,
         {"fits": rows, "errors": errors},

@@ -14,46 +14,213 @@ place. Finished designs are kept beside the table, so that an interrupted run go
 
 from __future__ import annotations
 
-import os
+import argparse
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass
-from functools import partial
+from dataclasses import asdict, dataclass, fields, replace
+from functools import cached_property, partial
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from matplotlib.figure import Figure
-from rich.console import Console
-from rich.table import Table
+from numpy.typing import NDArray
 
-from diagrams.harness import cache_beside, results_of, script_parser, write
+from diagrams.harness import MODELS, run_draws, script_parser, show, write
 from diagrams.public_data import add_folder_option
-from diagrams.studies.excitation.manipulator import (
-    DURATION,
-    IIWA,
-    Validation,
-    family,
-    limits,
-    manipulator,
-    represented_target,
-)
-from diagrams.studies.excitation.refined import refined
 from geodrake.excitation import (
     NORMALIZATIONS,
     Criterion,
     DesignOptions,
     ExcitationTrajectory,
+    FourierMotion,
+    IdentifiableParameters,
+    MotionFamily,
+    MotionLimits,
     Objective,
     Target,
     design_excitation,
+    identifiable_parameters,
+    make_target,
+    measurement_factor,
+    motion_limits,
 )
 from geodrake.excitation.problem import make_problem
-from geodrake.excitation.starts import random_guess
+from geodrake.excitation.solve import Budget, solve
+from geodrake.excitation.starts import random_guess, within_limits
+from geodrake.inertia import perturb
 from geodrake.logs import Motion
+from geodrake.model import RobotModel, load_description
 from geodrake.report import style
+from geodrake.robot import BaseParameters, inverse_dynamics_regressor, pushforward_metric
 
-VERSION = 1
-"""Of what a design is; one more when kept designs of older versions must not be used."""
+Array = NDArray[np.float64]
+
+_DENSE = 1000  # samples that stand for those of a motion sampled more often
+
+
+def identified_by(
+    target: Target, trajectory: ExcitationTrajectory, samples: int
+) -> IdentifiableParameters:
+    """What a motion identifies when it is measured so many times, at equal intervals."""
+    count = trajectory.family.count if not trajectory.family.timed else min(samples, _DENSE)
+    motion = trajectory.motion(trajectory.family.times(count))
+    share = samples / len(motion)
+    factor = np.sqrt(share) * measurement_factor(target, motion)
+    return identifiable_parameters(target, factor, threshold=np.inf)
+
+
+def root_covariance(found: IdentifiableParameters) -> Array:
+    """(p, n_B) R with R Rᵀ the covariance of parameters, up to changes that data cannot see."""
+    return np.asarray(found.directions * np.sqrt(found.variances))
+
+
+def parameter_error(found: IdentifiableParameters, truth: Array) -> float:
+    """√(E⟨δ, δ⟩/n_B) in the pushforward metric at the true bodies (nb, 10), [Lee2019] §4.6.2."""
+    B = found.target.base.matrix
+    H = pushforward_metric(B, truth)
+    R = B @ root_covariance(found)
+    return float(np.sqrt(np.einsum("ia,ij,ja->", R, H, R) / len(B)))
+
+
+def effort_errors(
+    found: IdentifiableParameters, regressor: Array, mass: Array
+) -> tuple[Array, ...]:
+    """(nv,) RMS errors of efforts (N·m) and of accelerations M⁻¹(τ − τ̂) (rad/s²).
+
+    Args:
+        regressor: (N, nv, p) at the samples of validation.
+        mass: (N, nv, nv) mass matrices there.
+    """
+    effort = regressor @ root_covariance(found)
+    acceleration = np.linalg.solve(mass, effort)
+    pair = [np.square(x).sum(axis=2).mean(axis=0) for x in (effort, acceleration)]
+    return tuple(np.sqrt(pair))
+
+
+_SHARPNESS = 64.0  # of the smooth form of the criterion: the last stage of a design
+
+
+def refined(
+    target: Target,
+    limits: MotionLimits,
+    family: MotionFamily,
+    coefficients: Array,
+    options: DesignOptions,
+) -> tuple[ExcitationTrajectory, float, str]:
+    """The optimum of geometric E-optimality next to a motion (count, nv) that keeps the limits.
+
+    Returns:
+        The motion, the smooth logarithm that was minimized, and what the solver said.
+    """
+    objective = Objective(target, Criterion("e_optimality", _SHARPNESS))
+    problem = make_problem(objective, limits, family, options)
+    start = problem.variables(coefficients)
+    found = solve(
+        problem,
+        start,
+        budget=Budget.of(options.seconds),
+        watch=lambda _value, _variables: None,
+    )
+    end = within_limits(problem, found.variables.reshape(start.shape), start)
+    return problem.trajectory(end), problem.cost(end)[0], found.status
+
+
+IIWA = Path("reference") / "iiwa14.sdf"
+NOISE = 0.1  # N·m
+FREQUENCY = 0.3 * np.pi  # rad/s
+DURATION, RATE = 10.0, 1000  # s, 1/s
+GROUPS = {"1,2": [0, 1], "3,4": [2, 3], "5,6": [4, 5], "7": [6]}
+"""Joints of table 4.2."""
+_UNCERTAINTY = 0.3  # of the prior's masses
+_ACCELERATION = 10.0  # rad/s², of validation, where the model file limits none
+
+
+@dataclass(frozen=True, eq=False)
+class RepresentedTarget(Target):
+    """A target whose base parameters are written down in another way.
+
+    Attributes:
+        change: (n_B, n_B) S, nonsingular; the base parameters are S φ_B.
+    """
+
+    change: Array | None = None
+
+    @cached_property
+    def base(self) -> BaseParameters:
+        """S B in the place of B."""
+        own = super().base
+        return own if self.change is None else replace(own, matrix=self.change @ own.matrix)
+
+
+def manipulator(shared: Path | None) -> RobotModel:
+    """The iiwa of the folder `shared`, and an arm of our own with seven joints if None."""
+    path = MODELS / "arm7.urdf" if shared is None else shared / IIWA
+    return replace(load_description(path), effects=())
+
+
+def represented_target(model: RobotModel, base: int, seed: int) -> Target:
+    """All inertias of an arm, with a random prior, in a base representation.
+
+    Number one is that of geodrake; the others are it times random matrices.
+    """
+    rng = np.random.default_rng([seed, 0])
+    prior = perturb(model.phi, 1, rng=rng, mass_uncertainty=_UNCERTAINTY).phi[0]
+    target = make_target(replace(model, phi=prior), noise=NOISE, effects=[])
+    values = {field.name: getattr(target, field.name) for field in fields(target)}
+    size = target.base.rank
+    change = np.random.default_rng([seed, base]).normal(size=(size, size)) if base > 1 else None
+    return RepresentedTarget(**values, change=change)
+
+
+def family(modes: int) -> FourierMotion:
+    """Motions of [Lee2019] Eq. (4.6.62)."""
+    return FourierMotion(DURATION, modes, FREQUENCY, offset=False)
+
+
+def limits(model: RobotModel) -> MotionLimits:
+    """Positions and speeds alone are limited, as in the source."""
+    return motion_limits(model, acceleration=np.inf, effort=np.inf)
+
+
+@dataclass(frozen=True, eq=False)
+class Validation:
+    """Random samples within limits, at which efforts are predicted.
+
+    Attributes:
+        regressor: (N, nv, p).
+        mass: (N, nv, nv) mass matrices.
+    """
+
+    model: RobotModel
+    regressor: Array
+    mass: Array
+
+    @classmethod
+    def of(cls, model: RobotModel, count: int, seed: int) -> Validation:
+        """Samples drawn evenly."""
+        rng, bounds = np.random.default_rng([seed, 99]), motion_limits(model)
+        fastest = np.where(np.isfinite(bounds.acceleration), bounds.acceleration, _ACCELERATION)
+        shape = (count, len(model.joints))
+        q = rng.uniform(bounds.lower, bounds.upper, shape)
+        v, vd = (rng.uniform(-most, most, shape) for most in (bounds.velocity, fastest))
+        context, mass = model.plant.CreateDefaultContext(), []
+        for one in q:
+            model.plant.SetPositions(context, one)
+            mass.append(model.plant.CalcMassMatrix(context))
+        return cls(model, inverse_dynamics_regressor(model.tree, q, v, vd), np.array(mass))
+
+    def errors(self, target: Target, trajectory: ExcitationTrajectory) -> dict[str, object]:
+        """Expected errors of what least squares make of a motion at 1 kHz, as in table 4.2."""
+        found = identified_by(target, trajectory, round(DURATION * RATE))
+        effort, acceleration = effort_errors(found, self.regressor, self.mass)
+        by_group = [
+            {name: float(np.sqrt(np.mean(x[joints] ** 2))) for name, joints in GROUPS.items()}
+            for x in (effort, acceleration)
+        ]
+        error = parameter_error(found, self.model.phi)
+        return {"error": error, "effort": by_group[0], "acceleration": by_group[1]}
+
+
 RANDOM = "random"
 PEERS = {
     ("none", "condition_number"): "Gautier and Khalil 1992",
@@ -71,12 +238,8 @@ class Plan:
 
     Attributes:
         shared: Folder with the iiwa; None for our own arm.
-        modes: Of the Fourier series.
-        samples: By which information is counted.
         iterations: Most iterations of the solver, in each of its two stages.
-        seeds: Number of random starts.
         validation: Number of random samples at which efforts are predicted.
-        seed: Of starts, prior, base representations and validation.
     """
 
     shared: str | None
@@ -95,7 +258,6 @@ class Cell:
     Attributes:
         normalization: One of `NORMALIZATIONS`, `RANDOM` or `REFINED`.
         base: Number of the base representation, from one.
-        criterion: One of `CRITERIA`.
     """
 
     normalization: str
@@ -195,20 +357,21 @@ def spread(rows: Sequence[dict[str, Any]], normalization: str) -> dict[str, floa
     }
 
 
-def run(plan: Plan, *, bases: int, cache: Path | None, workers: int) -> dict[str, Any]:
+def run(
+    parser: argparse.ArgumentParser, options: argparse.Namespace, plan: Plan, bases: int
+) -> dict[str, Any]:
     """Table 4.2, and the comparison with others."""
     cells = [Cell(name, base + 1) for name in NORMALIZATIONS for base in range(bases)]
     cells += [Cell(name, 1, criterion) for name, criterion in PEERS] + [Cell(RANDOM)]
     cells.append(Cell("geometric", 1, "a_optimality"))
-    key = {"version": VERSION, **asdict(plan), "shared": plan.shared is not None}
-    resumable = {"cache": cache, "workers": workers}
-    rows = results_of(partial(design, plan=plan), cells, key=key, **resumable)
+    key = {**asdict(plan), "shared": plan.shared is not None}
+    rows = run_draws(parser, options, partial(design, plan=plan), cells, plan=key)
     own = [row for row in rows if row["normalization"] == "geometric"]
     first = min(own, key=lambda row: row["geometric_e"])
     best, start = first["geometric_e"], first["coefficients"]
     cells = [Cell(REFINED, base + 1) for base in range(bases)]
     task = partial(refine, plan=plan, coefficients=start)
-    rows += results_of(task, cells, key={**key, "from": best}, **resumable)
+    rows += run_draws(parser, options, task, cells, plan=key, best=best)
     spreads = {name: spread(rows, name) for name in (*NORMALIZATIONS, REFINED)}
     for name in NORMALIZATIONS:
         first = next(row for row in rows if row["normalization"] == name)
@@ -218,38 +381,28 @@ def run(plan: Plan, *, bases: int, cache: Path | None, workers: int) -> dict[str
     for row in rows:
         row.pop("coefficients", None)
         row["criterion_over_best_geometric"] = row["geometric_e"] / best
-    return {
-        "plan": {**asdict(plan), "shared": plan.shared is not None},
-        "rows": rows,
-        "spread": spreads,
-    }
+    return {"plan": key, "rows": rows, "spread": spreads}
 
 
-def show(table: dict[str, Any], console: Console) -> None:
+def tell(table: dict[str, Any]) -> None:
     """Print table 4.2."""
-    groups = list(table["rows"][0]["effort"])
-    out = Table("normalization", "criterion", "base", "error", *(f"J {g}, N·m" for g in groups))
-    for name in (*(f"J {g}, rad/s²" for g in groups), "E over best"):
-        out.add_column(name)
+    lines, groups = [], list(table["rows"][0]["effort"])
     for row in table["rows"]:
-        values = [row["error"], *row["effort"].values(), *row["acceleration"].values()]
-        out.add_row(
-            row["normalization"],
-            row["criterion"].replace("_", " "),
-            str(row["base"]),
-            *(f"{value:.3g}" for value in values),
-            f"{row['criterion_over_best_geometric']:.3g}",
-        )
-    console.print(out)
+        efforts = {f"J {group}, N·m": row["effort"][group] for group in groups}
+        efforts |= {f"J {group}, rad/s²": row["acceleration"][group] for group in groups}
+        lines.append({**row, **efforts, "E over best": row["criterion_over_best_geometric"]})
+    numbers = dict.fromkeys(("error", *efforts, "E over best"), ".3g")
+    columns = {"normalization": "", "criterion": "", "base": "", **numbers}
+    show("Errors by normalization, criterion and base representation", columns, lines, 200)
     for name, one in table["spread"].items():
         error, apart = one["error_largest_over_smallest_less_1"], one["coefficients_apart"]
-        console.print(
+        print(
             f"{name}: between representations, errors of the designs differ by {error:.3g}, and "
             f"coefficients by {apart:.3g}"
         )
         if name in NORMALIZATIONS:
             value = one["criterion_largest_over_smallest_less_1"]
-            console.print(f"    the criterion of one and the same motion by {value:.3g}")
+            print(f"    the criterion of one and the same motion by {value:.3g}")
 
 
 _CRITERIA = {
@@ -292,12 +445,11 @@ def draw(rows: Sequence[dict[str, Any]]) -> Figure:
 
 def main() -> None:
     """Run the study from the command line."""
-    parser = script_parser(__doc__)
+    parser = script_parser(__doc__, draws=True)
     add_folder_option(parser, "with the iiwa")
     parser.add_argument("--bases", type=int, help="base representations (4; 2 with --quick)")
     parser.add_argument("--iterations", type=int, help="of the solver (150; 5 with --quick)")
     parser.add_argument("--seeds", type=int, default=1, help="number of random starts")
-    parser.add_argument("--workers", type=int, help="number of processes")
     options = parser.parse_args()
     own = options.quick or not (options.shared / IIWA).is_file()
     plan = Plan(
@@ -309,11 +461,8 @@ def main() -> None:
         validation=200 if options.quick else 2000,
         seed=options.seed,
     )
-    bases = options.bases or (2 if options.quick else 4)
-    workers = options.workers or (1 if options.quick else min(2, os.cpu_count() or 1))
-    console = Console(width=200)
-    table = run(plan, bases=bases, cache=cache_beside(options.json), workers=workers)
-    show(table, console)
+    table = run(parser, options, plan, options.bases or (2 if options.quick else 4))
+    tell(table)
     write(options, table, iiwa_excitation=lambda: draw(table["rows"]))
 
 

@@ -11,7 +11,6 @@ least squares. Finished designs are kept beside the table, so that an interrupte
 
 from __future__ import annotations
 
-import os
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass
 from functools import partial
@@ -20,21 +19,18 @@ from typing import Any
 
 import numpy as np
 from matplotlib.figure import Figure
-from rich.console import Console
-from rich.table import Table
-
-from diagrams.harness import cache_beside, results_of, script_parser, write
-from diagrams.studies.excitation.expected import identified_by, parameter_error, root_covariance
-from diagrams.studies.excitation.scara import (
-    FRAMES,
-    SAMPLES,
-    TRUTH,
-    errors_in_frame_3,
-    limits,
-    payload,
-    payload_target,
-    scara,
+from numpy.typing import NDArray
+from pydrake.math import RigidTransform, RotationMatrix
+from pydrake.multibody.plant import MultibodyPlant
+from pydrake.multibody.tree import (
+    FixedOffsetFrame,
+    RevoluteJoint,
+    RotationalInertia,
+    SpatialInertia,
 )
+
+from diagrams.harness import run_draws, script_parser, show, write
+from diagrams.studies.iiwa_excitation import identified_by, parameter_error, root_covariance
 from geodrake.excitation import (
     CRITERIA,
     NORMALIZATIONS,
@@ -42,13 +38,98 @@ from geodrake.excitation import (
     DesignOptions,
     ExcitationTrajectory,
     FreeSamples,
+    MotionLimits,
     Objective,
+    Target,
     design_excitation,
+    make_target,
 )
+from geodrake.inertia import inertial_parameters
+from geodrake.model import RobotModel
 from geodrake.report import style
 
-VERSION = 2
-"""Of what a design is; one more when kept designs of older versions must not be used."""
+Array = NDArray[np.float64]
+
+LINK = 0.5  # m, both
+NOISE = 0.03  # N·m
+SAMPLES = 50
+TRUTH = (4.0, (0.0, 0.0), 0.08165)
+PRIOR = (4.58, (0.02e-3, 1.94e-3), 0.08607)
+"""Mass, kg; centre of mass in frame {3}, m; radius of gyration about the vertical, m."""
+_FLANGE = 0.15  # m, from the end of the second link to the payload's centre
+
+FRAMES = {
+    "1": RigidTransform([0.0, -0.3, 0.0]),
+    "2": RigidTransform(RotationMatrix.MakeZRotation(0.6), [-0.25, 0.1, 0.0]),
+    "3": RigidTransform(),
+    "4": RigidTransform(RotationMatrix.MakeZRotation(-0.9), [0.12, 0.2, 0.0]),
+}
+"""Poses in the frame {3} at the payload's centre; {1} is on its y-axis, where p^x is as small."""
+
+
+def payload(mass: float, com: tuple[float, float], gyration: float) -> SpatialInertia:
+    """A uniform sphere in frame {3}; its moment about z is that about the frame's own origin."""
+    p = np.array([*com, 0.0])
+    own = mass * (gyration**2 - p @ p)
+    return SpatialInertia.MakeFromCentralInertia(mass, p, RotationalInertia(own, own, own))
+
+
+def scara(frame: str, body: SpatialInertia) -> RobotModel:
+    """The arm with a body at its end, described in one of `FRAMES`.
+
+    Its links are known, so that they do not matter; they are light.
+    """
+    plant, X_3B = MultibodyPlant(0.0), FRAMES[frame]
+    rod = SpatialInertia.SolidBoxWithMass(1.0, LINK, 0.05, 0.05).Shift([-LINK / 2, 0.0, 0.0])
+    upper = plant.AddRigidBody("upper_arm", rod)
+    moved = body.Shift(X_3B.translation()).ReExpress(X_3B.rotation().inverse())
+    fore = plant.AddRigidBody("forearm", moved)
+    world = plant.world_body().body_frame()
+    plant.AddJoint(RevoluteJoint("shoulder", world, upper.body_frame(), [0, 0, 1], -np.pi, np.pi))
+    # The payload is beside the forearm's line, so that no frame here is aligned with it.
+    X_J3 = RigidTransform(RotationMatrix.MakeZRotation(0.4), [LINK, _FLANGE, 0.0])
+    elbow = FixedOffsetFrame("elbow_F", upper.body_frame(), RigidTransform([LINK, 0.0, 0.0]))
+    inverse = FixedOffsetFrame("elbow_M", fore.body_frame(), (X_J3 @ X_3B).inverse())
+    F, M = plant.AddFrame(elbow), plant.AddFrame(inverse)
+    plant.AddJoint(RevoluteJoint("elbow", F, M, [0, 0, 1], -np.pi, np.pi))
+    plant.Finalize()
+    return RobotModel(plant, Path("scara"), False, inertial_parameters(plant))
+
+
+def payload_target(frame: str) -> Target:
+    """The unknown payload in a frame, with its prior."""
+    return make_target(scara(frame, payload(*PRIOR)), noise=NOISE, bodies=["forearm"])
+
+
+def limits() -> MotionLimits:
+    """Our limits of samples; the source does not state its own."""
+    return MotionLimits(
+        ("shoulder", "elbow"),
+        lower=np.full(2, -np.pi),
+        upper=np.full(2, np.pi),
+        velocity=np.full(2, 2.0),
+        acceleration=np.full(2, 5.0),
+        effort=np.full(2, np.inf),
+    )
+
+
+def errors_in_frame_3(covariance: Array) -> dict[str, float]:
+    """RMS errors of m (kg), p^x, p^y and r^z (mm) from the covariance (10, 10) of φ in {3}.
+
+    To first order in the noise, at the true payload, whose centre is the origin.
+    """
+    mass, _, gyration = TRUTH
+    variance = np.diagonal(covariance)
+    by_r = np.zeros(10)
+    by_r[0], by_r[6] = -gyration / (2 * mass), 1 / (2 * mass * gyration)
+    return {
+        "m": float(np.sqrt(variance[0])),
+        "px": float(1e3 * np.sqrt(variance[1]) / mass),
+        "py": float(1e3 * np.sqrt(variance[2]) / mass),
+        "rz": float(1e3 * np.sqrt(by_r @ covariance @ by_r)),
+    }
+
+
 COLUMNS = {"m": "m, kg", "px": "p^x, mm", "py": "p^y, mm", "rz": "r^z, mm", "error": "error"}
 
 
@@ -57,10 +138,7 @@ class Plan:
     """What every design has in common.
 
     Attributes:
-        criterion: One of `CRITERIA`.
         iterations: Most iterations of the solver, in each of its two stages.
-        seeds: Number of random starts.
-        seed: Of the first of them.
     """
 
     criterion: str = "condition_number"
@@ -75,7 +153,6 @@ class Cell:
 
     Attributes:
         normalization: One of `NORMALIZATIONS`.
-        frame: One of `FRAMES`.
     """
 
     normalization: str
@@ -160,17 +237,6 @@ def spread(rows: Sequence[dict[str, Any]], normalization: str) -> dict[str, floa
     }
 
 
-def show(rows: Sequence[dict[str, Any]], console: Console) -> None:
-    """Print table 4.1."""
-    table = Table("normalization", "frame", *COLUMNS.values(), "geometric criterion")
-    for row in rows:
-        values = [
-            f"{row[key]:.4f}" if key in ("m", "error") else f"{row[key]:.2f}" for key in COLUMNS
-        ]
-        table.add_row(row["normalization"], row["frame"], *values, f"{row['geometric_value']:.4f}")
-    console.print(table)
-
-
 def draw(rows: Sequence[dict[str, Any]]) -> Figure:
     """Errors by normalization and frame."""
     figure = style.new_figure(3.0)
@@ -188,38 +254,32 @@ def draw(rows: Sequence[dict[str, Any]]) -> Figure:
     return figure
 
 
-def run(plan: Plan, *, cache: Path | None, workers: int) -> dict[str, Any]:
-    """Table 4.1, and what frames matter."""
-    cells = [Cell(name, frame) for name in NORMALIZATIONS for frame in FRAMES]
-    key = {"version": VERSION, **asdict(plan)}
-    rows = results_of(partial(design, plan=plan), cells, key=key, cache=cache, workers=workers)
-    spreads = {name: spread(rows, name) for name in NORMALIZATIONS}
-    rows = [{k: v for k, v in row.items() if k != "coefficients"} for row in rows]
-    return {"plan": asdict(plan), "rows": [*rows, random_samples(plan, 20)], "spread": spreads}
-
-
 def main() -> None:
     """Run the study from the command line."""
-    parser = script_parser(__doc__)
+    parser = script_parser(__doc__, draws=True)
     parser.add_argument("--criterion", choices=CRITERIA, default="condition_number")
     parser.add_argument("--iterations", type=int, help="of the solver (100; 10 with --quick)")
     parser.add_argument("--seeds", type=int, default=1, help="number of random starts")
-    parser.add_argument("--workers", type=int, help="number of processes")
     options = parser.parse_args()
     iterations = options.iterations or (10 if options.quick else 100)
     plan = Plan(options.criterion, iterations, options.seeds, options.seed)
-    workers = options.workers or (1 if options.quick else min(2, os.cpu_count() or 1))
-    table = run(plan, cache=cache_beside(options.json), workers=workers)
-    console = Console(width=140)
-    show(table["rows"], console)
-    for name, one in table["spread"].items():
+    cells = [Cell(name, frame) for name in NORMALIZATIONS for frame in FRAMES]
+    rows = run_draws(parser, options, partial(design, plan=plan), cells, plan=asdict(plan))
+    spreads = {name: spread(rows, name) for name in NORMALIZATIONS}
+    rows = [{k: v for k, v in row.items() if k != "coefficients"} for row in rows]
+    rows.append(random_samples(plan, 20))
+    forms = {"m": ".4f", "px": ".2f", "py": ".2f", "rz": ".2f", "error": ".4f"}
+    columns = {"normalization": "", "frame": "", **forms, "geometric_value": ".4f"}
+    show("RMS errors of m in kg, and of p^x, p^y and r^z in mm", columns, rows)
+    for name, one in spreads.items():
         error, apart = one["error_largest_over_smallest_less_1"], one["samples_apart"]
         value = one["criterion_largest_over_smallest_less_1"]
-        console.print(
+        print(
             f"{name}: between frames, the criterion of the same samples differs by {value:.3g}, "
             f"errors of the designs by {error:.3g}, and their samples by {apart:.3g}"
         )
-    write(options, table, scara_excitation=lambda: draw(table["rows"]))
+    table = {"plan": plan, "rows": rows, "spread": spreads}
+    write(options, table, scara_excitation=lambda: draw(rows))
 
 
 if __name__ == "__main__":

@@ -10,7 +10,7 @@ at 1 kHz. The first estimate scales every body by 1 ± σ. Three parts:
 
 The Euclidean and the pullback law have a constant gain, for which Euler steps are exact; the
 natural law's are geodesic, and for comparison the source's Euler steps. The speed γ⁻¹ of each law
-is chosen by one rule on draws of their own (`adaptive/gains.py`, `--choose-gains`), or is the
+is chosen by one rule on draws of their own (`adaptive/laws.py`, `--choose-gains`), or is the
 source's (`--gains source`). There is no friction, and no limit of joints and efforts, as there.
 
     python -m diagrams.studies.wam_adaptation --draws 4 --json wam.json --figures figures
@@ -20,27 +20,27 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from statistics import fmean, pstdev
+from functools import partial
 from typing import Any
 
 import numpy as np
 
 from diagrams.harness import positive_number, run_draws, script_parser, show, write
-from diagrams.studies.adaptive.gains import (
-    CALIBRATION_SEED,
-    GRID,
-    add_gains,
-    speeds,
-    summarize_grid,
-)
+from diagrams.studies.adaptive.figures import adaptation_figures
 from diagrams.studies.adaptive.laws import (
+    CALIBRATION_SEED,
     EUCLIDEAN,
+    GRID,
     LAWS,
     NATURAL,
     NATURAL_EULER,
     NONE,
     PULLBACK,
+    add_gains,
+    cells,
     make_law,
+    speeds,
+    tell_grid,
 )
 from diagrams.studies.adaptive.loop import rounds, simulate
 from diagrams.studies.adaptive.wam import (
@@ -66,13 +66,7 @@ class Draw:
 
     Attributes:
         part: Of the study.
-        law: Its name.
-        speed: γ⁻¹.
-        sigma: σ of the first estimate.
-        number: Of the first estimate.
-        step: Period of control and adaptation, s.
         amplitudes: Of the rounds, rad.
-        period: Of a round, s.
         end: When to stop, s; None for the end of the last round.
     """
 
@@ -104,17 +98,13 @@ def run_draw(draw: Draw, *, seed: int) -> dict[str, Any]:
     motion = rounds(draw.amplitudes, draw.period, len(wam.control.joints))
     record = simulate(controller, make_plant(), motion, end=draw.end)
     return {
+        **record.told(draw, controller),
         "part": draw.part,
-        "law": draw.law,
-        "speed": draw.speed,
         "sigma": draw.sigma,
         "draw": draw.number,
         "step": draw.step,
-        "rms": record.rms(),
         "rounds": record.rounds(draw.period, len(draw.amplitudes)),
         "unphysical": float(wam.unphysical(record.parameters).mean()),
-        "rise": None if controller.law is None else record.rise,
-        "lost": record.lost,
     }
 
 
@@ -173,25 +163,10 @@ def grid_draws(draws: int) -> list[Draw]:
 
 def summarize(rows: Sequence[Any]) -> list[dict[str, Any]]:
     """Means and deviations over draws, one line a part, σ, time step and law."""
-    cells = list(dict.fromkeys((r["part"], r["sigma"], r["step"], r["law"]) for r in rows))
     lines = []
-    for cell in cells:
-        found = [r for r in rows if (r["part"], r["sigma"], r["step"], r["law"]) == cell]
-        kept = [r for r in found if not r["lost"]]
-        rises = [r["rise"] for r in found if r["rise"] is not None]
-        line = dict(zip(("part", "sigma", "step", "law"), cell, strict=True))
-        line |= {
-            "speed": found[0]["speed"],
-            "draws": len(found),
-            "lost": len(found) - len(kept),
-            "rms": fmean(r["rms"] for r in kept) if kept else None,
-            "deviation": pstdev(r["rms"] for r in kept) if kept else None,
-            "rounds": np.mean([r["rounds"] for r in kept], axis=0).tolist() if kept else None,
-            "unphysical": fmean(r["unphysical"] for r in found),
-            "rise": max(rises) if rises else None,
-        }
-        line["last_round"] = line["rounds"][-1] if kept else None
-        lines.append(line)
+    for line, _, kept in cells(rows, ("part", "sigma", "step", "law")):
+        rounds = np.mean([r["rounds"] for r in kept], axis=0).tolist() if kept else None
+        lines.append({**line, "rounds": rounds, "last_round": rounds and rounds[-1]})
     return lines
 
 
@@ -206,27 +181,25 @@ def main() -> None:
     )
     options = parser.parse_args()
     draws = options.draws or (1 if options.quick else 2)
-    form = {"speed": "g", "draws": "d", "lost": "d", "rms": ".3f", "unphysical": ".1%"}
+    task = partial(run_draw, seed=options.seed)
     if options.choose_gains:
-        lines = summarize_grid(run_draws(parser, options, run_draw, grid_draws(draws)), "step")
-        show(
-            "RMS in degrees",
-            {"step": "g", "law": "", **form, "rise": ".1e", "chosen": ""},
-            lines,
-        )
-        write(options, {"grid": lines})
+        tell_grid(options, run_draws(parser, options, task, grid_draws(draws)), "step")
         return
     wanted = (quick_draws if options.quick else all_draws)(options.gains, draws)
-    rows = run_draws(parser, options, run_draw, wanted)
+    rows = run_draws(parser, options, task, wanted)
     summary = summarize(rows)
-    columns = {"part": "", "sigma": ".2f", "step": "g", "law": "", **form}
-    columns |= {"deviation": ".3f", "last_round": ".3f", "rise": ".1e"}
+    columns = {"part": "", "sigma": ".2f", "step": "g", "law": "", "speed": "g", "draws": "d"}
+    columns |= {
+        "lost": "d",
+        "rms": ".3f",
+        "unphysical": ".1%",
+        "deviation": ".3f",
+        "last_round": ".3f",
+        "rise": ".1e",
+    }
     show(f"Tracking RMS in degrees, gains: {options.gains}", columns, summary)
-    write(options, {"gains": options.gains, "summary": summary, "rows": rows})
-    if options.figures:
-        from diagrams.studies.adaptive.wam_figures import write_adaptation_figures
-
-        write_adaptation_figures(options.figures, summary)
+    table = {"gains": options.gains, "summary": summary, "rows": rows}
+    write(options, table, wam=lambda: adaptation_figures(summary))
 
 
 if __name__ == "__main__":

@@ -4,31 +4,44 @@ The arm is known. The load is thought to be a sphere of 1 kg, and is one of thre
 sphere, a rod-like ellipsoid, and an ellipsoid that is off by 9.5 cm. The controller is that of
 `wam_adaptation.py`, for five rounds of one motion (figure 5.6). Adaptation speeds γ⁻¹ are the
 source's, or with `--gains rule` chosen by one rule for all laws, on other loads
-(`adaptive/gains.py`, `--choose-gains`). The order of the laws is the source's with its speeds only.
+(`adaptive/laws.py`, `--choose-gains`). The order of the laws is the source's with its speeds only.
 
     python -m diagrams.studies.wam_payload --json payload.json --figures figures
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import partial
 from typing import Any
 
 import numpy as np
 
 from diagrams.harness import run_draws, script_parser, show, write
-from diagrams.studies.adaptive.gains import (
+from diagrams.studies.adaptive.figures import load_figure
+from diagrams.studies.adaptive.laws import (
     CALIBRATION_SEED,
+    EUCLIDEAN,
     GRID,
+    LAWS,
+    NATURAL,
+    NONE,
+    PULLBACK,
     add_gains,
     speeds,
-    summarize_grid,
+    tell_grid,
 )
-from diagrams.studies.adaptive.laws import EUCLIDEAN, LAWS, NATURAL, NONE, PULLBACK
-from diagrams.studies.adaptive.loads import GUESS, LOADS, load_loaded, some_load
 from diagrams.studies.adaptive.loop import LOG_PERIOD, rounds, simulate
-from diagrams.studies.adaptive.wam import AMPLITUDE, PERIOD, RATE, make_plant
+from diagrams.studies.adaptive.wam import (
+    AMPLITUDE,
+    GUESS,
+    LOADS,
+    PERIOD,
+    RATE,
+    load_loaded,
+    make_plant,
+    some_load,
+)
 from geodrake.control import PassivityBasedAdaptiveController, VaryingGains
 from geodrake.inertia import is_physical, riemannian_distance
 
@@ -42,8 +55,6 @@ class Draw:
 
     Attributes:
         load: Name of the load; a number is that of one for the choice of speeds.
-        law: Its name.
-        speed: γ⁻¹.
         rounds: Number of rounds.
         end: When to stop, s; None for the end of the last round.
     """
@@ -74,17 +85,13 @@ def run_draw(draw: Draw, *, seed: int) -> dict[str, Any]:
     distance = riemannian_distance(estimate[-1], load) if physical[-1] else None
     series = np.degrees(np.sqrt(np.mean(record.error**2, axis=1)))[::SHOWN]
     return {
+        **record.told(draw, controller),
         "part": "grid" if numbered else "loads",
         "load": draw.load,
-        "law": draw.law,
-        "speed": draw.speed,
-        "rms": record.rms(),
         "rounds": record.rounds(PERIOD, draw.rounds),
         "unphysical": float(1.0 - physical.mean()),
         "mass": float(estimate[-1, 0]),
         "distance": None if distance is None else float(distance),
-        "rise": None if controller.law is None else record.rise,
-        "lost": record.lost,
         "series": [] if numbered else [round(float(x), 5) for x in series],
     }
 
@@ -107,32 +114,23 @@ def grid_draws(count: int) -> list[Draw]:
     ]
 
 
-def lines_of(rows: Sequence[Any]) -> list[dict[str, Any]]:
-    """What is printed."""
-    return [{**r, "first": r["rounds"][0], "last": r["rounds"][-1]} for r in rows]
-
-
 def main() -> None:
     """Run the study from the command line."""
     parser = script_parser(__doc__, draws=True)
     add_gains(parser, "source")
     options = parser.parse_args()
-    form = {"law": "", "speed": "g", "lost": "d", "rms": ".3f", "unphysical": ".1%"}
+    task = partial(run_draw, seed=options.seed)
     if options.choose_gains:
-        lines = summarize_grid(run_draws(parser, options, run_draw, grid_draws(4)), "part")
-        show("RMS in degrees", {**form, "rise": ".1e", "chosen": ""}, lines)
-        write(options, {"grid": lines})
+        tell_grid(options, run_draws(parser, options, task, grid_draws(4)), "part")
         return
-    rows = run_draws(parser, options, run_draw, all_draws(options.gains, quick=options.quick))
-    columns = {"load": "", **form, "first": ".3f", "last": ".3f"}
-    columns |= {"mass": ".2f", "distance": ".2f", "rise": ".1e"}
-    show(f"Tracking RMS in degrees, gains: {options.gains}", columns, lines_of(rows))
-    table = {"gains": options.gains, "period": SHOWN * LOG_PERIOD, "rows": rows}
-    write(options, table)
-    if options.figures:
-        from diagrams.studies.adaptive.payload_figures import write_payload_figure
-
-        write_payload_figure(options.figures, rows, SHOWN * LOG_PERIOD)
+    rows = run_draws(parser, options, task, all_draws(options.gains, quick=options.quick))
+    columns = {"load": "", "law": "", "speed": "g", "lost": "d", "rms": ".3f", "unphysical": ".1%"}
+    columns |= {"first": ".3f", "last": ".3f", "mass": ".2f", "distance": ".2f", "rise": ".1e"}
+    lines = [{**r, "first": r["rounds"][0], "last": r["rounds"][-1]} for r in rows]
+    show(f"Tracking RMS in degrees, gains: {options.gains}", columns, lines)
+    period = SHOWN * LOG_PERIOD
+    table = {"gains": options.gains, "period": period, "rows": rows}
+    write(options, table, wam_payload=lambda: load_figure(rows, period))
 
 
 if __name__ == "__main__":

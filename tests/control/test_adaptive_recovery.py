@@ -17,8 +17,7 @@ from adaptive_loops import (
 )
 
 from diagrams.benchmarks.adaptive_soak import distances
-from diagrams.studies.adaptive.faults import FAULTS, Episode
-from diagrams.studies.adaptive.faulty_loop import moments
+from diagrams.studies.adaptive.faults import FAULTS, Episode, moments
 from geodrake.control.adaptation import (
     PartialLaw,
     adapted_parameters,

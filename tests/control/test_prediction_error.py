@@ -15,7 +15,7 @@ from adaptive_loops import (
     run,
 )
 
-from diagrams.studies.adaptive.faulty_loop import moments
+from diagrams.studies.adaptive.faults import moments
 from geodrake.control.adaptation import (
     PartialLaw,
     adapted_parameters,

@@ -6,8 +6,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from diagrams.benchmarks.column_errors import WrongLog, make_log
 from diagrams.benchmarks.hidden.robots import robot_file
-from diagrams.benchmarks.wrong_columns.logs import WrongLog, make_log
 from geodrake import load_model
 from geodrake.diagnosis import (
     ColumnFinding,

@@ -15,9 +15,8 @@ from pendulum_logs import PENDULUM, body_effort
 from pinocchio_logs import without_effects
 from scipy.spatial.transform import Rotation
 
-from diagrams.benchmarks.hidden.engines import make_engine
-from diagrams.benchmarks.hidden.robots import robot_file
-from diagrams.benchmarks.wrong_columns.logs import DURATION, WrongLog, make_log
+from diagrams.benchmarks.column_errors import DURATION, WrongLog, make_log
+from diagrams.benchmarks.hidden.robots import make_engine, robot_file
 from geodrake import load_model
 from geodrake.cli.columns import unchecked_words
 from geodrake.diagnosis import ColumnFinding, check_columns, corrected

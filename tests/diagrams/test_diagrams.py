@@ -216,13 +216,10 @@ def test_script(name, tmp_path):
     table, figures = tmp_path / "table.json", tmp_path / "figures"
     arguments = ("--quick", "--seed", 3, "--json", table, "--figures", figures)
     if name == APART:
-        done = start(name, *arguments, "--jobs", 1)
+        done = start(name, *arguments)
         assert done.returncode == 0, done.stderr
     else:
-        in_jobs = "run_draws" in (ROOT / (SCRIPTS[name].replace(".", "/") + ".py")).read_text(
-            encoding="utf-8"
-        )
-        call(name, *arguments, *(("--jobs", 1) if in_jobs else ()))
+        call(name, *arguments)
     found = json.loads(table.read_text(encoding="utf-8"))
     assert found
     if name in SHOWS:

@@ -1,17 +1,14 @@
 """The AMBIDEX study: its arm, measurements and priors, and what its quick form must show."""
 
 import json
-from dataclasses import replace
 
 import numpy as np
 import pytest
 from scipy.linalg import lstsq
 from scripts import call
 
-from diagrams.harness import kept
-from diagrams.studies import ambidex_arm as study
+from diagrams.studies import ambidex_arm as draws
 from diagrams.studies.ambidex import arm as robot
-from diagrams.studies.ambidex import draws, measurements
 from geodrake.identification import identify
 from geodrake.inertia import is_physical, pseudo_inertia
 from geodrake.inertia.ellipsoids import equivalent_ellipsoid
@@ -28,7 +25,7 @@ def arm():
 
 @pytest.fixture(scope="module")
 def measured(arm):
-    return measurements.measure(arm, seed=PLAN.seed, hull=PLAN.hull)
+    return robot.measure(arm, seed=PLAN.seed, hull=PLAN.hull)
 
 
 class TestArm:
@@ -87,9 +84,9 @@ def _no_forces(plant):
 
 class TestMeasurements:
     def test_motions_are_smooth_and_rest_between(self, arm):
-        motion = measurements.point_to_point(arm, np.random.default_rng(2))
+        motion = robot.point_to_point(arm, np.random.default_rng(2))
         assert motion.q.shape == (47 * 130, 7)
-        period = measurements.PERIOD
+        period = robot.PERIOD
         np.testing.assert_allclose(motion.v[::130], 0.0, atol=1e-12)
         np.testing.assert_allclose(motion.vd[::130], 0.0, atol=1e-12)
         for low, high in ((motion.q, motion.v), (motion.v, motion.vd)):
@@ -102,7 +99,7 @@ class TestMeasurements:
         friction = np.concatenate([robot.COULOMB, robot.VISCOUS])
         explained = measured.bodies @ measured.truth.ravel() + measured.friction @ friction
         rest = (measured.torque - explained).std(0)
-        expected = np.hypot(measurements.TORQUE_NOISE, measurements.UNEVEN * robot.COULOMB)
+        expected = np.hypot(robot.TORQUE_NOISE, robot.UNEVEN * robot.COULOMB)
         np.testing.assert_allclose(rest, expected, rtol=0.15)
         assert (rest[:2] < 0.2 * measured.torque.std(0)[:2]).all()
 
@@ -185,35 +182,11 @@ class TestFits:
         assert (viscous >= 0).all()
 
 
-class TestCache:
-    def test_finished_draws_are_not_done_again(self, tmp_path, monkeypatch):
-        cache = tmp_path / "draws.jsonl"
-        monkeypatch.setattr(study, "run_draw", lambda draw, **_: [{"draw": draw}])
-        first = study.run(PLAN, None, cache=cache, workers=1)
-        with cache.open("a", encoding="utf-8") as file:
-            file.write('{"key": {"versi')
-        monkeypatch.setattr(study, "run_draw", _never)
-        assert study.run(PLAN, None, cache=cache, workers=1) == first
-
-    def test_draws_of_another_plan_are_not_used(self, tmp_path, monkeypatch):
-        cache = tmp_path / "draws.jsonl"
-        monkeypatch.setattr(study, "run_draw", lambda draw, **_: [{"draw": draw}])
-        study.run(PLAN, None, cache=cache, workers=1)
-        assert len(kept(cache, study.key(PLAN))) == 2
-        assert not kept(cache, study.key(replace(PLAN, gamma=0.1)))
-        fewer = study.run(replace(PLAN, draws=1), None, cache=cache, workers=1)
-        assert fewer == [{"draw": 0}]
-
-
-def _never(draw, **_):
-    raise AssertionError(f"draw {draw} was done again")
-
-
 @pytest.fixture(scope="module")
 def quick(tmp_path_factory):
     folder = tmp_path_factory.mktemp("ambidex")
     options = ("--json", folder / "a.json", "--figures", folder / "figures")
-    call("ambidex_arm", "--quick", "--workers", 1, *options)
+    call("ambidex_arm", "--quick", *options)
     assert {path.name for path in (folder / "figures").glob("*.png")} == {
         "ambidex_ellipsoids.png",
         "ambidex_errors.png",

@@ -23,12 +23,10 @@ MODELS = ROOT / "models"
 def study():
     """The two studies, and the modules that they share."""
     from diagrams.studies import cheetah_gallop, cheetah_leg
-    from diagrams.studies.cheetah import fits, gallop, leg, swing
+    from diagrams.studies.cheetah import leg
 
-    names = ("fits", "gallop", "leg", "swing", "leg_study", "gallop_study")
-    return SimpleNamespace(
-        **dict(zip(names, (fits, gallop, leg, swing, cheetah_leg, cheetah_gallop), strict=True))
-    )
+    names = ("leg", "leg_study", "gallop")
+    return SimpleNamespace(**dict(zip(names, (leg, cheetah_leg, cheetah_gallop), strict=True)))
 
 
 AWARE = ("point_mass_euclidean", "pullback", "entropic")
@@ -130,7 +128,7 @@ def test_condensed_data_have_the_residual_of_all(study):
     rng = np.random.default_rng(0)
     A = rng.normal(size=(50, 4)) @ rng.normal(size=(4, 10))
     b = rng.normal(size=50)
-    data = study.fits.Condensed.of(A, b)
+    data = study.leg.Condensed.of(A, b)
     assert data.A.shape == (4, 10)
     for x in rng.normal(size=(3, 10)):
         residual = np.square(data.A @ x - data.b).sum() + data.rest
@@ -181,10 +179,10 @@ def test_what_a_fixed_base_does_not_tell(study):
     leg = study.leg.load_leg()
     rng = np.random.default_rng(1)
     q, v, vd = rng.uniform(-2, 2, (3, 60, 3))
-    motion = study.swing.Motion(q, v, vd)
+    motion = study.leg.Motion(q, v, vd)
     structural = structural_base_parameters(leg.plant)  # rotors that turn by themselves
     base = study.gallop.base_wrench_regressor(leg.tree, *_joints(leg, motion))
-    geared = study.fits.Condensed.of(leg.regressor(motion).reshape(-1, 60), np.zeros(180))
+    geared = study.leg.Condensed.of(leg.regressor(motion).reshape(-1, 60), np.zeros(180))
     assert len(geared.A) == 32
     rank = np.linalg.matrix_rank(np.vstack([geared.A, base.reshape(-1, 60)]), 1e-9)
     assert rank > 32

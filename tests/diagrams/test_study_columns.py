@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scripts import call
 
-from diagrams.benchmarks.wrong_columns.logs import MISTAKES, WrongLog, make_log
+from diagrams.benchmarks.column_errors import MISTAKES, WrongLog, make_log
 
 
 def draw(mistake):

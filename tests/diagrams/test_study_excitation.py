@@ -18,18 +18,12 @@ def study():
         iiwa_excitation,
         scara_excitation,
     )
-    from diagrams.studies.excitation import balancing, expected, humanoid, manipulator, scara
 
     return SimpleNamespace(
         contours=excitation_contours,
-        scara_study=scara_excitation,
+        scara=scara_excitation,
         atlas=atlas_identification,
         iiwa=iiwa_excitation,
-        balancing=balancing,
-        expected=expected,
-        humanoid=humanoid,
-        manipulator=manipulator,
-        scara=scara,
     )
 
 
@@ -84,7 +78,7 @@ class TestScara:
         truth = model.phi[1, [0, 1, 2, 6]]
         noise = scara.NOISE * rng.normal(size=(100, 4000))
         m, hx, hy, izz = truth[:, None] + np.linalg.lstsq(A, noise)[0]
-        expected = study.scara_study.errors(trajectory)
+        expected = study.scara.errors(trajectory)
         drawn = {
             "m": (m - 4.0).std(),
             "px": 1e3 * (hx / m).std(),
@@ -95,10 +89,10 @@ class TestScara:
             assert expected[key] == pytest.approx(value, rel=0.05)
 
     def test_one_optimum_in_all_frames_and_the_smallest_error(self, study):
-        design, plan = study.scara_study.design, study.scara_study.Plan(iterations=6)
+        design, plan = study.scara.design, study.scara.Plan(iterations=6)
         cells = [("geometric", "1"), ("geometric", "4"), ("none", "3"), ("diagonal", "1")]
         first, second, none, diagonal = (
-            design(study.scara_study.Cell(*cell), plan=plan) for cell in cells
+            design(study.scara.Cell(*cell), plan=plan) for cell in cells
         )
         np.testing.assert_allclose(second["coefficients"], first["coefficients"], atol=1e-7)
         assert first["error"] < 0.8 * min(none["error"], diagonal["error"])
@@ -110,14 +104,14 @@ class TestScara:
 
 class TestOneFoot:
     def test_motions_are_in_balance(self, study):
-        model = study.humanoid.standing_robot(None)
-        balance = study.balancing.Balance(model)
+        model = study.atlas.standing_robot(None)
+        balance = study.atlas.Balance(model)
         postures = balance.postures(np.random.default_rng(0), 5)
         context = model.plant.CreateDefaultContext()
         for q in postures:  # joints are in Drake's order
             model.plant.SetPositions(context, q)
             center = model.plant.CalcCenterOfMassPositionInWorld(context)
-            assert (np.abs(center[:2]) < study.humanoid.HALF_SOLE).all()
+            assert (np.abs(center[:2]) < study.atlas.HALF_SOLE).all()
         trajectory, _ = balance.motion(np.random.default_rng(1))
         assert balance.keeps(trajectory)
         ends = trajectory.states([0.0, 3.0])
@@ -125,7 +119,8 @@ class TestOneFoot:
 
     def test_reduced_identification_is_a_hundred_times_better(self, study):
         plan = study.atlas.Plan(None, motions=6, rate=60, seed=1)
-        table = study.atlas.run(plan, cache=None, workers=1)
+        motions = [study.atlas.one_motion(k, plan=plan) for k in range(plan.motions)]
+        table = study.atlas.run(motions, plan)
         prior, full, reduced = table["rows"]
         assert table["error_full_over_reduced"] > 100
         assert reduced["error"] < prior["error"]
@@ -139,11 +134,11 @@ class TestOneFoot:
 
 class TestManipulator:
     def test_base_representation_does_not_matter_to_the_geometric_criterion(self, study):
-        model = study.manipulator.manipulator(None)
+        model = study.iiwa.manipulator(None)
         q, v, vd = np.random.default_rng(2).uniform(-1, 1, (3, 40, 7))
         values = {}
         for base in (1, 2):
-            target = study.manipulator.represented_target(model, base, 0)
+            target = study.iiwa.represented_target(model, base, 0)
             for name in ("none", "diagonal", "geometric"):
                 value = Objective(target, normalization=name).value(Motion(q, v, vd))
                 values.setdefault(name, []).append(value)

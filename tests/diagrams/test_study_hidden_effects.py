@@ -7,17 +7,24 @@ from scipy.stats import binomtest
 pytest.importorskip("pinocchio")
 pytest.importorskip("mujoco")
 
-from diagrams.benchmarks.hidden import bars, draws, logs, motions, scoring
-from diagrams.benchmarks.hidden.engines import MuJoCoEngine, PinocchioEngine, congruent, pseudo
-from diagrams.benchmarks.hidden.robots import robot_file, robot_model, robot_names
-from diagrams.benchmarks.hidden.table import OUTSIDE, TRUTHS
+from diagrams.benchmarks.hidden import bars, logs, robots, scoring
+from diagrams.benchmarks.hidden.robots import (
+    MuJoCoEngine,
+    PinocchioEngine,
+    congruent,
+    pseudo,
+    robot_file,
+    robot_model,
+    robot_names,
+)
+from diagrams.benchmarks.hidden.truths import OUTSIDE, TRUTHS
 from geodrake.inertia import pseudo_inertia
 
 TIME = np.arange(0.0, 12.0, 0.01)
 PLAIN = {
     "robot": "arm6",
-    "motion": motions.FAST,
-    "prior": draws.EXACT,
+    "motion": robots.FAST,
+    "prior": logs.EXACT,
     "noise": 0.01,
     "duration": 16.0,
     "rate": 125.0,
@@ -74,13 +81,13 @@ def test_congruent_bodies_are_physical_and_as_far_as_asked():
     assert np.log(found[:, 3, 3] / 2.0).std() == pytest.approx(0.2, rel=0.1)
 
 
-@pytest.mark.parametrize("kind", motions.MOTIONS)
+@pytest.mark.parametrize("kind", robots.MOTIONS)
 def test_motions(kind, engines):
     engine = engines[0]
-    q, v, a = motions.make_motion(kind, engine, TIME, np.random.default_rng(0))
+    q, v, a = robots.make_motion(kind, engine, TIME, np.random.default_rng(0))
     assert (q > engine.low).all()
     assert (q < engine.high).all()
-    fastest = np.minimum(engine.fastest, motions.SLOW_SPEED if kind == motions.SLOW else np.inf)
+    fastest = np.minimum(engine.fastest, robots.SLOW_SPEED if kind == robots.SLOW else np.inf)
     assert (np.abs(v).max(0) <= fastest + 1e-9).all()
     for signal, slope in ((q, v), (v, a)):
         error = np.abs(np.gradient(signal, TIME, axis=0) - slope)[1:-1]
@@ -101,36 +108,36 @@ class TestLogs:
         places = []
         for number in range(8):
             small = {**PLAIN, "robot": "double_pendulum", "duration": 4.0, "shares": (0.1, 0.1)}
-            draw = draws.draw("two", names, number, 0, **small)
+            draw = logs.draw("two", names, number, 0, **small)
             made = logs.make_recording(draw, robot_model("double_pendulum").bodies)
             places.append([secret.where for secret in made.secrets])
         assert any(first == second for first, second in places) == together
 
     @pytest.mark.parametrize("name", [*TRUTHS, *OUTSIDE])
     def test_effects_have_the_size_that_was_asked_for(self, name):
-        draw = draws.draw("one", (name,), 0, 0, **{**PLAIN, "duration": 8.0, "shares": (0.04,)})
+        draw = logs.draw("one", (name,), 0, 0, **{**PLAIN, "duration": 8.0, "shares": (0.04,)})
         made = logs.make_recording(draw, robot_model("arm6").bodies)
         (secret,) = made.secrets
         assert secret.share == pytest.approx(0.04, rel=0.1)
         assert set(secret.where) <= {*robot_model("arm6").joints, *robot_model("arm6").bodies}
 
     def test_same_draw_is_the_same_log(self):
-        draw = draws.draw("one", ("coulomb_friction",), 3, 0, **PLAIN)
+        draw = logs.draw("one", ("coulomb_friction",), 3, 0, **PLAIN)
         made = [logs.make_recording(draw, robot_model("arm6").bodies).log for _ in range(2)]
         np.testing.assert_array_equal(made[0].effort, made[1].effort)
 
     def test_noise(self):
-        for colour in (draws.WHITE, draws.COLOURED):
+        for colour in (logs.WHITE, logs.COLOURED):
             fixed = {**PLAIN, "colour": colour, "shares": ()}
-            draw = draws.draw("none", (), 1, 0, **{**fixed, "noise": 0.02})
+            draw = logs.draw("none", (), 1, 0, **{**fixed, "noise": 0.02})
             made = [
                 logs.make_recording(d, robot_model("arm6").bodies).log.effort
-                for d in (draw, draws.draw("none", (), 1, 0, **{**fixed, "noise": 0.0}))
+                for d in (draw, logs.draw("none", (), 1, 0, **{**fixed, "noise": 0.0}))
             ]
             noise = (made[0] - made[1]) / made[1].std(0)
             assert noise.std() == pytest.approx(0.02, rel=0.1)
             next_one = np.mean(noise[1:] * noise[:-1]) / noise.var()
-            assert (next_one > 0.15) == (colour == draws.COLOURED)
+            assert (next_one > 0.15) == (colour == logs.COLOURED)
 
 
 class TestLines:
@@ -171,7 +178,7 @@ class TestWhatItMustShow:
     )
     def test_easy_effects(self, robot, names):
         fixed = {**PLAIN, "robot": robot, "shares": (0.12,)}
-        rows = [scoring.score_draw(draws.draw("one", (n,), 0, 0, **fixed)) for n in names]
+        rows = [scoring.score_draw(logs.draw("one", (n,), 0, 0, **fixed)) for n in names]
         few = len(names) // 8
         assert sum(row["first"] for row in rows) >= len(names) - few
         assert all(row["in_set"] for row in rows)
@@ -210,7 +217,7 @@ class TestWhatItMustShow:
     def test_what_single_criteria_hide(self, case, hidden, number, seed, fixed):
         if fixed["robot"] not in robot_names():
             pytest.skip(f"{fixed['robot']} is in the test extra")
-        row = scoring.score_draw(draws.draw(case, hidden, number, seed, **fixed))
+        row = scoring.score_draw(logs.draw(case, hidden, number, seed, **fixed))
         assert row["named"]
         assert not row["extra"]
         assert row["over_floor"] < 1.1
@@ -235,25 +242,25 @@ class TestWhatItMustShow:
     )
     def test_other_laws_than_those_of_the_library(self, case, hidden, number, seed):
         """The effect is named, and no further one for what its law leaves."""
-        row = scoring.score_draw(draws.draw(case, hidden, number, seed, robot="double_pendulum"))
+        row = scoring.score_draw(logs.draw(case, hidden, number, seed, robot="double_pendulum"))
         assert row["named"]
         assert not row["extra"]
         assert row["over_floor"] < 1.3
 
-    @pytest.mark.parametrize("colour", [draws.WHITE, draws.COLOURED])
+    @pytest.mark.parametrize("colour", [logs.WHITE, logs.COLOURED])
     @pytest.mark.parametrize(
         "number", [0, *(pytest.param(k, marks=pytest.mark.thorough) for k in (1, 2))]
     )
     def test_no_false_alarms(self, colour, number):
         fixed = {**PLAIN, "colour": colour, "shares": ()}
-        assert not scoring.score_draw(draws.draw("none", (), number, 0, **fixed))["steps"]
+        assert not scoring.score_draw(logs.draw("none", (), number, 0, **fixed))["steps"]
 
     @pytest.mark.parametrize(
         "name", ["oscillation in time", "brake that another joint's position tightens"]
     )
     def test_outside_effects(self, name):
         fixed = {**PLAIN, "robot": "double_pendulum", "shares": (0.15,)}
-        row = scoring.score_draw(draws.draw("outside", (name,), 0, 0, **fixed))
+        row = scoring.score_draw(logs.draw("outside", (name,), 0, 0, **fixed))
         assert row["verdict"] == "unexplained"
         assert row["right_joint"]
         assert row["right_correlate"]
@@ -262,7 +269,7 @@ class TestWhatItMustShow:
     def test_a_hose_that_free_bodies_follow(self):
         """It goes with the pendulum's weight, so that bodies spread it over both joints."""
         hose = "hose on the sum of two angles"
-        row = scoring.score_draw(draws.draw("outside", (hose,), 0, 22, robot="double_pendulum"))
+        row = scoring.score_draw(logs.draw("outside", (hose,), 0, 22, robot="double_pendulum"))
         assert row["verdict"] == "unexplained"
         assert row["right_joint"]
         assert row["right_correlate"]

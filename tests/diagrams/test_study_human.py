@@ -7,7 +7,7 @@ import pytest
 from measurements import DATA
 from scripts import call
 
-from diagrams.studies.human.plate import Human, blocks
+from diagrams.studies.human_identification import Human, blocks
 from geodrake.identification import identify
 
 NEEDED = pytest.mark.measurements("data/human_force_plate.npz")

@@ -8,14 +8,31 @@ import pytest
 
 pytest.importorskip("pinocchio")
 
-from diagrams.benchmarks.hidden.engines import MuJoCoEngine, PinocchioEngine
-from diagrams.benchmarks.hidden.motions import FAST, POINTS
-from diagrams.benchmarks.hidden.robots import robot_file, robot_model
+from diagrams.benchmarks import ordinary_robots as scoring
+from diagrams.benchmarks.hidden.robots import (
+    FAST,
+    POINTS,
+    MuJoCoEngine,
+    PinocchioEngine,
+    robot_file,
+    robot_model,
+)
 from diagrams.benchmarks.hidden.truths import Seen
-from diagrams.benchmarks.ordinary import lines, logs, scoring
-from diagrams.benchmarks.ordinary.draws import ARMS, ORDINARY, OUTSIDE, QUIET, all_draws, draw
-from diagrams.benchmarks.ordinary.logs import DRY, ROTOR, TOOL, make_recording
-from diagrams.benchmarks.ordinary.uncatalogued import KINDS, Site
+from diagrams.benchmarks.ordinary import logs
+from diagrams.benchmarks.ordinary.logs import (
+    ARMS,
+    DRY,
+    KINDS,
+    ORDINARY,
+    OUTSIDE,
+    QUIET,
+    ROTOR,
+    TOOL,
+    Site,
+    all_draws,
+    draw,
+    make_recording,
+)
 from geodrake.inertia import pseudo_inertia
 
 SHORT = {"duration": 6.0, "rate": 100.0, "noise": 0.01, "velocities": True, "quantised": False}
@@ -163,5 +180,5 @@ class TestScores:
     def test_calibration_counts_by_bins(self):
         said = [(0.6, True), (0.6, False), (0.95, True), (0.999, True), (0.3, False)]
         rows = [{"steps": [{"probability": p, "right": r} for p, r in said]}]
-        found = [(line.value, line.logs) for line in lines.calibration(rows)]
+        found = [(line.value, line.logs) for line in scoring.calibration(rows)]
         assert found == [(0.5, 2), (None, 0), (1.0, 1), (1.0, 1)]

@@ -5,7 +5,7 @@ import pytest
 from scipy.linalg import block_diag
 
 from diagrams.studies import ambidex_sandbags as study
-from diagrams.studies.adaptive import coupled, laws, sandbag_loop
+from diagrams.studies.adaptive import laws
 from diagrams.studies.ambidex import arm as robot
 from geodrake.control.adaptation import natural_adaptation
 from geodrake.control.systems import PassivityBasedAdaptiveController, VaryingGains
@@ -20,7 +20,7 @@ def arm():
 
 @pytest.fixture(scope="module")
 def true(arm):
-    return coupled.CoupledArm.of(coupled.Known.true(arm.phi))
+    return study.CoupledArm.of(study.Known.true(arm.phi))
 
 
 class TestCoupledArm:
@@ -63,16 +63,16 @@ class TestCoupledArm:
         assert not np.isclose(moved[:-7], p[:-7]).all()
 
     def test_plant_carries_the_bags(self):
-        bare, full = (coupled.make_coupled_plant(bags) for bags in ((), (2, 4, 9)))
+        bare, full = (study.make_coupled_plant(bags) for bags in ((), (2, 4, 9)))
         mass = [plant.CalcTotalMass(plant.CreateDefaultContext()) for plant in (bare, full)]
         assert mass[1] - mass[0] == pytest.approx(1.5)
 
     def test_truth_tracks_where_friction_is_even(self, true, monkeypatch):
         """Drake's ten coupled joints do what the controller's seven turns predict."""
-        monkeypatch.setattr(sandbag_loop, "UNEVEN", 0.0)
+        monkeypatch.setattr(study, "UNEVEN", 0.0)
         controller = PassivityBasedAdaptiveController(true.control, None, gains=VaryingGains(3.0))
-        motion = sandbag_loop.point_to_point(1, 0)
-        record = sandbag_loop.simulate_coupled(controller, (), motion, seed=0)
+        motion = study.point_to_point(1, 0)
+        record = study.simulate_coupled(controller, (), motion, seed=0)
         assert record.rms() < 0.05
         assert not record.lost
 
@@ -88,7 +88,7 @@ class TestIdentified:
 
 class TestMotion:
     def test_goes_within_reach_and_rests(self):
-        motion = sandbag_loop.point_to_point(3, 1)
+        motion = study.point_to_point(3, 1)
         for t in (0.0, 1.5, 3.0, 4.5):
             assert np.abs(motion.EvalDerivative(t, 1)).max() < 1e-9
             assert (np.abs(motion.value(t).ravel()) <= robot.REACH + 1e-12).all()

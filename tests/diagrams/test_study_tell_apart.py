@@ -8,22 +8,21 @@ import pytest
 from typer.testing import CliRunner
 
 from diagrams.benchmarks import tell_apart as study
-from diagrams.benchmarks.rivals import simulation, trial
-from diagrams.benchmarks.rivals.cases import CASES, MOTIONS
-from diagrams.benchmarks.rivals.simulation import Hidden
+from diagrams.benchmarks.tell_apart import CASES, MOTIONS, Hidden
+from diagrams.harness import script_parser
 from geodrake.cli.app import app
 from geodrake.logs.files import read_log, write_log
 
 
 def robot_log(hidden, motion, duration, *, noise=0.0):
-    model = trial.known_model()
-    rows = simulation.simulate(trial.real_robot(hidden), model, hidden, motion, duration)
-    return rows, simulation.record("log", model, rows, np.full(2, noise), 0)
+    model = study.known_model()
+    rows = study.simulate(study.real_robot(hidden), model, hidden, motion, duration)
+    return rows, study.record("log", model, rows, np.full(2, noise), 0)
 
 
 def held(hidden, postures):
     """Efforts that hold the robot itself in postures, by Drake."""
-    plant = trial.real_robot(hidden)
+    plant = study.real_robot(hidden)
     context, efforts = plant.CreateDefaultContext(), []
     for q in postures:
         plant.SetPositions(context, q)
@@ -36,13 +35,13 @@ class TestRobots:
     def test_first_motions_are_smooth(self, name):
         """Velocity and acceleration are derivatives, and the motion is slow and small."""
         motion = MOTIONS[name](np.random.default_rng(0))
-        t = np.linspace(0.0, trial.FIRST, 4001)
+        t = np.linspace(0.0, study.FIRST, 4001)
         q, v, vd = motion(t)
         h = 1e-5
         ahead, behind = motion(t + h), motion(t - h)
         np.testing.assert_allclose((ahead[0] - behind[0]) / (2 * h), v, atol=1e-7)
         np.testing.assert_allclose((ahead[1] - behind[1]) / (2 * h), vd, atol=1e-5)
-        assert np.abs(v).max() < 0.6 * trial.SPEED
+        assert np.abs(v).max() < 0.6 * study.SPEED
         assert np.ptp(q, axis=0).max() < 1.6
 
     @pytest.mark.sampled(3)
@@ -53,12 +52,12 @@ class TestRobots:
         hidden = case.robot(case.size)
         motion = MOTIONS["long shuttle"](np.random.default_rng(1))
         (q, v, u), _ = robot_log(hidden, motion, 3.0)
-        model = pinocchio.buildModelFromUrdf(str(trial.ROBOT))
+        model = pinocchio.buildModelFromUrdf(str(study.ROBOT))
         data = model.createData()
         gravity = np.array([0.0, 0.0, -9.81])
         angles = np.array([*hidden.tilt, 0.0])
         model.gravity.linear = gravity + np.cross(gravity, angles)
-        a = np.diff(v, axis=0) / simulation.STEP
+        a = np.diff(v, axis=0) / study.STEP
         held = u[:-1]
         for k in range(200, len(a), 173):
             load = pinocchio.rnea(model, data, q[k], v[k], a[k])
@@ -67,11 +66,11 @@ class TestRobots:
 
     def test_the_rivals_formulas_are_those_of_the_effects(self):
         """Each effect with its parameters for a size is what the robot hides, where it moves."""
-        model, rng = trial.known_model(), np.random.default_rng(2)
+        model, rng = study.known_model(), np.random.default_rng(2)
         for case in CASES:
-            separation = trial.separation_of(case)
+            separation = study.separation_of(case)
             pair = next(p for p in separation.pairs if p.truth == case.truth)
-            motion = trial.Motion(*rng.uniform(0.3, 1.0, (3, 50, 2)))
+            motion = study.Motion(*rng.uniform(0.3, 1.0, (3, 50, 2)))
             motion.v[::2] *= -1.0
             columns = separation.target.measure(motion).regressor
             at = np.flatnonzero(pair.effects.any(axis=0))
@@ -85,7 +84,7 @@ class TestRobots:
 class TestTold:
     @pytest.mark.thorough
     def test_a_designed_motion_settles_what_the_first_left_open(self):
-        row = trial.run(trial.Draw(1, 0), iterations=5)
+        row = study.run(study.Draw(1, 0), iterations=5)
         assert row["ambiguous"]
         assert {"coulomb_friction", "load_dependent_friction"} <= set(row["first"]["tied"])
         assert row["designed"]["told"]
@@ -94,10 +93,10 @@ class TestTold:
         assert row["designed_deviations"] > 2.0 * row["random_deviations"]
 
     def test_designed_motions_keep_the_limits(self):
-        limits = trial.allowed()
-        motions = trial.motions(CASES[0], 1, 5)
+        limits = study.allowed()
+        motions = study.motions(CASES[0], 1, 5)
         for trajectory in motions.values():
-            q, v, vd = trajectory.states(np.linspace(0.0, trial.SECOND, 1500))
+            q, v, vd = trajectory.states(np.linspace(0.0, study.SECOND, 1500))
             assert (q >= limits.lower - 1e-6).all() and (q <= limits.upper + 1e-6).all()
             assert (np.abs(v) <= limits.velocity * (1 + 1e-3)).all()
             assert (np.abs(vd) <= limits.acceleration * (1 + 1e-2)).all()
@@ -113,8 +112,9 @@ class TestTold:
 
         monkeypatch.setattr(study, "run", fake)
         plan = study.Plan(cases=(0, 1), wanted=3, most=8)
-        table = study.table_of(plan, cache=None, workers=1)
-        first, second = table["rows"]
+        parser = script_parser("A study.", draws=True)
+        draws = study.draws_of(plan, parser, parser.parse_args(["--quick"]))
+        first, second = (study.summary(case, draws) for case in plan.cases)
         assert (first["robots"], first["ambiguous"]) == (6, 3)
         assert (second["robots"], second["ambiguous"]) == (8, 0)
         assert first["designed"] == {"told": 3, "wrong": 0, "deviations": 1.0}
@@ -125,15 +125,15 @@ def test_the_command_that_diagnose_prints_designs_the_motion(tmp_path):
     """From an ambiguous log to a motion file, with nothing but the command line."""
     case = CASES[1]
     motion = case.first_motion(np.random.default_rng(0))
-    _, log = robot_log(case.robot(case.size), motion, trial.FIRST, noise=trial.NOISE)
+    _, log = robot_log(case.robot(case.size), motion, study.FIRST, noise=study.NOISE)
     write_log(log, tmp_path / "first.csv")
-    told = command_line("diagnose", trial.ROBOT, tmp_path / "first.csv")
+    told = command_line("diagnose", study.ROBOT, tmp_path / "first.csv")
     pair = "coulomb_friction,load_dependent_friction@elbow"
     (words,) = re.findall(rf"- geodrake (excite \S+ --tell-apart {pair})", told)
     words = words.split()
     file = tmp_path / "motion.csv"
     fast = ("--seeds", 1, "--iterations", 5, "--limits", "velocity=1,acceleration=5")
-    told = command_line(*words, *fast, "--noise", trial.NOISE, "--save", file)
+    told = command_line(*words, *fast, "--noise", study.NOISE, "--save", file)
     assert "Hardest to distinguish is" in told
     assert np.abs(read_log(file).velocity).max() <= 1.0 + 1e-6
 

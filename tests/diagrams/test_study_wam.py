@@ -6,7 +6,7 @@ import pytest
 from diagrams.harness import run_draws, script_parser, write
 from diagrams.studies import wam_adaptation as full
 from diagrams.studies import wam_payload as payload
-from diagrams.studies.adaptive import gains, laws, loads, loop, wam
+from diagrams.studies.adaptive import laws, loop, wam
 from geodrake.inertia import is_physical, to_mass_com_inertia
 
 
@@ -18,14 +18,14 @@ class TestArm:
         assert len(model.joints) == len(model.bodies) == 7
 
     def test_plant_weighs_the_load(self):
-        plain, loaded = wam.make_plant(), wam.make_plant(loads.LOADS["ellipsoid 2"])
+        plain, loaded = wam.make_plant(), wam.make_plant(wam.LOADS["ellipsoid 2"])
         masses = [plant.CalcTotalMass(plant.CreateDefaultContext()) for plant in (plain, loaded)]
         assert masses[1] - masses[0] == pytest.approx(3.0)
 
     def test_loads_are_the_sources(self):
-        mass, com, inertia = to_mass_com_inertia(loads.LOADS["ellipsoid 2"])
+        mass, com, inertia = to_mass_com_inertia(wam.LOADS["ellipsoid 2"])
         assert mass == 3.0
-        assert np.linalg.norm(com - loads.HELD) == pytest.approx(0.095, abs=1e-3)
+        assert np.linalg.norm(com - wam.HELD) == pytest.approx(0.095, abs=1e-3)
         a, b = 0.2165, 0.1082
         assert inertia[0, 0] == pytest.approx(3.0 / 5.0 * (a * a + b * b))
 
@@ -55,15 +55,24 @@ class TestOptions:
             script_parser("A study.", draws=True).parse_args(wrong)
         assert wrong[0] in capsys.readouterr().err
 
-    def test_folders_are_made_before_the_work(self, tmp_path):
+    def test_draws_are_kept_and_not_done_again(self, tmp_path):
         parser = script_parser("A study.", draws=True)
         table = tmp_path / "new" / "table.json"
-        options = parser.parse_args(["--jobs", "1", "--json", str(table)])
-        rows = run_draws(parser, options, lambda draw, *, seed: {"square": draw**2}, [2, 3])
+        options = parser.parse_args(["--quick", "--json", str(table)])
+        rows = run_draws(parser, options, lambda draw: {"square": draw**2}, [2, 3])
         assert rows == [{"square": 4}, {"square": 9}]
         write(options, {"rows": rows})
         assert table.is_file()
-        assert len(table.with_suffix(".draws.jsonl").read_text().splitlines()) == 2
+        cache = table.with_suffix(".draws.jsonl")
+        assert len(cache.read_text(encoding="utf-8").splitlines()) == 2
+        with cache.open("a", encoding="utf-8") as file:
+            file.write('{"key": {"versi')
+
+        def cube(draw):
+            return {"cube": draw**3}
+
+        assert run_draws(parser, options, cube, [3, 2]) == rows[::-1]
+        assert run_draws(parser, options, cube, [3], plan="another") == [{"cube": 27}]
 
 
 class TestRule:
@@ -79,11 +88,11 @@ class TestRule:
                 "unphysical": 0.0,
             }
             for law in laws.LAWS[1:]
-            for speed in gains.GRID
+            for speed in laws.GRID
         ]
 
     def chosen(self, rows):
-        lines = gains.summarize_grid(rows, "part")
+        lines = laws.grid_lines(rows, "part")
         return [line["speed"] for line in lines if line["chosen"]]
 
     def test_takes_the_best_of_what_is_stable(self):
@@ -93,17 +102,17 @@ class TestRule:
         assert self.chosen(self.rows(lambda speed: abs(np.log(speed / 3.0)))) == [3.0] * 3
 
     def test_reported_draws_take_what_is_chosen(self):
-        for study, chosen in gains.CHOSEN.items():
+        for study, chosen in laws.CHOSEN.items():
             assert {laws.EUCLIDEAN, laws.NATURAL} <= set(chosen) <= set(laws.LAWS[1:])
-            assert set(chosen.values()) <= set(gains.GRID)
-            assert gains.speeds(study, "rule")[laws.NATURAL_EULER] == chosen[laws.NATURAL]
-        assert gains.speeds("wam", "source")[laws.EUCLIDEAN] == 5e-5
+            assert set(chosen.values()) <= set(laws.GRID)
+            assert laws.speeds(study, "rule")[laws.NATURAL_EULER] == chosen[laws.NATURAL]
+        assert laws.speeds("wam", "source")[laws.EUCLIDEAN] == 5e-5
 
 
 @pytest.fixture(scope="module", params=[0.1, pytest.param(0.4, marks=pytest.mark.thorough)])
 def adapted(request):
     """Rows of all laws by name, over σ."""
-    speed = {laws.NONE: 1.0, **gains.speeds("wam", "rule")}
+    speed = {laws.NONE: 1.0, **laws.speeds("wam", "rule")}
     draws = [
         full.Draw(full.NOISE, law, speed[law], request.param, 0, amplitudes=(0.8,), end=1.3)
         for law in laws.LAWS
@@ -143,7 +152,7 @@ class TestFullAdaptation:
 @pytest.fixture(scope="module")
 def loaded():
     """Rows of three laws by name, with the source's speeds."""
-    speed = {laws.NONE: 1.0, **gains.speeds("payload", "source")}
+    speed = {laws.NONE: 1.0, **laws.speeds("payload", "source")}
     some = (laws.NONE, laws.PULLBACK, laws.NATURAL)
     draws = [payload.Draw("ellipsoid 2", law, speed[law], 1, 3.0) for law in some]
     return {draw.law: payload.run_draw(draw, seed=0) for draw in draws}

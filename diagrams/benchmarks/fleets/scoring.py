@@ -5,20 +5,23 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-from diagrams.benchmarks.fleets.draws import (
+from matplotlib.figure import Figure
+
+from diagrams.benchmarks.fleets.logs import (
     GAIN,
     PAYLOAD,
     STICKIER,
     WEAR,
     FleetDraw,
     HiddenChange,
+    day_of,
     type_model,
 )
-from diagrams.benchmarks.fleets.files import day_of
-from geodrake.fleet import FleetFinding
+from geodrake.fleet import FleetFinding, FleetResult, ParameterHistory, RobotResult
 from geodrake.fleet.changes import MONTH
 from geodrake.fleet.fleet_result import ChangeRival
 from geodrake.fleet.type_columns import RAMP, STEP
+from geodrake.report import style
 
 _DRY, _VISCOUS = frozenset({"coulomb_friction"}), frozenset({"viscous_friction"})
 
@@ -137,3 +140,51 @@ def summary(rows: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
 
 def _share(count: float, total: float) -> float | None:
     return count / total if total else None
+
+
+def figures_of(rows: Sequence[Mapping[str, Any]], result: FleetResult) -> dict[str, Figure]:
+    """Draw days of changes, and one joint over time if one parameter of a robot alone changed."""
+    levels = (
+        _history_figure(robot, finding, history)
+        for robot in result.robots
+        for finding in robot.findings
+        for history in robot.histories
+        if (history.parameter.effect, history.parameter.where) == (finding.effect, finding.where)
+    )
+    found = next(levels, None)
+    return {"fleet_days": _days_figure(rows), **({"fleet_levels": found} if found else {})}
+
+
+def _days_figure(rows: Sequence[Mapping[str, Any]]) -> Figure:
+    """Draw days that were found over those that were hidden, with their intervals."""
+    figure = Figure(figsize=(9.0, 3.0), layout="constrained")
+    for axes, what in zip(figure.subplots(1, len(FAMILIES), sharey=True), FAMILIES, strict=True):
+        for row in rows:
+            if row["hidden"] == what:
+                for named in row["named"]:
+                    low, high = named["interval"]
+                    axes.vlines(row["hidden day"], low, high, color=style.BEFORE, linewidth=1.0)
+                    axes.plot(row["hidden day"], named["day"], "o", markersize=3, color=style.AFTER)
+        axes.plot([0, 30], [0, 30], color="0.3", linewidth=0.6)
+        axes.set(title=what, xlabel="day of the change")
+    figure.axes[0].set_ylabel("day that was found")
+    return figure
+
+
+def _history_figure(robot: RobotResult, finding: FleetFinding, history: ParameterHistory) -> Figure:
+    figure = Figure(figsize=(6.0, 3.0), layout="constrained")
+    axes, spread = figure.subplots(), 1.96 * history.deviations
+    axes.errorbar(
+        day_of(robot.dates),
+        history.values,
+        spread,
+        fmt="o",
+        markersize=3,
+        color=style.AFTER,
+        ecolor=style.BEFORE,
+    )
+    axes.axvline(day_of(finding.date), color="0.3", linewidth=0.6)
+    name, unit = history.parameter.name, history.parameter.unit
+    title = f"{finding.effect} of {finding.where}, {robot.robot}"
+    axes.set(title=title, xlabel="day", ylabel=f"{name}, {unit}" if unit else name)
+    return figure

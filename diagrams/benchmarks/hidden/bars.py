@@ -1,15 +1,16 @@
-"""The lines of the report: what was to be reached, and what was."""
+"""The lines of the report, what was to be reached and what was, and its figures."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import asdict, dataclass
 from typing import Any
 
 import numpy as np
+from matplotlib.figure import Figure
 from scipy.stats import norm
 
-from diagrams.benchmarks.hidden.draws import (
+from diagrams.benchmarks.hidden.logs import (
     COVERAGE,
     EXACT,
     KIND,
@@ -21,8 +22,10 @@ from diagrams.benchmarks.hidden.draws import (
     TWO,
     UNKNOWN,
 )
-from diagrams.benchmarks.hidden.motions import SLOW
-from diagrams.benchmarks.hidden.table import KINDS, TRUTHS
+from diagrams.benchmarks.hidden.robots import SLOW
+from diagrams.benchmarks.hidden.truths import KINDS, TRUTHS
+from diagrams.harness import show, titled
+from geodrake.report import style
 
 Row = Mapping[str, Any]
 FOUND_IN = 0.9
@@ -34,12 +37,10 @@ class Line:
     """One line.
 
     Attributes:
-        figure: What is counted or measured.
         bar: What was asked for, None where nothing was.
         most: Whether the bar is an upper one.
         value: What was reached.
         low, high: 95 % interval of it, by Wilson for shares; None for medians.
-        logs: How many logs it rests on.
         highest: What it must not be above, where `bar` is a lower bound.
     """
 
@@ -60,6 +61,43 @@ class Line:
         if self.most:
             return self.value <= self.bar
         return self.bar <= self.value <= (1.0 if self.highest is None else self.highest)
+
+
+def told(lines: Sequence[Line]) -> list[dict[str, Any]]:
+    """Return lines as a file has them."""
+    return [{**asdict(line), "reached": line.reached} for line in lines]
+
+
+def show_lines(title: str, lines: Sequence[Line], form: Callable[[Line], str]) -> None:
+    """Print lines, each in a format of its own."""
+    shown = []
+    for line in lines:
+
+        def number(value: float, text: str = form(line)) -> str:
+            return format(value, text)
+
+        asked = None if line.bar is None else f"{'≤' if line.most else '≥'} {number(line.bar)}"
+        if line.bar is not None and line.highest is not None:
+            asked = f"{number(line.bar)} – {number(line.highest)}"
+        found = line.value is not None
+        shown.append(
+            {
+                "figure": line.figure,
+                "asked": asked,
+                "reached": number(line.value) if found else None,
+                "interval": f"{number(line.low)} – {number(line.high)}" if found else None,
+                "of": line.logs,
+                "": {True: "reached", False: "missed", None: ""}[line.reached],
+            }
+        )
+    columns = {"figure": "", "asked": "", "reached": "", "interval": "", "of": "d", "": ""}
+    show(title, columns, shown)
+
+
+def tell_draws(title: str, lines: Sequence[Line], missed: Sequence[str], draws: int) -> None:
+    """Print the report of robots, and what was missed of how many draws."""
+    show_lines(title, lines, lambda line: ".1f" if "seconds" in line.figure else ".1%")
+    print(f"Missed, {len(missed)} of {draws} draws:", *missed, sep="\n- ")
 
 
 def wilson(count: int, total: int, confidence: float = 0.95) -> tuple[float, float]:
@@ -250,3 +288,94 @@ def _honest(row: Row) -> bool:
 
 def _both(row: Row) -> bool:
     return bool(row["named"] and not row["extra"])
+
+
+_REACHED, _MISSED, _OTHER = style.AFTER, style.BEFORE, style.MEASURED
+
+
+def figures_of(
+    lines: Sequence[Line],
+    confused: Mapping[str, Mapping[str, int]],
+    smallest: Sequence[Mapping[str, Any]],
+) -> dict[str, Figure]:
+    """Return all figures that there are numbers for."""
+    figures = {"hidden_effects": bars_figure(lines)}
+    if confused:
+        figures["hidden_effects_confusions"] = confusion_figure(confused)
+    if smallest:
+        figures["hidden_effects_smallest"] = smallest_figure(smallest)
+    return figures
+
+
+def bars_figure(lines: Sequence[Line]) -> Figure:
+    """What was reached, with its interval, against what was asked for."""
+    shown = [line for line in lines if line.value is not None and not line.figure.count("seconds")]
+    shares = [line for line in shown if "floor" not in line.figure]
+    figure = style.new_figure(0.9 + 0.27 * len(shares))
+    axes = figure.subplots()
+    for k, line in enumerate(shares):
+        color = {True: _REACHED, False: _MISSED, None: _OTHER}[line.reached]
+        axes.plot([line.low, line.high], [k, k], color=color, linewidth=5.0, alpha=0.35)
+        axes.plot(line.value, k, "o", color=color, markersize=6.0)
+        for at in (line.bar, line.highest):
+            if at is not None:
+                axes.plot([at, at], [k - 0.38, k + 0.38], color=style.INK, linewidth=1.4)
+        text = f"{100 * line.value:.1f} %  of {line.logs}"
+        axes.text(1.03, k, text, va="center", **style.plain(style.SMALL, style.QUIET))
+    axes.set_yticks(range(len(shares)), [line.figure for line in shares])
+    axes.set(xlim=(-0.02, 1.02), ylim=(len(shares) - 0.4, -0.6))
+    axes.set_xticks(
+        np.arange(0.0, 1.01, 0.2), [f"{100 * x:.0f} %" for x in np.arange(0, 1.01, 0.2)]
+    )
+    titled(axes, "Hidden effects: share of logs, 95 % interval, and the bar (black)", grid="x")
+    style.note_below(figure, "Blue: the bar is reached. Orange: missed. Grey: no bar.")
+    return figure
+
+
+def confusion_figure(confused: Mapping[str, Mapping[str, int]]) -> Figure:
+    """What each hidden effect was called."""
+    rows = list(confused)
+    others = {answer for line in confused.values() for answer in line} - set(rows)
+    columns = [*rows, *sorted(others)]
+    counts = np.array([[confused[row].get(column, 0) for column in columns] for row in rows])
+    share = counts / np.maximum(counts.sum(1, keepdims=True), 1)
+    figure = style.new_figure(2.2 + 0.27 * len(rows))
+    axes = figure.subplots()
+    axes.imshow(share, cmap="Blues", vmin=0.0, vmax=1.0, aspect="auto")
+    for i, j in zip(*np.nonzero(counts), strict=True):
+        color = "white" if share[i, j] > 0.6 else style.INK
+        axes.text(j, i, counts[i, j], ha="center", va="center", **style.plain(style.SMALL, color))
+    axes.set_xticks(range(len(columns)), columns, rotation=55, ha="right", rotation_mode="anchor")
+    axes.set_yticks(range(len(rows)), rows)
+    axes.set_ylabel("hidden", **style.plain())
+    axes.set_xlabel("named first", **style.plain())
+    titled(
+        axes,
+        "What hidden effects were called: logs of one effect, all motions and priors",
+        grid="none",
+    )
+    return figure
+
+
+def smallest_figure(smallest: Sequence[Mapping[str, Any]]) -> Figure:
+    """The smallest effects that are found."""
+    figure = style.new_figure(1.0 + 0.27 * len(smallest))
+    axes = figure.subplots()
+    for k, line in enumerate(smallest):
+        if line["smallest"] is not None:
+            axes.plot(100 * line["smallest"], k, "o", color=_REACHED)
+        else:
+            axes.text(26.0, k, "not found", va="center", **style.plain(style.SMALL, _MISSED))
+        if line["median"] is not None:
+            axes.plot(100 * line["median"], k, "o", color=_REACHED, fillstyle="none")
+    axes.set_yticks(range(len(smallest)), [line["effect"] for line in smallest])
+    axes.set(ylim=(len(smallest) - 0.4, -0.6), xlim=(0.15, 40.0))
+    style.log_scale(axes, "x")
+    axes.set_xlabel("RMS of the effect, % of the deviation of the effort", **style.plain())
+    logs = smallest[0]["logs"]
+    titled(
+        axes,
+        f"Smallest effect found in nine of ten logs (open: in half) at 1 % noise; {logs} logs each",
+        grid="both",
+    )
+    return figure

@@ -1,14 +1,20 @@
-"""Robots of the benchmark: arms of our own, and public ones of the package example-robot-data."""
+"""Arms: their model files, inverse dynamics by Pinocchio and by MuJoCo, and their motions."""
 
 from __future__ import annotations
 
 import xml.etree.ElementTree as ET
-from collections.abc import Mapping
+from abc import ABC, abstractmethod
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cache
 from importlib.metadata import PackageNotFoundError, distribution
 from pathlib import Path
 from tempfile import TemporaryDirectory
+
+import mujoco
+import numpy as np
+import pinocchio as pin
+from numpy.typing import NDArray
 
 from diagrams.harness import MODELS
 from geodrake import load_model
@@ -34,12 +40,32 @@ class RobotFile:
     """A robot as a model file describes it: a serial arm, without meshes, friction and fingers.
 
     Attributes:
-        name: One of `robot_names`.
         text: The URDF.
     """
 
     name: str
     text: str
+
+    @classmethod
+    def holding(cls, name: str, file: RobotFile, held: Sequence[str]) -> RobotFile:
+        """Return a file whose joints of some names do not move."""
+        root = ET.fromstring(file.text)
+        for joint in root.iter("joint"):
+            if joint.get("name") in held:
+                joint.set("type", "fixed")
+        return cls(name, ET.tostring(root, encoding="unicode"))
+
+    @property
+    def model(self) -> RobotModel:
+        """What geodrake knows of the robot; simulations read the file again."""
+        path = Path(_folder().name) / f"{self.name}.urdf"
+        path.write_text(self.text, encoding="utf-8")
+        return load_model(path)
+
+
+@cache
+def _folder() -> TemporaryDirectory[str]:
+    return TemporaryDirectory()
 
 
 PLANAR = ("double_pendulum",)
@@ -86,8 +112,257 @@ def robot_file(name: str) -> RobotFile:
 
 @cache
 def robot_model(name: str) -> RobotModel:
-    """What geodrake knows of a robot: its model file."""
-    with TemporaryDirectory() as folder:
-        path = Path(folder) / f"{name}.urdf"
-        path.write_text(robot_file(name).text, encoding="utf-8")
-        return load_model(path)
+    """Return what geodrake knows of a robot: its model file."""
+    return robot_file(name).model
+
+
+Array = NDArray[np.float64]
+GRAVITY = 9.81
+Body = tuple[float, Array, Array]
+"""Mass, centre (3,), and inertia (3, 3) about the centre."""
+
+
+class Engine(ABC):
+    """A robot whose bodies and gravity can be changed.
+
+    Attributes:
+        joints: Names of the joints.
+        low, high: (n,) limits of the positions, rad.
+        fastest: (n,) limits of the speeds, rad/s.
+    """
+
+    joints: tuple[str, ...]
+    low: Array
+    high: Array
+    fastest: Array
+
+    def bodies(self) -> Array:
+        """(n, 4, 4) pseudo-inertias ∫ [x;1][x;1]ᵀ dm in the links' frames."""
+        return np.array([pseudo(*body) for body in self._bodies()])
+
+    def set_bodies(self, pseudo: Array) -> None:
+        """Replace all bodies by those of (n, 4, 4) pseudo-inertias."""
+        self._set_bodies([mass_com_inertia(P) for P in pseudo])
+
+    @abstractmethod
+    def set_gravity(self, gravity: Array) -> None:
+        """Set gravity (3,), m/s²."""
+
+    def efforts(self, q: Array, v: Array, a: Array) -> Array:
+        """(N, n) efforts that a motion, (N, n) each, needs."""
+        return np.array([self._effort(*sample) for sample in zip(q, v, a, strict=True)])
+
+    def jacobians(self, body: int, point: Array, q: Array) -> Array:
+        """(N, 6, n) Jacobians of a body in the world frame: of a point's velocity, of rotation."""
+        return np.array([self._jacobian(body, point, at) for at in q])
+
+    def rotations(self, body: int, q: Array) -> Array:
+        """(N, 3, 3) orientations of a body in the world."""
+        return np.array([self._rotation(body, at) for at in q])
+
+    @abstractmethod
+    def _bodies(self) -> list[Body]: ...
+
+    @abstractmethod
+    def _set_bodies(self, bodies: Sequence[Body]) -> None: ...
+
+    @abstractmethod
+    def _effort(self, q: Array, v: Array, a: Array) -> Array: ...
+
+    @abstractmethod
+    def _jacobian(self, body: int, point: Array, q: Array) -> Array: ...
+
+    @abstractmethod
+    def _rotation(self, body: int, q: Array) -> Array: ...
+
+
+class PinocchioEngine(Engine):
+    """By Pinocchio."""
+
+    def __init__(self, file: RobotFile) -> None:
+        self._model = pin.buildModelFromXML(file.text)
+        self._data = self._model.createData()
+        self.joints = tuple(self._model.names[1:])
+        self.low, self.high = self._model.lowerPositionLimit, self._model.upperPositionLimit
+        self.fastest = self._model.velocityLimit
+
+    def set_gravity(self, gravity: Array) -> None:
+        """Set gravity."""
+        self._model.gravity.linear = gravity
+
+    def _bodies(self) -> list[Body]:
+        return [(b.mass, b.lever, b.inertia) for b in self._model.inertias[1:]]
+
+    def _set_bodies(self, bodies: Sequence[Body]) -> None:
+        for i, body in enumerate(bodies, 1):
+            self._model.inertias[i] = pin.Inertia(*body)
+
+    def _effort(self, q: Array, v: Array, a: Array) -> Array:
+        return pin.rnea(self._model, self._data, q, v, a)
+
+    def _jacobian(self, body: int, point: Array, q: Array) -> Array:
+        pin.computeJointJacobians(self._model, self._data, q)
+        J = pin.getJointJacobian(self._model, self._data, body + 1, pin.LOCAL_WORLD_ALIGNED)
+        arm = pin.skew(self._data.oMi[body + 1].rotation @ point)
+        return np.vstack([J[:3] - arm @ J[3:], J[3:]])
+
+    def _rotation(self, body: int, q: Array) -> Array:
+        pin.forwardKinematics(self._model, self._data, q)
+        return self._data.oMi[body + 1].rotation.copy()
+
+
+class MuJoCoEngine(Engine):
+    """By MuJoCo."""
+
+    def __init__(self, file: RobotFile) -> None:
+        self._model = mujoco.MjModel.from_xml_string(file.text)
+        self._model.opt.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_CONSTRAINT)
+        self._data = mujoco.MjData(self._model)
+        self.joints = tuple(self._model.joint(i).name for i in range(self._model.njnt))
+        self.low, self.high = self._model.jnt_range.T
+        # MuJoCo does not read limits of speeds.
+        self.fastest = PinocchioEngine(file).fastest
+
+    def set_gravity(self, gravity: Array) -> None:
+        """Set gravity."""
+        self._model.opt.gravity[:] = gravity
+
+    def _bodies(self) -> list[Body]:
+        m, found = self._model, []
+        for i in m.jnt_bodyid:
+            R = np.empty(9)
+            mujoco.mju_quat2Mat(R, m.body_iquat[i])
+            R = R.reshape(3, 3)
+            inertia = R @ np.diag(m.body_inertia[i]) @ R.T
+            found.append((m.body_mass[i], m.body_ipos[i], inertia))
+        return found
+
+    def _set_bodies(self, bodies: Sequence[Body]) -> None:
+        for i, (mass, com, inertia) in zip(self._model.jnt_bodyid, bodies, strict=True):
+            moments, axes = np.linalg.eigh(inertia)
+            axes[:, 2] *= np.linalg.det(axes)
+            self._model.body_mass[i], self._model.body_ipos[i] = mass, com
+            self._model.body_inertia[i] = moments
+            mujoco.mju_mat2Quat(self._model.body_iquat[i], axes.ravel())
+        # A body frame may have been taken for its principal frame, which it no longer is.
+        self._model.body_sameframe[:] = int(mujoco.mjtSameFrame.mjSAMEFRAME_NONE)
+        self._model.body_simple[:] = 0
+
+    def _effort(self, q: Array, v: Array, a: Array) -> Array:
+        d = self._data
+        d.qpos[:], d.qvel[:], d.qacc[:] = q, v, a
+        mujoco.mj_inverse(self._model, d)
+        return d.qfrc_inverse.copy()
+
+    def _jacobian(self, body: int, point: Array, q: Array) -> Array:
+        found, number, d = np.empty((6, len(q))), int(self._model.jnt_bodyid[body]), self._data
+        d.qpos[:] = q
+        mujoco.mj_kinematics(self._model, d)
+        mujoco.mj_comPos(self._model, d)
+        world = d.xpos[number] + d.xmat[number].reshape(3, 3) @ point
+        mujoco.mj_jac(self._model, d, found[:3], found[3:], world, number)
+        return found
+
+    def _rotation(self, body: int, q: Array) -> Array:
+        self._data.qpos[:] = q
+        mujoco.mj_kinematics(self._model, self._data)
+        return self._data.xmat[int(self._model.jnt_bodyid[body])].reshape(3, 3).copy()
+
+
+def pseudo(mass: float, com: Array, inertia: Array) -> Array:
+    """(4, 4) pseudo-inertia of a mass, its centre, and inertia about the centre."""
+    second = 0.5 * np.trace(inertia) * np.eye(3) - inertia
+    h = mass * np.asarray(com)
+    return np.block([[second + np.outer(com, h), h[:, None]], [h[None], np.array([[mass]])]])
+
+
+def mass_com_inertia(P: Array) -> Body:
+    """Return the body of a pseudo-inertia (4, 4)."""
+    com = P[:3, 3] / P[3, 3]
+    second = P[:3, :3] - P[3, 3] * np.outer(com, com)
+    return float(P[3, 3]), com, np.trace(second) * np.eye(3) - second
+
+
+def make_engine(kind: str, file: RobotFile) -> Engine:
+    """An engine "pinocchio" or "mujoco" with the bodies of a model file."""
+    return {"pinocchio": PinocchioEngine, "mujoco": MuJoCoEngine}[kind](file)
+
+
+ENGINES = ("pinocchio", "mujoco")
+
+
+def congruent(P: Array, distance: float, rng: np.random.Generator) -> Array:
+    """Bodies near (n, 4, 4) ones: L exp(S) Lᵀ with P = L Lᵀ and random symmetric S.
+
+    S is isotropic in the affine-invariant metric tr(P⁻¹ dP P⁻¹ dP): a mass changes by a share of
+    about `distance`, and so does every second moment.
+    """
+    S = rng.normal(size=P.shape)
+    S = distance * (S + S.transpose(0, 2, 1)) / 2.0
+    values, axes = np.linalg.eigh(S)
+    change = (axes * np.exp(values)[:, None, :]) @ axes.transpose(0, 2, 1)
+    # Thin plates and rods of model files are given a thickness of a thousandth first.
+    tiny = 1e-9 * np.trace(P, axis1=1, axis2=2)[:, None, None] * np.eye(4)
+    L = np.linalg.cholesky(P + tiny)
+    return L @ change @ L.transpose(0, 2, 1)
+
+
+Motion = tuple[Array, Array, Array]
+
+FAST, SLOW, POINTS = "fast", "slow", "point to point"
+MOTIONS = (FAST, SLOW, POINTS)
+SLOW_SPEED = 0.3  # rad/s
+_FASTEST = 4.0  # rad/s, where limits are looser
+_REACH, _PACE = 0.6, 0.6  # of the limits
+_SHORTEST = 0.8  # s, of a move
+
+
+def make_motion(kind: str, engine: Engine, time: Array, rng: np.random.Generator) -> Motion:
+    """Positions, velocities and accelerations, (N, n) each, within limits of a robot."""
+    half = np.minimum((engine.high - engine.low) / 2.0, np.pi / 2.0)
+    center = np.clip(0.0, engine.low + half, engine.high - half)
+    speed = _PACE * np.minimum(engine.fastest, _FASTEST)
+    if kind == POINTS:
+        return _point_to_point(center, _REACH * half, speed, time, rng)
+    if kind == SLOW:
+        speed = np.minimum(speed, SLOW_SPEED)
+    return _multisine(center, _REACH * half, speed, time, rng)
+
+
+def _multisine(
+    center: Array, reach: Array, speed: Array, time: Array, rng: np.random.Generator
+) -> Motion:
+    """Sums of sines q = centre + Σ a sin(ω t + φ), which do not repeat; slow ones if slow."""
+    n = len(center)
+    # A wave that fills the reach at this speed, and its multiples.
+    base = float(np.clip(np.median(speed / reach) / 2.5, 0.25, 0.65))
+    rate = base * (np.arange(1, 7)[:, None] + rng.uniform(-0.4, 0.4, (6, n)))
+    phase = rng.uniform(0.0, 2.0 * np.pi, (6, n))
+    amplitude = rng.uniform(0.3, 1.0, (6, n)) / np.sqrt(np.arange(1, 7))[:, None]
+    angle = rate * time[:, None, None] + phase
+    q = (amplitude * np.sin(angle)).sum(1)
+    v = (amplitude * rate * np.cos(angle)).sum(1)
+    a = -(amplitude * rate**2 * np.sin(angle)).sum(1)
+    scale = 1.0 / np.maximum(np.abs(q).max(0) / reach, np.abs(v).max(0) / speed)
+    return center + scale * q, scale * v, scale * a
+
+
+def _point_to_point(
+    center: Array, reach: Array, speed: Array, time: Array, rng: np.random.Generator
+) -> Motion:
+    """Moves of least jerk between random points, with rests of 0.2 to 0.6 s."""
+    q, v, a = (np.zeros((len(time), len(center))) for _ in range(3))
+    at, t = center, 0.0
+    while t < time[-1]:
+        goal = center + reach * rng.uniform(-1.0, 1.0, len(center))
+        # The peak speed of such a move is 15/8 of its mean speed.
+        length = 1.875 * float(np.max(np.abs(goal - at) / speed)) / rng.uniform(0.5, 1.0)
+        length = max(length, _SHORTEST)
+        s = np.clip((time - t) / length, 0.0, 1.0)[:, None]
+        now = (time >= t)[:, None]
+        step = goal - at
+        q = np.where(now, at + step * s**3 * (10.0 - 15.0 * s + 6.0 * s**2), q)
+        v = np.where(now, step * 30.0 * s**2 * (1.0 - s) ** 2 / length, v)
+        a = np.where(now, step * 60.0 * s * (1.0 - s) * (1.0 - 2.0 * s) / length**2, a)
+        at, t = goal, t + length + rng.uniform(0.2, 0.6)
+    return q, v, a

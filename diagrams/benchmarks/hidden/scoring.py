@@ -9,11 +9,17 @@ from typing import Any
 
 import numpy as np
 
-from diagrams.benchmarks.hidden.draws import OFF, UNKNOWN, WRONG_INERTIA, Draw
-from diagrams.benchmarks.hidden.logs import Recording, Secret, make_recording
-from diagrams.benchmarks.hidden.outside import ANY, TIME
+from diagrams.benchmarks.hidden.logs import (
+    OFF,
+    UNKNOWN,
+    WRONG_INERTIA,
+    Draw,
+    Recording,
+    Secret,
+    make_recording,
+)
 from diagrams.benchmarks.hidden.robots import robot_model
-from diagrams.benchmarks.hidden.table import TRUTHS
+from diagrams.benchmarks.hidden.truths import ANY, TIME, TRUTHS
 from geodrake.diagnosis import Step, explain
 from geodrake.diagnosis.drafting import Correlate
 from geodrake.diagnosis.drafting.draft import draft_rest

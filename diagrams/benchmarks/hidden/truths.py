@@ -1,8 +1,4 @@
-"""What logs can hide: effects of geodrake's catalogue, in formulas of their own.
-
-A truth says where it acts, and gives its effort for a size of one; the benchmark scales that to a
-share of the joint's effort. The table of them is in `hidden.table`.
-"""
+"""What logs can hide: effects of geodrake's catalogue in formulas of their own, and others."""
 
 from __future__ import annotations
 
@@ -11,8 +7,10 @@ from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.ndimage import uniform_filter1d
 
-from diagrams.benchmarks.hidden.engines import Engine
+from diagrams.benchmarks.hidden.robots import GRAVITY, SLOW, Engine, congruent, pseudo
+from geodrake.effects import catalogue
 
 Array = NDArray[np.float64]
 JOINT, PAIR, BODY, ROBOT = "joint", "pair", "body", "robot"
@@ -59,7 +57,6 @@ class Hidden:
     """One hidden effect.
 
     Attributes:
-        effort: Its effort by size.
         values: What geodrake should find by name, as multiples of the size.
     """
 
@@ -72,9 +69,7 @@ class Truth:
     """An effect of the catalogue that a log may hide.
 
     Attributes:
-        name: Its name there.
         places: What it acts on: "joint", "pair", "body" or "robot".
-        make: Draws one at a site.
         companions: Effects that it comes with, which are no mistakes.
         unit: A usual size, from which that of a wanted share is sought.
         largest: Largest size, where formulas or geodrake's range end.
@@ -255,3 +250,338 @@ def hysteresis(site: Site) -> Hidden:
         return seen.at(site.joint, size * found)
 
     return Hidden(effort)
+
+
+_SOFTEST = 0.05  # rad, to which a gear gives way at most
+_DENT = 0.05  # of the gap, that a flank gives way under the largest load
+
+
+def with_bodies(seen: Seen, bodies: Array) -> Array:
+    """(N, n) effort that the robot needs more with other bodies."""
+    before = seen.engine.bodies()
+    seen.engine.set_bodies(bodies)
+    effort = seen.engine.efforts(seen.q, seen.v, seen.a) - seen.load
+    seen.engine.set_bodies(before)
+    return effort
+
+
+def payload(site: Site) -> Hidden:
+    """A ball that the last link holds; its size is its mass."""
+    center = np.array([*site.rng.uniform(-0.05, 0.05, 2), site.rng.uniform(0.05, 0.15)])
+    ball = pseudo(1.0, center, 0.05**2 * np.eye(3))
+
+    def effort(seen: Seen, size: float) -> Array:
+        bodies = seen.engine.bodies()
+        bodies[site.joint] += size * ball
+        return with_bodies(seen, bodies)
+
+    return Hidden(effort, {"mass": 1.0})
+
+
+def wrong_body(site: Site) -> Hidden:
+    """A link that differs from the file; its size is the distance in the geometric metric."""
+    state = site.rng.bit_generator.state
+
+    def effort(seen: Seen, size: float) -> Array:
+        rng = np.random.default_rng(0)
+        rng.bit_generator.state = state
+        bodies = seen.engine.bodies()
+        i = site.joint
+        bodies[i : i + 1] = congruent(bodies[i : i + 1], size / np.sqrt(10.0), rng)
+        return with_bodies(seen, bodies)
+
+    return Hidden(effort)
+
+
+def tilt(site: Site) -> Hidden:
+    """A base turned about a horizontal axis; its size is the angle."""
+    direction = site.rng.uniform(0.0, 2.0 * np.pi)
+    x, y = np.cos(direction), np.sin(direction)
+
+    def effort(seen: Seen, size: float) -> Array:
+        # Gravity as the turned base sees it: R(θ)ᵀ g by Rodrigues' formula.
+        down = np.array([np.sin(size) * y, -np.sin(size) * x, -np.cos(size)])
+        seen.engine.set_gravity(GRAVITY * down)
+        found = seen.engine.efforts(seen.q, seen.v, seen.a) - seen.load
+        seen.engine.set_gravity(np.array([0.0, 0.0, -GRAVITY]))
+        return found
+
+    return Hidden(effort, {"tilt_x": x, "tilt_y": y})
+
+
+def drag(site: Site) -> Hidden:
+    """Drag at a point of a body, by the engine's Jacobian."""
+    point = site.rng.uniform(-0.1, 0.1, 3)
+
+    def effort(seen: Seen, size: float) -> Array:
+        J = seen.engine.jacobians(site.joint, point, seen.q)[:, :3]
+        v = np.einsum("nij,nj->ni", J, seen.v)
+        return size * np.einsum("nij,ni->nj", J, v * np.linalg.norm(v, axis=1)[:, None])
+
+    return Hidden(effort, {"drag": 1.0})
+
+
+def touch(site: Site) -> Hidden:
+    """A push at a point of a body during a few seconds, as of leaning on something soft."""
+    return _push(site, turning=False)
+
+
+def jet(site: Site) -> Hidden:
+    """The same of a jet or a tool, whose force turns with the body."""
+    return _push(site, turning=True)
+
+
+def _push(site: Site, *, turning: bool) -> Hidden:
+    point, direction = site.rng.uniform(-0.1, 0.1, 3), site.rng.normal(size=3)
+    direction /= np.linalg.norm(direction)
+    begin, length = site.rng.uniform(0.2, 0.7), site.rng.uniform(2.0, 4.0)
+
+    def effort(seen: Seen, size: float) -> Array:
+        J = seen.engine.jacobians(site.joint, point, seen.q)[:, :3]
+        s = np.clip((seen.time - begin * seen.time[-1]) / length, 0.0, 1.0)
+        push = np.minimum(1.0, 4.0 * np.sin(np.pi * s))
+        along = np.broadcast_to(direction, (len(J), 3))
+        if turning:
+            along = seen.engine.rotations(site.joint, seen.q) @ direction
+        return size * push[:, None] * np.einsum("nij,ni->nj", J, along)
+
+    return Hidden(effort)
+
+
+def soft_gear(site: Site) -> Hidden:
+    """A gear that gives way: the link lags behind the logged motor by compliance times load."""
+
+    def effort(seen: Seen, size: float) -> Array:
+        load = seen.load[:, site.joint]
+        lag = min(size, _SOFTEST / float(np.abs(load).max())) * load
+        rate = np.gradient(lag, seen.time)
+        bend = np.gradient(rate, seen.time)
+        return _with_lag(seen, site.joint, lag=lag, rate=rate, acceleration=bend)
+
+    return Hidden(effort)
+
+
+def loose_gear(site: Site) -> Hidden:
+    """A gear with play: between its stiff and damped flanks, the link moves by its load alone."""
+
+    def effort(seen: Seen, size: float) -> Array:
+        j = site.joint
+        unit, still = np.zeros_like(seen.a), np.zeros_like(seen.v)
+        unit[:, j] = 1.0
+        weight = seen.engine.efforts(seen.q, still, still)
+        inertia = (seen.engine.efforts(seen.q, still, unit) - weight)[:, j]
+        lag, rate, bend = _play(seen.load[:, j], inertia, gap=size, time=seen.time)
+        return _with_lag(seen, j, lag=lag, rate=rate, acceleration=bend)
+
+    return Hidden(effort)
+
+
+def _play(load: Array, inertia: Array, *, gap: float, time: Array) -> tuple[Array, Array, Array]:
+    """Lag (N,) of a link within a gap of half width `gap`, its rate and acceleration.
+
+    M s̈ = τ − F(s, ṡ), F the force of the flank, by semi-implicit Euler. What sensors see are means
+    over their period.
+    """
+    period = float(np.median(np.diff(time)))
+    stiffness = float(np.abs(load).max()) / (_DENT * gap)
+    damping = 1.4 * np.sqrt(stiffness * inertia.min())
+    steps = int(np.ceil(period * np.sqrt(stiffness / inertia.min()) / 0.2))
+    fine = time[0] + period / steps * np.arange(steps * len(time))
+    pulls, masses = np.interp(fine, time, load), np.interp(fine, time, inertia)
+    s, rate, dt = float(np.copysign(gap, load[0])), 0.0, period / steps
+    lags, rates, accelerations = [], [], []
+    for pull, mass in zip(pulls.tolist(), masses.tolist(), strict=True):
+        dent = s - gap if s > gap else s + gap if s < -gap else 0.0
+        flank = stiffness * dent + damping * rate if dent else 0.0
+        if flank * dent < 0.0:  # a flank does not hold back
+            flank = 0.0
+        acceleration = (pull - flank) / mass
+        rate += dt * acceleration
+        s += dt * rate
+        lags.append(s)
+        rates.append(rate)
+        accelerations.append(acceleration)
+    lag, speed, push = (
+        uniform_filter1d(signal, steps, mode="nearest")[::steps]
+        for signal in (lags, rates, accelerations)
+    )
+    return lag, speed, push
+
+
+def _with_lag(seen: Seen, joint: int, *, lag: Array, rate: Array, acceleration: Array) -> Array:
+    """(N, n) effort that it makes a difference of that a link lags behind its motor."""
+    motion = [seen.q.copy(), seen.v.copy(), seen.a.copy()]
+    for signal, behind in zip(motion, (lag, rate, acceleration), strict=True):
+        signal[:, joint] -= behind
+    return seen.engine.efforts(*motion) - seen.load
+
+
+OWN, OTHER, ANY, TIME = "own", "other", "any", "time"
+
+
+@dataclass(frozen=True, eq=False)
+class Outside:
+    """An effect of no catalogue.
+
+    Attributes:
+        follows: What a correlate is to name: pairs of a joint (its own, the other, any) and one of
+            its signals, "position" or "speed"; or the time.
+        in_link: Whether it sits in a link, and acts on all joints up to it.
+        in_space: Whether a planar robot does not feel it.
+    """
+
+    name: str
+    make: Callable[[Site], Hidden]
+    follows: tuple[tuple[str, str], ...]
+    in_link: bool = False
+    in_space: bool = False
+
+
+def _brake(site: Site) -> Hidden:
+    def effort(seen: Seen, size: float) -> Array:
+        grip = 1.2 + np.sin(2.0 * seen.q[:, site.other])
+        return seen.at(site.joint, size * grip * smooth_sign(seen.v[:, site.joint]))
+
+    return Hidden(effort)
+
+
+def _end_stop(site: Site) -> Hidden:
+    share = site.rng.uniform(0.55, 0.75)
+
+    def effort(seen: Seen, size: float) -> Array:
+        q = seen.q[:, site.joint]
+        edge = q.min() + share * np.ptp(q)
+        return seen.at(site.joint, size * np.logaddexp(0.0, (q - edge) / 0.02))
+
+    return Hidden(effort)
+
+
+def _neighbour(site: Site) -> Hidden:
+    def effort(seen: Seen, size: float) -> Array:
+        v, other = seen.v[:, site.joint], seen.v[:, site.other]
+        return seen.at(site.joint, size * np.abs(other) * smooth_sign(v))
+
+    return Hidden(effort)
+
+
+def _clock(site: Site) -> Hidden:
+    frequency, phase = site.rng.uniform(0.7, 3.0), site.rng.uniform(0.0, 2.0 * np.pi)
+
+    def effort(seen: Seen, size: float) -> Array:
+        return seen.at(site.joint, size * np.sin(2.0 * np.pi * frequency * seen.time + phase))
+
+    return Hidden(effort)
+
+
+def _wheel(site: Site) -> Hidden:
+    """A wheel that spins about an axis of its link, whose turning it resists: τ = Jᵀ (ω × h)."""
+    axis = site.rng.normal(size=3)
+    axis /= np.linalg.norm(axis)
+
+    def effort(seen: Seen, size: float) -> Array:
+        J = seen.engine.jacobians(site.joint, np.zeros(3), seen.q)
+        spin = np.einsum("nij,nj->ni", J[:, 3:], seen.v)
+        along = seen.engine.rotations(site.joint, seen.q) @ axis
+        return size * np.einsum("nij,ni->nj", J[:, 3:], np.cross(spin, along))
+
+    return Hidden(effort)
+
+
+def _hose(site: Site) -> Hidden:
+    phase = site.rng.uniform(0.0, 2.0 * np.pi)
+
+    def effort(seen: Seen, size: float) -> Array:
+        angle = 1.5 * (seen.q[:, site.joint] + seen.q[:, site.other])
+        return seen.at(site.joint, size * np.cos(angle - phase))
+
+    return Hidden(effort)
+
+
+def _damper(site: Site) -> Hidden:
+    def effort(seen: Seen, size: float) -> Array:
+        opening = seen.q[:, site.other] - seen.q[:, site.other].mean()
+        return seen.at(site.joint, size * opening * seen.v[:, site.joint])
+
+    return Hidden(effort)
+
+
+OUTSIDE = {
+    kind.name: kind
+    for kind in (
+        Outside("brake that another joint's position tightens", _brake, ((OTHER, "position"),)),
+        Outside("spring past an angle", _end_stop, ((OWN, "position"),)),
+        Outside("friction of a neighbour's speed", _neighbour, ((OTHER, "speed"),)),
+        Outside("oscillation in time", _clock, ((TIME, TIME),)),
+        Outside("spinning wheel in a link", _wheel, ((ANY, "speed"),), True, True),
+        Outside("hose on the sum of two angles", _hose, ((OTHER, "position"),)),
+        Outside("damper that another joint opens", _damper, ((OTHER, "position"),)),
+    )
+}
+"""Effects by name."""
+
+
+COLOURED = "coloured"
+DRY, WET = "coulomb_friction", "viscous_friction"
+
+_ALL = (
+    Truth(WET, JOINT, joint_law(lambda q, v, a, load: v, viscous=1.0)),
+    Truth(DRY, JOINT, joint_law(lambda q, v, a, load: smooth_sign(v), coulomb=1.0)),
+    Truth("asymmetric_friction", JOINT, asymmetric),
+    Truth("stribeck_friction", JOINT, stribeck, (DRY, WET), alone=True),
+    Truth("nonlinear_viscous_friction", JOINT, nonlinear_viscous),
+    Truth(
+        "load_dependent_friction",
+        JOINT,
+        joint_law(lambda q, v, a, load: abs(load) * smooth_sign(v), load_factor=1.0),
+    ),
+    Truth("coupled_friction", PAIR, belt),
+    Truth("friction_drift", JOINT, warming, (DRY, WET), alone=True),
+    Truth("hysteresis", JOINT, hysteresis, alone=True),
+    Truth("effort_offset", JOINT, joint_law(lambda q, v, a, load: 0.0 * q + 1.0, offset=1.0)),
+    Truth("effort_scale", JOINT, gain, needs_known_inertia=True, alone=True),
+    Truth("effort_delay", ROBOT, late, unit=0.01, largest=0.03),
+    Truth("joint_spring", JOINT, spring),
+    Truth("gravity_compensator", JOINT, compensator),
+    Truth("torque_ripple", JOINT, cogging),
+    Truth("rotor_inertia", JOINT, joint_law(lambda q, v, a, load: a, inertia=1.0)),
+    Truth("coupled_rotor_inertia", PAIR, coupled_rotor, ("rotor_inertia",), alone=True),
+    Truth("joint_elasticity", JOINT, soft_gear, unit=1e-4, alone=True),
+    Truth(
+        "backlash",
+        JOINT,
+        loose_gear,
+        unit=1e-3,
+        largest=0.02,
+        alone=True,
+        reverses=True,
+    ),
+    Truth("payload", BODY, payload),
+    Truth("wrong_inertia", BODY, wrong_body, unit=0.5, largest=2.0, alone=True),
+    Truth("gravity_tilt", ROBOT, tilt, unit=0.05, largest=0.2, alone=True),
+    Truth("contact", BODY, touch, alone=True),
+    Truth("aerodynamic_drag", BODY, drag, alone=True),
+)
+
+_KNOWN = {effect.name for effect in catalogue()} | {"wrong_inertia"}
+
+TRUTHS = {truth.name: truth for truth in _ALL if truth.name in _KNOWN}
+"""Effects by name; those that geodrake does not know yet are left out."""
+
+KINDS = {
+    "wrench that turns with its body": (Truth("contact", BODY, jet), {}),
+    "friction that fades to nothing": (
+        Truth("friction_drift", JOINT, running_in, (DRY, WET)),
+        {},
+    ),
+    "delay in slow motion, coloured noise": (
+        TRUTHS["effort_delay"],
+        {"motion": SLOW, "colour": COLOURED},
+    ),
+    "tilt": (TRUTHS["gravity_tilt"], {}),
+}
+"""Kinds that other engines' logs showed to be hard, each with what of the draws is given."""
+
+
+def truth_of(name: str) -> Truth | Outside:
+    """What is hidden by a name of any of the tables."""
+    return TRUTHS.get(name) or (KINDS[name][0] if name in KINDS else OUTSIDE[name])

@@ -1,18 +1,332 @@
-"""Logs of ordinary robots: two motions each, with friction, rotors and a tool as real arms have."""
+"""Ordinary robots and their logs: two motions each, with friction, rotors and a tool."""
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
+from itertools import zip_longest
+from zlib import crc32
 
+import mujoco
 import numpy as np
 
-from diagrams.benchmarks.hidden.engines import Engine, congruent, make_engine, pseudo
-from diagrams.benchmarks.hidden.motions import FAST, POINTS, make_motion
-from diagrams.benchmarks.hidden.robots import robot_file, robot_model
-from diagrams.benchmarks.hidden.truths import Array, Effort, Seen
-from diagrams.benchmarks.ordinary.draws import COLOURED, Draw
-from diagrams.benchmarks.ordinary.uncatalogued import KINDS, Site
+from diagrams.benchmarks.hidden.robots import (
+    FAST,
+    POINTS,
+    Engine,
+    RobotFile,
+    congruent,
+    make_engine,
+    make_motion,
+    pseudo,
+    robot_file,
+    robot_model,
+)
+from diagrams.benchmarks.hidden.truths import Array, Effort, Seen, smooth_sign, with_bodies
 from geodrake.logs import JointLog
+
+_FINE = 1e-3  # s, longest step of a pendulum
+
+
+@dataclass(frozen=True, eq=False)
+class Site:
+    """Where an effect acts, and what is known of the robot's motions, the same for all logs.
+
+    Attributes:
+        joint, other: Numbers of its joints.
+        file: The robot's model file.
+        center, half: (n,) middle and half width of the positions of the motions, rad.
+        speed: (n,) highest speeds, rad/s.
+        load: (n,) largest efforts, N·m.
+    """
+
+    joint: int
+    other: int
+    file: RobotFile
+    center: Array
+    half: Array
+    speed: Array
+    load: Array
+    rng: np.random.Generator
+
+    def place(self, seen: Seen, joint: int) -> Array:
+        """(N,) position of a joint in the range of its motions, from −1 to 1."""
+        return np.asarray((seen.q[:, joint] - self.center[joint]) / self.half[joint])
+
+
+@dataclass(frozen=True, eq=False)
+class Kind:
+    """An effect of no catalogue.
+
+    Attributes:
+        comes_with: Names that are right beside it, at its joint: it has a part that they describe.
+    """
+
+    make: Callable[[Site], Effort]
+    comes_with: tuple[str, ...] = ()
+    largest: float = np.inf
+
+
+def _cubic_coupling(site: Site) -> Effort:
+    """A spring between two joints of energy x y³."""
+
+    def effort(seen: Seen, size: float) -> Array:
+        x, y = site.place(seen, site.joint), site.place(seen, site.other)
+        return size * (seen.at(site.joint, y**3) + seen.at(site.other, 3.0 * x * y**2))
+
+    return effort
+
+
+def _growing_friction(site: Site) -> Effort:
+    def effort(seen: Seen, size: float) -> Array:
+        grip = 1.2 + site.place(seen, site.joint)
+        return seen.at(site.joint, size * grip * smooth_sign(seen.v[:, site.joint]))
+
+    return effort
+
+
+def _pendulum(site: Site) -> Effort:
+    """A weight that swings in a link, less the same weight at the hinge, where the file has it.
+
+    A weight that hangs quietly pulls at its hinge: what is left is the swing.
+    """
+    length, damping = site.rng.uniform(0.05, 0.2), site.rng.uniform(0.05, 0.3)
+    spec = mujoco.MjSpec.from_string(site.file.text)
+    axis, at = site.rng.normal(size=3), site.rng.uniform(-0.1, 0.1, 3)
+    down = np.cross(axis, site.rng.normal(size=3))
+    weight = spec.joints[site.joint].parent.add_body(name="weight", pos=at)
+    weight.mass, weight.ipos = 1.0, length * down / np.linalg.norm(down)
+    weight.inertia, weight.explicitinertial = np.full(3, 1e-4), True
+    weight.add_joint(name="swing", type=mujoco.mjtJoint.mjJNT_HINGE, axis=axis)
+    spec.option.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_CONSTRAINT)
+    model = spec.compile()
+    data, free = mujoco.MjData(model), int(model.joint("swing").dofadr[0])
+    arm = np.flatnonzero(np.arange(model.nv) != free)
+    inertia = length**2 + 1e-4
+    drag = 2.0 * damping * inertia * np.sqrt(9.81 / length)
+
+    def needed(motion: tuple[Array, Array, Array], swing: tuple[float, float, float]) -> Array:
+        signals = (data.qpos, data.qvel, data.qacc)
+        for signal, values, own in zip(signals, motion, swing, strict=True):
+            signal[arm], signal[free] = values, own
+        mujoco.mj_inverse(model, data)
+        return data.qfrc_inverse.copy()
+
+    def effort(seen: Seen, size: float) -> Array:
+        period = float(np.median(np.diff(seen.time)))
+        steps = int(np.ceil(period / _FINE))
+        found, angle, rate = seen.zeros(), 0.0, 0.0
+        ahead = [np.vstack([x[1:], x[-1:]]) for x in (seen.q, seen.v, seen.a)]
+        for k in range(len(found)):
+            now = (seen.q[k], seen.v[k], seen.a[k])
+            for i in range(steps):
+                part = i / steps
+                between = tuple(
+                    (1.0 - part) * x + part * y[k] for x, y in zip(now, ahead, strict=True)
+                )
+                torque = needed(between, (angle, rate, 0.0))  # type: ignore[arg-type]
+                bend = -(drag * rate + torque[free]) / inertia
+                if i == 0:
+                    found[k] = needed(now, (angle, rate, bend))[arm]
+                rate += bend * period / steps
+                angle += rate * period / steps
+        bodies = seen.engine.bodies()
+        bodies[site.joint] += pseudo(1.0, at, 1e-4 * np.eye(3))
+        return size * (found - seen.load - with_bodies(seen, bodies))
+
+    return effort
+
+
+def _saturation(site: Site) -> Effort:
+    """What a drive commands more and its motor does not give, at high speed under load."""
+    edge = site.rng.uniform(0.5, 0.8)
+
+    def effort(seen: Seen, size: float) -> Array:
+        load = seen.load[:, site.joint]
+        power = np.abs(seen.v[:, site.joint]) / site.speed[site.joint]
+        beyond = np.logaddexp(0.0, (power + np.abs(load) / site.load[site.joint] - edge) / 0.05)
+        return seen.at(site.joint, size * np.sign(load) * beyond * np.abs(load))
+
+    return effort
+
+
+def _taut_hose(site: Site) -> Effort:
+    """A hose on the difference of two angles, which pulls only when it is taut."""
+    slack = site.rng.uniform(0.1, 0.5)
+
+    def effort(seen: Seen, size: float) -> Array:
+        stretch = site.place(seen, site.joint) - site.place(seen, site.other)
+        pull = size * 0.05 * np.logaddexp(0.0, (stretch - slack) / 0.05)
+        return seen.at(site.joint, pull) - seen.at(site.other, pull)
+
+    return effort
+
+
+def _slipping_belt(site: Site) -> Effort:
+    """A link that falls behind its motor by a little more each time the load is high."""
+    most = site.rng.uniform(0.4, 0.7)
+
+    def effort(seen: Seen, size: float) -> Array:
+        over = np.abs(seen.load[:, site.joint]) / site.load[site.joint] - most
+        rate = size * np.maximum(over, 0.0) * np.sign(seen.load[:, site.joint])
+        behind = np.cumsum(rate * np.gradient(seen.time))
+        q, v = seen.q.copy(), seen.v.copy()
+        q[:, site.joint] -= behind
+        v[:, site.joint] -= rate
+        return seen.engine.efforts(q, v, seen.a) - seen.load
+
+    return effort
+
+
+def _cable_drag(site: Site) -> Effort:
+    """A cable that drags in one direction only, in some postures more."""
+    phase = site.rng.uniform(0.0, 2.0 * np.pi)
+
+    def effort(seen: Seen, size: float) -> Array:
+        going = 0.5 * (1.0 + smooth_sign(seen.v[:, site.joint]))
+        posture = np.cos(2.5 * site.place(seen, site.joint) - phase)
+        return seen.at(site.joint, size * going * posture)
+
+    return effort
+
+
+def _eccentric_gear(site: Site) -> Effort:
+    waves, phase = site.rng.uniform(3.0, 9.0), site.rng.uniform(0.0, 2.0 * np.pi)
+
+    def effort(seen: Seen, size: float) -> Array:
+        turn = seen.q[:, site.joint] + seen.q[:, site.other]
+        wave = size * np.sin(waves * turn + phase)
+        return seen.at(site.joint, wave) + seen.at(site.other, wave)
+
+    return effort
+
+
+def _sticking_places(site: Site) -> Effort:
+    places = site.rng.uniform(-0.8, 0.8, 4)
+
+    def effort(seen: Seen, size: float) -> Array:
+        away = (site.place(seen, site.joint)[:, None] - places) / 0.05
+        grip = np.exp(-0.5 * away**2).sum(1)
+        return seen.at(site.joint, size * grip * smooth_sign(seen.v[:, site.joint]))
+
+    return effort
+
+
+def _neighbours_square(site: Site) -> Effort:
+    def effort(seen: Seen, size: float) -> Array:
+        other = seen.v[:, site.other] / site.speed[site.other]
+        return seen.at(site.joint, size * other**2)
+
+    return effort
+
+
+KINDS = {
+    "cubic coupling of two joints": Kind(_cubic_coupling),
+    "friction that grows with position": Kind(_growing_friction, ("coulomb_friction",)),
+    "pendulum in a link": Kind(_pendulum),
+    "motor that saturates at high speed": Kind(_saturation),
+    "taut hose on a difference of angles": Kind(_taut_hose),
+    "slipping belt": Kind(_slipping_belt, largest=2.0),
+    "cable that drags in one direction": Kind(_cable_drag),
+    "eccentric gear on a sum of angles": Kind(_eccentric_gear),
+    "a few places that stick": Kind(_sticking_places),
+    "square of another joint's speed": Kind(_neighbours_square),
+}
+"""Effects by name."""
+
+
+ORDINARY, OUTSIDE, QUIET = "ordinary", "outside", "quiet"
+ARMS = ("ur5", "xarm7", "z1", "kinova")
+ENGINES = ("pinocchio", "mujoco")
+WHITE, COLOURED = "white", "coloured"
+COLOURS = (WHITE, COLOURED)
+_OFF = (0.0, 0.15, 0.3)
+_RATES = (50.0, 100.0, 200.0, 500.0)
+_QUIET = 2  # logs a colour and seed
+
+
+@dataclass(frozen=True)
+class Draw:
+    """A robot and its two logs.
+
+    Attributes:
+        friction: Whether there is dry and viscous friction at all joints.
+        tool: Mass of the tool at the last link, as a share of the robot's; 0 without one.
+        off: How far bodies of the model file are off, as a share of their mass.
+        noise: Deviation of an effort's noise, as a share of that of the effort.
+        quantised: Whether positions and efforts are multiples of a resolution.
+        calibrated: Whether logs state that gains of efforts are exact, as they are in all.
+    """
+
+    case: str
+    robot: str
+    engine: str
+    kind: str
+    friction: bool
+    rotors: bool
+    tool: float
+    off: float
+    rate: float
+    velocities: bool
+    noise: float
+    colour: str
+    quantised: bool
+    calibrated: bool
+    number: int
+    seed: int
+    duration: float = 40.0
+
+    def rng(self, purpose: str) -> np.random.Generator:
+        """A generator of random numbers for a purpose of this draw."""
+        words = f"{self.case} {self.robot} {self.kind} {purpose}"
+        return np.random.default_rng([self.seed, self.number, crc32(words.encode())])
+
+
+def draw(case: str, robot: str, number: int, seed: int, **fixed: object) -> Draw:
+    """A random draw of a case; `fixed` has the fields that are not left to chance."""
+    rng = np.random.default_rng([seed, number, crc32(f"{case} {robot}".encode())])
+    ordinary = case == ORDINARY
+    has_tool = rng.random() < 2.0 / 3.0
+    tool = round(float(rng.uniform(0.05, 0.15)), 4) if has_tool else 0.0
+    chosen = {
+        "engine": ENGINES[(number + seed) % 2],
+        "kind": "",
+        "friction": ordinary,
+        "rotors": bool(rng.random() < 0.5) and ordinary,
+        "tool": tool if ordinary else 0.0,
+        "off": float(rng.choice(_OFF)) if ordinary else 0.0,
+        "rate": float(rng.choice(_RATES)),
+        "velocities": bool(rng.random() < 0.5),
+        "noise": round(float(np.exp(rng.uniform(*np.log((0.005, 0.02))))), 4),
+        "colour": WHITE,
+        "quantised": bool(rng.random() < 1.0 / 3.0),
+        "calibrated": bool(rng.random() < 0.5),
+    }
+    values = {**chosen, **fixed}
+    return Draw(case, robot, number=number, seed=seed, **values)  # type: ignore[arg-type]
+
+
+def all_draws(seed: int, **fixed: object) -> list[Draw]:
+    """A seed's draws, the cases in turn, so that the first few show some of all of them."""
+    ordinary = [draw(ORDINARY, arm, k, seed, **fixed) for k, arm in enumerate(ARMS)]
+    outside = [
+        draw(
+            OUTSIDE,
+            ARMS[(k + seed) % len(ARMS)],
+            k,
+            seed,
+            **{"kind": kind, "engine": "mujoco", "friction": (k + seed) % 2 == 0, **fixed},
+        )
+        for k, kind in enumerate(KINDS)
+    ]
+    quiet = [
+        draw(QUIET, ARMS[(k + seed) % len(ARMS)], k, seed, **{"colour": COLOURS[k % 2], **fixed})
+        for k in range(_QUIET * len(COLOURS))
+    ]
+    # As many of the many between two of the few.
+    groups = zip_longest(ordinary, outside[0::3], outside[1::3], quiet, outside[2::3])
+    return [each for group in groups for each in group if each is not None]
+
 
 DRY, WET, ROTOR, TOOL = "coulomb_friction", "viscous_friction", "rotor_inertia", "payload"
 _FRICTION, _WET = (0.02, 0.15), (0.3, 1.5)
@@ -33,11 +347,9 @@ class Recording:
     """What was recorded, and what is true of it.
 
     Attributes:
-        logs: The logs.
         hidden: Names of the effects of the catalogue that are hidden -> where.
         beside: Further names that are right -> where.
         mass: Mass of the tool, kg; 0 without one.
-        joints: Joints of the effect of no catalogue.
         values: Effect -> what it is sized by, by joint: N·m, N·m·s, kg·m²; and "breakaway", rad/s.
     """
 

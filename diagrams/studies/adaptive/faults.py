@@ -1,13 +1,26 @@
-"""Sensors and actuators that have faults, each for a while."""
+"""Sensors and actuators that have faults for a while, and an adaptive loop with them."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from pydrake.systems.framework import BasicVector, Context, DiscreteValues, LeafSystem
+from pydrake.multibody.plant import MultibodyPlant
+from pydrake.systems.analysis import ApplySimulatorConfig, Simulator, SimulatorConfig
+from pydrake.systems.framework import (
+    BasicVector,
+    Context,
+    DiagramBuilder,
+    DiscreteValues,
+    LeafSystem,
+)
+from pydrake.trajectories import Trajectory
+
+from geodrake.control import add_adaptive_loop
+from geodrake.control.systems import AdaptiveController
+from geodrake.robot import RobotPorts
 
 Array = NDArray[np.float64]
 
@@ -24,8 +37,6 @@ class Sample:
         true: (2 n,) the state.
         earlier: (2 n,) the state of `DELAY` samples before.
         held: (2 n,) the last state before the fault.
-        number: Of the sample.
-        rng: Random numbers of this sample.
     """
 
     true: Array
@@ -127,13 +138,7 @@ FAULTS = (*SENSOR_FAULTS, WEAK)
 
 @dataclass(frozen=True)
 class Episode:
-    """A fault for a while.
-
-    Attributes:
-        fault: One of `FAULTS`.
-        start: When it begins, s.
-        end: When it is over, s.
-    """
+    """A fault for a while."""
 
     fault: str
     start: float
@@ -153,13 +158,7 @@ class FaultySensor(LeafSystem):
     """
 
     def __init__(self, size: int, episodes: Sequence[Episode], *, seed: int) -> None:
-        """Constructs the system.
-
-        Args:
-            size: Number of positions and velocities.
-            episodes: What goes wrong when; those of actuators are left out.
-            seed: Of all that is random.
-        """
+        """Constructs the system."""
         LeafSystem.__init__(self)
         self._episodes = [each for each in episodes if each.fault in SENSOR_FAULTS]
         self._seed = seed
@@ -212,7 +211,6 @@ class WeakActuators(LeafSystem):
 
         Args:
             limits: (n,) what is left of the efforts, N·m.
-            episodes: What goes wrong when; only those of actuators count.
         """
         LeafSystem.__init__(self)
         self._limits = limits
@@ -231,3 +229,106 @@ def _put(sample: Sample, place: int, value: float) -> Array:
     changed = sample.true.copy()
     changed[place] = value
     return changed
+
+
+class NoisyVelocities(LeafSystem):
+    """Positions as they are, and velocities with white noise that is held for a millisecond.
+
+    .. pydrake_system::
+
+        name: NoisyVelocities
+        input_ports:
+        - state
+        output_ports:
+        - measured_state
+    """
+
+    def __init__(self, size: int, deviation: float, *, duration: float, seed: int) -> None:
+        """Constructs the system.
+
+        Args:
+            deviation: Standard deviation of the noise, rad/s.
+        """
+        LeafSystem.__init__(self)
+        rng = np.random.default_rng([seed, 58])
+        self._noise = rng.normal(0.0, deviation, (round(1e3 * duration), size))
+        self._size = size
+        self._state = self.DeclareVectorInputPort("state", BasicVector(2 * size))
+        self.DeclareVectorOutputPort("measured_state", BasicVector(2 * size), self._calc)
+
+    def _calc(self, context: Context, output: BasicVector) -> None:
+        state = self._state.Eval(context).copy()
+        sample = int(round(1e3 * context.get_time(), 6)) % len(self._noise)
+        state[self._size :] += self._noise[sample]
+        output.SetFromVector(state)
+
+
+PLANT_STEP = 4e-3  # s, of a third-order integrator
+WEAKENED = 0.15  # of the limits of efforts, what a weak actuator has
+
+
+@dataclass(frozen=True)
+class Moment:
+    """A loop at one time.
+
+    Attributes:
+        time: s.
+        error: (n,) q − q_d, rad.
+        parameters: (p,) the estimate.
+        effort: (n,) what the controller asks for.
+    """
+
+    time: float
+    error: Array
+    parameters: Array
+    effort: Array
+
+
+def moments(
+    controller: AdaptiveController,
+    plant: MultibodyPlant,
+    motion: Trajectory,
+    episodes: Sequence[Episode],
+    *,
+    limits: Array,
+    end: float,
+    seed: int = 0,
+    period: float = 0.02,
+) -> Iterator[Moment]:
+    """Simulates a loop, and reports now and then; nothing is logged.
+
+    Args:
+        plant: What is controlled, in continuous time, with an actuator at each joint in turn.
+        limits: (n,) limits of the efforts, N·m.
+    """
+    builder = DiagramBuilder()
+    builder.AddSystem(plant)
+    joints = controller.control.joints
+    weak = builder.AddSystem(WeakActuators(WEAKENED * limits, episodes))
+    builder.Connect(weak.get_output_port(), plant.get_actuation_input_port())
+    ports = RobotPorts(joints, plant.get_state_output_port(), None, weak.get_input_port())
+    sensor = FaultySensor(2 * len(joints), episodes, seed=seed)
+    loop = add_adaptive_loop(builder, ports, controller, motion, sensor=sensor)
+    diagram = builder.Build()
+    root = diagram.CreateDefaultContext()
+    at_first = np.concatenate([motion.value(0.0).ravel(), motion.EvalDerivative(0.0).ravel()])
+    plant.SetPositionsAndVelocities(plant.GetMyMutableContextFromRoot(root), at_first)
+    simulator = Simulator(diagram, root)
+    config = SimulatorConfig(
+        integration_scheme="runge_kutta3", max_step_size=PLANT_STEP, use_error_control=False
+    )
+    ApplySimulatorConfig(config, simulator)
+    simulator.Initialize()
+    n = len(joints)
+    own = controller.GetMyContextFromRoot(root)
+    for k in range(1, round(end / period) + 1):
+        simulator.AdvanceTo(k * period)
+        state = loop.state.Eval(loop.state.get_system().GetMyContextFromRoot(root))
+        source = loop.desired_state.get_system()
+        wanted = loop.desired_state.Eval(source.GetMyContextFromRoot(root))
+        yield Moment(
+            root.get_time(),
+            (state - wanted)[:n],
+            controller.parameters(own),
+            loop.actuation.Eval(own),
+        )

@@ -1,10 +1,16 @@
-"""The laws that are compared, with names and colours ([Lee2019] §5.5)."""
+"""Adaptation laws by name, and how their speeds γ⁻¹ are chosen, by one rule for all."""
 
 from __future__ import annotations
+
+import argparse
+from collections.abc import Iterator, Sequence
+from statistics import fmean, pstdev
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from diagrams.harness import show, write
 from geodrake.control import euclidean_adaptation, natural_adaptation, pullback_adaptation
 from geodrake.control.adaptation import UpdateLaw
 from geodrake.manifolds import Manifold
@@ -33,14 +39,7 @@ SOURCE_SPEEDS = {EUCLIDEAN: 5e-5, PULLBACK: 1.0, NATURAL: 1.0, NATURAL_EULER: 1.
 
 
 def make_law(name: str, manifold: Manifold, start: ArrayLike, speed: float) -> UpdateLaw | None:
-    """A law by its name.
-
-    Args:
-        name: One of `LAWS`, or NATURAL_EULER.
-        manifold: Of the parameters that are adapted.
-        start: First estimate of them.
-        speed: γ⁻¹.
-    """
+    """A law by its name."""
     if name == NONE:
         return None
     gamma = 1.0 / speed
@@ -50,4 +49,86 @@ def make_law(name: str, manifold: Manifold, start: ArrayLike, speed: float) -> U
         return pullback_adaptation(manifold, start, gamma)
     return natural_adaptation(
         manifold, gamma, integrator="euler" if name == NATURAL_EULER else "geodesic"
+    )
+
+
+GRID = tuple(float(f"{digit}e{power}") for power in range(-5, 4) for digit in (1, 3))
+LARGEST_RISE = 0.01
+CALIBRATION_SEED = 20_190_801
+"""Of the draws that speeds are chosen on; those of studies have small seeds."""
+
+CHOSEN = {
+    "wam": {EUCLIDEAN: 1e-3, PULLBACK: 30.0, NATURAL: 30.0},
+    "wam_100_hz": {EUCLIDEAN: 3e-5, PULLBACK: 3.0, NATURAL: 3.0},
+    "payload": {EUCLIDEAN: 3.0, PULLBACK: 300.0, NATURAL: 3.0},
+    "controller_acceleration": {EUCLIDEAN: 3e-5, NATURAL: 10.0},
+    "controller_filtered": {EUCLIDEAN: 1e-5, NATURAL: 3e3},  # Euclidean: all were lost
+    "sandbags": {EUCLIDEAN: 10.0, PULLBACK: 300.0, NATURAL: 100.0},
+}
+"""γ⁻¹ that `--choose-gains` of the scripts found."""
+
+
+def speeds(study: str, kind: str) -> dict[str, float]:
+    """γ⁻¹ of every law: of the source, or as chosen by the rule."""
+    if kind == "source":
+        return dict(SOURCE_SPEEDS)
+    chosen = CHOSEN[study]
+    return {**chosen, NATURAL_EULER: chosen[NATURAL]}
+
+
+def cells(
+    rows: Sequence[Any], names: Sequence[str]
+) -> Iterator[tuple[dict[str, Any], list[Any], list[Any]]]:
+    """Yield a line for all rows with the same values of some columns, the rows, and those kept."""
+    for cell in dict.fromkeys(tuple(row[name] for name in names) for row in rows):
+        found = [row for row in rows if tuple(row[name] for name in names) == cell]
+        kept = [row for row in found if not row["lost"]]
+        rises = [row["rise"] for row in found if row["rise"] is not None]
+        line = {
+            **dict(zip(names, cell, strict=True)),
+            "speed": found[0]["speed"],
+            "draws": len(found),
+            "lost": len(found) - len(kept),
+            "rms": fmean(row["rms"] for row in kept) if kept else None,
+            "deviation": pstdev(row["rms"] for row in kept) if kept else None,
+            "unphysical": fmean(row["unphysical"] for row in found),
+            "rise": max(rises, default=None),
+        }
+        yield line, found, kept
+
+
+def grid_lines(rows: Sequence[Any], group: str) -> list[dict[str, Any]]:
+    """Return a line a speed of the grid, of every law and whatever else tells draws apart.
+
+    Args:
+        rows: Rows of draws with law, speed, rms, lost, rise and unphysical.
+        group: Column beside the law within which a speed is chosen.
+    """
+    lines = [{**line, "chosen": ""} for line, *_ in cells(rows, (group, "law", "speed"))]
+    for value, law in dict.fromkeys((line[group], line["law"]) for line in lines):
+        own = [line for line in lines if (line[group], line["law"]) == (value, law)]
+        allowed = [x for x in own if not x["lost"] and (x["rise"] or 0.0) <= LARGEST_RISE]
+        for best in sorted(allowed, key=lambda line: line["rms"])[:1]:
+            best["chosen"] = "chosen"
+    return lines
+
+
+def tell_grid(options: argparse.Namespace, rows: Sequence[Any], group: str) -> None:
+    """Print and write what is chosen on a grid."""
+    lines = grid_lines(rows, group)
+    columns = {group: "", "law": "", "speed": "g", "draws": "d", "lost": "d", "rms": ".3f"}
+    show("RMS in degrees", {**columns, "unphysical": ".1%", "rise": ".1e", "chosen": ""}, lines)
+    write(options, {"grid": lines})
+
+
+def add_gains(parser: argparse.ArgumentParser, default: str = "rule") -> None:
+    """Options of how fast laws are."""
+    parser.add_argument(
+        "--gains",
+        choices=("rule", "source"),
+        default=default,
+        help="adaptation speeds: by one rule for all laws, or of [Lee2019] §5.5 (%(default)s)",
+    )
+    parser.add_argument(
+        "--choose-gains", action="store_true", help="apply that rule, and say what it chooses"
     )

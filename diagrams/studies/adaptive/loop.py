@@ -2,24 +2,28 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
 from pydrake.multibody.plant import MultibodyPlant
 from pydrake.systems.analysis import ApplySimulatorConfig, Simulator, SimulatorConfig
 from pydrake.systems.framework import Context, DiagramBuilder, EventStatus, System
 from pydrake.trajectories import PiecewisePolynomial, Trajectory
 
-from geodrake.control import add_adaptive_loop
+from geodrake.control import AdaptiveLoop, add_adaptive_loop
 from geodrake.control.systems import AdaptiveController
-from geodrake.effects import Effect
 
 Array = NDArray[np.float64]
 
 LOG_PERIOD = 1e-2  # s
-PLANT_STEP = 1e-3  # s, of a third-order integrator; 1e-4 s gives the same four digits
+SIMULATION = SimulatorConfig(
+    integration_scheme="runge_kutta3",
+    max_step_size=1e-3,  # s; 1e-4 s gives the same four digits
+    use_error_control=False,
+)
 LOST = 10.0  # rad, error of a joint at which a loop counts as unstable
 
 
@@ -46,6 +50,12 @@ class Record:
         part = (self.time >= start) & (self.time < end)
         return float(np.degrees(np.sqrt(np.mean(self.error[part] ** 2)))) if part.any() else np.nan
 
+    def told(self, draw: Any, controller: AdaptiveController) -> dict[str, Any]:
+        """Law and speed of a draw, its error, and whether V rose or the loop was lost."""
+        rise = None if controller.law is None else self.rise
+        own = {"law": draw.law, "speed": draw.speed, "rms": self.rms()}
+        return {**own, "rise": rise, "lost": self.lost}
+
     def rounds(self, period: float, count: int) -> list[float | None]:
         """RMS errors of rounds, degrees; None of those that an unstable loop did not finish."""
         ends = period * np.arange(1, count + 1)
@@ -69,45 +79,44 @@ def simulate(
     plant: MultibodyPlant,
     motion: Trajectory,
     *,
-    effects: Sequence[tuple[Effect, ArrayLike]] = (),
     end: float | None = None,
     sensor: System | None = None,
 ) -> Record:
-    """Simulates a loop over a whole motion, or until it is lost.
+    """Simulate a loop over a whole motion, or until it is lost.
 
     Args:
-        controller: The controller, which says how often it acts.
-        plant: A finalized continuous plant, actuated at every joint.
-        motion: What is to be tracked.
-        effects: What acts on the plant beside rigid bodies, with parameters.
         end: When to stop, s; None for the end of the motion.
         sensor: What the controller sees the plant through; nothing if None.
     """
     builder = DiagramBuilder()
     builder.AddSystem(plant)
-    loop = add_adaptive_loop(
-        builder,
-        plant,
-        controller,
-        motion,
-        effects=effects,
-        log_period=LOG_PERIOD,
-        sensor=sensor,
-    )
+    how = {"log_period": LOG_PERIOD, "sensor": sensor}
+    loop = add_adaptive_loop(builder, plant, controller, motion, **how)
+    return simulate_loop(builder, loop, plant, motion, end)
+
+
+def simulate_loop(
+    builder: DiagramBuilder,
+    loop: AdaptiveLoop,
+    plant: MultibodyPlant,
+    motion: Trajectory,
+    end: float | None,
+    *,
+    joints: Array | None = None,
+) -> Record:
+    """Simulate a logged loop; `joints` (nq, n) has a plant's joints of what the motion says."""
     diagram = builder.Build()
-    simulator = Simulator(diagram, loop.context(diagram))
-    config = SimulatorConfig(
-        integration_scheme="runge_kutta3",
-        max_step_size=PLANT_STEP,
-        use_error_control=False,
-    )
-    ApplySimulatorConfig(config, simulator)
-    n, gone = plant.num_positions(), [False]
+    root = diagram.CreateDefaultContext()
+    if loop.robot is not None:
+        loop.set_start(root)
+    simulator = Simulator(diagram, root)
+    ApplySimulatorConfig(SIMULATION, simulator)
+    J, gone = np.eye(motion.rows()) if joints is None else joints, [False]
 
     def watch(root: Context) -> EventStatus:
         state = plant.GetPositionsAndVelocities(plant.GetMyContextFromRoot(root))
-        wanted = motion.value(min(root.get_time(), motion.end_time())).ravel()
-        miss = np.abs(state[:n] - wanted).max()
+        wanted = J @ motion.value(min(root.get_time(), motion.end_time())).ravel()
+        miss = np.abs(state[: len(J)] - wanted).max()
         gone[0] = not (np.isfinite(state).all() and miss < LOST)
         if gone[0]:
             return EventStatus.ReachedTermination(diagram, "lost")
@@ -119,25 +128,31 @@ def simulate(
     time, logs = loop.logged(simulator.get_context())
     return Record(
         time=time,
-        error=(logs["state"] - logs["desired_state"])[:, :n],
+        error=(logs["state"] - logs["desired_state"])[:, : motion.rows()],
         parameters=logs["parameters"],
         lyapunov=logs["lyapunov"][:, 0] if "lyapunov" in logs else np.zeros(0),
         lost=gone[0],
     )
 
 
-def rounds(amplitudes: Sequence[float], period: float, joints: int) -> PiecewisePolynomial:
-    """All joints at q = A (cos(2π t / T) − 1), one round for every amplitude A, rad."""
-    t = np.linspace(0.0, period, 101)
-    still = np.zeros((joints, 1))
+def resting(parts: Iterable[tuple[Array, Array]]) -> PiecewisePolynomial:
+    """Join splines, of times and positions (n, k) each, that are at rest at their ends."""
     whole = PiecewisePolynomial()
-    for k, amplitude in enumerate(amplitudes):
-        q = np.tile(amplitude * (np.cos(2.0 * np.pi * t / period) - 1.0), (joints, 1))
-        part = PiecewisePolynomial.CubicWithContinuousSecondDerivatives(
-            t + k * period, q, still, still
-        )
+    for k, (time, q) in enumerate(parts):
+        still = np.zeros((len(q), 1))
+        part = PiecewisePolynomial.CubicWithContinuousSecondDerivatives(time, q, still, still)
         if k:
             whole.ConcatenateInTime(part)
         else:
             whole = part
     return whole
+
+
+def rounds(amplitudes: Sequence[float], period: float, joints: int) -> PiecewisePolynomial:
+    """All joints at q = A (cos(2π t / T) − 1), one round for every amplitude A, rad."""
+    t = np.linspace(0.0, period, 101)
+    wave = np.cos(2.0 * np.pi * t / period) - 1.0
+    return resting(
+        (t + k * period, np.tile(amplitude * wave, (joints, 1)))
+        for k, amplitude in enumerate(amplitudes)
+    )

@@ -1,8 +1,8 @@
-"""The WAM-like arm of the studies of adaptive control."""
+"""The WAM-like arm of the studies of adaptive control, and loads on its palm."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cache
 
 import numpy as np
@@ -11,9 +11,11 @@ from pydrake.multibody.parsing import Parser
 from pydrake.multibody.plant import MultibodyPlant
 
 from diagrams.harness import MODELS
-from geodrake.control import ControlModel, parameter_manifold
-from geodrake.inertia import is_physical, to_spatial_inertia
-from geodrake.manifolds import Product
+from diagrams.studies.adaptive.laws import make_law
+from geodrake.control import ControlModel, PartialLaw, parameter_manifold
+from geodrake.effects import FittedEffect, Payload
+from geodrake.inertia import from_mass_com_inertia, is_physical, to_spatial_inertia
+from geodrake.manifolds import PhysicalInertia, Product
 from geodrake.model import RobotModel, load_description
 
 Array = NDArray[np.float64]
@@ -26,13 +28,7 @@ AMPLITUDE = 0.8  # rad
 
 @dataclass(frozen=True, eq=False)
 class Wam:
-    """The arm as controllers know it.
-
-    Attributes:
-        model: Seven bodies, no friction.
-        control: The same for a controller.
-        manifold: Where its 70 parameters live.
-    """
+    """The arm as controllers know it."""
 
     model: RobotModel
     control: ControlModel
@@ -88,3 +84,60 @@ def first_estimate(sigma: float, seed: int, draw: int) -> Array:
         while np.abs(share[k]) > 1.0:
             share[k] = rng.normal()
     return (model.phi * (1.0 + sigma * share[:, None])).ravel()
+
+
+HELD = np.array([0.0, 0.0, 0.1])  # m from the palm's origin: where a load is thought to be
+MASS = 3.0  # kg
+
+
+def ellipsoid(mass: float, semi_axes: Array, offset: Array) -> Array:
+    """(10,) of a uniform ellipsoid about the palm's origin, its centre `offset` from `HELD`."""
+    squares = np.asarray(semi_axes, float) ** 2
+    inertia = np.diag(0.2 * mass * (squares.sum() - squares))
+    return from_mass_com_inertia(mass, HELD + np.asarray(offset, float), inertia)
+
+
+GUESS = ellipsoid(1.0, np.full(3, 0.1), np.zeros(3))
+"""The blind guess: a sphere of 1 kg."""
+LOADS = {
+    "sphere": ellipsoid(MASS, np.full(3, 0.05), np.zeros(3)),
+    "ellipsoid 1": ellipsoid(MASS, np.array([0.0323, 0.3227, 0.0323]), np.zeros(3)),
+    "ellipsoid 2": ellipsoid(
+        MASS, np.array([0.1375, 0.2165, 0.1082]), np.array([0.05, 0.04, -0.07])
+    ),
+}
+"""Those of [Lee2019] §5.5.2; where the palm holds them is ours."""
+
+
+def some_load(seed: int, number: int) -> Array:
+    """(10,) another load: 2 to 4 kg, semi-axes of 3 to 25 cm, up to 6 cm off along each axis."""
+    rng = np.random.default_rng([seed, number])
+    return ellipsoid(rng.uniform(2.0, 4.0), rng.uniform(0.03, 0.25, 3), rng.uniform(-0.06, 0.06, 3))
+
+
+@dataclass(frozen=True, eq=False)
+class Loaded:
+    """The arm with an unknown load.
+
+    Attributes:
+        control: The arm, whose 70 parameters are known, and the ten of the load.
+    """
+
+    control: ControlModel
+
+    def law(self, name: str, speed: float) -> PartialLaw | None:
+        """A law of the load alone, by its name and γ⁻¹."""
+        law = make_law(name, PhysicalInertia(), GUESS, speed)
+        part = np.arange(len(self.control.prior)) >= self.control.num_inertial
+        return None if law is None else PartialLaw(law, part)
+
+    def parameters(self, load: Array) -> Array:
+        """(80,) of the arm with a load (10,)."""
+        return np.concatenate([self.control.prior[: self.control.num_inertial], load])
+
+
+@cache
+def load_loaded() -> Loaded:
+    """The arm with the guess, read once in a process."""
+    model = replace(load_wam().model, effects=(FittedEffect(Payload("palm"), GUESS),))
+    return Loaded(ControlModel.of(model))

@@ -1,16 +1,26 @@
-"""The leg: three links and three geared rotors ([Lee2019] §3.6.2)."""
+"""The leg: three links and three geared rotors ([Lee2019] §3.6.2), its swing and its fits."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 from pydrake.multibody.plant import MultibodyPlant
+from scipy.signal import savgol_filter
 
 from diagrams.harness import MODELS
-from geodrake.identification import PointMasses
+from geodrake.errors import ArgumentError
+from geodrake.identification import (
+    IdentificationResult,
+    PointMasses,
+    PointMassEuclidean,
+    Regularizer,
+    Riemannian,
+    identify,
+)
 from geodrake.inertia import Ellipsoid, inertial_parameters
 from geodrake.inertia.ellipsoids import ellipsoid_of_quadric
 from geodrake.logs import Motion
@@ -21,6 +31,7 @@ from geodrake.robot import (
     joint_names,
     load_plant,
 )
+from geodrake.robot.reduction import triangular_factor
 
 Array = NDArray[np.float64]
 
@@ -49,9 +60,6 @@ class Leg:
     """The leg's bodies: three links and three rotors.
 
     Attributes:
-        plant: Its plant, six joints.
-        tree: The plant's kinematics.
-        transmission: From the three joints' angles to all six.
         prior: (6, 10) inertial parameters of the model file.
         ellipsoids: (6, 4, 4) quadrics of the regions that the bodies fit into.
     """
@@ -84,3 +92,154 @@ def load_leg(gears: Sequence[float] = (10.604,) * 3) -> Leg:
     regions = Ellipsoid(np.array(CENTERS), np.array(SEMI_AXES), axes)
     tree = KinematicTree.from_plant(plant)
     return Leg(plant, tree, transmission, inertial_parameters(plant), regions.quadric)
+
+
+VISCOUS, COULOMB = 0.1, 1.0  # N·m·s/rad and N·m, every joint
+TORQUE_NOISE, ENCODER_NOISE = 0.5, 2e-4  # N·m and rad, standard deviations
+PERIOD, DURATION = 1e-3, 20.0  # s
+SLOWEST = np.deg2rad(5.0)  # rad/s; friction is not known below
+
+
+@dataclass(frozen=True, eq=False)
+class Samples:
+    """Filtered samples in which all joints move.
+
+    Attributes:
+        regressor: (N, 3, 60) of the inertial parameters.
+        friction: (N, 3, 6) of the viscous and the Coulomb coefficients.
+        torque: (N, 3) as measured for training, filtered for the test, N·m.
+    """
+
+    regressor: Array
+    friction: Array
+    torque: Array
+
+    def rms(self, phi: Array, friction: Array) -> float:
+        """RMS error of predicted torques, N·m."""
+        predicted = self.regressor @ phi.ravel() + self.friction @ friction
+        return float(np.sqrt(np.mean((predicted - self.torque) ** 2)))
+
+
+def swing(time: Array, rng: np.random.Generator) -> Motion:
+    """A leg swinging in the air: six random sines for each joint."""
+    middle, reach = np.array([0.0, 0.5, -1.2]), np.array([0.35, 0.7, 0.7])
+    rate, phase = 2 * np.pi * rng.uniform(0.2, 2.2, (6, 3)), rng.uniform(0, 2 * np.pi, (6, 3))
+    size = reach * rng.uniform(0.2, 0.6, (6, 3)) / (1 + 0.075 * rate)
+    angle = rate * time[:, None, None] + phase
+    q = middle + (size * np.sin(angle)).sum(1)
+    v, vd = (size * rate * np.cos(angle)).sum(1), -(size * rate**2 * np.sin(angle)).sum(1)
+    return Motion(q, v, vd, time)
+
+
+def measure(leg: Leg, rng: np.random.Generator) -> tuple[Samples, Samples]:
+    """Training and test samples of the measured leg."""
+    time = np.arange(0.0, DURATION, PERIOD)
+    motion, truth = swing(time, rng), leg.prior.copy()
+    truth[:3] = MEASURED
+    torque = leg.regressor(motion) @ truth.ravel()
+    torque += VISCOUS * motion.v + COULOMB * np.sign(motion.v)
+    torque += rng.normal(0.0, TORQUE_NOISE, torque.shape)
+    position = motion.q + rng.normal(0.0, ENCODER_NOISE, motion.q.shape)
+
+    def smooth(values: Array, derivative: int = 0) -> Array:
+        return savgol_filter(values, 101, 4, deriv=derivative, delta=PERIOD, axis=0)
+
+    seen = Motion(*(smooth(position, k) for k in range(3)))
+    moving = (np.abs(seen.v) > SLOWEST).all(axis=1)
+    moving[:100] = moving[-100:] = False
+    early = time < 0.5 * DURATION
+    regressor = leg.regressor(seen)
+    each = np.eye(3)
+    friction = np.concatenate([seen.v[:, :, None] * each, np.sign(seen.v)[:, :, None] * each], -1)
+
+    def samples(chosen: Array, torques: Array) -> Samples:
+        return Samples(regressor[chosen], friction[chosen], torques[chosen])
+
+    return samples(moving & early, torque), samples(moving & ~early, smooth(torque))
+
+
+REGULARIZERS = ("euclidean", "point_mass_euclidean", "pullback", "entropic", "riemannian")
+COLORS = {
+    "prior": "#a9b4c0",
+    "euclidean": "#e08a3c",
+    "point_mass_euclidean": "#c8a415",
+    "264 point masses": "#d9c25c",
+    "687 point masses": "#a8860b",
+    "pullback": "#3f9c6b",
+    "entropic": "#1b6ca8",
+    "riemannian": "#8064a2",
+}
+GAMMA = 0.2
+"""Weight of the entropic and the Riemannian regularizer, [Lee2019] §3.6.2.1."""
+NEAR = 1.001
+"""How far above the least residual of point masses their fit stays, if that is what they reach."""
+
+
+@dataclass(frozen=True, eq=False)
+class Condensed:
+    """Data of A x ≈ b in as many rows as they have information.
+
+    Attributes:
+        A: (r, p) rows.
+        b: (r,) measurements.
+        rest: Squared residual that no parameters remove.
+        count: Number of measurements before.
+    """
+
+    A: Array
+    b: Array
+    rest: float
+    count: int
+
+    @classmethod
+    def of(cls, A: Array, b: Array) -> Condensed:
+        """From (m, p) rows and (m,) measurements."""
+        factor = triangular_factor([np.column_stack([A, b])])
+        U, size, Vt = np.linalg.svd(factor[:, :-1], full_matrices=False)
+        rank = np.count_nonzero(size > 1e-11 * size[0])
+        reduced = U[:, :rank].T @ factor[:, -1]
+        rest = float(np.square(factor[:, -1] - U[:, :rank] @ reduced).sum())
+        return cls(size[:rank, None] * Vt[:rank], reduced, rest, len(b))
+
+    def rms(self, found: IdentificationResult) -> float:
+        """RMS training error of what was found."""
+        return float(np.sqrt((found.residual + self.rest) / self.count))
+
+
+def fit(data: Condensed, leg: Leg, kind: str | Regularizer, **more: Any) -> IdentificationResult:
+    """The fit with a regularizer and `gamma` or `residual_bound`, bodies in their ellipsoids."""
+    ellipsoids = None if isinstance(kind, PointMassEuclidean) else leg.ellipsoids
+    return identify(data.A, data.b, leg.prior, regularizer=kind, ellipsoids=ellipsoids, **more)
+
+
+def fit_points(
+    data: Condensed, leg: Leg, points: PointMasses, residual: float, **more: Any
+) -> IdentificationResult:
+    """Point masses with a residual, or one that is a little higher, if no masses there have it."""
+    kind = PointMassEuclidean(points)
+    try:
+        return fit(data, leg, kind, residual_bound=residual, **more)
+    except ArgumentError as error:
+        if "minimum" not in error.evidence:
+            raise
+        bound = NEAR * error.evidence["minimum"]
+        return fit(data, leg, kind, residual_bound=bound, **more)
+
+
+def compare(
+    data: Condensed, leg: Leg, points: PointMasses, **more: Any
+) -> dict[str, IdentificationResult]:
+    """Every regularizer: γ for the entropic and the Riemannian one, its residual for the others.
+
+    Args:
+        **more: Further arguments of `identify`, the same for all.
+    """
+    entropic = fit(data, leg, "entropic", gamma=GAMMA, **more)
+    bound = entropic.residual
+    return {
+        "euclidean": fit(data, leg, "euclidean", residual_bound=bound, **more),
+        "point_mass_euclidean": fit_points(data, leg, points, bound, **more),
+        "pullback": fit(data, leg, "pullback", residual_bound=bound, **more),
+        "entropic": entropic,
+        "riemannian": fit(data, leg, Riemannian(starts=("entropic",)), gamma=GAMMA, **more),
+    }

@@ -1,20 +1,33 @@
-"""Robots of a fleet: of which type, how they differ, and what changes in them on which day."""
+"""Robots of a fleet that change, by formulas of their own: their logs and their files."""
 
 from __future__ import annotations
 
+import json
 import xml.etree.ElementTree as ET
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from datetime import UTC, datetime
 from functools import cache
 from pathlib import Path
-from tempfile import TemporaryDirectory
+from typing import TypeVar
 from zlib import crc32
 
 import numpy as np
 from numpy.typing import NDArray
 
-from diagrams.benchmarks.hidden.engines import PinocchioEngine, congruent, pseudo
-from diagrams.benchmarks.hidden.robots import RobotFile, robot_file
-from geodrake import load_model
+from diagrams.benchmarks.hidden.robots import (
+    FAST,
+    POINTS,
+    PinocchioEngine,
+    RobotFile,
+    congruent,
+    make_motion,
+    pseudo,
+    robot_file,
+)
+from geodrake.boundary.whole_files import write_whole
+from geodrake.logs.files import write_log
+from geodrake.logs.motion import JointLog
 from geodrake.model import RobotModel
 
 Array = NDArray[np.float64]
@@ -32,16 +45,7 @@ _PAYLOAD = {"arm3": 4.0, "arm6": 4.0}  # kg, the heaviest
 
 @dataclass(frozen=True)
 class FleetDraw:
-    """One robot.
-
-    Attributes:
-        kind: Its type.
-        number: Its number in the type.
-        seed: Of the study.
-        days: Days of logs.
-        duration: Length of a log, s.
-        still: Whether nothing changes in any robot.
-    """
+    """One robot."""
 
     kind: str
     number: int
@@ -85,9 +89,6 @@ class HiddenChange:
     """What changes in a robot.
 
     Attributes:
-        what: One of `CHANGES`.
-        joint: Number of the joint, or of the joint that moves the body.
-        day: First day with it, or on which it begins to rise.
         size: Share of friction (for wear, at the last day), mass in kg, or share of the gain.
         taken_off: Whether the payload was there before, and is not from that day on.
     """
@@ -167,11 +168,7 @@ def type_file(kind: str) -> RobotFile:
     """The model file of a type; arm3 is arm6 whose wrist is held."""
     if kind != "arm3":
         return robot_file(kind)
-    root = ET.fromstring(robot_file("arm6").text)
-    for joint in root.iter("joint"):
-        if joint.get("name") in _HELD:
-            joint.set("type", "fixed")
-    return RobotFile(kind, ET.tostring(root, encoding="unicode"))
+    return RobotFile.holding(kind, robot_file("arm6"), _HELD)
 
 
 def type_engine(kind: str) -> PinocchioEngine:
@@ -182,7 +179,102 @@ def type_engine(kind: str) -> PinocchioEngine:
 @cache
 def type_model(kind: str) -> RobotModel:
     """What geodrake knows of a type: its model file."""
-    with TemporaryDirectory() as folder:
-        path = Path(folder) / f"{kind}.urdf"
-        path.write_text(type_file(kind).text, encoding="utf-8")
-        return load_model(path)
+    return type_file(kind).model
+
+
+RATE = 100.0  # Hz
+_ENCODER, _NOISE = 1e-5, 0.01  # rad; a share of the effort's deviation
+_SEASON, _DAILY = 6.0, 1.0  # °C
+_DRY_LOSS, _VISCOUS_LOSS = 0.008, 0.02  # shares that friction loses with a degree
+_SCATTER = 0.02  # of friction from log to log
+_BREAKAWAY, _SLOW, _RISE = 0.004, 0.08, 0.1  # rad/s, rad/s, share: friction at low speed
+
+
+def season(days: int, seed: int) -> Array:
+    """(days,) degrees above 20 °C in the hall of a fleet, the same for all its robots."""
+    rng = np.random.default_rng([seed, 77])
+    day = np.arange(days)
+    wave = np.sin(2.0 * np.pi * (day / 45.0 + rng.uniform()))
+    return np.asarray(_SEASON * wave + _DAILY * rng.normal(size=days))
+
+
+def robot_logs(draw: FleetDraw) -> Iterator[JointLog]:
+    """Yield the logs of a robot, a day after another."""
+    engine, own, change = type_engine(draw.kind), own_robot(draw), draw.change
+    n, rng = len(engine.joints), draw.random("logs")
+    time = np.arange(0.0, draw.duration, 1.0 / RATE)
+    for day, degrees in enumerate(season(draw.days, draw.seed)):
+        much = change.at(day, draw.days - 1.0) if change else 0.0
+        bodies, gain = own.bodies.copy(), own.gain.copy()
+        dry = own.dry * (1.0 - _DRY_LOSS * own.warmth * degrees)
+        viscous = own.viscous * (1.0 - _VISCOUS_LOSS * own.warmth * degrees)
+        dry, viscous = (each * (1.0 + _SCATTER * rng.normal(size=n)) for each in (dry, viscous))
+        if change is not None:
+            if change.what == PAYLOAD:
+                bodies[change.joint] += much * own.payload
+            if change.what == GAIN:
+                gain[change.joint] *= 1.0 + much
+            if change.what in (WEAR, STICKIER):
+                dry[change.joint] *= 1.0 + much
+            if change.what == WEAR:
+                viscous[change.joint] *= 1.0 + much
+        engine.set_bodies(bodies)
+        kind = POINTS if rng.uniform() < 0.3 else FAST
+        q, v, a = make_motion(kind, engine, time, rng)
+        slow = 1.0 + _RISE * np.exp(-np.square(v / _SLOW))
+        friction = dry * slow * np.tanh(v / _BREAKAWAY) + viscous * v
+        effort = gain * (engine.efforts(q, v, a) + friction) + own.offset
+        effort += _NOISE * effort.std(axis=0) * rng.normal(size=effort.shape)
+        position = q + _ENCODER * rng.normal(size=q.shape)
+        name = f"{_date_name(FIRST + day * DAY)}.npz"
+        yield JointLog(name, engine.joints, time, position, effort)
+
+
+Times = TypeVar("Times", float, NDArray[np.float64])
+
+FIRST, DAY = 1.7776e9 // 86400 * 86400, 86400.0
+"""Seconds since 1970 of the first day of logs, and of a day."""
+
+
+def write_logs(draw: FleetDraw, folder: Path) -> None:
+    """Write the logs of a robot, unless an earlier run did."""
+    own = folder / draw.name
+    if (own / f"{_date_name(FIRST + (draw.days - 1) * DAY)}.npz").is_file():
+        return
+    own.mkdir(parents=True, exist_ok=True)
+    for log in robot_logs(draw):
+        write_log(log, own / log.name)
+
+
+def write_fleet_file(folder: Path, draws: Sequence[FleetDraw]) -> Path:
+    """Models of all types, and the file that names them and the robots."""
+    folder.mkdir(parents=True, exist_ok=True)
+    kinds = sorted({draw.kind for draw in draws})
+    for kind in kinds:
+        write_whole(folder / f"{kind}.urdf", type_file(kind).text)
+    said = {
+        "to": "results",
+        "types": {kind: {"model": f"{kind}.urdf"} for kind in kinds},
+        "robots": [
+            {
+                "name": draw.name,
+                "type": draw.kind,
+                "logs": f"{draw.name}/*.npz",
+                "dates": "%Y-%m-%d",
+            }
+            for draw in draws
+        ],
+    }
+    path = folder / "fleet.yaml"
+    write_whole(path, json.dumps(said, indent=1))
+    return path
+
+
+def _date_name(seconds: float) -> str:
+    """A date such as 2026-05-01."""
+    return datetime.fromtimestamp(seconds, UTC).strftime("%Y-%m-%d")
+
+
+def day_of(seconds: Times) -> Times:
+    """Days since the first, of one instant or of several, s since 1970."""
+    return (seconds - FIRST) / DAY

@@ -1,1 +1,0 @@
-"""Servos of known gains behind simulated arms, and what is said of them."""

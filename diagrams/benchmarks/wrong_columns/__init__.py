@@ -1,1 +1,0 @@
-"""Logs whose columns are not what their names say, by formulas of their own."""

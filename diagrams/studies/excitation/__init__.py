@@ -1,1 +1,0 @@
-"""The studies of excitation in parts: robots, motions, expected errors, figures."""
