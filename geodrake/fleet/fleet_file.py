@@ -198,20 +198,16 @@ def _type(name: str, said: _TypeSchema, base: Path) -> FleetType:
     transmission = said.transmission
     if transmission is not None and transmission not in ("file", "none"):
         transmission = str(base / home_path(transmission))
-    return FleetType(
-        name,
-        base / home_path(said.model),
-        tuple(base / home_path(each) for each in said.own_effects),
-        None if said.effects is None else tuple(said.effects),
-        said.bandwidth,
-        said.blocks,
-        said.payload,
-        lock,
-        said.floating,
-        transmission,
-        None if said.mapping is None else base / home_path(said.mapping),
-        said.units or {},
-    )
+    found = msgspec.structs.asdict(said) | {
+        "model": base / home_path(said.model),
+        "own_effects": tuple(base / home_path(each) for each in said.own_effects),
+        "effects": None if said.effects is None else tuple(said.effects),
+        "lock": lock,
+        "transmission": transmission,
+        "mapping": None if said.mapping is None else base / home_path(said.mapping),
+        "units": said.units or {},
+    }
+    return FleetType(name, **found)
 
 
 def _robot(said: _RobotSchema, types: Mapping[str, FleetType], base: Path) -> FleetRobot:

@@ -90,11 +90,7 @@ def order_of(model: RobotModel, places: Mapping[str, int], file: Path, name: str
 
 
 class DrakeEngine(Engine):
-    """A plant, continuous in time; it does not act upon dry friction of its joints.
-
-    Raises:
-        ModelError: Drake cannot read the file.
-    """
+    """A plant, continuous in time; it does not act upon dry friction of its joints."""
 
     ignores: ClassVar[tuple[type[Effect], ...]] = (DryFriction,)
 
@@ -182,9 +178,6 @@ class MujocoEngine(Engine):
     Efforts of rollouts pass through the actuators of joints, where those are what the model has:
     motors, or servos, late or not. At other joints they are applied as they are, and other
     actuators are without force.
-
-    Raises:
-        ModelError: MuJoCo cannot read the file.
     """
 
     def __init__(self, file: Path, model: RobotModel) -> None:
@@ -334,11 +327,7 @@ class MujocoEngine(Engine):
 
 
 class PinocchioEngine(Engine):
-    """A model of Pinocchio: the rigid bodies alone.
-
-    Raises:
-        ModelError: Pinocchio cannot read the file.
-    """
+    """A model of Pinocchio: the rigid bodies alone."""
 
     ignores: ClassVar[tuple[type[Effect], ...]] = (DryFriction, Rotor, Damping)
 
@@ -379,11 +368,7 @@ class PinocchioEngine(Engine):
 
 
 class PythonEngine(Engine):
-    """A module with a function effort(q, v, vd).
-
-    Raises:
-        ModelError: Its positions are others than those of single joints.
-    """
+    """A module with a function effort(q, v, vd)."""
 
     def __init__(self, file: Path, model: RobotModel) -> None:
         self.name = f"Python {platform.python_version()}"

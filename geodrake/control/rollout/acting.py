@@ -48,9 +48,6 @@ class Acting:
     """The efforts of a log, and in their place servos at joints that follow its commands.
 
     Commands and their rates are straight lines between the log's samples.
-
-    Raises:
-        ModelError: Commands are to be followed by joints of several degrees of freedom.
     """
 
     def __init__(self, model: RobotModel, log: JointLog, *, commands: bool) -> None:

@@ -77,10 +77,6 @@ class Simulation:
         sign_width: (nv,) speeds below which dry friction fades, rad/s or m/s.
         fastest: (nv,) peak speeds of the measured motion, rad/s or m/s.
         steps: One item for each step of the integrator that is left.
-
-    Raises:
-        ModelError: The model has effects with hidden states or soft joints, and joints that follow
-            others or are behind a transmission.
     """
 
     def __init__(

@@ -65,11 +65,9 @@ class ModelResidual(LeafSystem):
         )
         if filtered is None:
             known = {self.all_input_ports_ticket()}
-            for name, size, calc in (
-                ("residual", nv, self._calc_residual),
-                ("valid", 1, self._calc_valid),
-            ):
-                self.DeclareVectorOutputPort(name, BasicVector(size), calc, known)
+            residual, valid = BasicVector(nv), BasicVector(1)
+            self.DeclareVectorOutputPort("residual", residual, self._calc_residual, known)
+            self.DeclareVectorOutputPort("valid", valid, self._calc_valid, known)
             return
         self._memory, self._residual, self._valid = (
             self.DeclareDiscreteState(value)

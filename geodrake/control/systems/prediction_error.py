@@ -76,11 +76,7 @@ class PredictionError(Short):
 
 
 class Prediction:
-    """`PredictionError` of one controller, of a robot and a period of control, s.
-
-    Raises:
-        ArgumentError: There is no time step, or numbers are not as many as joints.
-    """
+    """`PredictionError` of one controller, of a robot and a period of control, s."""
 
     def __init__(self, error: PredictionError, control: ControlModel, time_step: float) -> None:
         if time_step == 0:
