@@ -111,12 +111,15 @@ def make_rival(
     places = [tuple(where)] if where else _places(cls, model)
     speed = dict(zip(model.joints, limits.velocity.tolist(), strict=True))
     known = {(f.effect.name, f.effect.where): f.effect for f in model.effects}
+    body = cls.places == "body"
+    what, known_names = ("body", model.bodies) if body else ("joint", model.joints)
     per_place: list[tuple[Effect, ...]] = []
     for place in places:
         if shape is None and (name, place) in known:
             per_place.append((known[name, place],))
             continue
-        _check_place(cls, place, model)
+        for each in place:
+            one_of(each, what, known_names)
         try:
             per_place.append((make_effect(name, place, shape, extra),))
         except ArgumentError:
@@ -145,12 +148,6 @@ def _places(cls: type[Effect], model: RobotModel) -> list[tuple[str, ...]]:
         f"{cls.name} cannot be everywhere.",
         advice=f"Say on which body it is: {cls.name}@{model.bodies[-1]}.",
     )
-
-
-def _check_place(cls: type[Effect], place: Sequence[str], model: RobotModel) -> None:
-    what, known = ("body", model.bodies) if cls.places == "body" else ("joint", model.joints)
-    for name in place:
-        one_of(name, what, known)
 
 
 @dataclass(frozen=True, eq=False)

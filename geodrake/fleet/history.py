@@ -321,7 +321,9 @@ def weighted_grams(digest: Digest, kept: Indices) -> tuple[list[JointGrams], Arr
     found, squares = [], []
     parts = zip(digest.joints, digest.effective_share, digest.noise_floor, strict=True)
     for joint, share, noise in parts:
-        columns, gram = _kept_gram(joint, kept)
+        own = np.flatnonzero(np.isin(joint.columns, kept))
+        at, columns = np.append(own, len(joint.columns)), np.searchsorted(kept, joint.columns[own])
+        gram = joint.normal_matrix()[at[:, None], at]
         count = float(joint.samples.sum())
         if joint.joint in digest.settings.passive:
             found.append(JointGrams(columns, _passive_gram(joint, gram, kept, share)[None]))
@@ -349,13 +351,6 @@ def _passive_gram(joint: JointDigest, gram: Array, kept: Indices, share: float) 
     found[:-1, -1] += 2.0 * share * count * inertia
     found[-1, :-1] = found[:-1, -1]
     return found
-
-
-def _kept_gram(joint: JointDigest, kept: Indices) -> tuple[Indices, Array]:
-    """Return the normal matrix of a joint over those of its columns that count."""
-    own = np.flatnonzero(np.isin(joint.columns, kept))
-    at = np.append(own, len(joint.columns))
-    return np.searchsorted(kept, joint.columns[own]), joint.normal_matrix()[at[:, None], at]
 
 
 def _residual_variance(gram: Array, samples: float) -> float:

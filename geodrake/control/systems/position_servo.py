@@ -30,15 +30,7 @@ from geodrake.model.simulation.scalar_system import ScalarSystem, add_scalar_typ
 
 
 class ServoGains(NamedTuple):
-    """Gains of servos, all (n,).
-
-    Attributes:
-        kp: Effort per error of position, N·m/rad or N/m.
-        kd: Effort per error of velocity, N·m·s/rad or N·s/m.
-        ki: Effort per integral of the error of position, N·m/(rad·s) or N/(m·s).
-        limit: Largest effort, N·m or N; infinite for none.
-        dead_band: Error of position up to which a servo does nothing about it, rad or m.
-    """
+    """Gains of servos, all (n,), as `PositionServo` has them; an infinite limit is none."""
 
     kp: Scalars
     kd: Scalars
@@ -215,8 +207,9 @@ class PositionServo(_PositionServo, LeafSystem):
 
     Args:
         kp: (n,) effort per error of position, N·m/rad or N/m; its length is the number of joints.
-        kd: Effort per error of velocity; like all others one for all joints or (n,).
-        ki: Effort per integral of the error of position.
+        kd: Effort per error of velocity, N·m·s/rad or N·s/m; like all others one for all joints or
+            (n,).
+        ki: Effort per integral of the error of position, N·m/(rad·s) or N/(m·s).
         limit: Largest effort, N·m or N.
         dead_band: Error of position up to which nothing is done about it, rad or m.
 
