@@ -8,8 +8,7 @@ from hypothesis import strategies as st
 from scipy.signal import lfilter
 
 from geodrake.control.adaptation import LinearSet, mass_limits
-from geodrake.control.online_estimation import FilteredRegressor, SampleUpdate
-from geodrake.control.online_estimation.sample_update import slab_step
+from geodrake.control.online_estimation import FilteredRegressor, SampleUpdate, slab_step
 from geodrake.errors import ArgumentError
 from geodrake.manifolds import (
     ConstrainedInertia,

@@ -10,8 +10,7 @@ from pydrake.common.value import AbstractValue
 from pydrake.systems.framework import BasicVector, Context, DiscreteValues, LeafSystem, State
 
 from geodrake.boundary.arguments import instance, integer, number, positive
-from geodrake.control.online_estimation import FilteredRegressor, SampleUpdate
-from geodrake.control.online_estimation.sample_update import Rows
+from geodrake.control.online_estimation import FilteredRegressor, Rows, SampleUpdate
 from geodrake.control.regressor import ControlModel
 from geodrake.control.systems.safeguards import (
     Safeguards,
