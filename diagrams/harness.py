@@ -14,7 +14,7 @@ import subprocess
 import sys
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import ProcessPoolExecutor, as_completed
-from dataclasses import asdict, is_dataclass
+from dataclasses import asdict, is_dataclass, replace
 from functools import partial
 from multiprocessing import get_context
 from pathlib import Path
@@ -27,6 +27,7 @@ from rich.console import Console
 from rich.progress import track
 from rich.table import Table
 
+from geodrake.logs import JointLog
 from geodrake.report import style
 
 MODELS = Path(__file__).parents[1] / "models"
@@ -96,6 +97,14 @@ def write(
                 figure.savefig(options.figures / f"{each}.png")
 
 
+def tell(
+    options: argparse.Namespace, table: Any, **figures: Callable[[], Figure | Mapping[str, Figure]]
+) -> None:
+    """Print the numbers, and write what was asked for."""
+    print(json.dumps(plain(table), indent=2))
+    write(options, table, **figures)
+
+
 def plain(table: Any) -> Any:
     """Return a table without dataclasses and arrays, as JSON has it."""
     if is_dataclass(table) and not isinstance(table, type):
@@ -116,6 +125,18 @@ def show(
         shown = ((line.get(name), form) for name, form in columns.items())
         table.add_row(*("–" if value is None else format(value, form) for value, form in shown))
     Console(width=width).print(table)
+
+
+def show_values(title: str, values: Mapping[str, Any], form: str = "") -> None:
+    """Print values by name."""
+    show(title, {"": "", "value": form}, [{"": k, "value": v} for k, v in values.items()])
+
+
+def first_samples(log: JointLog, count: int) -> JointLog:
+    """Return the first samples of a log."""
+    names = ("time", "position", "velocity", "effort", "acceleration")
+    given = {name: getattr(log, name) for name in names}
+    return replace(log, **{name: x[:count] for name, x in given.items() if x is not None})
 
 
 # Draws

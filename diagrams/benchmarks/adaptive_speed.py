@@ -13,7 +13,6 @@ fastest tenth, which is what they are where nothing else runs.
 
 from __future__ import annotations
 
-import json
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import cached_property, partial
@@ -28,7 +27,7 @@ from pydrake.systems.primitives import TrajectorySource
 from pydrake.trajectories import PiecewisePolynomial
 from rich.progress import track
 
-from diagrams.harness import MODELS, bars, cpu_time, script_parser, write
+from diagrams.harness import MODELS, bars, cpu_time, script_parser, tell
 from geodrake.control import (
     AdaptiveComputedTorqueController,
     BregmanProjectionEstimator,
@@ -343,11 +342,10 @@ def main() -> None:
     arm = Arm.load(options.seed)
     times = measure(arm, duration=duration, repeats=options.repeats or repeats)
     table = summary(times) | {"estimator": accuracy(arm, 1.0 if options.quick else 10.0)}
-    print(json.dumps(table, indent=2))
     cost = table["undisturbed"]["CPU seconds a simulated second"]
     each = {name: 1e3 * CONTROL_STEP * value for name, value in cost.items()}
     title = "CPU time of one millisecond of control"
-    write(options, table, adaptive_speed=lambda: bars({title: each}, "ms"))
+    tell(options, table, adaptive_speed=lambda: bars({title: each}, "ms"))
 
 
 if __name__ == "__main__":

@@ -8,7 +8,6 @@ that of a reading of the same log with columns for all candidates, as `diagnose`
 
 from __future__ import annotations
 
-import json
 import tempfile
 from collections.abc import Sequence
 from pathlib import Path
@@ -16,7 +15,7 @@ from typing import Any
 
 import numpy as np
 
-from diagrams.harness import MODELS, bars, cpu_times, script_parser, write
+from diagrams.harness import MODELS, bars, cpu_times, script_parser, tell
 from geodrake.fleet import (
     Digest,
     LogFacts,
@@ -123,12 +122,11 @@ def main() -> None:
     how = {"seconds": 15.0 if options.quick else 60.0, "seed": options.seed}
     times = 1 if options.quick else options.times
     costs = [measure(model, rate, pace, times=times, **how) for rate, pace in cases]
-    print(json.dumps(costs, indent=2))
     panels = {
         title: {f"{c['rate']:g} Hz, bandwidth {c['bandwidth']:.2g} Hz": c[name] for c in costs}
         for name, title in (("made", "a digest"), ("reading", "reading with all candidates"))
     }
-    write(options, costs, digest_speed=lambda: bars(panels, "s"))
+    tell(options, costs, digest_speed=lambda: bars(panels, "s"))
 
 
 if __name__ == "__main__":

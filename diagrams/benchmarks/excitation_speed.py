@@ -14,7 +14,7 @@ from typing import Any
 
 import numpy as np
 
-from diagrams.harness import bars, cpu_clock, cpu_time, medians, script_parser, show, write
+from diagrams.harness import bars, cpu_clock, cpu_time, medians, script_parser, show_values, write
 from diagrams.public_data import add_folder_option
 from diagrams.studies.iiwa_excitation import IIWA, NOISE, family, limits, manipulator
 from geodrake.excitation import Criterion, DesignOptions, Objective, design_excitation, make_target
@@ -72,7 +72,7 @@ def main() -> None:
     row = measure(model, **sizes, seed=options.seed, repeats=3 if options.quick else 10)
     title = f"{'an arm of our own' if ours else 'iiwa'}, CPU times"
     named = {words: row[name] for name, words in NAMES.items()}
-    show(title, {"": "", "value": ".3g"}, [{"": k, "value": v} for k, v in named.items()])
+    show_values(title, named, ".3g")
     row = {"robot": "arm7" if ours else "iiwa", **row}
     write(options, row, excitation_speed=lambda: bars({title: named}, ""))
 

@@ -25,7 +25,7 @@ import psutil
 from matplotlib.figure import Figure
 
 from diagrams.benchmarks.fleets.logs import TYPES, FleetDraw, write_fleet_file, write_logs
-from diagrams.harness import positive_number, script_parser, show, titled, write
+from diagrams.harness import positive_number, script_parser, show_values, titled, write
 from geodrake.report import style
 
 _POLL = 0.01  # s
@@ -171,11 +171,7 @@ def main() -> None:
         "the same results": sum(row.same for row in rows),
         "digests made again": sum(row.again for row in rows),
     }
-    show(
-        "Runs that are killed",
-        {"figure": "", "value": ""},
-        [{"figure": name, "value": value} for name, value in table.items()],
-    )
+    show_values("Runs that are killed", table)
     found = {"summary": table, "rows": rows}
     write(options, found, fleet_kills=lambda: kills_figure(rows, robots * days))
 

@@ -11,7 +11,6 @@ arm's first samples, beside the entropic fit at the same residual.
 
 from __future__ import annotations
 
-import json
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -23,7 +22,7 @@ from pydrake.multibody.plant import MultibodyPlant
 from pydrake.multibody.tree import FixedOffsetFrame, RevoluteJoint, SpatialInertia
 from rich.progress import track
 
-from diagrams.harness import bars, cpu_clock, cpu_times, medians, peak_memory, script_parser, write
+from diagrams.harness import bars, cpu_clock, cpu_times, medians, peak_memory, script_parser, tell
 from diagrams.public_data import add_folder_option
 from geodrake.identification import (
     BodyConstraints,
@@ -374,8 +373,7 @@ def main() -> None:
         table[name]["geodesic least squares"] = geodesic_rows(case, *few)
         title = f"{name}: {case.A.shape[0]} rows, {case.A.shape[1]} parameters"
         panels[title] = {key: 1e3 * t for key, t in table[name]["whole"].items()}
-    print(json.dumps(table, indent=2))
-    write(options, table, identification_speed=lambda: bars(panels, "ms"))
+    tell(options, table, identification_speed=lambda: bars(panels, "ms"))
 
 
 if __name__ == "__main__":

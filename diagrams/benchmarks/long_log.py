@@ -8,7 +8,6 @@ own, whose largest memory is what counts. The raw numbers alone are 120 bytes a 
 
 from __future__ import annotations
 
-import json
 import tempfile
 import zipfile
 from pathlib import Path
@@ -17,7 +16,7 @@ from typing import Any
 import numpy as np
 from rich.progress import track
 
-from diagrams.harness import MODELS, bars, peak_memory, script_parser, write
+from diagrams.harness import MODELS, bars, peak_memory, script_parser, tell
 from geodrake.logs import Motion
 from geodrake.model import RobotModel, load_model
 
@@ -100,10 +99,9 @@ def main() -> None:
         path = Path(folder) / "long.npz"
         write_long_log(path, robot, samples=samples, seed=options.seed)
         costs = [measure(work, robot, path, samples) for work in options.work]
-    print(json.dumps(costs, indent=2))
     title = f"largest memory for a log of {samples:,} samples, with Python and Drake"
     sizes = {"raw numbers": costs[0]["raw"]} | {c["work"]: c["peak_memory"] for c in costs}
-    write(options, costs, long_log_memory=lambda: bars({title: sizes}, "GB"))
+    tell(options, costs, long_log_memory=lambda: bars({title: sizes}, "GB"))
 
 
 if __name__ == "__main__":

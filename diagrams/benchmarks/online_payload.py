@@ -28,7 +28,7 @@ from pydrake.systems.analysis import Simulator
 from pydrake.systems.framework import DiagramBuilder
 from pydrake.systems.primitives import LogVectorOutput
 
-from diagrams.harness import run_draws, script_parser, show, write
+from diagrams.harness import first_samples, run_draws, script_parser, show, write
 from diagrams.public_data import add_folder_option, require
 from diagrams.studies.adaptive.figures import mass_figure
 from geodrake.control import (
@@ -247,13 +247,7 @@ def cut(log: JointLog, end: float | None) -> JointLog:
     """The first seconds of a log."""
     if end is None:
         return log
-    count = int(np.searchsorted(log.time - log.time[0], end))
-    parts = {
-        name: None if value is None else value[:count]
-        for name in ("time", "position", "velocity", "effort", "acceleration")
-        for value in (getattr(log, name),)
-    }
-    return replace(log, **parts)
+    return first_samples(log, int(np.searchsorted(log.time - log.time[0], end)))
 
 
 def numbers(found: Streamed) -> dict[str, Any]:

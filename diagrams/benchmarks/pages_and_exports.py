@@ -20,7 +20,16 @@ from tempfile import TemporaryDirectory
 from typing import Any
 
 from diagrams.benchmarks.long_log import write_long_log
-from diagrams.harness import MODELS, ONE_THREAD, bars, cpu_time, script_parser, show, write
+from diagrams.harness import (
+    MODELS,
+    ONE_THREAD,
+    bars,
+    cpu_time,
+    script_parser,
+    show,
+    show_values,
+    write,
+)
 from diagrams.public_data import add_folder_option, require
 from geodrake import load_model
 from geodrake.control.export_proof import export_to
@@ -91,7 +100,7 @@ def measured(
 def show_robot(name: str, found: dict[str, Any]) -> None:
     """Print one robot."""
     numbers = {key: value for key, value in found.items() if key != "exports"}
-    show(name, {"": "", "value": ".3g"}, [{"": k, "value": v} for k, v in numbers.items()])
+    show_values(name, numbers, ".3g")
     lines = [
         {"format": form, "nrms, file holds": " -> ".join(f"{x:.4f}" for x in each["nrms"] or ())}
         | {"simulator": f"{row['name']}, {row['what']}", "largest difference": row["largest"]}

@@ -16,7 +16,7 @@ from tempfile import TemporaryDirectory
 import mujoco
 import numpy as np
 
-from diagrams.harness import script_parser, write
+from diagrams.harness import script_parser, tell
 from geodrake import load_model
 from geodrake.logs.motion import Motion
 from geodrake.robot.files.mjcf_source import quiet_mujoco
@@ -355,9 +355,7 @@ def main() -> None:
     """Compare random files, and print how far the readings differ."""
     options = script_parser(__doc__, "20 files instead of 200").parse_args()
     table = run(20 if options.quick else 200, options.seed)
-    for name, value in table.items():
-        print(f"{name}: {value:.1e}" if isinstance(value, float) else f"{name}: {value}")
-    write(options, table)
+    tell(options, table)
 
 
 if __name__ == "__main__":

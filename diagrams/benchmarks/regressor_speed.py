@@ -9,7 +9,6 @@ triangular factor a joint, piece by piece, so that its length does not matter fo
 
 from __future__ import annotations
 
-import json
 import resource
 import time
 from pathlib import Path
@@ -19,7 +18,7 @@ from typing import Any
 import numpy as np
 from rich.progress import track
 
-from diagrams.harness import MODELS, bars, medians, script_parser, write
+from diagrams.harness import MODELS, bars, medians, script_parser, tell
 from geodrake.inertia import inertial_parameters
 from geodrake.robot import KinematicTree, inverse_dynamics, inverse_dynamics_regressor, load_plant
 from geodrake.robot.reduction import triangular_factor
@@ -155,14 +154,13 @@ def main() -> None:
             for robot, count in robots.items()
         ]
     table = {"speed": speeds, "reduction": reduction}
-    print(json.dumps(table, indent=2))
     panels = {
         f"{speed['robot']}, one core": {
             name: speed[name] for name in ("efforts", "regressor", "pinocchio") if name in speed
         }
         for speed in speeds
     }
-    write(options, table, regressor_speed=lambda: bars(panels, "µs"))
+    tell(options, table, regressor_speed=lambda: bars(panels, "µs"))
 
 
 if __name__ == "__main__":

@@ -17,7 +17,6 @@ white noise and positions with the ticks of an encoder, so that the log looks me
 from __future__ import annotations
 
 import argparse
-import json
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
@@ -33,7 +32,7 @@ from pydrake.systems.framework import DiagramBuilder
 from pydrake.systems.primitives import LogVectorOutput
 from pydrake.trajectories import PiecewisePolynomial
 
-from diagrams.harness import MODELS, script_parser, write
+from diagrams.harness import MODELS, script_parser, tell
 from geodrake.control import DelayedEffort, EffectForce, add_tracking_drives
 from geodrake.effects import Effect, EffortDelay, make_effect
 from geodrake.effects.sensors import delays_of
@@ -274,8 +273,7 @@ def main() -> None:
     except (GeodrakeError, ValueError) as error:
         raise SystemExit(str(error)) from None
     table = summary(log, scenario=scenario)
-    print(json.dumps(table, indent=2))
-    write(options, table, hidden_effect_log=lambda: draw(log))
+    tell(options, table, hidden_effect_log=lambda: draw(log))
 
 
 if __name__ == "__main__":

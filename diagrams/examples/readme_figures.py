@@ -10,14 +10,13 @@ import os
 import shutil
 import subprocess
 import sys
-from dataclasses import replace
 from importlib.resources import as_file, files
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
 from PIL import Image
 
-from diagrams.harness import script_parser, write
+from diagrams.harness import first_samples, script_parser, write
 from geodrake import load_model, save_model
 from geodrake.diagnosis import Explanation, explain
 from geodrake.logs.files import read_log
@@ -31,8 +30,7 @@ def explain_demo(*, quick: bool) -> Explanation:
     with as_file(files("geodrake") / "demo") as demo:
         log = read_log(demo / "demo.csv")
         if quick:
-            arrays = ("time", "position", "velocity", "effort")
-            log = replace(log, **{name: getattr(log, name)[:1200] for name in arrays})
+            log = first_samples(log, 1200)
         return explain(load_model(demo / "demo.urdf"), [log])
 
 

@@ -24,7 +24,7 @@ from pydrake.systems.framework import DiagramBuilder
 from pydrake.systems.primitives import LogVectorOutput, TrajectorySource
 from pydrake.trajectories import PiecewisePolynomial
 
-from diagrams.harness import script_parser, show, write
+from diagrams.harness import first_samples, script_parser, show, write
 from geodrake import load_model
 from geodrake.diagnosis import explain
 from geodrake.effects import Role
@@ -116,8 +116,7 @@ def main() -> None:
     options = script_parser(__doc__, "4 s of the log, and 0.5 s of motion").parse_args()
     log = read_log(DEMO / "demo.csv")
     if options.quick:
-        arrays = ("time", "position", "velocity", "effort")
-        log = replace(log, **{name: getattr(log, name)[:800] for name in arrays})
+        log = first_samples(log, 800)
     efforts = simulate(robots(log), log, 0.5 if options.quick else 8.0)
     found = errors(log, efforts)
     lines = [

@@ -250,6 +250,11 @@ class Plan:
     validation: int = 2000
     seed: int = 0
 
+    @property
+    def robot(self) -> RobotModel:
+        """The arm."""
+        return manipulator(None if self.shared is None else Path(self.shared))
+
 
 @dataclass(frozen=True)
 class Cell:
@@ -267,7 +272,7 @@ class Cell:
 
 def design(cell: Cell, *, plan: Plan) -> dict[str, Any]:
     """The best motion by one criterion in one representation, and the errors that it leaves."""
-    model = manipulator(None if plan.shared is None else Path(plan.shared))
+    model = plan.robot
     target = represented_target(model, cell.base, plan.seed)
     options = DesignOptions(
         samples=plan.samples, rest=False, iterations=plan.iterations, quick=False
@@ -297,7 +302,7 @@ def design(cell: Cell, *, plan: Plan) -> dict[str, Any]:
 
 def refine(cell: Cell, *, plan: Plan, coefficients: Sequence[Any]) -> dict[str, Any]:
     """The optimum that the solver finds from the best motion, in one representation."""
-    model = manipulator(None if plan.shared is None else Path(plan.shared))
+    model = plan.robot
     target = represented_target(model, cell.base, plan.seed)
     iterations = min(REFINEMENT, 4 * plan.iterations)
     options = DesignOptions(samples=plan.samples, rest=False, iterations=iterations, quick=False)
@@ -313,7 +318,7 @@ def line(
     """What a motion of a cell is worth: by the geometric criteria, and in expected errors."""
     motion = trajectory.motion(trajectory.family.times(plan.samples))
     eigenvalues = Objective(target).eigenvalues(motion)
-    model = manipulator(None if plan.shared is None else Path(plan.shared))
+    model = plan.robot
     return {
         **asdict(cell),
         "coefficients": trajectory.coefficients.tolist(),
@@ -325,7 +330,7 @@ def line(
 
 def first_random(plan: Plan) -> dict[str, Any]:
     """The motion that all designs start from."""
-    model = manipulator(None if plan.shared is None else Path(plan.shared))
+    model = plan.robot
     target = represented_target(model, 1, plan.seed)
     options = DesignOptions(samples=plan.samples, rest=False, quick=False)
     problem = make_problem(Objective(target), limits(model), family(plan.modes), options)
@@ -336,7 +341,7 @@ def first_random(plan: Plan) -> dict[str, Any]:
 
 def values_by_base(found: dict[str, Any], bases: int, plan: Plan) -> list[float]:
     """The criterion of one motion, normalized as it was designed, in every representation."""
-    model = manipulator(None if plan.shared is None else Path(plan.shared))
+    model = plan.robot
     motion = family(plan.modes).basis(np.linspace(0.0, DURATION, plan.samples))
     q, v, vd = motion @ np.array(found["coefficients"])
     targets = (represented_target(model, base + 1, plan.seed) for base in range(bases))

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -37,6 +38,16 @@ class Seen:
         effort = self.zeros()
         effort[:, joint] = values
         return effort
+
+
+class Signals(NamedTuple):
+    """What is seen of one joint, (N,) each."""
+
+    time: Array
+    q: Array
+    v: Array
+    a: Array
+    load: Array
 
 
 @dataclass(frozen=True, eq=False)
@@ -95,16 +106,17 @@ def smooth_sign(v: Array) -> Array:
 
 
 def joint_law(
-    law: Callable[[Array, Array, Array, Array], Array], **values: float
+    law: Callable[[Signals, Signals], Array], **values: float
 ) -> Callable[[Site], Hidden]:
-    """A truth whose effort is a function of q, v, a and load of its joint."""
+    """A truth whose effort is a function of signals of its joint, and of another one."""
 
     def make(site: Site) -> Hidden:
-        j = site.joint
-
         def effort(seen: Seen, size: float) -> Array:
-            signals = (seen.q[:, j], seen.v[:, j], seen.a[:, j], seen.load[:, j])
-            return seen.at(j, size * law(*signals))
+            own, other = (
+                Signals(seen.time, *(x[:, j] for x in (seen.q, seen.v, seen.a, seen.load)))
+                for j in (site.joint, site.other)
+            )
+            return seen.at(site.joint, size * law(own, other))
 
         return Hidden(effort, values)
 
@@ -116,9 +128,9 @@ def asymmetric(site: Site) -> Hidden:
     skew = site.rng.uniform(0.25, 0.6) * site.rng.choice([-1.0, 1.0])
     levels = {"coulomb_positive": 1.0 + skew, "coulomb_negative": 1.0 - skew}
 
-    def law(q: Array, v: Array, a: Array, load: Array) -> Array:
-        direction = smooth_sign(v)
-        return (1.0 + skew * direction) * (direction + v / np.abs(v).max())
+    def law(own: Signals, other: Signals) -> Array:
+        direction = smooth_sign(own.v)
+        return (1.0 + skew * direction) * (direction + own.v / np.abs(own.v).max())
 
     return joint_law(law, **levels)(site)
 
@@ -127,9 +139,9 @@ def stribeck(site: Site) -> Hidden:
     """A dip as 1 / (1 + (v/vs)²) and not as an exponential."""
     excess, share = site.rng.uniform(0.6, 1.2), site.rng.uniform(0.05, 0.2)
 
-    def law(q: Array, v: Array, a: Array, load: Array) -> Array:
-        dip = 1.0 / (1.0 + (v / (share * np.abs(v).max())) ** 2)
-        return smooth_sign(v) * (1.0 + excess * dip)
+    def law(own: Signals, other: Signals) -> Array:
+        dip = 1.0 / (1.0 + (own.v / (share * np.abs(own.v).max())) ** 2)
+        return smooth_sign(own.v) * (1.0 + excess * dip)
 
     return joint_law(law)(site)
 
@@ -137,7 +149,7 @@ def stribeck(site: Site) -> Hidden:
 def nonlinear_viscous(site: Site) -> Hidden:
     """A power of the speed that is smooth about zero."""
     power = site.rng.uniform(1.6, 2.6)
-    return joint_law(lambda q, v, a, load: v * np.hypot(v, 1e-3) ** (power - 1.0))(site)
+    return joint_law(lambda own, other: own.v * np.hypot(own.v, 1e-3) ** (power - 1.0))(site)
 
 
 def belt(site: Site) -> Hidden:
@@ -167,35 +179,22 @@ def coupled_rotor(site: Site) -> Hidden:
 
 def warming(site: Site) -> Hidden:
     """Friction that falls as 1 / (1 + t / T)."""
-    time_constant = site.rng.uniform(5.0, 10.0)
-
-    def effort(seen: Seen, size: float) -> Array:
-        v = seen.v[:, site.joint]
-        warm = 0.5 + 1.0 / (1.0 + seen.time / time_constant)
-        return seen.at(site.joint, size * warm * (smooth_sign(v) + 0.7 * v))
-
-    return Hidden(effort)
+    return _fading(site, 0.5, 1)
 
 
 def running_in(site: Site) -> Hidden:
     """Friction that falls as 1 / (1 + t / T)³, to nothing."""
+    return _fading(site, 0.0, 3)
+
+
+def _fading(site: Site, floor: float, power: int) -> Hidden:
     time_constant = site.rng.uniform(5.0, 10.0)
 
-    def effort(seen: Seen, size: float) -> Array:
-        v = seen.v[:, site.joint]
-        left = (1.0 + seen.time / time_constant) ** -3
-        return seen.at(site.joint, size * left * (smooth_sign(v) + 0.7 * v))
+    def law(own: Signals, other: Signals) -> Array:
+        left = floor + (1.0 + own.time / time_constant) ** -power
+        return left * (smooth_sign(own.v) + 0.7 * own.v)
 
-    return Hidden(effort)
-
-
-def gain(site: Site) -> Hidden:
-    """A torque constant that is off."""
-
-    def effort(seen: Seen, size: float) -> Array:
-        return seen.at(site.joint, size * seen.load[:, site.joint])
-
-    return Hidden(effort, {"gain_error": 1.0})
+    return joint_law(law)(site)
 
 
 def late(site: Site) -> Hidden:
@@ -212,16 +211,16 @@ def late(site: Site) -> Hidden:
 def spring(site: Site) -> Hidden:
     """A spring by its rest position."""
     rest = site.rng.uniform(-1.0, 1.0)
-    return joint_law(lambda q, v, a, load: q - rest, stiffness=1.0)(site)
+    return joint_law(lambda own, other: own.q - rest, stiffness=1.0)(site)
 
 
 def compensator(site: Site) -> Hidden:
     """A spring of zero free length between two cranks: its force times its lever."""
     at, r, s = site.rng.uniform(-np.pi, np.pi), 0.05, 0.3
 
-    def law(q: Array, v: Array, a: Array, load: Array) -> Array:
-        length = np.sqrt(r * r + s * s - 2.0 * r * s * np.cos(q - at))
-        lever = r * s * np.sin(q - at) / length
+    def law(own: Signals, other: Signals) -> Array:
+        length = np.sqrt(r * r + s * s - 2.0 * r * s * np.cos(own.q - at))
+        lever = r * s * np.sin(own.q - at) / length
         return length * lever / (r * s)
 
     return joint_law(law)(site)
@@ -231,8 +230,8 @@ def cogging(site: Site) -> Hidden:
     """Waves over the position, of which the motion passes a few."""
     waves, phase = site.rng.uniform(2.5, 12.0), site.rng.uniform(0.0, 2.0 * np.pi)
 
-    def law(q: Array, v: Array, a: Array, load: Array) -> Array:
-        return np.asarray(np.cos(2.0 * np.pi * waves * q / np.ptp(q) - phase))
+    def law(own: Signals, other: Signals) -> Array:
+        return np.cos(2.0 * np.pi * waves * own.q / np.ptp(own.q) - phase)
 
     return joint_law(law)(site)
 
@@ -437,40 +436,19 @@ class Outside:
     in_space: bool = False
 
 
-def _brake(site: Site) -> Hidden:
-    def effort(seen: Seen, size: float) -> Array:
-        grip = 1.2 + np.sin(2.0 * seen.q[:, site.other])
-        return seen.at(site.joint, size * grip * smooth_sign(seen.v[:, site.joint]))
-
-    return Hidden(effort)
-
-
 def _end_stop(site: Site) -> Hidden:
     share = site.rng.uniform(0.55, 0.75)
 
-    def effort(seen: Seen, size: float) -> Array:
-        q = seen.q[:, site.joint]
-        edge = q.min() + share * np.ptp(q)
-        return seen.at(site.joint, size * np.logaddexp(0.0, (q - edge) / 0.02))
+    def law(own: Signals, other: Signals) -> Array:
+        edge = own.q.min() + share * np.ptp(own.q)
+        return np.logaddexp(0.0, (own.q - edge) / 0.02)
 
-    return Hidden(effort)
-
-
-def _neighbour(site: Site) -> Hidden:
-    def effort(seen: Seen, size: float) -> Array:
-        v, other = seen.v[:, site.joint], seen.v[:, site.other]
-        return seen.at(site.joint, size * np.abs(other) * smooth_sign(v))
-
-    return Hidden(effort)
+    return joint_law(law)(site)
 
 
 def _clock(site: Site) -> Hidden:
     frequency, phase = site.rng.uniform(0.7, 3.0), site.rng.uniform(0.0, 2.0 * np.pi)
-
-    def effort(seen: Seen, size: float) -> Array:
-        return seen.at(site.joint, size * np.sin(2.0 * np.pi * frequency * seen.time + phase))
-
-    return Hidden(effort)
+    return joint_law(lambda own, other: np.sin(2.0 * np.pi * frequency * own.time + phase))(site)
 
 
 def _wheel(site: Site) -> Hidden:
@@ -489,21 +467,12 @@ def _wheel(site: Site) -> Hidden:
 
 def _hose(site: Site) -> Hidden:
     phase = site.rng.uniform(0.0, 2.0 * np.pi)
-
-    def effort(seen: Seen, size: float) -> Array:
-        angle = 1.5 * (seen.q[:, site.joint] + seen.q[:, site.other])
-        return seen.at(site.joint, size * np.cos(angle - phase))
-
-    return Hidden(effort)
+    return joint_law(lambda own, other: np.cos(1.5 * (own.q + other.q) - phase))(site)
 
 
-def _damper(site: Site) -> Hidden:
-    def effort(seen: Seen, size: float) -> Array:
-        opening = seen.q[:, site.other] - seen.q[:, site.other].mean()
-        return seen.at(site.joint, size * opening * seen.v[:, site.joint])
-
-    return Hidden(effort)
-
+_brake = joint_law(lambda own, other: (1.2 + np.sin(2.0 * other.q)) * smooth_sign(own.v))
+_neighbour = joint_law(lambda own, other: np.abs(other.v) * smooth_sign(own.v))
+_damper = joint_law(lambda own, other: (other.q - other.q.mean()) * own.v)
 
 OUTSIDE = {
     kind.name: kind
@@ -524,26 +493,32 @@ COLOURED = "coloured"
 DRY, WET = "coulomb_friction", "viscous_friction"
 
 _ALL = (
-    Truth(WET, JOINT, joint_law(lambda q, v, a, load: v, viscous=1.0)),
-    Truth(DRY, JOINT, joint_law(lambda q, v, a, load: smooth_sign(v), coulomb=1.0)),
+    Truth(WET, JOINT, joint_law(lambda own, other: own.v, viscous=1.0)),
+    Truth(DRY, JOINT, joint_law(lambda own, other: smooth_sign(own.v), coulomb=1.0)),
     Truth("asymmetric_friction", JOINT, asymmetric),
     Truth("stribeck_friction", JOINT, stribeck, (DRY, WET), alone=True),
     Truth("nonlinear_viscous_friction", JOINT, nonlinear_viscous),
     Truth(
         "load_dependent_friction",
         JOINT,
-        joint_law(lambda q, v, a, load: abs(load) * smooth_sign(v), load_factor=1.0),
+        joint_law(lambda own, other: abs(own.load) * smooth_sign(own.v), load_factor=1.0),
     ),
     Truth("coupled_friction", PAIR, belt),
     Truth("friction_drift", JOINT, warming, (DRY, WET), alone=True),
     Truth("hysteresis", JOINT, hysteresis, alone=True),
-    Truth("effort_offset", JOINT, joint_law(lambda q, v, a, load: 0.0 * q + 1.0, offset=1.0)),
-    Truth("effort_scale", JOINT, gain, needs_known_inertia=True, alone=True),
+    Truth("effort_offset", JOINT, joint_law(lambda own, other: 0.0 * own.q + 1.0, offset=1.0)),
+    Truth(
+        "effort_scale",
+        JOINT,
+        joint_law(lambda own, other: own.load, gain_error=1.0),
+        needs_known_inertia=True,
+        alone=True,
+    ),
     Truth("effort_delay", ROBOT, late, unit=0.01, largest=0.03),
     Truth("joint_spring", JOINT, spring),
     Truth("gravity_compensator", JOINT, compensator),
     Truth("torque_ripple", JOINT, cogging),
-    Truth("rotor_inertia", JOINT, joint_law(lambda q, v, a, load: a, inertia=1.0)),
+    Truth("rotor_inertia", JOINT, joint_law(lambda own, other: own.a, inertia=1.0)),
     Truth("coupled_rotor_inertia", PAIR, coupled_rotor, ("rotor_inertia",), alone=True),
     Truth("joint_elasticity", JOINT, soft_gear, unit=1e-4, alone=True),
     Truth(
