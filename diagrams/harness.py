@@ -279,6 +279,75 @@ def titled(ax: Axes, title: str, grid: str = "both") -> Axes:
     return ax
 
 
+def panels(
+    height: float,
+    titles: Sequence[str],
+    *,
+    x: str = "",
+    y: str = "",
+    grid: str = "both",
+    **how: Any,
+) -> tuple[Figure, list[Axes]]:
+    """Return a figure with a panel for each title, side by side; `how` is that of subplots."""
+    figure = style.new_figure(height)
+    axes = figure.subplots(1, len(titles), squeeze=False, **how)[0]
+    for ax, title in zip(axes, titles, strict=True):
+        titled(ax, title, grid)
+        ax.set_xlabel(x, **style.plain(style.SMALL, style.QUIET))
+    axes[0].set_ylabel(y, **style.plain())
+    return figure, list(axes)
+
+
+def draw_lines(
+    ax: Axes, lines: Mapping[str, tuple[Any, ...]], colors: Mapping[str, str], **look: Any
+) -> None:
+    """Draw lines (x, y) by name, or with errors of y in third place."""
+    for name, (x, y, *error) in lines.items():
+        own = {"color": colors[name], "linewidth": 1.2, "label": name, **look}
+        if error:
+            ax.errorbar(x, y, *error, capsize=2, **own)
+        else:
+            ax.plot(x, y, **own)
+
+
+def dots(
+    height: float,
+    names: Sequence[str],
+    columns: Mapping[str, Sequence[float]],
+    colors: Sequence[str],
+) -> Figure:
+    """Draw a row of dots for each name, a panel for each column."""
+    figure, axes = panels(height, list(columns), sharey=True)
+    for ax, values in zip(axes, columns.values(), strict=True):
+        ax.scatter(values, range(len(names)), color=list(colors), s=28)
+        style.log_scale(ax, "x")
+        ax.tick_params(axis="x", labelrotation=60)
+    axes[0].set_yticks(range(len(names)), names)
+    axes[0].invert_yaxis()
+    return figure
+
+
+def draw_bars(
+    ax: Axes,
+    groups: Sequence[str],
+    heights: Mapping[str, Sequence[float | None]],
+    colors: Mapping[str, str],
+    errors: Mapping[str, Sequence[float | None]] | None = None,
+) -> None:
+    """Draw bars by name, side by side in every group, with errors; None is left out."""
+    width = 0.8 / len(heights)
+    for k, (name, own) in enumerate(heights.items()):
+        height = np.array(own, float)
+        at = np.arange(len(groups)) + width * (k - 0.5 * (len(heights) - 1))
+        look: dict[str, Any] = {"color": colors[name], "label": name}
+        if errors is not None:
+            error = np.nan_to_num(np.array(errors[name], float))
+            look |= {"yerr": [np.minimum(error, 0.9 * height), error], "ecolor": style.INK}
+            look["error_kw"] = {"elinewidth": 0.8, "capsize": 1.5}
+        ax.bar(at, height, 0.9 * width, **look)
+    ax.set_xticks(range(len(groups)), groups)
+
+
 def bars(panels: Mapping[str, Mapping[str, float]], unit: str) -> Figure:
     """Draw numbers by name, a panel for each title."""
     figure = style.new_figure(0.8 + 0.35 * max(map(len, panels.values())))

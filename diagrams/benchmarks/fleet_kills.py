@@ -16,17 +16,15 @@ import subprocess
 import sys
 import tempfile
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
 import psutil
-from matplotlib.figure import Figure
 
 from diagrams.benchmarks.fleets.logs import TYPES, FleetDraw, write_fleet_file, write_logs
-from diagrams.harness import positive_number, script_parser, show_values, titled, write
-from geodrake.report import style
+from diagrams.harness import bars, positive_number, script_parser, show_values, write
 
 _POLL = 0.01  # s
 WORKER, RUN = "a worker", "the run"
@@ -125,22 +123,6 @@ def killed_run(path: Path, expected: bytes, what: str, after: int) -> KilledRun:
     return KilledRun(what, at[0] if at else -1, digests.again, found == expected)
 
 
-def kills_figure(rows: Sequence[KilledRun], logs: int) -> Figure:
-    """How far runs were when something was killed, and those whose results differ."""
-    figure = style.new_figure(1.6)
-    ax = figure.subplots()
-    for at, what in enumerate((WORKER, RUN)):
-        for same, color in ((True, style.AFTER), (False, style.BEFORE)):
-            there = [row.there for row in rows if (row.killed, row.same) == (what, same)]
-            ax.plot(there, [at] * len(there), "o", color=color)
-    ax.set(xlim=(0, logs), ylim=(1.5, -0.5), yticks=(0, 1), yticklabels=(WORKER, RUN))
-    title = (
-        f"digests of {logs} that were there; results that differ: {sum(not r.same for r in rows)}"
-    )
-    titled(ax, title, grid="x")
-    return figure
-
-
 def main() -> None:
     """Run from the command line."""
     parser = script_parser(__doc__, "two runs of few logs")
@@ -173,7 +155,12 @@ def main() -> None:
     }
     show_values("Runs that are killed", table)
     found = {"summary": table, "rows": rows}
-    write(options, found, fleet_kills=lambda: kills_figure(rows, robots * days))
+    there = {
+        f"{k + 1}: {row.killed}{'' if row.same else ', results differ'}": row.there
+        for k, row in enumerate(rows)
+    }
+    title = f"digests of {robots * days} that were there when it was killed"
+    write(options, found, fleet_kills=lambda: bars({title: there}, ""))
 
 
 if __name__ == "__main__":

@@ -37,7 +37,7 @@ from diagrams.benchmarks.hidden.robots import (
     robot_file,
     robot_names,
 )
-from diagrams.harness import positive_number, run_draws, script_parser, show, write
+from diagrams.harness import panels, positive_number, run_draws, script_parser, show, write
 from geodrake.control.rollout import commanded_motions, roll_out
 from geodrake.diagnosis import Explanation, explain
 from geodrake.effects import CoulombFriction, FittedEffect, RotorInertia, ViscousFriction
@@ -526,8 +526,9 @@ def ratios_figure(rows: Sequence[Mapping[str, Any]]) -> Figure:
     """Draw every value over the truth with its interval, a panel for each quantity."""
     values = [value for row in rows for value in row["values"] if value["ratio"]]
     kinds = [kind for kind in TITLES if any(value["what"] == kind for value in values)]
-    figure = Figure(figsize=(1.0 + 1.9 * len(kinds), 3.2), layout="constrained")
-    for axes, kind in zip(figure.subplots(1, len(kinds), squeeze=False)[0], kinds, strict=True):
+    how = {"x": "joints", "y": "found / true, ± 2 standard deviations", "grid": "none"}
+    figure, panel = panels(3.2, [TITLES[kind] for kind in kinds], sharey=True, **how)
+    for axes, kind in zip(panel, kinds, strict=True):
         same = sorted((v for v in values if v["what"] == kind), key=lambda v: v["ratio"])
         ratios = np.array([value["ratio"] for value in same])
         spread = 2.0 * np.array([v["deviation"] / abs(v["truth"]) for v in same])
@@ -535,9 +536,7 @@ def ratios_figure(rows: Sequence[Mapping[str, Any]]) -> Figure:
         axes.vlines(places, ratios - spread, ratios + spread, color=style.BEFORE, linewidth=0.8)
         axes.plot(places, ratios, "o", markersize=2.5, color=style.AFTER)
         axes.axhline(1.0, color="0.3", linewidth=0.8)
-        axes.set(title=TITLES[kind], ylim=_RANGE, xticks=[])
-        axes.set_xlabel(f"{len(same)} joints")
-    figure.supylabel("found / true, ± 2 standard deviations")
+        axes.set(ylim=_RANGE)
     return figure
 
 

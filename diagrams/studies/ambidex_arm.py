@@ -29,7 +29,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
-from diagrams.harness import plain, run_draws, script_parser, show, titled, write
+from diagrams.harness import draw_lines, plain, run_draws, script_parser, show, titled, write
 from diagrams.studies.ambidex.arm import (
     LINKS,
     PERIOD,
@@ -317,17 +317,7 @@ def _draw_errors(ax: Axes, summary: Sequence[dict[str, Any]], column: str, scale
         deviation = scale * np.array([line[f"{column}_deviation"] for line in lines])
         if column == "distance":  # whose axis is logarithmic
             deviation = np.minimum(deviation, 0.9 * mean)
-        ax.errorbar(
-            count,
-            mean,
-            deviation,
-            color=COLORS[name],
-            marker="o",
-            markersize=3.5,
-            linewidth=1.2,
-            elinewidth=0.9,
-            capsize=2,
-        )
+        draw_lines(ax, {name: (count, mean, deviation)}, COLORS, marker="o", markersize=3.5)
     prior = next(line for line in summary if line["regularizer"] == "prior")
     entropic = [line for line in summary if line["regularizer"] == "entropic"]
     if column in prior:

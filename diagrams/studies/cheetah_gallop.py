@@ -20,7 +20,7 @@ from matplotlib.figure import Figure
 from pydrake.multibody.plant import MultibodyPlant
 from rich.progress import track
 
-from diagrams.harness import script_parser, show, titled, write
+from diagrams.harness import panels, script_parser, show, write
 from diagrams.studies.cheetah.leg import (
     COLORS,
     JOINTS,
@@ -253,9 +253,9 @@ def run(*, seed: int, truths: int) -> tuple[list[dict[str, Any]], int]:
 
 def error_figure(rows: Sequence[dict[str, Any]]) -> Figure:
     """Errors in the gallop by regularizer, figure 3.12."""
-    figure = style.new_figure(3.6)
     names = list(dict.fromkeys(row["quantity"] for row in rows))
-    for ax, name in zip(figure.subplots(1, len(names)), names, strict=True):
+    figure, axes = panels(3.6, names, grid="y")
+    for ax, name in zip(axes, names, strict=True):
         *bars, prior = (row for row in rows if row["quantity"] == name)
         mean, deviation = ([row[key] for row in bars] for key in ("mean", "deviation"))
         ax.bar(
@@ -267,7 +267,7 @@ def error_figure(rows: Sequence[dict[str, Any]]) -> Figure:
             capsize=3,
             width=0.65,
         )
-        titled(ax, f"{name}, {prior['unit']}", grid="y")
+        ax.set_ylabel(prior["unit"], **style.plain())
         ax.set_title(f"prior: {prior['mean']:.3g}", loc="right", **style.plain(color=style.QUIET))
         top = float(np.add(mean, deviation).max())
         ax.set_ylim(0, 1.12 * top)

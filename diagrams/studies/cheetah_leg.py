@@ -23,7 +23,7 @@ import numpy as np
 from matplotlib.figure import Figure
 from rich.progress import track
 
-from diagrams.harness import script_parser, show, titled, write
+from diagrams.harness import draw_lines, panels, script_parser, show, write
 from diagrams.studies.cheetah.leg import (
     COLORS,
     REGULARIZERS,
@@ -115,34 +115,25 @@ def drawn(
 
 def error_figure(study: Study) -> Figure:
     """Training and test errors against the number of training samples, figure 3.10."""
-    figure = style.new_figure(4.2)
-    axes = figure.subplots(1, 2)
-    last = study.rows[-1]
-    panels = (("train", "training error"), ("test", "test error"))
-    for ax, (what, title) in zip(axes, panels, strict=True):
+    *_, last = study.rows
+    drawn = [r for r in study.rows[: -len(REGULARIZERS)] if r["stretch"]]
+    sizes = sorted({r["samples"] for r in drawn})
+    how = {"x": "training samples", "y": "RMS joint torque, N·m"}
+    figure, axes = panels(4.2, ("training error", "test error"), **how)
+    for ax, what in zip(axes, ("train", "test"), strict=True):
         for k, kind in enumerate(REGULARIZERS):
-            rows = [r for r in study.rows[: -len(REGULARIZERS)] if r["regularizer"] == kind]
-            rows = [r for r in rows if r["stretch"]]
+            rows = [r for r in drawn if r["regularizer"] == kind]
             at = np.array([r["samples"] for r in rows]) * 1.02 ** (k - 1.5)
             error = [r["deviation"] for r in rows] if what == "test" else None
-            ax.errorbar(
-                *(at, [r[what] for r in rows], error),
-                **{"color": COLORS[kind], "marker": "o", "markersize": 4, "capsize": 2},
-                label=kind.replace("_", " "),
-            )
+            line = {kind: (at, [r[what] for r in rows], error)}
+            draw_lines(ax, line, COLORS, marker="o", markersize=4)
         ax.set_xscale("log")
-        ax.set_xlabel("training samples", **style.plain())
-        titled(ax, title)
-        sizes = sorted({r["samples"] for r in study.rows if r["samples"] != last["samples"]})
         ax.set_xticks(sizes, [str(size) for size in sizes], minor=False)
         ax.set_xticks([], minor=True)
-    axes[0].set_ylabel("RMS joint torque, N·m", **style.plain())
-    axes[1].axhline(last["prior"], color="#c00000", linestyle="--", linewidth=1, label="prior")
-    axes[1].axhline(
-        last["test"], color="black", linewidth=1.4, label=f"all {last['samples']} samples"
-    )
-    for ax in axes:
         ax.set_ylim(0, None)
+    axes[1].axhline(last["prior"], color="#c00000", linestyle="--", linewidth=1, label="prior")
+    label = f"all {last['samples']} samples"
+    axes[1].axhline(last["test"], color="black", linewidth=1.4, label=label)
     axes[1].legend(frameon=False, fontsize=style.SMALL)
     return figure
 

@@ -27,7 +27,7 @@ from matplotlib.patches import Ellipse
 from numpy.typing import NDArray
 from rich.progress import track
 
-from diagrams.harness import script_parser, show, write
+from diagrams.harness import draw_bars, draw_lines, panels, script_parser, show, write
 from diagrams.public_data import add_folder_option, require
 from geodrake.identification import (
     PointMasses,
@@ -226,54 +226,30 @@ def _draw_bodies(ax: Axes, human: Human, phi: Array, color: str) -> None:
 
 def mass_figure(human: Human, rows: Sequence[dict[str, Any]]) -> Figure:
     """Mass of every body, side by side."""
-    figure = style.new_figure(3.6)
-    ax = style.polish(figure.subplots(), grid="y")
-    everyone = [("prior", human.prior[:, 0].tolist(), style.MEASURED)]
-    everyone += [(r["regularizer"], r["masses"], COLORS[r["regularizer"]]) for r in rows]
-    width, places = 0.8 / len(everyone), np.arange(len(NAMES))
-    for k, (name, masses, color) in enumerate(everyone):
-        ax.bar(
-            places + (k - 0.5 * (len(everyone) - 1)) * width,
-            masses,
-            width,
-            color=color,
-            label=LABELS.get(name, name).replace("\n", " "),
-        )
-    ax.set_xticks(places, NAMES, rotation=40, ha="right")
-    ax.set_ylabel("mass, kg", fontsize=8)
-    ax.legend(frameon=False, fontsize=8, title=f"α = {rows[0]['alpha']:g}", title_fontsize=8)
+    figure, (ax,) = panels(3.6, (f"Mass of every body, kg, at α = {rows[0]['alpha']:g}",), grid="y")
+    masses = {"prior": human.prior[:, 0].tolist()} | {r["regularizer"]: r["masses"] for r in rows}
+    draw_bars(ax, NAMES, masses, {"prior": style.MEASURED, **COLORS})
+    ax.tick_params(axis="x", labelrotation=40)
+    style.legend_above(figure, ax.get_legend_handles_labels()[0])
     return figure
 
 
 def sweep_figure(rows: Sequence[dict[str, Any]]) -> Figure:
     """What α does: residual, distance from the prior, and how flat the flattest body gets."""
-    figure = style.new_figure(3.2)
     names = {
         "residual": "residual ‖AΦ − b‖²",
         "distance": "geodesic distance from the prior",
         "least": "smallest eigenvalue of P(φ⁰)⁻¹P(φ)",
     }
-    for ax, (field, label) in zip(figure.subplots(1, 3), names.items(), strict=True):
-        style.polish(ax)
-        for name, color in COLORS.items():
-            own = [row for row in rows if row["regularizer"] == name]
-            values = [row[field] for row in own]
-            dashed = "--" if name == "riemannian" else "-"
-            ax.plot(
-                [row["alpha"] for row in own],
-                values,
-                dashed,
-                marker="o",
-                ms=3,
-                color=color,
-                label=LABELS.get(name, name).replace("\n", " "),
-            )
+    figure, axes = panels(3.2, list(names.values()), x="α")
+    for ax, field in zip(axes, names, strict=True):
+        own = {name: [row for row in rows if row["regularizer"] == name] for name in COLORS}
+        lines = {n: ([r["alpha"] for r in x], [r[field] for r in x]) for n, x in own.items()}
+        draw_lines(ax, lines, COLORS, marker="o", ms=3)
         style.log_scale(ax, "x")
         if field != "distance":
             style.log_scale(ax, "y")
-        ax.set_title(label, fontsize=8, loc="left")
-        ax.set_xlabel("α", fontsize=8)
-    figure.axes[0].legend(frameon=False, fontsize=8, loc="upper left")
+    style.legend_above(figure, axes[0].get_legend_handles_labels()[0])
     return figure
 
 

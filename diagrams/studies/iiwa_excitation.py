@@ -25,7 +25,7 @@ import numpy as np
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
-from diagrams.harness import MODELS, run_draws, script_parser, show, write
+from diagrams.harness import MODELS, dots, run_draws, script_parser, show, write
 from diagrams.public_data import add_folder_option
 from geodrake.excitation import (
     NORMALIZATIONS,
@@ -410,42 +410,22 @@ def tell(table: dict[str, Any]) -> None:
             print(f"    the criterion of one and the same motion by {value:.3g}")
 
 
-_CRITERIA = {
-    "a_optimality": "A",
-    "d_optimality": "D",
-    "e_optimality": "E",
-    "condition_number": "condition",
-}
-
-
 def draw(rows: Sequence[dict[str, Any]]) -> Figure:
     """Errors by criterion and base representation."""
-    figure = style.new_figure(4.2)
     colors = {"none": style.MEASURED, "diagonal": style.BEFORE, "geometric": style.AFTER}
+    kinds = [row["normalization"].split(",")[0] for row in rows]
     names = [
-        f"{r['normalization']}: {_CRITERIA[r['criterion']]}, base {r['base']}"
-        if r["normalization"].split(",")[0] in colors
+        f"{r['normalization']}: {r['criterion'].replace('_', ' ')}, base {r['base']}"
+        if kind in colors
         else r["normalization"]
-        for r in rows
+        for kind, r in zip(kinds, rows, strict=True)
     ]
-    panels = {
+    columns = {
         "parameter error": [row["error"] for row in rows],
-        "acceleration of the last joint, rad/s²": [
-            list(row["acceleration"].values())[-1] for row in rows
-        ],
-        "criterion (geometric E) over the best": [
-            row["criterion_over_best_geometric"] for row in rows
-        ],
+        "acceleration of the last joint, rad/s²": [[*r["acceleration"].values()][-1] for r in rows],
+        "criterion over the best": [row["criterion_over_best_geometric"] for row in rows],
     }
-    shades = [colors.get(row["normalization"].split(",")[0], style.FLOOR) for row in rows]
-    for i, (ax, title) in enumerate(zip(figure.subplots(1, 3), panels, strict=True)):
-        ax.scatter(panels[title], range(len(rows)), color=shades, s=28)
-        ax.set_yticks(range(len(rows)), [""] * len(rows) if i else names)
-        ax.invert_yaxis()
-        style.polish(ax)
-        style.log_scale(ax, "x")
-        ax.set_title(title, loc="left", **style.plain())
-    return figure
+    return dots(4.2, names, columns, [colors.get(kind, style.FLOOR) for kind in kinds])
 
 
 def main() -> None:

@@ -29,7 +29,7 @@ from pydrake.multibody.tree import (
     SpatialInertia,
 )
 
-from diagrams.harness import run_draws, script_parser, show, write
+from diagrams.harness import dots, run_draws, script_parser, show, write
 from diagrams.studies.iiwa_excitation import identified_by, parameter_error, root_covariance
 from geodrake.excitation import (
     CRITERIA,
@@ -239,19 +239,11 @@ def spread(rows: Sequence[dict[str, Any]], normalization: str) -> dict[str, floa
 
 def draw(rows: Sequence[dict[str, Any]]) -> Figure:
     """Errors by normalization and frame."""
-    figure = style.new_figure(3.0)
     colors = {"none": style.MEASURED, "diagonal": style.BEFORE, "geometric": style.AFTER}
     names = [f"{row['normalization']} {row['frame']}" for row in rows]
-    for ax, (key, title) in zip(figure.subplots(1, len(COLUMNS)), COLUMNS.items(), strict=True):
-        shades = [colors.get(row["normalization"], style.FLOOR) for row in rows]
-        ax.scatter([row[key] for row in rows], range(len(rows)), color=shades, s=28)
-        ax.set_yticks(range(len(rows)), names if key == "m" else [""] * len(rows))
-        ax.invert_yaxis()
-        style.polish(ax)
-        style.log_scale(ax, "x")
-        ax.tick_params(axis="x", labelrotation=60)
-        ax.set_title(f"RMS {title}", loc="left", **style.plain())
-    return figure
+    columns = {f"RMS {title}": [row[key] for row in rows] for key, title in COLUMNS.items()}
+    shades = [colors.get(row["normalization"], style.FLOOR) for row in rows]
+    return dots(3.0, names, columns, shades)
 
 
 def main() -> None:

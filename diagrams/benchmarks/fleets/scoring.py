@@ -17,6 +17,7 @@ from diagrams.benchmarks.fleets.logs import (
     day_of,
     type_model,
 )
+from diagrams.harness import draw_lines, panels
 from geodrake.fleet import FleetFinding, FleetResult, ParameterHistory, RobotResult
 from geodrake.fleet.changes import MONTH
 from geodrake.fleet.fleet_result import ChangeRival
@@ -157,8 +158,9 @@ def figures_of(rows: Sequence[Mapping[str, Any]], result: FleetResult) -> dict[s
 
 def _days_figure(rows: Sequence[Mapping[str, Any]]) -> Figure:
     """Draw days that were found over those that were hidden, with their intervals."""
-    figure = Figure(figsize=(9.0, 3.0), layout="constrained")
-    for axes, what in zip(figure.subplots(1, len(FAMILIES), sharey=True), FAMILIES, strict=True):
+    how = {"x": "day of the change", "y": "day that was found", "sharey": True}
+    figure, panel = panels(3.0, list(FAMILIES), **how)
+    for axes, what in zip(panel, FAMILIES, strict=True):
         for row in rows:
             if row["hidden"] == what:
                 for named in row["named"]:
@@ -166,25 +168,15 @@ def _days_figure(rows: Sequence[Mapping[str, Any]]) -> Figure:
                     axes.vlines(row["hidden day"], low, high, color=style.BEFORE, linewidth=1.0)
                     axes.plot(row["hidden day"], named["day"], "o", markersize=3, color=style.AFTER)
         axes.plot([0, 30], [0, 30], color="0.3", linewidth=0.6)
-        axes.set(title=what, xlabel="day of the change")
-    figure.axes[0].set_ylabel("day that was found")
     return figure
 
 
 def _history_figure(robot: RobotResult, finding: FleetFinding, history: ParameterHistory) -> Figure:
-    figure = Figure(figsize=(6.0, 3.0), layout="constrained")
-    axes, spread = figure.subplots(), 1.96 * history.deviations
-    axes.errorbar(
-        day_of(robot.dates),
-        history.values,
-        spread,
-        fmt="o",
-        markersize=3,
-        color=style.AFTER,
-        ecolor=style.BEFORE,
-    )
-    axes.axvline(day_of(finding.date), color="0.3", linewidth=0.6)
     name, unit = history.parameter.name, history.parameter.unit
     title = f"{finding.effect} of {finding.where}, {robot.robot}"
-    axes.set(title=title, xlabel="day", ylabel=f"{name}, {unit}" if unit else name)
+    y = f"{name}, {unit}" if unit else name
+    figure, (axes,) = panels(3.0, (title,), x="day", y=y)
+    line = {name: (day_of(robot.dates), history.values, 1.96 * history.deviations)}
+    draw_lines(axes, line, {name: style.AFTER}, fmt="o", markersize=3, ecolor=style.BEFORE)
+    axes.axvline(day_of(finding.date), color="0.3", linewidth=0.6)
     return figure
