@@ -10,10 +10,10 @@ from __future__ import annotations
 
 import json
 from collections.abc import Sequence
-from pathlib import Path
 from typing import Any
 
 import numpy as np
+from matplotlib.figure import Figure
 from matplotlib.patches import Ellipse
 from scipy.spatial.transform import Rotation
 
@@ -183,7 +183,7 @@ def bare(axes: Any) -> None:
     axes.set_axis_off()
 
 
-def draw_geodesics(path: Path) -> None:
+def draw_geodesics() -> Figure:
     """Figure 3.2: distance by direction, and the bodies along a geodesic."""
     figure = style.new_figure(4.2)
     left, right = figure.subplots(1, 2)
@@ -218,7 +218,7 @@ def draw_geodesics(path: Path) -> None:
     right.set_title(title, loc="left", **style.plain())
     for axes in (left, right):
         bare(axes)
-    figure.savefig(path)
+    return figure
 
 
 def draw_sketches(axes: Any, curves: Curves, phi: np.ndarray, target: np.ndarray) -> None:
@@ -239,7 +239,7 @@ def draw_sketches(axes: Any, curves: Curves, phi: np.ndarray, target: np.ndarray
     bare(axes)
 
 
-def draw_curves(panels: list[tuple[Curves, Any, Any]], path: Path, log: Sequence[str]) -> None:
+def draw_curves(panels: list[tuple[Curves, Any, Any]], log: Sequence[str]) -> Figure:
     """Figures 3.3 and 3.4: curves of every measure, with the bodies above them.
 
     Args:
@@ -271,23 +271,22 @@ def draw_curves(panels: list[tuple[Curves, Any, Any]], path: Path, log: Sequence
         "squared distance over that\nat the dotted line", **style.plain(8.5, style.QUIET)
     )
     style.legend_above(figure, lines)
-    figure.savefig(path)
+    return figure
 
 
 def main() -> None:
     """Measures, prints, and writes what was asked for."""
-    parser = script_parser(__doc__, "a few seconds, for a first look")
-    options = parser.parse_args()
-
+    options = script_parser(__doc__).parse_args()
     table, shown = measure(quick=options.quick, seed=options.seed)
     print(json.dumps({key: value for key, value in table.items() if key != "curves"}, indent=2))
-    write(options, table)
-    if options.figures:
-        options.figures.mkdir(parents=True, exist_ok=True)
-        draw_geodesics(options.figures / "body_distances_geodesic.png")
-        by_mass = (table["curves"]["mass"], None, None)
-        draw_curves(shown[:2], options.figures / "body_distances_pose.png", ["", ""])
-        draw_curves([shown[2], by_mass], options.figures / "body_distances_size.png", ["x", "xy"])
+    by_mass = (table["curves"]["mass"], None, None)
+    write(
+        options,
+        table,
+        body_distances_geodesic=draw_geodesics,
+        body_distances_pose=lambda: draw_curves(shown[:2], ["", ""]),
+        body_distances_size=lambda: draw_curves([shown[2], by_mass], ["x", "xy"]),
+    )
 
 
 if __name__ == "__main__":

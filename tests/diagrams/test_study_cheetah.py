@@ -2,31 +2,20 @@
 
 import json
 from pathlib import Path
-from types import SimpleNamespace
 
 import numpy as np
 import pytest
 from scripts import call
 
+from diagrams.studies import cheetah_gallop as gallop
+from diagrams.studies.cheetah import leg as cheetah
 from geodrake.inertia import inertial_parameters, is_physical, pseudo_inertia
 from geodrake.robot.base_parameters import base_parameters, structural_base_parameters
 from geodrake.robot.floating_base import base_wrench_regressor, body_poses
 from geodrake.robot.plant import load_plant
 from geodrake.robot.regressor import inverse_dynamics
 
-ROOT = Path(__file__).parents[2]
-
-MODELS = ROOT / "models"
-
-
-@pytest.fixture(scope="module")
-def study():
-    """The two studies, and the modules that they share."""
-    from diagrams.studies import cheetah_gallop, cheetah_leg
-    from diagrams.studies.cheetah import leg
-
-    names = ("leg", "leg_study", "gallop")
-    return SimpleNamespace(**dict(zip(names, (leg, cheetah_leg, cheetah_gallop), strict=True)))
+MODELS = Path(__file__).parents[2] / "models"
 
 
 AWARE = ("point_mass_euclidean", "pullback", "entropic")
@@ -93,15 +82,15 @@ def test_distance_aware_regularizers_carry_over_to_the_floating_base(quick_gallo
             assert found[kind, quantity]["train"] == pytest.approx(euclidean["train"], rel=1e-4)
 
 
-def test_motion_of_a_leg_tells_32_combinations(study):
-    leg = study.leg.load_leg(study.gallop.GEARS)
-    time = np.linspace(0.0, 1.0 / study.gallop.STRIDE, 200, endpoint=False)
-    motion = study.gallop.leg_motion(time, study.gallop.PHASES["front_left"])
+def test_motion_of_a_leg_tells_32_combinations():
+    leg = cheetah.load_leg(gallop.GEARS)
+    time = np.linspace(0.0, 1.0 / gallop.STRIDE, 200, endpoint=False)
+    motion = gallop.leg_motion(time, gallop.PHASES["front_left"])
     assert base_parameters(leg.regressor(motion).reshape(-1, 60)).rank == 32
 
 
-def test_point_masses_amount_to_the_leg(study):
-    leg = study.leg.load_leg()
+def test_point_masses_amount_to_the_leg():
+    leg = cheetah.load_leg()
     for number in (264, 300, 687):
         points = leg.point_masses(number)
         assert len(points.prior) == number and (points.prior > 0).all()
@@ -111,8 +100,8 @@ def test_point_masses_amount_to_the_leg(study):
             assert np.einsum("ni,ij,nj->n", lifted, Q, lifted).min() > -1e-9
 
 
-def test_leg_has_the_stated_bodies(study):
-    leg = study.leg.load_leg()
+def test_leg_has_the_stated_bodies():
+    leg = cheetah.load_leg()
     assert leg.tree.bodies[:3] == ("hip", "thigh", "shank")
     np.testing.assert_allclose(leg.prior[:, 0], [1.5, 0.5, 0.5, 0.5, 0.5, 0.5])
     # A box 0.342 m long and 0.06 m thick, half of it below the hip.
@@ -124,20 +113,20 @@ def test_leg_has_the_stated_bodies(study):
     assert (inside > 0).all()
 
 
-def test_condensed_data_have_the_residual_of_all(study):
+def test_condensed_data_have_the_residual_of_all():
     rng = np.random.default_rng(0)
     A = rng.normal(size=(50, 4)) @ rng.normal(size=(4, 10))
     b = rng.normal(size=50)
-    data = study.leg.Condensed.of(A, b)
+    data = cheetah.Condensed.of(A, b)
     assert data.A.shape == (4, 10)
     for x in rng.normal(size=(3, 10)):
         residual = np.square(data.A @ x - data.b).sum() + data.rest
         assert residual == pytest.approx(np.square(A @ x - b).sum(), rel=1e-12)
 
 
-def test_gallop_is_one_motion(study):
+def test_gallop_is_one_motion():
     """Velocities and accelerations are the derivatives of the positions."""
-    gallop, step = study.gallop, 1e-5
+    step = 1e-5
     plant = gallop.whole_robot()
     time = np.array([0.1, 0.23])
     before, here, after = (gallop.gallop(plant, time + h) for h in (-step, 0.0, step))
@@ -150,8 +139,7 @@ def test_gallop_is_one_motion(study):
         np.testing.assert_allclose(acceleration, here.vd[i], atol=1e-4)
 
 
-def test_quantities_are_the_inverse_dynamics(study):
-    gallop = study.gallop
+def test_quantities_are_the_inverse_dynamics():
     plant = gallop.whole_robot()
     motion = gallop.gallop(plant, np.array([0.05, 0.31]))
     quantities = gallop.quantities(plant, motion)
@@ -174,15 +162,15 @@ def test_quantities_are_the_inverse_dynamics(study):
     np.testing.assert_allclose(torque[:, 8], expected, atol=1e-8 * np.abs(efforts).max())
 
 
-def test_what_a_fixed_base_does_not_tell(study):
+def test_what_a_fixed_base_does_not_tell():
     """A leg on a fixed base tells 32 combinations of 60; the base wrench tells more of them."""
-    leg = study.leg.load_leg()
+    leg = cheetah.load_leg()
     rng = np.random.default_rng(1)
     q, v, vd = rng.uniform(-2, 2, (3, 60, 3))
-    motion = study.leg.Motion(q, v, vd)
+    motion = cheetah.Motion(q, v, vd)
     structural = structural_base_parameters(leg.plant)  # rotors that turn by themselves
-    base = study.gallop.base_wrench_regressor(leg.tree, *_joints(leg, motion))
-    geared = study.leg.Condensed.of(leg.regressor(motion).reshape(-1, 60), np.zeros(180))
+    base = gallop.base_wrench_regressor(leg.tree, *_joints(leg, motion))
+    geared = cheetah.Condensed.of(leg.regressor(motion).reshape(-1, 60), np.zeros(180))
     assert len(geared.A) == 32
     rank = np.linalg.matrix_rank(np.vstack([geared.A, base.reshape(-1, 60)]), 1e-9)
     assert rank > 32

@@ -1,35 +1,19 @@
 """The studies of excitation show what they claim to show."""
 
-from types import SimpleNamespace
-
 import numpy as np
 import pytest
 
+from diagrams.studies import atlas_identification as atlas
+from diagrams.studies import excitation_contours as contours
+from diagrams.studies import iiwa_excitation as iiwa
+from diagrams.studies import scara_excitation as scara
 from geodrake.excitation import ExcitationTrajectory, FreeSamples, Objective
 from geodrake.logs.motion import Motion
 
 
-@pytest.fixture(scope="module")
-def study():
-    """The four studies, and the modules that they share."""
-    from diagrams.studies import (
-        atlas_identification,
-        excitation_contours,
-        iiwa_excitation,
-        scara_excitation,
-    )
-
-    return SimpleNamespace(
-        contours=excitation_contours,
-        scara=scara_excitation,
-        atlas=atlas_identification,
-        iiwa=iiwa_excitation,
-    )
-
-
 class TestContours:
-    def test_one_map_in_all_coordinates_with_geometric_normalization_alone(self, study):
-        rows = study.contours.run(31, 100)["rows"]
+    def test_one_map_in_all_coordinates_with_geometric_normalization_alone(self):
+        rows = contours.run(31, 100)["rows"]
         largest = {}
         for row in rows:
             largest.setdefault(row["normalization"], []).append(row)
@@ -42,32 +26,32 @@ class TestContours:
             places = {(row["best_amplitude"], row["best_offset"]) for row in largest[name]}
             assert len(places) >= 3
 
-    def test_columns_are_the_motion(self, study):
+    def test_columns_are_the_motion(self):
         """q̈ by finite differences of the positions that g cos q tells."""
-        weight, acceleration = study.contours.motions(np.array(0.4), np.array(0.9), 20001)
-        q = np.arccos(weight / study.contours.GRAVITY)
+        weight, acceleration = contours.motions(np.array(0.4), np.array(0.9), 20001)
+        q = np.arccos(weight / contours.GRAVITY)
         numeric = np.diff(q, 2) / (2.0 / 20000) ** 2
         np.testing.assert_allclose(numeric, acceleration[1:-1], atol=1e-4)
 
 
 class TestScara:
-    def test_frames_are_of_one_robot(self, study):
+    def test_frames_are_of_one_robot(self):
         rng, efforts = np.random.default_rng(0), []
         motion = Motion(*rng.uniform(-2, 2, (3, 10, 2)))
-        for frame in study.scara.FRAMES:
-            model = study.scara.scara(frame, study.scara.payload(*study.scara.PRIOR))
+        for frame in scara.FRAMES:
+            model = scara.scara(frame, scara.payload(*scara.PRIOR))
             efforts.append(model.effort(motion))
         for other in efforts[1:]:
             np.testing.assert_allclose(other, efforts[0], rtol=1e-10, atol=1e-12)
 
-    def test_prior_is_the_source_s(self, study):
-        phi = study.scara.scara("3", study.scara.payload(*study.scara.PRIOR)).phi[1]
+    def test_prior_is_the_source_s(self):
+        phi = scara.scara("3", scara.payload(*scara.PRIOR)).phi[1]
         assert phi[0] == pytest.approx(4.58)
         assert phi[1] / phi[0] == pytest.approx(0.02e-3)
         assert np.sqrt(phi[6] / phi[0]) == pytest.approx(0.08607)
 
-    def test_expected_errors_are_those_of_drawn_noise(self, study):
-        scara, rng = study.scara, np.random.default_rng(1)
+    def test_expected_errors_are_those_of_drawn_noise(self):
+        rng = np.random.default_rng(1)
         trajectory = ExcitationTrajectory(
             FreeSamples(50), rng.uniform(-2, 2, (150, 2)), ("shoulder", "elbow"), np.arange(2)
         )
@@ -78,7 +62,7 @@ class TestScara:
         truth = model.phi[1, [0, 1, 2, 6]]
         noise = scara.NOISE * rng.normal(size=(100, 4000))
         m, hx, hy, izz = truth[:, None] + np.linalg.lstsq(A, noise)[0]
-        expected = study.scara.errors(trajectory)
+        expected = scara.errors(trajectory)
         drawn = {
             "m": (m - 4.0).std(),
             "px": 1e3 * (hx / m).std(),
@@ -88,12 +72,10 @@ class TestScara:
         for key, value in drawn.items():
             assert expected[key] == pytest.approx(value, rel=0.05)
 
-    def test_one_optimum_in_all_frames_and_the_smallest_error(self, study):
-        design, plan = study.scara.design, study.scara.Plan(iterations=6)
+    def test_one_optimum_in_all_frames_and_the_smallest_error(self):
+        design, plan = scara.design, scara.Plan(iterations=6)
         cells = [("geometric", "1"), ("geometric", "4"), ("none", "3"), ("diagonal", "1")]
-        first, second, none, diagonal = (
-            design(study.scara.Cell(*cell), plan=plan) for cell in cells
-        )
+        first, second, none, diagonal = (design(scara.Cell(*cell), plan=plan) for cell in cells)
         np.testing.assert_allclose(second["coefficients"], first["coefficients"], atol=1e-7)
         assert first["error"] < 0.8 * min(none["error"], diagonal["error"])
         values = [*first["value_by_frame"].values()]
@@ -103,24 +85,24 @@ class TestScara:
 
 
 class TestOneFoot:
-    def test_motions_are_in_balance(self, study):
-        model = study.atlas.standing_robot(None)
-        balance = study.atlas.Balance(model)
+    def test_motions_are_in_balance(self):
+        model = atlas.standing_robot(None)
+        balance = atlas.Balance(model)
         postures = balance.postures(np.random.default_rng(0), 5)
         context = model.plant.CreateDefaultContext()
         for q in postures:  # joints are in Drake's order
             model.plant.SetPositions(context, q)
             center = model.plant.CalcCenterOfMassPositionInWorld(context)
-            assert (np.abs(center[:2]) < study.atlas.HALF_SOLE).all()
+            assert (np.abs(center[:2]) < atlas.HALF_SOLE).all()
         trajectory, _ = balance.motion(np.random.default_rng(1))
         assert balance.keeps(trajectory)
         ends = trajectory.states([0.0, 3.0])
         np.testing.assert_allclose(ends[1:], 0.0, atol=1e-9)
 
-    def test_reduced_identification_is_a_hundred_times_better(self, study):
-        plan = study.atlas.Plan(None, motions=6, rate=60, seed=1)
-        motions = [study.atlas.one_motion(k, plan=plan) for k in range(plan.motions)]
-        table = study.atlas.run(motions, plan)
+    def test_reduced_identification_is_a_hundred_times_better(self):
+        plan = atlas.Plan(None, motions=6, rate=60, seed=1)
+        motions = [atlas.one_motion(k, plan=plan) for k in range(plan.motions)]
+        table = atlas.run(motions, plan)
         prior, full, reduced = table["rows"]
         assert table["error_full_over_reduced"] > 100
         assert reduced["error"] < prior["error"]
@@ -133,12 +115,12 @@ class TestOneFoot:
 
 
 class TestManipulator:
-    def test_base_representation_does_not_matter_to_the_geometric_criterion(self, study):
-        model = study.iiwa.manipulator(None)
+    def test_base_representation_does_not_matter_to_the_geometric_criterion(self):
+        model = iiwa.manipulator(None)
         q, v, vd = np.random.default_rng(2).uniform(-1, 1, (3, 40, 7))
         values = {}
         for base in (1, 2):
-            target = study.iiwa.represented_target(model, base, 0)
+            target = iiwa.represented_target(model, base, 0)
             for name in ("none", "diagonal", "geometric"):
                 value = Objective(target, normalization=name).value(Motion(q, v, vd))
                 values.setdefault(name, []).append(value)
@@ -146,16 +128,16 @@ class TestManipulator:
         for name in ("none", "diagonal"):
             assert abs(np.log(values[name][1] / values[name][0])) > 0.1
 
-    def test_geometric_design_beats_random_motions_and_no_normalization(self, study):
-        plan = study.iiwa.Plan(None, modes=3, samples=60, iterations=5, validation=50)
-        cells = (study.iiwa.Cell(name) for name in ("geometric", "none", study.iiwa.RANDOM))
-        geometric, none, random = (study.iiwa.design(cell, plan=plan) for cell in cells)
+    def test_geometric_design_beats_random_motions_and_no_normalization(self):
+        plan = iiwa.Plan(None, modes=3, samples=60, iterations=5, validation=50)
+        cells = (iiwa.Cell(name) for name in ("geometric", "none", iiwa.RANDOM))
+        geometric, none, random = (iiwa.design(cell, plan=plan) for cell in cells)
         for other in (none, random):
             assert geometric["error"] < 0.7 * other["error"]
             assert geometric["geometric_e"] < 0.5 * other["geometric_e"]
         ends = [
-            study.iiwa.refine(
-                study.iiwa.Cell(study.iiwa.REFINED, base),
+            iiwa.refine(
+                iiwa.Cell(iiwa.REFINED, base),
                 plan=plan,
                 coefficients=geometric["coefficients"],
             )
