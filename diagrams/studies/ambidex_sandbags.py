@@ -324,19 +324,9 @@ def point_to_point(count: int, seed: int) -> PiecewisePolynomial:
 
 
 class UnevenFriction(LeafSystem):
-    """Dry friction of motors that depends on their position, which no parameter explains.
-
-    .. pydrake_system::
-
-        name: UnevenFriction
-        input_ports:
-        - state
-        output_ports:
-        - generalized_force
-    """
+    """Dry friction of motors that depends on their position, which no parameter explains."""
 
     def __init__(self, seed: int) -> None:
-        """Constructs the system."""
         LeafSystem.__init__(self)
         self._phase = np.random.default_rng([seed, 57]).uniform(0.0, 2.0 * np.pi, 7)
         motors = np.eye(7)

@@ -146,19 +146,9 @@ class Episode:
 
 
 class FaultySensor(LeafSystem):
-    """Measures a state, and does it wrong for a while now and then.
-
-    .. pydrake_system::
-
-        name: FaultySensor
-        input_ports:
-        - state
-        output_ports:
-        - measured_state
-    """
+    """Measures a state, and does it wrong for a while now and then."""
 
     def __init__(self, size: int, episodes: Sequence[Episode], *, seed: int) -> None:
-        """Constructs the system."""
         LeafSystem.__init__(self)
         self._episodes = [each for each in episodes if each.fault in SENSOR_FAULTS]
         self._seed = seed
@@ -195,16 +185,7 @@ class FaultySensor(LeafSystem):
 
 
 class WeakActuators(LeafSystem):
-    """Actuators that have lost most of their strength for a while, which nobody knows.
-
-    .. pydrake_system::
-
-        name: WeakActuators
-        input_ports:
-        - wanted
-        output_ports:
-        - effort
-    """
+    """Actuators that have lost most of their strength for a while, which nobody knows."""
 
     def __init__(self, limits: Array, episodes: Sequence[Episode]) -> None:
         """Constructs the system.
@@ -232,16 +213,7 @@ def _put(sample: Sample, place: int, value: float) -> Array:
 
 
 class NoisyVelocities(LeafSystem):
-    """Positions as they are, and velocities with white noise that is held for a millisecond.
-
-    .. pydrake_system::
-
-        name: NoisyVelocities
-        input_ports:
-        - state
-        output_ports:
-        - measured_state
-    """
+    """Positions as they are, and velocities with white noise that is held for a millisecond."""
 
     def __init__(self, size: int, deviation: float, *, duration: float, seed: int) -> None:
         """Constructs the system.
