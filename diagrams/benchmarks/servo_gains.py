@@ -47,6 +47,12 @@ from geodrake.report import style
 
 Array = NDArray[np.float64]
 
+# Arms moved by servos, in formulas other than geodrake's.
+#
+# Pinocchio gives accelerations, and friction, armature and servos are added here by hand; MuJoCo
+# has position actuators, armature, damping and friction of its own. Nothing here comes from
+# geodrake.
+
 STEP = 0.001  # s
 _FADING = 0.002  # rad/s below which dry friction fades
 

@@ -53,6 +53,12 @@ from geodrake.report.words import effect_label
 from geodrake.robot import inverse_dynamics
 
 Array = NDArray[np.float64]
+# A simulated robot that tracks a motion, with hidden efforts in formulas of their own.
+#
+# Drake gives mass matrix, bias and gravity. Drives add stiff PD control to the inverse dynamics
+# of the model file. Steps are linearly implicit in friction and control, so that they are stable
+# however stiff those are. Dry friction is v/√(v² + ε²), not the tanh of `geodrake.effects`.
+
 Reference = Callable[[Array], tuple[Array, Array, Array]]
 
 STEP = 1e-3  # s
@@ -167,6 +173,12 @@ def record(
         v[at] + 20.0 * ENCODER * rng.normal(size=effort.shape),
     )
 
+
+# The robots of the study: which effect they have, which one it may be taken for, a first motion.
+#
+# First motions are those of a careful first try. Each leaves a pair ambiguous for a reason of its
+# own: a small sway hardly changes load and posture, back and forth at one speed shows no law of
+# speed, and a sweep in one direction does not show what happens in the other.
 
 JOINTS = ("shoulder", "elbow")
 CENTER = np.array([0.3, 1.27])  # the lower link is level: there gravity's direction moves one joint

@@ -81,6 +81,12 @@ from geodrake.manifolds import Product
 from geodrake.model import RobotModel, load_description
 from geodrake.robot import RobotPorts
 
+# The AMBIDEX-like arm for adaptive control: seven turns that move ten joints, and motor friction.
+#
+# Turns t and joints θ are in proportion, θ = J t: two joints of a rolling pair take half a turn
+# each. So efforts of the turns are Jᵀ times those of the joints, and with Jᵀ Y for the regressor
+# all that holds for a robot of ten joints holds for the seven turns.
+
 FIRST = (0, 1, 2, 3, 5, 6, 8)
 """The joint that stands for each turn."""
 PAIRS = ((3, 4), (6, 7), (8, 9))

@@ -53,6 +53,11 @@ from geodrake.robot import (
 )
 from geodrake.robot.files.description import drake_messages
 
+# Robots on one foot, [Lee2019] §4.6.3: Atlas from a folder of its own, or a small one of ours.
+#
+# The left sole is the ground's frame: both are welded together there, so that a robot in balance
+# is a tree with a fixed base, and what the force plate under it measures is the base wrench.
+
 ATLAS = Path("reference") / "atlas_v5.urdf"
 SOLE = "l_foot_sole"
 HALF_SOLE = np.array([0.13, 0.06])
@@ -131,6 +136,11 @@ def groups(model: RobotModel) -> dict[str, np.ndarray]:
 
 
 Array = NDArray[np.float64]
+
+# Random motions of a robot that balances on one foot, [Lee2019] §4.6.3.
+#
+# Random postures get their centre of mass over the sole by the ankle. A spline leads from one to
+# another by way of others, as much out of the straight line as the zero-moment point allows.
 
 FAMILY = SplineMotion(3.0, 10, 5)
 CHECK_RATE = 15.0  # 1/s, at which the source checks balance

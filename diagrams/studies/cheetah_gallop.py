@@ -48,6 +48,11 @@ from geodrake.robot import (
     load_plant,
 )
 
+# A gallop-like motion of the whole robot: trunk and four legs ([Lee2019] §3.6.2.2).
+#
+# The motion is ours: surge, heave and pitch of the trunk and swings of the legs at the stride's
+# frequency and its double, each leg with its own phase in the stride as in a transverse gallop.
+
 LEGS = ("front_left", "front_right", "rear_left", "rear_right")
 PHASES = {"front_left": 0.0, "front_right": 0.15, "rear_left": 0.55, "rear_right": 0.7}
 GEARS = (7.667, 7.667, 8.846)

@@ -55,6 +55,11 @@ from geodrake.robot import BaseParameters, inverse_dynamics_regressor, pushforwa
 
 Array = NDArray[np.float64]
 
+# Errors to be expected of least squares, from its covariance: exact, and without drawing noise.
+#
+# With changes δ of parameters whose covariance is D Λ Dᵀ — `IdentifiableParameters` has D and Λ —
+# a linear function y = Y δ has the covariance Y D Λ Dᵀ Yᵀ.
+
 _DENSE = 1000  # samples that stand for those of a motion sampled more often
 
 

@@ -50,6 +50,11 @@ from geodrake.report import style
 
 Array = NDArray[np.float64]
 
+# The SCARA arm of [Lee2019] §4.6.1: two links in a plane, a payload, and frames to see it from.
+#
+# A payload's ten parameters are about the origin of its link's frame. Moving that frame, with
+# joints and masses where they are, changes what the parameters mean and nothing else.
+
 LINK = 0.5  # m, both
 NOISE = 0.03  # N·m
 SAMPLES = 50

@@ -28,6 +28,7 @@ from diagrams.benchmarks.floating.world import (
     robot_text,
     secret_of,
 )
+from diagrams.benchmarks.hidden.robots import coloured
 
 _RATE = 100.0  # Hz, of targets
 _RAMP = 2.0  # s, until a motion is whole
@@ -396,12 +397,8 @@ def _foot_columns(
 def _drift(draw: Draw, size: int, rng: np.random.Generator) -> Array:
     """Return (N, 3) noise that varies slowly with deviation one, and a little white noise."""
     memory = np.exp(-1.0 / (draw.rate * _SLOWNESS))
-    noise = rng.normal(size=(size, 3))
-    slow = noise.copy()
-    slow[1:] *= np.sqrt(1.0 - memory**2)
-    for k in range(1, size):
-        slow[k] += memory * slow[k - 1]
-    return np.asarray(slow + _WHITE * rng.normal(size=(size, 3)))
+    slow = coloured(rng.normal(size=(size, 3)), memory)
+    return slow + _WHITE * rng.normal(size=(size, 3))
 
 
 def _axes(name: str, values: Array) -> dict[str, Array]:

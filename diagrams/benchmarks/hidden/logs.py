@@ -14,9 +14,9 @@ from diagrams.benchmarks.hidden.robots import (
     MOTIONS,
     PLANAR,
     Engine,
+    coloured,
     congruent,
     make_engine,
-    make_motion,
     robot_file,
     robot_names,
 )
@@ -292,9 +292,7 @@ def make_recording(draw: Draw, bodies: tuple[str, ...]) -> Recording:
 
 
 def _seen(draw: Draw, engine: Engine, rng: np.random.Generator) -> Seen:
-    time = np.arange(0.0, draw.duration, 1.0 / draw.rate)
-    q, v, a = make_motion(draw.motion, engine, time, rng)
-    return Seen(time, q, v, a, engine.efforts(q, v, a), engine)
+    return Seen.of(engine, draw.motion, np.arange(0.0, draw.duration, 1.0 / draw.rate), rng)
 
 
 def _rubbing(seen: Seen, sizes: Array) -> Array:
@@ -307,11 +305,7 @@ def _measured(draw: Draw, seen: Seen, effort: Array, rng: np.random.Generator) -
     noise = rng.normal(size=effort.shape)
     if draw.colour == COLOURED:
         constant = np.exp(rng.uniform(*np.log(_COLOURS)))
-        memory = np.exp(-1.0 / (draw.rate * constant))
-        noise *= np.sqrt(1.0 - memory**2)
-        noise[0] /= np.sqrt(1.0 - memory**2)
-        for k in range(1, len(noise)):
-            noise[k] += memory * noise[k - 1]
+        noise = coloured(noise, np.exp(-1.0 / (draw.rate * constant)))
     return JointLog(
         f"{draw.robot} {draw.number}",
         seen.engine.joints,

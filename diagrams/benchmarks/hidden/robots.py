@@ -1,4 +1,7 @@
-"""Arms: their model files, inverse dynamics by Pinocchio and by MuJoCo, and their motions."""
+"""Arms: their model files, inverse dynamics by Pinocchio and by MuJoCo, and their motions.
+
+Engines take nothing from geodrake. Bodies are numbered as the joints that move them.
+"""
 
 from __future__ import annotations
 
@@ -319,14 +322,28 @@ _SHORTEST = 0.8  # s, of a move
 
 def make_motion(kind: str, engine: Engine, time: Array, rng: np.random.Generator) -> Motion:
     """Positions, velocities and accelerations, (N, n) each, within limits of a robot."""
-    half = np.minimum((engine.high - engine.low) / 2.0, np.pi / 2.0)
-    center = np.clip(0.0, engine.low + half, engine.high - half)
-    speed = _PACE * np.minimum(engine.fastest, _FASTEST)
+    center, reach, speed = motion_range(engine)
     if kind == POINTS:
-        return _point_to_point(center, _REACH * half, speed, time, rng)
+        return _point_to_point(center, reach, speed, time, rng)
     if kind == SLOW:
         speed = np.minimum(speed, SLOW_SPEED)
-    return _multisine(center, _REACH * half, speed, time, rng)
+    return _multisine(center, reach, speed, time, rng)
+
+
+def motion_range(engine: Engine) -> tuple[Array, Array, Array]:
+    """Return the middle of motions, how far they go from it, and how fast, (n,) each."""
+    half = np.minimum((engine.high - engine.low) / 2.0, np.pi / 2.0)
+    center = np.clip(0.0, engine.low + half, engine.high - half)
+    return center, _REACH * half, _PACE * np.minimum(engine.fastest, _FASTEST)
+
+
+def coloured(noise: Array, memory: float) -> Array:
+    """Return white noise (N, …) with a memory from one sample to the next, as large as before."""
+    found = noise.copy()
+    found[1:] *= np.sqrt(1.0 - memory**2)
+    for k in range(1, len(found)):
+        found[k] += memory * found[k - 1]
+    return found
 
 
 def _multisine(

@@ -1,4 +1,8 @@
-"""What logs can hide: effects of geodrake's catalogue in formulas of their own, and others."""
+"""What logs can hide: effects of geodrake's catalogue in formulas of their own, and others.
+
+A truth says where it acts, and gives its effort for a size of one; the benchmark scales that to a
+share of the joint's effort.
+"""
 
 from __future__ import annotations
 
@@ -10,7 +14,14 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import uniform_filter1d
 
-from diagrams.benchmarks.hidden.robots import GRAVITY, SLOW, Engine, congruent, pseudo
+from diagrams.benchmarks.hidden.robots import (
+    GRAVITY,
+    SLOW,
+    Engine,
+    congruent,
+    make_motion,
+    pseudo,
+)
 from geodrake.effects import catalogue
 
 Array = NDArray[np.float64]
@@ -28,6 +39,12 @@ class Seen:
     a: Array
     load: Array
     engine: Engine
+
+    @classmethod
+    def of(cls, engine: Engine, kind: str, time: Array, rng: np.random.Generator) -> Seen:
+        """A motion of a kind, and the efforts that it needs."""
+        q, v, a = make_motion(kind, engine, time, rng)
+        return cls(time, q, v, a, engine.efforts(q, v, a), engine)
 
     def zeros(self) -> Array:
         """No effort."""

@@ -15,9 +15,10 @@ from diagrams.benchmarks.hidden.robots import (
     POINTS,
     Engine,
     RobotFile,
+    coloured,
     congruent,
     make_engine,
-    make_motion,
+    motion_range,
     pseudo,
     robot_file,
     robot_model,
@@ -339,7 +340,6 @@ _ENCODER, _TACHO = (1e-5, 5e-5), (2e-4, 2e-3)  # rad, rad/s
 _STEP, _COUNTS = 1.5, 2.0**17  # of an effort's noise, of a turn
 _LEAST_NOISY = 0.005  # of the motor's limit: sensors are noisy at joints without load, too
 _COLOURS = (0.005, 0.05)  # s, time constants of coloured noise
-_SPEED = 4.0  # rad/s, where limits are looser
 
 
 @dataclass(frozen=True, eq=False)
@@ -416,8 +416,7 @@ def _effort_limits(draw: Draw) -> Array:
 
 def _moved(draw: Draw, engine: Engine, kind: str) -> Seen:
     time = np.arange(0.0, draw.duration, 1.0 / draw.rate)
-    q, v, a = make_motion(kind, engine, time, draw.rng(kind))
-    return Seen(time, q, v, a, engine.efforts(q, v, a), engine)
+    return Seen.of(engine, kind, time, draw.rng(kind))
 
 
 def _between(bounds: tuple[float, float], rng: np.random.Generator, n: int | None = None) -> Array:
@@ -447,10 +446,7 @@ def _site(draw: Draw, motions: list[Seen], largest: Array) -> Site:
     joint, other = (int(k) for k in rng.choice(n, 2, replace=False))
     if "pendulum" in draw.kind:
         joint = int(rng.integers(n // 2, n))
-    half = np.minimum((engine.high - engine.low) / 2.0, np.pi / 2.0)
-    center = np.clip(0.0, engine.low + half, engine.high - half)
-    speed = 0.6 * np.minimum(engine.fastest, _SPEED)
-    return Site(joint, other, robot_file(draw.robot), center, 0.6 * half, speed, largest, rng)
+    return Site(joint, other, robot_file(draw.robot), *motion_range(engine), largest, rng)
 
 
 def _sized(draw: Draw, site: Site, motions: list[Seen]) -> Effort:
@@ -495,8 +491,6 @@ class _Sensors:
         """Noise of deviation one, white or coloured."""
         noise = self._rng.normal(size=shape)
         if self._draw.colour == COLOURED:
-            memory = np.exp(-1.0 / (self._draw.rate * _between(_COLOURS, self._rng)))
-            noise[1:] *= np.sqrt(1.0 - memory**2)
-            for k in range(1, len(noise)):
-                noise[k] += memory * noise[k - 1]
-        return np.asarray(noise)
+            constant = _between(_COLOURS, self._rng)
+            return coloured(noise, np.exp(-1.0 / (self._draw.rate * constant)))
+        return noise

@@ -1,4 +1,11 @@
-"""The arm of the AMBIDEX study, and measurements of its random point-to-point motions."""
+"""The arm of the AMBIDEX study, and measurements of its random point-to-point motions.
+
+    τ = Jᵀ Γ(θ, θ̇, θ̈) Φ + diag(q̈) I_r + diag(sign q̇) f_c + diag(q̇) f_v     [Lee2019] Eq. (3.6.57)
+
+Each rotor is a body as well, of which its balanced turning on a fixed axis shows I_zz = I_r alone.
+So the regularizers treat it like a link, and 59 points a link and 9 a rotor make the 653 point
+masses of the source.
+"""
 
 from __future__ import annotations
 
