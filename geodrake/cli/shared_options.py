@@ -165,6 +165,16 @@ def taking(options: type[T]) -> Callable[[Callable[[T], None]], Callable[..., No
     return decorate
 
 
+def path(text: str) -> Path:
+    """Return the path of a model; ./ur5e is one, though `Path` makes the name ur5e of it."""
+    found = Path(text)
+    if str(found) == text:
+        return found
+    from geodrake.robot.files.named_robots import whole_if_folder
+
+    return whole_if_folder(text, found)
+
+
 def _documented(options: type[Any]) -> dict[str, tuple[str | None, str]]:
     """Option -> metavariable and help, as the docstrings of the class and its bases have them."""
     found: dict[str, tuple[str | None, str]] = {}
@@ -182,6 +192,7 @@ def _parameter(
     """Return a parameter of a command; flags that are off by themselves have no opposite."""
     name, default = field.name, field.default
     common: Any = {"metavar": told[0], "help": told[1], "rich_help_panel": panel}
+    common |= {"parser": path} if name == "model" else {}
     if name in _ARGUMENTS and (default is MISSING or name == "logs"):
         option = typer.Argument(**common)
     else:

@@ -173,7 +173,7 @@ def load_model(
             transmission does not fit.
     """
     instances(extra, "extra", type)
-    path, given, origin = robot_file(file_path(path), given or Given())
+    path, given, origin = robot_file(path, given or Given())
     path = regular_file(path, "model file", ModelError)
     if is_saved_model(path):
         if transmission is not None:

@@ -18,7 +18,7 @@ from pydrake.multibody.plant import MultibodyPlant
 from pydrake.multibody.tree import BodyIndex, Joint, JointActuator, RigidBody, SpatialInertia
 from pydrake.systems.framework import Context
 
-from geodrake.boundary.arguments import file_path, instance, number, real_array, typed
+from geodrake.boundary.arguments import instance, number, real_array, typed
 from geodrake.errors import ModelError
 from geodrake.inertia import PARAMETERS_PER_BODY, Array, inertial_parameters, to_spatial_inertia
 from geodrake.inertia.bodies import Member, lumped_bodies
@@ -161,7 +161,7 @@ def load_plant(
             joint cannot be held; or Drake refuses the inertial parameters that are given.
     """
     given = Given() if given is None else instance(given, "given", Given)
-    path, given, origin = robot_file(file_path(path), given)
+    path, given, origin = robot_file(path, given)
     held = {} if held is None else instance(held, "held", Mapping)
     held = {name: number(value, f"held[{name!r}]") for name, value in held.items()}
     with drake_messages() as messages:

@@ -133,6 +133,12 @@ def test_a_file_that_is_there_wins_and_one_that_is_not_is_told_of_as_before(cach
     for gone in ("panda.urdf", "arms/panda", str(cached / "ur5e")):
         with pytest.raises(ModelError, match=f"model file {gone} does not exist. Check the path.$"):
             load_model(gone)
+    for gone in ("./ur5e", "ur5e/"):
+        message = f"model file {cached / 'ur5e'} does not exist. Check the path."
+        for load in (load_model, load_plant):
+            with pytest.raises(ModelError, match=f"{message}$"):
+                load(gone)
+        assert message in run("check", gone, code=2)
     Path("ur5e").mkdir()
     with pytest.raises(ModelError, match="ur5e is a folder"):
         load_model("ur5e")

@@ -14,6 +14,7 @@ from difflib import get_close_matches
 from pathlib import Path
 from typing import Any, NamedTuple
 
+from geodrake.boundary.arguments import file_path
 from geodrake.boundary.escaping import printable
 from geodrake.boundary.input_files import read_regular
 from geodrake.errors import ModelError
@@ -34,13 +35,14 @@ class RobotFile(NamedTuple):
     notes: tuple[str, ...] = ()
 
 
-def robot_file(path: Path, given: Given) -> RobotFile:
+def robot_file(path: str | os.PathLike[str], given: Given) -> RobotFile:
     """Return the file of a robot that is named, downloaded if need be; a path stays what it is.
 
     Args:
         path: A model file; where there is none, a word without folder and suffix is a name.
         given: How it is to be read; its packages and arguments of xacro come before the robot's.
     """
+    path = whole_if_folder(path, file_path(path))
     if not _is_name(path):
         return RobotFile(path, given)
     module, *others = _descriptions(path)
@@ -79,6 +81,11 @@ def planned_download(path: Path) -> str:
     except git.exc.GitError:
         pass  # there is no repository yet
     return f"Downloading {_repository(module).url} to {folder}, once, as {path} is not there yet."
+
+
+def whole_if_folder(written: str | os.PathLike[str], path: Path) -> Path:
+    """Return a path, whole where only the folder before it, as in ./ur5e, tells it from a name."""
+    return path.absolute() if _is_name(path) and os.fspath(written) != str(path) else path
 
 
 def _is_name(path: Path) -> bool:
