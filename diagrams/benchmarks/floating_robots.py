@@ -36,7 +36,14 @@ from diagrams.benchmarks.floating.world import (
     all_draws,
 )
 from diagrams.benchmarks.hidden.bars import Line, median, share, tell_draws, told
-from diagrams.benchmarks.ordinary_robots import calibration, calibration_figure
+from diagrams.benchmarks.ordinary_robots import (
+    calibration,
+    calibration_figure,
+    judged_words,
+    mass_row,
+    not_found,
+    step_words,
+)
 from diagrams.harness import cpu_clock, positive_number, run_draws, script_parser, write
 
 Truth = Mapping[str, Sequence[str]]
@@ -66,7 +73,7 @@ def score_draw(draw: Draw) -> dict[str, Any]:
         "notes": told["notes"],
         "steps": steps,
         "missing": _missing(draw, steps, truth),
-        "wrong": [_words(step) for step in steps if not step["right"]],
+        "wrong": [step_words(step) for step in steps if not step["right"]],
         "start_error": _share(told["error"]["start"], recording.deviations),
         "end_error": _share(told["error"]["end"], recording.deviations),
         **_payload_row(draw, steps, recording),
@@ -121,16 +128,11 @@ def _step_row(step: Mapping[str, Any], truth: Truth) -> dict[str, Any]:
     }
 
 
-def _words(step: Mapping[str, Any]) -> str:
-    return f"{step['effect']} at {', '.join(step['where'])} ({step['probability']:.3f})"
-
-
 def _missing(draw: Draw, steps: Sequence[Mapping[str, Any]], truth: Truth) -> list[str]:
     """Return what no step has: of friction and rotors place by place, of others any place."""
     found = {(step["effect"], place) for step in steps for place in step["where"]}
     if draw.hidden == DRIVES:
-        wanted = [(name, place) for name, places in truth.items() for place in places]
-        return [f"{name} at {place}" for name, place in wanted if (name, place) not in found]
+        return not_found(found, truth)
     named = any(step["right"] for step in steps)
     return [] if named or draw.hidden == QUIET else [draw.hidden]
 
@@ -148,17 +150,10 @@ def _payload_row(
     found = [step for step in steps if step["effect"] == "payload" and step["right"]]
     if draw.hidden != PAYLOAD or not found:
         return {}
-    step, mass = found[-1], recording.secret.mass
-    (place, *_) = step["where"]
-    said = step["parameters"][place]["mass"]
+    (place, *_), step = found[-1]["where"], found[-1]
     systematic = step["systematic"].get(place, {}).get("mass", 0.0)
-    half = 2.0 * math.hypot(step["deviations"][place]["mass"], systematic)
-    return {
-        "found_mass": said,
-        "mass_half_width": half / mass,
-        "mass_inside": abs(said - mass) <= half,
-        "mass_error": abs(said - mass) / mass,
-    }
+    deviations = step["deviations"][place]["mass"], systematic
+    return mass_row(step["parameters"][place]["mass"], deviations, recording.secret.mass)
 
 
 def is_missed(row: Mapping[str, Any]) -> bool:
@@ -173,12 +168,7 @@ def miss_words(row: Mapping[str, Any]) -> str:
         f"seed {row['seed']} number {row['number']} {row['robot']} (contacts {row['contacts']}, "
         f"with {' and '.join(logged) or 'neither'}) hides {row['hidden']}"
     )
-    if row["failed"]:
-        return f"{text}; FAILED: {row['failed']}"
-    for title, what in (("MISSING", row["missing"]), ("WRONG", row["wrong"])):
-        text += f"; {title}: {', '.join(what)}" if what else ""
-    right = "; ".join(_words(step) for step in row["steps"] if step["right"])
-    return f"{text}; right: {right or 'nothing'}"
+    return judged_words(text, row)
 
 
 Row = Mapping[str, Any]

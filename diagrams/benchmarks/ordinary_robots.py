@@ -44,11 +44,7 @@ WRONG_INERTIA = "wrong_inertia"
 
 def score_draw(draw: Draw) -> dict[str, Any]:
     """A row of the table: the draw, what it hid, what was named, and what of it is right."""
-    return score(draw, make_recording(draw))
-
-
-def score(draw: Draw, recording: Recording) -> dict[str, Any]:
-    """The same of a recording that was made."""
+    recording = make_recording(draw)
     row = {**asdict(draw), "hidden": recording.hidden, "beside": recording.beside}
     row |= {"mass": recording.mass, "joints": recording.joints, "values": recording.values}
     model = robot_model(draw.robot)
@@ -69,7 +65,7 @@ def score(draw: Draw, recording: Recording) -> dict[str, Any]:
         "notes": list(explanation.notes),
         "steps": steps,
         "missing": _missing(explanation.steps, recording.hidden),
-        "wrong": [_words(step) for step in steps if not step["right"]],
+        "wrong": [step_words(step) for step in steps if not step["right"]],
         **_tool_row(explanation.steps, recording),
     }
 
@@ -87,19 +83,20 @@ def _step_row(step: Step, draw: Draw, recording: Recording) -> dict[str, Any]:
     }
 
 
-def _words(step: Mapping[str, Any]) -> str:
+def step_words(step: Mapping[str, Any]) -> str:
+    """Return a step in writing."""
     return f"{step['effect']} at {', '.join(step['where'])} ({step['probability']:.3f})"
 
 
 def _missing(steps: Sequence[Step], hidden: Mapping[str, Sequence[str]]) -> list[str]:
     """What no step has, place by place."""
-    found = {(step.effect, place) for step in steps for place in step.where}
-    return [
-        f"{name} at {place}"
-        for name, places in hidden.items()
-        for place in places
-        if (name, place) not in found
-    ]
+    return not_found({(step.effect, place) for step in steps for place in step.where}, hidden)
+
+
+def not_found(found: set[tuple[str, str]], wanted: Mapping[str, Sequence[str]]) -> list[str]:
+    """Return wanted effects at places at which they were not found."""
+    at = [(name, place) for name, places in wanted.items() for place in places]
+    return [f"{name} at {place}" for name, place in at if (name, place) not in found]
 
 
 def _tool_row(steps: Sequence[Step], recording: Recording) -> dict[str, Any]:
@@ -109,17 +106,22 @@ def _tool_row(steps: Sequence[Step], recording: Recording) -> dict[str, Any]:
     if body is None or not found:
         return {}
     step = found[-1]
-    deviation = step.deviations[body]["mass"]
     systematic = step.systematic.get(body, {}).get("mass", 0.0)
-    off = abs(step.parameters[body]["mass"] - recording.mass)
-    half = 2.0 * float(np.hypot(deviation, systematic))
+    return mass_row(
+        step.parameters[body]["mass"], (step.deviations[body]["mass"], systematic), recording.mass
+    )
+
+
+def mass_row(found: float, deviations: tuple[float, float], truth: float) -> dict[str, Any]:
+    """Return a mass as found, with deviations of noise and of what is systematic, and the truth."""
+    half = 2.0 * float(np.hypot(*deviations))
     return {
-        "found_mass": step.parameters[body]["mass"],
-        "mass_deviation": deviation,
-        "mass_systematic": systematic,
-        "mass_inside": bool(off <= half),
-        "mass_half_width": half / recording.mass,
-        "mass_error": off / recording.mass,
+        "found_mass": found,
+        "mass_deviation": deviations[0],
+        "mass_systematic": deviations[1],
+        "mass_inside": bool(abs(found - truth) <= half),
+        "mass_half_width": half / truth,
+        "mass_error": abs(found - truth) / truth,
     }
 
 
@@ -141,16 +143,20 @@ def miss_words(row: Mapping[str, Any]) -> str:
         f"{row['case']} seed {row['seed']} number {row['number']} {row['robot']} {row['engine']} "
         f"({', '.join(what)}) hides {', '.join(hides) or 'nothing'}"
     )
+    text = judged_words(text, row)
+    if row["failed"]:
+        return text
+    return f"{text}; nrms {row['start_nrms']:.3g} → {row['end_nrms']:.3g}, {row['seconds']:.1f} s"
+
+
+def judged_words(text: str, row: Mapping[str, Any]) -> str:
+    """Return what was missed, and what was right, behind what it is about."""
     if row["failed"]:
         return f"{text}; FAILED: {row['failed']}"
-    if row["missing"]:
-        text += f"; MISSING: {', '.join(row['missing'])}"
-    if row["wrong"]:
-        text += f"; WRONG: {'; '.join(row['wrong'])}"
-    if row["case"] == ORDINARY or row["steps"]:
-        named = "; ".join(_words(step) for step in row["steps"] if step["right"])
-        text += f"; right: {named or 'nothing'}"
-    return f"{text}; nrms {row['start_nrms']:.3g} → {row['end_nrms']:.3g}, {row['seconds']:.1f} s"
+    for title in ("missing", "wrong"):
+        text += f"; {title.upper()}: {', '.join(row[title])}" if row[title] else ""
+    right = "; ".join(step_words(step) for step in row["steps"] if step["right"])
+    return f"{text}; right: {right or 'nothing'}"
 
 
 Row = Mapping[str, Any]

@@ -326,12 +326,6 @@ def servo_file(name: str) -> RobotFile:
     return RobotFile.holding(name, robot_file("double_pendulum"), ["elbow"])
 
 
-@cache
-def servo_model(name: str) -> RobotModel:
-    """What geodrake knows of a robot: its model file."""
-    return servo_file(name).model
-
-
 def limited_model(name: str, joints: Sequence[str], limits: Array) -> RobotModel:
     """The same with limits (n,) of torques, N·m, in the file."""
     root, largest = ET.fromstring(servo_file(name).text), dict(zip(joints, limits, strict=True))
@@ -357,7 +351,7 @@ _SIDES = 2.0  # standard deviations of an interval
 
 def score_servo(draw: ServoDraw) -> dict[str, Any]:
     """A row of the table."""
-    made, model = make_servo_log(draw), servo_model(draw.robot)
+    made, model = make_servo_log(draw), servo_file(draw.robot).model
     if draw.limited:
         model = limited_model(draw.robot, made.log.joints, made.servos.limit)
     began = time.process_time()

@@ -28,7 +28,6 @@ from diagrams.benchmarks.hidden.robots import (
 from geodrake.boundary.whole_files import write_whole
 from geodrake.logs.files import write_log
 from geodrake.logs.motion import JointLog
-from geodrake.model import RobotModel
 
 Array = NDArray[np.float64]
 
@@ -174,12 +173,6 @@ def type_file(kind: str) -> RobotFile:
 def type_engine(kind: str) -> PinocchioEngine:
     """Pinocchio's robot of a type, anew."""
     return PinocchioEngine(type_file(kind))
-
-
-@cache
-def type_model(kind: str) -> RobotModel:
-    """What geodrake knows of a type: its model file."""
-    return type_file(kind).model
 
 
 RATE = 100.0  # Hz

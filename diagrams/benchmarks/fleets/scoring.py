@@ -15,7 +15,7 @@ from diagrams.benchmarks.fleets.logs import (
     FleetDraw,
     HiddenChange,
     day_of,
-    type_model,
+    type_file,
 )
 from diagrams.harness import draw_lines, panels
 from geodrake.fleet import FleetFinding, FleetResult, ParameterHistory, RobotResult
@@ -60,7 +60,7 @@ def robot_row(draw: FleetDraw, found: Sequence[FleetFinding]) -> dict[str, Any]:
 
 
 def _where(kind: str, hidden: HiddenChange) -> str:
-    model = type_model(kind)
+    model = type_file(kind).model
     names = model.bodies if hidden.what == PAYLOAD else model.joints
     return str(names[hidden.joint])
 

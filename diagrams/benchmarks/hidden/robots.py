@@ -9,7 +9,7 @@ import xml.etree.ElementTree as ET
 from abc import ABC, abstractmethod
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from functools import cache
+from functools import cache, cached_property
 from importlib.metadata import PackageNotFoundError, distribution
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -58,7 +58,7 @@ class RobotFile:
                 joint.set("type", "fixed")
         return cls(name, ET.tostring(root, encoding="unicode"))
 
-    @property
+    @cached_property
     def model(self) -> RobotModel:
         """What geodrake knows of the robot; simulations read the file again."""
         path = Path(_folder().name) / f"{self.name}.urdf"
@@ -113,7 +113,6 @@ def robot_file(name: str) -> RobotFile:
     return RobotFile(name, ET.tostring(root, encoding="unicode"))
 
 
-@cache
 def robot_model(name: str) -> RobotModel:
     """Return what geodrake knows of a robot: its model file."""
     return robot_file(name).model
