@@ -5,6 +5,7 @@ Engines take nothing from geodrake. Bodies are numbered as the joints that move 
 
 from __future__ import annotations
 
+import atexit
 import xml.etree.ElementTree as ET
 from abc import ABC, abstractmethod
 from collections.abc import Mapping, Sequence
@@ -68,7 +69,9 @@ class RobotFile:
 
 @cache
 def _folder() -> TemporaryDirectory[str]:
-    return TemporaryDirectory()
+    folder = TemporaryDirectory()
+    atexit.register(folder.cleanup)
+    return folder
 
 
 PLANAR = ("double_pendulum",)
