@@ -85,13 +85,20 @@ def _axis(mobilizer: Record, motion: Record, world: Record) -> tuple[Vector, Vec
 
 
 @inlined
+def _copy(x: Array, out: Array) -> None:
+    # (Arrays that are assigned check their shapes, which takes seconds to compile.)
+    for j in range(len(x)):
+        out[j] = x[j]
+
+
+@inlined
 def _put(out: Array, first: int, at: int, factor: float, values: Vector) -> None:
     out[first, at] += factor * values[0]
     out[first + 1, at] += factor * values[1]
     out[first + 2, at] += factor * values[2]
 
 
-@inlined
+@compiled
 def _find_misses(loop: Any, x: Array, room: Any, c: Array, J: Array) -> None:
     """Writes by how much closures miss, (m,), and J (m, k), at x (1, k)."""
     (mobilizers, _), closures, sides, couplings = loop[0], loop[1], loop[2], loop[3]
@@ -123,7 +130,7 @@ def _find_misses(loop: Any, x: Array, room: Any, c: Array, J: Array) -> None:
                 end = vector(p[(side + 1) // 2])
                 _put(J, first, at, side / size, add(t, cross(z, subtract(end, place))))
                 if closure.turns:
-                    _put(J, first + 3, at, side, z)
+                    _put(J, first + 3, at, float(side), z)
         first += 6 if closure.turns else 3
     _add_couplings(couplings, x, first, c, J)
 
@@ -140,7 +147,7 @@ def _add_couplings(couplings: Array, x: Array, first: int, c: Array, J: Array) -
                 slope, power = (n + 1) * power, power * x[0, k]
 
 
-@inlined
+@compiled
 def _find_rates(loop: Any, motion: Any, room: Any, rate: Array) -> None:
     """Writes J̇ (m, k) at x (1, k) and ẋ (k,), once `_find_misses` has found the poses there."""
     (mobilizers, _), closures, sides, couplings = loop[0], loop[1], loop[2], loop[3]
@@ -183,7 +190,7 @@ def _find_rates(loop: Any, motion: Any, room: Any, rate: Array) -> None:
                 own = add(own, cross(z, subtract(v, vector(hinges[i]))))
                 _put(rate, first, at, side / size, own)
                 if closure.turns:
-                    _put(rate, first + 3, at, side, zd)
+                    _put(rate, first + 3, at, float(side), zd)
         first += 6 if closure.turns else 3
     for row in range(len(couplings)):
         for k in range(rate.shape[1]):
@@ -226,7 +233,7 @@ def _solve_least(A: Array, B: Array, T: Array, X: Array) -> None:
             X[j, k] /= T[j, j]
 
 
-@inlined
+@compiled
 def _follow(loop: Any, J: Array, B: Array, rooms: Any, out: Array) -> None:
     """Writes the rows of joints that follow of what solves J out = B with the others' rows."""
     free, following = loop[4], loop[5]
@@ -258,7 +265,7 @@ def _rooms(loop: Any) -> Any:
     return room, solving, np.empty(m), np.empty((m, k)), np.empty((1, k))
 
 
-@inlined
+@compiled
 def _close(loop: Any, rooms: Any, most: float) -> bool:
     """Closes the loop near the posture in the last room by Newton's method, if that is near it.
 
@@ -268,7 +275,9 @@ def _close(loop: Any, rooms: Any, most: float) -> bool:
     step, miss, moved = np.zeros((J.shape[1], 1)), np.empty((len(c), 1)), 0.0
     for _ in range(_MOST_ITERATIONS):
         _find_misses(loop, x, room, c, J)
-        miss[:, 0], step[:] = -c, 0.0
+        for i in range(len(c)):
+            miss[i, 0] = -c[i]
+        step[:] = 0.0
         _follow(loop, J, miss, solving, step)
         last = 0.0
         for j in range(len(step)):
@@ -280,7 +289,7 @@ def _close(loop: Any, rooms: Any, most: float) -> bool:
     return last <= _STILL and moved <= most
 
 
-@inlined
+@compiled
 def _go(loop: Any, wanted: Array, x: Array, rooms: Any) -> float:
     """Takes the posture x (k,) to where the free joints are as wanted (n,).
 
@@ -291,7 +300,7 @@ def _go(loop: Any, wanted: Array, x: Array, rooms: Any) -> float:
     none, move = np.zeros((len(c), 1)), np.zeros((len(x), 1))
     done, longest = 0.0, _LONGEST
     for _ in range(_MOST_STEPS):
-        trial[0] = x
+        _copy(x, trial[0])
         _find_misses(loop, trial, room, c, J)
         for f in range(len(free)):
             move[free[f], 0] = wanted[f] - x[free[f]]
@@ -300,12 +309,13 @@ def _go(loop: Any, wanted: Array, x: Array, rooms: Any) -> float:
         for j in range(len(x)):
             length = max(length, abs(move[j, 0]) / units[j])
         share = 1.0 if length <= longest else longest / length
-        trial[0] += share * move[:, 0]
+        for j in range(len(x)):
+            trial[0, j] += share * move[j, 0]
         if share == 1.0:
             for f in range(len(free)):
                 trial[0, free[f]] = wanted[f]
         if _close(loop, rooms, 0.5 * share * length + _SLACK):
-            x[:] = trial[0]
+            _copy(trial[0], x)
             if share == 1.0:
                 return 1.0
             done += (1.0 - done) * share
@@ -322,7 +332,9 @@ def calc_misses(loop: LoopRecords, x: Array, out: Array) -> None:
     """Writes by how much closures miss, and J, into out (m, 1 + k), at x (1, k)."""
     room, _, c, J, _ = _rooms(loop)
     _find_misses(loop, x, room, c, J)
-    out[:, 0], out[:, 1:] = c, J
+    _copy(c, out[:, 0])
+    for j in range(len(J)):
+        _copy(J[j], out[j, 1:])
 
 
 @compiled
@@ -343,12 +355,13 @@ def calc_loop(loop: LoopRecords, wanted: Array, theta: Array, G: Array, reached:
             near = max(near, abs(wanted[i, f] - before[at]) / unit)
             far = max(far, abs(wanted[i, f] - reference[at]) / unit)
         if near < far:
-            theta[i] = before
+            _copy(before, theta[i])
             done = _go(loop, wanted[i], theta[i], rooms)
         if done < 1.0:
-            theta[i] = reference
+            _copy(reference, theta[i])
             done = _go(loop, wanted[i], theta[i], rooms)
-        reached[i], x[0] = done, theta[i]
+        reached[i] = done
+        _copy(theta[i], x[0])
         _find_misses(loop, x, room, c, J)
         G[i] = 0.0
         for f in range(len(free)):
@@ -363,7 +376,7 @@ def calc_loop_rates(loop: LoopRecords, theta: Array, G: Array, v: Array, out: Ar
     (m, k), n = J.shape, v.shape[1]
     rate, xd, B = np.empty((m, k)), np.empty(k), np.empty((m, n))
     for i in range(len(theta)):
-        x[0] = theta[i]
+        _copy(theta[i], x[0])
         for j in range(k):
             xd[j] = 0.0
             for f in range(n):
