@@ -75,6 +75,17 @@ def test_what_an_sdf_states_and_nothing_reads(tmp_path, parts, words):
     assert words in said and said.endswith("is left out.")
 
 
+@pytest.mark.parametrize(("text", "part"), [(SDF, "model"), (URDF, "robot")], ids=["sdf", "urdf"])
+def test_what_ties_bodies_and_is_not_read_is_said_with_its_lines(tmp_path, text, part):
+    ties = "<drake:linear_bushing_rpy/>\n<drake:weld_constraint/>\n<drake:linear_bushing_rpy/>"
+    model = load(tmp_path, text, **{part: ties})
+    start = text.partition(f"{{{part}}}")[0].count("\n") + 1
+    tags = ("linear_bushing_rpy", "weld_constraint", "linear_bushing_rpy")
+    for said, line, tag in zip(model.left_out, range(start, start + 3), tags, strict=True):
+        assert f", line {line}: <drake:{tag}> is ignored: the robot" in said
+    assert held(model) == pytest.approx(held(load(tmp_path, text)))
+
+
 def test_what_says_nothing_is_not_said(tmp_path):
     one = "<enable_wind>0</enable_wind><velocity_decay><linear>0</linear></velocity_decay>"
     plugin = '<plugin name="torso_lift_spring" filename="libgazebo_ros_joint_state.so"/>'

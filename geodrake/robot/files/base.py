@@ -21,7 +21,7 @@ from geodrake.robot.files.checks import (
 )
 from geodrake.robot.files.model_edits import put_inertia
 from geodrake.robot.files.values import drop, numbers
-from geodrake.robot.files.xml_text import numbered_text, wrong_at
+from geodrake.robot.files.xml_text import numbered_text, place_of, wrong_at
 from geodrake.robot.followers import Follower
 from geodrake.robot.stated import Closure, FileTerms
 from geodrake.robot.transmission.statements import Statement
@@ -112,9 +112,10 @@ class ModelText(abc.ABC):
 
     def _drop_loops(self) -> None:
         tags = {f"{prefix}{tag}" for tag in _LOOPS for prefix in ("drake:", "")}
-        for tag in sorted({e.tag for e in self.root.iter() if e.tag in tags}):
-            drop(self.root, tag)
-            self.terms.left_out.append(f"<{tag}> is ignored: the robot is read as an open tree.")
+        for element in (each for each in self.root.iter() if each.tag in tags):
+            where, what = place_of(element) or self.path, f"<{element.tag}> is ignored"
+            self.terms.left_out.append(f"{where}: {what}: the robot is read as an open tree.")
+        drop(self.root, *tags)
 
     def _take_weightless(self, off: Collection[str]) -> None:
         """Take scoped names of links on which gravity does not act: if all, there is none."""
