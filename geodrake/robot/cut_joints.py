@@ -18,15 +18,16 @@ from pydrake.multibody.tree import (
     RevoluteJoint,
     WeldJoint,
 )
+from scipy.cluster.hierarchy import DisjointSet
 
 from geodrake.errors import ModelError
-from geodrake.robot.followers import scoped
+from geodrake.robot.followers import joints_of, scoped
 from geodrake.robot.stated import Closure, CutJoint
 
 
 def open_loops(plant: MultibodyPlant) -> tuple[Closure, ...]:
     """Take joints out of a plant that is not finalized, so that its bodies are trees."""
-    joints = [plant.get_joint(index) for index in plant.GetJointIndices()]
+    joints = joints_of(plant)
     if not _closing(plant, joints):
         return ()
     actuators, far = _actuators(plant), _steps(plant, joints)
@@ -35,7 +36,7 @@ def open_loops(plant: MultibodyPlant) -> tuple[Closure, ...]:
         """How gladly a joint closes a loop, and how far it is from the base."""
         driven = _is_driven(actuators.get(int(joint.index()), []))
         kind = {WeldJoint: 0, RevoluteJoint: 2 - driven, PrismaticJoint: 2 - driven}
-        return kind.get(type(joint), 3), sum(far[body] for body in _ends(joint))
+        return kind.get(type(joint), 3), sum(far[body] for body in ends_of(joint))
 
     ends = _closing(plant, sorted(joints, key=rank))
     ends.sort(key=lambda joint: int(joint.index()))
@@ -57,26 +58,15 @@ def remove_joint(plant: MultibodyPlant, joint: Joint) -> None:
     plant.RemoveJoint(joint)
 
 
-def _ends(joint: Joint) -> tuple[int, int]:
+def ends_of(joint: Joint) -> tuple[int, int]:
+    """Return the indices of the bodies that a joint connects, the parent first."""
     return int(joint.parent_body().index()), int(joint.child_body().index())
 
 
 def _closing(plant: MultibodyPlant, joints: list[Joint]) -> list[Joint]:
     """Joints between bodies that those before them connect already."""
-    parents, found = list(range(plant.num_bodies())), list[Joint]()
-
-    def root(body: int) -> int:
-        while parents[body] != body:
-            parents[body] = parents[parents[body]]
-            body = parents[body]
-        return body
-
-    for joint in joints:
-        first, second = map(root, _ends(joint))
-        if first == second:
-            found.append(joint)
-        parents[second] = first
-    return found
+    connected = DisjointSet(range(plant.num_bodies()))
+    return [joint for joint in joints if not connected.merge(*ends_of(joint))]
 
 
 def _actuators(plant: MultibodyPlant) -> dict[int, list[JointActuator]]:
@@ -88,7 +78,7 @@ def _actuators(plant: MultibodyPlant) -> dict[int, list[JointActuator]]:
 
 def _steps(plant: MultibodyPlant, joints: list[Joint]) -> list[int]:
     """Return how many joints lie between each body and the world, or a body that hangs on none."""
-    ends, count = list(map(_ends, joints)), plant.num_bodies()
+    ends, count = list(map(ends_of, joints)), plant.num_bodies()
     hanging = {child for _, child in ends}
     found = [count if body in hanging else 0 for body in range(count)]
     for _ in range(count):

@@ -11,9 +11,10 @@ import numpy as np
 from pydrake.math import RigidTransform
 from pydrake.multibody.plant import MultibodyPlant
 from pydrake.multibody.tree import BodyIndex, Joint, WeldJoint
+from scipy.cluster.hierarchy import DisjointSet
 
 from geodrake.errors import ModelError
-from geodrake.robot.cut_joints import remove_joint
+from geodrake.robot.cut_joints import ends_of, remove_joint
 from geodrake.robot.followers import Follower, joints_of, scoped
 
 _SLACK = 1e-9  # rad or m, by which a held joint may be beyond its limits
@@ -61,14 +62,13 @@ class OneRobot:
 
 def robots_of(plant: MultibodyPlant) -> tuple[OneRobot, ...]:
     """Return the robots of a plant: what moves and is joined, in order of their bodies."""
-    joints, group = joints_of(plant), {body: {body} for body in range(1, plant.num_bodies())}
-    ends = [(int(j.parent_body().index()), int(j.child_body().index())) for j in joints]
-    for first, second in ends:
-        if _WORLD not in (first, second) and group[first] is not group[second]:
-            joined = group[first] | group[second]
-            group |= dict.fromkeys(joined, joined)
+    joints, group = joints_of(plant), DisjointSet(range(1, plant.num_bodies()))
+    ends = list(map(ends_of, joints))
+    for pair in ends:
+        if _WORLD not in pair:
+            group.merge(*pair)
     found = list[tuple[str, set[int], tuple[str, ...]]]()
-    for members in sorted({id(each): each for each in group.values()}.values(), key=min):
+    for members in sorted(group.subsets(), key=min):
         moving = tuple(
             scoped(joint)
             for joint, (parent, child) in zip(joints, ends, strict=True)
