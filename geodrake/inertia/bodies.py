@@ -19,6 +19,10 @@ from geodrake.boundary.arguments import instance, shown
 from geodrake.errors import ArgumentError, ModelError
 
 
+BASE_FRAMES = "base_coordinates_of_"
+"""How model instances begin whose bodies are massless frames between the joints of a free base."""
+
+
 @dataclass(frozen=True)
 class Member:
     """One link of a lumped body.
@@ -93,6 +97,11 @@ def lumped_bodies(plant: MultibodyPlant) -> tuple[LumpedBody, ...]:
     return tuple(sorted(lumps, key=lambda body: int(body.body_index)))
 
 
+def is_base_frame(plant: MultibodyPlant, body: RigidBody) -> bool:
+    """Return whether a body is a massless frame between the joints of a free base."""
+    return plant.GetModelInstanceName(body.model_instance()).startswith(BASE_FRAMES)
+
+
 def body_names(plant: MultibodyPlant) -> tuple[str, ...]:
     """A name for every body by BodyIndex; `instance::name` where the name alone is ambiguous."""
     bodies = [plant.get_body(BodyIndex(i)) for i in range(plant.num_bodies())]
@@ -118,7 +127,8 @@ def _representatives(plant: MultibodyPlant) -> list[tuple[RigidBody, list[RigidB
         for body in neighbours[int(queue.popleft().index())]:
             if int(body.index()) not in seen:
                 group = list(plant.GetBodiesWeldedTo(body))
-                found.append((body, group))
+                if not is_base_frame(plant, body):
+                    found.append((body, group))
                 seen.update(int(member.index()) for member in group)
                 queue.extend(group)
     return found

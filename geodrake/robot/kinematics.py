@@ -10,12 +10,12 @@ import numpy as np
 from numpy.typing import NDArray
 from pydrake.math import RigidTransform
 from pydrake.multibody.plant import MultibodyPlant
-from pydrake.multibody.tree import Frame, Joint, WeldJoint
+from pydrake.multibody.tree import BodyIndex, Frame, Joint, WeldJoint
 
 from geodrake.boundary.showing import Short
 from geodrake.errors import ModelError
 from geodrake.inertia import PARAMETERS_PER_BODY, Array
-from geodrake.inertia.bodies import LumpedBody, lumped_bodies
+from geodrake.inertia.bodies import LumpedBody, is_base_frame, lumped_bodies
 from geodrake.robot.followers import Follower, OwnCoordinates, scoped
 from geodrake.robot.joints import FrameMotion, joint_motions
 from geodrake.robot.recursion import MOBILIZER, TreeRecords
@@ -82,7 +82,8 @@ class KinematicTree(Short):
         last = {_WORLD: -1}  # every body reached so far: its mobilizer
         mobilizers: list[Mobilizer] = []
         for joint, inboard, outboard, X_PF, X_MB, sign in _edges(plant, bodies):
-            if inboard != _WORLD and gravity[inboard] != gravity[outboard]:
+            is_frame = outboard <= _MASSLESS
+            if inboard >= 0 and gravity[inboard] != gravity[outboard]:
                 raise _partial_gravity(bodies[outboard].name)
             q, v = coordinates.position_of(joint), coordinates.velocity_of(joint)
             motions = joint_motions(joint, sign)
@@ -98,13 +99,13 @@ class KinematicTree(Short):
                 mobilizers.append(
                     Mobilizer(
                         parent=parent,
-                        body=outboard if is_last else _MASSLESS,
+                        body=outboard if is_last and not is_frame else _MASSLESS,
                         positions=slice(q, q + nq),
                         velocities=slice(v, v + nv),
                         dofs=(*(mobilizers[parent].dofs if parent >= 0 else ()), *range(v, v + nv)),
                         motion=motion.between(X_PM, R),
                         p_MoBo_B=R.T @ X.translation(),
-                        gravity=gravity[outboard],
+                        gravity=is_frame or gravity[outboard],
                     )
                 )
                 q, v = q + nq, v + nv
@@ -162,7 +163,10 @@ class KinematicTree(Short):
 
 
 _Edge = tuple[Joint, int, int, RigidTransform, RigidTransform, float]
-"""A joint, the bodies inboard and outboard of it, X_PF, X_MB, and −1 where its child is inboard."""
+"""A joint, the bodies inboard and outboard of it, X_PF, X_MB, and −1 where its child is inboard.
+
+Frames between the joints of a free base have numbers from −2 down.
+"""
 
 
 def _edges(plant: MultibodyPlant, bodies: tuple[LumpedBody, ...]) -> Iterator[_Edge]:
@@ -172,6 +176,9 @@ def _edges(plant: MultibodyPlant, bodies: tuple[LumpedBody, ...]) -> Iterator[_E
         body.index(): (_WORLD, body.body_frame().CalcPose(context, world))
         for body in plant.GetBodiesWeldedTo(plant.world_body())
     }
+    every = (plant.get_body(BodyIndex(i)) for i in range(plant.num_bodies()))
+    frames = [body.index() for body in every if is_base_frame(plant, body)]
+    places |= {body: (_MASSLESS - at, RigidTransform()) for at, body in enumerate(frames)}
     for number, lump in enumerate(bodies):
         places.update({member.index: (number, member.X_RB) for member in lump.members})
 

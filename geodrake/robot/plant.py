@@ -23,6 +23,7 @@ from geodrake.errors import ModelError
 from geodrake.inertia import PARAMETERS_PER_BODY, Array, inertial_parameters, to_spatial_inertia
 from geodrake.inertia.bodies import Member, lumped_bodies
 from geodrake.robot.cut_joints import open_loops
+from geodrake.robot.base_joints import add_base_joints
 from geodrake.robot.files import Given, ModelDescription
 from geodrake.robot.files.checks import check_poses
 from geodrake.robot.files.description import drake_errors, drake_messages, read_description
@@ -147,8 +148,9 @@ def load_plant(
     Args:
         path: The model file; the root element, not the suffix, decides between the XML formats.
             Or the name of a robot of robot_descriptions (`geodrake.robot.files.named_robots`).
-        floating: Leave bodies free that the file does not attach to the world; otherwise each
-            root is welded to the world where the file puts it.
+        floating: Leave bodies free that the file does not attach to the world, on six joints each
+            (`geodrake.robot.base_joints`); otherwise each root is welded to the world where the
+            file puts it.
         held: Joint of one degree of freedom -> where it is held, rad or m: it does not move, and
             the bodies on both sides of it are one.
         phi: (nb, 10) inertial parameters in place of the file's; the representative of each lumped
@@ -507,7 +509,9 @@ def _root_notes(plant: MultibodyPlant, arrangement: Arrangement) -> list[str]:
     robot = arrangement.robot
     own = [b for b in roots if robot is None or int(b.index()) in robot]
     for body in roots:
-        if not floating or body not in own:
+        if floating and body in own:
+            add_base_joints(plant, body)
+        else:
             X_WB = plant.GetDefaultFloatingBaseBodyPose(body)
             plant.WeldFrames(plant.world_frame(), body.body_frame(), X_WB)
     if floating:
@@ -539,6 +543,8 @@ def arrange_as(plant: MultibodyPlant, other: MultibodyPlant) -> None:
         if body.scoped_name().get_full() in standing:
             X_WB = plant.GetDefaultFloatingBaseBodyPose(body)
             plant.WeldFrames(plant.world_frame(), body.body_frame(), X_WB)
+        else:
+            add_base_joints(plant, body)
 
 
 def free_roots(plant: MultibodyPlant) -> list[RigidBody]:
