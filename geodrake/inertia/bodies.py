@@ -18,7 +18,6 @@ from pydrake.systems.framework import Context, System
 from geodrake.boundary.arguments import instance, shown
 from geodrake.errors import ArgumentError, ModelError
 
-
 BASE_FRAMES = "base_coordinates_of_"
 """How model instances begin whose bodies are massless frames between the joints of a free base."""
 

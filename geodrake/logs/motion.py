@@ -16,6 +16,7 @@ from geodrake.boundary.optional_packages import optional_package
 from geodrake.boundary.showing import Short
 from geodrake.errors import ArgumentError, LogError
 from geodrake.logs.filtering import ZeroPhaseFilter
+from geodrake.logs.floating import ContactFlags
 from geodrake.logs.known_payload import KnownPayload
 from geodrake.logs.smoothing import Stretch
 from geodrake.logs.temperatures import Temperatures
@@ -37,6 +38,9 @@ SIGNAL_KINDS = ("current", "voltage", "pwm")
 
 PASSIVE = "passive"
 """The kind of the efforts of a joint without a motor: they are zero, and nobody measured them."""
+
+GROUND = "ground"
+"""The kind of the efforts of a free base: what its surroundings do to it, as far as measured."""
 
 EFFORT_KINDS = ("effort", *SIGNAL_KINDS, PASSIVE)
 """What efforts may be: N·m or N, A, V, a share of the supply's voltage, or none of a motor."""
@@ -73,6 +77,10 @@ class JointLog(Short):
         temperature: (N, n) temperatures of motors or gears, °C; NaN at joints that have none.
         origin: Since when time is, ns since 1970, where the file has dates; None if it is not
             known, or time itself is since 1970.
+        floating: What was measured of a free base and of contacts, (N,) each, by the names of
+            `geodrake.logs.floating`.
+        measured: Joints whose accelerations are measured, and used instead of derived ones.
+        contacts: Where a free base may be in contact, unless its wrenches were measured.
 
     Raises:
         ArgumentError: If the shapes do not fit together, or a joint is named twice.
@@ -95,6 +103,9 @@ class JointLog(Short):
     effort_kinds: Mapping[str, str] = field(default_factory=dict)
     temperature: Array | None = None
     origin: int | None = None
+    floating: Mapping[str, Array] = field(default_factory=dict, kw_only=True)
+    measured: tuple[str, ...] = field(default=(), kw_only=True)
+    contacts: ContactFlags | None = field(default=None, kw_only=True)
 
     def __post_init__(self) -> None:
         for share in np.ravel(np.asarray(self.effort_uncertainty, object)):
@@ -121,6 +132,8 @@ class JointLog(Short):
                     f"{shape[0]} time stamps and {shape[1]} joints need {shape}.",
                     shape=np.shape(values),
                 )
+        for name, values in instance(self.floating, "floating", Mapping).items():
+            real_array(values, f"{name} of log {self.name!r}", (len(self.time),), finite=False)
         if len(set(self.joints)) != len(self.joints):
             raise ArgumentError(f"Log {self.name!r} names a joint twice: {self.joints}.")
         instances(self.payloads, "payloads", KnownPayload)
@@ -135,7 +148,7 @@ class JointLog(Short):
                 f"shape {np.shape(self.effort_uncertainty)}."
             )
         for joint, kind in instance(self.effort_kinds, "effort_kinds", Mapping).items():
-            if joint not in self.joints or kind not in EFFORT_KINDS:
+            if joint not in self.joints or kind not in (*EFFORT_KINDS, GROUND):
                 raise ArgumentError(
                     f"Log {self.name!r} has {kind!r} as the kind of efforts of {joint!r}.",
                     advice=f"Joints are {', '.join(self.joints)}; kinds {', '.join(EFFORT_KINDS)}.",
@@ -170,7 +183,7 @@ class JointLog(Short):
                 may_lack = quantity in PARTIAL or (quantity == "effort" and told)
                 if not (may_lack and np.isnan(column).all()):
                     columns[f"{joint}.{kinds.get(joint, quantity)}"] = column
-        return columns
+        return columns | self.floating
 
     def to_dataframe(self) -> Any:
         """Return a DataFrame of pandas with the columns of a log file, `time` first.
@@ -190,6 +203,8 @@ class JointLog(Short):
         for values in (self.position, self.effort, *told):
             for first in range(0, len(self), _ROWS):
                 digest.update(np.ascontiguousarray(values[first : first + _ROWS, order]).data)
+        for name in sorted(self.floating):
+            digest.update(np.ascontiguousarray(self.floating[name]).data)
         return digest.hexdigest()[:16]
 
     def select(self, joints: Sequence[str]) -> JointLog:
@@ -211,6 +226,7 @@ class JointLog(Short):
         }
         pick["effort_uncertainty"] = self.gain_deviations[order]
         pick["effort_kinds"] = {j: k for j, k in self.effort_kinds.items() if j in joints}
+        pick["measured"] = tuple(joint for joint in self.measured if joint in joints)
         return replace(self, joints=tuple(joints), **pick)
 
 
@@ -279,6 +295,7 @@ class Trajectory:
         gain_deviations: (n,) how well the gains of the efforts are known.
         bandwidths: Those asked for of efforts and regressors, and of the motion, Hz.
         temperatures: Courses of the joints' temperatures, if there are any.
+        contacts: Where a free base may be in contact, unless its wrenches were measured.
     """
 
     name: str
@@ -294,6 +311,7 @@ class Trajectory:
     bandwidths: tuple[float, float] = (0.0, 0.0)
     temperatures: Temperatures | None = None
     passive: tuple[str, ...] = ()
+    contacts: ContactFlags | None = None
 
     @property
     def output_counts(self) -> tuple[int, ...]:

@@ -133,6 +133,7 @@ def _prepare(
         (bandwidth, motion_bandwidth),
         temperatures,
         log.passive,
+        log.contacts,
     )
     _check_outputs(uniform, low_pass, sum(trajectory.output_counts))
     dropped = len(uniform.pieces) - len(stretches)

@@ -9,7 +9,7 @@ Those of a short log are made once, and kept.
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
@@ -39,6 +39,8 @@ class Piece:
         velocity: (K, n) velocities as logged, if any are of use.
         effort: (K, n) efforts as logged.
         period: Time between the uniform instants, s.
+        acceleration: (K, m) accelerations as logged of joints where they are used.
+        measured: (m,) which joints these are.
     """
 
     time: Array
@@ -46,6 +48,8 @@ class Piece:
     velocity: Array | None
     effort: Array
     period: float
+    acceleration: Array | None = None
+    measured: tuple[int, ...] = ()
 
     def __len__(self) -> int:
         return int((self.time[-1] - self.time[0]) / self.period + 1e-3) + 1
@@ -57,11 +61,20 @@ class Piece:
         grid = np.minimum(grid, self.time[-1])
         before, after = np.searchsorted(self.time, grid[[0, -1]]) if len(grid) else (0, 0)
         rows = slice(max(0, before - SPLINE_REACH), after + SPLINE_REACH)
-        smooth = [self.position[rows]] + ([] if self.velocity is None else [self.velocity[rows]])
-        signals, effort = resample(self.time[rows], np.hstack(smooth), self.effort[rows], grid)
-        position, velocity = np.split(signals, [self.position.shape[1]], axis=1)
-        return Piece(
-            grid, position, None if self.velocity is None else velocity, effort, self.period
+        kept = [x for x in (self.position, self.velocity, self.acceleration) if x is not None]
+        smooth = np.hstack([x[rows] for x in kept])
+        signals, effort = resample(self.time[rows], smooth, self.effort[rows], grid)
+        ends = np.cumsum([x.shape[1] for x in kept])
+        position, *others = np.split(signals, ends[:-1], axis=1)
+        velocity = None if self.velocity is None else others.pop(0)
+        acceleration = None if self.acceleration is None else others.pop(0)
+        return replace(
+            self,
+            time=grid,
+            position=position,
+            velocity=velocity,
+            effort=effort,
+            acceleration=acceleration,
         )
 
 
@@ -159,6 +172,8 @@ class SmoothPiece:
         near, inner, position, velocity = self._near(samples)
         period = self.piece.period
         acceleration = differentiate(velocity, period)
+        if near.acceleration is not None:
+            acceleration[:, near.measured] = self.smoother.smooth(near.acceleration)
         return Segment(
             near.time[inner],
             position[inner],

@@ -164,14 +164,16 @@ def _uniform(log: JointLog) -> UniformLog:
         )
     log = without_faults(log)
     notes = [*log.notes, *step_notes(log)]
-    if log.acceleration is not None:
+    columns = [log.joints.index(joint) for joint in log.measured]
+    own = None if log.acceleration is None or not columns else log.acceleration[:, columns]
+    if log.acceleration is not None and own is None:
         notes.append("measured accelerations are not used; they are derived from velocities")
     velocity = log.velocity
     if velocity is not None and np.isnan(velocity).mean() > 0.1:
         velocity = None
         notes.append("measured velocities have too many empty cells and are not used")
     measured = [log.time[:, None], log.position, log.effort]
-    measured += [] if velocity is None else [velocity]
+    measured += [x for x in (velocity, own) if x is not None]
     complete = np.logical_and.reduce([np.isfinite(values).all(axis=1) for values in measured])
     if np.count_nonzero(complete) < 2:
         raise LogError(
@@ -190,6 +192,8 @@ def _uniform(log: JointLog) -> UniformLog:
             None if velocity is None else velocity[run],
             log.effort[run],
             period,
+            None if own is None else own[run],
+            tuple(columns),
         )
         for run in runs
         if run.stop - run.start >= _LEAST_ROWS

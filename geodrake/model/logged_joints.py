@@ -13,6 +13,7 @@ from geodrake.errors import ArgumentError, LogError
 from geodrake.logs.files import Reading
 from geodrake.logs.motion import JointLog, match_joints
 from geodrake.logs.resting import LARGEST, logged_ranges, readings, resting, travels
+from geodrake.model.base_logs import with_base
 from geodrake.model.holding import holding
 from geodrake.model.robot_model import RobotModel, is_of_file, read_again
 from geodrake.robot.plant import joint_names, motor_joints, scoped_joint_names
@@ -37,7 +38,8 @@ def reading_for(model: RobotModel, reading: Reading | None = None) -> Reading:
     names = zip(joint_names(model.plant), scoped_joint_names(model.plant), strict=True)
     driven = {name for name, scoped in names if scoped in motors}
     followers = {joint for pair in model.led.items() for joint in (pair[0], pair[1][0])}
-    none = set(model.single_joints).difference(driven, followers) if driven else set()
+    others = (*driven, *followers, *model.base_joints)
+    none = set(model.single_joints).difference(others) if driven else set()
     return replace(reading or Reading(), motorless=frozenset({*none, *model.motorless}))
 
 
@@ -59,9 +61,10 @@ def model_of_logs(
         LogError: Such a joint does not stand in one place, or no joint is left.
     """
     instance(model, "model", RobotModel)
-    logs = instances(logs, "logs", JointLog)
+    logs = [with_base(log, model) for log in instances(logs, "logs", JointLog)]
     model = _led_by(model, logs)
-    silent = [j for j in model.single_joints if not any(_says(log, j) for log in logs)]
+    free = [joint for joint in model.single_joints if joint not in model.base_joints]
+    silent = [j for j in free if not any(_says(log, j) for log in logs)]
     _check_sides(model, logs, silent)
     if len(silent) == len(model.joints):
         return model
@@ -116,7 +119,8 @@ def holding_resting(model: RobotModel, logs: Sequence[JointLog]) -> RobotModel:
 
 def _resting_places(model: RobotModel, logs: Sequence[JointLog]) -> dict[str, float]:
     """Joint -> where it rests in all logs; empty where no joint would be left that moves."""
-    joints = [j for j in model.single_joints if all(j in log.joints for log in logs)]
+    free = [joint for joint in model.single_joints if joint not in model.base_joints]
+    joints = [joint for joint in free if all(joint in log.joints for log in logs)]
     if not logs or not joints:
         return {}
     low, high, noise = logged_ranges([log.select(joints).position for log in logs])
@@ -144,6 +148,7 @@ def log_of_model(log: JointLog, model: RobotModel) -> JointLog:
     Args:
         log: A log of the model's joints, and perhaps of those that it holds and that follow.
     """
+    log = with_base(log, model)
     aside = set(model.known_joints).difference(model.joints)
     moving = [joint for joint in log.joints if joint not in aside]
     for joint in model.joints:

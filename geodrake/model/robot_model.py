@@ -35,6 +35,7 @@ from geodrake.model.effort_signal import EffortSignal, signal_of
 from geodrake.model.simulation.driven_robot import Driving, driving_of
 from geodrake.model.simulation.robot_in_diagram import RobotInDiagram, add_robot, make_act
 from geodrake.model.stated_terms import stated_effects
+from geodrake.robot.base_joints import base_joints
 from geodrake.robot.driven_tree import DrivenTree, RobotTree, joint_positions
 from geodrake.robot.files import Given
 from geodrake.robot.followers import Follower, OwnCoordinates, scoped
@@ -316,6 +317,12 @@ class RobotModel(Short):
         """(nv,) speeds below which dry friction fades, at least those given, rad/s or m/s."""
         width = one_or_each(least, "a sign width", len(self.joints))
         return np.maximum(width, 0.0 if self.fading_speed is None else self.fading_speed)
+
+    @cached_property
+    def base_joints(self) -> tuple[str, ...]:
+        """The six joints of each free base, in the order of `geodrake.robot.base_joints`."""
+        bases = base_joints(self.plant)
+        return tuple(joint.name() for joints in bases for joint in joints)
 
     def motion(
         self, motion: Motion, *, sign_width: ArrayLike = 0.0, load: Array | None = None

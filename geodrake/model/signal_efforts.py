@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from geodrake.compiling import compiled, contiguous
-from geodrake.logs.motion import PASSIVE, JointLog
+from geodrake.logs.motion import GROUND, PASSIVE, JointLog
 from geodrake.model.effort_signal import COMMAND, EFFORT, EffortSignal, MotorLimit, signal_of
 
 Array = NDArray[np.float64]
@@ -62,7 +62,7 @@ def kind_of(log: JointLog, joint: str) -> str:
     if told and joint not in log.effort_kinds and not np.isfinite(log.effort[:, at]).any():
         return COMMAND
     kind = log.effort_kinds.get(joint, EFFORT)
-    return EFFORT if kind == PASSIVE else kind
+    return EFFORT if kind in (PASSIVE, GROUND) else kind
 
 
 def limited_effort(log: JointLog, at: int, motor: MotorLimit, asked: Array) -> Array:

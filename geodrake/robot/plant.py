@@ -22,8 +22,8 @@ from geodrake.boundary.arguments import instance, number, real_array, typed
 from geodrake.errors import ModelError
 from geodrake.inertia import PARAMETERS_PER_BODY, Array, inertial_parameters, to_spatial_inertia
 from geodrake.inertia.bodies import Member, lumped_bodies
-from geodrake.robot.cut_joints import open_loops
 from geodrake.robot.base_joints import add_base_joints
+from geodrake.robot.cut_joints import open_loops
 from geodrake.robot.files import Given, ModelDescription
 from geodrake.robot.files.checks import check_poses
 from geodrake.robot.files.description import drake_errors, drake_messages, read_description

@@ -44,6 +44,7 @@ def candidate_effects(
     """
     peaks = peak_speeds(trajectories) if speeds is None else speeds
     single = [joint for joint in model.joints if joint in model.single_joints]
+    single = [joint for joint in single if joint not in model.base_joints]
     known = [joint for joint in single if joint in known_gains]
     speed = dict(zip(model.joints, peaks.tolist(), strict=True))
     temperatures = mean_temperatures(trajectories)
@@ -74,7 +75,8 @@ def candidate_effects(
                 elif speed[joint] > 0.0:
                     found.extend(_at_joint(effect, joint, speed[joint], temperatures.get(joint)))
         elif effect.places == "joint_pair":
-            for pair in (p for p in model.joint_pairs if not any(has_none(effect, j) for j in p)):
+            pairs = (p for p in model.joint_pairs if not {*p}.intersection(model.base_joints))
+            for pair in (p for p in pairs if not any(has_none(effect, j) for j in p)):
                 found.extend(candidates_of(effect, pair))
         elif effect.places == "body":
             for body in model.bodies:

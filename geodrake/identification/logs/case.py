@@ -30,7 +30,7 @@ from geodrake.identification.logs.unknowns import Unknowns
 from geodrake.logs.files import read_log
 from geodrake.logs.folds import Fold, validation_blocks
 from geodrake.logs.log_checks import check_commands, check_repeated, check_saturation
-from geodrake.logs.motion import JointLog, Trajectory
+from geodrake.logs.motion import GROUND, PASSIVE, JointLog, Trajectory
 from geodrake.logs.preparation import motion_bandwidth_of, prepare_logs
 from geodrake.logs.smoothing import Segment
 from geodrake.logs.uniform_log import make_uniform
@@ -129,7 +129,6 @@ def open_case(
         LogError: A log cannot be used.
     """
     asked = checked_logs(model, logs, extra, bandwidth, blocks)
-    model.positions(np.zeros((0, len(model.joints))))  # logs of floating bases are refused
     matched = _matched(model, asked)
     if hold_resting and (held := holding_resting(model, matched)) is not model:
         model, matched = held, [log_of_model(log, held) for log in matched]
@@ -398,7 +397,8 @@ def _check_efforts(logs: Sequence[JointLog]) -> None:
         lowest = log.effort.min(axis=0, initial=np.inf, where=known)
         largest = np.maximum(np.abs(highest), np.abs(lowest))
         constant = highest - np.maximum(1e-9 * largest, _LEAST_EFFORT) <= lowest
-        constant &= known.any(axis=0) & ~np.isin(log.joints, log.passive)
+        silent = [joint for joint, kind in log.effort_kinds.items() if kind in (PASSIVE, GROUND)]
+        constant &= known.any(axis=0) & ~np.isin(log.joints, silent)
         joints = [joint for joint, c in zip(log.joints, constant, strict=True) if c]
         if joints:
             zero = [joint for joint in joints if largest[log.joints.index(joint)] == 0.0]

@@ -14,6 +14,7 @@ from geodrake.effects.base import Effect
 from geodrake.effects.effect_columns import EffectColumns, declares_signals
 from geodrake.effects.robot_motion import log_number
 from geodrake.effects.sensors import delayed_by
+from geodrake.identification.logs.contact_rows import contact_rows, row_scales
 from geodrake.identification.logs.dataset import Indices, JointRows, column_starts, is_payload
 from geodrake.logs.filtering import spline_through
 from geodrake.logs.motion import MEMORY, Motion, Trajectory
@@ -79,6 +80,7 @@ class SharedRows:
 INERTIA = "inertia"
 """What columns of inertial parameters belong to, as others belong to an effect."""
 
+_FELT = 0.02  # of a row's noise, from which on it feels friction of another joint at rest
 _WIDE = 16  # columns that are filtered as they are
 
 MOSTLY_STILL = 0.3
@@ -103,22 +105,33 @@ class Layout:
 
     @classmethod
     def of(
-        cls, model: RobotModel, effects: tuple[Effect, ...], sign_width: Array, still_speed: Array
+        cls,
+        model: RobotModel,
+        effects: tuple[Effect, ...],
+        sign_width: Array,
+        still_speed: Array,
+        *,
+        mixed: bool = False,
     ) -> Layout:
-        """Return the layout of the columns of bodies and effects; speeds (nv,) in rad/s or m/s."""
+        """Return the layout of the columns of bodies and effects; speeds (nv,) in rad/s or m/s.
+
+        Rows of all joints are `mixed` where unknown contact forces are taken out of them.
+        """
         motion = _probe(model, 7)
         size = np.abs(
             inverse_dynamics_regressor(_felt(model, effects)[0], motion.q, motion.v, motion.vd)
         ).max(axis=0)
         inertial = size > 1e-12 * size.max(initial=1e-300)  # what can matter at a joint
         starts = column_starts(effects, model.bodies)
+        if mixed:
+            inertial[:] = inertial.any(axis=0)
         columns = [[np.flatnonzero(inertial[j])] for j in range(len(model.joints))]
         own = tuple(effect for effect in effects if not is_payload(effect))
         probe = model.motion(_probe(model, 1), sign_width=1.0)
         rows = EffectColumns(model.joints, own).rows(probe)
         for effect, blocks in zip(own, rows, strict=True):
             indices = starts[effect] + np.arange(len(effect.parameters))
-            for joint in blocks:
+            for joint in range(len(columns)) if mixed and blocks else blocks:
                 columns[joint].append(indices)
         joined = tuple(np.concatenate(c) for c in columns)
         return cls(model, effects, sign_width, still_speed, joined)
@@ -191,8 +204,10 @@ class Layout:
         That is the effort of the bodies with what they hold, which may be known already.
         """
         robot, inertial = carrying(self.model, trajectory.payloads), dict[int, Array]()
+        known = load
         if INERTIA in parts:
             inertial, load = self._inertial_at(motion, robot.total_phi.ravel())
+            load = load if known is None else known
         elif load is None:
             load = inverse_dynamics(self.tree, motion.q, motion.v, motion.vd, robot.total_phi)
         seen = robot.motion(motion, sign_width=self.sign_width, load=load)
@@ -263,6 +278,17 @@ class LogSlice:
         return near[inner]
 
     @cached_property
+    def _contact_rows(self) -> Array | None:
+        """(N, nv, nv) what takes unknown contact forces out of the rows; None without."""
+        return contact_rows(self.layout.model, self.trajectory, self._here)
+
+    @cached_property
+    def _row_ratios(self) -> Array:
+        """(nv, nv) how noisy rows of velocities are, those of the second over the first."""
+        scales = row_scales(self.layout.model, self.trajectory)
+        return scales / scales[:, None]
+
+    @cached_property
     def _effort_spline(self) -> BSpline | None:
         """What efforts at other instants are read from, if any are asked for."""
         effort = self._near[0].effort
@@ -277,7 +303,11 @@ class LogSlice:
             here, low_pass = self._here, self.trajectory.filter
             at = low_pass.output_indices(len(here))
             states = np.stack([here.position, here.velocity, here.acceleration], 2)[at]
-            still = low_pass.apply(np.abs(here.velocity) < self.layout.still_speed)
+            rests = np.abs(here.velocity) < self.layout.still_speed
+            if (rows := self._contact_rows) is not None:
+                shares = np.abs(rows) * self._row_ratios
+                rests = ((shares > _FELT) & rests[:, None, :]).any(axis=2) | ~rows.any(axis=2)
+            still = low_pass.apply(rests)
             both = np.concatenate([states, still[:, :, None]], 2)
             return {-1: here.time[at], **{j: both[:, j] for j in range(both.shape[1])}}
 
@@ -288,8 +318,10 @@ class LogSlice:
 
         def advanced(seconds: Array) -> Blocks:
             (near, inner), period = self._near, self.stretch.period
-            moved = delayed_by(-seconds, near.effort, period, spline=self._effort_spline)
-            return {0: self.trajectory.filter.apply(moved[inner])}
+            moved = delayed_by(-seconds, near.effort, period, spline=self._effort_spline)[inner]
+            if (rows := self._contact_rows) is not None:
+                moved = np.einsum("nij,nj->ni", rows, moved)
+            return {0: self.trajectory.filter.apply(moved)}
 
         keys = [("effort", seconds.tobytes(), self.place) for seconds in self.advance]
         pairs = zip(keys, self.advance, strict=True)
@@ -319,7 +351,11 @@ class LogSlice:
             key = ("load", self.place, layout.model.total_phi.tobytes(), gravity)
             known = shared.get(key)
             motion, load = self._motion(shared), None if known is None else known[0]
+            if (rows := self._contact_rows) is not None:
+                load = self._here.effort  # with unknown contacts no model tells it
             new, load = layout.evaluate(motion, self.trajectory, missing, load)
+            if rows is not None:
+                new = [_mixed(rows, blocks) for blocks in new]
             shared.keep(key, {0: load}, signals=True)
             for part, blocks in zip(missing, self._filtered(new), strict=True):
                 found[part] = blocks
@@ -364,6 +400,16 @@ class LogSlice:
         if start == 0 or not any(effect.state_count for effect in self.layout.effects):
             return np.zeros((0, len(self.layout.model.joints)))
         return self.stretch[max(0, start - MEMORY) : start].position
+
+
+def _mixed(rows: Array, blocks: Blocks) -> Blocks:
+    """Columns of every joint's row, of rows N (N, nv, nv) and columns of efforts at joints."""
+    if not blocks:
+        return blocks
+    joints = np.array([*blocks])
+    columns = np.stack([blocks[joint] for joint in joints], 1)  # (N, j, k)
+    mixed = rows[:, :, joints] @ columns
+    return {joint: mixed[:, joint] for joint in range(rows.shape[1])}
 
 
 def _probe(model: RobotModel, samples: int) -> Motion:

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from geodrake.effects.sensors import delayed_by
+from geodrake.identification.logs.contact_rows import contact_rows
 from geodrake.identification.logs.criteria import JOINT_NOISE_MARGIN, LEAST_NOISE
 from geodrake.logs.filtering import (
     HIGHEST_BANDWIDTH,
@@ -63,13 +64,15 @@ def known_noise(
         for segment in trajectory.segments:
             rate = 1.0 / segment.period
             start = segment[:_SAMPLES]
+            rows = None if robot is None else contact_rows(robot, trajectory, start)
+            start = replace(start, effort=_taken(rows, start.effort))
             density, width = quiet_density(start.effort, rate, bandwidth), gain**2 * rate / 2.0
             noise = density * width
             if robot is not None:
-                residual = _residual(start, robot, sign_width, trajectory)
+                residual = _residual(start, robot, sign_width, trajectory, rows)
                 density = np.minimum(density, quiet_density(residual, rate, bandwidth))
                 mean, quietest = passband_density(residual, rate, bandwidth)
-                carried = _carried(start, robot, trajectory, sign_width)
+                carried = _carried(start, robot, trajectory, sign_width, rows)
                 below = quietest * width if fitted else carried
                 noise = np.where(_is_silent(density, start), below, density * width + carried)
                 claimed += len(segment) * noise
@@ -99,16 +102,27 @@ def _is_silent(density: Array, segment: Segment) -> NDArray[np.bool_]:
     return np.asarray(rms < LEAST_NOISE * segment.effort.std(axis=0))
 
 
+def _taken(rows: Array | None, efforts: Array) -> Array:
+    """(N, nv) efforts with unknown contact forces taken out by rows (N, nv, nv), if there are."""
+    return efforts if rows is None else np.einsum("nij,nj->ni", rows, efforts)
+
+
 def _carried(
-    segment: Segment, model: RobotModel, trajectory: Trajectory, sign_width: ArrayLike
+    segment: Segment,
+    model: RobotModel,
+    trajectory: Trajectory,
+    sign_width: ArrayLike,
+    rows: Array | None,
 ) -> Array:
     """(n,) mean square that noise of the accelerations makes of a segment's predicted efforts."""
-    motion = _motion(segment[:: max(1, len(segment) // _POSES)], model, trajectory)
+    some = slice(None, None, max(1, len(segment) // _POSES))
+    motion, rows = _motion(segment[some], model, trajectory), None if rows is None else rows[some]
     power, needed = np.zeros(len(trajectory.joints)), model.effort(motion, sign_width=sign_width)
     for j, deviation in enumerate(trajectory.acceleration_noise):
         faster = motion.vd.copy()
         faster[:, j] += deviation
         more = model.effort(replace(motion, vd=faster), sign_width=sign_width) - needed
+        more = _taken(rows, more)
         power += np.square(more).mean(0)
     return power
 
@@ -125,11 +139,15 @@ def _motion(segment: Segment, model: RobotModel, trajectory: Trajectory) -> Moti
 
 
 def _residual(
-    segment: Segment, model: RobotModel, sign_width: ArrayLike, trajectory: Trajectory
+    segment: Segment,
+    model: RobotModel,
+    sign_width: ArrayLike,
+    trajectory: Trajectory,
+    rows: Array | None,
 ) -> Array:
     """(K, n) measured − predicted effort at the full rate."""
     needed = model.effort(_motion(segment, model, trajectory), sign_width=sign_width)
-    return segment.effort - delayed_by(model.delays, needed, segment.period)
+    return segment.effort - _taken(rows, delayed_by(model.delays, needed, segment.period))
 
 
 _EXCESS = 25.0  # times the other's power: five times the amplitude is a clear difference
@@ -201,7 +219,7 @@ def effort_ratio(model: RobotModel, trajectories: Sequence[Trajectory]) -> tuple
     that have a motor.
     """
     robots = {t.payloads: carrying(model, t.payloads) for t in trajectories}
-    held = [(robots[t.payloads], segment) for t in trajectories for segment in t.segments]
+    held = [(t, segment) for t in trajectories for segment in t.segments]
     segments = [segment for _, segment in held]
     window = min(
         0.5 * min(min(len(segment), _SAMPLES) * segment.period for segment in segments),
@@ -210,13 +228,17 @@ def effort_ratio(model: RobotModel, trajectories: Sequence[Trajectory]) -> tuple
     fastest = 0.5 / max(segment.period for segment in segments)
     frequency = np.arange(1.0 / window, fastest, 1.0 / window)
     needed = measured = np.zeros((len(frequency), len(model.joints)))
-    for robot, segment in held:
+    for trajectory, segment in held:
+        robot = robots[trajectory.payloads]
         start = segment[:_SAMPLES]
         motion = Motion(model.positions(start.position), start.velocity, start.acceleration)
-        needed = needed + _density(robot.effort(motion), segment, window, frequency)
-        measured = measured + _density(start.effort, segment, window, frequency)
+        rows = contact_rows(robot, trajectory, start)
+        effort = _taken(rows, robot.effort(motion))
+        needed = needed + _density(effort, segment, window, frequency)
+        measured = measured + _density(_taken(rows, start.effort), segment, window, frequency)
     tiny = np.finfo(float).tiny
-    driven = ~np.isin(model.joints, [joint for t in trajectories for joint in t.passive])
+    idle = [joint for t in trajectories for joint in t.passive]
+    driven = ~np.isin(model.joints, [*idle, *model.base_joints])
     ratio = np.mean((np.log(needed + tiny) - np.log(measured + tiny))[:, driven], axis=1)
     return frequency, np.exp(np.minimum(ratio, _LARGEST_RATIO))
 

@@ -62,11 +62,14 @@ def reduce_logs(
     """
     effects = tuple(e for e in dict.fromkeys(effects) if e.parameters)
     still = STILL_SPEED * peak_speeds(trajectories)
-    layout = Layout.of(model, effects, sign_widths(model, trajectories), still)
+    still[np.isin(model.joints, model.base_joints)] = 0.0
+    mixed = any(trajectory.contacts is not None for trajectory in trajectories)
+    widths = sign_widths(model, trajectories)
+    layout = Layout.of(model, effects, widths, still, mixed=mixed)
     further = np.array([np.broadcast_to(delay, len(model.joints)) for delay in delays])
     data = reduced_joints(layout, trajectories, folds, list(further + model.delays), shared)
     for joint, own in zip(model.joints, data, strict=True):
-        if not own.samples.any():
+        if not own.samples.any() and not mixed:
             raise LogError(
                 f"{joint} stands still but for a moment: in no filtered sample it moves for most "
                 "of the filter's window.",
@@ -74,7 +77,7 @@ def reduce_logs(
                 joint=joint,
             )
     passive = {joint for trajectory in trajectories for joint in trajectory.passive}
-    deviation = effort_deviation(model.joints, data, passive)
+    deviation = effort_deviation(model.joints, data, {*passive, *model.base_joints})
     floor, known = noise or known_noise(
         trajectories, model, sign_width=layout.sign_width, fitted=fitted
     )

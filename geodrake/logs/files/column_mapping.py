@@ -26,6 +26,7 @@ from geodrake.logs.files.name_rules import (
 from geodrake.logs.files.reading import ColumnMapping, Reading
 from geodrake.logs.files.table import date_words
 from geodrake.logs.files.units import Unit, find_unit, unit_of
+from geodrake.logs.floating import floating_name
 from geodrake.logs.motion import (
     EFFORT_KINDS,
     PARTIAL,
@@ -79,6 +80,7 @@ class Columns:
         passive: Joints among them without a motor, which need no column of efforts.
         others: Joint -> further columns that could be taken for its efforts, or in their place.
         origin: Since when time is, ns since 1970, if that is known.
+        floating: Names of columns of a free base and of contacts, which are among the sources.
     """
 
     path: Path
@@ -92,6 +94,7 @@ class Columns:
     passive: tuple[str, ...] = ()
     others: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
     origin: int | None = None
+    floating: tuple[str, ...] = ()
 
     @property
     def kinds(self) -> dict[str, str]:
@@ -111,6 +114,7 @@ class Columns:
             "time",
             *(f"{joint}.{quantity}" for quantity in self.quantities for joint in self.joints),
             *(f"{joint}.position" for joint in self.standing),
+            *self.floating,
         )
 
     @property
@@ -422,7 +426,8 @@ class _Understood:
         units: Mapping[str, str],
     ) -> _Understood:
         """Return what the names of the columns say."""
-        meanings = [meaning for name in names if (meaning := meaning_of(name)) is not None]
+        own = [name for name in names if floating_name(name) is None]
+        meanings = [meaning for name in own if (meaning := meaning_of(name)) is not None]
         of_joints = [meaning for meaning in meanings if meaning.quantity in OF_JOINTS]
         found, notes = matched(of_joints, joints)
         best, others = candidates(of_joints, found, reading)
@@ -572,6 +577,11 @@ class _Understood:
             or (joint in joints and quantity in quantities)
             or (joint in standing and quantity == "position")
         }
+        floating = dict[str, Source]()
+        for name in self.names:
+            if name not in used and (known := floating_name(name)) is not None:
+                floating.setdefault(known, Source(name))
+        sources |= floating
         beside = [j for j in self._having("position") if j not in (*joints, *standing)]
         if beside and model is not None:
             notes.append(f"left out, as the model has no such joint: {listed(beside)}")
@@ -581,7 +591,7 @@ class _Understood:
             for (j, quantity), source in self.places.items()
             if quantity == "time" or j in joints or j in standing
             for c in source.columns
-        }
+        }.union(source.column for source in floating.values())
         others = [name for name in self.names if name not in kept]
         notes += [f"columns ignored: {listed(others)}"] if others else []
         return Columns(
@@ -596,6 +606,7 @@ class _Understood:
             self._passive(joints),
             self.others,
             self.origin,
+            tuple(floating),
         )
 
     def _passive(self, joints: Sequence[str]) -> tuple[str, ...]:

@@ -36,6 +36,7 @@ class Recording:
         self._places = {joint: place for place, joint in enumerate(columns.joints)}
         shape = (rows, len(columns.joints))
         self._standing = {joint: np.empty(rows) for joint in columns.standing}
+        self._floating = {name: np.empty(rows) for name in columns.floating}
         self.values = {quantity: np.empty(shape) for quantity in columns.quantities}
         for quantity, numbers in self.values.items():
             for place, joint in enumerate(columns.joints):
@@ -58,6 +59,8 @@ class Recording:
         """(N,) where the numbers of a column go."""
         if name == "time":
             return self.time
+        if name in self._floating:
+            return self._floating[name]
         joint, quantity = name.rsplit(".", 1)
         if joint in self._standing:
             return self._standing[joint]
@@ -93,11 +96,13 @@ class Recording:
             kept = ~again if kept is None else kept & ~again
         values = {quantity: numbers[:rows] for quantity, numbers in self.values.items()}
         alone = {joint: numbers[:rows] for joint, numbers in self._standing.items()}
+        floating = {name: numbers[:rows] for name, numbers in self._floating.items()}
         kinds, more_notes = self._without_motors(values["effort"])
         if kept is not None:
             time = time[kept]
             values = {quantity: numbers[kept] for quantity, numbers in values.items()}
             alone = {joint: numbers[kept] for joint, numbers in alone.items()}
+            floating = {name: numbers[kept] for name, numbers in floating.items()}
         return JointLog(
             path.stem,
             self.columns.joints,
@@ -114,6 +119,7 @@ class Recording:
             effort_kinds=kinds,
             temperature=values.get("temperature"),
             origin=self.columns.origin,
+            floating=floating,
         )
 
     def _without_motors(self, effort: Array) -> tuple[dict[str, str], list[str]]:

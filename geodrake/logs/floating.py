@@ -1,0 +1,108 @@
+"""What logs have of a free base and its contacts: the names of columns, and contact flags.
+
+    base.position.x … z             m, of the root body's origin in the world
+    base.orientation.w, x, y, z     its quaternion, body to world
+    base.linear_velocity.x … z      m/s, in the body's axes, as the twist of ROS Odometry
+    base.angular_velocity.x … z     rad/s, likewise
+    imu.angular_velocity.x … z      rad/s, in the root body's axes
+    imu.linear_acceleration.x … z   specific force at its origin, m/s², as that of ROS Imu
+    <frame>.contact                 1 where a frame touches something, 0 where it does not
+    <frame>.force.x … z             N, of what it touches on the robot, in the frame's axes
+    <frame>.torque.x … z            N·m, about the frame's origin
+
+ROS's names of the fields of Odometry, PoseStamped, Imu and WrenchStamped are understood as well.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+
+AXES, QUATERNION = ("x", "y", "z"), ("w", "x", "y", "z")
+_FIELDS = {
+    "position": "base.position",
+    "orientation": "base.orientation",
+    "linear_velocity": "base.linear_velocity",
+    "twist.linear": "base.linear_velocity",
+    "twist.angular": "base.angular_velocity",
+    "angular_velocity": "angular_velocity",
+    "linear_acceleration": "imu.linear_acceleration",
+    "force": "force",
+    "torque": "torque",
+    "moment": "torque",
+}
+_BASE = re.compile(r"odom|base|pose|mocap|floating|root|trunk|torso|pelvis", re.IGNORECASE)
+_IMU = re.compile(r"imu", re.IGNORECASE)
+_VECTOR = re.compile(
+    rf"(?P<head>.*?)[./]?(?P<field>{'|'.join(map(re.escape, _FIELDS))})\.(?P<axis>[wxyz])",
+    re.IGNORECASE,
+)
+_CONTACT = re.compile(r"(?P<frame>.+?)[./](?:in_)?contact(?:_state)?", re.IGNORECASE)
+_BESIDE = 0.02  # s, around a touch or a lift within which a frame may be in contact
+
+
+def floating_name(column: str) -> str | None:
+    """Return what a column of a file is of a free base or a contact; None if it is neither."""
+    if (found := _CONTACT.fullmatch(column)) is not None:
+        return f"{found['frame']}.contact"
+    found = _VECTOR.fullmatch(re.sub(r"(?<=\w)/(?=\w)", ".", column.strip("/")))
+    if found is None:
+        return None
+    head = re.sub(r"(\.|^)(pose|twist|wrench)$", "", found["head"].strip("."))
+    what, axis = _FIELDS[found["field"].lower()], found["axis"].lower()
+    if what in ("force", "torque"):
+        return f"{head}.{what}.{axis}" if head and axis != "w" else None
+    if what == "angular_velocity":
+        what = f"imu.{what}" if _IMU.search(head) else f"base.{what}"
+    is_its = _IMU.search(head) if what.startswith("imu.") else _BASE.search(column)
+    if is_its is None or (axis == "w") > (what == "base.orientation"):
+        return None
+    if what == "base.orientation" and _IMU.search(head):
+        return None
+    return f"{what}.{axis}"
+
+
+def vectors(columns: Mapping[str, Array], name: str) -> Array | None:
+    """Return (N, 3) of `name.x`, `.y` and `.z`, or (N, 4) of an orientation; None without."""
+    axes = QUATERNION if name.endswith("orientation") else AXES
+    if not all(f"{name}.{axis}" in columns for axis in axes):
+        return None
+    return np.stack([columns[f"{name}.{axis}"] for axis in axes], -1)
+
+
+def frames_of(columns: Mapping[str, Array], what: str) -> tuple[str, ...]:
+    """Return the frames of which columns have `contact`, or a `force`, in their order."""
+    ends = {"contact": ".contact", "force": ".force.x"}[what]
+    return tuple(name.removesuffix(ends) for name in columns if name.endswith(ends))
+
+
+@dataclass(frozen=True, eq=False)
+class ContactFlags:
+    """Frames that may be in contact, and when they were said to be.
+
+    Attributes:
+        frames: Names of the c frames.
+        time: (K,) instants, s.
+        flags: (K, c) whether each was in contact; None where nobody said it.
+        heights: Whether it is known how high frames are: where positions of the base are.
+    """
+
+    frames: tuple[str, ...]
+    time: Array
+    flags: NDArray[np.bool_] | None
+    heights: bool
+
+    def at(self, time: Array) -> NDArray[np.bool_] | None:
+        """Return (N, c) whether frames were in contact right before, at or right after instants."""
+        if self.flags is None:
+            return None
+        first = np.searchsorted(self.time, time - _BESIDE)
+        last = np.searchsorted(self.time, time + _BESIDE, side="right")
+        sums = np.vstack([np.zeros((1, len(self.frames))), np.cumsum(self.flags, axis=0)])
+        return np.asarray(sums[last] - sums[first] > 0)
