@@ -10,9 +10,9 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from xml.etree import ElementTree
 
 import numpy as np
-from lxml import etree
 from numpy.typing import NDArray
 from pydrake.multibody.tree import BodyIndex
 from scipy.interpolate import CubicSpline
@@ -97,12 +97,12 @@ def _ball(model: RobotModel, link: str) -> tuple[Array, float]:
     center, radius = np.zeros(3), 0.0
     if model.path.suffix != ".urdf" or not model.path.is_file():
         return center, radius
-    root = etree.parse(str(model.path)).getroot()
-    for element in root.findall("link"):
-        spheres = element.findall("collision/geometry/sphere")
-        if element.get("name") == link and len(spheres) == 1:
-            origin = spheres[0].getparent().getparent().find("origin")
-            radius = float(spheres[0].get("radius", "0"))
+    root = ElementTree.parse(model.path).getroot()
+    for element in root.iterfind("link"):
+        balls = [c for c in element.iterfind("collision") if c.find("geometry/sphere") is not None]
+        if element.get("name") == link and len(balls) == 1:
+            sphere, origin = balls[0].find("geometry/sphere"), balls[0].find("origin")
+            radius = float(sphere.get("radius", "0"))
             if origin is not None:
                 center = np.array([float(x) for x in origin.get("xyz", "0 0 0").split()])
     return center, radius

@@ -80,6 +80,8 @@ def where_it_fails(
     for error in errors.joints:
         joint, own = error.joint, [s for s in found if s.joint == error.joint]
         squares = np.concatenate([s.residual for s in own]) ** 2
+        if not len(squares):  # of a limb that always stands
+            continue
         way, effort = ("m", "N") if joint in sliding else ("rad", "N·m")
         circumstances = _circumstances(own, way, effort)
         cases = [_failing(joint, words, mask, squares, effort) for words, mask in circumstances]
