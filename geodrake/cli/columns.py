@@ -21,6 +21,8 @@ def found_columns(
     model: RobotModel, logs: Sequence[JointLog], settings: Mapping[str, Any]
 ) -> tuple[ColumnFinding, ...]:
     """Return mistakes in columns; none of logs of which the command itself says what is wrong."""
+    if model.base_joints:
+        return ()
     try:
         return check_columns(model, logs, **settings)
     except GeodrakeError:
@@ -37,8 +39,10 @@ def column_words(columns: Sequence[ColumnFinding], *, corrected: bool) -> list[s
 
 
 def unchecked_words(model: RobotModel) -> list[str]:
-    """Return that the columns of a robot were not checked, where it has too many joints."""
+    """Return that the columns of a robot were not checked, as it floats or has many joints."""
     count = len(model.joints)
+    if model.base_joints:
+        return ["Columns are not checked: forces at the feet change the efforts of all joints."]
     if count <= MOST_JOINTS:
         return []
     return [

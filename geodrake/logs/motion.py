@@ -80,6 +80,7 @@ class JointLog(Short):
         floating: What was measured of a free base and of contacts, (N,) each, by the names of
             `geodrake.logs.floating`.
         measured: Joints whose accelerations are measured, and used instead of derived ones.
+        ground: (N, n) what measured wrenches add to the efforts of joints with motors, N·m or N.
         contacts: Where a free base may be in contact, unless its wrenches were measured.
 
     Raises:
@@ -105,6 +106,7 @@ class JointLog(Short):
     origin: int | None = None
     floating: Mapping[str, Array] = field(default_factory=dict, kw_only=True)
     measured: tuple[str, ...] = field(default=(), kw_only=True)
+    ground: Array | None = field(default=None, kw_only=True)
     contacts: ContactFlags | None = field(default=None, kw_only=True)
 
     def __post_init__(self) -> None:
@@ -226,6 +228,7 @@ class JointLog(Short):
         }
         pick["effort_uncertainty"] = self.gain_deviations[order]
         pick["effort_kinds"] = {j: k for j, k in self.effort_kinds.items() if j in joints}
+        pick["ground"] = None if self.ground is None else self.ground[:, order]
         pick["measured"] = tuple(joint for joint in self.measured if joint in joints)
         return replace(self, joints=tuple(joints), **pick)
 

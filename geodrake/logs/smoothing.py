@@ -41,6 +41,7 @@ class Piece:
         period: Time between the uniform instants, s.
         acceleration: (K, m) accelerations as logged of joints where they are used.
         measured: (m,) which joints these are.
+        ground: (K, n) the part of the efforts that is of measured wrenches.
     """
 
     time: Array
@@ -50,6 +51,7 @@ class Piece:
     period: float
     acceleration: Array | None = None
     measured: tuple[int, ...] = ()
+    ground: Array | None = None
 
     def __len__(self) -> int:
         return int((self.time[-1] - self.time[0]) / self.period + 1e-3) + 1
@@ -63,7 +65,9 @@ class Piece:
         rows = slice(max(0, before - SPLINE_REACH), after + SPLINE_REACH)
         kept = [x for x in (self.position, self.velocity, self.acceleration) if x is not None]
         smooth = np.hstack([x[rows] for x in kept])
-        signals, effort = resample(self.time[rows], smooth, self.effort[rows], grid)
+        efforts = [x[rows] for x in (self.effort, self.ground) if x is not None]
+        signals, both = resample(self.time[rows], smooth, np.hstack(efforts), grid)
+        effort, *ground = np.split(both, len(efforts), axis=1)
         ends = np.cumsum([x.shape[1] for x in kept])
         position, *others = np.split(signals, ends[:-1], axis=1)
         velocity = None if self.velocity is None else others.pop(0)
@@ -75,6 +79,7 @@ class Piece:
             velocity=velocity,
             effort=effort,
             acceleration=acceleration,
+            ground=ground[0] if ground else None,
         )
 
 
@@ -92,6 +97,7 @@ class Segment:
         acceleration: (N, n) accelerations, rad/s² or m/s².
         effort: (N, n) efforts as measured, N·m or N.
         period: Time between samples, s.
+        ground: (N, n) the part of the efforts that is of measured wrenches.
     """
 
     time: Array
@@ -100,13 +106,20 @@ class Segment:
     acceleration: Array
     effort: Array
     period: float
+    ground: Array | None = None
 
     def __len__(self) -> int:
         return len(self.time)
 
     def __getitem__(self, samples: slice) -> Segment:
         time, position, velocity, acceleration, effort = (x[samples] for x in self.signals)
-        return Segment(time, position, velocity, acceleration, effort, self.period)
+        ground = None if self.ground is None else self.ground[samples]
+        return Segment(time, position, velocity, acceleration, effort, self.period, ground)
+
+    @property
+    def motor_effort(self) -> Array:
+        """(N, n) efforts of the motors alone, without what measured wrenches do at joints."""
+        return self.effort if self.ground is None else self.effort - self.ground
 
     @property
     def signals(self) -> tuple[Array, ...]:
@@ -181,6 +194,7 @@ class SmoothPiece:
             acceleration[inner],
             near.effort[inner],
             period,
+            None if near.ground is None else near.ground[inner],
         )
 
 

@@ -194,6 +194,7 @@ def _uniform(log: JointLog) -> UniformLog:
             period,
             None if own is None else own[run],
             tuple(columns),
+            None if log.ground is None else log.ground[run],
         )
         for run in runs
         if run.stop - run.start >= _LEAST_ROWS

@@ -297,7 +297,10 @@ def _with_ground(log: JointLog, model: RobotModel) -> JointLog:
         effort = log.effort.copy()
         effort[:, order] += ground
         words = f"wrenches at {', '.join(loaded)} are efforts of the base and the joints"
-        return replace(log, effort=effort, notes=(*log.notes, words))
+        pushed = np.zeros(effort.shape)
+        pushed[:, order] = ground
+        pushed[:, np.isin(log.joints, model.base_joints)] = 0.0  # all that is measured there
+        return replace(log, effort=effort, ground=pushed, notes=(*log.notes, words))
     names = flagged or _feet(model)
     frames = contact_frames(model, names)
     flags = None

@@ -38,7 +38,7 @@ class JointRows:
     b: Array  # (K, d) measured effort less `carried`, one column per delay of the dataset
     used: NDArray[np.bool_]  # (K,) whether the joint moves, so that the row says something
     # (K,) effort beside what is fitted: of known payloads, less what columns of bodies have in them
-    # of effects (`Effect.in_bodies`).
+    # of effects (`Effect.in_bodies`), and less what measured wrenches do at joints.
     carried: Array
 
     def part(self, low: int, high: int) -> JointRows:

@@ -291,7 +291,7 @@ class LogSlice:
     @cached_property
     def _effort_spline(self) -> BSpline | None:
         """What efforts at other instants are read from, if any are asked for."""
-        effort = self._near[0].effort
+        effort = self._near[0].motor_effort
         if len(effort) < 2 or not any(seconds.any() for seconds in self.advance):
             return None
         return spline_through(effort)
@@ -318,7 +318,8 @@ class LogSlice:
 
         def advanced(seconds: Array) -> Blocks:
             (near, inner), period = self._near, self.stretch.period
-            moved = delayed_by(-seconds, near.effort, period, spline=self._effort_spline)[inner]
+            moved = delayed_by(-seconds, near.motor_effort, period, spline=self._effort_spline)
+            moved = moved[inner]
             if (rows := self._contact_rows) is not None:
                 moved = np.einsum("nij,nj->ni", rows, moved)
             return {0: self.trajectory.filter.apply(moved)}
@@ -336,10 +337,14 @@ class LogSlice:
         phi = layout.visible_parameters(carried_phi(layout.model, self.trajectory.payloads).ravel())
         found = dict(zip(layout.parts, blocks, strict=True))
         effects = {part: own for part, own in found.items() if isinstance(part, Effect)}
-        return [
+        bodies = [
             found[INERTIA][j] @ phi[columns[columns < phi.size]] - layout.in_bodies(j, effects)
             for j, columns in enumerate(layout.columns)
         ]
+        if (ground := self._here.ground) is None:
+            return bodies
+        pushed = self.trajectory.filter.apply(ground)
+        return [known - own for known, own in zip(bodies, pushed.T, strict=True)]
 
     def _columns(self, shared: SharedRows) -> list[Blocks]:
         """Filtered columns of all parts of the layout."""
@@ -351,8 +356,8 @@ class LogSlice:
             key = ("load", self.place, layout.model.total_phi.tobytes(), gravity)
             known = shared.get(key)
             motion, load = self._motion(shared), None if known is None else known[0]
-            if (rows := self._contact_rows) is not None:
-                load = self._here.effort  # with unknown contacts no model tells it
+            if (rows := self._contact_rows) is not None or self._here.ground is not None:
+                load = self._here.motor_effort  # which no model tells beside the ground's forces
             new, load = layout.evaluate(motion, self.trajectory, missing, load)
             if rows is not None:
                 new = [_mixed(rows, blocks) for blocks in new]
