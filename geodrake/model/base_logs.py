@@ -14,7 +14,6 @@ from xml.etree import ElementTree
 
 import numpy as np
 from numpy.typing import NDArray
-from pydrake.multibody.tree import BodyIndex
 from scipy.interpolate import CubicSpline
 from scipy.spatial.transform import Rotation
 
@@ -30,6 +29,8 @@ Array = NDArray[np.float64]
 _NORM = 0.02  # by which a quaternion may not be of length one
 _UPRIGHT = np.radians(80.0)  # of pitch, beyond which yaw and roll are nearly one
 _TILT = 0.5  # rad, by which gravity may seem to be off its place on average
+_NEAR = 0.02  # m over the ground, within which a frame may touch it
+_LOWEST = 5.0  # per cent of the lowest heights, which are those of the ground
 _ORDERS = {"x, y, z, w": (3, 0, 1, 2)}
 _ADVICE = "Log base.position.x … and base.orientation.w …, or imu.angular_velocity.x … and so on."
 
@@ -90,6 +91,17 @@ def contact_frames(model: RobotModel, names: Sequence[str]) -> tuple[ContactFram
         place = X_RB.multiply(center)
         found.append(ContactFrame(name, body, place, X_RB.rotation().matrix(), radius))
     return tuple(found)
+
+
+def frame_heights(frames: Sequence[ContactFrame], bodies: RobotBodies) -> Array:
+    """Return (N, c) heights of frames over the ground, which is where the lowest often are, m."""
+    heights = np.stack([frame.height(bodies) for frame in frames], -1)
+    return np.asarray(heights - np.percentile(heights.min(axis=1), _LOWEST))
+
+
+def may_touch(heights: Array) -> NDArray[np.bool_]:
+    """Return (N, c) whether frames are as low as if they touched the ground."""
+    return np.asarray(heights < _NEAR)
 
 
 def _ball(model: RobotModel, link: str) -> tuple[Array, float]:
@@ -317,16 +329,10 @@ def _with_ground(log: JointLog, model: RobotModel) -> JointLog:
 
 def _feet(model: RobotModel) -> tuple[str, ...]:
     """Return the last links of limbs, where a robot may touch the ground."""
-    plant = model.plant
-    inner = set[int]()
-    for index in plant.GetJointIndices():
-        joint = plant.get_joint(index)
-        inner.add(int(joint.parent_body().index()))
-    bases = {lump.name for lump in lumped_bodies(plant)[:1]}
-    ends = [
-        (lump, member)
-        for lump in lumped_bodies(plant)
-        for member in lump.members
-        if int(member.index) not in inner and lump.name not in bases
-    ]
-    return tuple(plant.get_body(BodyIndex(int(member.index))).name() for _, member in ends)
+    plant, lumps = model.plant, lumped_bodies(model.plant)
+    joints = [plant.get_joint(index) for index in plant.GetJointIndices()]
+    inner = {int(joint.parent_body().index()) for joint in joints}
+    moving = {int(j.parent_body().index()) for j in joints if j.num_velocities()}
+    last = [lump for lump in lumps[1:] if not moving & {int(m.index) for m in lump.members}]
+    ends = [member for lump in last for member in lump.members if int(member.index) not in inner]
+    return tuple(member.name for member in ends)

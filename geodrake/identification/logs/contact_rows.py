@@ -19,13 +19,11 @@ from numpy.typing import NDArray
 from geodrake.effects.body_motion import RobotBodies
 from geodrake.logs.motion import Trajectory
 from geodrake.logs.smoothing import Segment
-from geodrake.model.base_logs import ContactFrame, contact_frames
+from geodrake.model.base_logs import contact_frames, frame_heights, may_touch
 from geodrake.model.robot_model import RobotModel
 
 Array = NDArray[np.float64]
 
-_NEAR, _SLOW = 0.02, 0.25  # m over its lowest, and m/s, within which a frame may touch
-_LOWEST = 5.0  # per cent of the heights of a frame, which are those on the ground
 _LEAST = 0.05  # of a row, that others leave of it
 _FORCE, _EFFORT = 0.01, 0.03  # noise of base rows over the weight, and of joints over their efforts
 _ARM = 0.15  # m, by which forces make moments of the base
@@ -44,21 +42,11 @@ def contact_rows(model: RobotModel, trajectory: Trajectory, segment: Segment) ->
     J = np.stack([frame.jacobian(bodies) for frame in frames], 1)  # (N, c, 3, nv)
     flags = contacts.at(segment.time)
     if contacts.heights:
-        near = may_touch(frames, bodies, J, segment.velocity)
+        near = may_touch(frame_heights(frames, bodies))
         flags = near if flags is None else flags | near
     if flags is None:
         flags = np.ones(J.shape[:2], bool)
     return rows_without(J, flags, row_scales(model, trajectory), len(model.base_joints), model)
-
-
-def may_touch(
-    frames: Sequence[ContactFrame], bodies: RobotBodies, J: Array, v: Array
-) -> NDArray[np.bool_]:
-    """(N, c) whether frames are low and slow enough to touch the ground."""
-    speed = np.linalg.norm(np.einsum("ncij,nj->nci", J, v), axis=-1)
-    heights = np.stack([frame.height(bodies) for frame in frames], -1)
-    lowest = np.percentile(heights, _LOWEST, axis=0)
-    return np.asarray((heights < lowest + _NEAR) & (speed < _SLOW))
 
 
 def row_scales(model: RobotModel, trajectory: Trajectory) -> Array:
