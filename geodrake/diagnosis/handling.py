@@ -59,7 +59,7 @@ def handled(case: Case, model: LogModel, fit: Fit) -> list[Episode]:
     around = _Around.of(case, model, _beside(model, fit), without=None)
     for log, trajectory in enumerate(case.trajectories):
         number = log_number(trajectory.name)
-        for body in case.model.last_bodies:
+        for body in case.model.load_bodies:
             sums = _Sums.of(around, log, body)
             for window in sums.best_windows() if sums is not None else ():
                 for kind in kinds:

@@ -247,7 +247,7 @@ class _Finder:
 
         With bodies as free as they are it may promise nothing, and much with bodies that stay.
         """
-        present, last = self.fit.terms, set(self.model.model.last_bodies)
+        present, last = self.fit.terms, set(self.model.model.load_bodies)
         kinds = dict[object, list[Terms]]()
         for term in self.model.terms:
             whole = term.effect is not None and term.effect.places == "robot"

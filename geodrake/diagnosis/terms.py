@@ -124,8 +124,8 @@ def terms_of(
         odds, is_own = float(len(places[type(effect)])), effect in own
         if body := is_body(effect):
             held_by = places[type(effect)]
-            usual = sum(where[0] in model.last_bodies for where in held_by)
-            last = effect.where[0] in model.last_bodies
+            usual = sum(where[0] in model.load_bodies for where in held_by)
+            last = effect.where[0] in model.load_bodies
             priors = (
                 changed if is_own else carried if last else [carried[max(len(carried) + _USUAL, 0)]]
             )

@@ -272,17 +272,19 @@ class RobotModel(Short):
         return self.tree.bodies
 
     @cached_property
-    def last_bodies(self) -> tuple[str, ...]:
-        """Names of the bodies that carry no other one: hands, feet."""
+    def load_bodies(self) -> tuple[str, ...]:
+        """Names of bodies that loads are put on: those that carry no other, and a free trunk."""
         mobilizers, carrying = self.joint_tree.mobilizers, set[int]()
         for index in range(len(mobilizers) - 1, -1, -1):  # outboard first
             mobilizer = mobilizers[index]
             if mobilizer.parent >= 0 and (mobilizer.body >= 0 or index in carrying):
                 carrying.add(mobilizer.parent)
+        trunks = {joints[-1].child_body().name() for joints in base_joints(self.plant)}
         return tuple(
             self.bodies[mobilizer.body]
             for index, mobilizer in enumerate(mobilizers)
-            if index not in carrying and mobilizer.body >= 0
+            if mobilizer.body >= 0
+            and (index not in carrying or self.bodies[mobilizer.body] in trunks)
         )
 
     @cached_property

@@ -286,7 +286,7 @@ class TestNothingHidden:
         model = model_file(name)
         heavier = [
             found.model.phi[model.bodies.index(body), 0] > model.phi[model.bodies.index(body), 0]
-            for body in model.last_bodies
+            for body in model.load_bodies
         ]
         assert ("payload" in step.indistinguishable_from) <= any(heavier)
         assert found.verdict == "explained"

@@ -258,7 +258,7 @@ class Mistakes:
         unknown at a joint beside the bodies, or in their place.
         """
         start, every = self._start, tuple(range(self._n))
-        for body in self._robot.last_bodies:
+        for body in self._robot.load_bodies:
             held = start.carrying | {self._robot.bodies.index(body)}
             if held != start.carrying:
                 yield Mistake("", (), replace(start, carrying=held))
