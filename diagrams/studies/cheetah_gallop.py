@@ -126,9 +126,9 @@ def gallop(plant: MultibodyPlant, time: Array) -> Motion:
     joints = gearing(names[6:], actuators).joint_motion(driven)
     trunk, zero = trunk_motion(time), np.zeros(len(time))
     (x, z, pitch), (xd, zd, w), (xdd, zdd, wd) = (part.T for part in (trunk.q, trunk.v, trunk.vd))
-    base_q = np.stack([np.cos(pitch / 2), zero, np.sin(pitch / 2), zero, x, zero, z], -1)
-    base_v = np.stack([zero, w, zero, xd, zero, zd], -1)
-    base_vd = np.stack([zero, wd, zero, xdd, zero, zdd], -1)
+    base_q = np.stack([x, zero, z, zero, pitch, zero], -1)
+    base_v = np.stack([xd, zero, zd, zero, w, zero], -1)
+    base_vd = np.stack([xdd, zero, zdd, zero, wd, zero], -1)
     return Motion(
         np.hstack([base_q, joints.q]),
         np.hstack([base_v, joints.v]),

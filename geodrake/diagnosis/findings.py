@@ -241,13 +241,14 @@ def unknown_probability(found: Found, finding: Finding, errors: Sequence[ErrorTa
     if not errors[2].shows_noise:
         return 0.0
     before, after = (np.array([e.rms**2 for e in table.joints]) for table in errors[:2])
-    weight = felt(found, finding) / np.array([e.std**2 for e in errors[2].joints])
+    rows = found.model.dataset.has_rows  # joints without are in no table
+    weight = felt(found, finding)[rows] / np.array([e.std**2 for e in errors[2].joints])
     noise = JOINT_NOISE_MARGIN**2 * np.array([e.floor**2 for e in errors[2].joints])
-    left = float(weight @ np.maximum(found.fit.variance - noise, 0.0))
+    left = float(weight @ np.maximum(found.fit.variance[rows] - noise, 0.0))
     if left <= 0.0:
         return 0.0
     if any(term.is_whole for term in finding.terms):
-        before, after = (fit.variance for fit in _with_bodies_that_stay(found, finding))
+        before, after = (fit.variance[rows] for fit in _with_bodies_that_stay(found, finding))
     gone = max(0.0, float(weight @ (before - after)))
     beliefs = found.model.beliefs
     return 1.0 / (1.0 + (gone / (beliefs.part * left)) ** beliefs.sharpness)

@@ -124,7 +124,7 @@ class LogModel:
         self.compatibility = Compatibility(self.terms, keys)
         self._other_odds = dict[tuple[float, Delay], float]()
         self.widths = beliefs.widths if model.information is None else (1.0, 3.0)
-        self.rows = np.maximum(dataset.samples.sum(axis=0), 1).astype(float)
+        self.rows = dataset.rows.astype(float)
         self._bodies = len(dataset.bodies) * PARAMETERS_PER_BODY
         self._assemble()
         self._shares = dict[object, Array]()

@@ -31,7 +31,8 @@ share of a joint's squared error: the search judges it."""
 
 def proposed(case: Case, model: LogModel, fit: Fit) -> list[Effect]:
     """Return effects that the residual of a fit suggests, with the shapes to try."""
-    joints, motion = joint_residuals(case, model.hypothesis(fit)), full_motion(case)
+    found, motion = joint_residuals(case, model.hypothesis(fit)), full_motion(case)
+    joints = [each for each in found if each.joint not in case.model.base_joints]
     known = [term.effect for term in fit.terms if term.effect is not None]
     proposals = [*coupled_joints(case, joints, motion), *_ripples(case, joints, known)]
     tried = [each for each in proposals if each.alarm <= _CHANCE or each.share >= _NOTABLE]

@@ -55,12 +55,14 @@ class JointResidual:
 
 
 def joint_residuals(case: Case, hypothesis: Hypothesis) -> list[JointResidual]:
-    """Residuals of all joints."""
+    """Return the residuals of all joints that have rows."""
     dataset, x = hypothesis.dataset, hypothesis.held_out.x
     blocks = residual_blocks(dataset, hypothesis.unknowns.columns, x, delay=hypothesis.delay)
     began = [trajectory.began for trajectory in case.trajectories]
     found = []
     for name, data, residual in zip(dataset.joints, dataset.data, blocks, strict=True):
+        if not data.samples.any():
+            continue
         rows = [
             (rows, block.trajectory)
             for fold, kept in zip(case.folds, data.rows, strict=True)

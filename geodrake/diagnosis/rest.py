@@ -48,14 +48,16 @@ def share_of_motion(case: Case, hypothesis: Hypothesis) -> Array:
     Shares are from 0 to 1, and 0 where only sensor noise is left.
     """
     motion, speeds = full_motion(case), peak_speeds(case.trajectories)
+    with_rows = np.flatnonzero(case.dataset.has_rows).tolist()
     joints = zip(
+        with_rows,
         joint_residuals(case, hypothesis),
         error_table(case.dataset, hypothesis.held_out).joints,
-        case.dataset.data,
+        [case.dataset.data[j] for j in with_rows],
         strict=True,
     )
     shares = np.zeros(len(case.dataset.joints))
-    for j, (residual, error, data) in enumerate(joints):
+    for j, residual, error, data in joints:
         if error.rms > NOISE_MARGIN * error.floor:
             folds = np.repeat(
                 np.arange(len(data.rows)), [sum(len(r.time) for r in fold) for fold in data.rows]

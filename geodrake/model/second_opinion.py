@@ -6,10 +6,10 @@ and an SDF where it is built with SDFormat. Of velocities u of a joint of Drake'
 the joint's frame, theirs are T u, those of a turning body in the body. With its rotation R,
 
     ball           T = Rᵀ                    Drake's u = ω
-    free, MuJoCo   T = [0 1; Rᵀ 0]           u = (ω, v); theirs (v, ω), the latter in the body
-    free, Pinocchio  T = [0 Rᵀ; Rᵀ 0]        both in the body, so that v̇ is less ω × v
+    free, MuJoCo   T = [0 1; Rᵀ 0] B         B u = (ω, v); theirs (v, ω), the latter in the body
+    free, Pinocchio  T = [0 Rᵀ; Rᵀ 0] B      both in the body, so that v̇ is less ω × v
 
-and efforts Tᵀ times theirs.
+and efforts Tᵀ times theirs. The six joints of a free base have u = (ṗ, rates of yaw, pitch, roll).
 """
 
 from __future__ import annotations
@@ -22,8 +22,8 @@ from xml.etree.ElementTree import Element
 
 import numpy as np
 from numpy.typing import NDArray
-from pydrake.common.eigen_geometry import Quaternion
 from pydrake.math import RigidTransform, RollPitchYaw, RotationMatrix
+from pydrake.multibody.plant import MultibodyPlant
 from pydrake.multibody.tree import Joint
 
 from geodrake.errors import ModelError
@@ -31,6 +31,7 @@ from geodrake.inertia import inertial_parameters
 from geodrake.logs.motion import Motion
 from geodrake.model.file_terms import DryFriction
 from geodrake.model.robot_model import RobotModel, is_of_file
+from geodrake.robot.base_joints import base_joints
 from geodrake.robot.files import read_description
 from geodrake.robot.files.base import ModelText
 from geodrake.robot.files.description import drake_messages
@@ -44,6 +45,7 @@ from geodrake.robot.transmission.base import times
 
 Array = NDArray[np.float64]
 _ENDS = ("parent", "child")
+Units = Sequence[tuple[Joint, ...]]
 Places = Mapping[str, float]
 """Joint -> where it is held, rad or m."""
 
@@ -70,11 +72,17 @@ class OtherProgram:
         """Return its positions, T and the bias of its accelerations, of a joint of the plant.
 
         Args:
-            q: (1,), (3,) or (7,) positions of the joint.
+            q: (1,), (3,) or, of a free base, (6,) positions of the joint.
         """
-        if len(q) == 7:
-            R = RotationMatrix(Quaternion(q[:4] / np.linalg.norm(q[:4])))
-            return self.free(R, q[4:], v)
+        if len(q) == 6:
+            rpy = RollPitchYaw(q[:2:-1])
+            spin = np.stack(list(map(rpy.CalcAngularVelocityInParentFromRpyDt, np.eye(3))), 1)
+            B, bias = np.zeros((6, 6)), np.zeros(6)
+            B[:3, :2:-1], B[3:, :3] = spin, np.eye(3)
+            unaccelerated = rpy.CalcRpyDDtFromRpyDtAndAngularAccelInParent(v[:2:-1], np.zeros(3))
+            bias[:3] = -spin @ unaccelerated
+            placed, T, rest = self.free(rpy.ToRotationMatrix(), q[:3], B @ v)
+            return placed, T @ B, T @ bias + rest
         if len(q) == 3:
             rpy = RollPitchYaw(q)
             turned = rpy.ToQuaternion().wxyz()
@@ -101,7 +109,7 @@ def second_opinion(
     """
     if model.given.robot is not None:
         return "one robot of several was chosen, and only Drake reads a part of a file"
-    joints = moving_joints(model.plant)
+    joints = _units(model.plant)
     try:
         with drake_messages():
             texts = read_description(model.path, model.given).texts
@@ -128,18 +136,32 @@ def second_opinion(
     return found.by, times(np.swapaxes(jacobians, 1, 2), efforts), ours
 
 
-def _efforts(engine: OtherProgram, joints: list[Joint], q: Array, v: Array, vd: Array) -> Array:
+def _units(plant: MultibodyPlant) -> list[tuple[Joint, ...]]:
+    """Return joints that move, the six of a free base as one."""
+    bases = base_joints(plant)
+    names = {joint.name() for base in bases for joint in base}
+    others = [(joint,) for joint in moving_joints(plant) if joint.name() not in names]
+    return [*others, *bases]
+
+
+def _part(unit: tuple[Joint, ...]) -> tuple[slice, slice]:
+    """Return where joints are in the positions and velocities of a plant."""
+    first, last = unit[0], unit[-1]
+    return (
+        slice(first.position_start(), last.position_start() + last.num_positions()),
+        slice(first.velocity_start(), last.velocity_start() + last.num_velocities()),
+    )
+
+
+def _efforts(engine: OtherProgram, units: Units, q: Array, v: Array, vd: Array) -> Array:
     """Return efforts (N, nv of the plant) by another program, of the plant's motion (N, ·)."""
     found = np.zeros_like(v)
     for k in range(len(q)):
         position, rate, acceleration = (x.copy() for x in engine.rest)
         turns = []
-        for joint, (at_q, at_v) in zip(joints, engine.places, strict=True):
-            own = slice(joint.velocity_start(), joint.velocity_start() + joint.num_velocities())
-            start = joint.position_start()
-            placed, T, bias = engine.state(
-                q[k, start : start + joint.num_positions()], v[k, own], len(position[at_q])
-            )
+        for unit, (at_q, at_v) in zip(units, engine.places, strict=True):
+            there, own = _part(unit)
+            placed, T, bias = engine.state(q[k, there], v[k, own], len(position[at_q]))
             position[at_q] = placed
             rate[at_v], acceleration[at_v] = T @ v[k, own], T @ vd[k, own] + bias
             turns.append((own, at_v, T))
@@ -162,7 +184,7 @@ def _held(model: RobotModel, text: ModelText) -> Places:
     return places
 
 
-def _by_mujoco(text: MjcfText, held: Places, joints: list[Joint]) -> OtherProgram | str:
+def _by_mujoco(text: MjcfText, held: Places, units: Units) -> OtherProgram | str:
     mujoco, theirs = load_mujoco(), text.compiled
     theirs.opt.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_CONSTRAINT)
     sizes = {0: (7, 6), 1: (4, 3)}  # of free joints and balls
@@ -173,15 +195,15 @@ def _by_mujoco(text: MjcfText, held: Places, joints: list[Joint]) -> OtherProgra
             return "MuJoCo has other joints"
         data.qpos[theirs.jnt_qposadr[at]] = place
     places = []
-    for joint in joints:
+    for *first, joint in units:
         at = mujoco.mj_name2id(theirs, mujoco.mjtObj.mjOBJ_JOINT, joint.name())
-        if joint.num_positions() == 7:
+        if first:
             body = theirs.body(joint.child_body().name())
             at = int(body.jntadr[0]) if body.jntnum[0] == 1 else -1
-        if at < 0 or joint.num_positions() not in (1, 3, 7):
+        if at < 0 or joint.num_positions() not in (1, 3):
             return "MuJoCo has other joints"
         nq, nv = sizes.get(int(theirs.jnt_type[at]), (1, 1))
-        if nv != joint.num_velocities():
+        if nv != len(first) + joint.num_velocities():
             return "MuJoCo has other joints"
         start, first = int(theirs.jnt_qposadr[at]), int(theirs.jnt_dofadr[at])
         places.append((slice(start, start + nq), slice(first, first + nv)))
@@ -211,7 +233,7 @@ def pinocchio_or_none() -> ModuleType | None:
 
 
 def _by_pinocchio(
-    model: RobotModel, texts: Sequence[ModelText], held: Places, joints: list[Joint]
+    model: RobotModel, texts: Sequence[ModelText], held: Places, units: Units
 ) -> OtherProgram | str:
     pinocchio = pinocchio_or_none()
     kinds = {{"xml": "MJCF"}.get(text.kind, text.kind.upper()) for text in texts}
@@ -229,7 +251,7 @@ def _by_pinocchio(
         return f"Pinocchio does not read the file: {' '.join(str(error).split())[:200]}"
     theirs.gravity.linear = np.array(model.tree.gravity)
     known = {name.partition("::")[2]: name for name in theirs.names}
-    named = {_named(joint): joint.num_velocities() for joint in joints}
+    named = {_named(unit): len(unit) - 1 + unit[-1].num_velocities() for unit in units}
     held = {known.get(name, name): place for name, place in held.items()}
     there = [name for name in (*named, *held) if theirs.existJointName(name)]
     own = {name: theirs.joints[theirs.getJointId(name)] for name in there}
@@ -258,16 +280,16 @@ def _by_pinocchio(
     return OtherProgram(
         f"Pinocchio {pinocchio.__version__}",
         (position, *np.zeros((2, theirs.nv))),
-        [places[_named(joint)] for joint in joints],
+        [places[_named(unit)] for unit in units],
         free,
         lambda q, v, vd: pinocchio.rnea(theirs, data, q, v, vd),
     )
 
 
-def _named(joint: Joint) -> str:
-    """Return the name of a joint in `_joined_by_pinocchio`."""
-    model = joint.child_body().scoped_name().get_namespace()
-    return f"{model}::{'root_joint' if joint.num_velocities() == 6 else joint.name()}"
+def _named(unit: tuple[Joint, ...]) -> str:
+    """Return the name of a joint, or of a free base, in `_joined_by_pinocchio`."""
+    model = unit[-1].child_body().scoped_name().get_namespace()
+    return f"{model}::{'root_joint' if len(unit) > 1 else unit[-1].name()}"
 
 
 def _joined_by_pinocchio(
@@ -284,9 +306,8 @@ def _joined_by_pinocchio(
         data = read_expanded(text.path, model.given)
         name, own = _root_of(parse_xml_bytes(data, text.path), text).rsplit("::", 1)
         root = plant.GetBodyByName(own, plant.GetModelInstanceByName(name))
-        free = (
-            {"root_joint": pinocchio.JointModelFreeFlyer()} if root.is_floating_base_body() else {}
-        )
+        floats = any(base[-1].child_body().index() == root.index() for base in base_joints(plant))
+        free = {"root_joint": pinocchio.JointModelFreeFlyer()} if floats else {}
         if text.kind == "sdf":
             part, *_ = pinocchio.buildModelsFromSdf(str(text.path), geometry_types=[], **free)
         else:

@@ -10,7 +10,6 @@ from adaptive_loops import (
     CONTROL,
     MANIFOLD,
     MODEL,
-    MODELS,
     TRUTH,
     FaultySensor,
     SlowSensor,
@@ -360,11 +359,16 @@ def test_docstrings_name_the_ports(name):
     assert set(said["output_ports"]) == outputs
 
 
-def test_floating_robots_are_refused():
-    floating = ControlModel.of(load_description(MODELS / "double_pendulum.urdf", floating=True))
+def test_balls_are_refused(tmp_path):
+    path = tmp_path / "ball.xml"
+    path.write_text(
+        '<mujoco><worldbody><body name="b"><joint name="j" type="ball"/>'
+        '<geom size=".1"/></body></worldbody></mujoco>'
+    )
+    ball = ControlModel.of(load_description(path))
     for make in (
-        lambda: ModelResidual(floating),
-        lambda: BregmanProjectionEstimator(floating, UPDATE),
+        lambda: ModelResidual(ball),
+        lambda: BregmanProjectionEstimator(ball, UPDATE),
     ):
         with pytest.raises(ArgumentError, match="one degree of freedom"):
             make()

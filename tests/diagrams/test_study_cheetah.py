@@ -150,9 +150,12 @@ def test_quantities_are_the_inverse_dynamics():
         phi[[k for k, body in enumerate(names) if body.startswith(name)]] = change
     efforts = inverse_dynamics(plant, motion.q, motion.v, motion.vd, phi)
     R_WB = body_poses(plant, motion.q)[:, names.index("trunk"), :3, :3]
-    for at, name in ((slice(0, 3), "body moment"), (slice(3, 6), "body force")):
+    axes = np.broadcast_to(np.eye(3)[::-1], R_WB.shape).copy()  # of yaw, pitch and roll, here
+    axes[:, 2] = R_WB[:, :, 0]
+    moment = np.linalg.solve(axes, efforts[:, 3:6, None])[:, :, 0]
+    for wrench, name in ((moment, "body moment"), (efforts[:, :3], "body force")):
         rows = quantities[name].rows @ change.ravel()
-        local = np.einsum("nji,nj->ni", R_WB, efforts[:, at])
+        local = np.einsum("nji,nj->ni", R_WB, wrench)
         np.testing.assert_allclose(rows.reshape(2, 3), local, atol=1e-8 * np.abs(efforts).max())
     # At a joint: the link's effort, and that of its rotor, geared.
     torque = (quantities["joint torque"].rows @ change.ravel()).reshape(2, 12)

@@ -201,11 +201,11 @@ def test_bad_arguments(tmp_path):
         write_trajectory(trajectory, tmp_path / "nowhere" / "motion.yaml", model)
 
 
-def test_floating_robots_have_no_order(tmp_path):
-    path = tmp_path / "box.urdf"
+def test_balls_have_no_order(tmp_path):
+    path = tmp_path / "ball.xml"
     path.write_text(
-        '<robot name="box"><link name="box"><inertial><mass value="1"/><inertia ixx="1" iyy="1" '
-        'izz="1" ixy="0" ixz="0" iyz="0"/></inertial></link></robot>'
+        '<mujoco><worldbody><body name="b"><joint name="j" type="ball"/>'
+        '<geom size=".1"/></body></worldbody></mujoco>'
     )
     with pytest.raises(ArgumentError, match="several degrees"):
-        joint_order(load_description(path, floating=True))
+        joint_order(load_description(path))

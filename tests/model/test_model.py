@@ -20,7 +20,6 @@ from geodrake.effects import (
     RotorInertia,
     ViscousFriction,
 )
-from geodrake.errors import ArgumentError
 from geodrake.inertia import from_mass_com_inertia, inertial_parameters
 from geodrake.logs.motion import Motion
 from geodrake.robot.regressor import inverse_dynamics_regressor
@@ -106,18 +105,17 @@ def test_numbers_of_the_file_become_effects(tmp_path):
     assert stated == {ViscousFriction("shoulder"): [0.3], CoulombFriction("shoulder"): [0.2]}
 
 
-def test_floating_base_has_no_single_positions():
+def test_a_floating_base_is_six_joints():
     floating = load_model(MODELS / "double_pendulum.urdf", floating=True)
-    assert set(floating.single_joints) == {"shoulder", "elbow"}
-    with pytest.raises(ArgumentError, match=r"several degrees.*Weld the base"):
-        floating.positions(np.zeros((3, len(floating.joints))))
+    names = [f"base_link_{each}" for each in ("x", "y", "z", "yaw", "pitch", "roll")]
+    assert set(floating.single_joints) == {"shoulder", "elbow", *names}
+    assert list(floating.base_joints) == names
 
 
 def test_floating_base_needs_what_drake_says():
     model = load_model(MODELS / "double_pendulum.urdf", floating=True)
     rng = np.random.default_rng(2)
     q = rng.normal(size=(8, model.plant.num_positions()))
-    q[:, :4] /= np.linalg.norm(q[:, :4], axis=1, keepdims=True)
     n = len(model.joints)
     motion = Motion(q, rng.normal(size=(8, n)), rng.normal(size=(8, n)))
     np.testing.assert_allclose(model.effort(motion), drake_effort(model, motion), atol=1e-10)

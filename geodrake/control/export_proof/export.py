@@ -170,7 +170,7 @@ def export_with_proof(
     if bandwidth is not None:
         number(bandwidth, "bandwidth", lower=0.0)
     case = open_case(model, logs, candidates=False, bandwidth=bandwidth) if len(logs) else None
-    tried = len(model.single_joints) == len(model.joints)
+    tried = not model.floating and len(model.single_joints) == len(model.joints)
     if case is not None:
         motions = logged_motions(model, case.trajectories)
     else:

@@ -295,10 +295,11 @@ def reduced(
 
 
 def error_table(dataset: Dataset, held_out: HeldOut) -> ErrorTable:
-    """Return the errors of every joint."""
+    """Return the errors of every joint that has rows."""
     known = np.broadcast_to(dataset.noise_known, len(dataset.joints))
     columns = (held_out.rms, dataset.effort_std, dataset.noise_floor, known)
-    return ErrorTable(tuple(map(JointError, dataset.joints, *(c.tolist() for c in columns))))
+    errors = map(JointError, dataset.joints, *(c.tolist() for c in columns))
+    return ErrorTable(tuple(e for e, has in zip(errors, dataset.has_rows, strict=True) if has))
 
 
 def series(

@@ -229,6 +229,16 @@ class Dataset(Short):
         """(F, nv) rows of each fold and joint."""
         return np.stack([data.samples for data in self.data], 1)
 
+    @cached_property
+    def has_rows(self) -> NDArray[np.bool_]:
+        """(nv,) which joints have rows: those of a limb that stands throughout have none."""
+        return np.asarray(self.samples.any(axis=0))
+
+    @cached_property
+    def rows(self) -> NDArray[np.int_]:
+        """(nv,) rows of each joint; 1, of zeros, of one without."""
+        return np.maximum(self.samples.sum(axis=0), 1)
+
 
 def column_starts(effects: tuple[Effect, ...], bodies: tuple[str, ...]) -> dict[Effect, int]:
     """First column of every effect, after the inertial columns that payloads share."""

@@ -44,7 +44,7 @@ class HeldOut:
     @property
     def mse(self) -> Array:
         """(nv,) mean squared held-out error of each joint."""
-        return self.sse.sum(0) / self.samples.sum(0)
+        return self.sse.sum(0) / np.maximum(self.samples.sum(0), 1)
 
     @property
     def rms(self) -> Array:
@@ -195,7 +195,8 @@ class Hypothesis(Short):
     @property
     def nrms(self) -> float:
         """Held-out error over effort standard deviation, root mean square over joints."""
-        return float(np.sqrt(np.mean(self.held_out.mse / self.dataset.effort_std**2)))
+        relative = self.held_out.mse / self.dataset.effort_std**2
+        return float(np.sqrt(np.mean(relative[self.dataset.has_rows])))
 
     @property
     def power(self) -> Array:
@@ -233,9 +234,13 @@ def residual_blocks(
 
 
 def effective_of_rows(blocks: Sequence[Sequence[Array]], rows: Array) -> Array:
-    """Return (nv,) effective samples of rows (nv,), by the residuals of those that are kept."""
-    kept = np.array([max(1, sum(map(len, joint))) for joint in blocks])
-    return effective_samples_of_each(blocks) * (rows / kept)
+    """Return (nv,) effective samples of rows (nv,), by the residuals of those that are kept.
+
+    A joint without rows is given one.
+    """
+    kept = np.array([sum(map(len, joint)) for joint in blocks])
+    found = effective_samples_of_each(blocks) * (rows / np.maximum(kept, 1))
+    return np.where(kept > 0, found, 1.0)
 
 
 def settle(hypothesis: Hypothesis, *, iterations: int = 2) -> Hypothesis:
@@ -247,13 +252,14 @@ def settle(hypothesis: Hypothesis, *, iterations: int = 2) -> Hypothesis:
     many `iterations` at most, each time with weights that agree with the errors.
     """
     dataset, unknowns, delay = hypothesis.dataset, hypothesis.unknowns, hypothesis.delay
-    samples, variance = dataset.samples.sum(axis=0), dataset.effort_std**2
+    samples, variance = dataset.rows, dataset.effort_std**2
     weights, effective = hypothesis.weights, hypothesis.effective
     x, mse = unknowns.mean, hypothesis.held_out.mse
 
     def deserved(cv: CrossValidation) -> Array:
         mse = np.maximum(cv.held_out.mse, 1e-12 * variance)
-        return np.asarray(effective / samples / np.sqrt(mse * np.mean(mse / variance) * variance))
+        mean = np.mean((mse / variance)[dataset.has_rows])
+        return np.asarray(effective / samples / np.sqrt(mse * mean * variance))
 
     def counted(cv: CrossValidation) -> Array:
         blocks = residual_blocks(dataset, unknowns.columns, cv.held_out.x, delay=delay)
@@ -286,16 +292,21 @@ def most_likely(settled: Hypothesis) -> tuple[Unknowns, Array]:
     joints without motors is what goes with them.
     """
     dataset, unknowns, held_out = settled.dataset, settled.unknowns, settled.held_out
+
+    def likely(held_out: HeldOut) -> Array:
+        mse = np.where(dataset.has_rows, held_out.mse, dataset.effort_std**2)
+        return np.asarray(settled.effective / dataset.rows / mse)
+
     for _ in range(_MOST_REFITS if dataset.passive_inertia is not None else 0):
-        samples, x = held_out.samples.sum(0), held_out.x.mean(0)
-        weights = settled.effective / samples / held_out.mse
+        x = held_out.x.mean(0)
+        weights = likely(held_out)
         power = settled.effective * dataset.inertias(unknowns.columns, x) ** 2
         unknowns = unknowns.pulled(dataset, x, power)
         cv = CrossValidation(dataset, unknowns, weights, delay=settled.delay, physical=False)
         before, held_out = held_out, cv.held_out
         if _alike(held_out.mse, before.mse):
             break
-    return unknowns, settled.effective / held_out.samples.sum(0) / held_out.mse
+    return unknowns, likely(held_out)
 
 
 def _alike(weights: Array, before: Array) -> bool:
@@ -306,6 +317,6 @@ def first_hypothesis(dataset: Dataset, unknowns: Unknowns, *, delay: Delay = 0) 
     """Return the model as it came, its parameters refitted within their prior."""
     weights = _FIRST_SHARE / dataset.effort_std**2
     cv = CrossValidation(dataset, unknowns, weights, delay=delay)
-    effective = _FIRST_SHARE * dataset.samples.sum(0)
+    effective = _FIRST_SHARE * dataset.rows
     first = Hypothesis(dataset, unknowns, weights, cv.delay, 1.0, cv, effective)
     return settle(first, iterations=3)

@@ -220,7 +220,7 @@ class LogFits:
         except IdentificationError:
             return np.full(len(self.folds), np.inf)
         held_out = self.held_out(parts)
-        mean = held_out.sse / held_out.samples.sum(0)
+        mean = held_out.sse / self.dataset.rows
         return np.asarray((mean / self.dataset.effort_std**2).sum(1))
 
 

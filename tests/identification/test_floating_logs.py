@@ -1,0 +1,231 @@
+"""Logs of a robot on its feet, made by MultibodyPlant with a quaternion for its base."""
+
+import numpy as np
+import pytest
+from pydrake.multibody.parsing import Parser
+from pydrake.multibody.plant import MultibodyPlant
+from pydrake.multibody.tree import JacobianWrtVariable
+from scipy.spatial.transform import Rotation
+
+from geodrake.diagnosis import explain
+from geodrake.effects.body_motion import RobotBodies
+from geodrake.errors import LogError
+from geodrake.identification.logs.compare import compare
+from geodrake.identification.logs.contact_rows import rows_without
+from geodrake.logs.motion import JointLog
+from geodrake.model.base_logs import contact_frames, with_base
+from geodrake.model.robot_model import load_description
+
+LEGS = ("fl", "fr", "hl", "hr")
+FEET = tuple(f"{leg}_foot" for leg in LEGS)
+JOINTS = tuple(f"{leg}_{joint}" for leg in LEGS for joint in ("roll", "pitch", "knee"))
+RATE = 200.0
+
+
+def _link(name: str, mass: float, size: tuple[float, float, float], z: float = 0.0) -> str:
+    x, y, h = size
+    inertia = mass / 12.0 * np.array([y * y + h * h, x * x + h * h, x * x + y * y])
+    tensor = " ".join(f'i{a}="{v}"' for a, v in zip(("xx", "yy", "zz"), inertia, strict=True))
+    return (
+        f'<link name="{name}"><inertial><origin xyz="0 0 {z}"/><mass value="{mass}"/>'
+        f'<inertia {tensor} ixy="0" ixz="0" iyz="0"/></inertial></link>'
+    )
+
+
+def _joint(name: str, parent: str, child: str, xyz: str, axis: str) -> str:
+    return (
+        f'<joint name="{name}" type="continuous"><parent link="{parent}"/><child link="{child}"/>'
+        f'<origin xyz="{xyz}"/><axis xyz="{axis}"/></joint>'
+    )
+
+
+def quadruped() -> str:
+    parts = [_link("trunk", 8.0, (0.4, 0.2, 0.1))]
+    for leg in LEGS:
+        x, y = 0.2 * (1 if leg[0] == "f" else -1), 0.1 * (1 if leg[1] == "l" else -1)
+        parts += [
+            _link(f"{leg}_hip", 0.6, (0.08, 0.08, 0.08)),
+            _joint(f"{leg}_roll", "trunk", f"{leg}_hip", f"{x} {y} 0", "1 0 0"),
+            _link(f"{leg}_thigh", 1.0, (0.05, 0.05, 0.2), -0.1),
+            _joint(f"{leg}_pitch", f"{leg}_hip", f"{leg}_thigh", f"0 {y / 2} 0", "0 1 0"),
+            _link(f"{leg}_calf", 0.3, (0.03, 0.03, 0.2), -0.1),
+            _joint(f"{leg}_knee", f"{leg}_thigh", f"{leg}_calf", "0 0 -0.2", "0 1 0"),
+            f'<link name="{leg}_foot"/><joint name="{leg}_ankle" type="fixed">'
+            f'<parent link="{leg}_calf"/><child link="{leg}_foot"/>'
+            '<origin xyz="0 0 -0.2"/></joint>',
+        ]
+    return f'<robot name="quadruped">{"".join(parts)}</robot>'
+
+
+def waves(time: np.ndarray, sizes: np.ndarray, rng: np.random.Generator) -> np.ndarray:
+    """Return smooth signals (N, n) of given sizes, their rates and accelerations."""
+    found = np.zeros((3, len(time), len(sizes)))
+    for frequency in (0.31, 0.73, 1.1):
+        w, phase = 2 * np.pi * frequency, rng.uniform(0, 2 * np.pi, len(sizes))
+        angle = w * time[:, None] + phase
+        found += sizes * np.stack([np.sin(angle), w * np.cos(angle), -(w**2) * np.sin(angle)]) / 2.0
+    return found
+
+
+class Maker:
+    """Motion, efforts and forces at the feet of a quadruped that may carry something."""
+
+    def __init__(self, payload: float = 0.0, seed: int = 0) -> None:
+        rng = np.random.default_rng(seed)
+        self.plant = MultibodyPlant(0.0)
+        text = quadruped()
+        if payload:
+            load = _link("load", payload, (0.1, 0.1, 0.1))
+            weld = (
+                '<joint name="on" type="fixed"><parent link="trunk"/><child link="load"/>'
+                '<origin xyz="0.1 0.02 0.1"/></joint></robot>'
+            )
+            text = text.replace("</robot>", load + weld)
+        Parser(self.plant).AddModelsFromString(text, "urdf")
+        self.plant.Finalize()
+        self.time = np.arange(0.0, 12.0, 1 / RATE)
+        self.place = waves(self.time, np.array([0.04, 0.03, 0.03]), rng)
+        self.place[0, :, 2] += 0.38
+        self.angles = waves(self.time, np.array([0.12, 0.15, 0.12]), rng)  # yaw, pitch, roll
+        self.joints = waves(self.time, np.full(12, 0.3), rng)
+        self.joints[0] += np.tile([0.0, 0.6, -1.2], 4)
+        self._solve()
+
+    def _solve(self) -> None:
+        plant, context = self.plant, self.plant.CreateDefaultContext()
+        h, world = 1e-5, plant.world_frame()
+        self.R = Rotation.from_euler("ZYX", self.angles[0])
+        steps = [
+            Rotation.from_euler(
+                "ZYX", self.angles[0] + s * h * self.angles[1] + 0.5 * h * h * self.angles[2]
+            )
+            for s in (-1, 1)
+        ]
+        back, ahead = ((self.R.inv() * step).as_rotvec() for step in steps)
+        self.gyro = (ahead - back) / (2 * h)  # in the body
+        spin = self.R.apply(self.gyro)
+        angular = self.R.apply((ahead + back) / h**2)
+        order = [plant.GetJointByName(name).velocity_start() for name in JOINTS]
+        effort, forces = np.zeros((len(self.time), 12)), np.zeros((len(self.time), 4, 3))
+        for k in range(len(self.time)):
+            quaternion = np.roll(self.R[k].as_quat(), 1)
+            q, v, vd = np.zeros(19), np.zeros(18), np.zeros(18)
+            q[:7] = [*quaternion, *self.place[0, k]]
+            v[:6], vd[:6] = [*spin[k], *self.place[1, k]], [*angular[k], *self.place[2, k]]
+            for at, column in zip(order, range(12), strict=True):
+                q[at + 1], v[at], vd[at] = self.joints[:, k, column]
+            plant.SetPositions(context, q)
+            plant.SetVelocities(context, v)
+            bias = plant.CalcBiasTerm(context) - plant.CalcGravityGeneralizedForces(context)
+            needed = plant.CalcMassMatrix(context) @ vd + bias
+            J = np.vstack(
+                [
+                    plant.CalcJacobianTranslationalVelocity(
+                        context,
+                        JacobianWrtVariable.kV,
+                        plant.GetFrameByName(foot),
+                        np.zeros(3),
+                        world,
+                        world,
+                    )
+                    for foot in FEET
+                ]
+            )
+            w = np.linalg.lstsq(J[:, :6].T, needed[:6], rcond=None)[0]
+            effort[k] = (needed - J.T @ w)[order]
+            for at, foot in enumerate(FEET):
+                R = plant.GetFrameByName(foot).CalcPoseInWorld(context).rotation().matrix()
+                forces[k, at] = R.T @ w[3 * at : 3 * at + 3]
+        self.effort, self.forces = effort, forces
+        self.imu = self.R.inv().apply(self.place[2] + [0, 0, 9.81])
+
+    def log(self, *, wrenches: bool, noise: float = 0.0, seed: int = 1, **changes) -> JointLog:
+        rng, columns = np.random.default_rng(seed), {}
+
+        def put(name, values, axes="xyz", size=0.0):
+            for axis, column in zip(axes, np.asarray(values).T, strict=True):
+                columns[f"{name}.{axis}"] = column + size * rng.normal(size=len(column))
+
+        put("base.position", self.place[0])
+        put("base.orientation", np.roll(self.R.as_quat(), 1, axis=1), "wxyz")
+        put("imu.angular_velocity", self.gyro)
+        put("imu.linear_acceleration", self.imu, size=0.02 * noise)
+        for at, foot in enumerate(FEET):
+            columns[f"{foot}.contact"] = np.ones(len(self.time))
+            if wrenches:
+                put(f"{foot}.force", self.forces[:, at], size=0.1 * noise)
+        effort = self.effort + 0.05 * noise * rng.normal(size=self.effort.shape)
+        columns |= changes
+        return JointLog("log", JOINTS, self.time, self.joints[0], effort, floating=columns)
+
+
+@pytest.fixture(scope="module")
+def model(tmp_path_factory):
+    path = tmp_path_factory.mktemp("robot") / "quadruped.urdf"
+    path.write_text(quadruped(), encoding="utf-8")
+    return load_description(path, floating=True)
+
+
+@pytest.fixture(scope="module")
+def maker():
+    return Maker()
+
+
+def test_pose_and_imu_are_the_joints_of_the_base(model, maker):
+    log = with_base(maker.log(wrenches=False), model)
+    at = [log.joints.index(joint) for joint in model.base_joints]
+    expected = [np.hstack([maker.place[k], maker.angles[k]]) for k in (0, 2)]
+    np.testing.assert_allclose(log.position[:, at], expected[0], atol=1e-9)
+    inner = slice(5, -5)
+    np.testing.assert_allclose(log.acceleration[inner, at], expected[1][inner], atol=2e-3)
+    assert log.measured == model.base_joints
+
+
+@pytest.mark.parametrize("wrenches", [True, False])
+def test_the_model_needs_what_was_measured(model, maker, wrenches):
+    errors = compare(model, maker.log(wrenches=wrenches)).errors
+    assert errors.nrms < 2e-3
+    rows = model.joints if wrenches else model.base_joints  # as no foot is ever in the air
+    assert {error.joint for error in errors.joints} == set(rows)
+
+
+def test_rows_without_contact_forces_are_orthonormal_and_feel_none(model, maker):
+    some = slice(0, 400, 20)
+    log = with_base(maker.log(wrenches=False), model)
+    order = [log.joints.index(joint) for joint in model.joints]
+    bodies = RobotBodies(model.tree, model.positions(log.position[some][:, order]), model.total_phi)
+    J = np.stack([frame.jacobian(bodies) for frame in contact_frames(model, FEET)], 1)
+    rng = np.random.default_rng(0)
+    flags, scales = rng.random((20, 4)) < 0.7, rng.uniform(0.5, 2.0, 18)
+    N = rows_without(J, flags, scales, 6, model)
+    for k in range(20):
+        touching = J[k, flags[k]].reshape(-1, 18)
+        rows = N[k][np.abs(N[k]).any(axis=1)]
+        assert len(rows) == 18 - len(touching)
+        np.testing.assert_allclose(rows @ touching.T, 0.0, atol=1e-9)
+        whitened = N[k] * scales / scales[:, None]
+        kept = whitened[np.abs(whitened).any(axis=1)]
+        np.testing.assert_allclose(kept @ kept.T, np.eye(len(kept)), atol=1e-6)
+
+
+@pytest.mark.parametrize("wrenches", [True, False])
+def test_a_payload_on_the_trunk_is_named(model, wrenches):
+    found = explain(model, Maker(payload=0.9).log(wrenches=wrenches, noise=1.0))
+    (step,) = found.steps
+    assert (step.effect, step.where) == ("payload", ("trunk",)) and step.probability > 0.9
+    values = (step.parameters, step.deviations, step.systematic)
+    mass, deviation, systematic = (each["trunk"]["mass"] for each in values)
+    print(mass, deviation, systematic)
+    assert abs(mass - 0.9) < 2.5 * np.hypot(deviation, systematic) < 0.4
+
+
+def test_bad_poses_are_refused(model, maker):
+    count = len(maker.time)
+    with pytest.raises(LogError, match="length one"):
+        with_base(maker.log(wrenches=False, **{"base.orientation.w": np.full(count, 2.0)}), model)
+    log = maker.log(wrenches=False)
+    bare = {name: x for name, x in log.floating.items() if not name.startswith(("base", "imu"))}
+    with pytest.raises(LogError, match="no orientation"):
+        with_base(JointLog("log", JOINTS, log.time, log.position, log.effort, floating=bare), model)
+    with pytest.raises(LogError, match="no link 'tail'"):
+        with_base(maker.log(wrenches=False, **{"tail.contact": np.ones(count)}), model)
