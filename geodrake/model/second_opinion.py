@@ -195,15 +195,15 @@ def _by_mujoco(text: MjcfText, held: Places, units: Units) -> OtherProgram | str
             return "MuJoCo has other joints"
         data.qpos[theirs.jnt_qposadr[at]] = place
     places = []
-    for *first, joint in units:
+    for *others, joint in units:
         at = mujoco.mj_name2id(theirs, mujoco.mjtObj.mjOBJ_JOINT, joint.name())
-        if first:
+        if others:
             body = theirs.body(joint.child_body().name())
             at = int(body.jntadr[0]) if body.jntnum[0] == 1 else -1
         if at < 0 or joint.num_positions() not in (1, 3):
             return "MuJoCo has other joints"
         nq, nv = sizes.get(int(theirs.jnt_type[at]), (1, 1))
-        if nv != len(first) + joint.num_velocities():
+        if nv != len(others) + joint.num_velocities():
             return "MuJoCo has other joints"
         start, first = int(theirs.jnt_qposadr[at]), int(theirs.jnt_dofadr[at])
         places.append((slice(start, start + nq), slice(first, first + nv)))

@@ -215,7 +215,6 @@ def test_a_payload_on_the_trunk_is_named(model, wrenches):
     assert (step.effect, step.where) == ("payload", ("trunk",)) and step.probability > 0.9
     values = (step.parameters, step.deviations, step.systematic)
     mass, deviation, systematic = (each["trunk"]["mass"] for each in values)
-    print(mass, deviation, systematic)
     assert abs(mass - 0.9) < 2.5 * np.hypot(deviation, systematic) < 0.4
 
 
