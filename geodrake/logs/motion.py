@@ -185,7 +185,7 @@ class JointLog(Short):
                 may_lack = quantity in PARTIAL or (quantity == "effort" and told)
                 if not (may_lack and np.isnan(column).all()):
                     columns[f"{joint}.{kinds.get(joint, quantity)}"] = column
-        return columns | self.floating
+        return {**columns, **self.floating}
 
     def to_dataframe(self) -> Any:
         """Return a DataFrame of pandas with the columns of a log file, `time` first.

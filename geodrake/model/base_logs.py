@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import Any
 from xml.etree import ElementTree
 
 import numpy as np
@@ -113,8 +114,8 @@ def _ball(model: RobotModel, link: str) -> tuple[Array, float]:
     for element in root.iterfind("link"):
         balls = [c for c in element.iterfind("collision") if c.find("geometry/sphere") is not None]
         if element.get("name") == link and len(balls) == 1:
-            sphere, origin = balls[0].find("geometry/sphere"), balls[0].find("origin")
-            radius = float(sphere.get("radius", "0"))
+            origin = balls[0].find("origin")
+            radius = max(float(s.get("radius", "0")) for s in balls[0].iterfind("geometry/sphere"))
             if origin is not None:
                 center = np.array([float(x) for x in origin.get("xyz", "0 0 0").split()])
     return center, radius
@@ -144,7 +145,7 @@ def with_base(log: JointLog, model: RobotModel) -> JointLog:
     measured = tuple(joints) if acceleration is not None else ()
     if acceleration is None:
         notes.append("accelerations of the base are derived from its pose; an IMU is better")
-    padded = {
+    padded: dict[str, Any] = {
         name: np.hstack([values, np.full((count, 6), np.nan)])
         for name in ("command", "temperature")
         if (values := getattr(log, name)) is not None
@@ -173,20 +174,20 @@ def _base_motion(log: JointLog, model: RobotModel) -> tuple[Array, Array | None,
     gyro = vectors(columns, "imu.angular_velocity")
     force = vectors(columns, "imu.linear_acceleration")
     spin = gyro if gyro is not None else vectors(columns, "base.angular_velocity")
-    if quaternion is None and (gyro is None or force is None):
+    g = model.tree.gravity
+    if quaternion is not None:
+        quaternion = _checked(quaternion, force, g, log.name)
+        known = np.asarray(np.isfinite(quaternion).all(axis=1))
+        turn = Rotation.from_quat(
+            np.where(known[:, None], quaternion, [1.0, 0, 0, 0])[:, [1, 2, 3, 0]]
+        )
+    elif gyro is not None and force is not None:
+        turn, known = _integrated(time, gyro, force, g), np.ones(len(log), bool)
+    else:
         raise LogError(
             f"Log {log.name!r} has no orientation of the base and no IMU, and the model floats.",
             advice=f"{_ADVICE} Of a robot that is fixed to the world leave --floating out.",
         )
-    g = model.tree.gravity
-    if quaternion is not None:
-        quaternion = _checked(quaternion, force, g, log.name)
-        known = np.isfinite(quaternion).all(axis=1)
-        turn = Rotation.from_quat(
-            np.where(known[:, None], quaternion, [1.0, 0, 0, 0])[:, [1, 2, 3, 0]]
-        )
-    else:
-        turn, known = _integrated(time, gyro, force, g), np.ones(len(log), bool)
     angles = turn.as_euler("ZYX")
     if np.abs(angles[known, 1]).max(initial=0.0) > _UPRIGHT:
         worst = float(np.degrees(np.abs(angles[known, 1]).max()))
@@ -300,11 +301,16 @@ def _with_ground(log: JointLog, model: RobotModel) -> JointLog:
         for frame in frames:
             motion = bodies.motion(frame.body)
             J = np.concatenate([motion.jacobian_at(frame.place), motion.angular], axis=1)
-            force = vectors(columns, f"{frame.name}.force")
+            if (force := vectors(columns, f"{frame.name}.force")) is None:
+                raise LogError(
+                    f"Log {log.name!r} has not all of {frame.name}.force.x, .y and .z.",
+                    advice="Log all three, in the axes of the link.",
+                )
             torque = vectors(columns, f"{frame.name}.torque")
             torque = np.zeros_like(force) if torque is None else torque
             R = motion.rotation @ frame.rotation
-            wrench = np.einsum("nij,nkj->nki", R, np.stack([force[known], torque[known]], 1))
+            both = np.stack([force[known], torque[known]], 1)
+            wrench = np.asarray(np.einsum("nij,nkj->nki", R, both), float)
             ground[known] += np.einsum("nij,ni->nj", J, wrench.reshape(len(wrench), 6))
         effort = log.effort.copy()
         effort[:, order] += ground

@@ -87,7 +87,7 @@ def rows_without(
         L = np.linalg.cholesky(G)
         N = np.linalg.solve(L, np.swapaxes(A, 1, 2))  # (n, r, nv), rows orthonormal
         rows = scales[own][:, None] * N / scales
-        found[np.ix_(at, own)] = rows
+        found[np.ix_(at, np.array(own))] = rows
     return found
 
 

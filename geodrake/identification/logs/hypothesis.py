@@ -233,7 +233,7 @@ def residual_blocks(
     ]
 
 
-def effective_of_rows(blocks: Sequence[Sequence[Array]], rows: Array) -> Array:
+def effective_of_rows(blocks: Sequence[Sequence[Array]], rows: Array | NDArray[np.int_]) -> Array:
     """Return (nv,) effective samples of rows (nv,), by the residuals of those that are kept.
 
     A joint without rows is given one.
@@ -317,6 +317,6 @@ def first_hypothesis(dataset: Dataset, unknowns: Unknowns, *, delay: Delay = 0) 
     """Return the model as it came, its parameters refitted within their prior."""
     weights = _FIRST_SHARE / dataset.effort_std**2
     cv = CrossValidation(dataset, unknowns, weights, delay=delay)
-    effective = _FIRST_SHARE * dataset.rows
+    effective = np.asarray(_FIRST_SHARE * dataset.rows, float)
     first = Hypothesis(dataset, unknowns, weights, cv.delay, 1.0, cv, effective)
     return settle(first, iterations=3)

@@ -303,10 +303,11 @@ class LogSlice:
             here, low_pass = self._here, self.trajectory.filter
             at = low_pass.output_indices(len(here))
             states = np.stack([here.position, here.velocity, here.acceleration], 2)[at]
-            rests = np.abs(here.velocity) < self.layout.still_speed
+            rests = np.asarray(np.abs(here.velocity) < self.layout.still_speed)
             if (rows := self._contact_rows) is not None:
                 shares = np.abs(rows) * self._row_ratios
-                rests = ((shares > _FELT) & rests[:, None, :]).any(axis=2) | ~rows.any(axis=2)
+                felt = ((shares > _FELT) & rests[:, None, :]).any(axis=2)
+                rests = np.asarray(felt | ~rows.any(axis=2))
             still = low_pass.apply(rests)
             both = np.concatenate([states, still[:, :, None]], 2)
             return {-1: here.time[at], **{j: both[:, j] for j in range(both.shape[1])}}

@@ -426,8 +426,8 @@ class _Understood:
         units: Mapping[str, str],
     ) -> _Understood:
         """Return what the names of the columns say."""
-        own = [name for name in names if floating_name(name) is None]
-        meanings = [meaning for name in own if (meaning := meaning_of(name)) is not None]
+        beside = [name for name in names if floating_name(name) is None]
+        meanings = [meaning for name in beside if (meaning := meaning_of(name)) is not None]
         of_joints = [meaning for meaning in meanings if meaning.quantity in OF_JOINTS]
         found, notes = matched(of_joints, joints)
         best, others = candidates(of_joints, found, reading)
