@@ -79,7 +79,9 @@ def _explain_command(options: LogCommandOptions) -> str:
 
 def _inspected(options: LogCommandOptions, given: Input) -> InspectedLogs:
     model: RobotModel | None = given.model
-    joints = None if model is None else model.known_joints
+    joints = None
+    if model is not None:  # a free base has no columns by the names of its joints
+        joints = tuple(j for j in model.known_joints if j not in model.base_joints)
     reading = options.reading if model is None else reading_for(model, options.reading)
     found = [inspect_log(log, joints=joints, partial=True, reading=reading) for log in options.logs]
     named = tuple(zip((path.name for path in options.logs), found, strict=True))

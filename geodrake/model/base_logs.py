@@ -128,6 +128,9 @@ def with_base(log: JointLog, model: RobotModel) -> JointLog:
         LogError: The log has neither a pose of the base nor an IMU, or they cannot be.
     """
     joints = model.base_joints
+    if not joints and any(name.startswith("base.") for name in log.floating):
+        words = "has the pose of a free base, and the model is fixed: --floating frees it"
+        return log if words in log.notes else replace(log, notes=(*log.notes, words))
     if not joints or set(joints) <= set(log.joints):
         return log
     if len(joints) > 6:

@@ -6,7 +6,10 @@ from pydrake.multibody.parsing import Parser
 from pydrake.multibody.plant import MultibodyPlant
 from pydrake.multibody.tree import JacobianWrtVariable
 from scipy.spatial.transform import Rotation
+from typer.testing import CliRunner
 
+from geodrake.cli.app import app
+from geodrake.control.rollout import roll_out
 from geodrake.diagnosis import explain
 from geodrake.effects.body_motion import RobotBodies
 from geodrake.errors import LogError
@@ -228,3 +231,43 @@ def test_bad_poses_are_refused(model, maker):
         with_base(JointLog("log", JOINTS, log.time, log.position, log.effort, floating=bare), model)
     with pytest.raises(LogError, match="no link 'tail'"):
         with_base(maker.log(wrenches=False, **{"tail.contact": np.ones(count)}), model)
+
+
+def test_a_robot_without_measured_forces_is_not_simulated(model, maker):
+    with pytest.raises(LogError, match=r"no forces of the ground at fl_foot.*Log"):
+        roll_out(model, maker.log(wrenches=False))
+    found = roll_out(model, maker.log(wrenches=True), horizon=0.1)
+    assert max(joint.rms for joint in found.joints) < 1e-2
+
+
+def test_a_fixed_model_says_that_the_log_is_of_a_free_base(tmp_path, maker):
+    (tmp_path / "quadruped.urdf").write_text(quadruped(), encoding="utf-8")
+    found = compare(load_description(tmp_path / "quadruped.urdf"), maker.log(wrenches=True))
+    assert any("--floating frees it" in note for note in found.notes)
+
+
+@pytest.mark.parametrize("command", ["log", "compare", "play"])
+def test_commands_read_the_columns_of_a_free_base(tmp_path, monkeypatch, maker, command):
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "quadruped.urdf").write_text(quadruped(), encoding="utf-8")
+    columns = maker.log(wrenches=True).columns()
+    table = np.stack(list(columns.values()), 1)[:1200]
+    np.savetxt("walk.csv", table, delimiter=",", header=",".join(columns), comments="")
+    found = CliRunner().invoke(
+        app,
+        {
+            "log": ["log", "walk.csv", "--model", "quadruped.urdf", "--floating"],
+            "compare": [
+                "compare",
+                "quadruped.urdf",
+                "walk.csv",
+                "--floating",
+                "--report",
+                "page.html",
+            ],
+            "play": ["play", "quadruped.urdf", "walk.csv", "--floating", "--out", "page.html"],
+        }[command],
+    )
+    assert found.exit_code == 0, found.output
+    assert "nothing is measured" not in found.output
+    assert command == "log" or (tmp_path / "page.html").stat().st_size > 10_000

@@ -13,6 +13,7 @@ from geodrake.control.rollout.acting import Acting
 from geodrake.control.rollout.passages import Passage
 from geodrake.effects import FittedEffect, RobotMotion
 from geodrake.effects.deflection import DeflectionEffect
+from geodrake.errors import LogError
 from geodrake.identification.logs.case import Case
 from geodrake.identification.logs.reduce import peak_speeds
 from geodrake.inertia import Array
@@ -45,6 +46,9 @@ def simulations(
 ) -> Callable[[str], Simulation]:
     """Return what gives the simulation of the model of a case in a log, made when first asked for.
 
+    Raises:
+        LogError: A robot on its feet has no measured forces there.
+
     Args:
         passages: What is to be simulated, which may take so many steps all together. A robot that
             flies apart, as under efforts in other units, takes ever smaller ones. Models that
@@ -54,6 +58,13 @@ def simulations(
     """
     logs = {log.name: log for log in case.asked.logs}
     prepared = {trajectory.name: trajectory for trajectory in case.trajectories}
+    for trajectory in case.trajectories:
+        if trajectory.contacts is not None:
+            raise LogError(
+                f"Log {trajectory.name!r} has no forces of the ground at "
+                f"{', '.join(trajectory.contacts.frames)}, without which the robot falls.",
+                advice="Log what feet measure: <link>.force.x, .y and .z; or use geodrake compare.",
+            )
     fastest = np.maximum(peak_speeds(case.trajectories), 1e-3)
     sign_width = case.model.sign_widths(_SIGN_WIDTH * fastest)
     calm = sum(max(len(p.time), (p.time[-1] - p.time[0]) / LARGEST_STEP) for p in passages)
