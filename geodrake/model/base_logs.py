@@ -32,7 +32,7 @@ _UPRIGHT = np.radians(80.0)  # of pitch, beyond which yaw and roll are nearly on
 _TILT = 0.5  # rad, by which gravity may seem to be off its place on average
 _NEAR = 0.02  # m over the ground, within which a frame may touch it
 _LOWEST = 5.0  # per cent of the lowest heights, which are those of the ground
-_ORDERS = {"x, y, z, w": (3, 0, 1, 2)}
+_UNLIKE = 0.2  # of the weight, by which mean forces at feet may be off it unasked
 _ADVICE = "Log base.position.x … and base.orientation.w …, or imu.angular_velocity.x … and so on."
 
 
@@ -235,16 +235,21 @@ def _checked(quaternion: Array, force: Array | None, gravity: Array, name: str) 
     if force is None:
         return np.asarray(quaternion / length[:, None])
 
-    def off(order: Sequence[int]) -> float:
-        turn = Rotation.from_quat(np.nan_to_num(quaternion, nan=0.5)[:, list(order)])
-        mean = np.nanmean(turn.apply(force), axis=0)
-        return float(np.arccos(np.clip(-mean @ gravity / np.linalg.norm(mean) / 9.81, -1, 1)))
+    known = np.isfinite(quaternion).all(axis=1) & np.isfinite(force).all(axis=1)
 
-    given = off((1, 2, 3, 0))
-    if given > _TILT:
-        others = {"x, y, z, w": off((0, 1, 2, 3)), "world to body": np.inf}
+    def off(order: Sequence[int], power: int = 1) -> float:
+        turn = Rotation.from_quat(quaternion[known][:, order]) ** power
+        mean = turn.apply(force[known]).mean(axis=0)
+        share = mean @ _up(gravity) / max(float(np.linalg.norm(mean)), 1e-12)
+        return float(np.arccos(np.clip(share, -1.0, 1.0)))
+
+    if known.any() and (given := off([1, 2, 3, 0])) > _TILT:
+        others = {
+            "its columns hold x, y, z, w": off([0, 1, 2, 3]),
+            "it turns the world into the body": off([1, 2, 3, 0], -1),
+        }
         best = min(others, key=others.__getitem__)
-        hint = f" With the order {best} it would be." if others[best] < _TILT else ""
+        hint = f" Upright it would be if {best}." if others[best] < _TILT else ""
         raise LogError(
             f"By its orientation, the IMU of log {name!r} feels gravity {np.degrees(given):.0f}° "
             f"off the vertical on average.{hint}",
@@ -301,6 +306,7 @@ def _with_ground(log: JointLog, model: RobotModel) -> JointLog:
         bodies = RobotBodies(model.tree, model.positions(q[known]), model.total_phi)
         ground = np.full((len(log), len(order)), np.nan)
         ground[known] = 0.0
+        sums = np.zeros((2, 3))  # mean forces by axes of links, and as if by the world's
         for frame in frames:
             motion = bodies.motion(frame.body)
             J = np.concatenate([motion.jacobian_at(frame.place), motion.angular], axis=1)
@@ -313,8 +319,12 @@ def _with_ground(log: JointLog, model: RobotModel) -> JointLog:
             torque = np.zeros_like(force) if torque is None else torque
             R = motion.rotation @ frame.rotation
             both = np.stack([force[known], torque[known]], 1)
+            sums += np.nan_to_num(
+                [np.einsum("nij,nj->ni", R, both[:, 0]).mean(axis=0), both[:, 0].mean(axis=0)]
+            )
             wrench = np.asarray(np.einsum("nij,nkj->nki", R, both), float)
             ground[known] += np.einsum("nij,ni->nj", J, wrench.reshape(len(wrench), 6))
+        _check_axes(sums, model, log.name)
         effort = log.effort.copy()
         effort[:, order] += ground
         words = f"wrenches at {', '.join(loaded)} are efforts of the base and the joints"
@@ -334,6 +344,19 @@ def _with_ground(log: JointLog, model: RobotModel) -> JointLog:
     words = f"unknown forces at {', '.join(f.name for f in frames)} ({told}) are taken out"
     contacts = ContactFlags(names, log.time, flags, heights)
     return replace(log, contacts=contacts, notes=(*log.notes, words))
+
+
+def _check_axes(sums: Array, model: RobotModel, name: str) -> None:
+    """Refuse forces that carry the robot by axes of the world, and not by those of links."""
+    weight = -model.total_phi[:, 0].sum() * model.tree.gravity
+    size = max(float(np.linalg.norm(weight)), 1e-12)
+    own, world = np.linalg.norm(sums - weight, axis=1) / size
+    if own > _UNLIKE and world < 0.5 * own:
+        raise LogError(
+            f"Mean forces at the feet of log {name!r} are off the robot's weight by {own:.0%} of "
+            f"it in the axes of links, and by {world:.0%} in those of the world.",
+            advice="Turn them into the axes of the link that each is named after.",
+        )
 
 
 def _feet(model: RobotModel) -> tuple[str, ...]:

@@ -1,5 +1,7 @@
 """Logs of a robot on its feet, made by MultibodyPlant with a quaternion for its base."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from pydrake.multibody.parsing import Parser
@@ -225,12 +227,43 @@ def test_bad_poses_are_refused(model, maker):
     count = len(maker.time)
     with pytest.raises(LogError, match="length one"):
         with_base(maker.log(wrenches=False, **{"base.orientation.w": np.full(count, 2.0)}), model)
+    turned = Maker()
+    turned.R = Rotation.from_euler("z", 2.0) * turned.R * Rotation.from_euler("x", 0.8)
+    turned.imu = turned.R.inv().apply(turned.place[2] + [0, 0, 9.81])
+    right = np.roll(turned.R.as_quat(), 1, axis=1).T
+    for wrong, words in (
+        (turned.R.as_quat().T, "hold x, y, z, w"),
+        (right * [[-1], [1], [1], [1]], "turns the world into the body"),
+    ):
+        names = [f"base.orientation.{axis}" for axis in "wxyz"]
+        with pytest.raises(LogError, match=words):
+            with_base(turned.log(wrenches=False, **dict(zip(names, wrong, strict=True))), model)
     log = maker.log(wrenches=False)
     bare = {name: x for name, x in log.floating.items() if not name.startswith(("base", "imu"))}
     with pytest.raises(LogError, match="no orientation"):
         with_base(JointLog("log", JOINTS, log.time, log.position, log.effort, floating=bare), model)
     with pytest.raises(LogError, match="no link 'tail'"):
         with_base(maker.log(wrenches=False, **{"tail.contact": np.ones(count)}), model)
+
+
+def test_forces_in_the_axes_of_the_world_are_refused(model, maker):
+    log = maker.log(wrenches=True)
+    plant, context = maker.plant, maker.plant.CreateDefaultContext()
+    names = [f"{foot}.force.{axis}" for foot in FEET for axis in "xyz"]
+    changes = {name: np.zeros(len(maker.time)) for name in names}
+    for k in range(len(maker.time)):
+        q = np.zeros(19)
+        q[:7] = [*np.roll(maker.R[k].as_quat(), 1), *maker.place[0, k]]
+        for column, joint in enumerate(JOINTS):
+            q[plant.GetJointByName(joint).position_start()] = maker.joints[0, k, column]
+        plant.SetPositions(context, q)
+        for at, foot in enumerate(FEET):
+            R = plant.GetFrameByName(foot).CalcPoseInWorld(context).rotation().matrix()
+            for axis, value in zip("xyz", R @ maker.forces[k, at], strict=True):
+                changes[f"{foot}.force.{axis}"][k] = value
+    with pytest.raises(LogError, match="in those of the world"):
+        with_base(replace(log, floating={**log.floating, **changes}), model)
+    with_base(log, model)
 
 
 def test_a_robot_without_measured_forces_is_not_simulated(model, maker):
