@@ -54,6 +54,7 @@ class ControlModel:
     _positions: NDArray[np.intp]
     _single: NDArray[np.bool_]
     _all_single: bool
+    _floats: bool
     _payloads: tuple[tuple[int, slice], ...]
     _scales: tuple[tuple[int, int], ...]
     _total_phi: Array
@@ -105,6 +106,7 @@ class ControlModel:
             _positions=positions,
             _single=single,
             _all_single=bool(single.all()),
+            _floats=bool(model.base_joints),
             _payloads=tuple((bodies.index(name), part) for name, part in _placed(model, Role.BODY)),
             _scales=tuple(
                 (joints.index(name), part.start) for name, part in _placed(model, Role.SCALE)
@@ -121,6 +123,11 @@ class ControlModel:
     def single_joints(self) -> bool:
         """Whether every joint has one degree of freedom, so that q̇ is the rate of q."""
         return self._all_single
+
+    @property
+    def floats(self) -> bool:
+        """Whether nothing fixes the robot to the world."""
+        return self._floats
 
     def phi(self, parameters: Array) -> Array:
         """Return inertial parameters (nb, 10) of a parameter vector (p,)."""

@@ -76,10 +76,13 @@ def vectors(columns: Mapping[str, Array], name: str) -> Array | None:
     return np.stack([columns[f"{name}.{axis}"] for axis in axes], -1)
 
 
-def frames_of(columns: Mapping[str, Array], what: str) -> tuple[str, ...]:
-    """Return the frames of which columns have `contact`, or a `force`, in their order."""
-    ends = {"contact": ".contact", "force": ".force.x"}[what]
-    return tuple(name.removesuffix(ends) for name in columns if name.endswith(ends))
+FORCE, FLAG = ".force.x", ".contact"
+"""How columns end that have the force at a frame, and whether that touches something."""
+
+
+def frames_of(columns: Mapping[str, Array], end: str) -> tuple[str, ...]:
+    """Return the frames of which columns have an end, in their order."""
+    return tuple(name.removesuffix(end) for name in columns if name.endswith(end))
 
 
 @dataclass(frozen=True, eq=False)

@@ -21,7 +21,7 @@ from scipy.spatial.transform import Rotation
 from geodrake.effects.body_motion import RobotBodies
 from geodrake.errors import LogError
 from geodrake.inertia.bodies import lumped_bodies
-from geodrake.logs.floating import ContactFlags, frames_of, vectors
+from geodrake.logs.floating import FLAG, FORCE, ContactFlags, frames_of, vectors
 from geodrake.logs.motion import GROUND, JointLog
 from geodrake.model.robot_model import RobotModel
 
@@ -298,7 +298,7 @@ def _integral(time: Array, values: Array) -> Array:
 def _with_ground(log: JointLog, model: RobotModel) -> JointLog:
     """Return the log with the efforts of measured wrenches, or the frames that may touch."""
     columns = log.floating
-    loaded, flagged = frames_of(columns, "force"), frames_of(columns, "contact")
+    loaded, flagged = frames_of(columns, FORCE), frames_of(columns, FLAG)
     order = [log.joints.index(joint) for joint in model.joints if joint in log.joints]
     if loaded and len(order) == len(model.joints):
         frames, q = contact_frames(model, loaded), log.position[:, order]

@@ -254,7 +254,7 @@ def test_what_does_not_fit_is_refused():
 
 def test_floating_robots_are_refused():
     floating = load_description(MODELS / "double_pendulum.urdf", floating=True)
-    with pytest.raises(ArgumentError, match="one degree of freedom"):
+    with pytest.raises(ArgumentError, match="this one floats"):
         PassivityBasedAdaptiveController(ControlModel.of(floating), None)
 
 

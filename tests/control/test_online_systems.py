@@ -10,6 +10,7 @@ from adaptive_loops import (
     CONTROL,
     MANIFOLD,
     MODEL,
+    MODELS,
     TRUTH,
     FaultySensor,
     SlowSensor,
@@ -359,16 +360,16 @@ def test_docstrings_name_the_ports(name):
     assert set(said["output_ports"]) == outputs
 
 
-def test_balls_are_refused(tmp_path):
+def test_floating_robots_and_balls_are_refused(tmp_path):
     path = tmp_path / "ball.xml"
     path.write_text(
         '<mujoco><worldbody><body name="b"><joint name="j" type="ball"/>'
         '<geom size=".1"/></body></worldbody></mujoco>'
     )
     ball = ControlModel.of(load_description(path))
-    for make in (
-        lambda: ModelResidual(ball),
-        lambda: BregmanProjectionEstimator(ball, UPDATE),
-    ):
-        with pytest.raises(ArgumentError, match="one degree of freedom"):
-            make()
+    floating = ControlModel.of(load_description(MODELS / "double_pendulum.urdf", floating=True))
+    for control, words in ((ball, "one degree of freedom"), (floating, "this one floats")):
+        with pytest.raises(ArgumentError, match=words):
+            ModelResidual(control)
+        with pytest.raises(ArgumentError, match=words):
+            BregmanProjectionEstimator(control, UPDATE)

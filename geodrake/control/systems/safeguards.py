@@ -256,8 +256,13 @@ def usable(x: Array) -> bool:
 
 
 def require_single_joints(control: ControlModel) -> None:
-    """Check that positions are as many as velocities, joint by joint."""
-    if not checked_control(control).single_joints:
+    """Check that positions are as many as velocities, joint by joint, and that none is free."""
+    if checked_control(control).floats:
+        raise ArgumentError(
+            "Controllers and estimators need a robot that is fixed to the world; this one floats.",
+            advice="Weld the base, or use geodrake.control.regressor from Python.",
+        )
+    if not control.single_joints:
         raise ArgumentError(
             "Controllers and estimators need joints of one degree of freedom each; this robot has "
             "others.",
