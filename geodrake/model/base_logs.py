@@ -185,23 +185,28 @@ def _base_motion(log: JointLog, model: RobotModel) -> tuple[Array, Array | None,
             np.where(known[:, None], quaternion, [1.0, 0, 0, 0])[:, [1, 2, 3, 0]]
         )
     elif gyro is not None and force is not None:
-        turn, known = _integrated(time, gyro, force, g), np.ones(len(log), bool)
+        turn, known = _integrated(time, gyro, force, g, log.name), np.ones(len(log), bool)
     else:
         raise LogError(
             f"Log {log.name!r} has no orientation of the base and no IMU, and the model floats.",
             advice=f"{_ADVICE} Of a robot that is fixed to the world leave --floating out.",
         )
-    angles = turn.as_euler("ZYX")
-    if np.abs(angles[known, 1]).max(initial=0.0) > _UPRIGHT:
-        worst = float(np.degrees(np.abs(angles[known, 1]).max()))
+    if not known.any():
+        raise LogError(
+            f"No row of log {log.name!r} has the orientation of the base.",
+            advice=_ADVICE,
+        )
+    R = turn.as_matrix()
+    pitch = np.abs(np.arcsin(np.clip(R[known, 2, 0], -1.0, 1.0)))
+    if pitch.max() > _UPRIGHT:
+        worst = float(np.degrees(pitch.max()))
         raise LogError(
             f"The base of log {log.name!r} pitches by up to {worst:.0f}°, where yaw and roll are "
             "one: such motions are not read.",
             advice="Leave that part of the log out; is the quaternion w, x, y, z, body to world?",
         )
-    angles = np.unwrap(angles, axis=0)
-    angles[~known] = np.nan
-    R = turn.as_matrix()
+    angles = np.full((len(log), 3), np.nan)
+    angles[known] = np.unwrap(turn[known].as_euler("ZYX"), axis=0)
     rates, accelerations = None, None
     if spin is not None:
         rates = _euler_rates(angles, spin)
@@ -259,8 +264,18 @@ def _checked(quaternion: Array, force: Array | None, gravity: Array, name: str) 
     return np.asarray(quaternion / length[:, None])
 
 
-def _integrated(time: Array, gyro: Array, force: Array, gravity: Array) -> Rotation:
+def _integrated(time: Array, gyro: Array, force: Array, gravity: Array, name: str) -> Rotation:
     """Orientation by a gyroscope from where the mean of the specific force is upwards."""
+    felt = np.linalg.norm(force[np.isfinite(force).all(axis=1)], axis=1)
+    g = float(np.linalg.norm(gravity))
+    if felt.size == 0 or not 0.5 * g < np.mean(felt) < 2.0 * g:
+        found = f"{np.mean(felt):.3g} m/s² on average" if felt.size else "no value"
+        raise LogError(
+            f"The IMU of log {name!r} has {found} of specific force, and a robot at rest feels "
+            f"{g:.3g}: nothing says which way is up.",
+            advice="Log imu.linear_acceleration.x … with gravity in it, in m/s², or "
+            "base.orientation.w ….",
+        )
     turns, now = [np.array([0.0, 0.0, 0.0, 1.0])], Rotation.identity()
     steps = np.diff(time)[:, None] * 0.5 * (gyro[1:] + gyro[:-1])
     for step in Rotation.from_rotvec(np.nan_to_num(steps)):

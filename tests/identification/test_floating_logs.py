@@ -246,6 +246,43 @@ def test_bad_poses_are_refused(model, maker):
         with_base(maker.log(wrenches=False, **{"tail.contact": np.ones(count)}), model)
 
 
+def _posed(maker, rotation, force=None, missing=slice(0, 0)):
+    quaternion = np.roll(rotation.as_quat(), 1, axis=1)
+    quaternion[missing] = np.nan
+    if force is None:
+        force = rotation.inv().apply([0, 0, 9.81])
+    columns = {f"base.orientation.{axis}": quaternion[:, k] for k, axis in enumerate("wxyz")}
+    columns |= {f"imu.linear_acceleration.{axis}": force[:, k] for k, axis in enumerate("xyz")}
+    return maker.log(wrenches=False, **columns)
+
+
+def test_a_gap_where_yaw_passes_half_a_turn_is_no_whole_turn(model, maker):
+    yaw = np.pi + 0.6 * (maker.time - maker.time.mean())
+    gap = slice(len(yaw) // 2 - 5, len(yaw) // 2 + 5)
+    log = with_base(_posed(maker, Rotation.from_euler("z", yaw[:, None]), missing=gap), model)
+    found = log.position[:, log.joints.index(model.base_joints[3])]
+    known = np.isfinite(found)
+    np.testing.assert_allclose(found[known], yaw[known], atol=1e-9)
+    assert np.count_nonzero(~known) == 10
+
+
+def test_what_says_no_way_up_is_refused(model, maker):
+    count = len(maker.time)
+    upright = Rotation.from_euler("z", np.zeros((count, 1)))
+    steep = Rotation.from_euler("y", np.linspace(0.0, np.pi / 2, count)[:, None])
+    for log, words in (
+        (_posed(maker, steep), "pitches by up to 90°"),
+        (_posed(maker, upright, missing=slice(None)), "No row"),
+    ):
+        with pytest.raises(LogError, match=words):
+            with_base(log, model)
+    for value, words in ((0.0, "has 0 m/s²"), (np.nan, "no value")):
+        log = _posed(maker, upright, force=np.full((count, 3), value))
+        bare = {n: x for n, x in log.floating.items() if "orientation" not in n}
+        with pytest.raises(LogError, match=words):
+            with_base(replace(log, floating=bare), model)
+
+
 def test_forces_in_the_axes_of_the_world_are_refused(model, maker):
     log = maker.log(wrenches=True)
     plant, context = maker.plant, maker.plant.CreateDefaultContext()
