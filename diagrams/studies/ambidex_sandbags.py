@@ -170,6 +170,11 @@ class CoupledControl:
         """True: a turn is one number."""
         return self.own.single_joints
 
+    @property
+    def floats(self) -> bool:
+        """False: the arm is fixed to the world."""
+        return self.own.floats
+
     def at(self, q: Array, qd: Array, v: Array, a: Array) -> CoupledSample:
         """The Slotine–Li regressor, as that of a ControlModel."""
         return CoupledSample(self.own.at(*(self.J @ x for x in (q, qd, v, a))), self.J)
