@@ -1,4 +1,4 @@
-"""What logs have of a free base and its contacts: the names of columns, and contact flags.
+"""Names of the columns of a free base and its contacts, and contact flags.
 
     base.position.x … z             m, of the root body's origin in the world
     base.orientation.w, x, y, z     its quaternion, body to world
@@ -87,25 +87,27 @@ def frames_of(columns: Mapping[str, Array], end: str) -> tuple[str, ...]:
 
 @dataclass(frozen=True, eq=False)
 class ContactFlags:
-    """Frames that may be in contact, and when they were said to be.
+    """Frames that may touch the ground, and when.
 
     Attributes:
         frames: Names of the c frames.
         time: (K,) instants, s.
-        flags: (K, c) whether each was in contact; None where nobody said it.
-        heights: Whether it is known how high frames are: where positions of the base are.
+        flags: (K, c) whether each may touch.
     """
 
     frames: tuple[str, ...]
     time: Array
-    flags: NDArray[np.bool_] | None
-    heights: bool
+    flags: NDArray[np.bool_]
 
-    def at(self, time: Array) -> NDArray[np.bool_] | None:
-        """Return (N, c) whether frames were in contact right before, at or right after instants."""
-        if self.flags is None:
-            return None
-        first = np.searchsorted(self.time, time - _BESIDE)
-        last = np.searchsorted(self.time, time + _BESIDE, side="right")
-        sums = np.vstack([np.zeros((1, len(self.frames))), np.cumsum(self.flags, axis=0)])
-        return np.asarray(sums[last] - sums[first] > 0)
+    def at(self, time: Array) -> NDArray[np.bool_]:
+        """Return (N, c) whether frames may touch in the rows beside instants (N,)."""
+        after = np.clip(np.searchsorted(self.time, time), 0, len(self.time) - 1)
+        return np.asarray(self.flags[np.maximum(after - 1, 0)] | self.flags[after])
+
+
+def widened(time: Array, flags: NDArray[np.bool_]) -> NDArray[np.bool_]:
+    """Return flags (N, c) that hold a little before they were said to, and a little longer."""
+    first = np.searchsorted(time, time - _BESIDE)
+    last = np.searchsorted(time, time + _BESIDE, side="right")
+    sums = np.vstack([np.zeros((1, flags.shape[1])), np.cumsum(flags, axis=0)])
+    return np.asarray(sums[last] > sums[first])

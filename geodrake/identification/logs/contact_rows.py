@@ -1,12 +1,12 @@
-"""Rows of a robot in contact, of which unknown contact forces are no part.
+"""Rows of a robot in contact that unknown contact forces do not reach.
 
     Y φ + Σ Y_e μ_e = τ + Jᵀ w,      N J̃ᵀ = 0,      N (Y φ + Σ Y_e μ_e) = N τ
 
-where J are the Jacobians of the frames that may touch, over all nv velocities, and rows of N, which
-are orthonormal in the units of the noise, span what forces w of any size do not reach. Each row
-belongs to a velocity: those of the base come first, then joints of limbs in the air, so that joints
-of standing limbs have none. It holds at each instant, so that filtered rows hold as well, also
-across touches and lifts. To take a frame for touching that does not is valid, and costs some rows.
+J are the Jacobians of the frames that may touch, over all nv velocities. Rows of N span what no
+force w changes, and are orthonormal in the units of the noise (J̃). Each row belongs to a velocity:
+those of the base first, then joints of limbs in the air; joints of standing limbs have none. The
+equation holds at each instant, and so does any filter of it, also across touches and lifts. A frame
+in doubt counts as touching, which is valid and costs some rows.
 """
 
 from __future__ import annotations
@@ -19,38 +19,32 @@ from numpy.typing import NDArray
 from geodrake.effects.body_motion import RobotBodies
 from geodrake.logs.motion import Trajectory
 from geodrake.logs.smoothing import Segment
-from geodrake.model.base_logs import contact_frames, frame_heights, may_touch
+from geodrake.model.ground_contacts import contact_frames
 from geodrake.model.robot_model import RobotModel
 
 Array = NDArray[np.float64]
 
-_LEAST = 0.05  # of a row, that others leave of it
+_LEAST = 0.05  # share of a row that is independent of the rows before it
 _FORCE, _EFFORT = 0.01, 0.03  # noise of base rows over the weight, and of joints over their efforts
 _ARM = 0.15  # m, by which forces make moments of the base
 
 
 def contact_rows(model: RobotModel, trajectory: Trajectory, segment: Segment) -> Array | None:
-    """(N, nv, nv) N at instants of a segment, zeros in rows that there are none of.
+    """Return N (N, nv, nv) at the instants of a segment; None if no contact force is unknown.
 
-    None of robots without unknown contacts.
+    Rows of velocities that have none are zero.
     """
-    contacts = trajectory.contacts
-    if contacts is None:
+    if (contacts := trajectory.contacts) is None:
         return None
-    frames = contact_frames(model, contacts.frames)
     bodies = RobotBodies(model.tree, model.positions(segment.position), model.total_phi)
+    frames = contact_frames(model, contacts.frames)
     J = np.stack([frame.jacobian(bodies) for frame in frames], 1)  # (N, c, 3, nv)
-    flags = contacts.at(segment.time)
-    if contacts.heights:
-        near = may_touch(frame_heights(frames, bodies))
-        flags = near if flags is None else flags | near
-    if flags is None:
-        flags = np.ones(J.shape[:2], bool)
-    return rows_without(J, flags, row_scales(model, trajectory), len(model.base_joints), model)
+    base = [model.joints.index(joint) for joint in model.base_joints]
+    return rows_without(J, contacts.at(segment.time), row_scales(model, trajectory), base)
 
 
 def row_scales(model: RobotModel, trajectory: Trajectory) -> Array:
-    """(nv,) about how noisy each velocity's row is, N·m or N; it weighs rows, and nothing else."""
+    """Return rough noise (nv,) of the rows of velocities, N·m or N, by which they are weighed."""
     power, count = np.zeros(len(model.joints)), 0
     for segment in trajectory.segments:
         effort = segment[:10_000].effort
@@ -65,13 +59,15 @@ def row_scales(model: RobotModel, trajectory: Trajectory) -> Array:
     return scales
 
 
-def rows_without(
-    J: Array, flags: NDArray[np.bool_], scales: Array, base: int, model: RobotModel
-) -> Array:
-    """Return `contact_rows` for Jacobians (N, c, 3, nv) of frames of which some touch (N, c)."""
+def rows_without(J: Array, flags: NDArray[np.bool_], scales: Array, base: Sequence[int]) -> Array:
+    """Return N (N, nv, nv) for Jacobians (N, c, 3, nv) of frames, of which some touch (N, c).
+
+    Args:
+        scales: (nv,) noise of the rows of velocities, N·m or N.
+        base: Velocities of the base, which get rows first.
+    """
     count, _, _, nv = J.shape
     found = np.zeros((count, nv, nv))
-    first = [model.joints.index(joint) for joint in model.base_joints[:base]]
     modes, which = np.unique(flags, axis=0, return_inverse=True)
     for number, mode in enumerate(modes):
         at = np.flatnonzero(which.ravel() == number)
@@ -81,7 +77,7 @@ def rows_without(
         K = J[at][:, mode].reshape(len(at), -1, nv) / scales
         Q, _ = np.linalg.qr(np.swapaxes(K, 1, 2))
         P = np.eye(nv) - Q @ np.swapaxes(Q, 1, 2)
-        own = _owners(P[len(at) // 2], first, nv - Q.shape[2])
+        own = _owners(P[len(at) // 2], base, nv - Q.shape[2])
         A = P[:, :, own]
         G = A[:, own] + 1e-12 * np.eye(len(own))
         L = np.linalg.cholesky(G)
