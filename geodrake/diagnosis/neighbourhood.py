@@ -48,7 +48,10 @@ class Neighbourhood:
         self._at = {term: np.arange(span.start, span.stop) for term, span in spans}
 
     def delays(self) -> list[tuple[Delay, float]]:
-        """Return the best other delay of all joints, and of each joint alone, with their gains."""
+        """Return the best other delay of all joints, and of each joint alone, with their gains.
+
+        Joints of a free base have no motor that could be late alone.
+        """
         model, was = self._model, self.fit.choice.delay
         columns, fit, joints = self.fit.columns, self.fit, range(len(was))
         count = len(model.dataset.delays)
@@ -58,7 +61,8 @@ class Neighbourhood:
         own, *every = (_moments(*each) for each in (model.normal(columns, was), *late))
         samples = fit.weights * np.maximum(fit.variance, model.floor) * model.rows
         now, found = fit.variance * model.rows, list[tuple[Delay, float]]()
-        for moved in (joints, *([j] for j in joints)):
+        base = {model.model.joints.index(joint) for joint in model.model.base_joints}
+        for moved in (joints, *([j] for j in joints if j not in base)):
             tried = []
             for k, moments in enumerate(every):
                 change = fit.weights[moved] @ (moments[moved] - own[moved])

@@ -80,7 +80,7 @@ class SharedRows:
 INERTIA = "inertia"
 """What columns of inertial parameters belong to, as others belong to an effect."""
 
-_FELT = 0.02  # of a row's noise, from which on it feels friction of another joint at rest
+_FELT = 0.02  # share of a row's noise from which the friction of a joint at rest matters to it
 _WIDE = 16  # columns that are filtered as they are
 
 MOSTLY_STILL = 0.3
@@ -115,7 +115,7 @@ class Layout:
     ) -> Layout:
         """Return the layout of the columns of bodies and effects; speeds (nv,) in rad/s or m/s.
 
-        Rows of all joints are `mixed` where unknown contact forces are taken out of them.
+        Where unknown contact forces are taken out, rows are `mixed`: each may see every column.
         """
         motion = _probe(model, 7)
         size = np.abs(
@@ -204,10 +204,9 @@ class Layout:
         That is the effort of the bodies with what they hold, which may be known already.
         """
         robot, inertial = carrying(self.model, trajectory.payloads), dict[int, Array]()
-        known = load
         if INERTIA in parts:
-            inertial, load = self._inertial_at(motion, robot.total_phi.ravel())
-            load = load if known is None else known
+            inertial, needed = self._inertial_at(motion, robot.total_phi.ravel())
+            load = needed if load is None else load
         elif load is None:
             load = inverse_dynamics(self.tree, motion.q, motion.v, motion.vd, robot.total_phi)
         seen = robot.motion(motion, sign_width=self.sign_width, load=load)
@@ -279,12 +278,12 @@ class LogSlice:
 
     @cached_property
     def _contact_rows(self) -> Array | None:
-        """(N, nv, nv) what takes unknown contact forces out of the rows; None without."""
+        """See `contact_rows.contact_rows`."""
         return contact_rows(self.layout.model, self.trajectory, self._here)
 
     @cached_property
     def _row_ratios(self) -> Array:
-        """(nv, nv) how noisy rows of velocities are, those of the second over the first."""
+        """(nv, nv) noise of the row of the second velocity over that of the first."""
         scales = row_scales(self.layout.model, self.trajectory)
         return scales / scales[:, None]
 
@@ -409,7 +408,7 @@ class LogSlice:
 
 
 def _mixed(rows: Array, blocks: Blocks) -> Blocks:
-    """Columns of every joint's row, of rows N (N, nv, nv) and columns of efforts at joints."""
+    """Return columns of every row, as N (N, nv, nv) mixes them from columns at joints."""
     if not blocks:
         return blocks
     joints = np.array([*blocks])

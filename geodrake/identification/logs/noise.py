@@ -103,7 +103,7 @@ def _is_silent(density: Array, segment: Segment) -> NDArray[np.bool_]:
 
 
 def _taken(rows: Array | None, efforts: Array) -> Array:
-    """(N, nv) efforts with unknown contact forces taken out by rows (N, nv, nv), if there are."""
+    """Return efforts (N, nv) without unknown contact forces, by `contact_rows` (N, nv, nv)."""
     return efforts if rows is None else np.einsum("nij,nj->ni", rows, efforts)
 
 

@@ -84,7 +84,7 @@ def planned_download(path: Path) -> str:
 
 
 def whole_if_folder(written: str | os.PathLike[str], path: Path) -> Path:
-    """Return a path, whole where only the folder before it, as in ./ur5e, tells it from a name."""
+    """Return a path, made absolute if it was written as ./ur5e, which `Path` makes a name of."""
     return path.absolute() if _is_name(path) and os.fspath(written) != str(path) else path
 
 
