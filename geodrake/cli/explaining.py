@@ -20,6 +20,8 @@ from geodrake.effects import effect_class
 from geodrake.errors import LogError, ModelError
 from geodrake.identification.logs.case import open_case
 from geodrake.identification.logs.compare import compare
+from geodrake.identification.logs.model_errors import Comparison
+from geodrake.model.robot_model import RobotModel
 from geodrake.report.explaining import (
     Explained,
     comparison_page,
@@ -34,6 +36,7 @@ from geodrake.report.json_output import (
     explanation_dict,
     motions_dict,
 )
+from geodrake.report.page import Pictures
 
 
 def run_compare(options: Options) -> None:
@@ -45,6 +48,7 @@ def run_compare(options: Options) -> None:
             lambda given: compare(given.model, given.logs, **given.settings),
             comparison_dict,
             comparison_page,
+            pictures=lambda found, model: _drawn(model, {"": found}),
         ),
         options,
     )
@@ -59,6 +63,7 @@ def run_diagnose(options: Options) -> None:
             lambda given: diagnose(given.model, given.logs, extra=given.extra, **given.settings),
             diagnosis_dict,
             diagnosis_page,
+            pictures=lambda found, model: _drawn(model, {"": found.comparison}),
         ),
         options,
     )
@@ -80,6 +85,7 @@ def run_add(options: AddOptions) -> None:
         added,
         _numbers,
         explanation_page,
+        pictures=_pictures,
         check_effects=lambda extra: effect_class(effect, extra),
     )
     run(command, options)
@@ -94,6 +100,7 @@ def run_explain(options: ExplainOptions | Options, promise: str = "") -> None:
         _explained if target is None else _drafted,
         _numbers,
         explanation_page,
+        pictures=_pictures,
         more={"draft-effect": target},
         makers=_makers,
         promise=promise,
@@ -137,6 +144,18 @@ def _motions(given: Input, found: Explanation) -> tuple[Rollout, ...] | None:
 def _makers(found: Explained) -> Mapping[str, Maker]:
     draft = found.draft
     return {} if draft is None or not draft.effects else {"draft-effect": lambda: source_of(draft)}
+
+
+def _pictures(found: Explained, model: RobotModel) -> Pictures | None:
+    explanation = found.explanation
+    now = {"now": explanation.after} if explanation.steps else {}
+    return _drawn(model, {"as it stands": explanation.before, **now})
+
+
+def _drawn(model: RobotModel, compared: Mapping[str, Comparison]) -> Pictures | None:
+    from geodrake.report.robot_pictures import error_pictures  # as matplotlib takes a while
+
+    return error_pictures(model, compared)
 
 
 def _numbers(found: Explained) -> dict[str, Any]:

@@ -38,7 +38,7 @@ from geodrake.model.robot_model import RobotModel
 from geodrake.model.saved_model import saved_text
 from geodrake.report.json_output import to_json
 from geodrake.report.numbers import Units
-from geodrake.report.page import About, Page, Section
+from geodrake.report.page import About, Page, Pictures, Section
 from geodrake.report.series_table import check_series, series_content
 from geodrake.report.terminal import ResultsConsole, show_page, show_saved
 
@@ -88,6 +88,7 @@ class Command(Generic[R]):
         more: Option -> what else the command writes.
         makers: What makes these files; nothing is written without one.
         saved: Option -> what its file is, where that is not the usual.
+        pictures: Draws the robot for the page.
         check_effects: Refuses effects that do not exist, before anything is read.
         check: Refuses a model that the command cannot work on, before the logs are looked at.
         write: Writes the files, and returns those that no option names.
@@ -108,6 +109,7 @@ class Command(Generic[R]):
     suffixes: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
     makers: Callable[[R], Mapping[str, Maker]] = lambda result: {}
     saved: Mapping[str, str] = field(default_factory=dict)
+    pictures: Callable[[R, RobotModel], Pictures | None] = lambda result, model: None
     check_effects: Callable[[Sequence[type[Effect]]], object] = lambda extra: None
     check: Callable[[RobotModel], None] = lambda model: None
     write: Callable[[R, Mapping[Path, Content]], Sequence[Path]] = _write
@@ -160,7 +162,7 @@ def _run(command: Command[R], options: Any) -> R:
         )
         makers: dict[str, Maker] = {
             "json": lambda: numbers,
-            "report": partial(_html, page),
+            "report": lambda: _html(replace(page, pictures=command.pictures(result, fitted))),
             "save": partial(saved_text, fitted, getattr(options, "save", None) or Path()),
             "series": partial(_samples, result, series or Path()),
             **command.makers(result),

@@ -39,6 +39,7 @@ def render(page: Page) -> str:
     environment = templates()
     environment.filters["json_of"] = Markup  # a chart's data, which has no letter of markup
     environment.filters["breakable"] = _breakable
+    environment.filters["base64"] = lambda data: base64.b64encode(data).decode("ascii")
     return environment.get_template("report.html.jinja").render(
         page=page,
         style=Markup(style),

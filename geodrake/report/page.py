@@ -135,6 +135,31 @@ class Tile:
 
 
 @dataclass(frozen=True)
+class Picture:
+    """A picture of a robot as PNG, on no ground."""
+
+    title: str
+    png: bytes
+
+
+@dataclass(frozen=True)
+class Pictures:
+    """Pictures of a robot whose links are coloured by errors.
+
+    Attributes:
+        colors: Colours from no error to the largest.
+        top: The largest one, in words.
+        notes: What is not shown as the model's file has it, in words.
+    """
+
+    shown: tuple[Picture, ...]
+    colors: tuple[str, ...]
+    top: str
+    text: str
+    notes: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True)
 class Page:
     """All that there is to say of a result.
 
@@ -147,6 +172,7 @@ class Page:
         lead: What the answer means, in paragraphs.
         tiles: The numbers worth seeing first.
         first: What is to be known before all else, such as mistakes in columns.
+        pictures: The robot, which HTML pages alone have.
     """
 
     title: str
@@ -160,6 +186,7 @@ class Page:
     footer: str = ""
     links: Mapping[str, str] = field(default_factory=dict)
     first: Section | None = None
+    pictures: Pictures | None = None
 
     @property
     def shown_sections(self) -> tuple[Section, ...]:

@@ -1,0 +1,156 @@
+"""Robots as pictures: triangles seen by a camera, the nearest one at each pixel."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from geodrake.compiling import compiled, contiguous
+from geodrake.inertia import Array
+from geodrake.report.played_robots import PlayedRobot
+from geodrake.report.robot_scene import VIEW
+from geodrake.report.triangles import link_triangles
+
+Pixels = NDArray[np.uint8]
+
+_FINER = 2  # pixels that are drawn for each one of the picture, along each side
+_NEAR = 0.01  # m, before the camera, from which on something is seen
+_LIGHTS = np.array([[0.3, 0.5, 1.0], [-0.5, 0.2, 1.0]])  # to the right, up, and to the viewer
+_DARKEST = 0.45  # share of its colour that a surface has which no light meets
+
+
+@dataclass(frozen=True, eq=False)
+class _Surface:
+    """The triangles of a link.
+
+    Attributes:
+        corners: (m, 3, 3) in the link's frame, m.
+        colors: (m, 3) that the file gives them, 0 to 255.
+    """
+
+    corners: Array
+    colors: Array
+
+
+@dataclass(frozen=True)
+class Camera:
+    """Where pictures are taken from, and their size.
+
+    Attributes:
+        place: (3,) of the camera in the world, m.
+        target: (3,) what is in the middle, m.
+        width: In pixels.
+        height: In pixels, for an angle of `VIEW`.
+    """
+
+    place: Array
+    target: Array
+    width: int
+    height: int
+
+    @property
+    def R_WC(self) -> Array:
+        """(3, 3) axes of the camera in the world: to the right, up, and towards the viewer."""
+        back = (self.place - self.target) / np.linalg.norm(self.place - self.target)
+        right = np.cross([0.0, 0.0, 1.0], back)
+        right /= np.linalg.norm(right)
+        return np.column_stack([right, np.cross(back, right), back])
+
+    def seen(self, points: Array) -> Array:
+        """Return points (..., 3) of the world as pixels from the left and top, and 1 / depth."""
+        at = (points - self.place) @ self.R_WC
+        nearness = 1.0 / np.maximum(-at[..., 2], _NEAR)
+        scale = 0.5 * self.height / np.tan(0.5 * VIEW) * nearness
+        x, y = 0.5 * self.width + scale * at[..., 0], 0.5 * self.height - scale * at[..., 1]
+        return np.stack([x, y, np.where(-at[..., 2] > _NEAR, nearness, -1.0)], -1)
+
+
+class DrawnRobots:
+    """The robots of a playback, ready to be drawn in any of its frames."""
+
+    def __init__(self, robots: Sequence[PlayedRobot], camera: Camera) -> None:
+        self._robots = robots
+        size = _FINER * camera.width, _FINER * camera.height
+        self._camera = Camera(camera.place, camera.target, *size)
+        self._surfaces = [[_surface(link.shapes) for link in robot.links] for robot in robots]
+
+    def picture(self, frame: int) -> Pixels:
+        """Return a frame (height, width, 4), RGBA, on no ground."""
+        camera, corners, colors = self._camera, list[Array](), list[Array]()
+        for robot, surfaces in zip(self._robots, self._surfaces, strict=True):
+            for link, surface in zip(robot.links, surfaces, strict=True):
+                X_WB = link.X_WB[frame]
+                turned = surface.corners @ X_WB.rotation().matrix().T
+                corners.append(turned + X_WB.translation() + robot.place)
+                own = surface.colors if link.joint is None else robot.color(link, frame)[:3]
+                colors.append(np.broadcast_to(own, surface.colors.shape))
+        points = np.concatenate(corners)
+        shaded = np.concatenate(colors) * _brightness(points @ camera.R_WC)[:, None]
+        image = np.zeros((camera.height, camera.width, 4), np.float32)
+        _draw(contiguous(camera.seen(points)), contiguous(shaded), image, np.zeros(image.shape[:2]))
+        some = [image[i::_FINER, j::_FINER] for i in range(_FINER) for j in range(_FINER)]
+        total = sum(some[1:], some[0])
+        total[..., :3] /= np.maximum(total[..., 3:], 1.0)
+        total[..., 3] *= 255.0 / len(some)
+        return np.rint(total).astype(np.uint8)
+
+
+def on_ground(picture: Pixels, ground: Sequence[int]) -> Pixels:
+    """Return a picture (height, width, 3) on a colour."""
+    cover = picture[..., 3:] / 255.0
+    return np.rint(picture[..., :3] * cover + np.array(ground) * (1.0 - cover)).astype(np.uint8)
+
+
+def _surface(shapes: Sequence[Any]) -> _Surface:
+    corners, colors = [np.empty((0, 3, 3))], [np.empty((0, 3))]
+    for one in shapes:
+        vertices, faces = link_triangles([one])
+        corners.append(vertices[faces])
+        rgb = 255.0 * np.array([one.color.r(), one.color.g(), one.color.b()])
+        colors.append(np.tile(rgb, (len(faces), 1)))
+    return _Surface(np.concatenate(corners), np.concatenate(colors))
+
+
+def _brightness(corners: Array) -> Array:
+    """Return how bright triangles are, (m,), from their corners (m, 3, 3) in the camera's axes."""
+    normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    normals /= np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-300)
+    normals *= np.where(normals[:, 2:] < 0.0, -1.0, 1.0)  # of the side that is seen
+    lights = _LIGHTS / np.linalg.norm(_LIGHTS, axis=1, keepdims=True)
+    lit = np.maximum(normals @ lights.T, 0.0).mean(1)
+    return np.asarray(_DARKEST + (1.0 - _DARKEST) * lit)
+
+
+@compiled
+def _draw(corners: Array, colors: Array, image: Any, nearest: Array) -> None:
+    """Draw triangles (m, 3, 3), each corner in pixels and 1 / depth, where nothing is nearer."""
+    height, width = nearest.shape
+    for k in range(len(corners)):
+        a, b, c = corners[k]
+        if min(a[2], b[2], c[2]) <= 0.0:
+            continue
+        area = (b[0] - a[0]) * (c[1] - a[1]) - (b[1] - a[1]) * (c[0] - a[0])
+        if area == 0.0:
+            continue
+        left = max(0, int(np.floor(min(a[0], b[0], c[0]))))
+        right = min(width - 1, int(np.ceil(max(a[0], b[0], c[0]))))
+        top = max(0, int(np.floor(min(a[1], b[1], c[1]))))
+        bottom = min(height - 1, int(np.ceil(max(a[1], b[1], c[1]))))
+        for row in range(top, bottom + 1):
+            y = row + 0.5
+            for column in range(left, right + 1):
+                x = column + 0.5
+                of_b = ((x - a[0]) * (c[1] - a[1]) - (y - a[1]) * (c[0] - a[0])) / area
+                of_c = ((b[0] - a[0]) * (y - a[1]) - (b[1] - a[1]) * (x - a[0])) / area
+                of_a = 1.0 - of_b - of_c
+                if of_a < 0.0 or of_b < 0.0 or of_c < 0.0:
+                    continue
+                near = of_a * a[2] + of_b * b[2] + of_c * c[2]
+                if near > nearest[row, column]:
+                    nearest[row, column] = near
+                    image[row, column, :3] = colors[k]
+                    image[row, column, 3] = 1.0
