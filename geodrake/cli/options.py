@@ -87,6 +87,8 @@ class PlayOptions(LogOptions):
         live (PORT): Show the page on a port of this machine instead, until Ctrl-C; 0 is any free.
         speed (FACTOR): Seconds of the log played in a second.
         seconds (SECONDS): Most to play: of longer logs, the passages of largest error.
+        ghost (SECONDS): Show the model's robot under the measured efforts as a ghost, which begins
+            at the measured state anew every so often, such as 0.2.
     """
 
     before: Path | None = None
@@ -96,6 +98,7 @@ class PlayOptions(LogOptions):
     live: int | None = None
     speed: float = 1.0
     seconds: float = 30.0
+    ghost: float | None = None
 
 
 @dataclass(frozen=True, kw_only=True)

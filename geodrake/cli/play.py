@@ -29,6 +29,8 @@ def run_play(options: PlayOptions) -> None:
     """
     positive(options.speed, "--speed")
     positive(options.seconds, "--seconds")
+    if options.ghost is not None:
+        positive(options.ghost, "--ghost")
     if options.video is not None:
         check_video(options.video)
     to, recorded = options.to or (None, None)
@@ -47,6 +49,8 @@ def run_play(options: PlayOptions) -> None:
             before=_before(options, given),
             extra=given.extra,
             seconds=options.seconds,
+            ghost=options.ghost,
+            progress=given.progress,
             **given.settings,
         )
         return Played(playback, drawn_shapes(playback.models[-1].model))

@@ -9,7 +9,8 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from pydrake.geometry import Meshcat, MeshcatAnimation
+from matplotlib.colors import to_rgb
+from pydrake.geometry import Meshcat, MeshcatAnimation, Rgba
 
 from geodrake.boundary.escaping import html_text, path_part, printable
 from geodrake.inertia import Array
@@ -40,6 +41,7 @@ UNKNOWN = 255
 """Level of a joint in a frame where nothing is compared."""
 
 _LEVELS = 254
+_GHOSTLY, _INNER = 0.35, 0.99  # opacity and size of ghosts, which are seen where they depart
 _TEMPLATE = "play.html.jinja"
 
 
@@ -52,6 +54,7 @@ class _RobotCopy:
     places: tuple[JointPlace, ...]
     arrows: EffortArrows
     effects: EffectMarks
+    ghost: RobotScene | None
 
 
 def play_page(
@@ -95,9 +98,23 @@ def _draw(
         places = scene.joint_places()
         arrows = EffortArrows(meshcat, places, played.measured, played.predicted, extent.size)
         effects = EffectMarks(meshcat, scene, played.model, units, extent.size)
-        copies.append(_RobotCopy(played, scene, places, arrows, effects))
+        ghost = _ghost(meshcat, played, shapes, k, extent)
+        copies.append(_RobotCopy(played, scene, places, arrows, effects, ghost))
     place_camera(meshcat, extent, copies=len(copies))
     return copies
+
+
+def _ghost(
+    meshcat: Meshcat, played: PlayedModel, shapes: RobotShapes, number_: int, extent: Extent
+) -> RobotScene | None:
+    """Return the robot that the model alone moves; None if none is played."""
+    if np.isnan(played.simulated).all():
+        return None
+    path, color = f"ghost/{number_}", Rgba(*to_rgb(style.AFTER), _GHOSTLY)
+    place = number_ * extent.gap * RIGHT
+    scene = RobotScene(meshcat, played.model, shapes=shapes, path=path, p_WR=place, color=color)
+    meshcat.SetProperty(path, "scale", [_INNER] * 3)
+    return scene
 
 
 def _record(meshcat: Meshcat, playback: Playback, copies: Sequence[_RobotCopy]) -> None:
@@ -110,6 +127,12 @@ def _record(meshcat: Meshcat, playback: Playback, copies: Sequence[_RobotCopy]) 
             copy.scene.move(posture, clock(frame))
             copy.arrows.show(frame)
             copy.effects.show(frame, posture)
+            if copy.ghost is not None:
+                there = np.isfinite(copy.played.simulated[frame]).all()
+                meshcat.SetProperty(copy.ghost.path, "visible", bool(there), clock(frame))
+                if there:
+                    (own,) = copy.played.model.positions(copy.played.simulated[frame : frame + 1])
+                    copy.ghost.move(own, clock(frame))
     meshcat.StopRecording()
     recording = meshcat.get_mutable_recording()
     recording.set_loop_mode(MeshcatAnimation.LoopMode.kLoopRepeat)
@@ -148,6 +171,7 @@ def _panel(
         top=percent(playback.top),
         measured=MEASURED,
         predicted=style.AFTER,
+        ghosts=any(copy.ghost is not None for copy in copies),
         data=_script(_data(playback, copies, units, speed)),
     )
 
@@ -224,6 +248,7 @@ def _data(
                 "errors": _packed(copy.played.relative.astype("<f4")),
                 "measured": _packed(copy.played.measured.astype("<f4")),
                 "predicted": _packed(copy.played.predicted.astype("<f4")),
+                "simulated": _packed(copy.played.simulated.astype("<f4")),
                 "moved": [list(place.moved) for place in copy.places],
                 "marks": _labels(copy.effects.marks),
             }

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -10,6 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from geodrake.boundary.arguments import positive
+from geodrake.control.rollout import case_rollout
+from geodrake.control.rollout.results import Window
 from geodrake.effects import Effect
 from geodrake.errors import ArgumentError
 from geodrake.identification.logs.case import Case, open_case
@@ -29,6 +31,7 @@ _PART = 5.0  # s, length of the parts among which the worst are chosen
 _MEAN_OVER = 0.3  # s, over which an error is the RMS: residuals change their sign
 _APART = 1.0  # s, between two moments at one joint
 _APART_ANYWHERE = 0.25  # s, between two moments
+_FARTHEST = 1.0  # rad or m, of a ghost's joint from the measured position
 _MOST_MOMENTS, _MOST_AT_ONE = 5, 2  # of a model, and at one joint
 
 
@@ -60,6 +63,7 @@ class PlayedModel:
         predicted: (F, nv) what the model predicts.
         error: (F, nv) RMS of measured − predicted around each frame.
         relative: (F, nv) the same over the deviation of the joint's measured effort.
+        simulated: (F, nv) positions of its ghost by joint, rad or m; NaN where there is none.
     """
 
     title: str
@@ -70,6 +74,7 @@ class PlayedModel:
     predicted: Array
     error: Array
     relative: Array
+    simulated: Array
 
 
 @dataclass(frozen=True)
@@ -136,8 +141,14 @@ def play_back(
     extra: Sequence[type[Effect]] = (),
     bandwidth: float | None = None,
     seconds: float = MOST_SECONDS,
+    ghost: float | None = None,
+    progress: Callable[[str, float], None] | None = None,
 ) -> Playback:
     """What to play of logs: all of them, or the passages in which the models err most.
+
+    A ghost is the model's robot alone with the measured efforts. It begins at the measured state
+    again and again, as a robot under efforts drifts away soon. Where a joint of it is
+    1 rad or 1 m off, it stays.
 
     Args:
         model: The model as it stands; nothing in it is refitted.
@@ -145,12 +156,16 @@ def play_back(
         bandwidth: Bandwidth of the filter, Hz; by default that of the model's fit to the same logs,
             or chosen from the data.
         seconds: Length of what is played at most, s.
+        ghost: For how long a ghost is alone each time, s; no ghosts if None.
+        progress: Called with what is simulated for ghosts, and the share that is done.
 
     Raises:
-        ArgumentError: The other model has other joints, or `seconds` is no positive number.
+        ArgumentError: The other model has other joints, or a number of seconds is not positive.
         LogError: A log cannot be used.
     """
     positive(seconds, "seconds")
+    if ghost is not None:
+        positive(ghost, "ghost")
     if before is not None and before.joints != model.joints:
         raise ArgumentError(
             f"The model before has the joints {', '.join(before.joints)}; the model has "
@@ -172,7 +187,10 @@ def play_back(
         pairs.insert(0, ("before", other))
     compared = [(title, each, comparison(each)) for title, each in pairs]
     excerpts, left_out = _excerpts(case, [c for *_, c in compared], seconds)
-    models = tuple(_played(title, each, found, excerpts) for title, each, found in compared)
+    models = tuple(
+        _played(title, each, found, excerpts, _ghost(each, excerpts, ghost, progress))
+        for title, each, found in compared
+    )
     moments = tuple(m for k, played in enumerate(models) for m in _worst(k, played.error, played))
     return Playback(model.joints, excerpts, models, moments, left_out)
 
@@ -232,7 +250,39 @@ def _excerpt(log: str, began: float, stretch: Stretch, first: int, stop: int) ->
     return Excerpt(log, began, time, q)
 
 
-def _played(title: str, case: Case, found: Comparison, excerpts: Sequence[Excerpt]) -> PlayedModel:
+def _ghost(
+    case: Case,
+    excerpts: Sequence[Excerpt],
+    horizon: float | None,
+    progress: Callable[[str, float], None] | None,
+) -> Array:
+    """(F, nv) positions of a model's robot under the measured efforts; NaN where it is not."""
+    parts = [np.full_like(excerpt.q, np.nan) for excerpt in excerpts]
+    if horizon is not None:
+        spans = [(e.log, float(e.time[0]), float(e.time[-1])) for e in excerpts]
+        most = 1 + int(sum(last - first for _, first, last in spans) / horizon)
+        found = case_rollout(case, horizon=horizon, most=most, progress=progress, within=spans)
+        for window in found.windows:
+            simulated = _stopped(window)
+            for excerpt, part in zip(excerpts, parts, strict=True):
+                shown = (window.time[0] <= excerpt.time) & (excerpt.time <= window.time[-1])
+                if excerpt.log == window.log and shown.any():
+                    at = excerpt.time[shown]
+                    part[shown] = np.stack([np.interp(at, window.time, x) for x in simulated.T], -1)
+    return np.concatenate(parts)
+
+
+def _stopped(window: Window) -> Array:
+    """(K, nv) simulated positions, which stay where one of them is too far from the measured."""
+    near = np.nan_to_num(np.abs(window.departure), nan=np.inf).max(1) <= _FARTHEST
+    count = len(near) if near.all() else max(1, int(near.argmin()))
+    last = np.minimum(np.arange(len(near)), count - 1)
+    return window.simulated[last]
+
+
+def _played(
+    title: str, case: Case, found: Comparison, excerpts: Sequence[Excerpt], simulated: Array
+) -> PlayedModel:
     logs = [trajectory.name for trajectory in case.trajectories]
     shape = (sum(len(e.time) for e in excerpts), len(case.model.joints))
     measured, predicted, error = (np.full(shape, np.nan) for _ in range(3))
@@ -257,7 +307,8 @@ def _played(title: str, case: Case, found: Comparison, excerpts: Sequence[Excerp
     stds = np.array([joint.std for joint in found.errors.joints])
     trained = any(print_ in case.model.fitted_to for print_ in case.fingerprints)
     relative = error / stds
-    return PlayedModel(title, case.model, found, trained, measured, predicted, error, relative)
+    efforts = measured, predicted, error
+    return PlayedModel(title, case.model, found, trained, *efforts, relative, simulated)
 
 
 def _around(frames: Array, time: Array, measured: Array, predicted: Array) -> Array:

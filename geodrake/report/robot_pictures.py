@@ -92,7 +92,7 @@ _AT = ("time", "position")
 def _played(title: str, model: RobotModel, found: Comparison) -> PlayedModel:
     nrms = np.array([[joint.nrms for joint in found.errors.joints]])
     unknown = np.full_like(nrms, np.nan)
-    return PlayedModel(title, model, found, False, unknown, unknown, unknown, nrms)
+    return PlayedModel(title, model, found, False, unknown, unknown, unknown, nrms, unknown)
 
 
 def _png(picture: Pixels) -> bytes:

@@ -20,7 +20,7 @@ from typer.testing import CliRunner
 from geodrake import load_model, save_model
 from geodrake.cli.app import app
 from geodrake.cli.serving import page_server, serve_page
-from geodrake.control.rollout import Rollout
+from geodrake.control.rollout import Rollout, roll_out
 from geodrake.control.rollout.results import Window
 from geodrake.diagnosis import compare
 from geodrake.effects import CoulombFriction, FittedEffect, GravityTilt, Payload
@@ -65,10 +65,10 @@ def playback(before, after):
 
 
 @pytest.fixture(scope="module")
-def short(before, after):
+def cut():
     log = read_log(LOG)
     few = slice(None, 900)
-    cut = replace(
+    return replace(
         log,
         time=log.time[few],
         position=log.position[few],
@@ -76,6 +76,10 @@ def short(before, after):
         velocity=log.velocity[few],
         acceleration=None,
     )
+
+
+@pytest.fixture(scope="module")
+def short(before, after, cut):
     return play_back(after, [cut], before=before)
 
 
@@ -101,6 +105,35 @@ def test_links_go_where_the_log_says(short, page):
                 plant.GetJointByName(joint).set_angle(context, value)
             X_WB = plant.EvalBodyPoseInWorld(context, plant.GetBodyByName("flange"))
             np.testing.assert_allclose(positions[frame], X_WB.translation(), atol=2e-3)
+
+
+def test_ghosts_go_where_rollouts_do(after, cut):
+    playback = play_back(after, [cut], ghost=0.2)
+    (played,) = playback.models
+    there = np.isfinite(played.simulated).all(1)
+    assert there.mean() > 0.7 and np.isnan(played.simulated[~there]).all()
+    apart = np.abs(played.simulated - playback.q)[there]
+    assert apart.max() > 0.05 and np.median(apart) < 0.05
+    assert apart.max() < 1.5  # a radian, and what is between two frames
+    (excerpt,) = playback.excerpts
+    rolled = roll_out(after, [cut], horizon=0.2, most=1000).windows
+    window = next(w for w in rolled if w.time[0] > excerpt.time[0])
+    inside = (excerpt.time >= window.time[0]) & (excerpt.time <= window.time[-1])
+    at = excerpt.time[inside]
+    near = np.stack([np.interp(at, window.time, x) for x in window.simulated.T], -1)
+    np.testing.assert_allclose(played.simulated[inside][0], near[0], atol=1e-6)
+    html = play_page(playback, title="t", log_names=["l"], units=Units.of(after))
+    seen, own = tracks(html), "/drake/ghost/0"
+    shown = seen[own, "visible"][1]
+    assert shown == there.tolist()
+    link = f"{own}/arm6::flange"
+    assert len(seen[link, "position"][0]) == there.sum()
+    assert 'id="gd-ghosts"' in html
+
+
+def test_there_is_no_ghost_unasked(short, page):
+    assert all(np.isnan(played.simulated).all() for played in short.models)
+    assert 'id="gd-ghosts"' not in page and not [p for p, _ in tracks(page) if "ghost" in p]
 
 
 def test_arrows_have_the_lengths_and_directions_of_the_efforts(short, page):
