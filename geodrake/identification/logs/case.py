@@ -225,7 +225,7 @@ def prepared_as_measured(
     The `bandwidth` of the filter, Hz, is by default chosen from the motion.
     """
     logs = checked_logs(model, logs, (), bandwidth, blocks)
-    _, matched, _ = with_efforts(model, _matched(model, logs))
+    _, matched, _ = with_efforts(model, _matched(model, logs), simulate=False)
 
     def prepare(logs: Sequence[JointLog]) -> tuple[Trajectory, ...]:
         uniform = [make_uniform(log) for log in logs]

@@ -27,7 +27,7 @@ from scipy.optimize import minimize
 from geodrake.effects.base import Effect
 from geodrake.identification.coordinates import SYMMETRIC_BASIS
 from geodrake.identification.logs.criteria import SPREAD, WORTH
-from geodrake.identification.logs.dataset import Dataset
+from geodrake.identification.logs.dataset import Dataset, JointRows
 from geodrake.identification.logs.evidence import effective_samples
 from geodrake.identification.logs.unknowns import effect_prior
 from geodrake.inertia import PARAMETERS_PER_BODY, from_pseudo_inertia, pseudo_inertia
@@ -55,6 +55,7 @@ class SignalGains:
     deviations: Array  # (nv,) standard deviations of log |gain|
     phi: Array  # (nb, 10) inertial parameters that go with them
     worth: Array  # (nv,) independent samples of what stays unexplained
+    bodies: Array  # (nv,) deviations of log |gain| by how well bodies are known, all else certain
 
 
 @dataclass(frozen=True, eq=False)
@@ -70,7 +71,8 @@ class SignalRows:
     factor: Array  # (k, n)
     samples: int  # rows of the logs behind it
     variance: float  # of the signal
-    blocks: tuple[Array, ...]  # rows of the same columns of blocks of the logs
+    mix: Array  # (p, n) of which of the logs' columns these are made
+    blocks: tuple[JointRows, ...]  # rows of blocks of the logs
 
     @classmethod
     def of(
@@ -105,19 +107,23 @@ class SignalRows:
         variance = float(dataset.effort_std[joint] ** 2)
         prior = np.eye(k, mix.shape[1]) * np.sqrt(np.array(known) * variance)[:, None]
         factors = [factor[:, : last + 1] @ mix for factor in data.factors]
-        blocks = (np.hstack([part.A, part.b[:, :1]]) @ mix for fold in data.rows for part in fold)
         return cls(
             data.columns[inertial],
             k,
             triangular_factor([prior, *factors]),
             int(data.samples.sum()),
             variance,
-            tuple(blocks),
+            mix,
+            tuple(part for fold in data.rows for part in fold),
         )
 
     def load(self, phi: Array) -> Array:
         """(r,) rows of the effort of the bodies and of known payloads, for φ (d,)."""
         return self.factor[self.free :, self.free : -1] @ np.append(phi[self.columns], 1.0)
+
+    def slopes(self, slope: Array) -> Array:
+        """(r, d) slopes of `load` with coordinates of the bodies, for those of φ (d, d)."""
+        return self.factor[self.free :, self.free : -2] @ slope[self.columns]
 
     def left(self, a: float, phi: Array) -> Array:
         """Return (r,) rows of what bodies with an inverse gain a leave, of the other sign."""
@@ -149,8 +155,8 @@ class SignalRows:
     def effective(self, a: float, phi: Array) -> float:
         """Return how many independent samples the residual is worth."""
         free = self.free_parameters(a, phi, 1.0)[0]
-        x = np.concatenate([free, a * phi[self.columns], [a, -1.0]])
-        return effective_samples([rows @ x for rows in self.blocks])
+        x = self.mix @ np.concatenate([free, a * phi[self.columns], [a, -1.0]])
+        return effective_samples([rows.A @ x[:-1] + rows.b[:, 0] * x[-1] for rows in self.blocks])
 
 
 def signal_gains(
@@ -192,8 +198,15 @@ def signal_gains(
     inverse = np.linalg.inv(information)
     covariance = inverse + inverse @ np.tensordot(worth / WORTH, grams, 1) @ inverse
     deviations = np.sqrt(np.diag(covariance)[d:])
-    found = bodies.at(z[:d])[0].reshape(-1, PARAMETERS_PER_BODY)
-    return SignalGains(signs * np.exp(-z[d:]), deviations, found, worth)
+    found, slope = bodies.at(z[:d])
+    spread, least = np.linalg.inv(bodies.information), np.finfo(float).tiny
+    scales = [
+        load @ joint.slopes(slope) / max(float(load @ load), least)
+        for joint, load in ((each, each.load(found)) for each in rows)
+    ]
+    known = np.sqrt([scale @ spread @ scale for scale in scales])
+    phi = found.reshape(-1, PARAMETERS_PER_BODY)
+    return SignalGains(signs * np.exp(-z[d:]), deviations, phi, worth, known)
 
 
 def _system(
@@ -218,7 +231,7 @@ def _system(
     for j, (joint, a) in enumerate(zip(rows, (signs * np.exp(z[d:])).tolist(), strict=True)):
         left, load = joint.left(a, phi), joint.load(phi)
         J = np.zeros((len(load), size))
-        J[:, :d] = a * joint.factor[joint.free :, joint.free : -2] @ slope[joint.columns]
+        J[:, :d] = a * joint.slopes(slope)
         J[:, d + j] = a * load
         noise = left @ left + joint.samples * joint.variance * _NOTHING
         grams[j] = worth[j] / noise * J.T @ J

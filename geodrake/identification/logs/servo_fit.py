@@ -51,9 +51,18 @@ Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 T = TypeVar("T", np.float64, np.bool_)
 
-PARAMETERS = ("stiffness", "rate", "damping", "coulomb", "armature", "delay", "integral")
-"""kp, kr, d, F, I, δ and ki; of joints that turn in N·m/rad, N·m·s/rad (twice), N·m, kg·m², s and
-N·m/(rad·s).
+PARAMETERS = (
+    "stiffness",
+    "rate",
+    "damping",
+    "coulomb",
+    "armature",
+    "delay",
+    "offset",
+    "integral",
+)
+"""kp, kr, d, F, I, δ, o and ki; of joints that turn in N·m/rad, N·m·s/rad (twice), N·m, kg·m², s,
+N·m and N·m/(rad·s).
 
 Numbers of a servo are these, its limit (infinite for none), the share of d within it (0 or 1), and
 the efforts w that an integral begins with, one for each stretch.
@@ -62,11 +71,20 @@ the efforts w that an integral begins with, one for each stretch.
 LONGEST_DELAY = 0.06
 """Commands are late by no more, s."""
 
-_RATE, _DELAY, _INTEGRAL, _LIMIT, _SHARE, _BEGUN = 1, 5, 6, 7, 8, 9  # which number is which
+_RATE, _DELAY, _OFFSET, _INTEGRAL, _LIMIT, _SHARE, _BEGUN = (
+    1,
+    5,
+    6,
+    7,
+    8,
+    9,
+    10,
+)  # which number is which
 # Steps of simulations, s: a share of the time between rows, from and up to so much; of all, and of
 # first searches.
 _STEPS, _COARSE_STEPS = (0.05, 2.5e-4, 1e-3), (0.2, 1e-3, 4e-3)
 _WINDOWS = 8  # of all logs, two of a stretch at least; every other one is left out for a test
+_SOUGHT, _PIECE = 40.0, 10.0  # s of all stretches that searches see, in pieces of so many
 _MOST_EVALUATIONS, _FIRST_EVALUATIONS = 60, 20
 _LIMIT_STEP = 1e-3  # of a limit's size, for differences
 _INSIDE = 0.01  # of parameters' sizes from their bounds, where searches begin
@@ -80,8 +98,8 @@ _TRIED_DELAYS = (0.0, 0.01, 0.03)  # s, that searches begin from
 class ServoFit:
     """A servo and what its joint has beside the bodies, by the joint's motion."""
 
-    parameters: Array  # (7,) values of `PARAMETERS`; the last is 0 for a servo without an integral
-    deviations: Array  # (7,) their standard deviations, for bodies that are known exactly
+    parameters: Array  # (8,) values of `PARAMETERS`; the last is 0 for a servo without an integral
+    deviations: Array  # (8,) their standard deviations, for bodies that are known exactly
     error: float  # RMS of simulated − measured positions, rad or m
     start: float  # the same where the search began
     moved: float  # deviation of the measured positions, rad or m
@@ -98,7 +116,7 @@ class JointMotions:
     periods: tuple[float, ...]  # per stretch the time between rows, s
 
     def servo(self, parameters: Sequence[float], *, limit: float = np.inf) -> Array:
-        """Return the numbers (9 + S,) of a servo with some first parameters, and zeros beyond."""
+        """Return the numbers (10 + S,) of a servo with some first parameters, and zeros beyond."""
         numbers = np.zeros(_BEGUN + len(self.rows))
         numbers[: len(parameters)], numbers[_LIMIT] = parameters, limit
         return numbers
@@ -108,11 +126,11 @@ class JointMotions:
         return np.concatenate([x for x, _ in self._stretches(servo, coarse, 0)])
 
     def slopes(self, servo: Array, scale: Array, free: Mask, *, coarse: bool = False) -> Array:
-        """Return slopes (N, f) of positions with those numbers (9 + S,) that are free, in sizes.
+        """Return slopes (N, f) of positions with those numbers (10 + S,) that are free, in sizes.
 
         That with the limit is a difference.
         """
-        parts = self._stretches(servo, coarse, 8 if free[[_INTEGRAL, _BEGUN]].any() else _INTEGRAL)
+        parts = self._stretches(servo, coarse, 9 if free[[_INTEGRAL, _BEGUN]].any() else _INTEGRAL)
         J, at = np.zeros((sum(map(len, self.rows)), len(servo))), 0
         for k, (x, own) in enumerate(parts):
             J[at : at + len(x), : min(own.shape[1], _LIMIT)] = own[:, :_LIMIT]
@@ -193,6 +211,24 @@ class JointMotions:
         squares = [max(sum(float(b @ b) for b in each), _NOTHING) for each in blocks]
         return effective_samples(blocks[1]) * float(np.log(squares[0] / squares[1]))
 
+    def pieces(self) -> JointMotions:
+        """Return what a search sees of long logs: pieces, spread evenly over the stretches."""
+        lengths = [period * len(q) for q, period in zip(self.positions, self.periods, strict=True)]
+        if sum(lengths) <= _SOUGHT:
+            return self
+        cut = [
+            (k, at)
+            for k, (q, period) in enumerate(zip(self.positions, self.periods, strict=True))
+            for at in _even(len(q), max(1, round(_PIECE / period)))
+        ]
+        count = max(1, round(_SOUGHT / _PIECE))
+        kept = [cut[i] for i in np.unique(np.linspace(0, len(cut) - 1, count).round().astype(int))]
+        return JointMotions(
+            tuple(contiguous(self.rows[k][at]) for k, at in kept),
+            tuple(self.positions[k][at] for k, at in kept),
+            tuple(self.periods[k] for k, _ in kept),
+        )
+
     def _split(self, values: NDArray[T]) -> list[NDArray[T]]:
         """Return values (N,) of each stretch."""
         return np.split(values, np.cumsum([len(each) for each in self.rows])[:-1])
@@ -208,6 +244,12 @@ class JointMotions:
         pairs = np.maximum(1, np.rint(0.5 * _WINDOWS * counts / max(counts.sum(), 1)).astype(int))
         windows = zip(counts.tolist(), pairs.tolist(), strict=True)
         return np.concatenate([np.arange(n) * 2 * k // max(n, 1) % 2 == 1 for n, k in windows])
+
+
+def _even(count: int, length: int) -> list[slice]:
+    """Return slices of about some length that cover so many rows."""
+    ends = np.linspace(0, count, max(1, round(count / length)) + 1).round().astype(int).tolist()
+    return [slice(*pair) for pair in zip(ends[:-1], ends[1:], strict=True)]
 
 
 def _runs(values: Array, kept: Mask) -> list[Array]:
@@ -262,16 +304,16 @@ def _read(time: Array, values: Array, instants: Array) -> Array:
 class _Servo:
     """A servo in a search."""
 
-    numbers: Array  # (9 + S,)
-    scale: Array  # (9 + S,) sizes of the numbers
+    numbers: Array  # (10 + S,)
+    scale: Array  # (10 + S,) sizes of the numbers
     summed: bool = False  # whether it has an integral, or a constant effort
 
-    def free(self, *, without: int | None = None, limit: bool = False) -> Mask:
-        """Return (9 + S,) which numbers move."""
+    def free(self, *, without: Sequence[int] = (), limit: bool = False) -> Mask:
+        """Return (10 + S,) which numbers move."""
         free = np.arange(len(self.numbers)) < _INTEGRAL
         free[_INTEGRAL], free[_BEGUN:], free[_LIMIT] = self.summed, self.summed, limit
-        if without is not None:
-            free[without] = False
+        free[_OFFSET] = not self.summed  # w has it
+        free[list(without)] = False
         return free
 
     def at_zero(self, which: int | slice) -> _Servo:
@@ -283,6 +325,15 @@ class _Servo:
     def plain(self) -> _Servo:
         """Return the servo without its integral."""
         return replace(self.at_zero(_INTEGRAL).at_zero(slice(_BEGUN, None)), summed=False)
+
+    def along(self, motions: JointMotions) -> _Servo:
+        """Return the servo along other stretches; its integral begins as bodies need it."""
+        plain, count = self.numbers[:_BEGUN], len(motions.rows)
+        numbers = motions.servo(plain.tolist(), limit=float(plain[_LIMIT]))
+        if self.summed:
+            numbers = motions.with_integral(numbers, float(plain[_INTEGRAL]))
+        scale = np.append(self.scale[:_BEGUN], np.full(count, self.scale[_BEGUN]))
+        return replace(self, numbers=numbers, scale=scale)
 
     def limited(self, limit: float, own: float) -> _Servo:
         """Return the servo with another limit, and share of its damping within it."""
@@ -300,19 +351,17 @@ def fit_servo(
     or another one, or none. None if windows that the fit did not see are predicted no better than
     from where it began, or than by a joint that stands still.
     """
-    inertia = np.concatenate(motions.rows)[:, 1]
-    start = motions.servo(
-        [
-            signal.gain,
-            signal.damping,
-            0.05 * signal.gain,
-            0.1 * float(np.std(motions.needed)),
-            0.2 * float(np.mean(inertia)),
-            signal.delay,
-        ]
-    )
-    search = _Search(motions, signal.integral)
-    found = search.at_its_limit(start, limit)
+    inertia, some = np.concatenate(motions.rows)[:, 1], motions.pieces()
+    begin = [
+        signal.gain,
+        signal.damping,
+        0.05 * signal.gain,
+        0.1 * float(np.std(motions.needed)),
+        0.2 * float(np.mean(inertia)),
+        signal.delay,
+    ]
+    found = _Search(some, signal.integral).at_its_limit(some.servo(begin), limit).along(motions)
+    search, start = _Search(motions, signal.integral), motions.servo(begin)
     fit = search.fitted(found, start)
     if fit is not None and fit.parameters[_INTEGRAL] ** 2 < PENALTY * fit.deviations[-1] ** 2:
         return replace(search, told=0.0).fitted(found.plain(), start)
@@ -321,7 +370,7 @@ def fit_servo(
 
 @dataclass(frozen=True, eq=False)
 class _Search:
-    """Searches for the servo of a joint, from servos (9 + S,) on."""
+    """Searches for the servo of a joint, from servos (10 + S,) on."""
 
     motions: JointMotions
     told: float  # the integral gain by a linear fit; 0 if it has none
@@ -335,15 +384,18 @@ class _Search:
         tested, moved = motions.tested, float(np.std(motions.measured))
         if not motions.rms(half.numbers, tested) < min(motions.rms(began, tested), moved):
             return None
-        best = self._best([half])
-        bare = self._best([best.at_zero(_RATE)], free=best.free(without=_RATE))
-        if motions.gain(bare.numbers, best.numbers) < PENALTY:
-            best = bare
+        best, unused = self._best([half]), list[int]()
+        for which in (_OFFSET, _RATE):
+            free = best.free(without=[*unused, which])
+            bare = self._best([best.at_zero(which)], free=free)
+            if motions.gain(bare.numbers, best.numbers) < PENALTY:
+                best = bare
+                unused.append(which)
         error, first = motions.rms(best.numbers), motions.rms(began)
         if not error < min(first, moved):
             return None
         parameters, limit, own = np.split(best.numbers[:_BEGUN], [_LIMIT, _SHARE])
-        deviations = self._deviations(best)
+        deviations = self._deviations(best, best.free(without=unused))
         return ServoFit(parameters, deviations, error, first, moved, float(limit[0]), bool(own[0]))
 
     def at_its_limit(self, start: Array, limit: float) -> _Servo:
@@ -383,11 +435,11 @@ class _Search:
         return best
 
     def _scale(self, start: Array) -> Array:
-        """Return (9 + S,) sizes of the numbers of a servo, about that by a linear fit."""
+        """Return (10 + S,) sizes of the numbers of a servo, about that by a linear fit."""
         needed = self.motions.needed
         scale = np.full(len(start), float(np.std(needed)) or 1.0)  # of no effort, any size
         least = [0.0, 0.02 * start[0], 0.0, 1e-3, 1e-4, 0.01]
-        scale[:_INTEGRAL] = np.maximum(start[:_INTEGRAL], least)
+        scale[:_OFFSET] = np.maximum(start[:_OFFSET], least)
         scale[_INTEGRAL] = max(self.told, start[0])
         scale[[_LIMIT, _SHARE]] = float(np.abs(needed).max()) or 1.0, 1.0
         return scale
@@ -415,7 +467,7 @@ class _Search:
         starts = [replace(constant, numbers=each) for each in begins]
         best = self._best([self._best(starts, seen=True, coarse=True)], seen=True)
         constants = [constant, best.at_zero(_INTEGRAL)]
-        constant = self._best(constants, seen=True, free=best.free(without=_INTEGRAL))
+        constant = self._best(constants, seen=True, free=best.free(without=[_INTEGRAL]))
         worth = motions.gain(constant.numbers, best.numbers, motions.tested)
         return best if worth >= PENALTY else None
 
@@ -424,7 +476,7 @@ class _Search:
         left = self.motions.residual(constant.numbers)
         both = [
             self.motions.slopes(constant.numbers, constant.scale, free, coarse=True)
-            for free in (constant.free(without=_INTEGRAL), constant.free())
+            for free in (constant.free(without=[_INTEGRAL]), constant.free())
         ]
         before, after = (left - A @ np.linalg.lstsq(A, left, rcond=None)[0] for A in both)
         return self.motions.gain_of(before, after)
@@ -441,7 +493,7 @@ class _Search:
     ) -> _Servo:
         """Return the least squares over all rows, or those that a fit sees, from several starts on.
 
-        All numbers that a servo has move, its limit only if asked for, unless `free` (9 + S,) says
+        All numbers that a servo has move, its limit only if asked for, unless `free` (10 + S,) says
         which. Simulations may take long steps (`coarse`).
         """
         motions = self.motions
@@ -452,6 +504,7 @@ class _Search:
             upper, lower = np.full((2, len(scale)), np.inf)
             upper[_DELAY] = LONGEST_DELAY / scale[_DELAY]
             lower[:_LIMIT], lower[_LIMIT], lower[_SHARE:] = 0.0, _INSIDE, -np.inf
+            lower[_OFFSET] = -np.inf
 
             def numbers(x: Array) -> Array:
                 found = start.numbers.copy()
@@ -469,12 +522,12 @@ class _Search:
 
         return min(map(search, starts), key=lambda each: each[0])[1]
 
-    def _deviations(self, best: _Servo) -> Array:
-        """Return (7,) standard deviations of parameters.
+    def _deviations(self, best: _Servo, free: Mask) -> Array:
+        """Return (8,) standard deviations of parameters that are free (10 + S,).
 
         What is left goes with the motion: it is worth few samples, however long logs are.
         """
-        size, free = np.maximum(best.numbers, best.scale), best.free()
+        size = np.maximum(np.abs(best.numbers), best.scale)
         residual, J = (
             self.motions.residual(best.numbers),
             self.motions.slopes(best.numbers, size, free),
@@ -509,24 +562,16 @@ def calc_servo_motion(
     Args:
         rows: (N, 8) b, M, K, D, q, q̇, q̈ and the command.
         period: Time between rows, s.
-        servo: (10,) kp, kr, d, F, I, δ, ki, the largest effort, the share of d within it, and w.
-        out: (N,) positions, and (N, p) their slopes with kp, kr, d, F, I and δ, or with ki and w
+        servo: (11,) kp, kr, d, F, I, δ, o, ki, the largest effort, the share of d within it, and w.
+        out: (N,) positions, and (N, p) their slopes with kp, kr, d, F, I, δ and o, or with ki and w
             too; (0, p) if those are not asked for.
     """
     positions, slopes = out
-    kp, kr, d, F, armature, delay, ki = (
-        servo[0],
-        servo[1],
-        servo[2],
-        servo[3],
-        servo[4],
-        servo[5],
-        servo[6],
-    )
-    limit, own, w = servo[7], servo[8], servo[9]
+    kp, kr, d, F, armature = servo[0], servo[1], servo[2], servo[3], servo[4]
+    delay, offset, ki, limit, own, w = servo[5], servo[6], servo[7], servo[8], servo[9], servo[10]
     dt = period / steps
     x, v, z, before, rise_before = rows[0, 4], rows[0, 5], 0.0, rows[0, 7], 0.0
-    X, V, Z, change, now_at = np.zeros(8), np.zeros(8), np.zeros(8), np.zeros(8), np.zeros(7)
+    X, V, Z, change, now_at = np.zeros(9), np.zeros(9), np.zeros(9), np.zeros(9), np.zeros(7)
     count = slopes.shape[1] if len(slopes) > 0 else 0
     positions[0] = x
     slopes[:1] = 0.0
@@ -539,7 +584,7 @@ def calc_servo_motion(
             q, qd, qdd = now_at[4], now_at[5], now_at[6]
             c, rise = calc_command_before(rows, k + f - delay / period, period)
             drive = kp * (c - x) + kr * (c - before) / dt + ki * (z + (c - x) * dt) + w
-            rest = (M + armature) * v / dt - b - K * (x - q) + D * qd + M * qdd
+            rest = (M + armature) * v / dt - b - offset - K * (x - q) + D * qd + M * qdd
             heavy, reach = (M + armature) / dt + K * dt + D + (1.0 - own) * d, kp + ki * dt
             soft, gives = reach * dt + kr + own * d, 1.0
             now, way = calc_velocity_after(drive + rest, heavy + soft, F)
@@ -556,8 +601,9 @@ def calc_servo_motion(
                 change[3] = -way
                 change[4] = (v - now) / dt
                 change[5] = -gives * (reach * rise + kr * (rise - rise_before) / dt)
-                change[6] = gives * (z + (c - x - now * dt) * dt)
-                change[7] = gives
+                change[6] = -1.0
+                change[7] = gives * (z + (c - x - now * dt) * dt)
+                change[8] = gives
                 for i in range(count):
                     change[i] += (M + armature) / dt * V[i] - (K + gives * reach) * X[i]
                     change[i] += gives * ki * Z[i]
