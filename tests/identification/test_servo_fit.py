@@ -136,7 +136,7 @@ def test_it_finds_what_mujoco_has(motions):
     assert coulomb == pytest.approx(TRUTH[3], rel=0.05)
     assert armature == pytest.approx(TRUTH[4], rel=0.25)
     assert late - rate / kp == pytest.approx(LATE, abs=0.002)
-    assert abs(offset) < 2.0 * fit.deviations[6]
+    assert offset == 0.0
     assert fit.error < 2e-3 * fit.moved
     assert fit.error < 0.1 * fit.start
 

@@ -30,6 +30,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
+from itertools import pairwise
 from typing import TypeVar
 
 import numpy as np
@@ -249,7 +250,7 @@ class JointMotions:
 def _even(count: int, length: int) -> list[slice]:
     """Return slices of about some length that cover so many rows."""
     ends = np.linspace(0, count, max(1, round(count / length)) + 1).round().astype(int).tolist()
-    return [slice(*pair) for pair in zip(ends[:-1], ends[1:], strict=True)]
+    return [slice(*pair) for pair in pairwise(ends)]
 
 
 def _runs(values: Array, kept: Mask) -> list[Array]:
@@ -580,8 +581,7 @@ def calc_servo_motion(
             f = (s + 1.0) / steps
             for i in range(7):
                 now_at[i] = (1.0 - f) * rows[k, i] + f * rows[k + 1, i]
-            b, M, K, D = now_at[0], now_at[1], now_at[2], now_at[3]
-            q, qd, qdd = now_at[4], now_at[5], now_at[6]
+            b, M, K, D, q, qd, qdd = now_at
             c, rise = calc_command_before(rows, k + f - delay / period, period)
             drive = kp * (c - x) + kr * (c - before) / dt + ki * (z + (c - x) * dt) + w
             rest = (M + armature) * v / dt - b - offset - K * (x - q) + D * qd + M * qdd
