@@ -12,6 +12,7 @@ from geodrake.errors import ArgumentError, LogError, OutputError
 
 if TYPE_CHECKING:
     from geodrake.logs.files import Reading
+    from geodrake.logs.motors import Motor
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -31,6 +32,9 @@ class ReadingOptions:
             Repeatable.
         kind ([JOINT=]KIND): What columns of efforts are: effort, current, voltage, pwm; or command,
             for what a servo was told in their place. Repeatable.
+        motor ([JOINT=]MOTOR): Which servo or actuator a joint has, such as sts3215: what its data
+            sheet says of gains is expected of the logs. Repeatable.
+        motors (FILE.yaml): Motors beside those of geodrake's table, in its form.
         passive (JOINT): A joint without a motor: its bodies and friction need no effort together.
             Repeatable.
         topic (NAME): Topic of a bag, or channel of an LCM log, where several have joints; an
@@ -45,6 +49,8 @@ class ReadingOptions:
     units: str | None = None
     gain: list[str] | None = None
     kind: list[str] | None = None
+    motor: list[str] | None = None
+    motors: Path | None = None
     passive: list[str] | None = None
     topic: list[str] | None = None
     episode: int | None = None
@@ -72,6 +78,7 @@ class ReadingOptions:
             gains={joint: gain for joint, (gain, _) in gains.items()},
             gain_deviations={j: spread for j, (_, spread) in gains.items() if spread is not None},
             kinds=self._kinds,
+            motors=self._motors,
             skip_bad_rows=self.skip_bad_rows,
             topic=tuple(self.topic or ()),
             episode=self.episode,
@@ -86,15 +93,20 @@ class ReadingOptions:
         return {joint: parsed_gain(text, f"--gain of {joint!r}") for joint, text in said}
 
     @property
+    def _motors(self) -> dict[str, Motor]:
+        """Joint -> motor; that of all joints by the name ""."""
+        from geodrake.logs.motors import known_motors, motor_named
+
+        of_all, named = _of_all_and_named("--motor", self.motor or (), "elbow_flex=sts3215")
+        if not (of_all or named or self.motors):
+            return {}
+        table = known_motors(self.motors)
+        return {joint: motor_named(name, table) for joint, name in [*of_all, *named]}
+
+    @property
     def _kinds(self) -> dict[str, str]:
         """Joint -> kind; that of all joints by the name ""."""
-        parts = [part.strip() for part in ",".join(self.kind or ()).split(",")]
-        of_all = [part for part in parts if part and "=" not in part]
-        if len(of_all) > 1:
-            raise ArgumentError(
-                f"--kind is {' and '.join(of_all)} of all joints.", advice="Write JOINT=KIND."
-            )
-        named = _pairs("--kind", [part for part in parts if "=" in part], "elbow_joint=current")
+        of_all, named = _of_all_and_named("--kind", self.kind or (), "elbow_joint=current")
         passive = [part.strip() for part in ",".join(self.passive or ()).split(",")]
         without = [(joint, "passive") for joint in passive if joint]
         if twice := sorted(dict(named).keys() & dict(without).keys()):
@@ -103,7 +115,22 @@ class ReadingOptions:
                 f"{dict(named)[twice[0]]}.",
                 advice="Leave one of both out.",
             )
-        return dict([*(("", kind) for kind in of_all), *named, *without])
+        return dict([*of_all, *named, *without])
+
+
+def _of_all_and_named(
+    option: str, given: Sequence[str], example: str
+) -> tuple[list[tuple[str, str]], list[tuple[str, str]]]:
+    """What an option says of all joints, by the name "", and of single ones."""
+    parts = [part.strip() for part in ",".join(given).split(",")]
+    of_all = [part for part in parts if part and "=" not in part]
+    if len(of_all) > 1:
+        form = f"JOINT={example.rpartition('=')[2].upper()}"
+        raise ArgumentError(
+            f"{option} is {' and '.join(of_all)} of all joints.", advice=f"Write {form}."
+        )
+    named = _pairs(option, [part for part in parts if "=" in part], example)
+    return [("", each) for each in of_all], named
 
 
 def _pairs(option: str, given: Sequence[str], example: str) -> list[tuple[str, str]]:

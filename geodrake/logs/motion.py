@@ -18,6 +18,7 @@ from geodrake.errors import ArgumentError, LogError
 from geodrake.logs.filtering import ZeroPhaseFilter
 from geodrake.logs.floating import ContactFlags
 from geodrake.logs.known_payload import KnownPayload
+from geodrake.logs.motors import Motor
 from geodrake.logs.smoothing import Stretch
 from geodrake.logs.temperatures import Temperatures
 from geodrake.logs.time_stamps import check_time
@@ -82,6 +83,7 @@ class JointLog(Short):
         measured: Joints whose accelerations are measured, and used instead of derived ones.
         ground: (N, n) what measured wrenches add to the efforts of joints with motors, N·m or N.
         contacts: Where a free base may be in contact, unless its wrenches were measured.
+        motors: Joint -> its motor, whose data sheet says what gains of signals to expect.
 
     Raises:
         ArgumentError: If the shapes do not fit together, or a joint is named twice.
@@ -108,6 +110,7 @@ class JointLog(Short):
     measured: tuple[str, ...] = field(default=(), kw_only=True)
     ground: Array | None = field(default=None, kw_only=True)
     contacts: ContactFlags | None = field(default=None, kw_only=True)
+    motors: Mapping[str, Motor] = field(default_factory=dict, kw_only=True)
 
     def __post_init__(self) -> None:
         for share in np.ravel(np.asarray(self.effort_uncertainty, object)):

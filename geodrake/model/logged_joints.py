@@ -12,6 +12,7 @@ from geodrake.boundary.arguments import instance, instances
 from geodrake.errors import ArgumentError, LogError
 from geodrake.logs.files import Reading
 from geodrake.logs.motion import JointLog, match_joints
+from geodrake.logs.motors import motor_of_robot
 from geodrake.logs.resting import LARGEST, logged_ranges, readings, resting, travels
 from geodrake.model.base_logs import with_base
 from geodrake.model.holding import holding
@@ -32,7 +33,7 @@ def reading_for(model: RobotModel, reading: Reading | None = None) -> Reading:
 
     Those are the joints without an actuator or a transmission in the model file, where others
     have one, and those that had none in other logs; they are passive in logs without an effort of
-    them.
+    them. Some robots' names tell which motors they have.
     """
     motors = motor_joints(model.plant)
     names = zip(joint_names(model.plant), scoped_joint_names(model.plant), strict=True)
@@ -40,7 +41,11 @@ def reading_for(model: RobotModel, reading: Reading | None = None) -> Reading:
     followers = {joint for pair in model.led.items() for joint in (pair[0], pair[1][0])}
     others = (*driven, *followers, *model.base_joints)
     none = set(model.single_joints).difference(others) if driven else set()
-    return replace(reading or Reading(), motorless=frozenset({*none, *model.motorless}))
+    reading = reading or Reading()
+    usual = motor_of_robot(model.path.stem)
+    of_all = {} if usual is None else {"": usual}
+    motorless = frozenset({*none, *model.motorless})
+    return replace(reading, motorless=motorless, motors={**of_all, **reading.motors})
 
 
 def model_of_logs(

@@ -36,6 +36,9 @@ from geodrake.robot.reduction import triangular_factor
 
 Array = NDArray[np.float64]
 
+ALIKE = 1.5
+"""Deviation of log |gain| among signals of one kind, as motors differ."""
+
 _STEPS = 50  # of a fit at most
 _LEVEL = 1e-6  # slope of the posterior where a fit is done
 _LONGEST = 1.0  # of log |a| or a geodesic in the first step
@@ -43,7 +46,6 @@ _FITS = 4  # all but the first with independent samples by the residuals of the 
 _FIRST_SHARE = 0.05  # of the samples that are independent in the first one
 _NOTHING = 1e-12  # share of a signal's variance that no noise is below
 _TOTAL_MASS = 0.05  # share to which a model file knows all bodies together: robots are weighed
-_ALIKE = 1.5  # deviation of log |gain| among signals of one kind, as motors differ
 _CLEARLY = 3.0  # deviations of a negative gain that is taken for one
 
 
@@ -159,23 +161,32 @@ class SignalRows:
         return effective_samples([rows.A @ x[:-1] + rows.b[:, 0] * x[-1] for rows in self.blocks])
 
 
+@dataclass(frozen=True, eq=False)
+class GainPriors:
+    """What is known of the gains of joints' signals before anything is measured."""
+
+    expected: Array  # (nv,) their sizes, N·m or N for a unit of the signal
+    deviations: Array  # (nv,) of their logarithms; inf where nothing is known
+
+
 def signal_gains(
-    rows: Sequence[SignalRows], model: RobotModel, known: Array, kinds: Sequence[str]
+    rows: Sequence[SignalRows], model: RobotModel, priors: GainPriors, kinds: Sequence[str]
 ) -> SignalGains:
     """Find the gains of signals, by rows of each joint.
 
     A gain that neither gravity nor inertia shows, as that of a light wrist, is drawn to those of
     the other joints' signals of its kind (`kinds`, nv); its deviation says how little is known of
-    it. `known` (nv,) are standard deviations of log |gain| about 0, of signals that are efforts or
-    nearly so; inf where nothing is known of the gain.
+    it.
     """
+    known, about = priors.deviations, -np.log(priors.expected)
     told = np.diag(np.maximum(known, _NOTHING) ** -2.0 + _NOTHING)
     for kind in dict.fromkeys(kinds):
         same = np.array([each == kind for each in kinds]) & ~np.isfinite(known)
         count = int(np.count_nonzero(same))
-        told[np.ix_(same, same)] += (np.eye(count) - 1.0 / max(1, count)) / _ALIKE**2
+        told[np.ix_(same, same)] += (np.eye(count) - 1.0 / max(1, count)) / ALIKE**2
     phi, d = model.total_phi.ravel(), model.phi.size
-    a = np.where(np.isfinite(known), 1.0, [each.least_squares_gain(phi) for each in rows])
+    told_alone = [each.least_squares_gain(phi) for each in rows]
+    a = np.where(np.isfinite(known), np.exp(about), told_alone)
     bodies, signs = _GeodesicBodies.of(model), np.sign(a)
     z = np.concatenate([np.zeros(d), np.log(np.abs(a))])
     worth = _FIRST_SHARE * np.array([each.samples for each in rows])
@@ -183,7 +194,9 @@ def signal_gains(
         if fit:
             phi, a = bodies.at(z[:d])[0], signs * np.exp(z[d:])
             worth = np.array([each.effective(own, phi) for each, own in zip(rows, a, strict=True)])
-        system = partial(_system, rows=rows, bodies=bodies, told=told, signs=signs, worth=worth)
+        system = partial(
+            _system, rows=rows, bodies=bodies, told=(told, about), signs=signs, worth=worth
+        )
         options = {"initial_trust_radius": _LONGEST, "gtol": _LEVEL, "maxiter": _STEPS}
         z = minimize(
             lambda z, system=system: system(z)[:2],
@@ -205,8 +218,8 @@ def signal_gains(
         for joint, load in ((each, each.load(found)) for each in rows)
     ]
     known = np.sqrt([scale @ spread @ scale for scale in scales])
-    phi = found.reshape(-1, PARAMETERS_PER_BODY)
-    return SignalGains(signs * np.exp(-z[d:]), deviations, phi, worth, known)
+    moved = found.reshape(-1, PARAMETERS_PER_BODY)
+    return SignalGains(signs * np.exp(-z[d:]), deviations, moved, worth, known)
 
 
 def _system(
@@ -214,20 +227,22 @@ def _system(
     *,
     rows: Sequence[SignalRows],
     bodies: _GeodesicBodies,
-    told: Array,
+    told: tuple[Array, Array],
     signs: Array,
     worth: Array,
 ) -> tuple[float, Array, Array, Array]:
     """Return the negative log-posterior of z, its slope, information, and each joint's part of it.
 
     z (d + nv,) are coordinates of the bodies and log |a|, noise is profiled out, and the
-    information (d + nv, d + nv) is that of Gauss and Newton.
+    information (d + nv, d + nv) is that of Gauss and Newton. `told` are the information (nv, nv)
+    of what is known of log |a|, and about which values (nv,).
     """
     d, size = len(z) - len(signs), len(z)
     phi, slope = bodies.at(z[:d])
-    known, grams = block_diag(bodies.information, told), np.zeros((len(signs), size, size))
-    gradient = known @ z
-    cost = 0.5 * float(z @ gradient)
+    known, grams = block_diag(bodies.information, told[0]), np.zeros((len(signs), size, size))
+    from_known = z - np.append(np.zeros(d), told[1])
+    gradient = known @ from_known
+    cost = 0.5 * float(from_known @ gradient)
     for j, (joint, a) in enumerate(zip(rows, (signs * np.exp(z[d:])).tolist(), strict=True)):
         left, load = joint.left(a, phi), joint.load(phi)
         J = np.zeros((len(load), size))

@@ -39,6 +39,7 @@ from scipy.optimize import least_squares
 
 from geodrake.compiling import compiled, contiguous
 from geodrake.identification.logs.criteria import PENALTY, WORTH
+from geodrake.identification.logs.effort_gains import ALIKE
 from geodrake.identification.logs.evidence import effective_samples
 from geodrake.logs.motion import JointLog, Trajectory
 from geodrake.logs.smoothing import Segment
@@ -88,6 +89,7 @@ _WINDOWS = 8  # of all logs, two of a stretch at least; every other one is left 
 _SOUGHT, _PIECE = 40.0, 10.0  # s of all stretches that searches see, in pieces of so many
 _MOST_EVALUATIONS, _FIRST_EVALUATIONS = 60, 20
 _LIMIT_STEP = 1e-3  # of a limit's size, for differences
+_FARTHEST = 3.0  # deviations of a stiffness from what is expected
 _INSIDE = 0.01  # of parameters' sizes from their bounds, where searches begin
 _RESETS = (1.0, 5.0)  # ki / kp, 1/s, that searches begin from
 _NOTHING = float(np.finfo(float).tiny)  # rad² or m², of a joint that stands exactly still
@@ -100,7 +102,8 @@ class ServoFit:
     """A servo and what its joint has beside the bodies, by the joint's motion."""
 
     parameters: Array  # (8,) values of `PARAMETERS`; the last is 0 for a servo without an integral
-    deviations: Array  # (8,) their standard deviations, for bodies that are known exactly
+    # (8,) their standard deviations; of all but kp for bodies that are known exactly
+    deviations: Array
     error: float  # RMS of simulated − measured positions, rad or m
     start: float  # the same where the search began
     moved: float  # deviation of the measured positions, rad or m
@@ -343,14 +346,24 @@ class _Servo:
         return replace(self, numbers=numbers)
 
 
+Expected = tuple[float, float]
+"""What is expected of a number above 0, and the deviation of its logarithm."""
+
+
 def fit_servo(
-    motions: JointMotions, signal: EffortSignal, limit: float = np.inf
+    motions: JointMotions,
+    signal: EffortSignal,
+    limit: float = np.inf,
+    *,
+    expected: Expected | None = None,
+    bodies: float = 0.0,
 ) -> ServoFit | None:
     """Return the servo that moves a joint as it was measured to, from that by a linear fit on.
 
     The `limit` is the largest effort of the joint, N·m or N, by the model: the servo may keep it,
-    or another one, or none. None if windows that the fit did not see are predicted no better than
-    from where it began, or than by a joint that stands still.
+    or another one, or none. Of the stiffness a value may be `expected`, by default about that by
+    the linear fit; `bodies` are known to a share. None if windows that the fit did not see are
+    predicted no better than from where it began, or than by a joint that stands still.
     """
     inertia, some = np.concatenate(motions.rows)[:, 1], motions.pieces()
     begin = [
@@ -361,11 +374,13 @@ def fit_servo(
         0.2 * float(np.mean(inertia)),
         signal.delay,
     ]
-    found = _Search(some, signal.integral).at_its_limit(some.servo(begin), limit).along(motions)
-    search, start = _Search(motions, signal.integral), motions.servo(begin)
-    fit = search.fitted(found, start)
+    expected = expected or (signal.gain, ALIKE)
+    first = _Search(some, signal.integral, expected)
+    found = first.at_its_limit(some.servo(begin), limit).along(motions)
+    search, start = replace(first, motions=motions), motions.servo(begin)
+    fit = search.fitted(found, start, bodies)
     if fit is not None and fit.parameters[_INTEGRAL] ** 2 < PENALTY * fit.deviations[-1] ** 2:
-        return replace(search, told=0.0).fitted(found.plain(), start)
+        return replace(search, told=0.0).fitted(found.plain(), start, bodies)
     return fit
 
 
@@ -375,8 +390,9 @@ class _Search:
 
     motions: JointMotions
     told: float  # the integral gain by a linear fit; 0 if it has none
+    expected: Expected  # stiffness
 
-    def fitted(self, half: _Servo, start: Array) -> ServoFit | None:
+    def fitted(self, half: _Servo, start: Array, bodies: float) -> ServoFit | None:
         """Return the fit to all rows, from that to half of the windows on; see `fit_servo`."""
         motions, began = self.motions, start.copy()
         began[[_LIMIT, _SHARE]] = half.numbers[[_LIMIT, _SHARE]]
@@ -397,6 +413,9 @@ class _Search:
             return None
         parameters, limit, own = np.split(best.numbers[:_BEGUN], [_LIMIT, _SHARE])
         deviations = self._deviations(best, best.free(without=unused))
+        # Bodies that are heavier move as these do with a stiffness that is larger by as much.
+        whole = np.hypot(deviations[0], bodies * parameters[0])
+        deviations[0] = min(whole, self.expected[1] * parameters[0])
         return ServoFit(parameters, deviations, error, first, moved, float(limit[0]), bool(own[0]))
 
     def at_its_limit(self, start: Array, limit: float) -> _Servo:
@@ -495,10 +514,15 @@ class _Search:
         """Return the least squares over all rows, or those that a fit sees, from several starts on.
 
         All numbers that a servo has move, its limit only if asked for, unless `free` (10 + S,) says
-        which. Simulations may take long steps (`coarse`).
+        which. Simulations may take long steps (`coarse`). What is expected of the stiffness bounds
+        it in searches, and counts over all rows.
         """
         motions = self.motions
         rows = ~motions.tested if seen else np.ones(len(motions.measured), bool)
+        weight, (usual, spread) = 0.0, self.expected
+        if not seen:  # on the scale of what is left of positions
+            left = motions.residual(starts[0].numbers)
+            weight = float(np.sqrt(left @ left / WORTH)) / spread
 
         def search(start: _Servo) -> tuple[float, _Servo]:
             moving, scale = start.free(limit=limit) if free is None else free, start.scale
@@ -506,16 +530,27 @@ class _Search:
             upper[_DELAY] = LONGEST_DELAY / scale[_DELAY]
             lower[:_LIMIT], lower[_LIMIT], lower[_SHARE:] = 0.0, _INSIDE, -np.inf
             lower[_OFFSET] = -np.inf
+            lower[0], upper[0] = usual / scale[0] * np.exp(_FARTHEST * spread * np.array([-1, 1]))
 
             def numbers(x: Array) -> Array:
                 found = start.numbers.copy()
                 found[moving] = x * scale[moving]
                 return found
 
+            def residual(x: Array) -> Array:
+                at = numbers(x)
+                left = motions.simulated(at, coarse=coarse) - motions.measured
+                return np.append(left[rows], weight * np.log(at[0] / usual))
+
+            def slopes(x: Array) -> Array:
+                at = numbers(x)
+                J = motions.slopes(at, scale, moving, coarse=coarse)[rows]
+                return np.vstack([J, weight * scale[0] / at[0] * (np.flatnonzero(moving) == 0)])
+
             fit = least_squares(
-                lambda x: (motions.simulated(numbers(x), coarse=coarse) - motions.measured)[rows],
+                residual,
                 np.clip(start.numbers / scale, lower + _INSIDE, upper - _INSIDE)[moving],
-                lambda x: motions.slopes(numbers(x), scale, moving, coarse=coarse)[rows],
+                slopes,
                 bounds=(lower[moving], upper[moving]),
                 max_nfev=most,
             )
@@ -535,7 +570,9 @@ class _Search:
         )
         noise = residual @ residual / WORTH
         # What the motion does not show is known to its own size.
-        covariance = np.linalg.inv(J.T @ J / noise + np.eye(J.shape[1]))
+        known = np.ones(J.shape[1])
+        known[0] = self.expected[1] ** -2.0
+        covariance = np.linalg.inv(J.T @ J / noise + np.diag(known))
         found = np.zeros(len(free))
         found[free] = size[free] * np.sqrt(np.diag(covariance))
         return found[:_LIMIT]

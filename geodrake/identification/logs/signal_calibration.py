@@ -16,11 +16,18 @@ from geodrake.effects.robot_motion import RobotMotion, log_number
 from geodrake.errors import LogError
 from geodrake.identification.logs.criteria import PENALTY
 from geodrake.identification.logs.dataset import Dataset
-from geodrake.identification.logs.effort_gains import SignalGains, SignalRows, signal_gains
+from geodrake.identification.logs.effort_gains import (
+    ALIKE,
+    GainPriors,
+    SignalGains,
+    SignalRows,
+    signal_gains,
+)
 from geodrake.identification.logs.model_fit import effects_of
 from geodrake.identification.logs.reduce import reduce_logs
 from geodrake.identification.logs.servo_fit import (
     LONGEST_DELAY,
+    Expected,
     JointMotions,
     fit_servo,
     motions_of,
@@ -205,7 +212,11 @@ def with_efforts(
         return model, logs, notes
     found = calibrated(model, logs, kinds, simulate=simulate)
     model = replace(model, effort_signals=(*model.effort_signals, *found))
-    return model, [_known_efforts(model, log) for log in logs], [*notes, gain_words(model, found)]
+    return (
+        model,
+        [_known_efforts(model, log) for log in logs],
+        [*notes, gain_words(model, found, logs)],
+    )
 
 
 def _limit_notes(model: RobotModel, asked: JointLog, given: JointLog) -> list[str]:
@@ -252,8 +263,10 @@ def _needed(model: RobotModel, log: JointLog) -> Array:
     return needed
 
 
-def gain_words(model: RobotModel, signals: Sequence[EffortSignal]) -> str:
-    """Return what was found of signals, in words."""
+def gain_words(
+    model: RobotModel, signals: Sequence[EffortSignal], logs: Sequence[JointLog] = ()
+) -> str:
+    """Return what was found of signals, in words, and beside data sheets of motors."""
     words = []
     for signal in signals:
         slides = signal.joint in model.sliding_joints
@@ -261,6 +274,9 @@ def gain_words(model: RobotModel, signals: Sequence[EffortSignal]) -> str:
         unknown = signal.deviation >= abs(signal.gain)
         value = "unknown," if unknown else f"{signal.gain:.3g}"
         words.append(f"{signal.joint} {value} ± {signal.deviation:.2g} {unit}")
+        if (told := published_gain(logs, signal.joint, signal.kind)) is not None and not unknown:
+            share, spread = signal.gain / told[0], signal.deviation / told[0]
+            words[-1] += f" ({share:.2g} ± {spread:.1g} of what is published of {told[2]})"
     kinds = " and ".join(dict.fromkeys(f"{signal.kind}s" for signal in signals))
     return f"efforts are those of {kinds}, by gains from the model's inertias: {', '.join(words)}"
 
@@ -291,10 +307,9 @@ def calibrated(
     columns += [] if held is None else [held]
     folds = validation_blocks(trajectories)
     dataset = reduce_logs(model, trajectories, folds, effects=(*free, *columns))
-    deviations = np.max([log.gain_deviations for log in logs], axis=0)
-    prior = np.where([kind == EFFORT for kind in kinds], np.maximum(deviations, 1e-6), np.inf)
+    priors = _gain_priors(model, logs, kinds)
     alike = [f"{k} {j in model.sliding_joints}" for j, k in zip(model.joints, kinds, strict=True)]
-    fit = partial(signal_gains, model=model, known=prior, kinds=alike)
+    fit = partial(signal_gains, model=model, priors=priors, kinds=alike)
     first = _Calibration(dataset, model, kinds, fit, tuple(free), commanded, held)
     plain, gains = first.found()
     if not (commanded and simulate):
@@ -303,10 +318,17 @@ def calibrated(
     sharp = prepare_logs(known, bandwidth=bandwidth, motion_bandwidth=_sharp(trajectories))
 
     def by_motion(found: _Calibration, gains: SignalGains) -> tuple[EffortSignal, ...]:
+        # Bodies are those of the model that is saved, not as the linear fit moves them.
         bodies, signals = replace(model, effects=()), found.signals(gains)
+        usual = {
+            kind: float(np.median([s.gain for j, s in signals.items() if alike[j] == kind]))
+            for kind in {alike[j] for j in commanded}
+        }
         for j, motions in motions_of(bodies, logs, sharp, tuple(commanded)).items():
             limit, known = float(model.effort_limits[j]), float(gains.bodies[j])
-            signals[j] = _by_motion(motions, signals[j], limit, known)
+            share, published = float(priors.deviations[j]), float(priors.expected[j])
+            expected = (published, share) if np.isfinite(share) else (usual[alike[j]], ALIKE)
+            signals[j] = _by_motion(motions, signals[j], limit, known, expected)
         return tuple(signals.values())
 
     summed, other = replace(first, integral=True).found()
@@ -315,6 +337,31 @@ def calibrated(
         if any(signal.integral for signal in found):
             return found
     return by_motion(plain, gains)
+
+
+def _gain_priors(model: RobotModel, logs: Sequence[JointLog], kinds: Sequence[str]) -> GainPriors:
+    """Return what logs say of their efforts' gains, and data sheets of those of signals."""
+    deviations = np.max([log.gain_deviations for log in logs], axis=0)
+    known = np.where([kind == EFFORT for kind in kinds], np.maximum(deviations, 1e-6), np.inf)
+    expected = np.ones(len(kinds))
+    for j, (joint, kind) in enumerate(zip(model.joints, kinds, strict=True)):
+        published = published_gain(logs, joint, kind)
+        if published is not None:
+            expected[j] = published[0]
+            known[j] = np.sqrt(np.log1p((published[1] / published[0]) ** 2))
+    return GainPriors(expected, known)
+
+
+def published_gain(
+    logs: Sequence[JointLog], joint: str, kind: str
+) -> tuple[float, float, str] | None:
+    """Return what a data sheet says of a signal's gain, its deviation, and the motor's name."""
+    for log in logs:
+        motor = log.motors.get(joint)
+        told = None if motor is None else motor.gain(kind)
+        if motor is not None and told is not None:
+            return (*told, motor.name)
+    return None
 
 
 def _by_body(model: RobotModel, phi: Array) -> dict[str, Array]:
@@ -329,14 +376,15 @@ def _sharp(trajectories: Sequence[Trajectory]) -> float:
 
 
 def _by_motion(
-    motions: JointMotions, signal: EffortSignal, limit: float, known: float
+    motions: JointMotions, signal: EffortSignal, limit: float, known: float, expected: Expected
 ) -> EffortSignal:
     """Return the servo of a joint by how it moves, if that is predicted better for it.
 
     An integral counts only where windows of the motion ask for it, and so does the limit of the
     joint's effort, N·m or N. `signal` is the servo by a linear fit; bodies are `known` to a share.
     """
-    fit = fit_servo(motions, signal, limit if limit > 0.0 else np.inf)
+    bodies, most = min(signal.uncertainty, known), limit if limit > 0.0 else np.inf
+    fit = fit_servo(motions, signal, most, expected=expected, bodies=bodies)
     if fit is None:
         return replace(signal, integral=0.0, integral_deviation=0.0)
     gain, rate, *_, delay, _, integral = fit.parameters.tolist()
@@ -344,7 +392,7 @@ def _by_motion(
     return replace(
         signal,
         gain=gain,
-        deviation=float(np.hypot(min(signal.uncertainty, known) * gain, spread[0])),
+        deviation=float(spread[0]),
         damping=rate,
         damping_deviation=float(spread[1]) if rate else 0.0,
         delay=delay,

@@ -162,7 +162,8 @@ def _understood(
         recording.put(part, numbers)
         rows = part.stop
     log = recording.log(rows)
-    return replace(log, notes=(*table.notes, *log.notes)), columns
+    motors = reading.motors_of(log.joints)
+    return replace(log, notes=(*table.notes, *log.notes), motors=motors), columns
 
 
 def _check_silent(table: LogTable, reading: Reading) -> None:

@@ -13,6 +13,7 @@ from geodrake.boundary.arguments import LARGEST, instance, instances, integer
 from geodrake.errors import ArgumentError
 from geodrake.logs.files.units import unit_of
 from geodrake.logs.motion import EFFORT_KINDS, USUAL_GAIN_DEVIATION
+from geodrake.logs.motors import Motor
 
 Array = NDArray[np.float64]
 
@@ -98,6 +99,7 @@ class Reading:
         episode: Episode of a dataset; None for all of them, one after the other.
         ignored: Columns that are not used.
         motorless: Joints that are passive where a log has no effort of them, or zeros alone.
+        motors: Joint -> its motor; by the name "", that of all others.
 
     Raises:
         ArgumentError: A rate, gain or deviation is no such number, or a unit or kind is not known.
@@ -115,11 +117,12 @@ class Reading:
     kinds: Mapping[str, str] = field(default_factory=dict)
     ignored: frozenset[str] = frozenset()
     motorless: frozenset[str] = frozenset()
+    motors: Mapping[str, Motor] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "columns", instances(self.columns, "columns", str))
         instance(self.units, "units", Mapping)
-        for name in ("gains", "gain_deviations", "kinds"):
+        for name in ("gains", "gain_deviations", "kinds", "motors"):
             instance(getattr(self, name), name, Mapping)
         check_rate(self.rate, "A log's rate")
         instances(self.topics, "topic", str)
@@ -148,6 +151,11 @@ class Reading:
     def kind_of(self, joint: str) -> str | None:
         """Return what the efforts of a joint were said to be; None if nothing was."""
         return self.kinds.get(joint, self.kinds.get(""))
+
+    def motors_of(self, joints: Sequence[str]) -> dict[str, Motor]:
+        """Return the motors of joints that have one which is known."""
+        found = {joint: self.motors.get(joint, self.motors.get("")) for joint in joints}
+        return {joint: motor for joint, motor in found.items() if motor is not None}
 
     def effort_uncertainty(
         self, joints: Sequence[str], usual: float = USUAL_GAIN_DEVIATION

@@ -1,0 +1,116 @@
+"""What is published of servos and actuators, and what it says of the gains of their signals."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from functools import cache
+from pathlib import Path
+
+import msgspec
+
+from geodrake.boundary.arguments import file_path, typed
+from geodrake.boundary.yaml_schema import Schema, as_schema
+from geodrake.boundary.yaml_text import yaml_content
+from geodrake.errors import ArgumentError
+
+Published = tuple[float, float, str]
+"""A value, its standard deviation, and where it is published."""
+
+_TABLE = Path(__file__).parent / "motors.yaml"
+_FORM = "Write, for example: my_servo: {stiffness: [17.8, 9.0, where it is published]}."
+_GAINS = {"command": "stiffness", "current": "torque_constant", "pwm": "stall_torque"}
+
+
+class Motor(Schema, kw_only=True):
+    """A servo or actuator by its data sheet, at its output.
+
+    Attributes:
+        name: Its name in the table.
+        robots: Words in names of robots that have it at all joints.
+        stiffness: Of its servo, N·m/rad.
+        torque_constant: N·m/A, gears included.
+        stall_torque: N·m, at a duty cycle of 1.
+        no_load_speed: rad/s.
+        gear_ratio: Turns of the motor for one of the output.
+        armature: kg·m².
+        damping: N·m·s/rad.
+        dry_friction: N·m.
+    """
+
+    name: str = ""
+    robots: tuple[str, ...] = ()
+    stiffness: Published | None = None
+    torque_constant: Published | None = None
+    stall_torque: Published | None = None
+    no_load_speed: Published | None = None
+    gear_ratio: Published | None = None
+    armature: Published | None = None
+    damping: Published | None = None
+    dry_friction: Published | None = None
+
+    def gain(self, kind: str) -> tuple[float, float] | None:
+        """Return the gain of a kind of signal and its deviation; None if nothing is published."""
+        name = _GAINS.get(kind)
+        told: Published | None = None if name is None else getattr(self, name)
+        return None if told is None else told[:2]
+
+
+def known_motors(path: str | Path | None = None) -> Mapping[str, Motor]:
+    """Return the motors of geodrake's table, and of a file of the same form, by name.
+
+    Raises:
+        ArgumentError: The file cannot be read, or a value is no such number.
+    """
+    return _motors_of(_TABLE) if path is None else {**_motors_of(_TABLE), **_read(file_path(path))}
+
+
+@typed
+def motor_named(name: str, motors: Mapping[str, Motor] | None = None) -> Motor:
+    """Return a motor by its name, in whichever case, of the table or of others.
+
+    Raises:
+        ArgumentError: There is no such motor.
+    """
+    table = known_motors() if motors is None else motors
+    found = {_plain(key): motor for key, motor in table.items()}.get(_plain(name))
+    if found is None:
+        raise ArgumentError(
+            f"There is no motor {name!r}.",
+            advice=f"Known are {', '.join(table)}; --motors FILE.yaml adds others.",
+        )
+    return found
+
+
+@typed
+def motor_of_robot(name: str) -> Motor | None:
+    """Return the motor that all joints of a robot have, as its name tells; None if it does not."""
+    plain = _plain(name)
+    motors = known_motors().values()
+    return next((m for m in motors if any(word in plain for word in m.robots)), None)
+
+
+@cache
+def _motors_of(path: Path) -> Mapping[str, Motor]:
+    return _read(path)
+
+
+def _read(path: Path) -> dict[str, Motor]:
+    content = yaml_content(path, "table of motors", ArgumentError, advice=_FORM)
+    try:
+        read = as_schema(content, dict[str, Motor])
+    except ArgumentError as error:
+        raise ArgumentError(f"Motors {path}: {error.problem}", advice=_FORM) from error
+    for name, motor in read.items():
+        for what in motor.__struct_fields__[2:]:
+            value = getattr(motor, what)
+            if value is not None and not (value[0] > 0.0 and 0.0 <= value[1] < float("inf")):
+                raise ArgumentError(
+                    f"Motors {path}: {what} of {name} is {value[0]:.4g} ± {value[1]:.4g}.",
+                    advice=_FORM,
+                )
+    return {name: msgspec.structs.replace(motor, name=name) for name, motor in read.items()}
+
+
+def _plain(name: str) -> str:
+    """Return letters and digits alone, in small letters."""
+    return "".join(c for c in name.lower() if c.isalnum())
