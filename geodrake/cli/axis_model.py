@@ -7,6 +7,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
+from typing import ClassVar
 from xml.sax.saxutils import quoteattr
 
 from geodrake.boundary.whole_files import write_whole
@@ -43,6 +44,8 @@ class AxisOptions(ReadingOptions):
             written as MODEL, a .urdf that is not there yet.
         mass (KG): About what the --axis moves, kg; the fit corrects it.
     """
+
+    PANEL: ClassVar = "Models"
 
     axis: str | None = None
     mass: float | None = None

@@ -322,16 +322,13 @@ def _collisions(
     notes: tuple[str, ...] = ()
     if options.floor and not any(solid.name.startswith(FLOOR) for solid in obstacles):
         floor = floor_of(model)
-        world = CollisionWorld(model, obstacles=(floor,), clearance=options.clearance)
-        below = _below(world, model, limits, start)
+        below = _below(alone.among((floor,)), model, limits, start)
         if below:
             notes = (f"there is no floor, as {below}",)
         else:
             obstacles = (floor, *obstacles)
             notes = ("nothing goes below the base (--no-floor allows it)",)
-    if not obstacles:
-        return alone, notes
-    return CollisionWorld(model, obstacles=obstacles, clearance=options.clearance), notes
+    return alone.among(obstacles) if obstacles else alone, notes
 
 
 def _below(

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, ClassVar
 
 from geodrake.errors import ArgumentError
 
@@ -37,6 +37,8 @@ class ModelOptions:
             one.
         floating: Leave roots free that nothing fixes to the world.
     """
+
+    PANEL: ClassVar = "Models"
 
     lock: list[str] | None = None
     robot: str | None = None

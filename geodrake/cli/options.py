@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, ClassVar
 
 from geodrake.cli.model_options import ModelOptions
 from geodrake.cli.reading_options import ReadingOptions
@@ -141,8 +141,8 @@ class AddOptions(_Steps, _Addition):
 
 
 @dataclass(frozen=True, kw_only=True)
-class IdentifyOptions(Options):
-    """Options of identify.
+class _Regularization:
+    """What keeps identified inertias near the model's.
 
     Attributes:
         regularizer (NAME): What keeps inertias near the model's: entropic, pullback, riemannian, …;
@@ -152,22 +152,33 @@ class IdentifyOptions(Options):
         residual_bound (RATIO): Instead of a weight: the RMS training residual allowed, relative to
             the least possible, such as 1.01.
         total_mass (KG): Mass of all that moves, if it is known from a scale.
+        compare: All regularizers at the same training residual.
+    """
+
+    PANEL: ClassVar = "Near the model"
+
+    regularizer: str = "entropic"
+    gamma: float | None = None
+    residual_bound: float | None = None
+    total_mass: float | None = None
+    compare: bool = False
+
+
+@dataclass(frozen=True, kw_only=True)
+class IdentifyOptions(Options, _Regularization):
+    """Options of identify.
+
+    Attributes:
         effects (NAME[@PLACE],…|FILE.py): Effects beside the model's, by their names (an unknown
             name such as x lists them), and the joint or body where they are; a FILE.py brings
             effects that may be named. Repeatable.
-        compare: All regularizers at the same training residual.
         export (FILE.urdf|.sdf|.xml): Write the identified inertias into a copy of the model file;
             all else in it stays as it is.
         ellipsoids (FILE.png): Draw the bodies as ellipsoids before and after.
         meshcat (FILE.html): The same as a page to turn around in a browser.
     """
 
-    regularizer: str = "entropic"
-    gamma: float | None = None
-    residual_bound: float | None = None
-    total_mass: float | None = None
     effects: list[Path] | None = None
-    compare: bool = False
     export: Path | None = None
     ellipsoids: Path | None = None
     meshcat: Path | None = None
@@ -249,6 +260,8 @@ class _Motion:
         samples (N): Samples by which information is counted; 300 if absent, or 50 free ones.
     """
 
+    PANEL: ClassVar = "Motion"
+
     trajectory: str = "fourier"
     duration: float = 10.0
     harmonics: int | None = None
@@ -277,6 +290,8 @@ class _Robot:
             below its base where it starts has none.
     """
 
+    PANEL: ClassVar = "Robot and surroundings"
+
     limits: list[str] | None = None
     start: str | None = None
     stand: str | None = None
@@ -302,10 +317,12 @@ class _Choosing:
         solver (NAME): snopt or ipopt.
     """
 
+    PANEL: ClassVar = "Search"
+
     criterion: str = "e_optimality"
     normalization: str = "geometric"
     noise: str | None = None
-    seeds: int = 3
+    seeds: int = 2
     seed: int = 0
     seconds: float = 180.0
     iterations: int = 300
@@ -322,8 +339,8 @@ class ExciteOptions(ModelOptions, _Motion, _Robot, _Choosing):
             effects that may be named. Repeatable.
         tell_apart (EFFECT,EFFECT[@PLACE]): Two effects that logs so far cannot distinguish: the
             motion on which their predictions differ most, once everything else is refitted.
-        save (FILE.csv|.npz|.yaml|.drake.yaml): Write the motion: a log with the predicted efforts,
-            a ROS JointTrajectory, or a Drake BsplineTrajectory.
+        save (FILE): Write the motion: as a log with the predicted efforts (.csv, .npz), a ROS
+            JointTrajectory (.yaml), or a Drake BsplineTrajectory (.drake.yaml).
         rate (HZ): Samples a second of what --save writes.
         meshcat (FILE.html): Write a page that replays the motion.
     """

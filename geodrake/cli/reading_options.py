@@ -6,7 +6,7 @@ from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, ClassVar
 
 from geodrake.errors import ArgumentError, LogError, OutputError
 
@@ -26,7 +26,7 @@ class ReadingOptions:
             for one that is not used.
         rate (HZ): Rows a second, for logs without time.
         units (QUANTITY=UNIT,…): Units other than SI that names of columns do not say, such as
-            position=deg,velocity=rpm,time=ms,current=mA.
+            position=deg,current=mA.
         gain (JOINT=VALUE[±DEVIATION]): What makes efforts of a joint's currents, voltages or duty
             cycles, such as torque constant × gear ratio; found from the model's inertias if absent.
             Repeatable.
@@ -42,6 +42,8 @@ class ReadingOptions:
         episode (N): Episode of a LeRobot dataset, from 0 on; all if absent.
         skip_bad_rows: Leave out rows that no recorder meant, up to 1 %, and say how many.
     """
+
+    PANEL: ClassVar = "Logs"
 
     mapping: Path | None = None
     columns: str | None = None

@@ -15,7 +15,6 @@ import typer
 from geodrake.cli.axis_model import AxisOptions
 from geodrake.cli.guard import guarded
 from geodrake.cli.model_options import ModelOptions
-from geodrake.cli.reading_options import ReadingOptions
 
 if TYPE_CHECKING:
     from _typeshed import DataclassInstance
@@ -126,9 +125,8 @@ class Options(ValidationOptions):
 T = TypeVar("T", bound="DataclassInstance")
 
 _FIRST = ("save", "report", "json")
-_OF_MODELS = ({field.name for field in fields(ModelOptions)} | {"axis", "mass"}) - {"lock"}
 _RARE = {"bandwidth", "blocks", "debug", "draft_effect", "effort_uncertainty", "known_payload"}
-_RARE |= {"no_auto_lock", "series"}
+_RARE |= {"no_auto_lock", "series", "horizon", "windows", "live", "speed"}
 _ARGUMENTS = {"model", "logs", "folder", "fleet", "effect"}
 _ENTRY = re.compile(r"(?P<name>\w+)(?: \((?P<metavar>[^)]*)\))?: (?P<help>.*)")
 
@@ -143,9 +141,11 @@ def taking(options: type[T]) -> Callable[[Callable[[T], None]], Callable[..., No
     hints, told = get_type_hints(options), _SHARED | _documented(options)
     kinds = {field.name: field for field in fields(options)}
     names = sorted(kinds, key=lambda name: _FIRST.index(name) if name in _FIRST else len(_FIRST))
-    panels = dict.fromkeys((field.name for field in fields(ReadingOptions)), "Logs")
-    panels = panels if issubclass(options, ReadingOptions) else {}
-    panels |= dict.fromkeys(_OF_MODELS, "Models") | dict.fromkeys(_RARE, "Rarely needed")
+    panels = dict[str, str]()
+    for each in options.__mro__:
+        if "PANEL" in vars(each):
+            panels |= dict.fromkeys(inspect.get_annotations(each), vars(each)["PANEL"])
+    panels |= dict.fromkeys(_RARE, "Rarely needed")
     parameters = [
         _parameter(kinds[name], hints[name], panels.get(name), told.get(name, (None, "")))
         for name in names

@@ -13,12 +13,14 @@ from tempfile import TemporaryDirectory
 from xml.etree.ElementTree import Element, tostring
 
 import numpy as np
+from numpy.typing import NDArray
 from pydrake.geometry import Box, Convex, Cylinder, Mesh, SceneGraph, Shape, Sphere
 from pydrake.math import RigidTransform, RollPitchYaw
 from pydrake.multibody.parsing import PackageMap, Parser
 from pydrake.multibody.plant import AddMultibodyPlantSceneGraph, CoulombFriction, MultibodyPlant
 from pydrake.multibody.tree import BodyIndex
 from pydrake.systems.framework import DiagramBuilder
+from scipy.spatial import ConvexHull, QhullError
 
 from geodrake.boundary.arguments import instance, instances, typed
 from geodrake.boundary.input_files import regular_file
@@ -38,6 +40,7 @@ from geodrake.robot.plant import arrange_as
 FLOOR = "floor"
 _HALF = 10.0, 0.5  # m, of the sides and the depth of a floor
 _CONTACT = CoulombFriction(0.5, 0.5)  # which nothing here uses, but Drake asks for
+_FEW, _GRID = 1000, 2e-4  # corners of a hull, and where those of one with more are, m
 _SIZES = {"box": 3, "sphere": 1, "cylinder": 2, FLOOR: 1}
 _SCENES, _MESHES = (".urdf", ".sdf", ".xml", ".xacro", ".yaml", ".yml"), (".obj", ".stl", ".vtk")
 _FORMS = (
@@ -182,16 +185,14 @@ def add_collision_plant(
     builder: DiagramBuilder,
     model: RobotModel,
     obstacles: Sequence[Solid],
+    own: Mapping[str, Sequence[Solid]],
     links: Mapping[str, Sequence[Solid]],
-    *,
-    use_file: bool = True,
 ) -> tuple[MultibodyPlant, SceneGraph]:
     """Add a finalized plant of the model with collision geometry, and its SceneGraph.
 
     Args:
-        model: The robot. Its joints are read as always, and its geometry from its file.
+        own: Scoped link name -> solids of the robot's file.
         links: Link name -> further solids of the link.
-        use_file: Whether the file's own collision geometry counts.
     """
     plant, scene = AddMultibodyPlantSceneGraph(builder, 0.0)
     with drake_messages(), drake_errors(model.path):
@@ -199,7 +200,7 @@ def add_collision_plant(
         arrange_as(plant, model.plant)
     bodies = [plant.get_body(BodyIndex(i)) for i in range(plant.num_bodies())]
     by_scope = {body.scoped_name().get_full(): body for body in bodies}
-    for scope, solids in solids_of_file(model.path, model.given).items() if use_file else ():
+    for scope, solids in own.items():
         for solid in solids if scope in by_scope else ():
             _register(plant, by_scope[scope], solid)
     for solid in obstacles:
@@ -269,7 +270,7 @@ def _parse(parser: Parser, path: Path, given: Given, folder: Path) -> None:
 
 
 def _replace_stl(root: Element, packages: PackageMap, model: Path, folder: Path) -> None:
-    """Make places of meshes in a description URLs; surfaces of STL files go to a folder as OBJ."""
+    """Make places of meshes in a description URLs; hulls of STL files go to a folder as OBJ."""
     numbers = iter(range(10**9))
     for mesh in root.iter("mesh"):
         if "filename" in mesh.attrib:
@@ -283,7 +284,10 @@ def _in_memory(shape: Shape, label: str) -> Shape:
     """Return a shape that needs no file: of a mesh, its convex hull."""
     if not isinstance(shape, Mesh | Convex):
         return shape.Clone()
-    return Convex(points=_corners(shape).T, label=label)
+    corners = _corners(shape)
+    if len(corners) > _FEW:
+        corners = np.unique(_GRID * np.round(corners / _GRID), axis=0)
+    return Convex(points=corners.T, label=label)
 
 
 def _unusable(place: str | Path, reason: str) -> ModelError:
@@ -293,6 +297,19 @@ def _unusable(place: str | Path, reason: str) -> ModelError:
         "those of the model's file (use_file=False).",
         mesh=str(place),
     )
+
+
+def _hull(vertices: Array) -> tuple[Array, NDArray[np.intp]]:
+    """Return the vertices of a convex hull and the corners of its triangles.
+
+    What is flat has no hull: it is returned with all its triangles, of three vertices each.
+    """
+    try:
+        hull = ConvexHull(vertices)
+    except QhullError:
+        return vertices, np.arange(len(vertices)).reshape(-1, 3)
+    corners = np.searchsorted(hull.vertices, hull.simplices, sorter=np.argsort(hull.vertices))
+    return vertices[np.sort(hull.vertices)], corners
 
 
 def _readable(place: str, packages: PackageMap, model: Path, replacement: Path) -> str:
@@ -314,8 +331,8 @@ def _readable(place: str, packages: PackageMap, model: Path, replacement: Path) 
     except ModelError as error:
         words = error.problem.replace(f"The mesh {path} ", "it ").rstrip(".")
         raise _unusable(path, words) from error
-    corners = 1 + np.arange(len(vertices)).reshape(-1, 3)
+    vertices, corners = _hull(vertices)
     with replacement.open("w", encoding="utf-8") as file:
         np.savetxt(file, vertices, "v %.9g %.9g %.9g")
-        np.savetxt(file, corners, "f %d %d %d")
+        np.savetxt(file, 1 + corners, "f %d %d %d")
     return f"file://{replacement}"

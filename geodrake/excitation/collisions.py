@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Mapping, Sequence
+from copy import copy
 
 import numpy as np
 from pydrake.autodiffutils import ExtractGradient, ExtractValue, InitializeAutoDiff
@@ -14,7 +15,7 @@ from pydrake.systems.framework import DiagramBuilder
 
 from geodrake.boundary.arguments import instance, instances, integer, number, typed
 from geodrake.errors import ArgumentError
-from geodrake.excitation.collision_geometry import Solid, add_collision_plant
+from geodrake.excitation.collision_geometry import Solid, add_collision_plant, solids_of_file
 from geodrake.inertia import Array
 from geodrake.model.robot_model import RobotModel
 
@@ -54,11 +55,21 @@ class CollisionWorld:
         links = {body: instances(each, f"links[{body!r}]", Solid) for body, each in links.items()}
         number(clearance, "clearance", lower=0.0)
         integer(seed, "seed", lower=0)
+        own = solids_of_file(model.path, model.given) if use_file else {}
+        self.clearance, self._model, self._solids = clearance, model, (own, links)
+        self._place(obstacles, seed)
+
+    @typed
+    def among(self, obstacles: Sequence[Solid], *, seed: int = 0) -> CollisionWorld:
+        """Return the same robot among other obstacles; its meshes are not read again."""
+        world = copy(self)
+        world._place(instances(obstacles, "obstacles", Solid), integer(seed, "seed", lower=0))
+        return world
+
+    def _place(self, obstacles: Sequence[Solid], seed: int) -> None:
+        model, builder = self._model, DiagramBuilder()
         self.obstacles = tuple(solid.name for solid in obstacles)
-        builder = DiagramBuilder()
-        self._plant, self._scene = add_collision_plant(
-            builder, model, obstacles, links, use_file=use_file
-        )
+        self._plant, self._scene = add_collision_plant(builder, model, obstacles, *self._solids)
         if not self._scene.model_inspector().NumGeometriesWithRole(Role.kProximity):
             raise ArgumentError(
                 f"{model.path} has no collision geometry and there are no obstacles.",
@@ -67,11 +78,10 @@ class CollisionWorld:
         self._diagram = builder.Build()
         self._root = self._diagram.CreateDefaultContext()
         self._context = self._plant.GetMyMutableContextFromRoot(self._root)
-        self.clearance, self._model = clearance, model
         self.notes = self._allow_overlaps(model, seed)
         self._constraint = MinimumDistanceLowerBoundConstraint(
             plant=self._plant,
-            bound=clearance,
+            bound=self.clearance,
             plant_context=self._context,
             influence_distance_offset=_INFLUENCE,
         )

@@ -9,6 +9,7 @@ from itertools import product
 
 import numpy as np
 import pytest
+from typer.main import get_command
 from typer.testing import CliRunner
 
 from geodrake import load_model
@@ -107,3 +108,14 @@ def test_degrees_are_named_where_a_log_is_too_short(model):
 def test_demo_says_how_long_it_takes_only_where_it_begins():
     refused = CliRunner().invoke(app, ["demo", "--report", "no_folder/page.html"])
     assert refused.exit_code == 2 and refused.stderr.startswith("Error: Cannot write")
+
+
+@pytest.mark.parametrize("name", get_command(app).commands)
+def test_help_of_80_columns_cuts_nothing_and_shows_few_options_first(name):
+    command = get_command(app).commands[name]
+    found = CliRunner().invoke(app, [name, "--help"], env={"COLUMNS": "80"})
+    said = "".join(f"{each.metavar}{each.help}" for each in command.params)
+    assert found.output.count("…") == said.count("…")
+    assert max(map(len, found.output.splitlines())) <= 80
+    first = found.output.split("─ Options")[1].split("╰")[0]
+    assert len(re.findall(r"^│ +--", first, re.M)) <= 11
