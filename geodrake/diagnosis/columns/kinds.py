@@ -99,6 +99,13 @@ KINDS: Mapping[str, Kind] = {
 }
 """By name, as of `ColumnFinding.kind`."""
 
+_BY_UNITS = {
+    "effort_unit": "effort=Nmm",
+    "position_unit": "position=deg,velocity=deg/s",
+    "position_alone_unit": "position=deg",
+}
+"""What `--units` is told of all joints, where their numbers are too large."""
+
 
 def words_of(
     kind: str, joints: Sequence[str], values: Sequence[float], *, all_joints: bool
@@ -130,8 +137,8 @@ def words_of(
         "off": _angle(-value),
     }
     advice = KINDS[kind].advice.format(**said)
-    if kind == "position_unit" and all_joints and small:
-        advice = "Say so: --units position=deg."
+    if all_joints and small and kind in _BY_UNITS:
+        advice = f"Say so: --units {_BY_UNITS[kind]}."
     return KINDS[kind].words.format(**said), advice
 
 
