@@ -4,6 +4,7 @@ import re
 import tomllib
 from pathlib import Path
 
+import pytest
 import yaml
 
 import geodrake
@@ -22,13 +23,30 @@ def test_the_version_is_that_of_the_changelog_and_the_recipe():
     assert yaml.safe_load(text_of("conda/recipe.yaml"))["context"]["version"] == PROJECT["version"]
 
 
+CONDA = {"matplotlib": "matplotlib-base", "mujoco": "mujoco-python"}
+
+
 def test_the_recipe_needs_what_the_package_needs():
-    run = yaml.safe_load(text_of("conda/recipe.yaml"))["requirements"]["run"]
-    recipe = {
-        re.split(r"[ >=]", each)[0].removesuffix("-base").removesuffix("-python") for each in run
-    }
-    package = {re.split(r"[>=\[]", each)[0] for each in PROJECT["dependencies"]}
-    assert recipe - {"python"} == package - {"drake"}
+    """The same packages from the same versions on; Drake, which conda has not, comes by pip."""
+    stated = yaml.safe_load(text_of("conda/recipe.yaml"))
+    needed = {}
+    for each in (*PROJECT["dependencies"], f"python{PROJECT['requires-python']}"):
+        name, least = re.fullmatch(r"([\w-]+)(?:\[\w+\])?(>=[\d.]+)", each).groups()
+        needed[CONDA.get(name, name)] = least
+    drake = needed.pop("drake")
+    assert dict(each.split(" ") for each in stated["requirements"]["run"]) == needed
+    *_, by_pip = yaml.safe_load(text_of("conda/environment.yml"))["dependencies"]
+    assert by_pip["pip"] == [f"drake{drake}", "-e .."]
+    scripts = [f"{name} = {place}" for name, place in PROJECT["scripts"].items()]
+    assert stated["build"]["python"]["entry_points"] == scripts
+    assert stated["about"]["summary"] == PROJECT["description"]
+
+
+def test_the_recipe_is_one_for_rattler_build():
+    rattler = pytest.importorskip("rattler_build")
+    (package,) = rattler.Stage0Recipe.from_file(ROOT / "conda" / "recipe.yaml").render()
+    told = package.recipe.package
+    assert (told.name, told.version) == (PROJECT["name"], PROJECT["version"])
 
 
 def test_entries_of_the_changelog_are_one_sentence():
