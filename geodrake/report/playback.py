@@ -104,6 +104,7 @@ class Playback:
         models: One model, or that before and that after.
         moments: The worst moments of each model, worst first.
         seconds_left_out: Length of the logs that is not played, s.
+        least_top: Relative error that the last colour stands for at least.
     """
 
     joints: tuple[str, ...]
@@ -111,6 +112,7 @@ class Playback:
     models: tuple[PlayedModel, ...]
     moments: tuple[Moment, ...]
     seconds_left_out: float
+    least_top: float = 1e-6
 
     @property
     def q(self) -> Array:
@@ -130,7 +132,7 @@ class Playback:
         """Relative error that has the last colour: hardly any of all models is larger."""
         every = np.concatenate([played.relative.ravel() for played in self.models])
         known = every[np.isfinite(every)]
-        return max(float(np.quantile(known, 0.99)), 1e-6) if len(known) else 1.0
+        return max(float(np.quantile(known, 0.99)), self.least_top) if len(known) else 1.0
 
 
 def play_back(

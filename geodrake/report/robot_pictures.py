@@ -21,8 +21,10 @@ from geodrake.report.playback import Excerpt, Playback, PlayedModel
 from geodrake.report.played_robots import played_robots
 from geodrake.report.posed_links import drawn_shapes
 from geodrake.report.robot_scene import Extent, camera_place
+from geodrake.report.words import capitalized
 
-_WIDTH, _HEIGHT = 1000, 640  # pixels, before margins are cut
+_WIDTH, _HEIGHT = 1200, 800  # pixels, before margins are cut
+_FARTHER = 1.3  # than a camera that sees the origins of all links, for shapes that reach beyond
 _COLORS = 128
 
 
@@ -48,8 +50,9 @@ def _drawn(model: RobotModel, compared: Mapping[str, Comparison]) -> Pictures:
     excerpt = Excerpt(worst.block, 0.0, worst.time[at : at + 1], q)
     played = tuple(_played(title, model, found) for title, found in compared.items())
     shapes = drawn_shapes(model)
-    playback = Playback(model.joints, (excerpt,), played, (), 0.0)
-    camera = Camera(*camera_place(Extent.of(model, model.positions(q)), 1), _WIDTH, _HEIGHT)
+    playback = Playback(model.joints, (excerpt,), played, (), 0.0, least_top=1.0)
+    near, target = camera_place(Extent.of(model, model.positions(q)), 1)
+    camera = Camera(target + _FARTHER * (near - target), target, _WIDTH, _HEIGHT)
     titles, drawn = list[str](), list[Pixels]()
     for robot in played_robots(playback, shapes, Units.of(model)):
         alone = replace(robot, place=np.zeros(3))
@@ -63,7 +66,8 @@ def _drawn(model: RobotModel, compared: Mapping[str, Comparison]) -> Pictures:
         f"A link has the colour of its joint's error. The robot stands as it did at "
         f"{worst.time[at]:.2f} s, where {worst.joint} was farthest off."
     )
-    return Pictures(tuple(pictures), COLORS, percent(playback.top), text, shapes.notes)
+    notes = tuple(capitalized(note) for note in shapes.notes)
+    return Pictures(tuple(pictures), COLORS, percent(playback.top), text, notes)
 
 
 def _worst(found: Comparison) -> tuple[Series, int]:
