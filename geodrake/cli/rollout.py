@@ -72,12 +72,13 @@ def _fitting(options: RolloutOptions) -> Command[RolloutFit]:
         more={"meshcat": options.meshcat},
         makers=lambda found: {"meshcat": lambda: _replay(found.model, found.after, found.before)},
         saved=_SAVED,
-        check=_refuse_rigid,
+        check=lambda model: _refuse_rigid(model, commands=options.commands),
     )
 
 
-def _refuse_rigid(model: RobotModel) -> None:
-    rollout_values(model)
+def _refuse_rigid(model: RobotModel, *, commands: bool) -> None:
+    if not commands:
+        rollout_values(model)
 
 
 def _simulating(options: RolloutOptions) -> Command[Simulated]:

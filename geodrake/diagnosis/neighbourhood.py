@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from geodrake.diagnosis.log_model import Delay, Fit, LogModel
 from geodrake.diagnosis.normal_kernels import add_normal, calc_squares
 from geodrake.diagnosis.terms import Term, Terms
+from geodrake.model.servos import servos_of
 
 Array = NDArray[np.float64]
 Indices = NDArray[np.intp]
@@ -50,7 +51,8 @@ class Neighbourhood:
     def delays(self) -> list[tuple[Delay, float]]:
         """Return the best other delay of all joints, and of each joint alone, with their gains.
 
-        Joints of a free base have no motor that could be late alone.
+        Joints of a free base have no motor that could be late alone. A servo has a delay of its
+        own, found with it: its effort is not late once more.
         """
         model, was = self._model, self.fit.choice.delay
         columns, fit, joints = self.fit.columns, self.fit, range(len(was))
@@ -61,8 +63,13 @@ class Neighbourhood:
         own, *every = (_moments(*each) for each in (model.normal(columns, was), *late))
         samples = fit.weights * np.maximum(fit.variance, model.floor) * model.rows
         now, found = fit.variance * model.rows, list[tuple[Delay, float]]()
-        base = {model.model.joints.index(joint) for joint in model.model.base_joints}
-        for moved in (joints, *([j] for j in joints if j not in base)):
+        base, servos = model.model.base_joints, servos_of(model.model)
+        free = [
+            [j]
+            for j, joint in enumerate(model.model.joints)
+            if joint not in base and servos[j] is None
+        ]
+        for moved in free if any(servos) else (joints, *free):
             tried = []
             for k, moments in enumerate(every):
                 change = fit.weights[moved] @ (moments[moved] - own[moved])

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from geodrake.control.rollout import Rollout, RolloutFit
+from geodrake.control.rollout.rollout_values import is_soft
 from geodrake.model.effort_signal import SERVO
 from geodrake.report.charts import MOST_PANELS, Chart, Panel, Plot, Stage, gap_filled
 from geodrake.report.numbers import Units, number, with_deviation
@@ -85,6 +86,8 @@ def rollout_fit_page(found: RolloutFit, about: About) -> Page:
     tested = sum(found.tested)
     servos = any(value.effect == SERVO for value in found.values)
     free = "Soft joints, play, their servos and motors" if servos else "Soft joints and play"
+    if not is_soft(found.model):
+        free = "Servos, and what resists them,"
     return Page(
         about.title,
         _subject(after, about),
@@ -204,7 +207,8 @@ def rollout_chart(after: Rollout, before: Rollout | None, units: Units) -> Chart
     rollouts = {_SIMULATED: after} if before is None else {_BEFORE: before, _SIMULATED: after}
     measured = _joined([w.measured.T for w in after.windows])
     simulated = {s.key: _joined([w.simulated.T for w in r.windows]) for s, r in rollouts.items()}
-    order = np.argsort([-joint.relative for joint in after.joints], kind="stable").tolist()
+    shares = np.nan_to_num([joint.relative for joint in after.joints], nan=0.0)
+    order = np.argsort(-shares, kind="stable").tolist()
     badge = "departs most" if len(after.joints) > 1 else ""
     panels = []
     for j, joint in enumerate(after.joints):

@@ -437,7 +437,9 @@ def _at_most(share: float) -> str:
 
 def departure(share: float) -> str:
     """Return how far a simulation departs from the measured motion, as a share of that."""
-    if not np.isfinite(share):
+    if np.isnan(share):
+        return "at rest"
+    if np.isinf(share):
         return "more than can be simulated"
     return percent(share) if share < 10 else f"{number(share)} times the whole"
 

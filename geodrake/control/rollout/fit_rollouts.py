@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 
 from geodrake.boundary.arguments import instance
 from geodrake.control.rollout.acting import Acting
+from geodrake.control.rollout.fit_servos import fit_servos, held_out
 from geodrake.control.rollout.motion_search import (
     MotionSearch,
     SearchWindow,
@@ -36,6 +37,7 @@ from geodrake.control.rollout.roll_out import (
 from geodrake.control.rollout.rollout_values import (
     RolloutValue,
     forces_at_motors,
+    is_soft,
     rollout_values,
     values_at,
     with_values,
@@ -53,7 +55,6 @@ Mask = NDArray[np.bool_]
 
 _BROKEN = 1e3  # rad or m, by which a simulation departs that broke off
 _FEWEST = 2  # windows to fit, and to test
-_BLOCKS = 4  # of the windows of one log, every other of which is held out
 
 
 def fit_rollouts(
@@ -82,6 +83,9 @@ def fit_rollouts(
     servo is, the less of a soft joint shows in the motion, and the more counts what commands are
     between samples.
 
+    Without soft joints it is the servos that are fitted under commands, and friction, rotor
+    inertia and offset of their joints, each simulated alone along whole logs; see `fit_servos`.
+
     Deviations are for all else that the model has. That of a gain stays the share of it that it
     was, as a motion tells the gain for given inertias only.
 
@@ -92,11 +96,15 @@ def fit_rollouts(
         ArgumentError: The horizon is not from 1 ms to 1000 s, or there are no windows.
         LogError: A log cannot be used, there are fewer windows than two to fit and two to test, or
             no log has commands of servos that are to be followed.
-        ModelError: The model has no soft joint and no play, or one that cannot be simulated.
+        ModelError: The model has no soft joint, no play and, under commands, no servo, or one that
+            cannot be simulated.
     """
     check_windows(horizon, most, progress)
     instance(commands, "commands", bool)
     checked_logs(model, logs, (), None, None)
+    if commands and not is_soft(model):
+        case = open_case(model, logs, candidates=False, bandwidth=bandwidth)
+        return fit_servos(case, horizon=horizon, most=most, progress=progress)
     values = rollout_values(model, commands=commands)
     case = open_case(model, logs, candidates=False, bandwidth=bandwidth)
     passages = chosen_passages(case, horizon, most)
@@ -135,18 +143,6 @@ def fit_rollouts(
     )
     model = better if taken else case.model
     return RolloutFit(model, told, before, after, tuple(tested.tolist()), chance, taken)
-
-
-def held_out(logs: Sequence[str]) -> Mask:
-    """(W,) which windows are held out: every other log, or block of the windows of one log.
-
-    Args:
-        logs: (W,) names of the windows' logs, one log after the other.
-    """
-    names = list(dict.fromkeys(logs))
-    if len(names) > 1:
-        return np.array([names.index(log) % 2 == 1 for log in logs])
-    return np.arange(len(logs)) * _BLOCKS // max(len(logs), 1) % 2 == 1
 
 
 def _windows(

@@ -12,6 +12,8 @@ from geodrake.inertia import Array
 from geodrake.model.effort_signal import COMMAND, SERVO
 from geodrake.model.robot_model import RobotModel
 
+_AT_REST = 1e-9  # rad or m: rounding of a smoothed position
+
 
 @dataclass(frozen=True, eq=False)
 class Window(Short):
@@ -51,8 +53,8 @@ class JointDeparture:
 
     @property
     def relative(self) -> float:
-        """RMS departure over RMS motion: 1 for a robot that stands still."""
-        return self.rms / self.moved if self.moved > 0 else np.inf
+        """RMS departure over RMS motion: 1 for a simulated joint that stands; NaN if it rests."""
+        return self.rms / self.moved if self.moved > _AT_REST else np.nan
 
 
 @dataclass(frozen=True, eq=False)
@@ -108,8 +110,10 @@ class Rollout(Shown):
 
     @property
     def relative(self) -> float:
-        """Root mean square over joints of departure over motion."""
-        return float(np.sqrt(np.mean([joint.relative**2 for joint in self.joints])))
+        """Root mean square of departure over motion, over joints that move."""
+        shares = np.array([joint.relative for joint in self.joints])
+        moving = shares[~np.isnan(shares)]
+        return float(np.sqrt(np.mean(np.square(moving)))) if len(moving) else np.inf
 
 
 @dataclass(frozen=True)

@@ -58,6 +58,11 @@ class RolloutValue:
         return self.deviation or self.moved(steps)
 
 
+def is_soft(model: RobotModel) -> bool:
+    """Return whether a model has a soft joint or play."""
+    return any(isinstance(fitted.effect, DeflectionEffect) for fitted in model.effects)
+
+
 def rollout_values(model: RobotModel, *, commands: bool = False) -> tuple[RolloutValue, ...]:
     """What of a model its simulated motion shows, and efforts hardly do.
 
@@ -74,7 +79,8 @@ def rollout_values(model: RobotModel, *, commands: bool = False) -> tuple[Rollou
     if not found:
         raise ModelError(
             "The model has no soft joint and no play, which are what rollouts fit.",
-            advice="Find them first: geodrake explain MODEL LOG… --save FILE.yaml.",
+            advice="Find them first: geodrake explain MODEL LOG… --save FILE.yaml. With --commands "
+            "servos and friction are fitted.",
         )
     if not commands:
         return tuple(found)

@@ -29,6 +29,7 @@ from geodrake.identification.logs.servo_fit import (
     LONGEST_DELAY,
     Expected,
     JointMotions,
+    ServoFit,
     fit_servo,
     motions_of,
 )
@@ -314,8 +315,7 @@ def calibrated(
     plain, gains = first.found()
     if not (commanded and simulate):
         return tuple(plain.signals(gains).values())
-    bandwidth = trajectories[0].bandwidths[0]
-    sharp = prepare_logs(known, bandwidth=bandwidth, motion_bandwidth=_sharp(trajectories))
+    sharp = sharp_trajectories(known, trajectories)
 
     def by_motion(found: _Calibration, gains: SignalGains) -> tuple[EffortSignal, ...]:
         # Bodies are those of the model that is saved, not as the linear fit moves them.
@@ -369,10 +369,14 @@ def _by_body(model: RobotModel, phi: Array) -> dict[str, Array]:
     return {body: own for body, own in zip(model.bodies, phi, strict=True) if own.any()}
 
 
-def _sharp(trajectories: Sequence[Trajectory]) -> float:
-    """Return the bandwidth of the motion that simulations are compared with, Hz."""
+def sharp_trajectories(
+    logs: Sequence[JointLog], trajectories: Sequence[Trajectory]
+) -> tuple[Trajectory, ...]:
+    """Return logs, prepared as `trajectories` are, with motion as sharp as simulations need it."""
     highest = HIGHEST_BANDWIDTH / max(t.filter.period for t in trajectories)
-    return min(max(trajectories[0].bandwidths[1], _SHARP), highest)
+    bandwidth, motion = trajectories[0].bandwidths
+    sharp = min(max(motion, _SHARP), highest)
+    return tuple(prepare_logs(logs, bandwidth=bandwidth, motion_bandwidth=sharp))
 
 
 def _by_motion(
@@ -387,6 +391,11 @@ def _by_motion(
     fit = fit_servo(motions, signal, most, expected=expected, bodies=bodies)
     if fit is None:
         return replace(signal, integral=0.0, integral_deviation=0.0)
+    return signal_by_motion(signal, fit)
+
+
+def signal_by_motion(signal: EffortSignal, fit: ServoFit) -> EffortSignal:
+    """Return the signal of a servo with the numbers of a fit to its motion."""
     gain, rate, *_, delay, _, integral = fit.parameters.tolist()
     spread = fit.deviations
     return replace(
