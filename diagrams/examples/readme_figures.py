@@ -1,6 +1,6 @@
 """The figures of the README and the tutorial: the demo's efforts, its error, its pages.
 
-With `--pages` also the pages of `explain` and `play`, as Chromium draws them. Run it as
+With `--pages` also the pages of commands, as Chromium draws them. Run it as
 `python -m diagrams.examples.readme_figures --pages --figures diagrams/figures`.
 """
 
@@ -35,19 +35,24 @@ def explain_demo(*, quick: bool) -> Explanation:
 
 
 def pictures_of_pages(found: Explanation, folder: Path) -> None:
-    """Pictures of the pages of `geodrake explain` and `geodrake play` with what the demo finds."""
+    """Pictures of the pages that commands make of the demo, and of what it finds."""
     with as_file(files("geodrake") / "demo") as demo, TemporaryDirectory() as work:
-        page, saved, report = (Path(work) / n for n in ("play.html", "arm.yaml", "report.html"))
+        model, log, saved = demo / "demo.urdf", demo / "demo.csv", Path(work) / "arm.yaml"
         save_model(found.model, saved)
-        log = demo / "demo.csv"
-        for words in (
-            ("play", saved, log, "--out", page),
-            ("explain", demo / "demo.urdf", log, "--report", report),
+        short = ("--horizon", "0.2")
+        for name, words, size in (
+            ("play", ("play", saved, log, "--ghost", "0.2", "--out"), (1200, 760)),
+            ("page", ("explain", model, log, "--report"), (1280, 1210)),
+            ("compare", ("compare", model, log, "--report"), (1280, 1060)),
+            ("excite", ("excite", saved, "--report"), (1280, 1100)),
+            (
+                "rollout",
+                ("rollout", ("rollout", saved, log, "--before", model, *short, "--report"), (1280, 900)),
         ):
-            command = [sys.executable, "-m", "geodrake", *map(str, words), "--quiet"]
+            page = Path(work) / f"{name}.html"
+            command = [sys.executable, "-m", "geodrake", *map(str, (*words, page)), "--quiet"]
             subprocess.run(command, check=True, stdout=subprocess.DEVNULL)
-        _picture(page, folder / "demo_play.png", (1200, 760))
-        _picture(report, folder / "demo_page.png", (1280, 1210))
+            _picture(page, folder / f"demo_{name}.png", size)
 
 
 def _picture(page: Path, path: Path, size: tuple[int, int]) -> None:

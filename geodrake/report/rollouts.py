@@ -14,7 +14,13 @@ from geodrake.model.effort_signal import SERVO
 from geodrake.report.charts import MOST_PANELS, Chart, Panel, Plot, Stage, gap_filled
 from geodrake.report.numbers import Units, number, with_deviation
 from geodrake.report.page import About, Page, Section, Table, Tile, cells
-from geodrake.report.words import capitalized, departure, effect_label, rollout_fit_words
+from geodrake.report.words import (
+    capitalized,
+    departure,
+    departure_words,
+    effect_label,
+    rollout_fit_words,
+)
 
 Array = NDArray[np.float64]
 
@@ -41,12 +47,9 @@ def rollout_page(found: Simulated | Rollout, about: About) -> Page:
         found = Simulated(found)
     after, before, units = found.after, found.before, about.units
     count = len(after.windows)
-    headline = (
-        f"The simulated model departs by {departure(after.relative)} of the motion within "
-        f"{after.horizon:g} s"
-    )
+    headline = f"The simulated model departs by {departure_words(after.relative)} within {after.horizon:g} s"
     if before is not None:
-        headline += f", where {departure(before.relative)} before"
+        headline += f"; the one before by {departure_words(before.relative)}"
     if after.broken:
         headline += f"; in {after.broken} of {count} windows the simulation breaks off"
     return Page(
@@ -59,12 +62,12 @@ def rollout_page(found: Simulated | Rollout, about: About) -> Page:
         (
             *([Tile("before", departure(before.relative), "of the motion")] if before else []),
             Tile("departure", departure(after.relative), "of the motion"),
-            Tile("horizon", f"{after.horizon:g} s", "from a measured state on"),
+            Tile("horizon", horizon, "from a measured state on"),
         ),
         (
             Section(
                 "Departure from the measured motion",
-                f"RMS of simulated − measured position in {count} windows of {after.horizon:g} s.",
+                f"RMS of simulated − measured position in {count} windows of {horizon}.",
                 (
                     "Moved is the RMS of what the joint moved since the window's start, and share "
                     "of motion the departure over it. The model as a whole departs by the root "
@@ -98,7 +101,7 @@ def rollout_fit_page(found: RolloutFit, about: About) -> Page:
         (
             Tile("before", departure(before.relative), "of the motion, held out"),
             Tile("fitted", departure(after.relative), "of the motion, held out"),
-            Tile("horizon", f"{after.horizon:g} s", "from a measured state on"),
+            Tile("horizon", horizon, "from a measured state on"),
         ),
         (
             Section(

@@ -441,13 +441,18 @@ def departure(share: float) -> str:
         return "at rest"
     if np.isinf(share):
         return "more than can be simulated"
-    return percent(share) if share < 10 else f"{number(share)} times the whole"
+    return percent(share) if share < 10 else f"{number(share)} ×"
+
+
+def departure_words(share: float) -> str:
+    """Return the same as it stands in a sentence."""
+    return f"{departure(share)} of the motion".replace("× of", "times")
 
 
 def rollout_fit_words(found: RolloutFit) -> str:
     """Return what a fit of rollouts comes to, in a sentence."""
     before, after = found.held_out
-    shares = f"from {departure(before.relative)} to {departure(after.relative)} of the motion"
+    shares = f"from {departure(before.relative)} to {departure_words(after.relative)}"
     if found.taken:
         return (
             f"what was fitted is taken: held-out windows depart less, {shares} (by chance with "
