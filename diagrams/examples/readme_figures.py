@@ -39,15 +39,13 @@ def pictures_of_pages(found: Explanation, folder: Path) -> None:
     with as_file(files("geodrake") / "demo") as demo, TemporaryDirectory() as work:
         model, log, saved = demo / "demo.urdf", demo / "demo.csv", Path(work) / "arm.yaml"
         save_model(found.model, saved)
-        short = ("--horizon", "0.2")
+        before = ("--before", model, "--horizon", "0.2")
         for name, words, size in (
             ("play", ("play", saved, log, "--ghost", "0.2", "--out"), (1200, 760)),
             ("page", ("explain", model, log, "--report"), (1280, 1210)),
             ("compare", ("compare", model, log, "--report"), (1280, 1060)),
             ("excite", ("excite", saved, "--report"), (1280, 1100)),
-            (
-                "rollout",
-                ("rollout", ("rollout", saved, log, "--before", model, *short, "--report"), (1280, 900)),
+            ("rollout", ("rollout", saved, log, *before, "--report"), (1280, 900)),
         ):
             page = Path(work) / f"{name}.html"
             command = [sys.executable, "-m", "geodrake", *map(str, (*words, page)), "--quiet"]

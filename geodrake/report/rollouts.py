@@ -47,7 +47,8 @@ def rollout_page(found: Simulated | Rollout, about: About) -> Page:
         found = Simulated(found)
     after, before, units = found.after, found.before, about.units
     count = len(after.windows)
-    headline = f"The simulated model departs by {departure_words(after.relative)} within {after.horizon:g} s"
+    departs, horizon = departure_words(after.relative), f"{after.horizon:g} s"
+    headline = f"The simulated model departs by {departs} within {horizon}"
     if before is not None:
         headline += f"; the one before by {departure_words(before.relative)}"
     if after.broken:
@@ -101,7 +102,7 @@ def rollout_fit_page(found: RolloutFit, about: About) -> Page:
         (
             Tile("before", departure(before.relative), "of the motion, held out"),
             Tile("fitted", departure(after.relative), "of the motion, held out"),
-            Tile("horizon", horizon, "from a measured state on"),
+            Tile("horizon", f"{after.horizon:g} s", "from a measured state on"),
         ),
         (
             Section(
