@@ -357,3 +357,35 @@ def test_a_proposed_mapping_has_what_stands_for_efforts():
     proposal = caught.value.evidence["proposal"]
     assert "    current: current_0\n" in proposal
     assert "effort:" not in proposal.split("joints:")[1]
+
+
+WHOLE = np.rint(100.0 * S)
+"""Numbers of a register, of either sign."""
+
+
+@pytest.mark.parametrize(
+    ("written", "words"),
+    [
+        (np.mod(WHOLE, 2.0**16), "two's complement of 16 bits: 65535 is -1"),
+        (np.mod(WHOLE, 2.0**32), "two's complement of 32 bits: 4294967295 is -1"),
+        (np.where(WHOLE < 0.0, 2.0**10 - WHOLE, WHOLE), "magnitudes with a sign in bit 10"),
+        (np.where(WHOLE < 0.0, 2.0**15 - WHOLE, WHOLE), "magnitudes with a sign in bit 15"),
+    ],
+)
+def test_registers_that_were_read_without_their_sign(tmp_path, written, words):
+    path = write(tmp_path / "log.csv", frame(q_J=Q, pwm_J=written))
+    log = read_log(path, joints=JOINTS)
+    assert np.array_equal(log.effort, WHOLE)
+    assert f"'pwm_0' is read as {words}" in said(log)
+
+
+def test_whole_numbers_of_a_wide_range_are_no_registers():
+    """Half of what a register could hold is never visited; positions hold no magnitudes."""
+    for numbers in (np.abs(WHOLE), np.rint(65535.0 * (0.5 + Q / 2.1))):
+        log = log_of_frame(frame(q_J=Q, pwm_J=numbers), joints=JOINTS)
+        assert np.array_equal(log.effort, numbers)
+        assert "is read as" not in said(log)
+    ticks = np.where(WHOLE < 0.0, 2.0**10 - WHOLE, WHOLE)
+    reading = Reading(units={"position": "ticks"})
+    log = log_of_frame(frame(q_J=ticks, effort_J=S), joints=JOINTS, reading=reading)
+    assert "is read as" not in said(log)

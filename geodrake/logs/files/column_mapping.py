@@ -9,6 +9,7 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import numpy as np
+from numpy.typing import NDArray
 
 from geodrake.errors import LogError
 from geodrake.logs.files.mapping_file import proposed_mapping, with_proposal
@@ -37,6 +38,8 @@ from geodrake.logs.motion import (
     check_joints,
 )
 
+Array = NDArray[np.float64]
+
 HEADER = "time,<joint>.position,<joint>.velocity,<joint>.effort"
 _MOST_COLUMNS = 10_000  # ten times more than a robot of a hundred joints has
 HEADER_ADVICE = f"The first line names the columns: {HEADER}; velocity may be left out."
@@ -64,6 +67,15 @@ class Source:
     def columns(self) -> tuple[str, ...]:
         """Columns of the file."""
         return (self.column,) if self.nanoseconds is None else (self.column, self.nanoseconds)
+
+    @property
+    def offset(self) -> float:
+        """What is added to its numbers after the factor."""
+        return self.unit.offset if self.unit else 0.0
+
+    def written(self, numbers: Array) -> Array:
+        """Return numbers (N,) as they stand in the file."""
+        return (numbers - self.offset) / self.factor
 
 
 @dataclass(frozen=True)

@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 from geodrake.errors import LogError
 from geodrake.logs.files.column_mapping import Columns, Source
+from geodrake.logs.files.registers import are_whole, signed_register
 from geodrake.logs.files.table import TornRows, check_room
 from geodrake.logs.motion import PASSIVE, JointLog
 from geodrake.logs.time_stamps import repeats, time_unit, with_clock_set_back
@@ -16,6 +17,7 @@ from geodrake.logs.time_stamps import repeats, time_unit, with_clock_set_back
 Array = NDArray[np.float64]
 
 LEAST_ROWS = 10
+_FIRST = 1000  # rows that mostly tell that numbers are no whole ones
 _STILL = 2e-3  # rad or m, by which a joint may move and still stand
 
 
@@ -73,7 +75,7 @@ class Recording:
                 self._start = float(values[np.isfinite(values)][:1].sum())
             values = (values - self._start) + 1e-9 * numbers[source.nanoseconds]
         values = values if source.factor == 1.0 else source.factor * values
-        return values + source.unit.offset if source.unit and source.unit.offset else values
+        return values + source.offset if source.offset else values
 
     def log(self, rows: int) -> JointLog:
         """Return the log of the first so many rows."""
@@ -97,6 +99,7 @@ class Recording:
         values = {quantity: numbers[:rows] for quantity, numbers in self.values.items()}
         alone = {joint: numbers[:rows] for joint, numbers in self._standing.items()}
         floating = {name: numbers[:rows] for name, numbers in self._floating.items()}
+        signed = self._signed(values)
         kinds, more_notes = self._without_motors(values["effort"])
         if kept is not None:
             time = time[kept]
@@ -111,7 +114,7 @@ class Recording:
             values["effort"],
             values.get("velocity"),
             values.get("acceleration"),
-            (*self.columns.notes, *notes, *more, *more_notes, *torn),
+            (*self.columns.notes, *notes, *more, *signed, *more_notes, *torn),
             effort_uncertainty=self._uncertainty(kinds),
             standing={joint: self._place(joint, rows) for joint in self._standing},
             alone=alone,
@@ -121,6 +124,21 @@ class Recording:
             origin=self.columns.origin,
             floating=floating,
         )
+
+    def _signed(self, values: Mapping[str, Array]) -> list[str]:
+        """Give numbers (N, n) of registers that were read without a sign theirs; return notes."""
+        notes = []
+        for quantity, numbers in values.items():
+            for at, joint in enumerate(self.columns.joints):
+                source = self.columns.sources.get(f"{joint}.{quantity}")
+                if source is None or not are_whole(source.written(numbers[:_FIRST, at])):
+                    continue
+                written = source.written(numbers[:, at])
+                found = signed_register(written, magnitudes=quantity != "position")
+                if found is not None:
+                    numbers[:, at] = source.factor * found[0] + source.offset
+                    notes.append(f"{source.column!r} is read as {found[1]}")
+        return notes
 
     def _without_motors(self, effort: Array) -> tuple[dict[str, str], list[str]]:
         """Return the kinds of efforts, with zeros (N, n) at joints without a motor, and notes."""
