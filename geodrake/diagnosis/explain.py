@@ -116,10 +116,12 @@ def explained(
     """Fit what a search found, and judge it once by held-out data."""
     found, after_case, fit, start, steps = _holding(case, found, findings, forced=forced)
     before, model = comparison(case), case.model
-    after = comparison(after_case, fit.unknowns, fit.held_out) if steps else before
-    bodies = changed_bodies(model, fit) if steps else ()
+    fades = found.case.model.fading_speed is not model.fading_speed
+    changed = bool(steps) or fades  # where known friction fades is no step, and lowers the error
+    after = comparison(after_case, fit.unknowns, fit.held_out) if changed else before
+    bodies = changed_bodies(model, fit) if changed else ()
     said = [*([_STOPPED] if found.is_stopped else []), *case.notes, *notes]
-    if steps:
+    if changed:
         said += [*changed_notes(case.model, steps), *notes_of(found, case, fit, bodies)]
     said += left_out_notes(findings, steps)
     explanation = Explanation(
@@ -128,14 +130,14 @@ def explained(
         before.errors,
         error_table(case.dataset, start.held_out),
         after.errors,
-        fit.model if steps else model,
+        fit.model if changed else model,
         before,
         after,
         tuple(dict.fromkeys(said)),
         bodies,
         dict(zip(case.dataset.joints, fit.of_motion.tolist(), strict=True)),
         found.is_stopped,
-        fit.result.certificate if steps else None,
+        fit.result.certificate if changed else None,
     )
     return Investigation(explanation, after_case, found)
 
