@@ -29,7 +29,7 @@ class Beliefs:
         wrong: Widths above this one mean that the file is wrong.
         fitted: Odds against a body, or an effect, of a model that was fitted before being another
             one since.
-        free: Width of one body that is wrong while the others are right.
+        free: Widths of one body that is wrong while the others are right: each is tried.
         payloads: Masses of payloads, from light to heavy, in tenths of the robot's mass; what a
             body carries that carries others is thought to be the last but one.
         load: How well each of these is known, as a geometric distance.
@@ -56,7 +56,7 @@ class Beliefs:
     widths: tuple[float, ...] = (0.003, 0.03, 0.07, 0.15, 0.3, 1.0)
     wrong: float = 0.3
     fitted: float = 100.0
-    free: float = 3.0
+    free: tuple[float, ...] = (0.7, 3.0)
     payloads: tuple[float, ...] = (0.05, 0.2, 0.7, 2.4)
     load: float = 0.7
     inner: float = 30.0
@@ -71,12 +71,12 @@ class Beliefs:
 
     def __post_init__(self) -> None:
         for name, value in vars(self).items():
-            if name in ("widths", "payloads"):
+            if name in ("widths", "payloads", "free"):
                 if not value:
                     raise ArgumentError(f"{name} holds nothing.", advice="Give one at least.")
                 for each in value:
                     positive(each, name)
-            elif name in ("size", "free", "load"):
+            elif name in ("size", "load"):
                 positive(value, name)
             else:
                 number(value, name, lower=0.0)

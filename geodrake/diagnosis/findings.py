@@ -102,6 +102,7 @@ class Unnamed:
 
     joints: tuple[str, ...]  # with something that no effect describes
     loads: Mapping[str, float]  # body -> how probable a payload is that bodies take in
+    gains: Mapping[str, tuple[float, float]]  # as `LogModel.usual_gains`
 
 
 def named(found: Found) -> tuple[Found, list[Finding], Unnamed]:
@@ -112,7 +113,8 @@ def named(found: Found) -> tuple[Found, list[Finding], Unnamed]:
     found, posterior = believed(found)
     findings = [f for f in findings_of(found, posterior) if f.name != UnknownFunction.name]
     unknown = [term for term in found.fit.terms if isinstance(term.effect, UnknownFunction)]
-    rest = Unnamed(tuple(term.where[0] for term in unknown), posterior.of_loads())
+    joints, gains = tuple(term.where[0] for term in unknown), found.model.usual_gains(found.fit)
+    rest = Unnamed(joints, posterior.of_loads(), gains)
     return without(found, unknown), findings, rest
 
 

@@ -58,6 +58,7 @@ _LEAST_SHARE = 1e-4
 _SIMPLER = 0.5
 _FREE, _WIDTHS = 0.01, 20  # to hold the inertias, as a search may do, does not make them known
 _USUAL_SHARE = 0.3
+_NOTABLE = 0.5  # of a squared error, that the error of a gain takes
 _MOST_PINNED, _PINNED = 4, 1e15
 _STATED = 1e-4  # share to which a file knows the values of effects, unless they are others
 _PSEUDO = pseudo_inertia_basis()
@@ -160,9 +161,8 @@ class LogModel:
         self.places, self._loads = np.full((nv, len(columns)), -1), list[Array]()
         for j, joint in enumerate(data.data):
             gram = joint.grams.sum(axis=0)
-            bodies = joint.local(np.arange(self._bodies))
-            load = np.zeros(len(gram))
-            load[bodies[bodies >= 0]] = self.unknowns.mean[: self._bodies][bodies >= 0]
+            own, load = joint.local(self.unknowns.columns), np.zeros(len(gram))
+            load[own[own >= 0]] = self.unknowns.mean[own >= 0]
             self._loads.append(load[: len(joint.columns)])
             n = len(gram)
             self.grams[j, :n, :n] = gram
@@ -410,6 +410,19 @@ class LogModel:
         own = x[: len(load)] + x[data.factors.shape[2]] * load
         return [rows.b[:, delay] - rows.A @ own for blocks in data.rows for rows in blocks]
 
+    def usual_gains(self, fit: Fit) -> dict[str, tuple[float, float]]:
+        """Return the errors of gains that take most of what else were left at their joint.
+
+        Joint -> the error, and how well the log says that its gain is known.
+        """
+        joints, found = self.normal(fit.columns, fit.choice.delay), dict[str, tuple[float, float]]()
+        for j, joint in enumerate(self.dataset.joints):
+            at, x = len(self.unknowns.columns) + j, fit.x.copy()
+            x[at] = 0.0
+            if calc_squares(joints, x)[j] * _NOTABLE > fit.variance[j] * self.rows[j]:
+                found[joint] = float(fit.x[at]), float(self.dataset.gain_uncertainty[j])
+        return found
+
     def gain_moments(self, fit: Fit) -> Array:
         """Return (nv, nv) second moments of the gains' errors, as prior and data have them."""
         first = len(self.unknowns.columns)
@@ -428,8 +441,7 @@ class LogModel:
         A (K, p) are columns of the rows in the order of the joint's, and b (K, d) their efforts for
         each delay.
         """
-        bodies = self.dataset.data[joint].local(np.arange(self._bodies))
-        load = A[:, bodies[bodies >= 0]] @ self.unknowns.mean[: self._bodies][bodies >= 0]
+        load = A @ self._loads[joint]
         wide = np.hstack([A, b, load[:, None], np.zeros((len(A), 1))])
         return wide[:, self.places[joint][fit.columns]], b[:, fit.choice.delay[joint]]
 

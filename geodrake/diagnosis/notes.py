@@ -50,7 +50,12 @@ def unnamed_notes(rest: Unnamed) -> list[str]:
         "these logs tell only what all weighs together; move it without the payload"
         for body, p in rest.loads.items()
     ]
-    return [*unknown, *loads]
+    gains = [
+        f"efforts of {joint} are {abs(error):.1%} {'larger' if error > 0.0 else 'smaller'} than the "
+        f"model's: no more than usual, as their gain is known to {known:.0%} (--effort-uncertainty)"
+        for joint, (error, known) in rest.gains.items()
+    ]
+    return [*unknown, *loads, *gains]
 
 
 def left_out_notes(findings: Sequence[Finding], steps: Sequence[Step]) -> list[str]:

@@ -170,17 +170,20 @@ def _prices(effect: Effect, odds: float, beliefs: Beliefs, *, body: bool) -> tup
 
 
 def _wrong_bodies(model: RobotModel, dataset: Dataset, beliefs: Beliefs) -> list[Term]:
-    """Every body being wrong while the others are right."""
-    kind, metric = effect_of(Role.INERTIA), pullback_information(model.phi, beliefs.free)
-    odds = 2.0 * (np.log(len(model.bodies)) + kind.complexity * np.log(beliefs.rarer))
+    """Every body being wrong while the others are right, by each of some widths."""
+    kind = effect_of(Role.INERTIA)
+    odds = 2.0 * (
+        np.log(len(model.bodies) * len(beliefs.free)) + kind.complexity * np.log(beliefs.rarer)
+    )
     odds += 0.0 if model.information is None else 2.0 * np.log(beliefs.fitted)
-    sources = np.arange(len(metric)).reshape(-1, PARAMETERS_PER_BODY)
-    zero, none = np.zeros(PARAMETERS_PER_BODY), np.zeros(0, np.intp)
-    return [
-        Term(kind.name, (body,), None, at, zero, metric[np.ix_(at, at)], odds, odds, none, says)
-        for body, at in zip(model.bodies, sources, strict=True)
-        for says in [frozenset({(kind.name, (body,))})]
-    ]
+    zero, none, terms = np.zeros(PARAMETERS_PER_BODY), np.zeros(0, np.intp), list[Term]()
+    for width in beliefs.free:
+        metric = pullback_information(model.phi, width)
+        for k, body in enumerate(model.bodies):
+            at = PARAMETERS_PER_BODY * k + np.arange(PARAMETERS_PER_BODY)
+            says, own = frozenset({(kind.name, (body,))}), metric[np.ix_(at, at)]
+            terms.append(Term(kind.name, (body,), None, at, zero, own, odds, odds, none, says))
+    return terms
 
 
 def _column_sizes(dataset: Dataset) -> Array:

@@ -313,8 +313,10 @@ class TestEffortScale:
 
         log = effort_log("arm6", 7, hidden).log
         log = dataclasses.replace(log, effort_uncertainty=uncertainty)
-        steps = explain(known, [log]).steps
-        assert ("effort_scale" in {step.effect for step in steps}) == named
+        found = explain(known, [log])
+        assert ("effort_scale" in {step.effect for step in found.steps}) == named
+        told = [note for note in found.notes if note.startswith("efforts of shoulder_pitch are 8.")]
+        assert len(told) == (not named)
 
     @pytest.mark.thorough
     def test_nothing_where_nothing_changed(self, known):
