@@ -182,7 +182,9 @@ def _wrong_bodies(model: RobotModel, dataset: Dataset, beliefs: Beliefs) -> list
         for k, body in enumerate(model.bodies):
             at = PARAMETERS_PER_BODY * k + np.arange(PARAMETERS_PER_BODY)
             says, own = frozenset({(kind.name, (body,))}), metric[np.ix_(at, at)]
-            terms.append(Term(kind.name, (body,), None, at, zero, own, odds, odds, none, says))
+            # A last body is rarely wrong by itself: it holds something.
+            price = odds + (2.0 * np.log(beliefs.inner) if body in model.load_bodies else 0.0)
+            terms.append(Term(kind.name, (body,), None, at, zero, own, price, price, none, says))
     return terms
 
 
