@@ -67,6 +67,22 @@ def additions(model: LogModel, fit: Fit) -> list[Fit]:
     return model.ranked(choices, model.shares(fit), fit.variance)
 
 
+def alone(model: LogModel, fit: Fit) -> Terms:
+    """Return effects with a shape that may stand for all own effects of a joint, the best at each.
+
+    Only of joints with several effects that are not simple: together they may stand for one whose
+    shape is not among those that are tried.
+    """
+    finder, best = _Finder(model, fit), list[Term]()
+    for joint, offered in finder.by_joint.items():
+        here = [term for term in fit.terms if term.joint == joint]
+        shaped = [(t,) for t in offered if t.effect is not None and t.effect.free_shapes]
+        if sum(_complexity(term) > 0 for term in here) > 1 and shaped:
+            gains = finder.around.gains(shaped, finder.around.dropped(here))
+            best.append(shaped[int(np.argmax(gains))][0])
+    return tuple(best)
+
+
 def _other_widths(model: LogModel, choice: Choice) -> list[Choice]:
     others = [width for width in model.widths if width != choice.width]
     return [replace(choice, width=width) for width in others]

@@ -106,13 +106,14 @@ def finer_shapes(
     found = list[Effect]()
     for term in terms:
         step = zooms.get(term.key, 0)
-        if term.effect is not None and step < len(_ZOOMS):
-            found += _finer(term.effect, grid, _ZOOMS[step])
+        if term.effect is not None and step < ZOOMS:
+            found += _finer(term.effect, grid, _STEPS[step])
     return found
 
 
-_ZOOMS = (1.0 / 3.0, 1.0 / 12.0, 1.0 / 48.0)
+_STEPS = (1.0 / 3.0, 1.0 / 12.0, 1.0 / 48.0)
 """Steps of finer and finer grids of a shape, in steps of the coarse one."""
+ZOOMS = len(_STEPS)
 
 
 def _finer(effect: Effect, grid: Sequence[Effect], share: float) -> list[Effect]:

@@ -15,8 +15,10 @@ from geodrake.diagnosis.contact_window import PIECES
 from geodrake.diagnosis.episodes import find_episodes
 from geodrake.diagnosis.handling import instants, is_short
 from geodrake.diagnosis.log_model import Choice, Delay, Fit, LogModel
+from geodrake.diagnosis.moves import alone
 from geodrake.diagnosis.proposals import proposed
 from geodrake.diagnosis.refinements import (
+    ZOOMS,
     delays_of,
     expansions,
     fading_speeds,
@@ -84,7 +86,7 @@ class Search:
         self._zooms = dict[tuple[str, tuple[str, ...]], int]()
         self._timed: Terms | None = None
         self._times = set[tuple[frozenset[Key], tuple[int, ...]]]()
-        self._faded = list[Terms]()
+        self._faded, self._crowded = list[Terms](), set[Terms]()
         self._looked = self._doubted = False
         self._is_stopped = False
         self._told: FoundStep | None = None
@@ -289,7 +291,7 @@ class Search:
 
     def _goes_on(self) -> bool:
         """Make exact what was found, or find more to try; whether there is anything to search."""
-        if self._refined() or self._fades():
+        if self._refined() or self._fades() or self._simplified():
             self._climb(hopeful=False)
             return True
         if not self._looked:
@@ -338,6 +340,21 @@ class Search:
             self._anew(moved, retimed=retimed)
             return True
         return False
+
+    def _simplified(self) -> bool:
+        """Offer one exact shape for the many effects of a joint; return whether there was any."""
+        if self.fit.terms in self._crowded:
+            return False
+        self._crowded.add(self.fit.terms)
+        offered = False
+        for zoom in range(ZOOMS):
+            single = alone(self.model, self.fit)
+            finer = finer_shapes(single, self._grid, {term.key: zoom for term in single})
+            if new := [effect for effect in finer if effect not in self._effects]:
+                self._effects += new
+                self._anew()
+                offered = True
+        return offered
 
     def _fades(self) -> bool:
         """Whether dry friction fades at other speeds than was thought, as suits what was found."""
