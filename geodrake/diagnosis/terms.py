@@ -16,7 +16,7 @@ from geodrake.diagnosis.beliefs import Beliefs
 from geodrake.diagnosis.unknown_efforts import UnknownFunction
 from geodrake.effects.base import Effect, Proposer
 from geodrake.effects.declarations import Role
-from geodrake.effects.episode import Episode
+from geodrake.effects.episode import Episode, PointEpisode
 from geodrake.effects.lookup import effect_of
 from geodrake.identification.logs.dataset import Dataset, is_body, is_payload
 from geodrake.identification.logs.unknowns import pullback_information
@@ -26,7 +26,7 @@ from geodrake.model.robot_model import RobotModel
 Array = NDArray[np.float64]
 Indices = NDArray[np.intp]
 Key = tuple[str, tuple[str, ...]]
-"""Name and place of an effect; one of an episode in a log is not one of another log."""
+"""Name and place of an effect; one of an episode is of one log, and about an instant of it."""
 
 _REACH = 2.0  # of a tool, over that of a dataset's payload: two thirds of the size of a link
 _USUAL = -2
@@ -103,8 +103,10 @@ def is_expandable(effect: Effect) -> bool:
 
 def key_of(effect: Effect, kind: type[Effect] | None = None) -> Key:
     """Return the key of an effect, or of one of another kind at its place."""
-    log = [str(effect.window[3])] if isinstance(effect, Episode) else []
-    return (kind or effect).name, (*effect.where, *log)
+    when = [str(effect.window[3])] if isinstance(effect, Episode) else []
+    if isinstance(effect, PointEpisode):  # of which a log may have several
+        when.append(f"{0.5 * (effect.start + effect.end):.0f} s")
+    return (kind or effect).name, (*effect.where, *when)
 
 
 def terms_of(
@@ -274,7 +276,7 @@ def _is_alike(one: Term, other: Term) -> bool:
     a, b = one.effect, other.effect
     if not isinstance(a, Episode) or not isinstance(b, Episode) or one.where[0] != other.where[0]:
         return False
-    if type(a) is type(b) or not a.is_of(b.window[3]):
+    if one is other or one.key == other.key or not a.is_of(b.window[3]):
         return False
     (start, end), (other_start, other_end) = a.window[:2], b.window[:2]
     if start is None or end is None or other_start is None or other_end is None:
