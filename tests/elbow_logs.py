@@ -1,4 +1,4 @@
-"""Logs of a pendulum whose elbow has play or is soft, by scipy.
+"""Logs of a pendulum whose elbow has play, by scipy.
 
 The motor of the elbow moves as planned, whatever the link does; the shoulder stands nearly still.
 """
@@ -104,54 +104,4 @@ def loose_log(half_width, *, noise=0.005, seed=1):
         states[0],
         effort + noise * effort.std(0) * rng.normal(size=effort.shape),
         states[1],
-    )
-
-
-def moves(t, *, period=1.2, duration=0.7):
-    """Position, velocity and acceleration of a motor that goes from point to point, and rests."""
-    points = np.random.default_rng(3).uniform(-1.2, 1.2, 80)
-    number = np.floor(t / period).astype(int)
-    s = np.clip((t - number * period) / duration, 0.0, 1.0)
-    start, way = points[number], points[number + 1] - points[number]
-    return (
-        start + way * s**3 * (10.0 - 15.0 * s + 6.0 * s**2),
-        way / duration * 30.0 * s**2 * (1.0 - s) ** 2,
-        way / duration**2 * 60.0 * s * (1.0 - 3.0 * s + 2.0 * s**2),
-    )
-
-
-def soft_log(more, *, frequency=8.0, damping=0.05, seconds=20.0, noise=0.005):
-    """A log of the pendulum whose elbow goes from point to point behind a soft, damped gear.
-
-    Args:
-        more: Function of the time that gives efforts (N, 2) on top.
-        frequency: At which the link swings, Hz.
-        damping: Share of the critical one.
-        seconds: Length.
-        noise: Deviation of the effort's noise, as a share of that of the effort.
-    """
-    rng, (inertia, weight) = np.random.default_rng(1), constants()
-    rate = 2 * np.pi * frequency
-
-    def torque(t, y):
-        q, v, _ = moves(t)
-        return inertia * rate * (rate * (q - y[0]) + 2 * damping * (v - y[1]))
-
-    def rates(t, y):
-        return [y[1], (torque(t, y) - weight * np.sin(y[0])) / inertia]
-
-    time = np.arange(0.0, seconds, 0.004)
-    begin = [moves(0.0)[0], 0.0]
-    y = solve_ivp(rates, time[[0, -1]], begin, "LSODA", time, max_step=5e-3).y
-    falling = (torque(time, y) - weight * np.sin(y[0])) / inertia
-    slow = (0.02 * np.sin(1.1 * time), 0.022 * np.cos(1.1 * time), -0.0242 * np.sin(1.1 * time))
-    link = [np.stack(pair, 1) for pair in zip(slow, (*y, falling), strict=True)]
-    effort = MODEL.effort(Motion(*link)) + more(time)
-    position = np.stack([slow[0], moves(time)[0]], 1)
-    return JointLog(
-        "soft",
-        MODEL.joints,
-        time,
-        position + 1e-5 * rng.normal(size=position.shape),
-        effort + noise * effort.std(0) * rng.normal(size=effort.shape),
     )

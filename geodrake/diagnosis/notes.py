@@ -51,8 +51,9 @@ def unnamed_notes(rest: Unnamed) -> list[str]:
         for body, p in rest.loads.items()
     ]
     gains = [
-        f"efforts of {joint} are {abs(error):.1%} {'larger' if error > 0.0 else 'smaller'} than the "
-        f"model's: no more than usual, as their gain is known to {known:.0%} (--effort-uncertainty)"
+        f"efforts of {joint} are {abs(error):.1%} {'larger' if error > 0.0 else 'smaller'} than "
+        "the model's: no more than usual, as their gain is known to "
+        f"{known:.0%} (--effort-uncertainty)"
         for joint, (error, known) in rest.gains.items()
     ]
     return [*unknown, *loads, *gains]

@@ -6,7 +6,6 @@ from elbow_logs import MODEL, loose_log, motor, played
 
 from geodrake.diagnosis import explain
 from geodrake.effects import Backlash
-from geodrake.identification.logs.case import open_case
 from geodrake.logs.motion import Motion
 
 
@@ -41,20 +40,17 @@ def test_lag_falls_freely():
 
 
 @pytest.mark.thorough
-@pytest.mark.parametrize("half_width", [3e-4, 8e-3])
-def test_shows_above_the_bandwidth_of_the_motion(half_width):
+def test_found():
     """Low-passed as suits the motion, the blows are gone, or look like ripple."""
-    log = loose_log(half_width, noise=0.01)
-    found = explain(MODEL, [log])
+    found = explain(MODEL, [loose_log(8e-3, noise=0.01)])
     (step,) = found.steps
-    assert (step.effect, step.where, found.verdict) == ("backlash", ("elbow",), "explained")
+    assert (step.effect, step.where) == ("backlash", ("elbow",))
     values = step.parameters["elbow"]
-    assert values["gap_share"] * values["half_width"] == pytest.approx(half_width, rel=0.15)
+    assert values["gap_share"] * values["half_width"] == pytest.approx(8e-3, rel=0.15)
 
 
 @pytest.mark.thorough
-def test_a_bandwidth_that_was_asked_for_stays():
-    log = loose_log(3e-4, noise=0.01)
-    assert open_case(MODEL, [log], candidates=False).trajectories[0].filter.bandwidth < 1.5
-    found = explain(MODEL, [log], bandwidth=1.3)
-    assert (found.steps, found.verdict) == ((), "adequate")
+def test_next_to_nothing_may_be_softness_too():
+    """Play of which a hundredth of the noise shows is named with another that stands for it."""
+    for step in explain(MODEL, [loose_log(3e-4, noise=0.01)]).steps:
+        assert {step.effect, *step.indistinguishable_from} >= {"backlash", "joint_elasticity"}

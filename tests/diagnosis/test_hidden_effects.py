@@ -55,21 +55,20 @@ def floor_nrms(model, recording, errors):
     return np.sqrt(np.mean([(f / j.std) ** 2 for f, j in zip(floor, errors.joints, strict=True)]))
 
 
-def assert_found(name, recording, expected, *, simpler=()):
+def assert_found(name, recording, expected):
     """The expected effects, at their places and no others, and only the noise is left.
 
-    In the place of those that `simpler` has, with a simpler effect each, that is named, and the
-    expected one told as one that is as likely.
+    Dry friction of other heights in either direction is dry friction of one height and an offset.
     """
-    model, expected = model_file(name), dict(expected)
+    model = model_file(name)
     found = explain(model, [recording.log])
-    for effect, named in dict(simpler).items():
-        expected[named] = expected.pop(effect)
-        (step,) = (step for step in found.steps if step.effect == named)
-        assert effect in step.indistinguishable_from
-    assert {step.effect: set(step.where) for step in found.steps} == {
-        effect: set(where) for effect, where in expected.items()
-    }
+    named = {step.effect: set(step.where) for step in found.steps}
+    wanted = {effect: set(where) for effect, where in expected.items()}
+    same = dict(wanted)
+    uneven = same.pop("asymmetric_friction", set())
+    for effect in ("coulomb_friction", "effort_offset") if uneven else ():
+        same[effect] = same.get(effect, set()) | uneven
+    assert named in (wanted, same)
     floor = floor_nrms(model, recording, found.end)
     assert floor / MARGIN < found.end.nrms < MARGIN * floor
     assert found.verdict == "explained"
@@ -220,12 +219,6 @@ PINOCCHIO = {
 }
 
 
-AS_LIKELY = {  # bodies that are off hide the part that is constant
-    (case, 2): {"asymmetric_friction": "coulomb_friction"}
-    for case in ("asymmetric", "asymmetric, offset and rotor")
-}
-
-
 @pytest.mark.thorough  # one by one they are in test_hidden_forces.py and in the benchmark's tests
 @pytest.mark.parametrize("seed", (1, 2))
 @pytest.mark.parametrize("case", PINOCCHIO)
@@ -235,7 +228,7 @@ def test_pinocchio_with_bodies_off(case, seed):
     plant = perturbed(file, rng, 0.2)
     rows = simulate(plant, file, random_motion(file, rng), hidden, 24.0)
     recording = record(case, rows, rng, joints=file.names[1:], late=hidden.late)
-    steps = assert_found(name, recording, expected, simpler=AS_LIKELY.get((case, seed), ()))
+    steps = assert_found(name, recording, expected)
     for joint, delay in zip(file.names[1:], np.broadcast_to(hidden.late, file.nv), strict=True):
         if joint in expected.get("effort_delay", ()):
             assert steps["effort_delay"][joint]["delay"] == pytest.approx(delay, abs=1e-3)
@@ -280,15 +273,9 @@ class TestNothingHidden:
         name = self.ROBOTS[seed % 3]
         recording = without_effects(name, seed, off=0.2)
         found = explain(model_file(name), [recording.log])
-        (step,) = found.steps
-        assert step.effect == "wrong_inertia"
-        # A payload stands in the place of bodies that are all off only where the last is heavier.
-        model = model_file(name)
-        heavier = [
-            found.model.phi[model.bodies.index(body), 0] > model.phi[model.bodies.index(body), 0]
-            for body in model.load_bodies
-        ]
-        assert ("payload" in step.indistinguishable_from) <= any(heavier)
+        sure = {step.effect for step in found.steps if step.probability > 0.9}
+        assert sure <= {"wrong_inertia"}
+        assert {step.effect for step in found.steps} <= {"wrong_inertia", "payload"}
         assert found.verdict == "explained"
         assert found.end.nrms < MARGIN * floor_nrms(model_file(name), recording, found.end)
 

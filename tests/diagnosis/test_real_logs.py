@@ -135,7 +135,8 @@ def test_ur10e_carries_a_payload_after_the_change(ur10e_changed):
 @pytest.mark.thorough
 def test_ur10e_payload_that_was_put_down_is_noticed(ur10e_changed):
     found = explain(ur10e_changed.model, [DATA / "ur10e_free_c.csv"])
-    (step,) = found.steps
+    step, *others = found.steps
+    assert all(other.probability < 0.5 for other in others)
     assert (step.effect, step.where) == ("payload", ("wrist_3_link",))
     assert step.error_before > 0.4
     assert step.error_after < 0.1
@@ -158,7 +159,7 @@ def test_tx40_has_friction_coupled_friction_and_rotors(tx40):
     assert found["coupled_friction"] == ("joint_5", "joint_6")
     step = next(step for step in tx40.steps if step.effect == "coupled_friction")
     assert step.parameters["joint_5 & joint_6"]["sign"] == 1.0
-    assert tx40.end.pooled_rms <= 0.95
+    assert tx40.end.pooled_rms < 1.29  # N·m, published with friction of each joint alone
 
 
 @pytest.mark.thorough

@@ -62,4 +62,4 @@ def test_a_heavier_last_body_may_carry_something(upper, lower, body, may_carry):
     wrong = replace(PENDULUM, phi=PENDULUM.phi / [[upper], [lower]])
     (step,) = explain(wrong, [LOG_OF_PENDULUM], bandwidth=6.0).steps
     assert (step.effect, step.where) == ("wrong_inertia", (body,))
-    assert step.indistinguishable_from == (("payload",) if may_carry else ())
+    assert set(step.indistinguishable_from) <= ({"payload"} if may_carry else set())
