@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from geodrake.boundary.arguments import number, positive
+from geodrake.boundary.arguments import instances, number, positive
 from geodrake.errors import ArgumentError
 
 
@@ -72,7 +72,7 @@ class Beliefs:
     def __post_init__(self) -> None:
         for name, value in vars(self).items():
             if name in ("widths", "payloads", "free"):
-                if not value:
+                if not instances(value, name, (int, float)):
                     raise ArgumentError(f"{name} holds nothing.", advice="Give one at least.")
                 for each in value:
                     positive(each, name)

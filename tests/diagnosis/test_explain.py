@@ -408,7 +408,7 @@ def test_bodies_that_stay_are_not_shown(model):
 def test_nothing_is_found_that_is_believed_to_be_nothing(model, logs):
     """Effects of a millionth of the efforts, and bodies known to a millionth."""
     none = Beliefs(
-        size=1e-6, unknown=1e-6, widths=(1e-6,), free=1e-6, payloads=(1e-6,), delays=1e30
+        size=1e-6, unknown=1e-6, widths=(1e-6,), free=(1e-6,), payloads=(1e-6,), delays=1e30
     )
     found = explain(model, logs, bandwidth=BANDWIDTH, beliefs=none)
     assert found.steps == ()
