@@ -50,4 +50,4 @@ def _are_apart(numbers: Array, half: float, least: float) -> bool:
     above = numbers >= half
     crossings = np.count_nonzero(above[1:] != above[:-1])
     few = min(np.count_nonzero(above), np.count_nonzero(~above)) < _LEAST
-    return not few and crossings >= 2 and bool(least - numbers[~above].max() >= half)
+    return bool(not few and crossings >= 2 and least - numbers[~above].max() >= half)
