@@ -41,6 +41,7 @@ def test_links_lead_somewhere(page):
         path, _, anchor = target.partition("#")
         to = page.parent / path if path else page
         assert to.is_file(), target
+        assert to.suffix != ".png" or PAGES[0].parent in to.resolve().parents, target
         assert not anchor or anchor in anchors(to), target
 
 

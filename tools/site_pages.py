@@ -17,7 +17,8 @@ from mkdocs.structure.files import File, Files
 from geodrake.cli.app import app
 from geodrake.effects import catalogue
 
-API = Path(__file__).resolve().parents[1] / "docs" / "api.md"
+ROOT = Path(__file__).resolve().parents[1]
+API = ROOT / "docs" / "api.md"
 PACKAGES = tuple(
     re.findall(r"^\| `(geodrake[.\w]*)` \|", API.read_text(encoding="utf-8"), flags=re.M)
 )
@@ -37,14 +38,17 @@ def on_config(config: MkDocsConfig) -> MkDocsConfig:
 
 
 def on_files(files: Files, config: MkDocsConfig) -> Files:
-    """Add the pages."""
+    """Add the pages, and the notebooks beside them."""
     for path, text in {**command_pages(), **package_pages()}.items():
         files.append(File.generated(config, path, content=text))
+    for path in (ROOT / "diagrams" / "examples").glob("*.ipynb"):
+        files.append(File.generated(config, f"notebooks/{path.name}", abs_src_path=str(path)))
     return files
 
 
 def on_page_markdown(markdown: str, page: Any, config: MkDocsConfig, files: Files) -> str:
-    """Link each command and package, in the table of its kind, with its page."""
+    """Link each command and package, in the table of its kind, with its page; and notebooks."""
+    markdown = markdown.replace("../diagrams/examples/", "notebooks/")
     for path in command_pages() if page.file.src_path == "commands.md" else ():
         name = path.removeprefix("commands/").removesuffix(".md")
         markdown = re.sub(

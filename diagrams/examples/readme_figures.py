@@ -1,7 +1,7 @@
 """The figures of the README and the tutorial: the demo's efforts, its error, its pages.
 
 With `--pages` also the pages of commands, as Chromium draws them. Run it as
-`python -m diagrams.examples.readme_figures --pages --figures diagrams/figures`.
+`python -m diagrams.examples.readme_figures --pages --figures docs/figures`.
 """
 
 from __future__ import annotations
@@ -73,7 +73,7 @@ def _picture(page: Path, path: Path, size: tuple[int, int]) -> None:
 def main() -> None:
     """Draw the figures."""
     parser = script_parser(__doc__, "6 s of the log")
-    parser.set_defaults(figures=ROOT / "diagrams" / "figures")
+    parser.set_defaults(figures=ROOT / "docs" / "figures")
     parser.add_argument("--pages", action="store_true", help="pictures of pages, too")
     options = parser.parse_args()
     found = explain_demo(quick=options.quick)

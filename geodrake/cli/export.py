@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
 from geodrake.cli.guard import INTERNAL_ERROR
 from geodrake.cli.options import CheckOptions, ExportOptions
 from geodrake.cli.session import Command, Input, inputs_of, run
@@ -24,7 +26,8 @@ def run_export(options: ExportOptions) -> None:
     Raises:
         GeodrakeError: Something about the input, or about the targets, does not do.
     """
-    form, folder = export_format(options.to), options.folder
+    options = options.with_folder
+    form, folder = export_format(options.to), Path(options.folder or "")
 
     def check(model: RobotModel) -> None:
         beside = [p for p in (options.json, options.report) if p not in (None, STDOUT)]

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, ClassVar
 
@@ -410,7 +410,8 @@ class ExportOptions(ReadingOptions, ModelOptions):
     Attributes:
         logs (LOG): Logs on whose motion what the format lacks is fitted, and the error that it
             costs is measured; without any, random motion within the robot's limits serves.
-        folder (DIR): Folder of the files; made if it is not there.
+        folder (DIR): Folder of the files, the last of all; made if it is not there.
+        to_dir (DIR): The same as an option, for those who do not name it last.
         to (FORMAT): urdf, sdf, mjcf, drake (with model directives), isaac (a URDF, and values of
             actuators), python, cpp (a function effort(q, v, vd)), ros2 (a controller of
             ros2_control); an unknown name lists them.
@@ -421,8 +422,9 @@ class ExportOptions(ReadingOptions, ModelOptions):
 
     model: Path
     logs: list[Path] | None = None
-    folder: Path
+    folder: Path | None = None
     to: str
+    to_dir: Path | None = None
     force: bool = False
     json: Path | None = None
     report: Path | None = None
@@ -430,6 +432,22 @@ class ExportOptions(ReadingOptions, ModelOptions):
     effects: list[Path] | None = None
     bandwidth: float | None = None
     debug: bool = False
+
+    @property
+    def with_folder(self) -> ExportOptions:
+        """The options with their folder, whichever way it was named.
+
+        Raises:
+            ArgumentError: There is none.
+        """
+        if self.to_dir is not None:
+            last = [] if self.folder is None else [self.folder]  # which is a log then
+            return replace(self, folder=self.to_dir, to_dir=None, logs=[*(self.logs or ()), *last])
+        if self.folder is None:
+            raise ArgumentError(
+                "export has no folder to write to.", advice="Name it last, or by --to-dir DIR."
+            )
+        return self
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -263,10 +263,10 @@ def _read(command: Command[R], options: Any, targets: Targets, update: Activity)
     model = read_model(options.model, options, update, extra)
     targets.check([*inputs_of(options), model.path])  # a saved model reads another one
     logs: tuple[JointLog, ...] = ()
-    given = getattr(options, "logs", None)
+    given, asked = getattr(options, "logs", None), getattr(options, "reading", None)
     if command.reads_logs and given:
         update("Reading the logs")
-        known, reading = model.known_joints, reading_for(model, options.reading)
+        known, reading = model.known_joints, reading_for(model, asked)
         paths, found, unread = _readable(given, known, reading)
         model = model_of_logs(model, found, hold_resting=_holds_resting(options))
         model = replace(model, notes=(*unread, *model.notes)) if unread else model

@@ -193,7 +193,7 @@ def _parameter(
     name, default = field.name, field.default
     common: Any = {"metavar": told[0], "help": told[1], "rich_help_panel": panel}
     common |= {"parser": path} if name == "model" else {}
-    if name in _ARGUMENTS and (default is MISSING or name == "logs"):
+    if name in _ARGUMENTS and (default is MISSING or name in ("logs", "folder")):
         option = typer.Argument(**common)
     else:
         option_name = f"--{name.replace('_', '-')}"

@@ -256,3 +256,16 @@ def test_a_robot_with_a_joint_that_follows(tmp_path):
     result = export(path, "--to", "urdf", tmp_path / "out")
     assert result.exit_code == 0, result.output
     assert "Internal error" not in result.output
+
+
+def test_the_folder_is_last_or_an_option(folder, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    runner, start = CliRunner(), ["export", str(folder / "model.yaml"), "--quiet", "--to", "cpp"]
+    log = str(folder / "log.csv")
+    for words in (["one"], ["--to-dir", "two"], [log, "three"], [log, "--to-dir", "four"]):
+        found = runner.invoke(app, [*start, *words])
+        assert found.exit_code == 0, found.stderr
+        assert list((tmp_path / words[-1]).iterdir())
+    found = runner.invoke(app, start)
+    assert found.exit_code == 2 and "--to-dir" in found.stderr
+    assert {each.name for each in tmp_path.iterdir()} == {"one", "two", "three", "four"}
