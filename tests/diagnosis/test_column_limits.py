@@ -199,3 +199,19 @@ def test_a_limit_goes_with_gains_and_swaps_that_are_found_later():
 def test_words_say_the_limit():
     said, _ = words_of("effort_limit", ["elbow"], (30.0,), all_joints=False)
     assert said == "the efforts of elbow are what was asked for: its motor gives at most 30"
+
+
+@pytest.mark.parametrize(
+    ("kind", "values", "option"),
+    [
+        ("effort_unit", (1e-3,) * 2, "--units effort=Nmm."),
+        ("position_unit", (np.pi / 180,) * 2, "--units position=deg,velocity=deg/s."),
+        ("position_alone_unit", (np.pi / 180,) * 2, "--units position=deg."),
+        ("effort_gain", (7.9e-4,) * 2, "--units effort=Nmm. Otherwise correct it by --gain"),
+        ("effort_gains", (2.5e-4, 2e-3), "--units effort=Nmm. Otherwise correct it by --gain"),
+        ("effort_gains", (2.5, 7.0), "Correct it by --gain"),
+    ],
+)
+def test_units_are_named_before_gains(kind, values, option):
+    _, advice = words_of(kind, ["shoulder", "elbow"], values, all_joints=True)
+    assert option in advice and ("--units" in option or "--units" not in advice)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from statistics import median
 
 DEGREE = math.pi / 180.0
 THOUSAND = (1e-3, 1e3)  # N·mm beside N·m, and the other way round; milliseconds
@@ -13,6 +14,7 @@ TIMES = (*THOUSAND, 60.0, 1.0 / 60.0, 0.1, 10.0, 0.5, 2.0)
 _MOTION = ("position", "velocity", "acceleration", "command")
 _ALL = (*_MOTION, "effort", "temperature")
 _POSITIONS, _EFFORTS = ("position", "scale", "zero", "rate"), ("effort", "gain")
+_UNSURE = 5.0  # factor by which what a model lacks may change a gain
 _GEARED = 5.0  # all gains beyond it are those of gears and of motor constants
 _BY_MAPPING = "`geodrake log --write-mapping FILE.yaml` writes a mapping that corrects it"
 _BY_SWAP = f"{_BY_MAPPING}; or name the columns so."
@@ -139,7 +141,16 @@ def words_of(
     advice = KINDS[kind].advice.format(**said)
     if all_joints and small and kind in _BY_UNITS:
         advice = f"Say so: --units {_BY_UNITS[kind]}."
+    elif all_joints and kind in ("effort_gain", "effort_gains") and _is_thousandth(values):
+        otherwise = advice[:1].lower() + advice[1:]
+        advice = f"If they are in N·mm, say so: --units effort=Nmm. Otherwise {otherwise}"
     return KINDS[kind].words.format(**said), advice
+
+
+def _is_thousandth(values: Sequence[float]) -> bool:
+    """Return whether gains are near 1/1000, as far as a model without payload or friction tells."""
+    typical = median(map(abs, values))
+    return THOUSAND[0] / _UNSURE < typical < THOUSAND[0] * _UNSURE
 
 
 def _angle(value: float) -> str:
