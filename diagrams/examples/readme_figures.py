@@ -1,4 +1,4 @@
-"""The figures of the README and the tutorial: the demo's efforts, its error, its pages.
+"""The figures of the README and the tutorial: the demo's error, and its pages.
 
 With `--pages` also the pages of commands, as Chromium draws them. Run it as
 `python -m diagrams.examples.readme_figures --pages --figures docs/figures`.
@@ -77,14 +77,13 @@ def main() -> None:
     parser.add_argument("--pages", action="store_true", help="pictures of pages, too")
     options = parser.parse_args()
     found = explain_demo(quick=options.quick)
-    drawn = figures_of(page_of(found))
-    figures = {f"demo_{name}": drawn[name] for name in ("efforts", "steps")}
-    for path in save_figures(figures, options.figures):
+    steps = figures_of(page_of(found))["steps"]
+    for path in save_figures({"demo_steps": steps}, options.figures):
         print(path)
     if options.pages:
         pictures_of_pages(found, options.figures)
-    steps = [{"effect": s.effect, "nrms": s.error_after} for s in found.steps]
-    write(options, {"start": found.start.nrms, "steps": steps})
+    fallen = [{"effect": s.effect, "nrms": s.error_after} for s in found.steps]
+    write(options, {"start": found.start.nrms, "steps": fallen})
 
 
 if __name__ == "__main__":
