@@ -36,7 +36,7 @@ def error_pictures(model: RobotModel, compared: Mapping[str, Comparison]) -> Pic
         compared: Title -> how far a model is from the logs.
 
     Returns:
-        The pictures; None where the robot cannot be put into the posture of a log.
+        The pictures; None where it has no posture that a log says, or nothing is to be seen.
     """
     try:
         return _drawn(model, compared)
@@ -44,7 +44,9 @@ def error_pictures(model: RobotModel, compared: Mapping[str, Comparison]) -> Pic
         return None
 
 
-def _drawn(model: RobotModel, compared: Mapping[str, Comparison]) -> Pictures:
+def _drawn(model: RobotModel, compared: Mapping[str, Comparison]) -> Pictures | None:
+    if not any(len(series.time) for series in next(iter(compared.values())).series):
+        return None
     worst, at = _worst(next(iter(compared.values())))
     q = _posture(model, next(iter(compared.values())), worst, at)
     excerpt = Excerpt(worst.block, 0.0, worst.time[at : at + 1], q)
@@ -59,6 +61,8 @@ def _drawn(model: RobotModel, compared: Mapping[str, Comparison]) -> Pictures:
         nrms = number(robot.played.comparison.errors.nrms)
         titles.append(", ".join(filter(None, [robot.played.title, f"nrms {nrms}"])))
         drawn.append(DrawnRobots([alone], camera).picture(0))
+    if not drawn[0].any():
+        return None
     rows, columns = (np.flatnonzero(drawn[0][..., 3].any(axis)) for axis in (1, 0))
     inner = slice(rows[0], rows[-1] + 1), slice(columns[0], columns[-1] + 1)
     pictures = [Picture(t, _png(d[inner])) for t, d in zip(titles, drawn, strict=True)]
@@ -94,7 +98,8 @@ _AT = ("time", "position")
 
 
 def _played(title: str, model: RobotModel, found: Comparison) -> PlayedModel:
-    nrms = np.array([[joint.nrms for joint in found.errors.joints]])
+    known = {joint.joint: joint.nrms for joint in found.errors.joints}
+    nrms = np.array([[known.get(joint, np.nan) for joint in model.joints]])
     unknown = np.full_like(nrms, np.nan)
     return PlayedModel(title, model, found, False, unknown, unknown, unknown, nrms, unknown)
 
