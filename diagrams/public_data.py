@@ -31,6 +31,10 @@ _ABOUT: Mapping[str, str] = {
     "under data/system_identification",
     "data/human_force_plate.npz": "a human on a force plate ([Lee2019] section 3.6.3): arrays A "
     "(990, 160), b (990,), sigma (3,), phi_prior (16, 10), Q (16, 4, 4) and X_WB (16, 4, 4)",
+    "data/so101/*.csv": "SO-101, six hobby servos, raw commands and positions at 50 Hz of the SAGE "
+    "recordings, five motions of two minutes",
+    "data/xl330/*.csv": "Dynamixel XL330 that swings a weight, of bam's recordings",
+    "reference/so101.urdf": "the arm's description, in TheRobotStudio/SO-ARM100",
     "reference/ur10e.urdf": "the maker's description of the arm, in ROS's ur_description",
     "reference/tx40.urdf": "a description of the arm with the joints of the log",
 }

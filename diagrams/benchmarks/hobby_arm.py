@@ -1,0 +1,320 @@
+"""A real hobby arm, an SO-101, by commands and positions: whose simulation moves as the arm does?
+
+Three models of it are fitted to two of five public logs (slow sines, and a multisine): geodrake's,
+the same MuJoCo model by mujoco.sysid with the same parameters free, and a servo of second order for
+each joint, which has no dry friction and no load. All are then simulated under the commands of the
+other three logs, from the first measured position on, for two minutes each; geodrake's and
+sysid's by MuJoCo. Told are root mean squares of simulated − measured positions.
+
+    python -m diagrams.benchmarks.hobby_arm --json hobby_arm.json
+
+It needs the public logs, and `pip install "mujoco[sysid]"` for the second model, which is left out
+without it. Another part fits a Dynamixel XL330 that swings a weight at a gain of 100, and predicts
+it at one of 400.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import mujoco
+import numpy as np
+from numpy.typing import NDArray
+from scipy.optimize import least_squares
+from scipy.signal import cont2discrete, lfilter
+
+from diagrams.harness import script_parser, show, write
+from diagrams.public_data import add_folder_option, require
+from geodrake import load_model
+from geodrake.identification.logs.servo_fit import PARAMETERS, motions_of
+from geodrake.identification.logs.servo_model import with_servo_motions
+from geodrake.identification.logs.signal_calibration import (
+    sharp_trajectories,
+    signals_as_efforts,
+    with_efforts,
+)
+from geodrake.logs.files import Reading, read_log
+from geodrake.logs.motion import JointLog
+from geodrake.logs.preparation import prepare_logs
+from geodrake.model.logged_joints import reading_for
+
+Array = NDArray[np.float64]
+
+FITTED = ("multisine", "friction_gravity")
+TESTED = ("reaching_points", "step_response", "backlash_detection")
+_STEP = 2e-3  # s, of MuJoCo's simulation
+_SYSID_STEP, _SYSID_SHARE, _SYSID_ITERATIONS = 5e-3, 0.25, 12  # of the logs, in the middle
+_LATEST = 0.06  # s
+# What is free at a joint, where sysid begins, and its bounds.
+_FREE: Mapping[str, tuple[float, float, float]] = {
+    "stiffness": (17.8, 1.0, 200.0),
+    "damping": (0.6, 0.0, 10.0),
+    "coulomb": (0.052, 0.0, 5.0),
+    "armature": (0.028, 1e-4, 1.0),
+    "offset": (0.0, -3.0, 3.0),
+    "delay": (0.02, 0.0, _LATEST),
+}
+
+Simulate = Callable[[JointLog], Array]
+
+
+@dataclass(frozen=True)
+class Fit:
+    """A model, ready to be simulated under the commands of a log, and what it took."""
+
+    name: str
+    simulate: Simulate
+    seconds: float
+
+
+def arm_spec(urdf: Path, step: float) -> mujoco.MjSpec:
+    """The arm with a servo at each joint, without its meshes and contacts."""
+    text = urdf.read_text(encoding="utf-8")
+    spec = mujoco.MjSpec.from_string(text)
+    for geom in list(spec.geoms):
+        spec.delete(geom)
+    spec.option.timestep = step
+    spec.option.integrator = mujoco.mjtIntegrator.mjINT_IMPLICITFAST
+    for joint in spec.joints:
+        joint.limited = 0
+        servo = spec.add_actuator(name=joint.name, target=joint.name)
+        servo.trntype = mujoco.mjtTrn.mjTRN_JOINT
+        servo.gaintype, servo.biastype = (
+            mujoco.mjtGain.mjGAIN_FIXED,
+            mujoco.mjtBias.mjBIAS_AFFINE,
+        )
+        spec.add_sensor(
+            name=f"{joint.name}_pos",
+            type=mujoco.mjtSensor.mjSENS_JOINTPOS,
+            objtype=mujoco.mjtObj.mjOBJ_JOINT,
+            objname=joint.name,
+        )
+    return spec
+
+
+def put(spec: mujoco.MjSpec, joint: str, name: str, value: float) -> None:
+    """Set a parameter of a joint; delays are of commands, and not the model's."""
+    servo, own = spec.actuator(joint), spec.joint(joint)
+    if name == "stiffness":
+        servo.gainprm[0], servo.biasprm[1] = value, -value
+    elif name == "offset":
+        servo.biasprm[0] = -value
+    elif name == "damping":
+        own.damping = np.array([value, 0.0, 0.0]) if np.ndim(own.damping) else value
+    elif name == "coulomb":
+        own.frictionloss = value
+    elif name == "armature":
+        own.armature = value
+
+
+def by_mujoco(urdf: Path, values: Mapping[str, Mapping[str, float]]) -> Simulate:
+    """Simulate the arm with parameters of its joints.
+
+    A damping that knows the rate r of the command is one of the joint, with r / kp more time.
+    """
+    spec = arm_spec(urdf, _STEP)
+    for joint, own in values.items():
+        for name, value in own.items():
+            rate = own.get("rate", 0.0) if name == "damping" else 0.0
+            put(spec, joint, name, value + rate)
+    model = spec.compile()
+
+    def simulate(log: JointLog) -> Array:
+        since = log.time - log.time[0]
+        times = np.arange(0.0, since[-1] + _STEP, _STEP)
+        told = np.empty((len(times), model.nu))
+        for j, joint in enumerate(log.joints):
+            own = values[joint]
+            late = np.interp(times - own["delay"], since, log.command[:, j])
+            lead = own.get("rate", 0.0) / own["stiffness"]
+            told[:, j] = late + lead * np.gradient(late, _STEP)
+        data, found = mujoco.MjData(model), np.empty_like(told)
+        data.qpos[:] = log.position[0]
+        for k, command in enumerate(told):
+            found[k] = data.qpos
+            data.ctrl[:] = command
+            mujoco.mj_step(model, data)
+        return np.column_stack([np.interp(since, times, q) for q in found.T])
+
+    return simulate
+
+
+def by_geodrake(urdf: Path, logs: Sequence[JointLog]) -> Fit:
+    """Fit geodrake's model."""
+    began = time.process_time()
+    known = with_efforts(load_model(urdf), logs)[0]
+    model, fits = with_servo_motions(known, logs)
+    seconds = time.process_time() - began
+    values = {
+        joint: dict(zip(PARAMETERS, fits[joint].parameters.tolist(), strict=True))
+        for joint in model.joints
+    }
+    return Fit("geodrake", by_mujoco(urdf, values), seconds)
+
+
+def by_sysid(urdf: Path, logs: Sequence[JointLog]) -> Fit | None:
+    """Fit the same parameters by mujoco.sysid, as its documentation does; None without it."""
+    from mujoco import sysid
+
+    if not hasattr(sysid, "optimize"):
+        return None
+    began, spec = time.process_time(), arm_spec(urdf, _SYSID_STEP)
+    params, transform = sysid.ParameterDict(), sysid.SignalTransform(normalize=False)
+    for joint in logs[0].joints:
+        for name, (start, low, high) in _FREE.items():
+            put(spec, joint, name, start)
+            params.add(
+                sysid.Parameter(
+                    f"{joint}.{name}",
+                    nominal=start,
+                    min_value=low,
+                    max_value=high,
+                    modifier=lambda s, p, j=joint, n=name: put(s, j, n, float(p.value[0])),
+                )
+            )
+        transform.delay(f"{joint}_pos", params[f"{joint}.delay"])
+    model = spec.compile()
+    sequences = []
+    for log in logs:
+        since = log.time - log.time[0]
+        middle = 0.5 * since[-1] * np.array([1.0 - _SYSID_SHARE, 1.0 + _SYSID_SHARE])
+        times = np.arange(*middle, _SYSID_STEP)
+        command, measured = (
+            np.column_stack([np.interp(times, since, column) for column in values.T])
+            for values in (log.command, log.position)
+        )
+        start = sysid.create_initial_state(model, measured[0], np.zeros(model.nv), np.zeros(0))
+        times = times - times[0]
+        told = sysid.TimeSeries.from_control_names(times, command, model)
+        seen = sysid.TimeSeries.from_names(times, measured, model)
+        sequences.append(sysid.ModelSequences("arm", spec, log.name, start, told, seen))
+    residual = sysid.build_residual_fn(models_sequences=sequences, modify_residual=transform.apply)
+    found, _ = sysid.optimize(
+        initial_params=params,
+        residual_fn=residual,
+        optimizer="mujoco",
+        verbose=False,
+        max_iters=_SYSID_ITERATIONS,
+    )
+    values = {
+        joint: {name: float(found[f"{joint}.{name}"].value[0]) for name in _FREE}
+        for joint in logs[0].joints
+    }
+    return Fit("mujoco.sysid", by_mujoco(urdf, values), time.process_time() - began)
+
+
+def by_second_order(logs: Sequence[JointLog]) -> Fit:
+    """Fit x'' = w² (c(t − δ) − x) − 2 d w x' to each joint."""
+    began = time.process_time()
+
+    def simulated(log: JointLog, j: int, values: Array) -> Array:
+        w, d, delay = values
+        since = log.time - log.time[0]
+        period = float(np.median(np.diff(since)))
+        even = np.arange(0.0, since[-1] + period, period)
+        late = np.interp(even - delay, since, log.command[:, j]) - log.position[0, j]
+        b, a, _ = cont2discrete(([w**2], [1.0, 2.0 * d * w, w**2]), period, "zoh")
+        return log.position[0, j] + np.interp(since, even, lfilter(b[0], a, late))
+
+    def fitted(j: int) -> Array:
+        def residual(x: Array) -> Array:
+            return np.concatenate([simulated(log, j, x) - log.position[:, j] for log in logs])
+
+        low, high = [1.0, 0.05, 0.0], [200.0, 20.0, _LATEST]
+        starts = [np.array([w, 1.0, 0.02]) for w in (5.0, 20.0)]
+        fits = [least_squares(residual, s, bounds=(low, high), x_scale=s) for s in starts]
+        return np.asarray(min(fits, key=lambda fit: fit.cost).x)
+
+    values = [fitted(j) for j in range(len(logs[0].joints))]
+
+    def simulate(log: JointLog) -> Array:
+        return np.column_stack([simulated(log, j, own) for j, own in enumerate(values)])
+
+    return Fit("servo of second order", simulate, time.process_time() - began)
+
+
+def arm_rows(folder: Path, *, quick: bool) -> list[dict[str, Any]]:
+    """A row for each model and log."""
+    urdf = folder / "reference/so101.urdf"
+    model = load_model(urdf)
+    reading = reading_for(model, Reading(kinds={"": "command"}))
+
+    def read(name: str) -> JointLog:
+        files = [folder / f"data/so101/{name}.{kind}.csv" for kind in ("state_motor", "control")]
+        return read_log("+".join(map(str, files)), joints=model.joints, reading=reading)
+
+    logs = [read(name) for name in (FITTED[:1] if quick else FITTED)]
+    fits = [by_geodrake(urdf, logs), by_second_order(logs)]
+    if not quick and (other := by_sysid(urdf, logs)) is not None:
+        fits.insert(1, other)
+    rows = []
+    for name in TESTED[-1:] if quick else TESTED:
+        log = read(name)
+        for fit in fits:
+            departs = fit.simulate(log) - log.position
+            rms = np.sqrt(np.mean(np.square(departs), axis=0))
+            rows.append(
+                {
+                    "log": name,
+                    "model": fit.name,
+                    "MSE, rad²": float(np.mean(np.square(departs))),
+                    "RMS, mrad": 1e3 * float(np.sqrt(np.mean(np.square(rms)))),
+                    "of motion": float(
+                        np.sqrt(np.mean(np.square(rms)) / np.mean(np.var(log.position, axis=0)))
+                    ),
+                    "CPU, s": fit.seconds,
+                    "joints, rad": dict(zip(log.joints, rms.tolist(), strict=True)),
+                }
+            )
+    return rows
+
+
+def pendulum_row(folder: Path) -> dict[str, Any]:
+    """The XL330 at a gain of 400, by its motion at one of 100; degrees."""
+    model = load_model(folder / "data/xl330/pendulum.urdf")
+    slow, fast = (
+        read_log(folder / f"data/xl330/cmd_{name}.csv", joints=model.joints)
+        for name in ("kp100_sin_sin", "kp400_up_and_down")
+    )
+    _, fits = with_servo_motions(with_efforts(model, [slow])[0], [slow])
+    (fit,) = fits.values()
+    known = signals_as_efforts([fast], ["command"])
+    sharp = sharp_trajectories(known, prepare_logs(known))
+    motions = motions_of(replace(model, effects=()), [fast], sharp, [0])[0]
+    stiffer = fit.parameters.copy()
+    stiffer[PARAMETERS.index("stiffness")] *= 4.0
+    return {
+        "fitted, °": float(np.rad2deg(fit.error)),
+        "predicted at four times the gain, °": float(
+            np.rad2deg(motions.rms(motions.servo(stiffer)))
+        ),
+    }
+
+
+def main() -> None:
+    """Run from the command line."""
+    parser = script_parser(__doc__)
+    add_folder_option(parser)
+    options = parser.parse_args()
+    require(parser, options.shared, "reference/so101.urdf", "data/so101/*.csv", "data/xl330/*.csv")
+    rows = arm_rows(options.shared, quick=options.quick)
+    columns = {
+        "log": "",
+        "model": "",
+        "MSE, rad²": ".2g",
+        "RMS, mrad": ".1f",
+        "of motion": ".0%",
+        "CPU, s": ".0f",
+    }
+    show("An SO-101 under its commands, two minutes at a time", columns, rows)
+    pendulum = pendulum_row(options.shared)
+    show("A Dynamixel XL330", dict.fromkeys(pendulum, ".2f"), [pendulum])
+    write(options, {"arm": rows, "pendulum": pendulum})
+
+
+if __name__ == "__main__":
+    main()
