@@ -122,6 +122,9 @@ def by_mujoco(urdf: Path, values: Mapping[str, Mapping[str, float]]) -> Simulate
             rate = own.get("rate", 0.0) if name == "damping" else 0.0
             put(spec, joint, name, value + rate)
     model = spec.compile()
+    dry, load = (
+        np.array([own.get(name, 0.0) for own in values.values()]) for name in ("coulomb", "load")
+    )
 
     def simulate(log: JointLog) -> Array:
         since = log.time - log.time[0]
@@ -137,6 +140,7 @@ def by_mujoco(urdf: Path, values: Mapping[str, Mapping[str, float]]) -> Simulate
         for k, command in enumerate(told):
             found[k] = data.qpos
             data.ctrl[:] = command
+            model.dof_frictionloss[:] = dry + load * np.abs(data.qfrc_bias)
             mujoco.mj_step(model, data)
         return np.column_stack([np.interp(since, times, q) for q in found.T])
 

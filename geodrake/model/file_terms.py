@@ -1,4 +1,4 @@
-"""What model files and simulators have of their own of what geodrake calls effects."""
+"""What model files, simulators and servos have of their own of what geodrake calls effects."""
 
 from geodrake.effects import CoulombFriction as DryFriction
 from geodrake.effects import CoupledFriction as CoupledDry
@@ -7,6 +7,7 @@ from geodrake.effects import EffortDelay as Delay
 from geodrake.effects import EffortOffset as Offset
 from geodrake.effects import GravityTilt as Tilt
 from geodrake.effects import JointSpring as Spring
+from geodrake.effects import LoadDependentFriction as LoadFriction
 from geodrake.effects import NonlinearViscousFriction as Drag
 from geodrake.effects import RotorInertia as Rotor
 from geodrake.effects import StribeckFriction as StaticFriction
@@ -26,6 +27,7 @@ __all__ = [
     "Delay",
     "Drag",
     "DryFriction",
+    "LoadFriction",
     "Medium",
     "Offset",
     "Polynomial",

@@ -120,9 +120,9 @@ def test_slopes_are_finite_differences(motions):
         tuple(q[:800] for q in motions.positions),
         motions.periods,
     )
-    at = few.servo([55.0, 1.0, 3.0, 0.8, 0.1, 0.0123, 0.3])
-    slopes = few.slopes(at, np.ones(len(at)), np.arange(len(at)) < 7)
-    for k, step in enumerate(np.diag(1e-6 * at)[:7]):
+    at = few.servo([55.0, 1.0, 3.0, 0.8, 0.1, 0.0123, 0.3, 0.1])
+    slopes = few.slopes(at, np.ones(len(at)), np.arange(len(at)) < 8)
+    for k, step in enumerate(np.diag(1e-6 * at)[:8]):
         both = few.simulated(at + step) - few.simulated(at - step)
         expected = both / (2.0 * step[k])
         np.testing.assert_allclose(slopes[:, k], expected, atol=1e-5 * np.abs(expected).max())
@@ -130,13 +130,13 @@ def test_slopes_are_finite_differences(motions):
 
 def test_it_finds_what_mujoco_has(motions):
     fit = fit_servo(motions, EffortSignal("hinge", "command", 50.0))
-    kp, rate, damping, coulomb, armature, late, offset, _ = fit.parameters
+    kp, rate, damping, coulomb, armature, late, offset, load, _ = fit.parameters
     assert kp == pytest.approx(TRUTH[0], rel=0.01)
     assert damping + rate == pytest.approx(TRUTH[2], rel=0.05)
     assert coulomb == pytest.approx(TRUTH[3], rel=0.05)
     assert armature == pytest.approx(TRUTH[4], rel=0.25)
     assert late - rate / kp == pytest.approx(LATE, abs=0.002)
-    assert offset == 0.0
+    assert offset == 0.0 and load < 0.01
     assert fit.error < 2e-3 * fit.moved
     assert fit.error < 0.1 * fit.start
 
@@ -217,7 +217,7 @@ def test_slopes_with_an_integral_are_finite_differences(model, summed):
         (whole.positions[0][:600], whole.positions[0][900:1400]),
         whole.periods * 2,
     )
-    at = motions.servo([55.0, 1.0, 3.0, 0.8, 0.1, 0.0123, 0.3, 80.0])
+    at = motions.servo([55.0, 1.0, 3.0, 0.8, 0.1, 0.0123, 0.3, 0.1, 80.0])
     at[-2:] = 1.5, -0.7
     free = np.flatnonzero(np.isfinite(at) & (at != 0.0))
     slopes = motions.slopes(at, np.ones(len(at)), np.isin(np.arange(len(at)), free))
@@ -226,7 +226,7 @@ def test_slopes_with_an_integral_are_finite_differences(model, summed):
         both = motions.simulated(at + step) - motions.simulated(at - step)
         expected = both / (2.0 * step[number])
         np.testing.assert_allclose(slopes[:, k], expected, atol=2e-5 * np.abs(expected).max())
-    assert not slopes[600:, 8].any() and not slopes[:600, 9].any()
+    assert not slopes[600:, 9].any() and not slopes[:600, 10].any()
 
 
 def test_it_finds_the_integral_that_mujoco_has(fitted):
@@ -389,7 +389,7 @@ def test_simulation_is_that_of_position_servo(ki):
     rows = np.zeros((count, 8))
     rows[:, :2], rows[:, 7] = (b, M), np.sin(3.0 * time)
     motions = JointMotions((rows,), (exact.y[0],), (period,))
-    parameters = [kp, kr, d, 0.0, 0.0, 0.0, 0.0, ki]
+    parameters = [kp, kr, d, 0.0, 0.0, 0.0, 0.0, 0.0, ki]
     size = np.abs(exact.y[0]).max()
     assert np.abs(motions.residual(motions.servo(parameters, limit=limit))).max() < 5e-3 * size
     assert np.abs(motions.residual(motions.servo(parameters))).max() > 0.05 * size
@@ -399,11 +399,11 @@ def test_simulation_is_that_of_position_servo(ki):
 def test_slopes_at_a_limit_are_finite_differences(own, tmp_path):
     log = servo_log(integral=60.0, limit=7.0, seconds=5.0)
     motions = alone(pendulum(tmp_path, 7.0), log)
-    at = motions.servo([55.0, 1.0, 3.0, 0.8, 0.1, 0.0123, 0.3, 50.0], limit=7.0)
-    at[9:] = own, 1.5
-    free = np.array([0, 1, 2, 3, 4, 5, 6, 7, 10])
+    at = motions.servo([55.0, 1.0, 3.0, 0.8, 0.1, 0.0123, 0.3, 0.1, 50.0], limit=7.0)
+    at[10:] = own, 1.5
+    free = np.array([0, 1, 2, 3, 4, 5, 6, 7, 8, 11])
     slopes = motions.slopes(at, np.ones(len(at)), np.isin(np.arange(len(at)), free))
-    unlimited = np.where(np.arange(len(at)) == 8, np.inf, at)
+    unlimited = np.where(np.arange(len(at)) == 9, np.inf, at)
     assert np.abs(motions.simulated(at) - motions.simulated(unlimited)).max() > 0.01
     for k, number in enumerate(free):
         step = 1e-7 * at[number] * np.eye(len(at))[number]

@@ -9,7 +9,8 @@ move as they were measured to. Near the measured motion the bodies' effort is li
 
 with slopes of the recursion, and the joint's motion x follows from
 
-    … + I ẍ + d ẋ + F sgn ẋ = kp (c(t − δ) − x) + kr (dc/dt(t − δ) − ẋ) + w + ki ∫(c(t − δ) − x) dt.
+    … + o + I ẍ + d ẋ + (F + k |b|) sgn ẋ
+        = kp (c(t − δ) − x) + kr (dc/dt(t − δ) − ẋ) + w + ki ∫(c(t − δ) − x) dt.
 
 Its parameters are those of least squares of x − q, by SciPy, from a linear fit on. They count
 only if windows of the log that the fit did not see are predicted better than from where it began.
@@ -61,10 +62,11 @@ PARAMETERS = (
     "armature",
     "delay",
     "offset",
+    "load",
     "integral",
 )
-"""kp, kr, d, F, I, δ, o and ki; of joints that turn in N·m/rad, N·m·s/rad (twice), N·m, kg·m², s,
-N·m and N·m/(rad·s).
+"""kp, kr, d, F, I, δ, o, k and ki; of joints that turn in N·m/rad, N·m·s/rad (twice), N·m, kg·m²,
+s, N·m, 1 and N·m/(rad·s).
 
 Numbers of a servo are these, its limit (infinite for none), the share of d within it (0 or 1), and
 the efforts w that an integral begins with, one for each stretch.
@@ -73,15 +75,8 @@ the efforts w that an integral begins with, one for each stretch.
 LONGEST_DELAY = 0.06
 """Commands are late by no more, s."""
 
-_RATE, _DELAY, _OFFSET, _INTEGRAL, _LIMIT, _SHARE, _BEGUN = (
-    1,
-    5,
-    6,
-    7,
-    8,
-    9,
-    10,
-)  # which number is which
+_RATE, _DELAY, _OFFSET, _LOAD, _INTEGRAL = 1, 5, 6, 7, 8
+_LIMIT, _SHARE, _BEGUN = 9, 10, 11
 # Steps of simulations, s: a share of the time between rows, from and up to so much; of all, and of
 # first searches.
 _STEPS, _COARSE_STEPS = (0.05, 2.5e-4, 1e-3), (0.2, 1e-3, 4e-3)
@@ -91,6 +86,7 @@ _MOST_EVALUATIONS, _FIRST_EVALUATIONS = 60, 20
 _LIMIT_STEP = 1e-3  # of a limit's size, for differences
 _FARTHEST = 3.0  # deviations of a stiffness from what is expected
 _INSIDE = 0.01  # of parameters' sizes from their bounds, where searches begin
+_USUAL_LOAD = 0.2  # of the load, that friction in proportion to it is
 _RESETS = (1.0, 5.0)  # ki / kp, 1/s, that searches begin from
 _NOTHING = float(np.finfo(float).tiny)  # rad² or m², of a joint that stands exactly still
 _FAR = 1e3  # rad or m, from the measured motion, and no farther: squares stay numbers
@@ -101,8 +97,8 @@ _TRIED_DELAYS = (0.0, 0.01, 0.03)  # s, that searches begin from
 class ServoFit:
     """A servo and what its joint has beside the bodies, by the joint's motion."""
 
-    parameters: Array  # (8,) values of `PARAMETERS`; the last is 0 for a servo without an integral
-    # (8,) their standard deviations; of all but kp for bodies that are known exactly
+    parameters: Array  # (9,) values of `PARAMETERS`; the last is 0 for a servo without an integral
+    # (9,) their standard deviations; of all but kp for bodies that are known exactly
     deviations: Array
     error: float  # RMS of simulated − measured positions, rad or m
     start: float  # the same where the search began
@@ -120,7 +116,7 @@ class JointMotions:
     periods: tuple[float, ...]  # per stretch the time between rows, s
 
     def servo(self, parameters: Sequence[float], *, limit: float = np.inf) -> Array:
-        """Return the numbers (10 + S,) of a servo with some first parameters, and zeros beyond."""
+        """Return the numbers (11 + S,) of a servo with some first parameters, and zeros beyond."""
         numbers = np.zeros(_BEGUN + len(self.rows))
         numbers[: len(parameters)], numbers[_LIMIT] = parameters, limit
         return numbers
@@ -130,11 +126,11 @@ class JointMotions:
         return np.concatenate([x for x, _ in self._stretches(servo, coarse, 0)])
 
     def slopes(self, servo: Array, scale: Array, free: Mask, *, coarse: bool = False) -> Array:
-        """Return slopes (N, f) of positions with those numbers (10 + S,) that are free, in sizes.
+        """Return slopes (N, f) of positions with those numbers (11 + S,) that are free, in sizes.
 
         That with the limit is a difference.
         """
-        parts = self._stretches(servo, coarse, 9 if free[[_INTEGRAL, _BEGUN]].any() else _INTEGRAL)
+        parts = self._stretches(servo, coarse, 10 if free[[_INTEGRAL, _BEGUN]].any() else _INTEGRAL)
         J, at = np.zeros((sum(map(len, self.rows)), len(servo))), 0
         for k, (x, own) in enumerate(parts):
             J[at : at + len(x), : min(own.shape[1], _LIMIT)] = own[:, :_LIMIT]
@@ -308,12 +304,12 @@ def _read(time: Array, values: Array, instants: Array) -> Array:
 class _Servo:
     """A servo in a search."""
 
-    numbers: Array  # (10 + S,)
-    scale: Array  # (10 + S,) sizes of the numbers
+    numbers: Array  # (11 + S,)
+    scale: Array  # (11 + S,) sizes of the numbers
     summed: bool = False  # whether it has an integral, or a constant effort
 
     def free(self, *, without: Sequence[int] = (), limit: bool = False) -> Mask:
-        """Return (10 + S,) which numbers move."""
+        """Return (11 + S,) which numbers move."""
         free = np.arange(len(self.numbers)) < _INTEGRAL
         free[_INTEGRAL], free[_BEGUN:], free[_LIMIT] = self.summed, self.summed, limit
         free[_OFFSET] = not self.summed  # w has it
@@ -386,7 +382,7 @@ def fit_servo(
 
 @dataclass(frozen=True, eq=False)
 class _Search:
-    """Searches for the servo of a joint, from servos (10 + S,) on."""
+    """Searches for the servo of a joint, from servos (11 + S,) on."""
 
     motions: JointMotions
     told: float  # the integral gain by a linear fit; 0 if it has none
@@ -402,7 +398,7 @@ class _Search:
         if not motions.rms(half.numbers, tested) < min(motions.rms(began, tested), moved):
             return None
         best, unused = self._best([half]), list[int]()
-        for which in (_OFFSET, _RATE):
+        for which in (_OFFSET, _LOAD, _RATE):
             free = best.free(without=[*unused, which])
             bare = self._best([best.at_zero(which)], free=free)
             if motions.gain(bare.numbers, best.numbers) < PENALTY:
@@ -455,12 +451,12 @@ class _Search:
         return best
 
     def _scale(self, start: Array) -> Array:
-        """Return (10 + S,) sizes of the numbers of a servo, about that by a linear fit."""
+        """Return (11 + S,) sizes of the numbers of a servo, about that by a linear fit."""
         needed = self.motions.needed
         scale = np.full(len(start), float(np.std(needed)) or 1.0)  # of no effort, any size
         least = [0.0, 0.02 * start[0], 0.0, 1e-3, 1e-4, 0.01]
         scale[:_OFFSET] = np.maximum(start[:_OFFSET], least)
-        scale[_INTEGRAL] = max(self.told, start[0])
+        scale[_LOAD], scale[_INTEGRAL] = _USUAL_LOAD, max(self.told, start[0])
         scale[[_LIMIT, _SHARE]] = float(np.abs(needed).max()) or 1.0, 1.0
         return scale
 
@@ -513,7 +509,7 @@ class _Search:
     ) -> _Servo:
         """Return the least squares over all rows, or those that a fit sees, from several starts on.
 
-        All numbers that a servo has move, its limit only if asked for, unless `free` (10 + S,) says
+        All numbers that a servo has move, its limit only if asked for, unless `free` (11 + S,) says
         which. Simulations may take long steps (`coarse`). What is expected of the stiffness bounds
         it in searches, and counts over all rows.
         """
@@ -559,7 +555,7 @@ class _Search:
         return min(map(search, starts), key=lambda each: each[0])[1]
 
     def _deviations(self, best: _Servo, free: Mask) -> Array:
-        """Return (8,) standard deviations of parameters that are free (10 + S,).
+        """Return (9,) standard deviations of parameters that are free (11 + S,).
 
         What is left goes with the motion: it is worth few samples, however long logs are.
         """
@@ -593,23 +589,23 @@ def calc_servo_motion(
 ) -> None:
     """Write the positions (N,) of a joint under its commands, by implicit Euler steps.
 
-    Dry friction is a set at rest: a joint sticks until more than F pulls at it. Slopes are those of
-    the steps themselves, while a joint that sticks goes on doing so. One that a weak servo lets run
-    away is held where it is far from the measured motion.
+    Dry friction is a set at rest: a joint sticks until more than F + k |b| pulls at it. Slopes are
+    those of the steps themselves, while a joint that sticks goes on doing so. One that a weak servo
+    lets run away is held where it is far from the measured motion.
 
     Args:
         rows: (N, 8) b, M, K, D, q, q̇, q̈ and the command.
         period: Time between rows, s.
-        servo: (11,) kp, kr, d, F, I, δ, o, ki, the largest effort, the share of d within it, and w.
-        out: (N,) positions, and (N, p) their slopes with kp, kr, d, F, I, δ and o, or with ki and w
-            too; (0, p) if those are not asked for.
+        servo: (12,) kp, kr, d, F, I, δ, o, k, ki, the largest effort, the share of d within it,
+            and w.
+        out: (N,) positions, and (N, p) their slopes with kp, kr, d, F, I, δ, o and k, or with ki
+            and w too; (0, p) if those are not asked for.
     """
     positions, slopes = out
-    kp, kr, d, F, armature = servo[0], servo[1], servo[2], servo[3], servo[4]
-    delay, offset, ki, limit, own, w = servo[5], servo[6], servo[7], servo[8], servo[9], servo[10]
+    kp, kr, d, F, armature, delay, offset, load, ki, limit, own, w = servo
     dt = period / steps
     x, v, z, before, rise_before = rows[0, 4], rows[0, 5], 0.0, rows[0, 7], 0.0
-    X, V, Z, change, now_at = np.zeros(9), np.zeros(9), np.zeros(9), np.zeros(9), np.zeros(7)
+    (X, V, Z, change), now_at = np.zeros((4, 10)), np.zeros(7)
     count = slopes.shape[1] if len(slopes) > 0 else 0
     positions[0] = x
     slopes[:1] = 0.0
@@ -624,11 +620,12 @@ def calc_servo_motion(
             rest = (M + armature) * v / dt - b - offset - K * (x - q) + D * qd + M * qdd
             heavy, reach = (M + armature) / dt + K * dt + D + (1.0 - own) * d, kp + ki * dt
             soft, gives = reach * dt + kr + own * d, 1.0
-            now, way = calc_velocity_after(drive + rest, heavy + soft, F)
+            dry = F + load * abs(b)
+            now, way = calc_velocity_after(drive + rest, heavy + soft, dry)
             effort = drive - soft * now
             if effort > limit or effort < -limit:
                 gives, bound = 0.0, limit if effort > 0.0 else -limit
-                now, way = calc_velocity_after(bound + rest, heavy, F)
+                now, way = calc_velocity_after(bound + rest, heavy, dry)
             stiff = heavy + gives * soft
             grows = gives > 0.0 or effort * (c - x - now * dt) < 0.0
             if count > 0:
@@ -639,8 +636,9 @@ def calc_servo_motion(
                 change[4] = (v - now) / dt
                 change[5] = -gives * (reach * rise + kr * (rise - rise_before) / dt)
                 change[6] = -1.0
-                change[7] = gives * (z + (c - x - now * dt) * dt)
-                change[8] = gives
+                change[7] = -way * abs(b)
+                change[8] = gives * (z + (c - x - now * dt) * dt)
+                change[9] = gives
                 for i in range(count):
                     change[i] += (M + armature) / dt * V[i] - (K + gives * reach) * X[i]
                     change[i] += gives * ki * Z[i]
@@ -648,8 +646,7 @@ def calc_servo_motion(
                     X[i] += dt * V[i]
                     Z[i] -= dt * X[i] if grows else 0.0
                 Z[5] -= dt * rise if grows else 0.0
-            v, before, rise_before = now, c, rise
-            x += dt * v
+            v, before, rise_before, x = now, c, rise, x + dt * now
             z += dt * (c - x) if grows else 0.0
         if abs(x - rows[k + 1, 4]) > _FAR:
             x, v = rows[k + 1, 4] + np.copysign(_FAR, x - rows[k + 1, 4]), 0.0

@@ -20,7 +20,7 @@ from geodrake.identification.logs.signal_calibration import (
 from geodrake.logs.motion import JointLog
 from geodrake.logs.preparation import prepare_logs
 from geodrake.model.effort_signal import COMMAND, EFFORT
-from geodrake.model.file_terms import Damping, DryFriction, Offset, Rotor
+from geodrake.model.file_terms import Damping, DryFriction, LoadFriction, Offset, Rotor
 from geodrake.model.robot_model import RobotModel
 from geodrake.model.servos import servos_of
 
@@ -29,6 +29,7 @@ BESIDE: Mapping[str, type[JointEffect]] = {
     "coulomb": DryFriction,
     "armature": Rotor,
     "offset": Offset,
+    "load": LoadFriction,
 }
 """Parameters of a `ServoFit` that are effects of the joint."""
 

@@ -396,7 +396,7 @@ def _by_motion(
 
 def signal_by_motion(signal: EffortSignal, fit: ServoFit) -> EffortSignal:
     """Return the signal of a servo with the numbers of a fit to its motion."""
-    gain, rate, *_, delay, _, integral = fit.parameters.tolist()
+    gain, rate, *_, delay, _, _, integral = fit.parameters.tolist()
     spread = fit.deviations
     return replace(
         signal,
