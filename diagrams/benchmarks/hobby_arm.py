@@ -49,6 +49,7 @@ TESTED = ("reaching_points", "step_response", "backlash_detection")
 _STEP = 2e-3  # s, of MuJoCo's simulation
 _SYSID_STEP, _SYSID_SHARE, _SYSID_ITERATIONS = 5e-3, 0.25, 12  # of the logs, in the middle
 _LATEST = 0.06  # s
+_STIFF = [0.9999, 0.9999, 0.001, 0.5, 2.0]  # solimp of dry friction
 # What is free at a joint, where sysid begins, and its bounds.
 _FREE: Mapping[str, tuple[float, float, float]] = {
     "stiffness": (17.8, 1.0, 200.0),
@@ -81,6 +82,8 @@ def arm_spec(urdf: Path, step: float) -> mujoco.MjSpec:
     spec.option.integrator = mujoco.mjtIntegrator.mjINT_IMPLICITFAST
     for joint in spec.joints:
         joint.limited = 0
+        # MuJoCo's dry friction lets joints creep, in two minutes by centimetres, unless it is stiff.
+        joint.solref_friction, joint.solimp_friction = [2.0 * step, 1.0], _STIFF
         servo = spec.add_actuator(name=joint.name, target=joint.name)
         servo.trntype = mujoco.mjtTrn.mjTRN_JOINT
         servo.gaintype, servo.biastype = (

@@ -10,7 +10,7 @@ import pytest
 from geodrake.control.export_proof import export_to
 from geodrake.control.export_proof.export import prove
 from geodrake.control.export_proof.reference import compared, random_motion, random_starts
-from geodrake.effects import EffortDelay, FittedEffect
+from geodrake.effects import CoulombFriction, EffortDelay, FittedEffect
 from geodrake.errors import ModelError
 from geodrake.model import EffortSignal, holding, save_model
 from geodrake.model.exporting.formats import export_format
@@ -270,3 +270,17 @@ def test_formats_without_servos_say_so(tmp_path):
     model = servoed(loaded(tmp_path, text=URDF))
     notes = " ".join(export_to("sdf", model, tmp_path / "out").notes)
     assert "sdf does not have the gains of servos, such as those of b" in notes
+
+
+def test_a_joint_that_dry_friction_holds_does_not_creep(tmp_path):
+    """By MuJoCo's defaults joints creep under a load that friction holds."""
+    (tmp_path / "arm.urdf").write_text(URDF)
+    model = load_model(tmp_path / "arm.urdf")
+    friction = [FittedEffect(CoulombFriction(joint), np.array([4.0])) for joint in "ab"]
+    export_to("mjcf", replace(model, effects=tuple(friction)), tmp_path / "out")
+    engine = mujoco.MjModel.from_xml_path(str(next((tmp_path / "out").glob("*.xml"))))
+    data = mujoco.MjData(engine)
+    data.qpos[:] = 0.5, -0.2  # gravity pulls with 3 and 0.6 N·m
+    while data.time < 20.0:
+        mujoco.mj_step(engine, data)
+    np.testing.assert_allclose(data.qpos, [0.5, -0.2], atol=2e-3)

@@ -86,7 +86,7 @@ _MOST_EVALUATIONS, _FIRST_EVALUATIONS = 60, 20
 _LIMIT_STEP = 1e-3  # of a limit's size, for differences
 _FARTHEST = 3.0  # deviations of a stiffness from what is expected
 _INSIDE = 0.01  # of parameters' sizes from their bounds, where searches begin
-_USUAL_LOAD = 0.2  # of the load, that friction in proportion to it is
+_USUAL_LOAD, _MOST_LOAD = 0.2, 1.0  # of the load, that friction in proportion to it is
 _RESETS = (1.0, 5.0)  # ki / kp, 1/s, that searches begin from
 _NOTHING = float(np.finfo(float).tiny)  # rad² or m², of a joint that stands exactly still
 _FAR = 1e3  # rad or m, from the measured motion, and no farther: squares stay numbers
@@ -523,7 +523,7 @@ class _Search:
         def search(start: _Servo) -> tuple[float, _Servo]:
             moving, scale = start.free(limit=limit) if free is None else free, start.scale
             upper, lower = np.full((2, len(scale)), np.inf)
-            upper[_DELAY] = LONGEST_DELAY / scale[_DELAY]
+            upper[[_DELAY, _LOAD]] = LONGEST_DELAY / scale[_DELAY], _MOST_LOAD / scale[_LOAD]
             lower[:_LIMIT], lower[_LIMIT], lower[_SHARE:] = 0.0, _INSIDE, -np.inf
             lower[_OFFSET] = -np.inf
             lower[0], upper[0] = usual / scale[0] * np.exp(_FARTHEST * spread * np.array([-1, 1]))

@@ -271,8 +271,14 @@ def _mjcf_joint(link: Link) -> dict[str, str]:
         "stiffness": numbers.stiffness,
         "springref": numbers.rest,
     }
+    if numbers.friction:
+        attributes |= _STICKING
     return attributes | {key: words(value) for key, value in values.items() if value}
 
+
+_STICKING = {"solreffriction": "0.004 1", "solimpfriction": "0.9999 0.9999 0.001 0.5 2"}
+"""By MuJoCo's defaults joints creep under dry friction, within a minute by centimetres; the first
+number is twice MuJoCo's time step, s, the least that is stable."""
 
 _WRITERS: Mapping[str, Callable[[Sequence[Link], str, Array], Element]] = {
     "urdf": _urdf,
