@@ -82,7 +82,7 @@ def arm_spec(urdf: Path, step: float) -> mujoco.MjSpec:
     spec.option.integrator = mujoco.mjtIntegrator.mjINT_IMPLICITFAST
     for joint in spec.joints:
         joint.limited = 0
-        # MuJoCo's dry friction lets joints creep, in two minutes by centimetres, unless it is stiff.
+        # By MuJoCo's defaults joints creep under dry friction, in two minutes by centimetres.
         joint.solref_friction, joint.solimp_friction = [2.0 * step, 1.0], _STIFF
         servo = spec.add_actuator(name=joint.name, target=joint.name)
         servo.trntype = mujoco.mjtTrn.mjTRN_JOINT
