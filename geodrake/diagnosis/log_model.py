@@ -160,7 +160,7 @@ class LogModel:
         self.grams = np.zeros((nv, widest, widest))
         self.places, self._loads = np.full((nv, len(columns)), -1), list[Array]()
         for j, joint in enumerate(data.data):
-            gram = joint.grams.sum(axis=0)
+            gram = joint.gram
             own, load = joint.local(self.unknowns.columns), np.zeros(len(gram))
             load[own[own >= 0]] = self.unknowns.mean[own >= 0]
             self._loads.append(load[: len(joint.columns)])

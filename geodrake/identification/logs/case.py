@@ -20,7 +20,7 @@ from geodrake.errors import LogError
 from geodrake.identification.logs.candidate_effects import candidate_delays, candidate_effects
 from geodrake.identification.logs.dataset import Dataset, Delay
 from geodrake.identification.logs.hypothesis import HeldOut
-from geodrake.identification.logs.log_slices import SharedRows
+from geodrake.identification.logs.log_slices import MIXED_ROOM, ROOM, SharedRows
 from geodrake.identification.logs.model_errors import ErrorTable, JointError, Series
 from geodrake.identification.logs.model_fit import effects_of
 from geodrake.identification.logs.noise import filtered_below, prepare_for_model
@@ -171,7 +171,8 @@ def open_case(
         effects += candidate_effects(model, trajectories, extra, known_gains=gains)
         low_pass = trajectories[0].filter
         delays = candidate_delays(low_pass.period, low_pass.bandwidth)
-    shared = SharedRows() if candidates else SharedRows(signals=0)  # few reductions follow
+    room = ROOM if all(t.contacts is None for t in trajectories) else MIXED_ROOM
+    shared = SharedRows(room) if candidates else SharedRows(room, signals=0)  # few follow
     dataset = reduce_logs(
         model,
         trajectories,

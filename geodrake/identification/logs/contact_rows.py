@@ -11,7 +11,8 @@ in doubt counts as touching, which is valid and costs some rows.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -26,6 +27,7 @@ Array = NDArray[np.float64]
 
 _LEAST = 0.05  # share of a row that is independent of the rows before it
 _FORCE, _EFFORT = 0.01, 0.03  # noise of base rows over the weight, and of joints over their efforts
+_NONE = 1e-9  # of a row, what is rounding
 _ARM = 0.15  # m, by which forces make moments of the base
 
 
@@ -41,6 +43,95 @@ def contact_rows(model: RobotModel, trajectory: Trajectory, segment: Segment) ->
     J = np.stack([frame.jacobian(bodies) for frame in frames], 1)  # (N, c, 3, nv)
     base = [model.joints.index(joint) for joint in model.base_joints]
     return rows_without(J, contacts.at(segment.time), row_scales(model, trajectory), base)
+
+
+@dataclass(frozen=True, eq=False)
+class MixedRows:
+    """Rows N of a segment without the zeros of limbs in the air, whose rows are their own.
+
+    Attributes:
+        own: (N, nv) 1 where a row is that of its velocity alone, 0 where it is none or mixed.
+        mixed: Velocity -> its row (N, nv), where that has others in it at any instant.
+    """
+
+    own: Array
+    mixed: Mapping[int, Array]
+
+    @classmethod
+    def of(cls, N: Array) -> MixedRows:
+        """Return rows (N, nv, nv) as few numbers."""
+        others = N - N.diagonal(axis1=1, axis2=2)[:, :, None] * np.eye(N.shape[1])
+        mixed = np.flatnonzero((np.abs(others) > _NONE).any(axis=(0, 2)))
+        own = N.diagonal(axis1=1, axis2=2).copy()
+        own[:, mixed] = 0.0
+        return cls(own, {int(i): N[:, i].copy() for i in mixed})
+
+    @property
+    def coupling(self) -> NDArray[np.bool_]:
+        """(nv, nv) whether the row of the first velocity ever has the second in it."""
+        found = np.eye(self.own.shape[1], dtype=bool)
+        for i, row in self.mixed.items():
+            found[i] |= (np.abs(row) > _NONE).any(axis=0)
+        return found
+
+    def efforts(self, efforts: Array) -> Array:
+        """Return efforts (N, nv) of rows from those of velocities."""
+        found = self.own * efforts
+        for i, row in self.mixed.items():
+            found[:, i] = np.einsum("nj,nj->n", row, efforts)
+        return found
+
+    def columns(
+        self,
+        blocks: Mapping[int, Array],
+        coupling: NDArray[np.bool_],
+        of: Sequence[NDArray[np.intp]] | None = None,
+    ) -> dict[int, Array]:
+        """Return columns of rows from those of velocities (N, k).
+
+        Args:
+            blocks: Velocity -> its columns.
+            coupling: (nv, nv) of all slices, by which rows have columns.
+            of: Which columns each velocity has, ascending, if they differ.
+        """
+        found = dict[int, Array]()
+        for i in np.flatnonzero(coupling[:, [*blocks]].any(axis=1)).tolist():
+            if i not in self.mixed:
+                width = len(of[i]) if of is not None else next(iter(blocks.values())).shape[1]
+                own = blocks.get(i)
+                found[i] = np.zeros((len(self.own), width))
+                if own is not None:
+                    found[i] += self.own[:, i, None] * own
+                continue
+            sources = [j for j in blocks if coupling[i, j]]
+            width = len(of[i]) if of is not None else blocks[sources[0]].shape[1]
+            total = np.zeros((len(self.own), width))
+            for j in sources:
+                at = slice(None) if of is None else _places(of[i], of[j])
+                total[:, at] += self.mixed[i][:, j, None] * blocks[j]
+            found[i] = total
+        return found
+
+
+def _places(columns: NDArray[np.intp], some: NDArray[np.intp]) -> slice | NDArray[np.intp]:
+    """Return where some columns stand among others, as a slice if they follow one another."""
+    at = np.searchsorted(columns, some)
+    if len(at) and at[-1] - at[0] == len(at) - 1:
+        return slice(int(at[0]), int(at[-1]) + 1)
+    return at
+
+
+def couplings(model: RobotModel, trajectories: Sequence[Trajectory]) -> NDArray[np.bool_] | None:
+    """Return (nv, nv) which velocities rows of any log have in them; None without contacts."""
+    if all(trajectory.contacts is None for trajectory in trajectories):
+        return None
+    found = np.eye(len(model.joints), dtype=bool)
+    for trajectory in trajectories:
+        for segment in trajectory.segments:
+            for _, chunk in segment.chunks():
+                if (rows := contact_rows(model, trajectory, chunk)) is not None:
+                    found |= MixedRows.of(rows).coupling
+    return found
 
 
 def row_scales(model: RobotModel, trajectory: Trajectory) -> Array:

@@ -74,11 +74,20 @@ class JointData:
         """(F, p_j + d, p_j + d) normal matrices RᵀR of every fold."""
         return np.swapaxes(self.factors, 1, 2) @ self.factors
 
+    @property
+    def gram(self) -> Array:
+        """(p_j + d, p_j + d) normal matrix of all folds together."""
+        stacked = self.factors.reshape(-1, self.factors.shape[2])
+        return np.asarray(stacked.T @ stacked)
+
     @cached_property
     def _entries(self) -> Array:
         """((p_j + d + 1)², F) entries of the normal matrices, with zeros where position −1 is."""
-        padded = np.pad(np.moveaxis(self.grams, 0, 2), ((0, 1), (0, 1), (0, 0)))
-        return padded.reshape(-1, len(self.factors))
+        folds, _, width = self.factors.shape
+        padded = np.zeros((width + 1, width + 1, folds))
+        for fold, factor in enumerate(self.factors):
+            padded[:width, :width, fold] = factor.T @ factor
+        return padded.reshape(-1, folds)
 
     @cached_property
     def _positions(self) -> Indices:

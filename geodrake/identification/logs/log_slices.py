@@ -14,7 +14,7 @@ from geodrake.effects.base import Effect
 from geodrake.effects.effect_columns import EffectColumns, declares_signals
 from geodrake.effects.robot_motion import log_number
 from geodrake.effects.sensors import delayed_by
-from geodrake.identification.logs.contact_rows import contact_rows, row_scales
+from geodrake.identification.logs.contact_rows import MixedRows, contact_rows, row_scales
 from geodrake.identification.logs.dataset import Indices, JointRows, column_starts, is_payload
 from geodrake.logs.filtering import spline_through
 from geodrake.logs.motion import MEMORY, Motion, Trajectory
@@ -35,6 +35,9 @@ Blocks = Mapping[int, Array]
 
 ROOM = 10_000_000
 """Reductions of the same logs share at most so many numbers: 80 MB."""
+
+MIXED_ROOM = 30_000_000
+"""As many where unknown contact forces are taken out: rows of a base feel what every joint has."""
 
 SIGNALS_ROOM = 2_000_000
 """At most so many of them are signals at the logs' full rate; filtered columns cost more."""
@@ -80,6 +83,7 @@ class SharedRows:
 INERTIA = "inertia"
 """What columns of inertial parameters belong to, as others belong to an effect."""
 
+_OWN = -1  # where rows that are velocities' own stand among those of contacts
 _FELT = 0.02  # share of a row's noise from which the friction of a joint at rest matters to it
 _WIDE = 16  # columns that are filtered as they are
 
@@ -102,6 +106,8 @@ class Layout:
     # Combinations of inertial parameters that take the place of all of them, if columns are to be
     # no more than a robot can show; see `over_base`.
     base: BaseParameters | None = None
+    # (nv, nv) which joints rows have in them, where unknown contact forces are taken out.
+    coupling: NDArray[np.bool_] | None = None
 
     @classmethod
     def of(
@@ -111,11 +117,12 @@ class Layout:
         sign_width: Array,
         still_speed: Array,
         *,
-        mixed: bool = False,
+        coupling: NDArray[np.bool_] | None = None,
     ) -> Layout:
         """Return the layout of the columns of bodies and effects; speeds (nv,) in rad/s or m/s.
 
-        Where unknown contact forces are taken out, rows are `mixed`: each may see every column.
+        Where unknown contact forces are taken out, rows have columns of the joints in them, by
+        their `coupling` (nv, nv).
         """
         motion = _probe(model, 7)
         size = np.abs(
@@ -123,18 +130,19 @@ class Layout:
         ).max(axis=0)
         inertial = size > 1e-12 * size.max(initial=1e-300)  # what can matter at a joint
         starts = column_starts(effects, model.bodies)
-        if mixed:
-            inertial[:] = inertial.any(axis=0)
+        if coupling is not None:
+            inertial = coupling @ inertial
         columns = [[np.flatnonzero(inertial[j])] for j in range(len(model.joints))]
         own = tuple(effect for effect in effects if not is_payload(effect))
         probe = model.motion(_probe(model, 1), sign_width=1.0)
         rows = EffectColumns(model.joints, own).rows(probe)
         for effect, blocks in zip(own, rows, strict=True):
             indices = starts[effect] + np.arange(len(effect.parameters))
-            for joint in range(len(columns)) if mixed and blocks else blocks:
+            felt = blocks if coupling is None else np.flatnonzero(coupling[:, [*blocks]].any(1))
+            for joint in felt:
                 columns[joint].append(indices)
         joined = tuple(np.concatenate(c) for c in columns)
-        return cls(model, effects, sign_width, still_speed, joined)
+        return cls(model, effects, sign_width, still_speed, joined, coupling=coupling)
 
     def over_base(self, base: BaseParameters) -> Layout:
         """Return the layout with the columns of the tree's base parameters, which say as much.
@@ -158,6 +166,11 @@ class Layout:
     def parts(self) -> tuple[Effect | str, ...]:
         """What has columns of its own, in their order."""
         return (INERTIA, *(effect for effect in self.effects if not is_payload(effect)))
+
+    def bodies_of(self, part: Effect | str) -> list[Indices] | None:
+        """Return which columns of bodies each joint has; None of effects, whose are all alike."""
+        width = self.model.phi.size
+        return None if isinstance(part, Effect) else [c[c < width] for c in self.columns]
 
     @property
     def tree(self) -> RobotTree:
@@ -276,10 +289,17 @@ class LogSlice:
         near, inner = self._near
         return near[inner]
 
-    @cached_property
-    def _contact_rows(self) -> Array | None:
+    def _contact_rows(self, shared: SharedRows) -> MixedRows | None:
         """See `contact_rows.contact_rows`."""
-        return contact_rows(self.layout.model, self.trajectory, self._here)
+        key = "contact rows", self.place
+        if (found := shared.get(key)) is None:
+            N = contact_rows(self.layout.model, self.trajectory, self._here)
+            if N is None:
+                return None
+            rows = MixedRows.of(N)
+            found = {_OWN: rows.own, **rows.mixed}
+            shared.keep(key, found)
+        return MixedRows(found[_OWN], {i: row for i, row in found.items() if i != _OWN})
 
     @cached_property
     def _row_ratios(self) -> Array:
@@ -303,10 +323,12 @@ class LogSlice:
             at = low_pass.output_indices(len(here))
             states = np.stack([here.position, here.velocity, here.acceleration], 2)[at]
             rests = np.asarray(np.abs(here.velocity) < self.layout.still_speed)
-            if (rows := self._contact_rows) is not None:
-                shares = np.abs(rows) * self._row_ratios
-                felt = ((shares > _FELT) & rests[:, None, :]).any(axis=2)
-                rests = np.asarray(felt | ~rows.any(axis=2))
+            if (rows := self._contact_rows(shared)) is not None:
+                felt = rests | (rows.own == 0.0)
+                for j, row in rows.mixed.items():
+                    shares = np.abs(row) * self._row_ratios[j]
+                    felt[:, j] = ((shares > _FELT) & rests).any(axis=1) | ~row.any(axis=1)
+                rests = np.asarray(felt)
             still = low_pass.apply(rests)
             both = np.concatenate([states, still[:, :, None]], 2)
             return {-1: here.time[at], **{j: both[:, j] for j in range(both.shape[1])}}
@@ -320,8 +342,8 @@ class LogSlice:
             (near, inner), period = self._near, self.stretch.period
             moved = delayed_by(-seconds, near.motor_effort, period, spline=self._effort_spline)
             moved = moved[inner]
-            if (rows := self._contact_rows) is not None:
-                moved = np.einsum("nij,nj->ni", rows, moved)
+            if (rows := self._contact_rows(shared)) is not None:
+                moved = rows.efforts(moved)
             return {0: self.trajectory.filter.apply(moved)}
 
         keys = [("effort", seconds.tobytes(), self.place) for seconds in self.advance]
@@ -356,11 +378,15 @@ class LogSlice:
             key = ("load", self.place, layout.model.total_phi.tobytes(), gravity)
             known = shared.get(key)
             motion, load = self._motion(shared), None if known is None else known[0]
-            if (rows := self._contact_rows) is not None or self._here.ground is not None:
+            rows = self._contact_rows(shared)
+            if rows is not None or self._here.ground is not None:
                 load = self._here.motor_effort  # which no model tells beside the ground's forces
             new, load = layout.evaluate(motion, self.trajectory, missing, load)
-            if rows is not None:
-                new = [_mixed(rows, blocks) for blocks in new]
+            if rows is not None and layout.coupling is not None:
+                new = [
+                    rows.columns(blocks, layout.coupling, layout.bodies_of(part))
+                    for part, blocks in zip(missing, new, strict=True)
+                ]
             shared.keep(key, {0: load}, signals=True)
             for part, blocks in zip(missing, self._filtered(new), strict=True):
                 found[part] = blocks
@@ -405,16 +431,6 @@ class LogSlice:
         if start == 0 or not any(effect.state_count for effect in self.layout.effects):
             return np.zeros((0, len(self.layout.model.joints)))
         return self.stretch[max(0, start - MEMORY) : start].position
-
-
-def _mixed(rows: Array, blocks: Blocks) -> Blocks:
-    """Return columns of every row, as N (N, nv, nv) mixes them from columns at joints."""
-    if not blocks:
-        return blocks
-    joints = np.array([*blocks])
-    columns = np.stack([blocks[joint] for joint in joints], 1)  # (N, j, k)
-    mixed = rows[:, :, joints] @ columns
-    return {joint: mixed[:, joint] for joint in range(rows.shape[1])}
 
 
 def _probe(model: RobotModel, samples: int) -> Motion:

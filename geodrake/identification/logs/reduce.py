@@ -10,6 +10,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from geodrake.effects.base import Effect
 from geodrake.errors import LogError
+from geodrake.identification.logs.contact_rows import couplings
 from geodrake.identification.logs.dataset import Dataset, Indices, JointData, JointRows
 from geodrake.identification.logs.log_slices import Layout, LogSlice, SharedRows
 from geodrake.identification.logs.noise import known_noise
@@ -63,13 +64,14 @@ def reduce_logs(
     effects = tuple(e for e in dict.fromkeys(effects) if e.parameters)
     still = STILL_SPEED * peak_speeds(trajectories)
     still[np.isin(model.joints, model.base_joints)] = 0.0
-    mixed = any(trajectory.contacts is not None for trajectory in trajectories)
     widths = sign_widths(model, trajectories)
-    layout = Layout.of(model, effects, widths, still, mixed=mixed)
+    shared = SharedRows(0) if shared is None else shared
+    coupling = coupling_of(model, trajectories, shared)
+    layout = Layout.of(model, effects, widths, still, coupling=coupling)
     further = np.array([np.broadcast_to(delay, len(model.joints)) for delay in delays])
     data = reduced_joints(layout, trajectories, folds, list(further + model.delays), shared)
     for joint, own in zip(model.joints, data, strict=True):
-        if not own.samples.any() and not mixed:
+        if not own.samples.any() and coupling is None:
             raise LogError(
                 f"{joint} stands still but for a moment: in no filtered sample it moves for most "
                 "of the filter's window.",
@@ -100,6 +102,19 @@ def reduce_logs(
         known,
         passive_inertia(model, layout.tree, trajectories),
     )
+
+
+def coupling_of(
+    model: RobotModel, trajectories: Sequence[Trajectory], shared: SharedRows
+) -> NDArray[np.bool_] | None:
+    """Return `couplings` of logs, looked at once."""
+    if all(trajectory.contacts is None for trajectory in trajectories):
+        return None
+
+    def make() -> dict[int, Array]:
+        return {0: np.asarray(couplings(model, trajectories), float)}
+
+    return np.asarray(shared.once(("coupling",), make)[0] > 0.0)
 
 
 def reduced_joints(
