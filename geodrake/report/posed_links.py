@@ -14,6 +14,7 @@ from pydrake.multibody.tree import BodyIndex, Joint, RigidBody
 from geodrake.inertia import Array
 from geodrake.inertia.bodies import lumped_bodies
 from geodrake.model.robot_model import RobotModel
+from geodrake.robot.base_joints import base_joints
 from geodrake.robot.shapes import GRAY, LinkShape, RobotShapes, robot_shapes
 
 _STICK, _JOINT = 0.012, 0.03  # radii, over the size of the robot
@@ -77,12 +78,20 @@ def link_joints(model: RobotModel) -> dict[str, int]:
     lumps = [{int(m.index) for m in lump.members} for lump in lumped_bodies(plant)]
     for joint in _joints(plant):
         at = model.place_of(joint) if joint.num_velocities() == 1 else None
-        child = int(joint.child_body().index())
+        child = int(moved_body(plant, joint).index())
         if at is not None:
             # Massless frames between the joints of a free base are in no lump.
             own = next((lump for lump in lumps if child in lump), {child})
             found.update({_name(plant, BodyIndex(index)): at for index in own})
     return found
+
+
+def moved_body(plant: MultibodyPlant, joint: Joint) -> RigidBody:
+    """Return the body that a joint moves; of a free base's, between which are frames, the root."""
+    for base in base_joints(plant):
+        if any(own.index() == joint.index() for own in base):
+            return base[-1].child_body()
+    return joint.child_body()
 
 
 def joint_axis(joint: Joint) -> Array:

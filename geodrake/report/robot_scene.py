@@ -17,8 +17,7 @@ from geodrake.inertia.bodies import lumped_bodies
 from geodrake.inertia.ellipsoids import equivalent_ellipsoid
 from geodrake.model.robot_model import RobotModel
 from geodrake.report.ellipsoids import LEAST_THICKNESS
-from geodrake.report.posed_links import drawn_shapes, joint_axis
-from geodrake.robot.base_joints import base_joints
+from geodrake.report.posed_links import drawn_shapes, joint_axis, moved_body
 from geodrake.robot.plant import joint_names
 from geodrake.robot.shapes import LinkShape, RobotShapes
 
@@ -148,10 +147,7 @@ class RobotScene:
         return tuple(places[i] for i in sorted(places))
 
     def _place(self, joint: Joint, name: str) -> JointPlace:
-        child = joint.child_body()
-        for base in base_joints(self._model.plant):  # between their joints are massless frames
-            if any(own.index() == joint.index() for own in base):
-                child = base[-1].child_body()
+        child = moved_body(self._model.plant, joint)
         lump = next(
             one for one in self._lumps if any(m.index == child.index() for m in one.members)
         )

@@ -5,6 +5,7 @@ from base64 import b64decode
 from dataclasses import replace
 from importlib.resources import files
 from io import BytesIO
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -17,7 +18,7 @@ from geodrake import load_model
 from geodrake.report import page_of, render
 from geodrake.report.drawn_robots import Camera, DrawnRobots, on_ground
 from geodrake.report.played_robots import PlayedRobot
-from geodrake.report.posed_links import PosedLink
+from geodrake.report.posed_links import PosedLink, link_joints
 from geodrake.report.robot_pictures import error_pictures
 from geodrake.robot.shapes import LinkShape
 
@@ -84,3 +85,14 @@ def test_a_robot_in_no_posture_of_a_log_has_no_picture(tmp_path):
     (tmp_path / "ball.xml").write_text(f"<mujoco><worldbody>{body}</worldbody></mujoco>")
     model = load_model(tmp_path / "ball.xml")
     assert error_pictures(model, {"": comparison(model.joints, 1.0)}) is None
+
+
+def test_a_free_base_is_drawn_with_its_root_in_the_colour_of_its_joints():
+    path = Path(__file__).parents[2] / "models" / "double_pendulum.urdf"
+    model = load_model(path, floating=True)
+    found = comparison(model.joints, 1.0)
+    pictures = error_pictures(model, {"": found})
+    image = np.asarray(Image.open(BytesIO(pictures.shown[0].png)).convert("RGBA"), int)
+    assert image[..., 3].any()
+    root = link_joints(model)
+    assert {model.joints[j].rpartition("_")[2] for j in root.values()} >= {"roll"}
