@@ -23,11 +23,12 @@ from typing import Any
 
 import mujoco
 import numpy as np
+from matplotlib.figure import Figure
 from numpy.typing import NDArray
 from scipy.optimize import least_squares
 from scipy.signal import cont2discrete, lfilter
 
-from diagrams.harness import script_parser, show, write
+from diagrams.harness import panels, script_parser, show, write
 from diagrams.public_data import add_folder_option, require
 from geodrake import load_model
 from geodrake.identification.logs.servo_fit import PARAMETERS, motions_of
@@ -302,6 +303,20 @@ def pendulum_row(folder: Path) -> dict[str, Any]:
     }
 
 
+def errors_figure(rows: Sequence[Mapping[str, Any]]) -> Figure:
+    """Draw how far every joint departs with each model, a panel for each log."""
+    logs = list(dict.fromkeys(row["log"] for row in rows))
+    figure, axes = panels(3.2, logs, sharey=True, x="", y="RMS, rad", grid="y")
+    for panel, log in zip(axes, logs, strict=True):
+        for row in (row for row in rows if row["log"] == log):
+            panel.plot(list(row["joints, rad"].values()), "o", label=row["model"])
+        panel.set_yscale("log")
+        names = list(row["joints, rad"])
+        panel.set_xticks(range(len(names)), names, rotation=60, ha="right")
+    axes[0].legend()
+    return figure
+
+
 def main() -> None:
     """Run from the command line."""
     parser = script_parser(__doc__)
@@ -320,7 +335,8 @@ def main() -> None:
     show("An SO-101 under its commands, two minutes at a time", columns, rows)
     pendulum = pendulum_row(options.shared)
     show("A Dynamixel XL330", dict.fromkeys(pendulum, ".2f"), [pendulum])
-    write(options, {"arm": rows, "pendulum": pendulum})
+    table = {"arm": rows, "pendulum": pendulum}
+    write(options, table, hobby_arm=lambda: errors_figure(rows))
 
 
 if __name__ == "__main__":

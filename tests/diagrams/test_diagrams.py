@@ -26,6 +26,7 @@ LONG = {  # whose parts are tested elsewhere, too
     "fleet_speed",
     "fleet_study",
     "hidden_effects",
+    "hobby_arm",
     "iiwa_excitation",
     "long_log",
     "online_payload",
@@ -176,7 +177,15 @@ def survives_its_faults(table):
             assert row["last_memory"] - row["first_memory"] < 20.0
 
 
+def moves_as_the_arm_does(table):
+    """An order of magnitude nearer than a servo of second order, and as friction of gears asks."""
+    ours, simple = (row["MSE, rad²"] for row in table["arm"])
+    assert ours < 1e-4 and ours < 0.1 * simple
+    assert table["pendulum"]["fitted, °"] < 1.8
+
+
 SHOWS = {
+    "hobby_arm": moves_as_the_arm_does,
     "adaptive_soak": survives_its_faults,
     "ambidex_sandbags": adapts_to_a_sandbag_and_stays_physical,
     "atlas_identification": identifies_less_but_better,
@@ -196,6 +205,7 @@ SHOWS = {
     "real_robots": says_what_diagnose_names_and_days_tell,
 }
 MEASUREMENTS = {
+    "hobby_arm": ("data/so101/*.csv", "data/xl330/*.csv", "reference/so101.urdf"),
     "human_identification": ("data/human_force_plate.npz",),
     "online_payload": ("data/ur10e_*.csv", "reference/ur10e.urdf"),
     "real_robots": ("data/double_pendulum_c1_*.csv",),
