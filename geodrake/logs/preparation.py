@@ -234,7 +234,10 @@ def _speed_noise(uniform: UniformLog, smoother: ZeroPhaseFilter) -> Array:
 
 
 def _acceleration_noise(uniform: UniformLog, low_pass: ZeroPhaseFilter, *, derived: bool) -> Array:
-    """(n,) deviation of the noise of accelerations from white noise of what they come from."""
+    """(n,) deviation of the noise of accelerations from white noise of what they come from.
+
+    That is of themselves where they are measured.
+    """
     parts = list(uniform.sample_parts())
     derived = derived or any(part.velocity is None for part in parts)
     order = 2 if derived else 1
@@ -242,10 +245,16 @@ def _acceleration_noise(uniform: UniformLog, low_pass: ZeroPhaseFilter, *, deriv
     for part in parts:
         signal = part.position if derived or part.velocity is None else part.velocity
         # Differences are free of the motion's large slow part, which would leak into the noise.
-        power += len(part) * quiet_density(signal, rate, low_pass.bandwidth, differences=order)
+        density = quiet_density(signal, rate, low_pass.bandwidth, differences=order)
+        if part.acceleration is not None:
+            own = quiet_density(part.acceleration, rate, low_pass.bandwidth)
+            density[[*part.measured]] = own
+        power += len(part) * density
         weight += len(part)
+    orders = np.full(len(power), order)
+    orders[[*parts[0].measured]] = 0
     frequency = np.linspace(0.0, 2.0 * low_pass.bandwidth, _FREQUENCIES)
-    passed = low_pass.response(frequency) * (2.0 * np.pi * frequency) ** order
+    passed = low_pass.response(frequency) * (2.0 * np.pi * frequency) ** orders[:, None]
     return np.sqrt(power / weight * np.trapezoid(passed**2, frequency))
 
 

@@ -80,8 +80,7 @@ def link_joints(model: RobotModel) -> dict[str, int]:
         at = model.place_of(joint) if joint.num_velocities() == 1 else None
         child = int(moved_body(plant, joint).index())
         if at is not None:
-            # Massless frames between the joints of a free base are in no lump.
-            own = next((lump for lump in lumps if child in lump), {child})
+            (own,) = (lump for lump in lumps if child in lump)
             found.update({_name(plant, BodyIndex(index)): at for index in own})
     return found
 

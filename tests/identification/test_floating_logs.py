@@ -18,6 +18,7 @@ from geodrake.errors import LogError
 from geodrake.identification.logs.compare import compare
 from geodrake.identification.logs.contact_rows import rows_without
 from geodrake.logs.motion import JointLog
+from geodrake.logs.preparation import prepare_log
 from geodrake.model.base_logs import with_base
 from geodrake.model.ground_contacts import contact_frames
 from geodrake.model.robot_model import load_description
@@ -185,6 +186,13 @@ def test_pose_and_imu_are_the_joints_of_the_base(model, maker):
     inner = slice(5, -5)
     np.testing.assert_allclose(log.acceleration[inner, at], expected[1][inner], atol=2e-3)
     assert log.measured == model.base_joints
+
+
+def test_noise_of_the_base_is_that_of_its_imu(model, maker):
+    log = with_base(maker.log(wrenches=False, noise=1.0), model)
+    trajectory = prepare_log(log)
+    found = trajectory.acceleration_noise[[log.joints.index(j) for j in model.base_joints[:3]]]
+    np.testing.assert_allclose(found, 0.02 * trajectory.filter.noise_gain, rtol=0.15)
 
 
 @pytest.mark.parametrize("wrenches", [True, False])

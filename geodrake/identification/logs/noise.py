@@ -216,7 +216,7 @@ def effort_ratio(model: RobotModel, trajectories: Sequence[Trajectory]) -> tuple
     """Return the power of the effort that the model needs over that of the measured effort.
 
     Those are frequencies (K,) in Hz, without 0, and ratios (K,), the geometric mean over joints
-    that have a motor.
+    that have a motor, and over a free base where the ground's forces are measured or taken out.
     """
     robots = {t.payloads: carrying(model, t.payloads) for t in trajectories}
     held = [(t, segment) for t in trajectories for segment in t.segments]
@@ -238,7 +238,10 @@ def effort_ratio(model: RobotModel, trajectories: Sequence[Trajectory]) -> tuple
         measured = measured + _density(_taken(rows, start.effort), segment, window, frequency)
     tiny = np.finfo(float).tiny
     idle = [joint for t in trajectories for joint in t.passive]
-    driven = ~np.isin(model.joints, [*idle, *model.base_joints])
+    grounded = all(t.contacts is not None or s[:1].ground is not None for t, s in held)
+    driven = ~np.isin(model.joints, [*idle, *(() if grounded else model.base_joints)])
+    if (measured[:, driven] > 0.0).any():  # limbs that stand throughout have no rows
+        driven &= (measured > 0.0).any(axis=0)
     ratio = np.mean((np.log(needed + tiny) - np.log(measured + tiny))[:, driven], axis=1)
     return frequency, np.exp(np.minimum(ratio, _LARGEST_RATIO))
 
