@@ -16,6 +16,7 @@ from geodrake.diagnosis.search import Found
 from geodrake.diagnosis.terms import Term, names_and_places
 from geodrake.diagnosis.unknown_efforts import UnknownFunction
 from geodrake.effects import Effect, Role
+from geodrake.effects.episode import Episode
 from geodrake.effects.lookup import effect_of
 from geodrake.identification.logs.case import Case, error_table
 from geodrake.identification.logs.criteria import JOINT_NOISE_MARGIN
@@ -282,9 +283,10 @@ def holds(found: Found, finding: Finding, before: HeldOut, after: HeldOut) -> bo
     The squared error of the joints that feel it must fall, in the mean over the folds, by more than
     the standard error of that mean: what shows in one fold alone just does. That of all joints, as
     nrms counts them, must not rise by as much. Bodies that are far from the file predict as a
-    payload does that they take in, so that it is judged with bodies that stay.
+    payload does that they take in, so that it is judged with bodies that stay; not one that is
+    there for a while.
     """
-    if any(term.is_whole for term in finding.terms):
+    if any(t.is_whole and not isinstance(t.effect, Episode) for t in finding.terms):
         fits = _with_bodies_that_stay(found, finding)
         before, after = (found.model.validated(fit).held_out for fit in fits)
     scale = np.maximum(found.model.dataset.effort_std, np.finfo(float).tiny)

@@ -58,6 +58,8 @@ _LEAST_SHARE = 1e-4
 _SIMPLER = 0.5
 _FREE, _WIDTHS = 0.01, 20  # to hold the inertias, as a search may do, does not make them known
 _USUAL_SHARE = 0.3
+_ON_TIME = 1e-9  # s
+_UNSURE_DELAY = 0.01  # of the least difference of delays that are tried
 _NOTABLE = 0.5  # of a squared error, that the error of a gain takes
 _MOST_PINNED, _PINNED = 4, 1e15
 _STATED = 1e-4  # share to which a file knows the values of effects, unless they are others
@@ -136,7 +138,7 @@ class LogModel:
         """Form the normal matrices over all columns: model, gains, reversals, terms."""
         data, nv = self.dataset, len(self.dataset.joints)
         self._reversals = [e for e in data.effects if isinstance(e, UnresolvedReversal)]
-        sources = [self.unknowns.columns, np.full(nv, -1)]
+        sources = [self.unknowns.columns, np.full(nv + 1, -1)]
         sources += [data.effect_columns(effect) for effect in self._reversals]
         self.first_term = sum(map(len, sources))
         spans = self.spans(self.terms).items()
@@ -154,23 +156,26 @@ class LogModel:
             self.mean[at] = term.mean
             self.prior_scores[at[0]] = term.log_information - term.prior_distance
             self.owner[at], self.positive[at[term.positive]] = k, True
-        # Of each joint the normal matrix of its columns, efforts and load, and zeros for what it is
-        # not; and where in it every column of the model stands.
-        widest = max(joint.factors.shape[2] for joint in data.data) + 2
+        # Of each joint the normal matrix of its columns, efforts, load and rate of its efforts, and
+        # zeros for what it is not; and where in it every column of the model stands.
+        widest = max(joint.factors.shape[2] for joint in data.data) + 3
         self.grams = np.zeros((nv, widest, widest))
-        self.places, self._loads = np.full((nv, len(columns)), -1), list[Array]()
+        self.places, self._mixed = np.full((nv, len(columns)), -1), list[Array]()
+        rates, unsure_delay = self._rates()
         for j, joint in enumerate(data.data):
-            gram = joint.gram
-            own, load = joint.local(self.unknowns.columns), np.zeros(len(gram))
-            load[own[own >= 0]] = self.unknowns.mean[own >= 0]
-            self._loads.append(load[: len(joint.columns)])
-            n = len(gram)
+            gram, ends = joint.gram, len(joint.columns)
+            own, n = joint.local(self.unknowns.columns), len(gram)
+            mixed = np.zeros((n, 2))
+            mixed[own[own >= 0], 0] = self.unknowns.mean[own >= 0]
+            mixed[ends:, 1] = rates[:, j]
+            self._mixed.append(mixed)
             self.grams[j, :n, :n] = gram
-            self.grams[j, n, :n] = self.grams[j, :n, n] = gram @ load
-            self.grams[j, n, n] = load @ gram @ load
+            self.grams[j, :n, n : n + 2] = gram @ mixed
+            self.grams[j, n : n + 2, :n] = self.grams[j, :n, n : n + 2].T
+            self.grams[j, n : n + 2, n : n + 2] = mixed.T @ gram @ mixed
             known = columns >= 0
             self.places[j, known] = joint.local(columns[known])
-            self.places[j, len(self.unknowns.columns) + j] = n
+            self.places[j, len(self.unknowns.columns) + np.array([j, nv])] = n, n + 1
         self._ends = np.array([len(joint.columns) for joint in data.data])
         self.mean[: len(self.unknowns.columns)] = self.unknowns.mean
         gains = np.maximum(data.gain_uncertainty, 1e-6) ** -2.0
@@ -179,8 +184,28 @@ class LogModel:
             for effect in self._reversals
             for _ in effect.parameters
         ]
-        self._nuisances = np.concatenate([gains, unsure])
+        self._nuisances = np.concatenate([gains, [unsure_delay**-2.0], unsure])
         self.floor = np.square(LEAST_NOISE * np.maximum(data.effort_std, 1e-12))
+
+    def _rates(self) -> tuple[Array, float]:
+        """Return weights (K, nv) of the efforts at all delays for their rates, and a delay, s.
+
+        Once efforts are advanced by a delay that was found, it is exact to about that: what is left
+        of it is not to look like an effect.
+        """
+        apart = self.dataset.delays  # from those of the efforts as they are advanced
+        weights, found = np.zeros(apart.shape), np.abs(apart[np.abs(apart) > _ON_TIME])
+        if not len(found) or not any(self.on_time):
+            return weights, _ON_TIME
+        for j, late in enumerate(apart.T):
+            after, before = late > _ON_TIME, late < -_ON_TIME
+            if after.any() and before.any():
+                ends = [
+                    np.argmin(np.where(after, late, np.inf)),
+                    np.argmax(np.where(before, late, -np.inf)),
+                ]
+                weights[ends, j] = np.array([1.0, -1.0]) / (late[ends[0]] - late[ends[1]])
+        return weights, _UNSURE_DELAY * float(found.min())
 
     def spans(self, terms: Terms) -> dict[Term, slice]:
         """Return where the parameters of terms, in this order, are among those of a fit."""
@@ -405,10 +430,14 @@ class LogModel:
     def _residuals(self, fit: Fit, joint: int) -> list[Array]:
         """Return the residuals (K_i,) of a joint in each stretch of its rows."""
         data, delay = self.dataset.data[joint], fit.choice.delay[joint]
-        x, load = np.zeros(len(self.grams[joint])), self._loads[joint]
+        x, mixed = np.zeros(len(self.grams[joint])), self._mixed[joint]
         np.add.at(x, self.places[joint][fit.columns], fit.x)
-        own = x[: len(load)] + x[data.factors.shape[2]] * load
-        return [rows.b[:, delay] - rows.A @ own for blocks in data.rows for rows in blocks]
+        own, ends = x[: len(mixed)] + mixed @ x[len(mixed) : len(mixed) + 2], len(data.columns)
+        return [
+            rows.b[:, delay] - rows.A @ own[:ends] - rows.b @ own[ends:]
+            for blocks in data.rows
+            for rows in blocks
+        ]
 
     def usual_gains(self, fit: Fit) -> dict[str, tuple[float, float]]:
         """Return the errors of gains that take most of what else were left at their joint.
@@ -441,8 +470,8 @@ class LogModel:
         A (K, p) are columns of the rows in the order of the joint's, and b (K, d) their efforts for
         each delay.
         """
-        load = A @ self._loads[joint]
-        wide = np.hstack([A, b, load[:, None], np.zeros((len(A), 1))])
+        own = np.hstack([A, b])
+        wide = np.hstack([own, own @ self._mixed[joint], np.zeros((len(A), 1))])
         return wide[:, self.places[joint][fit.columns]], b[:, fit.choice.delay[joint]]
 
     def bodies(self, fit: Fit) -> Array:
@@ -486,7 +515,7 @@ class LogModel:
         for term, span in self.spans(fit.terms).items():
             if term.effect is not None:
                 x[unknowns.span(term.effect)] += fit.x[span]
-        unsure = fit.x[p + len(self.rows) : self.first_term]
+        unsure = fit.x[p + len(self.rows) + 1 : self.first_term]  # after gains and the delay
         x[len(x) - len(unsure) :] = unsure
         held_out = hold_out(
             data, unknowns.columns, np.tile(x, (len(data.folds), 1)), delay=choice.delay

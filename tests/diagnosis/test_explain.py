@@ -369,7 +369,7 @@ def test_diagnose_names_the_simplest_that_does(model, seed):
     found = explain(model, [log], bandwidth=BANDWIDTH)
     assert places(found) == WHERE
     assert first.error_after == pytest.approx(found.steps[0].error_after, rel=0.02)
-    assert found.end.nrms < 1.1 * asymmetric.error_after
+    assert found.end.nrms < 1.2 * asymmetric.error_after  # which is of the fit itself
 
 
 def test_diagnose_says_that_the_bodies_alone_are_wrong(model):
