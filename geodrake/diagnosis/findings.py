@@ -56,19 +56,23 @@ def believed(found: Found) -> tuple[Found, Posterior]:
     """Return what was found, where nothing is more probable in the place of any of its terms.
 
     The most probable explanation may have a term that most others have not: what they agree on is
-    adopted, another term or none. Of explanations that lead to each other, it is the last one.
+    adopted, another term or none. Where explanations lead to each other, the one is adopted whose
+    least probable term is the most probable.
     """
-    seen = {found.fit.choice.key}
+    seen, visited = {found.fit.choice.key}, list[tuple[float, Found, Posterior]]()
     while True:
         posterior = Posterior(found.model, found.fit)
         told = sorted(
             ((term, posterior.of_terms([term])) for term in found.fit.terms),
             key=lambda each: each[1].probability,
         )
-        others = filter(None, (_instead(found, *each) for each in told))
+        visited.append((told[0][1].probability if told else 1.0, found, posterior))
+        others = [fit for each in told if (fit := _instead(found, *each)) is not None]
+        if not others:
+            return found, posterior
         better = next((fit for fit in others if fit.choice.key not in seen), None)
         if better is None:
-            return found, posterior
+            return max(visited, key=lambda each: each[0])[1:]
         found = replace(found, fit=better)
         seen.add(better.choice.key)
 

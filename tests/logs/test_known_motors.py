@@ -58,7 +58,7 @@ def slow(tmp_path):
     path = tmp_path / "slow.csv"
     time = log.time - log.time[0]
     q = 0.02 * np.sin(0.7 * time)
-    told = q + 0.01 * np.sign(np.cos(0.7 * time))
+    told = q + 0.01 * np.tanh(3.0 * np.cos(0.7 * time))
     rows = np.column_stack([time, np.round(q, 3), told])
     np.savetxt(path, rows, delimiter=",", header="time,hinge.position,hinge.command", comments="")
     return path
