@@ -188,10 +188,10 @@ class LogModel:
         self.floor = np.square(LEAST_NOISE * np.maximum(data.effort_std, 1e-12))
 
     def _rates(self) -> tuple[Array, float]:
-        """Return weights (K, nv) of the efforts at all delays for their rates, and a delay, s.
+        """Return weights (K, nv) that make rates of efforts of those at all delays, in 1/s.
 
-        Once efforts are advanced by a delay that was found, it is exact to about that: what is left
-        of it is not to look like an effect.
+        With them comes the deviation of a delay that was found, s. Without it, the error that an
+        inexact delay leaves would look like an effect.
         """
         apart = self.dataset.delays  # from those of the efforts as they are advanced
         weights, found = np.zeros(apart.shape), np.abs(apart[np.abs(apart) > _ON_TIME])
@@ -440,9 +440,9 @@ class LogModel:
         ]
 
     def usual_gains(self, fit: Fit) -> dict[str, tuple[float, float]]:
-        """Return the errors of gains that take most of what else were left at their joint.
+        """Return gain errors that explain most of what would be left at their joint.
 
-        Joint -> the error, and how well the log says that its gain is known.
+        Joint -> the error, and the deviation of the gain by the log, both as shares.
         """
         joints, found = self.normal(fit.columns, fit.choice.delay), dict[str, tuple[float, float]]()
         for j, joint in enumerate(self.dataset.joints):

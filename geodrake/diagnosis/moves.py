@@ -68,10 +68,10 @@ def additions(model: LogModel, fit: Fit) -> list[Fit]:
 
 
 def alone(model: LogModel, fit: Fit) -> Terms:
-    """Return effects with a shape that may stand for all own effects of a joint, the best at each.
+    """Return the shaped effect that best replaces all effects of each crowded joint.
 
-    Only of joints with several effects that are not simple: together they may stand for one whose
-    shape is not among those that are tried.
+    A joint is crowded if several of its effects are not simple: together they may imitate one
+    effect whose shape is not on the grid.
     """
     finder, best = _Finder(model, fit), list[Term]()
     for joint, offered in finder.by_joint.items():

@@ -342,7 +342,7 @@ class Search:
         return False
 
     def _simplified(self) -> bool:
-        """Offer one exact shape for the many effects of a joint; return whether there was any."""
+        """Offer finer shapes of one effect for crowded joints; return whether any was new."""
         if self.fit.terms in self._crowded:
             return False
         self._crowded.add(self.fit.terms)
