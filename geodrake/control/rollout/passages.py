@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -52,11 +52,18 @@ class Passage:
         return self.stretch[max(0, self.start - MEMORY) : self.start].position
 
 
-def chosen_passages(case: Case, horizon: float, most: int) -> list[Passage]:
+Span = tuple[str, float, float]
+
+
+def chosen_passages(
+    case: Case, horizon: float, most: int, within: Sequence[Span] | None = None
+) -> list[Passage]:
     """Choose passages of a length, spread evenly over all in which the robot of a case moves.
 
     Args:
         horizon: Length of each passage, s.
+        within: Logs, and first and last instants of theirs, s, outside of which none is; anywhere
+            if None.
     """
     peak = peak_speeds(case.trajectories)
     found = [
@@ -64,6 +71,7 @@ def chosen_passages(case: Case, horizon: float, most: int) -> list[Passage]:
         for trajectory in case.trajectories
         for stretch in trajectory.segments
         for start, segment in _moving(stretch, horizon, peak, case.model.delays)
+        if within is None or any(_holds(span, trajectory.name, segment.time) for span in within)
     ]
     if not found:
         raise LogError(
@@ -73,6 +81,11 @@ def chosen_passages(case: Case, horizon: float, most: int) -> list[Passage]:
     count = min(most, len(found))
     chosen = np.unique(np.linspace(0, len(found) - 1, count).round().astype(int))
     return [found[k] for k in chosen.tolist()]
+
+
+def _holds(span: Span, log: str, time: Array) -> bool:
+    name, first, last = span
+    return name == log and first <= time[0] and time[-1] <= last
 
 
 def _moving(

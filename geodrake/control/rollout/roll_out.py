@@ -10,7 +10,7 @@ import numpy as np
 
 from geodrake.boundary.arguments import function, instance, instances, integer, number, typed
 from geodrake.control.rollout.acting import told_joints
-from geodrake.control.rollout.passages import chosen_passages
+from geodrake.control.rollout.passages import Span, chosen_passages
 from geodrake.control.rollout.results import Rollout, Window
 from geodrake.control.rollout.simulation import simulations
 from geodrake.effects import Role
@@ -121,15 +121,21 @@ def case_rollout(
     most: int = MOST_WINDOWS,
     commands: bool = False,
     progress: Progress | None = None,
+    within: Sequence[Span] | None = None,
 ) -> Rollout:
-    """Return the rollout of the model of a case, whose logs are prepared; see `roll_out`."""
+    """Return the rollout of the model of a case, whose logs are prepared; see `roll_out`.
+
+    Args:
+        within: Logs, and first and last instants of theirs, s, outside of which nothing is
+            simulated.
+    """
     model, logs = case.model, case.asked.logs
     if commands and not any(told_joints(model, log).any() for log in logs):
         raise LogError(
             "No log has the commands of a servo that the model knows.",
             advice="Roll out under efforts, or give logs with columns <joint>.command.",
         )
-    chosen = chosen_passages(case, horizon, most)
+    chosen = chosen_passages(case, horizon, most, within)
     simulation = simulations(case, chosen, commands=commands)
     windows, notes = list[Window](), dict.fromkeys(_unheard(case) if commands else ())
     for done, passage in enumerate(chosen):
