@@ -10,7 +10,7 @@ from importlib.resources import as_file, files
 from typing import Annotated, Any
 
 import typer
-from typer.core import TyperGroup
+from typer.core import TyperArgument, TyperCommand, TyperGroup
 
 from geodrake.boundary.escaping import printable
 from geodrake.boundary.version import versions
@@ -21,6 +21,17 @@ from geodrake.cli.surroundings import settled_surroundings
 DEMO_MODEL, DEMO_LOG = "demo.urdf", "demo.csv"
 DEMO_TIME = "Done within about 15 seconds; the first time within a minute, as loops are compiled."
 _GARBAGE = 100_000  # objects between two looks for cycles, of which a command leaves few
+
+
+class _Command(TyperCommand):
+    """A command whose help names arguments and flags without their Python types."""
+
+    def get_params(self, ctx: Any) -> list[Any]:
+        found: list[Any] = super().get_params(ctx)
+        for each in found:
+            if isinstance(each, TyperArgument) or each.is_flag:
+                each.display_type_rich = lambda ctx: None
+        return found
 
 
 class _Commands(TyperGroup):
@@ -206,10 +217,10 @@ def _added(name: str, place: str, kind: type[Any], help_text: str) -> Callable[.
 
 for _name, (_place, _kind, _help, _examples) in _COMMANDS.items():
     _epilog = "\n\n".join(["Examples:", *(f"geodrake {_name} {each}" for each in _examples)])
-    app.command(name=_name, epilog=_epilog)(_added(_name, _place, _kind, _help))
+    app.command(name=_name, cls=_Command, epilog=_epilog)(_added(_name, _place, _kind, _help))
 
 
-@app.command()
+@app.command(cls=_Command)
 @taking(options.DemoOptions)
 def demo(given: options.DemoOptions) -> None:
     """Explain a log that comes with the package, made with an effect that its model lacks."""

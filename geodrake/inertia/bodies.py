@@ -73,8 +73,7 @@ def check_context(system: System, context: Context) -> None:
 def lumped_bodies(plant: MultibodyPlant) -> tuple[LumpedBody, ...]:
     """Groups of welded links that move with respect to the world.
 
-    Returns:
-        The groups without the one welded to the world, in order of the representative's BodyIndex.
+    Without the one welded to the world, in order of the representative's BodyIndex.
     """
     check_plant(plant)
     context = plant.CreateDefaultContext()

@@ -22,43 +22,28 @@ from geodrake.inertia.parameters import checked_phi, pseudo_inertia
 
 
 def riemannian_distance(phi1: ArrayLike, phi2: ArrayLike) -> Array:
-    """Geodesic distance of two bodies, without the ½ of the metric.
+    """Geodesic distances (...) √(Σ log² λᵢ(P₁⁻¹ P₂)) of physical bodies φ (..., 10).
 
-    Args:
-        phi1: (..., 10) physical inertial parameters.
-        phi2: (..., 10) physical inertial parameters.
-
-    Returns:
-        (...) distances √(Σ log² λᵢ(P₁⁻¹ P₂)) ([Lee2019] Eqs. (3.3.25), (2.2.10)).
+    Without the ½ of the metric ([Lee2019] Eqs. (3.3.25), (2.2.10)).
     """
     first, second = _together(phi1=phi1, phi2=phi2)
     return positive_definite.distance(pseudo_inertia(first), pseudo_inertia(second))
 
 
 def entropic_divergence(phi1: ArrayLike, phi2: ArrayLike) -> Array:
-    """Entropic divergence d(φ₁‖φ₂)², convex in φ₁.
+    """Entropic divergences (...) d(φ₁‖φ₂)² of physical bodies φ (..., 10), convex in φ₁.
 
-    Args:
-        phi1: (..., 10) physical inertial parameters.
-        phi2: (..., 10) physical inertial parameters.
-
-    Returns:
-        (...) divergences, which compare to squares of distances ([Lee2019] Eq. (3.3.28)).
+    They compare to squares of distances ([Lee2019] Eq. (3.3.28)).
     """
     first, second = _together(phi1=phi1, phi2=phi2)
     return positive_definite.log_det_divergence(pseudo_inertia(first), pseudo_inertia(second))
 
 
 def pullback_distance(phi1: ArrayLike, phi2: ArrayLike, reference: ArrayLike) -> Array:
-    """Distance in the metric of one body, which stays finite at the edge of physical bodies.
+    """Distances (...) √(½ tr((P₀⁻¹ P(φ₁ − φ₂))²)) in the metric of one body, the reference.
 
-    Args:
-        phi1: (..., 10) inertial parameters.
-        phi2: (..., 10) inertial parameters.
-        reference: (..., 10) physical inertial parameters whose metric is used.
-
-    Returns:
-        (...) distances √(½ tr((P₀⁻¹ P(φ₁ − φ₂))²)) ([Lee2019] Eq. (3.3.33), with its ½).
+    All are (..., 10), the reference physical. They stay finite at the edge of physical bodies
+    ([Lee2019] Eq. (3.3.33), with its ½).
     """
     first, second, reference = _together(phi1=phi1, phi2=phi2, reference=reference)
     step = pseudo_inertia(first - second)

@@ -99,11 +99,9 @@ class Ellipsoid(Short):
         return from_mass_com_inertia(mass, np.broadcast_to(self.center, (*mass.shape, 3)), turned)
 
     def random_points(self, rng: np.random.Generator, size: tuple[int, ...]) -> Array:
-        """Points (*size, 3), m, evenly distributed over one ellipsoid or several of shape size.
+        """Points (*size, 3), m, evenly distributed over one ellipsoid or several.
 
-        Args:
-            size: Shape of the points; its last axes are those of the ellipsoids, if there are
-                several.
+        The last axes of the size are those of the ellipsoids, if there are several.
         """
         instance(rng, "rng", np.random.Generator)
         direction = rng.normal(size=(*_checked_size(size, self.center.shape[:-1]), 3))
@@ -128,15 +126,13 @@ def _broadcast(size: tuple[int, ...], leading: tuple[int, ...]) -> bool:
 
 
 def equivalent_ellipsoid(phi: ArrayLike, *, least_semi_axis: float = 0.0) -> Ellipsoid:
-    """Return the uniform ellipsoids that have the inertial parameters of bodies.
+    """Return the uniform ellipsoids that have the inertial parameters φ (..., 10) of bodies.
+
+    Their semi-axes are √(5 σᵢ/m) of the principal second moments σ, in ascending order.
 
     Args:
-        phi: (..., 10) physical inertial parameters.
         least_semi_axis: Length, m, that shorter semi-axes get, so that bodies at the boundary of
             physical ones can be drawn; only their mass then has to be above zero.
-
-    Returns:
-        Ellipsoids with semi-axes √(5 σᵢ/m) of the principal second moments σ, in ascending order.
     """
     phi = checked_phi(phi)
     least_semi_axis = number(least_semi_axis, "least_semi_axis", lower=0.0)
@@ -153,11 +149,7 @@ def equivalent_ellipsoid(phi: ArrayLike, *, least_semi_axis: float = 0.0) -> Ell
 
 
 def ellipsoid_of_quadric(Q: ArrayLike) -> Ellipsoid:
-    """Return the ellipsoids [x;1]ᵀ Q [x;1] ≥ 0.
-
-    Args:
-        Q: (..., 4, 4) symmetric matrices.
-    """
+    """Return the ellipsoids [x;1]ᵀ Q [x;1] ≥ 0 of symmetric Q (..., 4, 4)."""
     Q = real_array(Q, "Q", ("...", 4, 4))
     if (np.abs(Q - np.swapaxes(Q, -1, -2)) > 1e-8 * np.abs(Q).max((-2, -1), keepdims=True)).any():
         raise ArgumentError(
@@ -179,41 +171,16 @@ def ellipsoid_of_quadric(Q: ArrayLike) -> Ellipsoid:
     return Ellipsoid(center, np.sqrt(level[..., None] / values), axes)
 
 
-def realizability(phi: ArrayLike, Q: ArrayLike) -> Array:
-    """Return how far inside of an ellipsoid mass is on the average, tr(P(φ) Q) / m.
-
-    Args:
-        phi: (..., 10) inertial parameters of mass above zero.
-        Q: (..., 4, 4) matrices of ellipsoids, such as `Ellipsoid.quadric`.
-
-    Returns:
-        (...) averages of [x;1]ᵀ Q [x;1] over the mass: 1 if all is at the centre, ⅖ for a uniform
-        body that fills the ellipsoid, 0 if all is on the surface, for an `Ellipsoid.quadric`.
-    """
-    trace, mass = _trace(phi, Q), np.asarray(phi, float)[..., 0]
-    if not (mass > 0).all():
-        raise ArgumentError(f"Averages over the mass need masses above zero; got {mass.tolist()}.")
-    return np.asarray(trace / mass)
-
-
 def is_realizable(phi: ArrayLike, Q: ArrayLike) -> NDArray[np.bool_]:
-    """Return whether mass inside of an ellipsoid can have these inertial parameters.
+    """Return whether mass inside of an ellipsoid can have inertial parameters φ (..., 10).
 
-    Args:
-        phi: (..., 10) inertial parameters.
-        Q: (..., 4, 4) matrices of ellipsoids, [x;1]ᵀ Q [x;1] ≥ 0 inside.
-
-    Returns:
-        (...) booleans, P(φ) ≻ 0 and tr(P(φ) Q) ≥ 0 ([Lee2019] Eqs. (3.2.7), (3.5.46)).
+    The ellipsoids are [x;1]ᵀ Q [x;1] ≥ 0 of Q (..., 4, 4); what is asked is P(φ) ≻ 0 and
+    tr(P(φ) Q) ≥ 0 ([Lee2019] Eqs. (3.2.7), (3.5.46)).
     """
-    return np.asarray(is_physical(phi) & (_trace(phi, Q) >= 0))
-
-
-def _trace(phi: ArrayLike, Q: ArrayLike) -> Array:
-    """tr(P(φ) Q), (...)."""
     sizes: Sizes = {}
     phi, Q = checked_phi(phi, "phi", sizes), real_array(Q, "Q", ("...", 4, 4), sizes)
-    return np.asarray(np.einsum("...ij,...ij->...", pseudo_inertia(phi), Q))
+    trace = np.einsum("...ij,...ij->...", pseudo_inertia(phi), Q)
+    return np.asarray(is_physical(phi) & (trace >= 0))
 
 
 def realizability_row(Q: ArrayLike) -> Array:
@@ -222,15 +189,13 @@ def realizability_row(Q: ArrayLike) -> Array:
 
 
 def bounding_ellipsoid(points: ArrayLike, *, tolerance: float = 1e-6) -> Ellipsoid:
-    """Return the smallest ellipsoid around points, by Khachiyan's algorithm.
+    """Return the smallest ellipsoid around points (k, 3), m, by Khachiyan's algorithm.
+
+    It contains every point.
 
     Args:
-        points: (k, 3) points in B, m.
         tolerance: How much farther out than the smallest ellipsoid's surface a point may be before
             all is scaled to contain it, in squared relative distance, beyond rounding.
-
-    Returns:
-        An ellipsoid that contains every point.
     """
     positive(tolerance, "tolerance")
     points = real_array(points, "points", ("k", 3))

@@ -52,14 +52,7 @@ def calc_dual(covector: Array) -> Array:
 
 
 def calc_from_mass_com_inertia(mass: Array, com: Array, inertia_com: Array) -> Array:
-    """φ (..., 10) of masses (...), centres (..., 3) and central inertias (..., 3, 3).
-
-    Args:
-        mass: (...) masses, kg.
-        com: (..., 3) centres of mass p_BoBcm_B, m.
-        inertia_com: (..., 3, 3) rotational inertias about the centres of mass, expressed in B,
-            kg·m².
-    """
+    """φ (..., 10) of masses (...), centres (..., 3) and central inertias (..., 3, 3)."""
     squared = (com * com).sum(-1)[..., None, None] * _IDENTITY - com[..., :, None] * com[
         ..., None, :
     ]
@@ -69,13 +62,7 @@ def calc_from_mass_com_inertia(mass: Array, com: Array, inertia_com: Array) -> A
 
 
 def calc_change_frame(phi: Array, R_AB: Array, p_AoBo_A: Array) -> Array:
-    """φ (..., 10) about Ao in A of φ about Bo in B.
-
-    Args:
-        phi: (..., 10) inertial parameters about Bo, expressed in B.
-        R_AB: (..., 3, 3) rotations of B in A.
-        p_AoBo_A: (..., 3) positions of Bo from Ao, expressed in A, m.
-    """
+    """φ (..., 10) about Ao in A of φ about Bo in B; see `change_frame`."""
     H_AB = np.zeros((*np.broadcast_shapes(R_AB.shape[:-2], p_AoBo_A.shape[:-1]), 4, 4))
     H_AB[..., :3, :3], H_AB[..., :3, 3], H_AB[..., 3, 3] = R_AB, p_AoBo_A, 1.0
     return calc_from_pseudo_inertia(H_AB @ calc_pseudo_inertia(phi) @ np.swapaxes(H_AB, -1, -2))

@@ -31,46 +31,31 @@ _IDENTITY = np.eye(3)
 def checked_phi(phi: ArrayLike, name: str = "phi", sizes: Sizes | None = None) -> Array:
     """Inertial parameters (..., 10); ArgumentError if they are something else, or not finite.
 
-    Args:
-        phi: What the caller passed.
-        name: What messages call it.
-        sizes: Lengths of the axes `...` so far; completed by this array.
+    The lengths of the axes `...` so far are completed by this array.
     """
     return real_array(phi, name, ("...", PARAMETERS_PER_BODY), sizes)
 
 
 def rotational_inertia(phi: ArrayLike) -> Array:
-    """Rotational inertia matrix I_BBo_B.
+    """Rotational inertia matrices I_BBo_B (..., 3, 3), kg·m², of φ (..., 10).
 
-    Args:
-        phi: (..., 10) inertial parameters.
-
-    Returns:
-        (..., 3, 3) symmetric matrices, kg·m² ([Lee2019] Eq. (B.1.1)).
+    [Lee2019] Eq. (B.1.1).
     """
     return calc_rotational_inertia(checked_phi(phi))
 
 
 def pseudo_inertia(phi: ArrayLike) -> Array:
-    """Pseudo inertia P(φ) of inertial parameters.
+    """Pseudo inertia P(φ) = [[Σ, h], [hᵀ, m]] (..., 4, 4) of φ (..., 10).
 
-    Args:
-        phi: (..., 10) inertial parameters.
-
-    Returns:
-        (..., 4, 4) symmetric matrices [[Σ, h], [hᵀ, m]] ([Lee2019] Eq. (B.1.4)).
+    [Lee2019] Eq. (B.1.4).
     """
     return calc_pseudo_inertia(checked_phi(phi))
 
 
 def from_pseudo_inertia(matrix: ArrayLike) -> Array:
-    """Inertial parameters of a pseudo inertia, the inverse of `pseudo_inertia`.
+    """Inertial parameters (..., 10) of symmetric P (..., 4, 4), the inverse of `pseudo_inertia`.
 
-    Args:
-        matrix: (..., 4, 4) symmetric matrices.
-
-    Returns:
-        (..., 10) inertial parameters ([Lee2019] Eq. (B.1.6)).
+    [Lee2019] Eq. (B.1.6).
     """
     return calc_from_pseudo_inertia(real_array(matrix, "matrix", ("...", 4, 4)))
 
@@ -81,40 +66,27 @@ def pseudo_inertia_basis() -> Array:
 
 
 def dual(covector: ArrayLike) -> Array:
-    """The matrix X(a) of a linear function aᵀφ, such that aᵀφ = tr(P(φ) X(a)).
+    """The matrices X(a) (..., 4, 4) with aᵀφ = tr(P(φ) X(a)), of a (..., 10).
 
-    Args:
-        covector: (..., 10) coefficients a, in the order of φ.
-
-    Returns:
-        (..., 4, 4) symmetric matrices ([Lee2019] Eqs. (B.1.8), (B.1.9)).
+    [Lee2019] Eqs. (B.1.8), (B.1.9).
     """
     return calc_dual(checked_phi(covector, "covector"))
 
 
 def from_dual(matrix: ArrayLike) -> Array:
-    """The covector a of a symmetric matrix X(a), the inverse of `dual`.
-
-    Args:
-        matrix: (..., 4, 4) symmetric matrices, such as the Q of an ellipsoid.
-
-    Returns:
-        (..., 10) coefficients tr(P(eᵢ) X).
-    """
+    """The covectors tr(P(eᵢ) X) (..., 10) of symmetric X (..., 4, 4), the inverse of `dual`."""
     matrix = real_array(matrix, "matrix", ("...", 4, 4))
     return np.asarray(np.einsum("...ab,iab->...i", matrix, BASIS))
 
 
 def is_physical(phi: ArrayLike, *, tolerance: float = 0.0) -> NDArray[np.bool_]:
-    """Whether P(φ) ≻ 0, so that a body of positive density can have these parameters.
+    """Whether P(φ) ≻ 0 (...), so that a body of positive density can have φ (..., 10).
+
+    With NaN or infinity they are not physical ([Lee2019] Eq. (3.2.7)).
 
     Args:
-        phi: (..., 10) inertial parameters; with NaN or infinity they are not physical.
         tolerance: Least ratio of P's smallest to its largest eigenvalue that counts, in units
             where the largest diagonal second moment is the mass (so it does not depend on units).
-
-    Returns:
-        (...) booleans ([Lee2019] Eq. (3.2.7)).
     """
     phi = real_array(phi, "phi", ("...", PARAMETERS_PER_BODY), finite=False)
     tolerance = number(tolerance, "tolerance")
@@ -132,15 +104,12 @@ def is_physical(phi: ArrayLike, *, tolerance: float = 0.0) -> NDArray[np.bool_]:
 
 
 def from_mass_com_inertia(mass: ArrayLike, com: ArrayLike, inertia_com: ArrayLike) -> Array:
-    """Inertial parameters from mass, centre of mass and central inertia.
+    """Inertial parameters (..., 10) about Bo from mass, centre of mass and central inertia.
 
     Args:
         mass: (...) masses, kg.
         com: (..., 3) centres of mass p_BoBcm_B, m.
         inertia_com: (..., 3, 3) rotational inertias I_BBcm_B about the centre of mass, kg·m².
-
-    Returns:
-        (..., 10) inertial parameters about Bo.
     """
     sizes: Sizes = {}
     mass = real_array(mass, "mass", ("...",), sizes)
@@ -152,13 +121,9 @@ def from_mass_com_inertia(mass: ArrayLike, com: ArrayLike, inertia_com: ArrayLik
 
 
 def to_mass_com_inertia(phi: ArrayLike) -> tuple[Array, Array, Array]:
-    """Mass, centre of mass and central inertia, the inverse of `from_mass_com_inertia`.
+    """Mass (...), centre of mass (..., 3) and central inertia (..., 3, 3) of φ (..., 10).
 
-    Args:
-        phi: (..., 10) inertial parameters with mass other than zero.
-
-    Returns:
-        mass (...), com (..., 3) and inertia_com (..., 3, 3).
+    The inverse of `from_mass_com_inertia`; no mass may be zero.
     """
     phi = checked_phi(phi)
     mass = phi[..., 0]
@@ -172,15 +137,13 @@ def to_mass_com_inertia(phi: ArrayLike) -> tuple[Array, Array, Array]:
 
 
 def change_frame(phi: ArrayLike, R_AB: ArrayLike, p_AoBo_A: ArrayLike) -> Array:
-    """Inertial parameters about Ao, expressed in A, of a body known about Bo in B.
+    """Inertial parameters (..., 10) about Ao, expressed in A, of bodies φ known about Bo in B.
+
+    [Lee2019] Eq. (3.3.24).
 
     Args:
-        phi: (..., 10) inertial parameters in B.
         R_AB: (..., 3, 3) rotation of B in A.
         p_AoBo_A: (..., 3) position of Bo from Ao, expressed in A, m.
-
-    Returns:
-        (..., 10) inertial parameters in A ([Lee2019] Eq. (3.3.24)).
     """
     sizes: Sizes = {}
     phi = checked_phi(phi, "phi", sizes)
@@ -190,29 +153,24 @@ def change_frame(phi: ArrayLike, R_AB: ArrayLike, p_AoBo_A: ArrayLike) -> Array:
 
 
 def change_units(phi: ArrayLike, *, metre: float, kilogram: float) -> Array:
-    """Inertial parameters in other units of length and mass.
+    """The numbers (..., 10) of the same bodies in other units of length and mass.
+
+    [Lee2019] Eq. (3.3.24).
 
     Args:
-        phi: (..., 10) inertial parameters in SI.
         metre: One metre in the new unit, such as 39.37 for inches.
         kilogram: One kilogram in the new unit.
-
-    Returns:
-        (..., 10) the numbers of the same bodies in the new units ([Lee2019] Eq. (3.3.24)).
     """
     metre, kilogram = positive(metre, "metre"), positive(kilogram, "kilogram")
     return checked_phi(phi) * kilogram * metre ** np.repeat([0, 1, 2], [1, 3, 6])
 
 
 def from_point_masses(masses: ArrayLike, positions: ArrayLike) -> Array:
-    """Inertial parameters of a set of point masses.
+    """Inertial parameters (..., 10) of Σ mₖ [xₖ;1][xₖ;1]ᵀ ([Lee2019] Eq. (3.2.5)).
 
     Args:
         masses: (..., k) masses, kg; negative ones take mass away.
         positions: (..., k, 3) positions from Bo, expressed in B, m.
-
-    Returns:
-        (..., 10) parameters of Σ mₖ [xₖ;1][xₖ;1]ᵀ ([Lee2019] Eq. (3.2.5)).
     """
     sizes: Sizes = {}
     masses = real_array(masses, "masses", ("...", "k"), sizes)
@@ -223,13 +181,9 @@ def from_point_masses(masses: ArrayLike, positions: ArrayLike) -> Array:
 
 
 def pullback_metric(phi: ArrayLike) -> Array:
-    """Metric g(φ) of the affine-invariant distance, pulled back to inertial parameters.
+    """Metric g(φ) = ½ tr(P⁻¹ P(e_i) P⁻¹ P(e_j)) (..., 10, 10) of physical bodies φ (..., 10).
 
-    Args:
-        phi: (..., 10) physical inertial parameters.
-
-    Returns:
-        (..., 10, 10) matrices ½ tr(P⁻¹ P(e_i) P⁻¹ P(e_j)) ([Lee2019] Eq. (B.1.7)).
+    The affine-invariant one, pulled back to inertial parameters ([Lee2019] Eq. (B.1.7)).
     """
     phi = checked_phi(phi)
     bad = np.flatnonzero(~is_physical(phi)).tolist()
@@ -266,13 +220,9 @@ class PrincipalAxes(Short):
 
 
 def central_second_moment(phi: ArrayLike) -> Array:
-    """Second moment matrix about the centre of mass, Σᶜ = Σ − m p pᵀ.
+    """Second moments Σᶜ = Σ − m p pᵀ (..., 3, 3), kg·m², about the centre of mass.
 
-    Args:
-        phi: (..., 10) inertial parameters with mass other than zero.
-
-    Returns:
-        (..., 3, 3) symmetric matrices, kg·m² ([Lee2019] Eq. (3.3.17)).
+    [Lee2019] Eq. (3.3.17).
     """
     matrix = pseudo_inertia(phi)
     h, mass = matrix[..., :3, 3], matrix[..., 3, 3]
@@ -284,11 +234,7 @@ def central_second_moment(phi: ArrayLike) -> Array:
 
 
 def principal_axes(phi: ArrayLike) -> PrincipalAxes:
-    """Principal axes of bodies.
-
-    Args:
-        phi: (..., 10) inertial parameters with mass other than zero.
-    """
+    """Principal axes of bodies φ (..., 10) with a mass."""
     phi = checked_phi(phi)
     values, axes = np.linalg.eigh(central_second_moment(phi))
     handedness = np.where(np.linalg.det(axes) < 0, -1.0, 1.0)
@@ -298,15 +244,10 @@ def principal_axes(phi: ArrayLike) -> PrincipalAxes:
 
 
 def triangle_margins(phi: ArrayLike) -> Array:
-    """By how much each principal moment is less than the sum of the other two.
+    """By how much each principal moment is less than the sum of the other two, (..., 3).
 
-    Args:
-        phi: (..., 10) inertial parameters with mass other than zero.
-
-    Returns:
-        (..., 3) margins (J₂ + J₃ − J₁) / (J₁ + J₂ + J₃) and so on, in ascending order: all above
-        zero for a body that can exist, zero for a flat one, and they add up to one ([Lee2019]
-        Eqs. (3.2.8)–(3.2.10)).
+    Margins (J₂ + J₃ − J₁) / (J₁ + J₂ + J₃) and so on, in ascending order: all above zero for a body
+    that can exist, zero for a flat one, and they add up to one ([Lee2019] Eqs. (3.2.8)–(3.2.10)).
     """
     values = principal_axes(phi).second_moments
     if not (extent := values.sum(-1) > 0).all():

@@ -33,11 +33,6 @@ class Perturbation(Short):
     distances: Array
     rejected: int
 
-    @property
-    def total_distances(self) -> Array:
-        """(count,) distances of all bodies together ([Lee2019] Eq. (3.3.26))."""
-        return np.asarray(np.linalg.norm(self.distances, axis=1))
-
 
 def perturb(
     phi: ArrayLike,
@@ -58,8 +53,6 @@ def perturb(
 
     Args:
         phi: (nb, 10) physical inertial parameters.
-        count: Number of draws of all bodies.
-        rng: Source of the random numbers.
         mass_uncertainty: δ in (0, 1).
         point_masses: Number of point masses a body.
         support: Ellipsoids of the bodies, of shape (nb,), or one for all; the equivalent uniform

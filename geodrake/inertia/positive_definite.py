@@ -7,7 +7,7 @@ The source has a factor ½ in its metric (2.2.5), but none in its distance (2.2.
 
     distance(P, P + dP)² ≈ 2 inner_product(P, dP, dP) ≈ 2 log_det_divergence(P + dP, P)
 
-All functions broadcast over leading axes.
+Matrices are (..., n, n), positive definite if nothing else is said; functions broadcast.
 """
 
 from __future__ import annotations
@@ -27,15 +27,9 @@ _SERIES = 1e-3  # logarithm below which eˣ − 1 − x is precise as a series
 
 
 def inner_product(P: ArrayLike, X: ArrayLike, Y: ArrayLike) -> Array:
-    """Affine-invariant metric ⟨X, Y⟩_P = ½ tr(P⁻¹ X P⁻¹ Y).
+    """Affine-invariant metric ⟨X, Y⟩_P = ½ tr(P⁻¹ X P⁻¹ Y) (...), of symmetric X and Y.
 
-    Args:
-        P: (..., n, n) positive-definite matrices.
-        X: (..., n, n) symmetric matrices, tangent at P.
-        Y: (..., n, n) symmetric matrices, tangent at P.
-
-    Returns:
-        (...) numbers ([Lee2019] Eq. (2.2.5), with its ½).
+    [Lee2019] Eq. (2.2.5), with its ½.
     """
     _, inverse = whitening(P)
     whitened = [congruent(inverse, _tangent(V, inverse)) for V in (X, Y)]
@@ -43,15 +37,10 @@ def inner_product(P: ArrayLike, X: ArrayLike, Y: ArrayLike) -> Array:
 
 
 def exponential(P: ArrayLike, V: ArrayLike) -> Array:
-    """Where the geodesic that leaves P with velocity V is at time one.
+    """Where the geodesic that leaves P with velocity V, symmetric, is at time one.
 
-    Args:
-        P: (..., n, n) positive-definite matrices.
-        V: (..., n, n) symmetric matrices, tangent at P.
-
-    Returns:
-        (..., n, n) matrices P^½ exp(P^-½ V P^-½) P^½ ([Lee2019] Eq. (2.2.9)), symmetric and, as far
-        as rounding lets them, positive definite however long V is.
+    P^½ exp(P^-½ V P^-½) P^½ ([Lee2019] Eq. (2.2.9)), symmetric and, as far as rounding lets it,
+    positive definite however long V is.
     """
     L, inverse = whitening(P)
     rates, axes = np.linalg.eigh(congruent(inverse, _tangent(V, inverse)))
@@ -61,12 +50,7 @@ def exponential(P: ArrayLike, V: ArrayLike) -> Array:
 def logarithm(P1: ArrayLike, P2: ArrayLike) -> Array:
     """Velocity at P1 of the geodesic that reaches P2 at time one, the inverse of `exponential`.
 
-    Args:
-        P1: (..., n, n) positive-definite matrices.
-        P2: (..., n, n) positive-definite matrices.
-
-    Returns:
-        (..., n, n) symmetric matrices ([Lee2019] Eq. (2.2.8)).
+    [Lee2019] Eq. (2.2.8).
     """
     L, _ = whitening(P1)
     logs, axes = relative_spectrum(P1, P2)
@@ -75,15 +59,9 @@ def logarithm(P1: ArrayLike, P2: ArrayLike) -> Array:
 
 
 def geodesic(P1: ArrayLike, P2: ArrayLike, t: ArrayLike) -> Array:
-    """The minimal geodesic from P1 at t = 0 to P2 at t = 1.
+    """The minimal geodesic from P1 at t = 0 to P2 at t = 1, which goes on before and after.
 
-    Args:
-        P1: (..., n, n) positive-definite matrices.
-        P2: (..., n, n) positive-definite matrices.
-        t: (...) times; outside of [0, 1] the geodesic goes on.
-
-    Returns:
-        (..., n, n) matrices P1^½ (P1^-½ P2 P1^-½)ᵗ P1^½ ([Lee2019] Eq. (2.2.7)).
+    P1^½ (P1^-½ P2 P1^-½)ᵗ P1^½ at times t (...) ([Lee2019] Eq. (2.2.7)).
     """
     L, _ = whitening(P1)
     logs, axes = relative_spectrum(P1, P2)
@@ -92,31 +70,18 @@ def geodesic(P1: ArrayLike, P2: ArrayLike, t: ArrayLike) -> Array:
 
 
 def distance(P1: ArrayLike, P2: ArrayLike) -> Array:
-    """Geodesic distance √(Σ log² λᵢ), with λ the eigenvalues of P1⁻¹ P2.
+    """Geodesic distances (...) √(Σ log² λᵢ), with λ the eigenvalues of P1⁻¹ P2.
 
     This is √2 times the length of the geodesic in the metric (2.2.5), whose ½ the source leaves out
     here ([Lee2019] Eq. (2.2.10)).
-
-    Args:
-        P1: (..., n, n) positive-definite matrices.
-        P2: (..., n, n) positive-definite matrices.
-
-    Returns:
-        (...) distances.
     """
     return np.asarray(np.linalg.norm(relative_logarithms(P1, P2), axis=-1))
 
 
 def log_det_divergence(P1: ArrayLike, P2: ArrayLike) -> Array:
-    """Log-det divergence −log|P2⁻¹ P1| + tr(P2⁻¹ P1) − n = Σ (λᵢ − 1 − log λᵢ).
+    """Log-det divergences (...) −log|P2⁻¹ P1| + tr(P2⁻¹ P1) − n = Σ (λᵢ − 1 − log λᵢ) ≥ 0.
 
-    Args:
-        P1: (..., n, n) positive-definite matrices.
-        P2: (..., n, n) positive-definite matrices.
-
-    Returns:
-        (...) divergences d(P1‖P2) ≥ 0, zero just when P1 = P2 ([Lee2019] Eq. (2.2.14) with −n for
-        its −4, and Eq. (2.2.15)).
+    Zero just when P1 = P2 ([Lee2019] Eq. (2.2.14) with −n for its −4, and Eq. (2.2.15)).
     """
     logs = relative_logarithms(P2, P1)
     series = 0.5 * logs**2 * (1.0 + logs / 3.0 * (1.0 + logs / 4.0 * (1.0 + logs / 5.0)))
@@ -125,15 +90,7 @@ def log_det_divergence(P1: ArrayLike, P2: ArrayLike) -> Array:
 
 
 def relative_logarithms(P1: ArrayLike, P2: ArrayLike) -> Array:
-    """Logarithms of the eigenvalues of P1⁻¹ P2, which is all that P1 and P2 differ by.
-
-    Args:
-        P1: (..., n, n) positive-definite matrices.
-        P2: (..., n, n) positive-definite matrices.
-
-    Returns:
-        (..., n) logarithms in ascending order.
-    """
+    """Logarithms (..., n) of the eigenvalues of P1⁻¹ P2, ascending: all that they differ by."""
     return relative_spectrum(P1, P2)[0]
 
 
@@ -141,12 +98,6 @@ def whitening(P: ArrayLike) -> tuple[Array, Array]:
     """Lower triangular L with P = L Lᵀ, and its inverse.
 
     P is scaled to a unit diagonal first, so that units do not cost precision.
-
-    Args:
-        P: (..., n, n) positive-definite matrices.
-
-    Returns:
-        L and L⁻¹, both (..., n, n).
     """
     P = real_array(P, "P", ("...", "n", "n"), finite=False)
     diagonal = np.diagonal(P, axis1=-2, axis2=-1)
@@ -191,23 +142,13 @@ def _tangent(V: ArrayLike, L: Array) -> Array:
 
 
 def congruent(G: Array, V: Array) -> Array:
-    """G V Gᵀ, exactly symmetric.
-
-    Args:
-        G: (..., m, n) matrices.
-        V: (..., n, n) symmetric matrices.
-    """
+    """G V Gᵀ, exactly symmetric, of G (..., m, n) and symmetric V (..., n, n)."""
     product = G @ V @ np.swapaxes(G, -1, -2)
     return np.asarray(0.5 * (product + np.swapaxes(product, -1, -2)))
 
 
 def from_root(side: Array, half_logs: Array) -> Array:
-    """Side exp(2 half_logs) sideᵀ, exactly symmetric.
-
-    Args:
-        side: (..., n, n) matrices.
-        half_logs: (..., n) half the logarithms of the diagonal between the two sides.
-    """
+    """Side exp(2 half_logs) sideᵀ, exactly symmetric, of (..., n, n) and (..., n)."""
     root = side * np.exp(half_logs)[..., None, :]
     return np.asarray(root @ np.swapaxes(root, -1, -2))
 
@@ -217,10 +158,6 @@ def relative_spectrum(P1: ArrayLike, P2: ArrayLike) -> tuple[Array, Array]:
 
     Close matrices are compared by their difference, others by their roots: either way the small
     eigenvalues are as precise as they can be.
-
-    Args:
-        P1: (..., n, n) positive-definite matrices, from which the logarithms are counted.
-        P2: (..., n, n) positive-definite matrices.
     """
     _, inverse = whitening(P1)
     L2, _ = whitening(P2)
@@ -253,9 +190,6 @@ def karcher_mean(
         tolerance: Distance from the exact mean at which to stop, unless rounding hides what is
             left of it.
         max_iterations: Newton steps after which to give up.
-
-    Returns:
-        (..., n, n) means.
     """
     integer(max_iterations, "max_iterations", lower=1)
     positive(tolerance, "tolerance")

@@ -19,14 +19,9 @@ from geodrake.inertia.parameters import (
 
 
 def spatial_inertia_matrix(phi: ArrayLike) -> Array:
-    """Spatial inertia G(φ) = [[I, [h]], [[h]ᵀ, m 𝟙]] about Bo, expressed in B.
+    """Spatial inertia G(φ) = [[I, [h]], [[h]ᵀ, m 𝟙]] (..., 6, 6) about Bo, of φ (..., 10).
 
-    Args:
-        phi: (..., 10) inertial parameters.
-
-    Returns:
-        (..., 6, 6) symmetric matrices with T = ½ Vᵀ G V for V = (ω, v) ([Lee2019] Eq. (3.2.3)):
-        rotation first, as in Drake.
+    T = ½ Vᵀ G V for V = (ω, v) ([Lee2019] Eq. (3.2.3)): rotation first, as in Drake.
     """
     phi = checked_phi(phi)
     matrix = np.zeros((*phi.shape[:-1], 6, 6))
@@ -39,14 +34,7 @@ def spatial_inertia_matrix(phi: ArrayLike) -> Array:
 
 
 def from_spatial_inertia_matrix(matrix: ArrayLike) -> Array:
-    """Inertial parameters of a spatial inertia, the inverse of `spatial_inertia_matrix`.
-
-    Args:
-        matrix: (..., 6, 6) symmetric matrices, rotation first.
-
-    Returns:
-        (..., 10) inertial parameters.
-    """
+    """Inertial parameters (..., 10) of G (..., 6, 6), the inverse of `spatial_inertia_matrix`."""
     matrix = real_array(matrix, "matrix", ("...", 6, 6))
     places = ((5, 5), (2, 4), (0, 5), (1, 3), (0, 0), (1, 1), (2, 2), (0, 1), (1, 2), (2, 0))
     return np.stack([matrix[..., i, j] for i, j in places], -1)
@@ -71,14 +59,9 @@ def to_spatial_inertia(phi: ArrayLike) -> SpatialInertia:
 
 
 def inertial_parameters(plant: MultibodyPlant, context: Context | None = None) -> Array:
-    """Inertial parameters of a plant's bodies.
+    """Inertial parameters (nb, 10) of `lumped_bodies(plant)`, each in its representative's frame.
 
-    Args:
-        plant: A finalized plant.
-        context: Where to read the parameters; the plant's default values if None.
-
-    Returns:
-        (nb, 10) parameters of `lumped_bodies(plant)`, each in the frame of its representative.
+    They are those of a Context; the plant's default values if None.
     """
     check_plant(plant)
     if context is None:

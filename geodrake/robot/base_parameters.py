@@ -61,12 +61,6 @@ class BaseParameters(Short):
         """Parameters that have no influence at all."""
         return tuple(np.flatnonzero(~self.matrix.any(axis=0)).tolist())
 
-    @property
-    def separate(self) -> tuple[int, ...]:
-        """Parameters that are base parameters by themselves, so that data alone identify them."""
-        alone = np.count_nonzero(self.matrix, axis=1) == 1
-        return tuple(self.independent[alone].tolist())
-
     def regressor(self, regressor: ArrayLike) -> Array:
         """Y_B (..., n_B) of a regressor Y (..., p) of the same kind: the independent columns.
 

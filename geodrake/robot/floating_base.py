@@ -18,7 +18,7 @@ from numpy.typing import ArrayLike
 from pydrake.math import RigidTransform
 from pydrake.multibody.plant import MultibodyPlant
 
-from geodrake.boundary.arguments import integer, number, real_array
+from geodrake.boundary.arguments import number, real_array
 from geodrake.compiling import contiguous
 from geodrake.errors import ArgumentError
 from geodrake.inertia import PARAMETERS_PER_BODY, Array
@@ -69,21 +69,6 @@ def base_wrench_regressor(
     which = tree.num_velocities, -1, False
     calc_regressor(on_a_free_world(tree).records, samples, which, regressor)
     return regressor if X_WP is None else wrench_map(X_WP, len(q)) @ regressor
-
-
-def wrench_map(X_WP: RigidTransform | ArrayLike, count: int) -> Array:
-    """Return (6, 6) or (count, 6, 6) maps of wrenches about Wo in W to those about Po in P."""
-    return _wrench_map(_poses(X_WP, integer(count, "count", lower=0), "X_WP"))
-
-
-def move_wrench(wrench: ArrayLike, X_QP: RigidTransform | ArrayLike) -> Array:
-    """Return wrenches (N, 6) about Po in P as those about Qo in Q, by X_QP, one or (N, 4, 4).
-
-    Wrenches of several force plates or contacts can be added once they are about one point.
-    """
-    wrench = real_array(wrench, "wrench", ("N", 6))
-    inverse = np.asarray(np.linalg.inv(_poses(X_QP, len(wrench), "X_QP")), float)
-    return np.asarray(np.einsum("...ij,...j->...i", _wrench_map(inverse), wrench))
 
 
 def zero_moment_point(wrench: ArrayLike, *, height: float = 0.0) -> Array:
@@ -143,9 +128,9 @@ def on_a_free_world(tree: KinematicTree) -> KinematicTree:
     return replace(tree, mobilizers=tuple(mobilizers), num_velocities=own.stop)
 
 
-def _poses(X: RigidTransform | ArrayLike, count: int, name: str) -> Array:
+def _poses(X: RigidTransform | ArrayLike, count: int) -> Array:
     """A pose, or one for each sample, as homogeneous matrices."""
-    poses = real_array(X.GetAsMatrix4() if isinstance(X, RigidTransform) else X, name)
+    poses = real_array(X.GetAsMatrix4() if isinstance(X, RigidTransform) else X, "X_WP")
     if poses.shape not in ((4, 4), (count, 4, 4)):
         raise ArgumentError(
             f"The pose has the shape {poses.shape}, expected one pose (4, 4) or {count} of them."
@@ -161,8 +146,9 @@ def _poses(X: RigidTransform | ArrayLike, count: int, name: str) -> Array:
     return poses
 
 
-def _wrench_map(X: Array) -> Array:
-    """(..., 6, 6) maps of wrenches about Wo in W to the same about Po in P, of poses X_WP."""
+def wrench_map(X_WP: RigidTransform | ArrayLike, count: int) -> Array:
+    """Return (6, 6) or (count, 6, 6) maps of wrenches about Wo in W to the same about Po in P."""
+    X = _poses(X_WP, count)
     R_PW, p = np.swapaxes(X[..., :3, :3], -1, -2), X[..., :3, 3]
     full = np.zeros((*X.shape[:-2], 6, 6))
     full[..., :3, :3] = full[..., 3:, 3:] = R_PW

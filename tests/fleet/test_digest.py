@@ -10,6 +10,7 @@ import coupled_arm
 import numpy as np
 import pytest
 from chain_logs import chain_log
+from own_transmission import OwnTransmission
 
 from geodrake.errors import DigestError, LogError
 from geodrake.fleet import (
@@ -34,7 +35,6 @@ from geodrake.identification.logs.model_fit import fit_model, model_unknowns
 from geodrake.logs.files import read_log
 from geodrake.logs.known_payload import KnownPayload
 from geodrake.model.saved_model import load_model
-from geodrake.robot.transmission import FunctionTransmission
 
 MODELS = Path(__file__).parents[2] / "models"
 FRICTION = np.array([6.0, 5.0, 4.0, 1.0, 1.0, 0.5])  # N·m
@@ -302,7 +302,7 @@ def test_what_does_not_add_up_is_refused(model, logs, settings, digests):
 
 def test_transmissions_by_other_functions_are_others():
     def of(ratio):
-        return FunctionTransmission(
+        return OwnTransmission(
             (1, 1), lambda q: ratio * q, lambda q: np.full((len(q), 1, 1), ratio)
         )
 

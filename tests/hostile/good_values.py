@@ -35,7 +35,7 @@ from geodrake.manifolds import PhysicalInertia, Positive
 from geodrake.manifolds.projections import slab
 from geodrake.robot.base_parameters import structural_base_parameters
 from geodrake.robot.regressor import inverse_dynamics_regressor
-from geodrake.robot.transmission import FunctionTransmission, LinearTransmission
+from geodrake.robot.transmission import LinearTransmission
 
 JOINTS, BODIES = ("shoulder", "elbow"), ("upper_link", "lower_link")
 rng = np.random.default_rng(0)
@@ -168,14 +168,6 @@ def friction(joint="shoulder"):
     return effects.ViscousFriction(joint)
 
 
-def own_transmission():
-    return FunctionTransmission(
-        (2, 2),
-        lambda q: q + 0.1 * np.sin(q),
-        lambda q: (1 + 0.1 * np.cos(q))[:, :, None] * np.eye(2),
-    )
-
-
 def factor(*, measured=False):
     """Information of a motion, with what was measured or without."""
     motion = Motion(Q, V, VD)
@@ -215,7 +207,6 @@ BY_TYPE = {
     "ConvexSet": lambda: LinearSet(polyhedron()),
     "Polyhedron": polyhedron,
     "Transmission": lambda: LinearTransmission.of([[1.0, 0.0], [1.0, 2.0]]),
-    "FunctionTransmission": own_transmission,
     "Effect": lambda: effects.CoulombFriction("elbow"),
     "EffectWithValues": lambda: (friction(), [0.3]),
     "ColumnMapping": lambda: None,
@@ -324,7 +315,6 @@ BY_CALL = {
     "LinearTransmission.of": {"matrix": [[1.0, 0.0], [1.0, 2.0]]},
     "LinearTransmission.from_ratios": {"joints": ("a", "b"), "actuators": ("a",),
         "ratios": {"a": {"a": 1.0}, "b": {"a": 2.0}}},
-    "FunctionTransmission": {"size": (2, 2)},
     "Shape": {"grid": (0.1, 0.2), "usual": 0.1},
     "effect_class": {"name": "payload"},
     "make_effect": {"name": "joint_spring", "shape": {"exponent": 3}},

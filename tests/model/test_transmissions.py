@@ -10,6 +10,7 @@ from coupled_arm import CURVED, WRIST, arm, log_of, motion_of, text
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from known_robots import assert_close
+from own_transmission import OwnTransmission
 from pydrake.systems.framework import DiagramBuilder
 
 from geodrake import load_model, save_model
@@ -29,7 +30,7 @@ from geodrake.model.logged_joints import model_of_logs
 from geodrake.robot import base_wrench_regressor, inverse_dynamics_regressor
 from geodrake.robot.effort_slopes import effort_slopes
 from geodrake.robot.regressor import inverse_dynamics
-from geodrake.robot.transmission import Drive, FunctionTransmission
+from geodrake.robot.transmission import Drive
 
 STEP = 1e-5
 J = np.array([[-1 / 8, 0, 0], [0, 0.5, 0.5], [0, 0.4, -0.4]])
@@ -321,7 +322,7 @@ def test_gears_leave_the_error_of_the_bodies_as_it_is(tmp_path_factory, ratios):
 
 
 def test_a_function_of_ones_own_serves_and_is_not_saved(wrist, tmp_path):
-    square = FunctionTransmission(
+    square = OwnTransmission(
         (3, 3), lambda q: q @ J.T + [0.0, 0.0, 0.1], lambda q: np.broadcast_to(J, (len(q), 3, 3))
     )
     drive = Drive(wrist.joints, ("shoulder", "pitch", "roll"), square)

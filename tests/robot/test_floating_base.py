@@ -29,7 +29,6 @@ from geodrake.robot.base_parameters import base_parameters, structural_base_para
 from geodrake.robot.floating_base import (
     base_wrench_regressor,
     body_poses,
-    move_wrench,
     zero_moment_point,
 )
 from geodrake.robot.kinematics import KinematicTree
@@ -113,19 +112,6 @@ def test_poses_are_drakes(kinds, seed):
             np.testing.assert_allclose(poses[i, b], X_WB.GetAsMatrix4(), atol=1e-12)
 
 
-def test_moved_wrenches_are_those_about_the_other_frame():
-    plant = load_plant(MODELS / "arm6.urdf").plant
-    motion = random_motion(plant, np.random.default_rng(4), 5)
-    X_WP = RigidTransform(RollPitchYaw(1, 2, 3), [0.3, -0.1, 0.2])
-    X_WQ = RigidTransform(RollPitchYaw(-1, 0.5, 2), [-0.5, 0.4, 1.0])
-    about_P, about_Q = (wrench(plant, *motion, X_WP=X) for X in (X_WP, X_WQ))
-    np.testing.assert_allclose(move_wrench(about_P, X_WQ.inverse() @ X_WP), about_Q, atol=1e-9)
-    F_P = SpatialForce(about_P[0, :3], about_P[0, 3:])
-    shifted = F_P.Shift(np.array([0.1, 0.2, 0.3]))  # Drake, from Po to Qo
-    ours = move_wrench(about_P, RigidTransform([-0.1, -0.2, -0.3]))[0]
-    np.testing.assert_allclose(ours, np.r_[shifted.rotational(), shifted.translational()])
-
-
 @settings(max_examples=50)
 @given(st.integers(0, 2**32 - 1), st.floats(-1, 1))
 def test_zero_moment_point_is_the_centre_of_pressure(seed, height):
@@ -158,10 +144,6 @@ def test_bad_input():
         base_wrench_regressor(tree, still, still, still, X_WP=2 * np.eye(4))
     with pytest.raises(ArgumentError, match=r"\(N, 6\)"):
         zero_moment_point(np.zeros(6))
-    with pytest.raises(ArgumentError, match=r"\(N, 6\) .* \(3, 5\)"):
-        move_wrench(np.zeros((3, 5)), np.eye(4))
-    with pytest.raises(ArgumentError, match="R Rᵀ is 1 off"):
-        move_wrench(np.zeros((3, 6)), np.zeros((4, 4)))
     assert base_wrench_regressor(tree, *np.zeros((3, 0, 6))).shape == (0, 6, 60)
 
 

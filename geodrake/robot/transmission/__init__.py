@@ -10,7 +10,6 @@ rotors. Friction and inertia *on the actuator's side* are effects in q, q̇, q̈
 """
 
 from geodrake.robot.transmission.base import (
-    FunctionTransmission,
     InSequence,
     LinearTransmission,
     SideBySide,
@@ -22,7 +21,6 @@ from geodrake.robot.transmission.drive import Drive
 
 __all__ = [
     "Drive",
-    "FunctionTransmission",
     "InSequence",
     "LinearTransmission",
     "SideBySide",

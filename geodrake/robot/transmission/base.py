@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import abc
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
 
@@ -19,11 +19,13 @@ from geodrake.logs.motion import Motion
 
 _STEP = 2e-3  # rad or m: fourth order differences err by about 1e-12
 _MOST_ITERATIONS = 50
-_MOST_CONDITION = 1e12
 
 
 class Transmission(abc.ABC):
-    """A smooth map from n actuator coordinates to k joint positions, for many samples at once."""
+    """A smooth map from n actuator coordinates to k joint positions, for many samples at once.
+
+    One of your own, a linkage or a cam, defines `shape`, `joint_positions` and `jacobian`.
+    """
 
     @property
     @abc.abstractmethod
@@ -76,26 +78,15 @@ class Transmission(abc.ABC):
 
     def joint_motion(self, motion: Motion) -> Motion:
         """Return the joints' motion, of a motion of the actuators."""
-        q, v, vd = self._motion(motion, self.num_actuators)
+        instance(motion, "motion", Motion)
+        sizes: Sizes = {}
+        q, v, vd = (
+            real_array(getattr(motion, name), f"motion.{name}", ("N", self.num_actuators), sizes)
+            for name in ("q", "v", "vd")
+        )
         J = self.jacobian(q)
         acceleration = times(J, vd) + times(self.jacobian_rate(q, v), v)
         return Motion(self.joint_positions(q), times(J, v), acceleration, motion.time)
-
-    def actuator_motion(self, motion: Motion, *, start: ArrayLike = 0.0) -> Motion:
-        """Return the actuators' motion, of a motion of the joints that fits the transmission.
-
-        Velocities and accelerations that do not fit are taken in the sense of least squares.
-
-        Args:
-            motion: (N, k) positions, velocities and accelerations of the joints.
-            start: (n,) or (N, n) actuator positions near the solution, for maps with several.
-        """
-        theta, w, wd = self._motion(motion, self.num_joints)
-        q = self.actuator_positions(theta, start=start)
-        inverse = np.asarray(np.linalg.pinv(self._regular_jacobian(q)), float)
-        v = times(inverse, w)
-        vd = times(inverse, wd - times(self.jacobian_rate(q, v), v))
-        return Motion(q, v, vd, motion.time)
 
     def actuator_efforts(self, q: ArrayLike, efforts: ArrayLike) -> Array:
         """τ_q = Jᵀ τ_θ (N, n), of the joints' efforts (N, k), N·m or N, at q (N, n)."""
@@ -103,22 +94,6 @@ class Transmission(abc.ABC):
         q = self._q(q, sizes)
         efforts = real_array(efforts, "efforts", ("N", self.num_joints), sizes)
         return times(np.swapaxes(self.jacobian(q), 1, 2), efforts)
-
-    def joint_efforts(self, q: ArrayLike, efforts: ArrayLike) -> Array:
-        """τ_θ = J⁻ᵀ τ_q (N, k), of the actuators' efforts (N, n), N·m or N, at q (N, n)."""
-        sizes: Sizes = {}
-        q = self._q(q, sizes)
-        efforts = real_array(efforts, "efforts", ("N", self.num_actuators), sizes)
-        if self.num_joints != self.num_actuators:
-            raise ArgumentError(
-                f"{self.num_actuators} efforts of actuators do not determine those of "
-                f"{self.num_joints} joints.",
-                advice="Compare efforts on the actuators' side, with `actuator_efforts` and "
-                "`regressor`.",
-            )
-        J = self._regular_jacobian(q)
-        solved = np.linalg.solve(np.swapaxes(J, 1, 2), efforts[:, :, None])
-        return np.asarray(solved[:, :, 0], float)
 
     def regressor(self, q: ArrayLike, regressor: ArrayLike) -> Array:
         """Y_q = Jᵀ Y_θ (N, n, p), of the tree's regressor (N, k, p) at `joint_motion`'s samples."""
@@ -130,25 +105,6 @@ class Transmission(abc.ABC):
     def _q(self, q: ArrayLike, sizes: Sizes | None = None) -> Array:
         """Checked coordinates (N, n) of the actuators."""
         return real_array(q, "q", ("N", self.num_actuators), sizes)
-
-    def _motion(self, motion: Motion, width: int) -> tuple[Array, Array, Array]:
-        """Positions, velocities and accelerations (N, width)."""
-        instance(motion, "motion", Motion)
-        sizes: Sizes = {}
-        q, v, vd = (
-            real_array(getattr(motion, name), f"motion.{name}", ("N", width), sizes)
-            for name in ("q", "v", "vd")
-        )
-        return q, v, vd
-
-    def _regular_jacobian(self, q: Array) -> Array:
-        J = self.jacobian(q)
-        if len(q) and np.any((condition := np.linalg.cond(J)) > _MOST_CONDITION):
-            at = q[int(np.argmax(condition))].tolist()
-            raise ArgumentError(
-                f"The transmission is singular at q = {at}: some motion does nothing."
-            )
-        return J
 
     def actuator_positions(self, theta: Array, *, start: ArrayLike = 0.0) -> Array:
         """Return q (N, n) with T(q) = θ (N, k), by Gauss-Newton on all samples together.
@@ -179,59 +135,6 @@ class Transmission(abc.ABC):
 def times(matrices: Array, vectors: Array) -> Array:
     """Products (N, m) of matrices (N, m, n) and vectors (N, n)."""
     return np.einsum("nij,nj->ni", matrices, vectors)
-
-
-@dataclass(frozen=True, eq=False)
-class FunctionTransmission(Transmission):
-    """θ = T(q) by functions of one's own: linkages, cams, cables around rolling surfaces.
-
-    Attributes:
-        size: Numbers (k, n) of joint positions and actuator coordinates.
-        position: T, from (N, n) to (N, k).
-        derivative: J, from (N, n) to (N, k, n).
-        derivative_rate: J̇, from q and q̇ (N, n) to (N, k, n); by differences of J if None.
-    """
-
-    size: tuple[int, int]
-    position: Callable[[Array], Array]
-    derivative: Callable[[Array], Array]
-    derivative_rate: Callable[[Array, Array], Array] | None = None
-
-    def __post_init__(self) -> None:
-        k, n = real_array(self.size, "size", (2,)).tolist()
-        object.__setattr__(self, "size", (int(k), int(n)))
-        if self.size != (k, n) or not 0 < n <= k:
-            raise ArgumentError(
-                f"size must be numbers (k, n) of joints and actuators, 0 < n ≤ k; it is {(k, n)}."
-            )
-        for name in ("position", "derivative", "derivative_rate"):
-            given = getattr(self, name)
-            if not (callable(given) or (given is None and name == "derivative_rate")):
-                raise ArgumentError(f"{name} must be a function; it is {given!r}.")
-
-    @property
-    def shape(self) -> tuple[int, int]:
-        """The size."""
-        return self.size
-
-    def joint_positions(self, q: Array) -> Array:
-        """θ = T(q)."""
-        q = self._q(q)
-        return real_array(self.position(q), "what position gives", (len(q), self.num_joints))
-
-    def jacobian(self, q: Array) -> Array:
-        """J(q)."""
-        q = self._q(q)
-        return real_array(self.derivative(q), "what derivative gives", (len(q), *self.size))
-
-    def jacobian_rate(self, q: Array, v: Array) -> Array:
-        """J̇(q, q̇)."""
-        sizes: Sizes = {}
-        q, v = self._q(q, sizes), real_array(v, "v", ("N", self.num_actuators), sizes)
-        if self.derivative_rate is None:
-            return super().jacobian_rate(q, v)
-        rate = self.derivative_rate(q, v)
-        return real_array(rate, "what derivative_rate gives", (len(q), *self.size))
 
 
 @dataclass(frozen=True, eq=False)
