@@ -8,6 +8,7 @@ import pytest
 from pendulum_logs import JOINTS, PENDULUM
 
 from geodrake.diagnosis import compare
+from geodrake.errors import LogError
 from geodrake.identification.logs import noise, reduce
 from geodrake.logs import smoothing, uniform_log
 from geodrake.logs.files import read_log, write_log
@@ -93,7 +94,7 @@ def test_memory_grows_with_the_log_alone(monkeypatch, tmp_path):
 
 
 def test_csv_is_read_in_stretches(monkeypatch, tmp_path):
-    monkeypatch.setattr("geodrake.logs.files.text_file._LETTERS", 300)
+    monkeypatch.setattr("geodrake.logs.files.text_file._BLOCK", 300)
     log = long_log(50)
     path = tmp_path / "log.csv"
     write_log(log, path)
@@ -106,3 +107,11 @@ def test_csv_is_read_in_stretches(monkeypatch, tmp_path):
     assert again.joints == JOINTS[::-1]
     assert np.isnan(again.effort[19, 0])
     assert np.array_equal(again.effort[20:, ::-1], log.effort[20:])
+    lines[40] = lines[40].replace(",", ",x", 1)
+    path.write_text("\r\n".join(lines) + "\r\n")
+    with pytest.raises(LogError, match="Row 39, column"):
+        read_log(path)
+    lines[40] = "1,2"
+    path.write_text("\r".join(lines))
+    with pytest.raises(LogError, match=r"Row 39 of log .* \(line 41\) has 2 cells"):
+        read_log(path)

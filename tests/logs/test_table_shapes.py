@@ -315,7 +315,7 @@ def test_turns_and_currents_of_an_odrive(tmp_path):
 
 
 @pytest.mark.parametrize("odd", ["none", "empty cell", "cut off", "text", "one cell more"])
-def test_many_lines_are_read_by_pandas_as_without_it(tmp_path, monkeypatch, odd):
+def test_many_lines_are_read_by_arrow_as_without_it(tmp_path, monkeypatch, odd):
     random = np.random.default_rng(0).normal(size=(ROWS, 3)) * 10.0 ** np.arange(-9, 9, 6)
     rows = [[repr(v) for v in row] for row in np.column_stack([TIME, random]).tolist()]
     if odd == "empty cell":

@@ -99,8 +99,8 @@ class Recording:
         values = {quantity: numbers[:rows] for quantity, numbers in self.values.items()}
         alone = {joint: numbers[:rows] for joint, numbers in self._standing.items()}
         floating = {name: numbers[:rows] for name, numbers in self._floating.items()}
-        signed = self._signed(values)
-        kinds, more_notes = self._without_motors(values["effort"])
+        values, signed = self._signed(values)
+        values["effort"], kinds, more_notes = self._without_motors(values["effort"])
         if kept is not None:
             time = time[kept]
             values = {quantity: numbers[kept] for quantity, numbers in values.items()}
@@ -125,23 +125,24 @@ class Recording:
             floating=floating,
         )
 
-    def _signed(self, values: Mapping[str, Array]) -> list[str]:
-        """Give numbers (N, n) of registers that were read without a sign theirs; return notes."""
-        notes = []
+    def _signed(self, values: Mapping[str, Array]) -> tuple[dict[str, Array], list[str]]:
+        """Return numbers (N, n) with the signs of registers that were read without; and notes."""
+        found, notes = dict(values), []
         for quantity, numbers in values.items():
             for at, joint in enumerate(self.columns.joints):
                 source = self.columns.sources.get(f"{joint}.{quantity}")
                 if source is None or not are_whole(source.written(numbers[:_FIRST, at])):
                     continue
                 written = source.written(numbers[:, at])
-                found = signed_register(written, magnitudes=quantity != "position")
-                if found is not None:
-                    numbers[:, at] = source.factor * found[0] + source.offset
-                    notes.append(f"{source.column!r} is read as {found[1]}")
-        return notes
+                signed = signed_register(written, magnitudes=quantity != "position")
+                if signed is not None:
+                    column = source.factor * signed[0] + source.offset
+                    found[quantity] = _with_column(found[quantity], at, column)
+                    notes.append(f"{source.column!r} is read as {signed[1]}")
+        return found, notes
 
-    def _without_motors(self, effort: Array) -> tuple[dict[str, str], list[str]]:
-        """Return the kinds of efforts, with zeros (N, n) at joints without a motor, and notes."""
+    def _without_motors(self, effort: Array) -> tuple[Array, dict[str, str], list[str]]:
+        """Return efforts (N, n), zeros at joints without a motor, their kinds, and notes."""
         kinds, notes, command = self.columns.kinds, [], self.values.get("command")
         for at, joint in enumerate(self.columns.joints):
             largest = float(np.abs(np.nan_to_num(effort[:, at])).max(initial=0.0))
@@ -158,8 +159,8 @@ class Recording:
                 kinds[joint] = PASSIVE
                 notes.append(f"{joint} has no motor by the model, and no effort here: passive")
             if kinds.get(joint) == PASSIVE:
-                effort[:, at] = 0.0
-        return kinds, notes
+                effort = _with_column(effort, at, 0.0)
+        return effort, kinds, notes
 
     def _uncertainty(self, kinds: Mapping[str, str]) -> float | Array:
         """Return how well gains of efforts are known; zeros of passive joints are exact."""
@@ -183,3 +184,10 @@ class Recording:
             return time, ()
         found = time_unit(source.column, time)
         return (time, ()) if found is None else (found[0] * time, (found[1],))
+
+
+def _with_column(numbers: Array, at: int, column: Array | float) -> Array:
+    """Return a copy of numbers (N, n) with another column."""
+    found = numbers.copy()
+    found[:, at] = column
+    return found

@@ -3,15 +3,14 @@
 from __future__ import annotations
 
 import csv
-import io
 import re
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field, replace
+from importlib import import_module
 from importlib.util import find_spec
 from itertools import chain, islice
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -251,16 +250,19 @@ def _names_in_comment(cells: Sequence[str], comment: str) -> Sequence[str] | Non
 
 Array = NDArray[np.float64]
 
-_LETTERS = 8_000_000  # that are read at once
-_MANY = 100_000  # lines, from which on pandas is quicker
-_BLOCK = 1 << 20  # bytes in which line ends are looked for
-_LONGEST_LINE = 8  # blocks, which hold 400,000 numbers
+_MANY = 100_000  # lines, from which on Arrow is imported
+_BLOCK = 2_000_000  # bytes that are read at once
+_LONGEST = 8_000_000  # bytes of a line, which hold 400,000 numbers
+_LINE_ENDS = re.compile(rb"\r\n?|\n")
 
 
 class TextTable(LogTable):
     """A table of text, read block by block."""
 
-    def __init__(self, path: Path, layout: TextLayout, lines: int, reading: Reading) -> None:
+    def __init__(
+        self, path: Path, layout: TextLayout, lines: Sequence[int], reading: Reading
+    ) -> None:
+        """Take how many lines each block of the file has."""
         super().__init__(path, {}, layout.units, (), layout.origins)
         self._read = layout, lines, reading
 
@@ -271,28 +273,26 @@ class TextTable(LogTable):
 
     def rows(self, names: Sequence[str]) -> int:
         """Return how many rows there are at most."""
-        return self._read[1]
+        return 1 + sum(self._read[1])
 
     def parts(self, groups: Groups, torn: TornRows) -> Iterator[Part]:
         """Yield rows, and the numbers of some columns in them; see `LogTable`."""
         names = list(dict.fromkeys(name for group in groups for name in group))
-        layout, most, _ = self._read
-        places, row, line = [layout.places[name] for name in names], 0, layout.lines
-        quick = most > _MANY and find_spec("pandas") is not None
-        with open_text(self.path, "log", LogError, newline="") as file:
-            for _ in range(layout.lines):
-                file.readline()
-            while block := file.readlines(_LETTERS):
-                table = _numbers(layout, block, places, quick=quick)
-                if table is None:
-                    table = _cells(self.path, layout, names, block, before=(row, line), torn=torn)
-                yield slice(row, row + len(table)), dict(zip(names, table.T, strict=True))
-                row, line = row + len(table), line + len(block)
+        layout, lines, _ = self._read
+        places, row, quick = [layout.places[name] for name in names], 0, sum(lines) > _MANY
+        before = np.maximum(np.cumsum([0, *lines]), layout.lines).tolist()
+        for block, line in zip(_blocks(self.path, layout.lines), before, strict=False):
+            table = _numbers(layout, block, places, quick=quick)
+            if table is None:
+                own = _lines(block)
+                table = _cells(self.path, layout, names, own, before=(row, line), torn=torn)
+            yield slice(row, row + len(table)), dict(zip(names, table.T, strict=True))
+            row += len(table)
 
     def loaded(self) -> LogTable:
         """Return the table with all its columns read, those of words as texts."""
-        layout, most, reading = self._read
-        torn = TornRows(self.path, most, reading.skip_bad_rows)
+        layout, _, reading = self._read
+        torn = TornRows(self.path, self.rows(()), reading.skip_bad_rows)
         names = [name for name in layout.columns if name not in layout.texts]
         blocks = list[Part]()
         for part in self.parts([tuple(names)], torn):
@@ -310,8 +310,9 @@ class TextTable(LogTable):
     def _texts(self, rows: int) -> Iterator[tuple[str, NDArray[np.object_]]]:
         """Yield columns of words, if every row has them."""
         layout = self._read[0]
-        with open_text(self.path, "log", LogError, newline="") as file, suppress(csv.Error):
-            cells = [row for _, row in layout.cells(list(islice(file, layout.lines, None)))]
+        with suppress(csv.Error):
+            lines = [line for block in _blocks(self.path, layout.lines) for line in _lines(block)]
+            cells = [row for _, row in layout.cells(lines)]
             places = [(name, layout.names.index(name)) for name in layout.texts]
             if len(cells) == rows:
                 for name, k in places:
@@ -331,48 +332,61 @@ def read_text(
     Args:
         joints: Names of the model's joints, if there is a model, for a proposed mapping.
     """
-    most = 1 + _count_lines(regular_file(path, "log", LogError))
+    lines = list(map(_count, _blocks(regular_file(path, "log", LogError))))
     with open_text(path, "log", LogError, newline="") as file:
         layout, _ = text_layout(path, file, reading, joints, numbered=numbered)
-    table = TextTable(path, layout, most, reading)
+    table = TextTable(path, layout, lines, reading)
     return table.loaded() if any(map(names_joints, layout.texts)) else table
 
 
-def _count_lines(path: Path) -> int:
-    """Line ends of any system; one more where a block ends between the two of a pair."""
-    count = without = 0
-    with open_regular(path, "log", LogError) as binary:
-        while block := binary.read(_BLOCK):
-            ends = block.count(b"\n") + block.count(b"\r") - block.count(b"\r\n")
-            count, without = count + ends, 0 if ends else without + 1
-            if without >= _LONGEST_LINE:
+def _blocks(path: Path, skip: int = 0) -> Iterator[bytes]:
+    """Yield whole lines of a file, many at once, without the first `skip` of them."""
+    rest = b""
+    with open_regular(path, "log", LogError) as file:
+        for data in chain(iter(lambda: file.read(_BLOCK), b""), [b""]):
+            block = rest + data
+            # A carriage return at the end may be the first half of a line end.
+            cut = 1 + max(block.rfind(b"\n"), block.rfind(b"\r", 0, -1)) if data else len(block)
+            block, rest = block[:cut], block[cut:]
+            if len(rest) > _LONGEST:
                 raise LogError(
-                    f"Log {str(path)!r} has a line of more than {_LONGEST_LINE} MB.",
+                    f"Log {str(path)!r} has a line of more than {_LONGEST // 10**6} MB.",
                     advice=f"Is it a text table, a row in each line? {HEADER_ADVICE}",
                 )
-    return count
+            if skip and block:
+                lines = block.splitlines(keepends=True)
+                block, skip = b"".join(lines[skip:]), max(skip - len(lines), 0)
+            yield block
+
+
+def _count(block: bytes) -> int:
+    """Return how many line ends of any system there are."""
+    return len(_LINE_ENDS.findall(block)) if b"\r" in block else block.count(b"\n")
+
+
+def _lines(block: bytes) -> list[str]:
+    return [line.decode("utf-8-sig") for line in block.splitlines(keepends=True)]
 
 
 def _numbers(
-    layout: TextLayout,
-    lines: Sequence[str],
-    places: Sequence[tuple[int, int | None]],
-    *,
-    quick: bool,
+    layout: TextLayout, block: bytes, places: Sequence[tuple[int, int | None]], *, quick: bool
 ) -> Array | None:
     """(K, places) of lines whose cells there are nothing but numbers; None for others.
 
     Args:
-        quick: Whether pandas reads them, which is quicker for many, and takes time to import.
+        quick: Whether Arrow reads them, which is quicker for many, and takes time to import.
     """
-    if not any(line.strip() for line in lines):
+    if not block or block.isspace():
         return np.empty((0, len(places)))
     mark, columns, last = layout.separator, [cell for cell, _ in places], len(layout.names) - 1
     if {*columns} & {layout.names.index(name) for name in (*layout.lists, *layout.origins)}:
         return None
+    if not block.isascii():
+        block.decode()  # or it is no text in UTF-8
+    if quick and (table := _by_arrow(block, layout, columns)) is not None:
+        return table
     try:  # empty cells, text and ragged rows are told cell by cell
-        if quick:
-            return _by_pandas(lines, layout, columns)
+        lines = _lines(block)
         plain = [line.replace(",", ".") for line in lines] if layout.decimal == "," else lines
         if mark and any('"' in x or (x.count(mark) != last and x.strip()) for x in plain):
             return None
@@ -383,24 +397,32 @@ def _numbers(
     return table if mark else table[:, columns] if table.shape[1] == last + 1 else None
 
 
-def _by_pandas(lines: Sequence[str], layout: TextLayout, columns: Sequence[int]) -> Array | None:
-    import pandas
-
-    last = len(layout.names) - 1
-    exact: dict[str, Any] = {} if pandas.__version__ >= "3" else {"float_precision": "round_trip"}
-    frame = pandas.read_csv(
-        io.BytesIO("".join(lines).encode()),
-        sep=layout.separator or r"\s+",
-        decimal=layout.decimal,
-        header=None,
-        dtype={k: float if k in columns else str for k in range(last + 1)},
-        keep_default_na=False,
-        na_values=["", "nan", "NaN"],
-        **exact,
-    )
-    if frame.shape[1] != last + 1 or frame[last].isna().any():  # a row may be cut off
+def _by_arrow(block: bytes, layout: TextLayout, columns: Sequence[int]) -> Array | None:
+    if find_spec("pyarrow") is None:
         return None
-    return np.asarray(frame[list(columns)].to_numpy())
+    pyarrow, arrow = map(import_module, ("pyarrow", "pyarrow.csv"))
+    if layout.separator is None:  # between cells is one blank
+        block = block.replace(b"\t", b" ")
+        while b"  " in block:
+            block = block.replace(b"  ", b" ")
+        block = block.strip(b" ").replace(b"\n ", b"\n").replace(b" \n", b"\n")
+    names = [str(k) for k in range(len(layout.names))]
+    used = [names[k] for k in columns]
+    try:
+        table = arrow.read_csv(
+            pyarrow.BufferReader(block),
+            arrow.ReadOptions(use_threads=False, block_size=len(block) + 1, column_names=names),
+            arrow.ParseOptions(delimiter=layout.separator or " "),
+            arrow.ConvertOptions(
+                include_columns=list(dict.fromkeys(used)),
+                column_types=dict.fromkeys(used, pyarrow.float64()),
+                null_values=["", "nan", "NaN"],
+                decimal_point=layout.decimal,
+            ),
+        )
+    except pyarrow.ArrowInvalid:
+        return None
+    return np.array([table[name].to_numpy() for name in used]).T
 
 
 def _cells(
