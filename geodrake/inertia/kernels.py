@@ -10,45 +10,49 @@ Array = NDArray[np.float64]
 PARAMETERS_PER_BODY = 10
 
 _IDENTITY = np.eye(3)
-_AXES, _NEXT = np.arange(3), np.array([1, 2, 0])
+
+
+def _bases() -> tuple[Array, Array]:
+    """The matrices P(eᵢ) and X(eᵢ), (10, 4, 4) each, with tr(P(φ) X(a)) = aᵀφ."""
+    P, X = np.zeros((2, PARAMETERS_PER_BODY, 4, 4))
+    P[0, 3, 3] = X[0, 3, 3] = 1.0
+    for k in range(3):
+        following, last = (k + 1) % 3, (k + 2) % 3
+        P[1 + k, [k, 3], [3, k]], X[1 + k, [k, 3], [3, k]] = 1.0, 0.5
+        P[4 + k, [k, following, last], [k, following, last]] = -0.5, 0.5, 0.5
+        X[4 + k, [following, last], [following, last]] = 1.0
+        P[7 + k, [k, following], [following, k]], X[7 + k, [k, following], [following, k]] = (
+            -1,
+            -0.5,
+        )
+    return P, X
+
+
+BASIS, DUAL_BASIS = _bases()
+_TO_MATRIX, _TO_DUAL = (basis.reshape(PARAMETERS_PER_BODY, 16) for basis in (BASIS, DUAL_BASIS))
 
 
 def calc_rotational_inertia(phi: Array) -> Array:
     """I (..., 3, 3) of φ (..., 10)."""
-    xx, yy, zz, xy, yz, zx = np.moveaxis(phi[..., 4:], -1, 0)
-    rows = [np.stack(row, -1) for row in ((xx, xy, zx), (xy, yy, yz), (zx, yz, zz))]
-    return np.stack(rows, -2)
+    return np.asarray(phi[..., [[4, 7, 9], [7, 5, 8], [9, 8, 6]]])
 
 
 def calc_pseudo_inertia(phi: Array) -> Array:
     """P(φ) (..., 4, 4) of φ (..., 10)."""
-    moments = phi[..., 4:7]
-    matrix = np.empty((*phi.shape[:-1], 4, 4))
-    matrix[..., _AXES, _AXES] = 0.5 * moments.sum(-1, keepdims=True) - moments
-    matrix[..., _AXES, _NEXT] = matrix[..., _NEXT, _AXES] = -phi[..., 7:]
-    matrix[..., :3, 3] = matrix[..., 3, :3] = phi[..., 1:4]
-    matrix[..., 3, 3] = phi[..., 0]
-    return matrix
-
-
-def calc_from_pseudo_inertia(matrix: Array) -> Array:
-    """φ (..., 10) of P(φ) (..., 4, 4)."""
-    second_moment = matrix[..., :3, :3]
-    trace = np.trace(second_moment, axis1=-2, axis2=-1)[..., None]
-    diagonal = trace - np.diagonal(second_moment, axis1=-2, axis2=-1)
-    products = [-second_moment[..., i, j] for i, j in ((0, 1), (1, 2), (2, 0))]
-    return np.concatenate(
-        [matrix[..., 3:, 3], matrix[..., :3, 3], diagonal, np.stack(products, -1)], -1
-    )
-
-
-BASIS = calc_pseudo_inertia(np.eye(PARAMETERS_PER_BODY))
-DUAL_BASIS = np.einsum("ij,jab->iab", np.linalg.inv(np.einsum("iab,jab->ij", BASIS, BASIS)), BASIS)
+    flat = phi.reshape(-1, PARAMETERS_PER_BODY) @ _TO_MATRIX
+    return np.asarray(flat.reshape((*phi.shape[:-1], 4, 4)))
 
 
 def calc_dual(covector: Array) -> Array:
     """X(a) (..., 4, 4) of a (..., 10)."""
-    return np.asarray(np.einsum("...i,iab->...ab", covector, DUAL_BASIS))
+    flat = covector.reshape(-1, PARAMETERS_PER_BODY) @ _TO_DUAL
+    return np.asarray(flat.reshape((*covector.shape[:-1], 4, 4)))
+
+
+def calc_from_pseudo_inertia(matrix: Array) -> Array:
+    """φ (..., 10) of P(φ) (..., 4, 4)."""
+    flat = matrix.reshape(-1, 16) @ _TO_DUAL.T
+    return np.asarray(flat.reshape((*matrix.shape[:-2], PARAMETERS_PER_BODY)))
 
 
 def calc_from_mass_com_inertia(mass: Array, com: Array, inertia_com: Array) -> Array:

@@ -53,31 +53,16 @@ class Manifold(abc.ABC):
         return self.calc_metric(self._points(x))
 
     def inverse_metric_times(self, x: ArrayLike, b: ArrayLike) -> Array:
-        """g(x)⁻¹ b, (..., n), without building g: the natural gradient of a covector b (..., n).
-
-        Args:
-            x: (..., n) points inside the set.
-            b: (..., n) covectors; leading axes are broadcast.
-        """
+        """g(x)⁻¹ b, (..., n), without building g: the natural gradient of covectors b (..., n)."""
         return self.calc_inverse_metric_times(*self._point_and(x, b, "b"))
 
     def divergence(self, x: ArrayLike, y: ArrayLike) -> Array:
-        """Bregman divergence D(x‖y) ≥ 0 (...), zero just when x = y; both inside the set.
-
-        Args:
-            x: (..., n) points inside the set.
-            y: (..., n) points inside the set; leading axes are broadcast.
-        """
+        """Bregman divergence D(x‖y) ≥ 0 (...), zero just when x = y; both inside the set."""
         sizes: Sizes = {}
         return self.calc_divergence(self._points(x, "x", sizes), self._points(y, "y", sizes))
 
     def longest_step(self, x: ArrayLike, v: ArrayLike) -> Array:
-        """The time (...) at which the straight line x + t v leaves the set, inf for never.
-
-        Args:
-            x: (..., n) points inside the set.
-            v: (..., n) changes of the point in a unit of time.
-        """
+        """The time (...) at which the straight line x + t v leaves the set, inf for never."""
         return self.calc_longest_step(*self._point_and(x, v, "v"))
 
     def frame(self, x: ArrayLike) -> Array:
@@ -85,24 +70,14 @@ class Manifold(abc.ABC):
         return self.calc_frame(self._points(x, shape=(self.dimension,)))
 
     def mirror_line(self, x: ArrayLike, b: ArrayLike) -> MirrorLine:
-        """The points y(t) with ∇h(y(t)) = ∇h(x) + t b, for x and b (n,) and b not zero.
-
-        Args:
-            x: (n,) point inside the set.
-            b: (n,) covector, not zero.
-        """
+        """The points y(t) with ∇h(y(t)) = ∇h(x) + t b, for x and b (n,) and b not zero."""
         x, b = self._points(x, shape=(self.dimension,)), real_array(b, "b", (self.dimension,))
         if not b.any():
             raise ArgumentError("A mirror line leads nowhere where b is zero.")
         return self.calc_mirror_line(x, b)
 
     def mirror_span(self, x: ArrayLike, rows: ArrayLike) -> MirrorSpan:
-        """The points y(λ) with ∇h(y(λ)) = ∇h(x) + Aᵀ λ.
-
-        Args:
-            x: (n,) point inside the set.
-            rows: (k, n) covectors A.
-        """
+        """The points y(λ) with ∇h(y(λ)) = ∇h(x) + Aᵀ λ, for x (n,) and rows A (k, n)."""
         x = self._points(x, shape=(self.dimension,))
         return self.calc_mirror_span(x, real_array(rows, "rows", ("k", self.dimension)))
 
@@ -133,10 +108,6 @@ class Manifold(abc.ABC):
         down so that it reaches the edge only in the limit. Where the result is so close to the edge
         that rounding puts it outside, or beyond 1e60, the step is shortened: repeated long steps do
         not overflow.
-
-        Args:
-            x: (..., n) points inside the set.
-            v: (..., n) steps, of any length; leading axes are broadcast.
         """
         return self.calc_retract(*self._point_and(x, v, "v"))
 
@@ -144,11 +115,6 @@ class Manifold(abc.ABC):
         """`retract` along −time g(x)⁻¹ b (..., n): the natural gradient of b, followed for a time.
 
         The same point up to rounding, and sooner where there is a way without g⁻¹.
-
-        Args:
-            x: (..., n) points inside the set.
-            b: (..., n) covectors; leading axes are broadcast.
-            time: How long to follow −g(x)⁻¹ b.
         """
         return self.calc_natural_step(*self._point_and(x, b, "b"), number(time, "time"))
 

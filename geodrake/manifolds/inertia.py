@@ -31,11 +31,6 @@ _UNIT_TANGENTS = np.array(
     [(np.outer(a, b) + np.outer(b, a)) / (2.0 if a @ b else np.sqrt(2.0)) for a, b in _PAIRS]
 )
 """Orthonormal basis (10, 4, 4) of the symmetric matrices."""
-# The linear maps φ → P(φ), b → X(b) and P → φ, flat: one product a call.
-_TO_MATRIX = BASIS.reshape(PARAMETERS_PER_BODY, 16)
-_TO_DUAL = calc_dual(np.eye(PARAMETERS_PER_BODY)).reshape(PARAMETERS_PER_BODY, 16)
-_TO_GRADIENT, _FROM_GRADIENT = -_TO_MATRIX.T, -_TO_DUAL  # P⁻¹ → ∇h and back
-_FROM_MATRIX = calc_from_pseudo_inertia(np.eye(16).reshape(16, 4, 4))
 _ROUNDING = 1e-14  # least relative eigenvalue of P that rounding leaves positive
 _LONGEST_GROWTH = 300.0  # logarithm of a growth that is still a number
 
@@ -64,8 +59,8 @@ class PhysicalInertia(Manifold):
 
     def calc_gradient(self, x: Array) -> Array:
         """−tr(P(x)⁻¹ P(eᵢ)), (..., 10)."""
-        inverse = np.linalg.inv(_matrices(x, _TO_MATRIX))
-        return np.asarray(inverse.reshape((*x.shape[:-1], 16)) @ _TO_GRADIENT)
+        inverse = np.linalg.inv(calc_pseudo_inertia(x))
+        return np.asarray(-inverse.reshape((*x.shape[:-1], 16)) @ BASIS.reshape(-1, 16).T)
 
     def calc_metric(self, x: Array) -> Array:
         """tr(P⁻¹ P(eᵢ) P⁻¹ P(eⱼ)), (..., 10, 10), [Lee2019] Eq. (5.3.24)."""
@@ -76,8 +71,8 @@ class PhysicalInertia(Manifold):
 
         X(b) is the symmetric matrix with tr(P(φ) X(b)) = φᵀ b, [Lee2019] Eq. (B.1.8).
         """
-        P = _matrices(x, _TO_MATRIX)
-        return _parameters(P @ _matrices(b, _TO_DUAL) @ P)
+        P = calc_pseudo_inertia(x)
+        return calc_from_pseudo_inertia(P @ calc_dual(b) @ P)
 
     def calc_divergence(self, x: Array, y: Array) -> Array:
         """D(x‖y) = −log det(P(y)⁻¹P(x)) + tr(P(y)⁻¹P(x)) − 4, [Lee2019] Eq. (5.3.25)."""
@@ -92,17 +87,17 @@ class PhysicalInertia(Manifold):
     def calc_frame(self, x: Array) -> Array:
         """P⁻¹(L E Lᵀ) (10, 10) for orthonormal symmetric E, which no scale costs precision."""
         L = _root(x)
-        return np.asarray(((L @ _UNIT_TANGENTS @ L.T).reshape(-1, 16) @ _FROM_MATRIX).T)
+        return calc_from_pseudo_inertia(L @ _UNIT_TANGENTS @ L.T).T
 
     def calc_mirror_line(self, x: Array, b: Array) -> MirrorLine:
         """P(y(t)) = L (𝟙 − t Lᵀ X(b) L)⁻¹ Lᵀ, from P⁻¹(y) = P⁻¹(x) − t X(b)."""
         L = _root(x)
-        spectrum, axes = np.linalg.eigh(L.swapaxes(-1, -2) @ _matrices(b, _TO_DUAL) @ L)
+        spectrum, axes = np.linalg.eigh(L.swapaxes(-1, -2) @ calc_dual(b) @ L)
         turned, rates = L @ axes, spectrum.ravel().tolist()
 
         def point(t: float) -> Array:
             root = turned / np.sqrt(1.0 - t * spectrum)[..., None, :]
-            return _parameters(root @ root.swapaxes(-1, -2))
+            return calc_from_pseudo_inertia(root @ root.swapaxes(-1, -2))
 
         def value(t: float) -> float:
             return sum(rate / (1.0 - t * rate) for rate in rates)
@@ -118,8 +113,8 @@ class PhysicalInertia(Manifold):
     def calc_point_of_gradient(self, gradient: Array, near: Array) -> Array:
         """P(y)⁻¹ = −X(∇h(y))."""
         try:
-            inverse = np.linalg.inv(_matrices(gradient, _FROM_GRADIENT))
-            return _parameters(np.asarray(inverse, float))
+            inverse = np.linalg.inv(-calc_dual(gradient))
+            return calc_from_pseudo_inertia(np.asarray(inverse, float))
         except np.linalg.LinAlgError:
             return np.full(gradient.shape, np.nan)
 
@@ -152,18 +147,6 @@ class PhysicalInertia(Manifold):
         return np.asarray(np.linalg.eigvalsh(whitened), float)
 
 
-def _matrices(vectors: Array, basis: Array) -> Array:
-    """Symmetric matrices (..., 4, 4) of vectors (..., 10), by one of the flat linear maps."""
-    flat = vectors.reshape(-1, PARAMETERS_PER_BODY) @ basis
-    return np.asarray(flat.reshape((*vectors.shape[:-1], 4, 4)))
-
-
-def _parameters(matrices: Array) -> Array:
-    """φ (..., 10) of P(φ) (..., 4, 4)."""
-    flat = matrices.reshape(-1, 16) @ _FROM_MATRIX
-    return np.asarray(flat.reshape((*matrices.shape[:-2], PARAMETERS_PER_BODY)))
-
-
 def _bodies(x: Array) -> Factors:
     """The factors of vectors (..., 10)."""
     places = np.arange(0, x.size, PARAMETERS_PER_BODY)
@@ -172,7 +155,7 @@ def _bodies(x: Array) -> Factors:
 
 def _root(x: Array) -> Array:
     """Lower triangular L (..., 4, 4) with P(x) = L Lᵀ; units cost no precision."""
-    P = _matrices(x, _TO_MATRIX)
+    P = calc_pseudo_inertia(x)
     scale = np.sqrt(np.diagonal(P, axis1=-2, axis2=-1))
     units = scale[..., :, None] * scale[..., None, :]
     return np.asarray(scale[..., None] * np.linalg.cholesky(P / units))

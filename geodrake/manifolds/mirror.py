@@ -127,9 +127,5 @@ def joined(lines: list[tuple[NDArray[np.intp], float, MirrorLine]], x: Array) ->
 
 
 def scale_of(speed: float) -> float:
-    """The time in which a line goes a length of about one; a large one if it stays where it is.
-
-    Args:
-        speed: Length per time in the metric where the line begins, ≥ 0.
-    """
+    """The time in which a line of a speed ≥ 0 goes about one; large if it stays where it is."""
     return 1.0 / max(speed, _LEAST_SPEED)

@@ -7,18 +7,17 @@ the divergence of the manifold (the Pythagorean inequality, Eq. (2.2.12)):
 
     D(p‖x) ≥ D(p‖Proj_C(x)) + D(Proj_C(x)‖x)
 
-It is found by a primal-dual interior-point method in the coordinates in which the metric at x is
-the identity, so that units and frames cost no precision.
+It is found by Newton's method on the dual, in coordinates in which the metric is the identity, so
+that units and frames cost no precision.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 from scipy.optimize import nnls
 
 from geodrake.boundary.arguments import Sizes, instance, integer, number, positive, real_array
@@ -61,125 +60,36 @@ class Polyhedron(Short):
 
 
 def halfspace(a: ArrayLike, b: float) -> Polyhedron:
-    """The points y with aᵀ y ≥ b, for a (n,).
-
-    Args:
-        a: (n,) normal, pointing inside.
-    """
+    """The points y with aᵀ y ≥ b, for a normal a (n,) that points inside."""
     return slab(a, number(b, "b"), np.inf)
 
 
 def affine_set(A: ArrayLike, b: ArrayLike) -> Polyhedron:
-    """The points y with A y = b, for A (k, n) and b (k,).
-
-    Args:
-        A: (k, n) rows, or (n,) a single one.
-        b: (k,) values of A y, or one number.
-    """
+    """The points y with A y = b, for A (k, n) and b (k,), or one row (n,) and a number."""
     A, b = np.atleast_2d(real_array(A, "A")), np.atleast_1d(real_array(b, "b"))
     return Polyhedron(A, b, b)
 
 
 def slab(a: ArrayLike, lower: float, upper: float) -> Polyhedron:
-    """The points y with lower ≤ aᵀ y ≤ upper, for a (n,).
-
-    Args:
-        a: (n,) normal.
-        lower: Least value of aᵀ y; −inf for none.
-        upper: Greatest value of aᵀ y; inf for none.
-    """
+    """The points y with lower ≤ aᵀ y ≤ upper, for a (n,); infinite limits are none."""
     limits = (number(lower, "lower", finite=False), number(upper, "upper", finite=False))
     return Polyhedron(real_array(a, "a", ("n",))[None], *(np.array([limit]) for limit in limits))
 
 
-_DEPENDENT = 1e-11  # singular value, relative to the largest, of rows that say nothing new
-_CONSISTENT = 1e-9  # error of rows that are solved with as equations
-_SLIGHT = 1e-12  # error of a row, or of the sign of a multiplier, that is none
-_MOST_GUESSES = 12
 _MOST_SCALINGS = 4
 _EMPTY = 1e-13  # least share of the unit row that a non-empty polyhedron leaves
+_NEAR = 0.1  # length of a Newton step in the metric that needs no search
+_ENOUGH = (-0.3, 0.1)  # slope that a full step may leave, relative to the first
+_ROUNDING = 4e-16  # of a row's value, relative to its terms
+_SLOW = 0.5  # share of the error that a step may leave where steps only polish
+_EXACT = 1e-13  # error after which there is nothing to gain
+_PRECISE = 1e-8  # error below which steps only polish
+_LOOSE = 0.3  # length of the next Newton step on the path
+_LEAST_WEIGHT = 1e-24
+_LONG, _SHORT = 1e-3, 4.0  # factors of the weight on the way away from x and on the way back
 
 
-def least_change(G: Array, lower: Array, upper: Array, held: Array) -> Array | None:
-    """The change d of multipliers `held` with which z = Gᵀ d is the best step.
-
-    z is least ½ |z + Gᵀ held|² with lower ≤ G z ≤ upper, and held + d are its multipliers: above
-    zero where a lower limit binds, below where an upper one does.
-
-    Args:
-        G: (k, n) rows of unit length.
-        lower: (k,) limits; −inf for none.
-        upper: (k,) limits; inf for none, the same as lower for equations.
-        held: (k,) multipliers so far.
-
-    Returns:
-        (k,) d; None if no z keeps the limits.
-    """
-    equal = lower == upper
-    side = np.sign(held)
-    side = np.where(side == 0, np.where(lower > 0, 1.0, np.where(upper < 0, -1.0, 0.0)), side)
-    found = _by_guesses(G, (lower, upper), held, np.where(equal, 1.0, side))
-    if found is not None:
-        return found
-    # Limits for z + Gᵀ held, which is to be as short as it can be.
-    shift = G @ (G.T @ held)
-    multipliers = _least_distance(G, lower + shift, upper + shift)
-    if multipliers is None:
-        return None
-    side = np.where(equal, 1.0, np.sign(multipliers))
-    found = _by_guesses(G, (lower, upper), held, side)
-    return multipliers - held if found is None else found
-
-
-def _by_guesses(G: Array, limits: tuple[Array, Array], held: Array, side: Array) -> Array | None:
-    """Solves with the limits that bind as equations, and corrects which those are."""
-    lower, upper = limits
-    equal = lower == upper
-    for _ in range(_MOST_GUESSES):
-        binding = side != 0
-        target = np.where(side > 0, lower, upper)[binding]
-        if not np.isfinite(target).all():
-            return None
-        d = -held
-        d[binding] = 0.0
-        part = _solved(G[binding], target - G[binding] @ (G.T @ d))
-        if part is None:
-            return None
-        d[binding] = part
-        value, multipliers = G @ (G.T @ d), held + d
-        slight = _SLIGHT * (1.0 + np.abs(value))
-        wrong = binding & ~equal & (multipliers * side < -_SLIGHT * np.abs(multipliers).max())
-        below, above = lower - value > slight, value - upper > slight
-        missed = ~binding & (below | above)
-        if not (wrong.any() or missed.any()):
-            return _cleaned(d, held, side, equal)
-        side = np.where(wrong, 0.0, np.where(missed, np.where(below, 1.0, -1.0), side))
-    return None
-
-
-def _cleaned(d: Array, held: Array, side: Array, equal: NDArray[np.bool_]) -> Array:
-    """The change without signs that rounding got wrong."""
-    wrong = ~equal & ((held + d) * side < 0)
-    return np.where(wrong, -held, d)
-
-
-def _solved(G: Array, target: Array) -> Array | None:
-    """The shortest d with G Gᵀ d = target; None if rows contradict each other."""
-    if not len(target):
-        return target
-    if len(target) == 1:
-        return np.asarray(target / (G @ G.T)[0])
-    U, values, _ = np.linalg.svd(G, full_matrices=False)
-    kept = values > _DEPENDENT * values[0]
-    turned = U[:, kept].T @ target
-    if not kept.all() or len(values) < len(target):
-        rest = target - U[:, kept] @ turned
-        if np.abs(rest).max() > _CONSISTENT * (_CONSISTENT + np.abs(target).max()):
-            return None
-    return np.asarray(U[:, kept] @ (turned / values[kept] ** 2))
-
-
-def _least_distance(G: Array, lower: Array, upper: Array) -> Array | None:
+def _shortest(G: Array, lower: Array, upper: Array) -> Array | None:
     """Multipliers μ (k,) of the shortest z = Gᵀ μ with lower ≤ G z ≤ upper; None if there is none.
 
     Lawson and Hanson's least-distance program: it stands rows that depend on each other.
@@ -211,13 +121,8 @@ def _least_distance(G: Array, lower: Array, upper: Array) -> Array | None:
     return multipliers
 
 
-_NEAR = 0.1  # length of a Newton step in the metric that needs no search
-_ENOUGH = (-0.3, 0.1)  # slope that a full step may leave, relative to the first
-_ROUNDING = 4e-16  # of a row's value, relative to its terms
-
-
 @dataclass(frozen=True, eq=False)
-class State:
+class _State:
     """A point y (n,) with the multipliers λ (k,) that lead to it from x."""
 
     manifold: Manifold
@@ -225,41 +130,16 @@ class State:
     y: Array
     multipliers: Array
 
-    @classmethod
-    def at(cls, manifold: Manifold, limits: Polyhedron, x: Array) -> State:
-        """The state of x itself.
-
-        Args:
-            x: (n,) point inside the manifold.
-        """
-        return cls(manifold, limits, x, np.zeros(len(limits.matrix)))
-
-    def pushed(self, d: Array) -> State | None:
-        """The state of λ + d, at once; None where there is no such point."""
-        b = self.limits.matrix.T @ d
-        line = self.manifold.calc_mirror_line(self.y, b) if b.any() else None
-        if line is None or line.longest <= 1.0:
-            return None
-        return State(self.manifold, self.limits, line.point(1.0), self.multipliers + d)
-
-    def weighted(self, w: float) -> State:
+    def weighted(self, w: float) -> _State:
         """The state with the gradient and the multipliers times w."""
         force = self.manifold.calc_gradient(self.y)
-        if w < 1.0:
-            y = self.manifold.calc_mirror_line(self.y, -force).point(1.0 - w)
-        else:
-            y = self.manifold.calc_mirror_line(self.y, force).point(w - 1.0)
-        return State(self.manifold, self.limits, y, w * self.multipliers)
-
-    @cached_property
-    def frame(self) -> Array:
-        """Orthonormal tangent vectors (n, n) at y."""
-        return self.manifold.calc_frame(self.y)
+        line = self.manifold.calc_mirror_line(self.y, -force if w < 1.0 else force)
+        return replace(self, y=line.point(abs(w - 1.0)), multipliers=w * self.multipliers)
 
     @cached_property
     def rows(self) -> Array:
-        """Rows (k, n) in that frame."""
-        return np.asarray(self.limits.matrix @ self.frame)
+        """Rows (k, n) in orthonormal tangent vectors at y."""
+        return np.asarray(self.limits.matrix @ self.manifold.calc_frame(self.y))
 
     @cached_property
     def lengths(self) -> Array:
@@ -270,38 +150,33 @@ class State:
     def gaps(self) -> tuple[Array, Array]:
         """How far lower and upper limits are above the value of the rows, in the metric at y."""
         value = self.limits.matrix @ self.y
-        return (self.limits.lower - value) / self.lengths, (
-            self.limits.upper - value
-        ) / self.lengths
+        limits = self.limits.lower, self.limits.upper
+        below, above = ((limit - value) / self.lengths for limit in limits)
+        return below, above
 
     @cached_property
-    def rounding(self) -> Array:
-        """What the gaps (k,) cannot be known better than."""
-        terms = np.abs(self.limits.matrix) @ np.abs(self.y)
-        return np.asarray(_ROUNDING * len(self.y) * terms / self.lengths)
-
-    @cached_property
-    def errors(self) -> Array:
-        """Distance (k,) in the metric at y from feasibility and complementarity of each row."""
+    def error(self) -> float:
+        """Greatest distance in the metric at y from feasibility and complementarity of a row."""
         below, above = self.gaps
         broken = np.maximum(0.0, np.maximum(below, -above))
         pushed = np.where(self.multipliers > 0, np.abs(below), np.abs(above))
+        terms = np.abs(self.limits.matrix) @ np.abs(self.y)
+        rounding = _ROUNDING * len(self.y) * terms / self.lengths
         off = np.where(self.multipliers == 0, broken, pushed)
-        return np.maximum(0.0, off - self.rounding)
-
-    @property
-    def error(self) -> float:
-        """The greatest of the errors."""
-        return float(self.errors.max())
+        return float(np.maximum(0.0, off - rounding).max())
 
     @cached_property
     def direction(self) -> Array | None:
-        """Newton's step (k,) of the multipliers; None if there is none."""
-        held = self.multipliers * self.lengths
-        d = least_change(self.rows / self.lengths[:, None], *self.gaps, held)
-        if d is None or not np.isfinite(d).all():
+        """Newton's step d (k,) of the multipliers; None if there is none.
+
+        z = Aᵀ d is least ½ |z + Aᵀ λ|² within the limits, of which λ + d are the multipliers.
+        """
+        rows, held = self.rows / self.lengths[:, None], self.multipliers * self.lengths
+        shift = rows @ (rows.T @ held)
+        found = _shortest(rows, *(gap + shift for gap in self.gaps))
+        if found is None or not np.isfinite(found).all():
             return None
-        return np.asarray(d / self.lengths)
+        return np.asarray((found - held) / self.lengths)
 
     @property
     def newton_length(self) -> float:
@@ -309,113 +184,52 @@ class State:
         d = self.direction
         return np.inf if d is None else float(np.linalg.norm(d @ self.rows))
 
-    def newton_step(self) -> State | None:
-        """The state after a damped Newton step of all multipliers; None if there is none."""
-        d = self.direction
-        if d is None or not d.any():
-            return None
-        return self._moved(d, full=True, near=self.newton_length < _NEAR)
-
-    def single_step(self, row: int) -> State | None:
-        """The state in which one row is exact, by its own multiplier alone; None if it is."""
-        below, above = (float(gap[row]) for gap in self.gaps)
-        held, slack = float(self.multipliers[row]), float(self.rounding[row])
-        d = np.zeros(len(self.multipliers))
-        if below > slack or (held < 0 and above > slack):
-            d[row] = 1.0
-        elif above < -slack or (held > 0 and below < -slack):
-            d[row] = -1.0
-        else:
-            return None
-        return self._moved(d, full=False)
-
-    def _moved(self, d: Array, *, full: bool, near: bool = False) -> State | None:
-        """The state along λ + t d where the dual is greatest.
-
-        Args:
-            d: (k,) direction in which the dual rises.
-            full: Whether d is a step by itself, t = 1, that may be good enough.
-            near: Whether it is known to be, so that rounding cannot spoil the search.
-        """
-        b = self.limits.matrix.T @ d
-        if not b.any():  # rows that contradict each other: the dual rises, and y stays
+    def newton_step(self) -> _State | None:
+        """The state along Newton's step where the dual is great enough; None if there is none."""
+        d, near = self.direction, self.newton_length < _NEAR
+        b = np.zeros(1) if d is None else self.limits.matrix.T @ d
+        if d is None or not b.any():  # rows that contradict each other: the dual rises, and y stays
             return None
         held = self.multipliers
-        moving, back = d != 0, held * d < 0
-        equal = self.limits.lower == self.limits.upper
+        moving, equal = d != 0, self.limits.lower == self.limits.upper
         sign = np.where(held == 0, d, held)
         targets = np.where(sign > 0, self.limits.lower, self.limits.upper)[moving]
         value = self.limits.matrix @ self.y
         goal = float(d[moving] @ (targets - value[moving]))
         if not (near or 0 < goal < np.inf):
             return None
-        turn = back & ~equal
+        turn = (held * d < 0) & ~equal
         kinks = np.where(turn, -held / np.where(turn, d, 1.0), np.inf)
-        line = self.manifold.calc_mirror_line(self.y, b)
-        if near and kinks.min() >= 1.0 and line.longest > 1.0:
-            t = 1.0
-        else:
-            target = float(d[moving] @ targets)
-            enough = (_ENOUGH[0] * goal, _ENOUGH[1] * goal) if full else None
-            t = line.time_of(target, most=float(kinks.min()), enough=enough)
+        line, t = self.manifold.calc_mirror_line(self.y, b), 1.0
+        if not (near and kinks.min() >= 1.0 and line.longest > 1.0):
+            enough = (_ENOUGH[0] * goal, _ENOUGH[1] * goal)
+            target, most = float(d[moving] @ targets), float(kinks.min())
+            t = line.time_of(target, most=most, enough=enough)
         multipliers = held + t * d
         multipliers[kinks <= t] = 0.0
-        return State(self.manifold, self.limits, line.point(t), multipliers)
+        return replace(self, y=line.point(t), multipliers=multipliers)
 
 
-_SLOW = 0.5  # share of the error that a Newton step may leave before single rows are tried
-_EXACT = 1e-13  # error after which there is nothing to gain
-_PRECISE = 1e-8  # error below which steps only polish
-_LOOSE = 0.3  # length of the next Newton step on the path
-_LEAST_WEIGHT = 1e-24
-_LONG, _SHORT = 1e-3, 4.0  # factors of the weight on the way away from x and on the way back
-
-
-def attempts(start: State, max_iterations: int) -> Iterator[State]:
-    """States that may be optimal, each at more expense than the last one."""
-    state = solved(start, _EXACT, max_iterations)
-    yield state
-    if state.error < _PRECISE:  # but some point on the way was known less precisely
-        again = start.pushed(state.multipliers)
-        if again is not None:
-            yield solved(again, _EXACT, max_iterations)
-    state = _along_path(start, max_iterations)
-    yield state
-    again = start.pushed(state.multipliers)
-    if again is not None:
-        yield solved(again, _EXACT, max_iterations)
-
-
-def solved(state: State, enough: float, max_iterations: int) -> State:
-    """The best of a sequence of states towards the optimum.
-
-    Args:
-        enough: Error of a state below which it is good enough.
-    """
-    single = True  # where rows are far apart, one at a time goes further than all at once
+def _solved(state: _State, max_iterations: int) -> _State:
+    """The best of a sequence of states towards the optimum."""
     best = state
     try:
         for _ in range(max_iterations):
-            if state.error <= enough:
+            if state.error <= _EXACT:
                 return state
             if best.error <= _PRECISE and state.error > _SLOW * best.error and state is not best:
                 break  # rounding leaves no more
             best = min(state, best, key=lambda s: s.error)
-            following = state.single_step(int(np.argmax(state.errors))) if single else None
-            following = following or state.newton_step()
+            following = state.newton_step()
             if following is None:
-                if single:
-                    break
-                single = True
-                continue
-            single = not single and not following.error <= _SLOW * state.error
+                break
             state = following
         return min(state, best, key=lambda s: s.error)
     except (ArgumentError, np.linalg.LinAlgError):  # on the edge, as far as rounding tells
         return best
 
 
-def _along_path(start: State, max_iterations: int) -> State:
+def _along_path(start: _State, max_iterations: int) -> _State:
     """The optimum by way of those for points whose gradient is w ∇h(x), with w from small to 1.
 
     Where the optimum has to be much greater than x, ∇h(x) outweighs the barrier so far that the
@@ -424,26 +238,24 @@ def _along_path(start: State, max_iterations: int) -> State:
     """
     weight, state, found = 1.0, start, False
     try:
-        while weight > _LEAST_WEIGHT:
+        while weight > _LEAST_WEIGHT and not found:
             start, weight = start.weighted(_LONG), _LONG * weight
             state, found = _centered(start, max_iterations)
-            if found:
-                break
         while weight < 1.0 and found:
             factor = min(_SHORT, 1.0 / weight)
             weight = weight * factor if factor == _SHORT else 1.0
             state, found = _centered(state.weighted(factor), max_iterations)
     except (ArgumentError, np.linalg.LinAlgError):
         return state
-    return solved(state, _EXACT, max_iterations) if weight == 1.0 else state
+    return _solved(state, max_iterations) if weight == 1.0 else state
 
 
-def _centered(state: State, max_iterations: int) -> tuple[State, bool]:
+def _centered(state: _State, max_iterations: int) -> tuple[_State, bool]:
     """A state on the path, and whether it is near enough to the path."""
     for _ in range(max_iterations):
         if state.newton_length < _LOOSE:
             return state, True
-        following = state.newton_step() or state.single_step(int(np.argmax(state.errors)))
+        following = state.newton_step()
         if following is None:
             break
         state = following
@@ -511,7 +323,9 @@ def _certified(
     limits = (np.append(b, lift.values) for b in (constraints.lower, constraints.upper))
     rows = Polyhedron(scale[:, None] * matrix, *(scale * limit for limit in limits))
     best, least = x, np.inf
-    for state in attempts(State.at(lift.manifold, rows, lift.matrix @ x + lift.offset), effort[1]):
+    start = _State(lift.manifold, rows, lift.matrix @ x + lift.offset, np.zeros(len(matrix)))
+    for way in (_solved, _along_path):  # the second at more expense
+        state = way(start, effort[1])
         y, held = state.y[lift.places], (state.multipliers * scale)[:k]
         missing = _certificate(manifold, (x, y), (constraints.matrix, held))
         missing = max(state.error, missing) if np.isfinite(missing) else np.inf

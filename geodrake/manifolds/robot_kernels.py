@@ -65,13 +65,7 @@ def put_dual(b: Array, X: Array) -> None:
 
 @compiled
 def put_product(A: Array, B: Array, out: Array) -> None:
-    """Writes A B of matrices (4, 4); not inlined, which would take long to compile.
-
-    Args:
-        A: (4, 4) matrix.
-        B: (4, 4) matrix.
-        out: (4, 4) the product.
-    """
+    """Writes A B of matrices (4, 4); not inlined, which would take long to compile."""
     for i in range(4):
         for j in range(4):
             total = 0.0
@@ -167,19 +161,24 @@ def put_units(P: Array, d: Array) -> bool:
 
 
 @compiled
+def put_body_root(phi: Array, P: Array, d: Array, L: Array) -> bool:
+    """Writes the lower triangular L (4, 4) with P(φ) = L Lᵀ; False where there is none."""
+    put_pseudo_inertia(phi, P)
+    if not (put_units(P, d) and put_root(P, L) > 0.0):
+        return False
+    for i in range(4):
+        for j in range(4):
+            L[i, j] *= d[i]
+    return True
+
+
+@compiled
 def calc_natural_steps(x: Array, b: Array, factors: Factors, time: float, out: Array) -> bool:
-    """Writes the geodesics along −time g⁻¹ b ([Lee2019] Eq. (2.2.9)).
+    """Writes the geodesics from x (n,) along −time g⁻¹ b ([Lee2019] Eq. (2.2.9)).
 
     Of a body, P⁺ = exp(Z) P = E P Eᵀ with Z = −time P X(b) and E = exp(½ Z). Above a lower bound l,
-    l + (x − l) exp(−time (x − l) b).
-
-    Args:
-        x: (n,) point.
-        b: (n,) covector.
-        out: (n,) the point.
-
-    Returns:
-        False, with `out` unfinished, where the step is very long or near the edge.
+    l + (x − l) exp(−time (x − l) b). False, with `out` unfinished, where the step is very long or
+    near the edge.
     """
     bodies, shares, places, lower, other_shares = factors
     P, X, Z = np.empty((4, 4)), np.empty((4, 4)), np.empty((4, 4))
@@ -229,11 +228,7 @@ def grown(x: Array, b: Array, others: tuple[Places, Array, Array], out: Array) -
 
 @compiled
 def calc_clearly_inside(x: Array, factors: Factors) -> bool:
-    """Return whether all is inside by more than rounding.
-
-    Args:
-        x: (n,) point.
-    """
+    """Return whether all of x (n,) is inside by more than rounding."""
     bodies, _, places, lower, _ = factors
     P, L = np.empty((4, 4)), np.empty((4, 4))
     for first in bodies:
@@ -250,27 +245,17 @@ def calc_clearly_inside(x: Array, factors: Factors) -> bool:
 
 @compiled
 def calc_whitened(x: Array, rows: Array, factors: Factors, L: Array, out: Array) -> None:
-    """Writes covectors in an orthonormal frame: A g⁻¹ Aᵀ is W Wᵀ.
+    """Writes covectors (r, n) in an orthonormal frame at x (n,): A g⁻¹ Aᵀ is W Wᵀ.
 
-    Of a body, Lᵀ X(b) L with P = L Lᵀ, in a basis of the symmetric matrices. Above a lower bound,
-    (x − l) b.
-
-    Args:
-        x: (n,) point.
-        rows: (r, n) covectors A.
-        L: (k, 4, 4) the roots; not a number where there is none.
-        out: (r, n) W.
+    Of a body, Lᵀ X(b) L with P = L Lᵀ, in a basis of the symmetric matrices; the roots L (k, 4, 4)
+    are not numbers where there are none. Above a lower bound, (x − l) b.
     """
     bodies, shares, places, lower, other_shares = factors
     P, X, F, d = np.empty((4, 4)), np.empty((4, 4)), np.empty((4, 4)), np.empty(4)
     for body in range(len(bodies)):
         root, first, share = L[body], bodies[body], np.sqrt(shares[body])
-        put_pseudo_inertia(x[first : first + PARAMETERS_PER_BODY], P)
-        if not (put_units(P, d) and put_root(P, root) > 0.0):
+        if not put_body_root(x[first : first + PARAMETERS_PER_BODY], P, d, root):
             root[:] = np.nan
-        for i in range(4):
-            for j in range(4):
-                root[i, j] *= d[i]
         for r in range(len(rows)):
             any_of_it = False
             for j in range(first, first + PARAMETERS_PER_BODY):
@@ -314,13 +299,8 @@ def calc_spanned(
 ) -> None:
     """Writes the point with the gradient ∇h(x) + Aᵀ λ; where there is none, what is no number.
 
-    Of a body, P⁺ = L (𝟙 − Σ λ W)⁻¹ Lᵀ from P⁻¹ − X(Aᵀ λ). Above a lower bound, the inverse slack is
-    linear in λ.
-
-    Args:
-        x: (n,) point.
-        multipliers: (r,) λ.
-        out: (n,) the point.
+    Of a body, P⁺ = L (𝟙 − Σ λ W)⁻¹ Lᵀ from P⁻¹ − X(Aᵀ λ), with λ (r,) and L and W those of
+    `calc_whitened`. Above a lower bound, the inverse slack is linear in λ.
     """
     (L, rows), (bodies, shares, places, lower, other_shares) = span, factors
     M, C, Y, P = np.empty((4, 4)), np.empty((4, 4)), np.empty((4, 4)), np.empty((4, 4))
@@ -353,12 +333,7 @@ def calc_spanned(
 
 
 def robot_span(x: Array, rows: Array, factors: Factors) -> MirrorSpan:
-    """Return the mirror span of a robot's parameters.
-
-    Args:
-        x: (..., n) points, all coordinates one after the other.
-        rows: (r, ..., n) covectors.
-    """
+    """Return the mirror span of a robot's parameters x (..., n) along covectors (r, ..., n)."""
     flat, roots = x.ravel(), np.empty((len(factors[0]), 4, 4))
     whitened = np.empty((len(rows), x.size))
     calc_whitened(flat, rows.reshape(whitened.shape), factors, roots, whitened)

@@ -21,11 +21,9 @@ from geodrake.manifolds.robot_kernels import (
     Places,
     calc_spanned,
     calc_whitened,
+    put_body_root,
     put_congruence,
     put_dual,
-    put_pseudo_inertia,
-    put_root,
-    put_units,
 )
 
 _NEAR = 0.25  # length of a Newton step in the metric that needs no search
@@ -96,24 +94,14 @@ def calc_slab_projection(
 
 @compiled
 def put_scaled(share: float, values: Array, out: Array) -> None:
-    """Writes a multiple of a vector; zeros for none of it.
-
-    Args:
-        values: (n,) the vector, whatever is in it if the factor is zero.
-        out: (n,) written.
-    """
+    """Writes a multiple of a vector; zeros for none of it, whatever is in it."""
     for i in range(len(out)):
         out[i] = share * values[i] if share != 0.0 else 0.0
 
 
 @compiled
 def put_products(whitened: Array, products: Array) -> None:
-    """Writes W Wᵀ.
-
-    Args:
-        whitened: (k, n) W.
-        products: (k, k) written.
-    """
+    """Writes W Wᵀ (k, k)."""
     for i in range(len(whitened)):
         for j in range(i + 1):
             total = 0.0
@@ -128,11 +116,8 @@ def put_gaps(
 ) -> float:
     """Writes how far limits are above the values of rows; the greatest error in the metric.
 
-    Args:
-        slabs: Rows (k, n) and their limits (k,).
-        point: y (n,) and λ (k,).
-        products: (k, k) A g(y)⁻¹ Aᵀ.
-        gaps: (k,) written: the slope of the dual, zero where a row is inside and pushes nothing.
+    The gaps (k,) are the slope of the dual, zero where a row is inside and pushes nothing; the
+    products are A g(y)⁻¹ Aᵀ (k, k).
     """
     (rows, lower, upper), (y, held), worst = slabs, point, 0.0
     for i in range(len(held)):
@@ -160,14 +145,7 @@ def put_gaps(
 
 @compiled
 def put_direction(products: Array, gaps: Array, held: Array, d: Array) -> None:
-    """Writes Newton's step of the multipliers; none pulls a row on the side where it does not bind.
-
-    Args:
-        products: (k, k) A g(y)⁻¹ Aᵀ.
-        gaps: (k,) slope of the dual.
-        held: (k,) λ.
-        d: (k,) written.
-    """
+    """Writes Newton's step of the multipliers; none pulls a row on a side where it binds not."""
     count, left = len(gaps), 0
     rows = np.empty(count, np.int64)
     for i in range(count):
@@ -193,14 +171,7 @@ def put_direction(products: Array, gaps: Array, held: Array, d: Array) -> None:
 
 @compiled
 def put_solution(products: Array, gaps: Array, rows: Places, found: Array) -> None:
-    """Writes Newton's step of some rows, by Cholesky's decomposition on a unit diagonal.
-
-    Args:
-        products: (k, k) A g(y)⁻¹ Aᵀ.
-        gaps: (k,) slope of the dual.
-        rows: (r,) which.
-        found: (r, ...) written.
-    """
+    """Writes Newton's step of some rows, by Cholesky's decomposition on a unit diagonal."""
     left = len(rows)
     L, scale = np.empty((left, left)), np.empty(left)
     for i in range(left):
@@ -224,13 +195,9 @@ def put_solution(products: Array, gaps: Array, rows: Places, found: Array) -> No
 
 @compiled
 def calc_kink(held: Array, d: Array, lower: Array, upper: Array) -> tuple[float, int]:
-    """The share of a step at which a multiplier changes its sign first, and which; inf if none.
+    """The share of a step d at which a multiplier changes its sign first, and which; inf if none.
 
-    Args:
-        held: (k,) λ.
-        d: (k,) step.
-        lower: (k,) limits of rows; the same as `upper` for an equation, which has either sign.
-        upper: (k,) limits.
+    The limits of an equation are the same: its multiplier has either sign.
     """
     kink, at = np.inf, 0
     for i in range(len(held)):
@@ -246,7 +213,6 @@ def is_short_enough(
     """Whether a step that ends at a point does not go far beyond the top of the dual.
 
     Args:
-        slabs: Rows (k, n) and their limits (k,).
         trial: (n,) its end, not a number where there is none.
         way: λ (k,) where it began, and its direction d (k,).
         slope: That of the dual where it began, along d.
@@ -263,34 +229,10 @@ def is_short_enough(
 
 
 @compiled
-def put_body_root(phi: Array, P: Array, d: Array, L: Array) -> bool:
-    """Writes the lower triangular L (4, 4) with P(φ) = L Lᵀ; False where there is none.
-
-    Args:
-        phi: (10,) φ.
-        P: (4, 4) overwritten.
-        d: (4,) overwritten.
-        L: (4, 4) written.
-    """
-    put_pseudo_inertia(phi, P)
-    if not (put_units(P, d) and put_root(P, L) > 0.0):
-        return False
-    for i in range(4):
-        for j in range(4):
-            L[i, j] *= d[i]
-    return True
-
-
-@compiled
 def calc_stationarity(
     points: tuple[Array, Array], held: tuple[Array, Array], factors: Factors
 ) -> float:
-    """Length of ∇h(x) + Aᵀ λ − ∇h(y) in the metric at y.
-
-    Args:
-        points: x and y, each (n,).
-        held: A (k, n) and λ (k,).
-    """
+    """Length of ∇h(x) + Aᵀ λ − ∇h(y) in the metric at y, of x and y, and of A and λ."""
     (x, y), (bodies, shares, places, lower, other_shares) = points, factors
     rows, multipliers = held
     push = np.empty(len(x))

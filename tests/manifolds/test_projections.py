@@ -178,7 +178,7 @@ def test_polyhedra_of_inertias_against_clarabel(seed):
     theirs = ClarabelSolver().Solve(program, None, precise).GetSolution(phi)
     ours = bregman_projection(PhysicalInertia(), x, Polyhedron(A, lower, upper))
     divergence = PhysicalInertia().divergence
-    assert divergence(theirs, ours) < 1e-10
+    assert divergence(theirs, ours) < 1e-9  # theirs moves by 1e-10 with the last digit of its input
     assert divergence(ours, x) <= divergence(theirs, x) * (1 + 1e-10)
 
 
