@@ -35,6 +35,7 @@ from geodrake.boundary.escaping import one_line
 from geodrake.boundary.input_files import open_regular, regular_file
 from geodrake.boundary.showing import Short
 from geodrake.errors import ArgumentError, DigestError
+from geodrake.fleet.hashes import text_hash
 from geodrake.fleet.settings import FORMAT, DigestColumn, DigestSettings, array_of, settings_of
 from geodrake.identification.logs.evidence import effective_by_covariance
 from geodrake.inertia import Array
@@ -245,8 +246,7 @@ def merge(digests: Sequence[Digest]) -> Digest:
     if not digests:
         raise ArgumentError("There is no digest to merge.", advice="Give at least one.")
     first = digests[0].settings
-    for digest in digests[1:]:
-        check_same(digest.settings, first, f"The digest of {digest.logs[0].name}")
+    digests = [by_settings(d, first, f"The digest of {d.logs[0].name}") for d in digests]
     logs = tuple(log for digest in digests for log in digest.logs)
     (twice, count), *_ = Counter(log.fingerprint for log in logs).most_common(1)
     if count > 1:
@@ -265,13 +265,45 @@ def merge(digests: Sequence[Digest]) -> Digest:
     )
 
 
-def check_same(own: DigestSettings, others: DigestSettings, what: str) -> None:
-    """Refuse digests that do not add up; the message says in what settings differ."""
-    if own.hash != others.hash:
+def by_settings(digest: Digest, settings: DigestSettings, what: str) -> Digest:
+    """Return a digest over the columns of settings, whose effects may be in another order.
+
+    Raises:
+        DigestError: Settings differ in more than that; the message says in what.
+    """
+    own = digest.settings
+    if own.hash == settings.hash:
+        return digest
+    effects = sorted(own.effects, key=text_hash)
+    if (
+        effects != sorted(settings.effects, key=text_hash)
+        or replace(own, effects=settings.effects).hash != settings.hash
+    ):
+        words = ", ".join(own.differences(settings))
         raise DigestError(
-            f"{what} is by other settings: they differ in {', '.join(own.differences(others))}.",
+            f"{what} is by other settings: they differ in {words}.",
             advice="Digest the logs again, all by one model into one folder.",
         )
+    places = {text_hash(column): at for at, column in enumerate(settings.columns)}
+    numbers = np.array([places[text_hash(column)] for column in own.columns], np.intp)
+    joints = tuple(_renumbered(joint, numbers[joint.columns]) for joint in digest.joints)
+    return replace(digest, settings=settings, joints=joints)
+
+
+def _renumbered(joint: JointDigest, columns: Indices) -> JointDigest:
+    """Return what blocks say of a joint where its columns have other numbers, these (p_j,)."""
+    order = np.argsort(columns)
+    efforts = np.arange(len(order), joint.factors.shape[2])
+    factors = np.linalg.qr(joint.factors[:, :, np.append(order, efforts)], mode="r")
+    signs = np.where(np.diagonal(factors, axis1=1, axis2=2) < 0.0, -1.0, 1.0)
+    return replace(
+        joint,
+        columns=columns[order],
+        factors=signs[:, :, None] * factors,
+        carried=joint.carried[:, order],
+        peaks=joint.peaks[order],
+        inertia=joint.inertia[:, order],
+    )
 
 
 def _joined(parts: Sequence[JointDigest]) -> JointDigest:
@@ -330,8 +362,7 @@ def sealed(arrays: Mapping[str, NDArray[Any]]) -> bytes:
 
 def read_digest_of(path: Path, settings: DigestSettings) -> Digest:
     """Read a digest of one log in a folder, which must be the one that its name says."""
-    digest = read_digest(path)
-    check_same(digest.settings, settings, str(path))
+    digest = by_settings(read_digest(path), settings, str(path))
     if [log.key for log in digest.logs] != [path.stem]:
         names = ", ".join(log.name for log in digest.logs)
         raise DigestError(
