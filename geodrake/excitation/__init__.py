@@ -14,9 +14,7 @@ from geodrake.excitation.collision_geometry import Solid, floor_of, read_obstacl
 from geodrake.excitation.collisions import CollisionWorld
 from geodrake.excitation.design import (
     ExcitationResult,
-    ReducedExcitation,
     design_excitation,
-    design_reduced_excitation,
 )
 from geodrake.excitation.families import FourierMotion, FreeSamples, MotionFamily, SplineMotion
 from geodrake.excitation.identifiable import (
@@ -60,14 +58,12 @@ __all__ = [
     "MotionFamily",
     "MotionLimits",
     "Objective",
-    "ReducedExcitation",
     "ReducedIdentification",
     "Separation",
     "Solid",
     "SplineMotion",
     "Target",
     "design_excitation",
-    "design_reduced_excitation",
     "drake_trajectory",
     "floor_of",
     "identifiable_parameters",
