@@ -39,7 +39,6 @@ LONG_MODULES = {
     "playwright.sync_api",
     "geodrake.robot.files.xacro_process",
     "adaptive_loops",
-    "effort_logs",
     "pinocchio_logs",
     "servo_logs",
 }

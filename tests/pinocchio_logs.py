@@ -1,56 +1,19 @@
-"""Logs of robots that Pinocchio simulates, with hidden effects in formulas of their own.
+"""Logs of robots by Pinocchio, with hidden efforts in formulas written out where they are used.
 
-Nothing here comes from geodrake but the container of the log: dry friction is v / √(v² + ε²), not
-tanh; springs are given by their rest position, payloads as welded bodies, rotors by gear ratio;
-bodies are perturbed, so that the model file's inertias are off.
+Nothing here comes from geodrake but the container of the log; bodies are perturbed, so that the
+model file's inertias are off.
 """
 
-import math
-from collections import defaultdict
-from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 import pinocchio as pin
-from scipy.linalg.lapack import dgesv
+from scipy.signal import lfilter
 
 from geodrake.logs.motion import JointLog
 
 MODELS = Path(__file__).parents[1] / "models"
-STEP = 5e-4
-BANDWIDTH = 120.0  # of the drives, rad/s
-BREAKAWAY_SPEED = 5e-3
-
-
-@dataclass(frozen=True)
-class HiddenEffects:
-    """What the simulated robot has and the model file lacks; joints by index, SI units.
-
-    Attributes:
-        coulomb, viscous: Joint -> F, c.
-        asymmetric: Joint -> (F forwards, F backwards).
-        offset: Joint -> constant effort.
-        spring: Joint -> (stiffness, rest position).
-        load_factor: Joint -> share of the gear's load that friction takes.
-        rotor: Joint -> (gear ratio, inertia of the rotor).
-        belt: (i, j) -> (F, c) of a motor that turns with v_i + v_j.
-        payload: (mass, centre, gyration radius) of a ball held by the last link.
-        law: Further torques (n,) as a function of q and v, for effects that no catalogue has.
-        late: By how much logged efforts lag behind, s.
-    """
-
-    coulomb: Mapping[int, float] = field(default_factory=dict)
-    viscous: Mapping[int, float] = field(default_factory=dict)
-    asymmetric: Mapping[int, tuple[float, float]] = field(default_factory=dict)
-    offset: Mapping[int, float] = field(default_factory=dict)
-    spring: Mapping[int, tuple[float, float]] = field(default_factory=dict)
-    load_factor: Mapping[int, float] = field(default_factory=dict)
-    rotor: Mapping[int, tuple[float, float]] = field(default_factory=dict)
-    belt: Mapping[tuple[int, int], tuple[float, float]] = field(default_factory=dict)
-    payload: tuple[float, tuple[float, float, float], float] | None = None
-    law: Callable[[np.ndarray, np.ndarray], np.ndarray] | None = None
-    late: float | tuple[float, ...] = 0.0
 
 
 @dataclass(frozen=True)
@@ -106,116 +69,28 @@ def perturbed(model, rng, off):
     return model
 
 
-def with_hidden_bodies(model, hidden):
-    """The robot that is simulated: payload and rotors included."""
-    model = pin.Model(model)
-    if hidden.payload is not None:
-        mass, center, radius = hidden.payload
-        last = model.inertias[model.njoints - 1]
-        ball = pin.Inertia(mass, np.array(center), mass * radius**2 * np.eye(3))
-        model.inertias[model.njoints - 1] = last + ball
-    for joint, (ratio, inertia) in hidden.rotor.items():
-        model.armature[joint] += ratio**2 * inertia
-    return model
+@dataclass(frozen=True)
+class Seen:
+    """What a hidden effort may be a function of: (N, n) each, and Pinocchio's model and data."""
 
+    time: np.ndarray
+    q: np.ndarray
+    v: np.ndarray
+    a: np.ndarray
+    load: np.ndarray
+    model: pin.Model
+    data: pin.Data
 
-@dataclass
-class JointResistance:
-    """What resists one joint: F, c, an effort, k and its rest position, a load factor."""
+    def more(self, model):
+        """(N, n) effort that another model needs beyond that of this robot."""
+        data, samples = model.createData(), zip(self.q, self.v, self.a, strict=True)
+        return np.array([pin.rnea(model, data, *sample) for sample in samples]) - self.load
 
-    dry: float = 0.0
-    wet: float = 0.0
-    constant: float = 0.0
-    stiffness: float = 0.0
-    rest: float = 0.0
-    factor: float = 0.0
-
-    def torque(self, q, v, load):
-        """Torque and its slope in v; plain numbers, which take less time than arrays of one."""
-        height = self.dry + self.factor * abs(load)
-        root = math.sqrt(v * v + BREAKAWAY_SPEED**2)
-        friction = height * v / root + self.wet * v
-        slope = height * BREAKAWAY_SPEED**2 / root**3 + self.wet
-        return friction + self.constant + self.stiffness * (q - self.rest), slope
-
-
-def resistances(hidden):
-    """Joint -> its JointResistance, of joints that have one."""
-    found = defaultdict(JointResistance)
-    for joint, value in hidden.coulomb.items():
-        found[joint].dry = value
-    for joint, value in hidden.viscous.items():
-        found[joint].wet = value
-    for joint, (forwards, backwards) in hidden.asymmetric.items():
-        # Friction of the mean height, and a constant effort on top: the same two levels.
-        found[joint].dry, found[joint].constant = (
-            (forwards + backwards) / 2,
-            (forwards - backwards) / 2,
-        )
-    for joint, value in hidden.offset.items():
-        found[joint].constant = value
-    for joint, (k, zero) in hidden.spring.items():
-        found[joint].stiffness, found[joint].rest = k, zero
-    for joint, value in hidden.load_factor.items():
-        found[joint].factor = value
-    return dict(found)
-
-
-def resistance(hidden, n) -> Callable:
-    """The hidden joint torques as a function (q, v, transmitted load), and their slope in v."""
-    joints = resistances(hidden)
-    belts = [(np.eye(n)[i] + np.eye(n)[j], F, c) for (i, j), (F, c) in hidden.belt.items()]
-    steps = 1e-5 * np.eye(n)
-
-    def torque(q, v, load):
-        f, slope = np.zeros(n), np.zeros((n, n))
-        for j, own in joints.items():
-            f[j], slope[j, j] = own.torque(float(q[j]), float(v[j]), float(load[j]))
-        if hidden.law is not None:
-            own = hidden.law(q, v)
-            slope += np.stack([(hidden.law(q, v + h) - own) / 1e-5 for h in steps], 1)
-            f += own
-        for row, F, c in belts:
-            w = row @ v
-            root_w = np.hypot(w, BREAKAWAY_SPEED)
-            f += row * (F * w / root_w + c * w)
-            slope += np.outer(row, row) * (F * BREAKAWAY_SPEED**2 / root_w**3 + c)
-        return f, slope
-
-    return torque
-
-
-def simulate(model, controller_model, motion, hidden, duration):
-    """Positions, velocities and applied efforts, a row a step, of a robot that tracks a motion.
-
-    The drives add stiff PD control to the controller model's inverse dynamics. Steps are linearly
-    implicit in friction and PD, and take the rest at their middle: stable however stiff they are.
-    """
-    plant, n = with_hidden_bodies(model, hidden), model.nv
-    data, inverse = plant.createData(), controller_model.createData()
-    torque = resistance(hidden, n)
-    steps = round(duration / STEP)
-    q_ref, v_ref, a_ref = motion(STEP * np.arange(steps + 1))
-    inertia = 0.1 + np.diag(pin.crba(controller_model, inverse, motion.center))
-    damping = 2 * 0.7 * BANDWIDTH * inertia
-    stiffness = BANDWIDTH**2 * inertia
-    implicit, ahead = STEP * np.diag(damping + STEP * stiffness), 0.5 * STEP
-    q, v, a, load = q_ref[0].copy(), v_ref[0].copy(), a_ref[0].copy(), np.zeros(n)
-    rows = np.empty((3, steps, n))
-    for k in range(steps):
-        u = pin.rnea(controller_model, inverse, q_ref[k], v_ref[k], a_ref[k])
-        u += stiffness * (q_ref[k + 1] - q - STEP * v) + damping * (v_ref[k + 1] - v)
-        middle = q + ahead * v
-        f, slope = torque(middle, v, load)
-        slope *= STEP
-        u -= f
-        mass, bias = pin.crba(plant, data, middle), pin.nle(plant, data, middle, v + ahead * a)
-        a = dgesv(mass + slope + implicit, u - bias)[2]
-        u -= implicit @ a
-        load = u - slope @ a
-        rows[:, k] = q, v, u + f
-        q, v = q + STEP * (v + ahead * a), v + STEP * a
-    return rows
+    def with_body(self, joint, change):
+        """(N, n) effort that the robot needs more if the body of a joint is another one."""
+        other = pin.Model(self.model)
+        other.inertias[joint] = change(other.inertias[joint])
+        return self.more(other)
 
 
 @dataclass(frozen=True)
@@ -226,66 +101,57 @@ class Recording:
     noise: np.ndarray
 
 
-def record(name, rows, rng, *, joints, share=0.04, late=0.0, every=8, encoder=1e-5, least=0.0):
-    """What sensors make of a simulation: white noise on efforts, encoder ticks, late efforts.
-
-    Args:
-        name: Name of the log.
-        rows: Positions, velocities and efforts of `simulate`, a row a step.
-        rng: Random generator.
-        joints: Names of the joints.
-        share: Deviation of the effort's noise, as a share of that of the effort.
-        late: By how much logged efforts lag behind, all or each of them, s.
-        every: Steps from one sample to the next.
-        encoder: Deviation of the position's noise, rad.
-    """
-    q, v, u = rows
-    time = STEP * np.arange(len(q))
-    # An effort is held over a step: at the instant between two steps it is their mean.
-    at = np.arange(1, len(q), every)
-    u = 0.5 * (u[at] + u[at - 1])
-    lags = np.broadcast_to(late, u.shape[1])
-    both = zip(lags, u.T, strict=True)
-    u = np.stack([np.interp(time[at] - lag, time[at], column) for lag, column in both], 1)
-    noise = np.hypot(share * u.std(0), least)
-    return Recording(
-        JointLog(
-            name,
-            tuple(joints),
-            time[at],
-            q[at] + encoder * rng.normal(size=u.shape),
-            u + noise * rng.normal(size=u.shape),
-            v[at] + 20 * encoder * rng.normal(size=u.shape),
-        ),
-        noise,
-    )
-
-
-def without_effects(name, seed, *, colour=0.0, off=0.0, duration=16.0, share=0.03):
-    """A log of a robot that has no hidden effect: inverse dynamics of a random motion, and noise.
+def effort_log(
+    name,
+    seed,
+    hidden=None,
+    *,
+    off=0.0,
+    duration=24.0,
+    share=0.03,
+    rate=250.0,
+    colour=0.0,
+    **motion,
+):
+    """A log of a robot's inverse dynamics and a hidden effort, with noise.
 
     Args:
         name: Name of the robot.
-        seed: Of motion, robot and noise.
-        colour: Correlation of the effort's noise from one sample to the next (at 250 Hz).
+        seed: Of motion, bodies and noise.
+        hidden: Function of `Seen` that gives efforts (N, n), or a dict of joint -> (N,).
         off: Share by which the bodies differ from the model file.
         duration: Length, s.
         share: Deviation of the effort's noise, as a share of that of the effort.
+        rate: Samples a second.
+        colour: Correlation of the effort's noise from one sample to the next.
+        motion: Arguments of `random_motion`.
+
+    Returns:
+        A Recording.
     """
-    rng, model = np.random.default_rng(seed), robot(name)
-    plant = perturbed(model, rng, off)
-    data, time = plant.createData(), np.arange(0.0, duration, 8 * STEP)
-    q, v, a = random_motion(model, rng)(time)
-    effort = np.array([pin.rnea(plant, data, *sample) for sample in zip(q, v, a, strict=True)])
-    noise = np.sqrt(1 - colour**2) * rng.normal(size=effort.shape)
-    for k in range(1, len(noise)):
-        noise[k] += colour * noise[k - 1]
+    rng, file = np.random.default_rng(seed), robot(name)
+    plant = perturbed(file, rng, off)
+    data, time = plant.createData(), np.arange(0.0, duration, 1.0 / rate)
+    q, v, a = random_motion(file, rng, **motion)(time)
+    load = np.array([pin.rnea(plant, data, *sample) for sample in zip(q, v, a, strict=True)])
+    effort = load.copy()
+    if hidden is not None:
+        more = hidden(Seen(time, q, v, a, load, plant, data))
+        if isinstance(more, dict):
+            for joint, values in more.items():
+                effort[:, joint] += values
+        else:
+            effort += more
     deviation = share * effort.std(0)
+    q = q + 1e-5 * rng.normal(size=q.shape)
+    noise = rng.normal(size=effort.shape)
+    if colour:
+        noise = lfilter([np.sqrt(1.0 - colour**2)], [1.0, -colour], noise, axis=0)
     log = JointLog(
         f"{name} {seed}",
-        tuple(model.names[1:]),
+        tuple(file.names[1:]),
         time,
-        q + 1e-5 * rng.normal(size=q.shape),
+        q,
         effort + deviation * noise,
         v + 2e-4 * rng.normal(size=q.shape),
     )

@@ -5,7 +5,7 @@ from dataclasses import replace
 from pathlib import Path
 
 import pytest
-from pinocchio_logs import without_effects
+from pinocchio_logs import effort_log
 from typer.testing import CliRunner
 
 from geodrake.cli.app import app
@@ -16,7 +16,7 @@ MODEL = Path(__file__).parents[2] / "models" / "double_pendulum.urdf"
 
 @pytest.fixture(scope="module")
 def wrong(tmp_path_factory):
-    log = without_effects("double_pendulum", 3, off=0.1, duration=8.0, share=0.01).log
+    log = effort_log("double_pendulum", 3, off=0.1, duration=8.0, share=0.01).log
     effort = log.effort.copy()
     effort[:, 1] *= -1.0
     path = tmp_path_factory.mktemp("wrong") / "wrong.csv"

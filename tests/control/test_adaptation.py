@@ -10,8 +10,6 @@ from hypothesis import strategies as st
 from scipy.optimize import minimize
 
 from geodrake.control.adaptation import (
-    AdaptationLaw,
-    ConstantMetric,
     FunctionSet,
     LinearSet,
     ProjectedLaw,
@@ -199,28 +197,6 @@ def test_the_natural_law_does_not_depend_on_frames_and_units(seed):
         # Relative to the inertia itself, in all directions alike.
         inverse = np.linalg.inv(np.linalg.cholesky(expected))
         assert np.abs(inverse @ (there - expected) @ inverse.T).max() < 1e-9
-
-
-@pytest.mark.parametrize("wrong", [0.0, -1.0, np.nan, np.inf])
-def test_laws_refuse_a_gain_that_is_none(wrong):
-    with pytest.raises(ArgumentError, match="gamma must be"):
-        natural_adaptation(BODIES, wrong)
-
-
-def test_laws_refuse_what_they_cannot_use():
-    with pytest.raises(ArgumentError, match="integrator"):
-        AdaptationLaw(BODIES, 1.0, "heun")
-    with pytest.raises(ArgumentError, match="inside of the manifold"):
-        pullback_adaptation(BODIES, -np.ones(BODIES.dimension))
-    with pytest.raises(ArgumentError, match="positive definite"):
-        ConstantMetric(np.array([[1.0, 2.0], [2.0, 1.0]]), np.eye(2))
-    with pytest.raises(ArgumentError, match="dimension must be"):
-        euclidean_adaptation(0)
-    law = natural_adaptation(BODIES)
-    with pytest.raises(ArgumentError, match="limits are on 40"):
-        ProjectedLaw(law, mass_limits(40, 1, 0.0, 1.0))
-    with pytest.raises(ArgumentError, match="margin"):
-        ProjectedLaw(law, mass_limits(BODIES.dimension, 1, 0.0, 1.0), margin=np.nan)
 
 
 # Projections

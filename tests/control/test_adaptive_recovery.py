@@ -283,13 +283,6 @@ class TestLimited:
             p = partial.step(p, -1e3 * np.ones(len(TRUTH)), 1e-2)
         assert limits.violation(p[last]).max() < 1e-9 and (p[last] != TRUTH[last]).any()
 
-    @pytest.mark.parametrize("factor", [1.0, 0.0, np.nan])
-    def test_a_factor_that_makes_no_sense_is_refused(self, factor):
-        with pytest.raises(ArgumentError, match="factor"):
-            limited(natural(), TRUTH[None], factor)
-        with pytest.raises(ArgumentError, match="factor"):
-            Safeguards(factor=factor)
-
 
 def test_leakage_takes_the_estimate_to_the_model():
     """D(p₀‖p̂) falls by σ (D(p₀‖p̂) + D(p̂‖p₀)) h in a step of h, beside what b does."""
@@ -304,16 +297,3 @@ def test_leakage_takes_the_estimate_to_the_model():
     for toward in (None, -TRUTH, TRUTH[:3]):
         with pytest.raises(ArgumentError):
             replace(law, toward=toward)
-
-
-@pytest.mark.parametrize(
-    "wrong",
-    [
-        {"drift": 0.0},
-        {"settling_time": -1.0},
-        {"drift": np.nan},
-    ],
-)
-def test_safeguards_that_make_no_sense_are_refused(wrong):
-    with pytest.raises(ArgumentError, match=next(iter(wrong))):
-        Safeguards(**wrong)

@@ -25,7 +25,6 @@ from geodrake.control.adaptation import (
     ProjectedLaw,
     euclidean_adaptation,
     mass_limits,
-    natural_adaptation,
     pullback_adaptation,
 )
 from geodrake.control.loops import add_adaptive_loop
@@ -35,7 +34,6 @@ from geodrake.control.systems import (
     FixedGains,
     PassivityBasedAdaptiveController,
     PredictionError,
-    Safeguards,
     VaryingGains,
 )
 from geodrake.errors import ArgumentError
@@ -218,38 +216,6 @@ def test_only_what_is_needed_is_read():
     assert not feeds(computed(), "estimated_state", "actuation")
     assert feeds(computed(), "estimated_state", "lyapunov")
     assert "lyapunov" not in [passive(truth=None).get_output_port(i).get_name() for i in range(2)]
-
-
-def test_what_does_not_fit_is_refused():
-    with pytest.raises(ArgumentError, match=r"parameters must be \(22,\)"):
-        passive(parameters=np.ones(3))
-    with pytest.raises(ArgumentError, match="holds nan"):
-        passive(parameters=np.full(len(TRUTH), np.nan))
-    with pytest.raises(ArgumentError, match="inside of the law's manifold"):
-        passive(parameters=-TRUTH)
-    with pytest.raises(ArgumentError, match="time_step"):
-        passive(time_step=-1.0)
-    with pytest.raises(ArgumentError, match=r"rates? must be"):
-        passive(gains=VaryingGains(0.0))
-    with pytest.raises(ArgumentError, match="damping gains"):
-        passive(gains=FixedGains([1.0, 2.0, 3.0], 1.0))
-    with pytest.raises(ArgumentError, match="effort_limits"):
-        passive(safeguards=Safeguards(effort_limits=[1.0, -1.0]))
-    with pytest.raises(ArgumentError, match="rate must be a finite real number"):
-        passive(gains=VaryingGains([1.0, 9.0]))
-    with pytest.raises(ArgumentError, match="VaryingGains or FixedGains"):
-        passive(gains=8.0)
-    with pytest.raises(ArgumentError, match="dead_zone"):
-        passive(safeguards=Safeguards(dead_zone=[1.0, 1.0, 1.0]))
-    with pytest.raises(ArgumentError, match="stale_time"):
-        Safeguards(stale_time=np.nan)
-    for rate in ([1.0, 2.0, 3.0], np.inf, -1.0):
-        with pytest.raises(ArgumentError, match=r"rates? must be"):
-            computed(rate=rate)
-    with pytest.raises(ArgumentError, match="needs a time step"):
-        computed(time_step=0.0, prediction=FILTERED)
-    with pytest.raises(ArgumentError, match="moves 5 parameters"):
-        passive(natural_adaptation(euclidean_adaptation(5).manifold))
 
 
 def test_floating_robots_are_refused():

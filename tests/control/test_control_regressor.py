@@ -32,7 +32,6 @@ from geodrake.effects import (
     StribeckFriction,
     ViscousFriction,
 )
-from geodrake.errors import ArgumentError
 from geodrake.inertia import inertial_parameters
 from geodrake.logs.motion import Motion
 from geodrake.model.robot_model import load_description
@@ -311,9 +310,3 @@ def test_a_sample_changes_none_of_its_inputs_and_no_other_sample(arm):
     after = first.regressor, first.covector(r), first.mass_matrix(control.prior)
     for x, y in zip(before, after, strict=True):
         np.testing.assert_array_equal(x, y)
-
-
-@pytest.mark.parametrize("width", [-1.0, np.nan, np.inf, [0.1, 0.1]])
-def test_widths_of_signs_that_are_none_are_refused(arm, width):
-    with pytest.raises(ArgumentError, match=r"sign widths|sign_width must"):
-        ControlModel.of(arm, sign_width=width)

@@ -30,7 +30,6 @@ from geodrake.control.systems import (
 )
 from geodrake.control.systems.prediction_error import Prediction
 from geodrake.control.systems.safeguards import Seen
-from geodrake.errors import ArgumentError
 from geodrake.manifolds import PhysicalInertia
 
 LAST = adapted_parameters(MODEL, [MODEL.bodies[-1]])
@@ -184,23 +183,3 @@ def test_prediction_goes_on_where_efforts_are_at_their_limits():
             assert (np.abs(system.GetOutputPort("actuation").Eval(context)) <= 0.05).all()
         moved[name] = np.abs(system.parameters(context) - START).max()
     assert moved["tracking"] == 0.0 < moved["both"]
-
-
-def test_what_does_not_fit_is_refused():
-    for options, message in (
-        ({"weight": -1.0}, "weight must be"),
-        ({"weight": np.nan}, "weight"),
-        ({"bandwidth": 0.0}, "bandwidth must be"),
-        ({"tolerance": [[1.0]]}, "tolerance must be"),
-        ({"measured": 1}, "measured must be"),
-    ):
-        with pytest.raises(ArgumentError, match=message):
-            PredictionError(**options)
-    with pytest.raises(ArgumentError, match="weight must be"):
-        passive(PredictionError([0.1, 0.2, 0.3]))
-    with pytest.raises(ArgumentError, match="needs a time step"):
-        passive(PredictionError(), time_step=0.0)
-    with pytest.raises(ArgumentError, match="prediction must be"):
-        passive(0.1)
-    system = computed(PredictionError(alone=True))
-    assert not system.HasInputPort("acceleration") and not system.HasInputPort("effort")

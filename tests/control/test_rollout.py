@@ -4,6 +4,7 @@ import json
 
 import numpy as np
 import pytest
+from scipy.linalg.lapack import dgesv
 from typer.testing import CliRunner
 
 from geodrake import load_model, save_model
@@ -12,30 +13,68 @@ from geodrake.control.rollout import roll_out
 from geodrake.diagnosis import explain
 from geodrake.errors import ArgumentError, LogError
 from geodrake.logs.files import write_log
+from geodrake.logs.motion import JointLog
 
 pytest.importorskip("pinocchio")
 
-from pinocchio_logs import MODELS, HiddenEffects, random_motion, record, robot, simulate
+import pinocchio as pin
+from pinocchio_logs import MODELS, random_motion, robot
 
 ARM, PENDULUM = MODELS / "arm6.urdf", MODELS / "double_pendulum.urdf"
+STEP, BANDWIDTH, BREAKAWAY_SPEED = 5e-4, 120.0, 5e-3
 
 
-def recording(hidden, name="double_pendulum", *, share=0.01, late=0.0, seconds=16.0):
+def simulate(model, motion, duration, dry, wet):
+    """Positions, velocities and applied efforts, a row a step, of a robot that tracks a motion.
+
+    Drives with stiff PD control beside inverse dynamics meet dry friction F v / √(v² + ε²) and
+    viscous friction, F and c (n,). Steps are linearly implicit in friction and PD, and take the
+    rest at their middle: stable however stiff they are.
+    """
+    n, data, inverse = model.nv, model.createData(), model.createData()
+    steps = round(duration / STEP)
+    q_ref, v_ref, a_ref = motion(STEP * np.arange(steps + 1))
+    inertia = 0.1 + np.diag(pin.crba(model, inverse, motion.center))
+    damping = 2 * 0.7 * BANDWIDTH * inertia
+    stiffness = BANDWIDTH**2 * inertia
+    implicit, ahead = STEP * np.diag(damping + STEP * stiffness), 0.5 * STEP
+    q, v, a = q_ref[0].copy(), v_ref[0].copy(), a_ref[0].copy()
+    rows = np.empty((3, steps, n))
+    for k in range(steps):
+        u = pin.rnea(model, inverse, q_ref[k], v_ref[k], a_ref[k])
+        u += stiffness * (q_ref[k + 1] - q - STEP * v) + damping * (v_ref[k + 1] - v)
+        root = np.hypot(v, BREAKAWAY_SPEED)
+        friction = dry * v / root + wet * v
+        slope = STEP * np.diag(dry * BREAKAWAY_SPEED**2 / root**3 + wet)
+        mass = pin.crba(model, data, q + ahead * v)
+        bias = pin.nle(model, data, q + ahead * v, v + ahead * a)
+        a = dgesv(mass + slope + implicit, u - friction - bias)[2]
+        rows[:, k] = q, v, u - implicit @ a
+        q, v = q + STEP * (v + ahead * a), v + STEP * a
+    return rows
+
+
+def recording(name, friction, *, share, seconds):
+    """A log of every eighth step, of which an effort is the mean before and after it."""
     rng, file = np.random.default_rng(2), robot(name)
-    rows = simulate(file, file, random_motion(file, rng), hidden, seconds)
-    return record(name, rows, rng, joints=file.names[1:], share=share, encoder=1e-6, late=late).log
+    q, v, u = simulate(file, random_motion(file, rng), seconds, *np.outer([1.0, 1.0], friction))
+    at = np.arange(1, len(q), 8)
+    u = 0.5 * (u[at] + u[at - 1])
+    noise = rng.normal(size=(3, *u.shape)) * np.array([1e-6, share, 2e-5])[:, None, None]
+    logged = q[at] + noise[0], u + u.std(0) * noise[1], v[at] + noise[2]
+    return JointLog(name, tuple(file.names[1:]), STEP * at, *logged)
 
 
 @pytest.fixture(scope="module")
 def plain():
     """A log of an arm without hidden effects, and without noise."""
-    return recording(HiddenEffects(), "arm6", share=0.0, seconds=6.0)
+    return recording("arm6", np.zeros(6), share=0.0, seconds=6.0)
 
 
 @pytest.fixture(scope="module")
 def frictional():
     """A log of a pendulum with friction, and the model that explains it."""
-    log = recording(HiddenEffects(coulomb={0: 0.3, 1: 0.15}, viscous={0: 0.3, 1: 0.15}))
+    log = recording("double_pendulum", [0.3, 0.15], share=0.01, seconds=16.0)
     return log, explain(load_model(PENDULUM), [log]).model
 
 

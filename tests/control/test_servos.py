@@ -57,16 +57,6 @@ def everything(system, context):
     return np.concatenate([*parts, system.EvalTimeDerivatives(context).CopyToVector()])
 
 
-def servoed(servo, position, velocity, command, rate):
-    context = seen(
-        servo,
-        commanded_position=command,
-        commanded_velocity=rate,
-        estimated_state=np.concatenate([position, velocity]),
-    )
-    return servo.get_output_port().Eval(context)
-
-
 def test_a_servo_by_hand():
     servo = PositionServo(**GAINS)
     first = 20.0 * (0.2 - 0.02) + 1.5 * 0.8 + 3.0 * 0.3 + 0.2  # 5.9, which is beyond the limit
@@ -240,19 +230,3 @@ def test_numbers_of_the_context():
         servo.set_gains(seen(servo), ki=1.0)
     with pytest.raises(ArgumentError, match="no stiffness"):
         servo.set_gains(seen(servo), stiffness=1.0)
-
-
-@pytest.mark.parametrize(
-    "gains",
-    [
-        {"kp": -1.0},
-        {"kp": [[1.0]]},
-        {"kp": [1.0, np.nan]},
-        {"kp": [1.0, 2.0], "kd": [1.0, 2.0, 3.0]},
-        {"kp": 1.0, "limit": 0.0},
-        {"kp": 1.0, "dead_band": np.inf},
-    ],
-)
-def test_wrong_numbers_are_refused(gains):
-    with pytest.raises(ArgumentError):
-        PositionServo(**gains)

@@ -12,7 +12,7 @@ from chain_logs import chain_log
 from excitation_robots import arm as chain
 from measurements import DATA, REFERENCE
 from pendulum_logs import PENDULUM, body_effort
-from pinocchio_logs import without_effects
+from pinocchio_logs import effort_log
 from scipy.spatial.transform import Rotation
 
 from diagrams.benchmarks.column_errors import DURATION, WrongLog, make_log
@@ -42,7 +42,7 @@ def pendulum():
 @pytest.fixture(scope="module")
 def right():
     """A log of a double pendulum whose bodies are a tenth off, with dry and viscous friction."""
-    log = without_effects("double_pendulum", 3, off=0.1, duration=12.0, share=0.01).log
+    log = effort_log("double_pendulum", 3, off=0.1, duration=12.0, share=0.01).log
     v = log.velocity
     rubbing = 0.1 * log.effort.std(0) * (np.tanh(v / 0.01) + 0.3 * v)
     return replace(log, effort=log.effort + rubbing)

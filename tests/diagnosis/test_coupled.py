@@ -2,7 +2,7 @@
 
 Logs are Drake's inverse dynamics of a chain of four joints whose bodies are not those of the model;
 friction in them is v / √(v² + ε²), not tanh. That `explain` names such actuators of an arm, and how
-large they are, is in test_hidden_forces.py.
+large they are, is in test_planted_effects.py.
 """
 
 from dataclasses import replace
@@ -14,7 +14,7 @@ from chain_logs import chain_log
 from excitation_robots import arm
 from scipy.signal import lfilter
 
-from geodrake.diagnosis import add, diagnose, explain
+from geodrake.diagnosis import add, diagnose
 from geodrake.diagnosis.coupled import coupled_joints, other_pairs
 from geodrake.diagnosis.residuals import full_motion, joint_residuals
 from geodrake.errors import ArgumentError
@@ -72,29 +72,6 @@ class TestCandidates:
     def test_dry_or_viscous_alone(self, law):
         (first, *_), _ = diagnosed(shared(1, 3, -1, law))
         assert (first.effect, first.where) == ("coupled_friction", SECOND_AND_LAST)
-
-    @pytest.mark.parametrize("sense", [1, -1])
-    def test_rotor(self, sense):
-        """Its inertia is that of both joints, and couples them."""
-        log = chain_log(CHAIN, 1, shared(1, 3, sense, lambda _, a: 0.1 * a))
-        steps = {s.effect: s for s in explain(wrong(), [log], bandwidth=6.0).steps}
-        assert steps.keys() == {"rotor_inertia", "coupled_rotor_inertia"}
-        assert all(step.where == SECOND_AND_LAST for step in steps.values())
-        (values,) = steps["coupled_rotor_inertia"].parameters.values()
-        assert values["inertia"] == pytest.approx(sense * 0.1, rel=0.05)
-
-    @pytest.mark.thorough
-    def test_under_friction_of_the_joints(self):
-        belt = shared(1, 3, 1, lambda w, _: 0.3 * sign(w))
-        size = np.array([1.0, 1.0, 0.3, 0.3])
-
-        def hidden(q, v, vd, load):
-            return belt(q, v, vd, load) + size * (sign(v) + 0.7 * v)
-
-        found = explain(wrong(), [chain_log(CHAIN, 1, hidden)], bandwidth=6.0)
-        own = dict.fromkeys(("coulomb_friction", "viscous_friction"), CHAIN.joints)
-        expected = own | {"coupled_friction": SECOND_AND_LAST}
-        assert {step.effect: step.where for step in found.steps} == expected
 
     def test_not_at_one_joint_alone(self):
         """Friction that follows another joint's speed too, but is not felt there."""

@@ -20,16 +20,7 @@ from geodrake.logs.motion import Motion
 
 pytest.importorskip("pinocchio")
 
-from pinocchio_logs import (
-    MODELS,
-    HiddenEffects,
-    perturbed,
-    random_motion,
-    record,
-    robot,
-    simulate,
-    without_effects,
-)
+from pinocchio_logs import MODELS, effort_log
 
 JOINTS = load_model(MODELS / "arm6.urdf").joints
 YAW, SHOULDER, ELBOW, ROLL, PITCH, SPIN = JOINTS
@@ -39,41 +30,35 @@ def smooth_sign(v):
     return v / np.hypot(v, 5e-3)
 
 
-def at(joint, value):
-    """A torque at one joint."""
-    torque = np.zeros(6)
-    torque[joint] = value
-    return torque
-
-
+GYROSCOPE = "gyroscope that the file knows nothing of"
 INVENTED = {
     "brake that another joint's position tightens": (
-        lambda q, v: at(2, 3.0 * (1.2 + np.sin(q[3])) * smooth_sign(v[2])),
+        lambda q, v: {2: 3.0 * (1.2 + np.sin(q[3])) * smooth_sign(v[2])},
         ELBOW,
         {(ELBOW, "sign_v"), (ROLL, "q")},
     ),
     "spring that acts past an angle": (
-        lambda q, v: at(1, 0.6 * np.log1p(np.exp((q[1] - 0.2) / 0.02))),
+        lambda q, v: {1: 0.6 * np.log1p(np.exp((q[1] - 0.2) / 0.02))},
         SHOULDER,
         {(SHOULDER, "q")},
     ),
     "friction that grows with a neighbour's speed": (
-        lambda q, v: at(3, 0.9 * abs(v[2]) * smooth_sign(v[3])),
+        lambda q, v: {3: 0.9 * abs(v[2]) * smooth_sign(v[3])},
         ROLL,
         {(ROLL, "sign_v"), (ELBOW, "v")},
     ),
     "hose that hangs from the sum of two angles": (
-        lambda q, v: at(4, 0.5 * np.cos(q[4] + q[3])),
+        lambda q, v: {4: 0.5 * np.cos(q[4] + q[3])},
         PITCH,
         {(PITCH, "q"), (ROLL, "q")},
     ),
     "damper that another joint's position opens": (
-        lambda q, v: at(0, 4.0 * q[1] * v[0]),
+        lambda q, v: {0: 4.0 * q[1] * v[0]},
         YAW,
         {(YAW, "v"), (SHOULDER, "q")},
     ),
-    "gyroscope that the file knows nothing of": (
-        lambda q, v: at(3, 0.3 * v[4] * v[5]),
+    GYROSCOPE: (
+        lambda q, v: {3: 0.3 * v[4] * v[5]},
         ROLL,
         {(PITCH, "v"), (SPIN, "v")},
     ),
@@ -81,44 +66,16 @@ INVENTED = {
 """Law, joint, and the signals that it is a function of."""
 
 
-def recording(law, seed, *, seconds=24.0):
-    """A log of an arm whose bodies are 20 % off, and that has a law of its own."""
-    rng, file = np.random.default_rng(seed), robot("arm6")
-    rows = simulate(
-        perturbed(file, rng, 0.2),
-        file,
-        random_motion(file, rng),
-        HiddenEffects(law=law),
-        seconds,
-    )
-    return record("invented", rows, rng, joints=file.names[1:]).log
-
-
 @cache
 def drafted(name):
-    """The log of an invented effect, and what is drafted from it."""
-    log = recording(INVENTED[name][0], 3)
+    """The log of an invented effect of an arm whose bodies are off, and its draft."""
+    law = INVENTED[name][0]
+    log = effort_log("arm6", 3, lambda seen: law(seen.q.T, seen.v.T), off=0.2, share=0.04).log
     return log, *draft_effects(load_model(MODELS / "arm6.urdf"), [log])
 
 
-THOROUGH = (
-    "friction that grows with a neighbour's speed",
-    "damper that another joint's position opens",
-    "brake that another joint's position tightens",
-    "hose that hangs from the sum of two angles",
-    "spring that acts past an angle",
-)
-"""The gyroscope's, which a test below needs too, shows how a draft is found."""
-
-
 @pytest.mark.thorough
-@pytest.mark.parametrize(
-    "name",
-    [
-        pytest.param(name, marks=pytest.mark.thorough) if name in THOROUGH else name
-        for name in INVENTED
-    ],
-)
+@pytest.mark.parametrize("name", INVENTED)
 def test_invented_effects(name, tmp_path):
     _, joint, signals = INVENTED[name]
     _, explanation, draft = drafted(name)
@@ -140,13 +97,12 @@ def test_invented_effects(name, tmp_path):
 
 def test_a_written_effect_explains(tmp_path):
     """The file as `--effects` takes it: the verdict is then that all is explained."""
-    name = "gyroscope that the file knows nothing of"
-    log, _, draft = drafted(name)
+    log, _, draft = drafted(GYROSCOPE)
     file = tmp_path / "my_effect.py"
     file.write_text(source_of(draft))
     (written,) = load_effect_file(file)
     found = explain(load_model(MODELS / "arm6.urdf"), [log], extra=[written])
-    joint = INVENTED[name][1]
+    joint = INVENTED[GYROSCOPE][1]
     assert [(step.effect, step.where) for step in found.steps] == [(written.name, (joint,))]
     assert found.verdict == "explained"
 
@@ -201,11 +157,11 @@ def test_a_written_effect_is_its_formula_and_acts_on_a_plant(tmp_path):
     ("law", "words"),
     [
         (lambda t: 0.6 * np.sin(2 * np.pi * 1.37 * t), "swings at 1.37 Hz"),
-        pytest.param(lambda t: 2.0 * (t / 24.0) ** 2, "drifts slowly", marks=pytest.mark.thorough),
+        (lambda t: 2.0 * (t / 24.0) ** 2, "drifts slowly"),
     ],
 )
 def test_what_follows_the_clock(law, words):
-    log = without_effects("arm6", 6, duration=24.0).log
+    log = effort_log("arm6", 6).log
     effort = log.effort + np.outer(law(log.time), np.eye(6)[4])
     draft = draft_effects(load_model(MODELS / "arm6.urdf"), [replace(log, effort=effort)])[1]
     first = next(c for c in draft.correlates if c.joint == PITCH)
@@ -214,18 +170,17 @@ def test_what_follows_the_clock(law, words):
 
 
 def test_nothing_to_draft():
-    draft = draft_effects(load_model(MODELS / "arm6.urdf"), [without_effects("arm6", 4).log])[1]
+    draft = draft_effects(
+        load_model(MODELS / "arm6.urdf"), [effort_log("arm6", 4, duration=16.0).log]
+    )[1]
     assert draft.effects == ()
     assert draft.correlates == ()
     assert draft.before.nrms == draft.after.nrms
 
 
-@pytest.mark.parametrize(
-    "name", ["double_pendulum", pytest.param("arm6", marks=pytest.mark.thorough)]
-)
-def test_coloured_noise_is_no_formula(name):
-    log = without_effects(name, 101, colour=0.8).log
-    assert draft_effects(load_model(MODELS / f"{name}.urdf"), [log])[1].effects == ()
+def test_coloured_noise_is_no_formula():
+    log = effort_log("double_pendulum", 101, colour=0.8, duration=16.0).log
+    assert draft_effects(load_model(MODELS / "double_pendulum.urdf"), [log])[1].effects == ()
 
 
 def test_vocabulary_has_nothing_twice():

@@ -8,7 +8,7 @@ from pendulum_logs import JOINTS, PENDULUM, body_effort, friction, pendulum_log
 
 from geodrake import load_model
 from geodrake.diagnosis import add, compare, explain
-from geodrake.errors import ArgumentError, LogError
+from geodrake.errors import LogError
 from geodrake.logs.motion import JointLog
 
 
@@ -92,17 +92,6 @@ def test_velocities_that_nobody_filled_in(model):
 def test_lists_do_for_a_log():
     log = JointLog("lists", ("a",), [0.0, 0.1], [[1.0], [2.0]], [[0.0], [1.0]])
     assert log.position.shape == (2, 1)
-
-
-@pytest.mark.parametrize("blocks", [0, 1])
-def test_too_few_blocks_are_refused_by_name(model, blocks):
-    with pytest.raises(ArgumentError, match=rf"{blocks} blocks do not do"):
-        compare(model, [pendulum_log(11)], blocks=blocks)
-
-
-def test_no_log_is_refused(model):
-    with pytest.raises(ArgumentError, match="There is no log"):
-        compare(model, [])
 
 
 def test_a_log_too_short_for_a_lower_bandwidth(model):

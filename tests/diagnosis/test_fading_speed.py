@@ -7,7 +7,7 @@ import pytest
 
 pytest.importorskip("pinocchio")
 
-from effort_logs import MODELS, effort_log
+from pinocchio_logs import MODELS, effort_log
 from scipy.special import erf
 
 from geodrake import load_model, save_model

@@ -12,14 +12,13 @@ import pytest
 pytest.importorskip("pinocchio")
 
 import pinocchio as pin
-from pinocchio_logs import MODELS, Recording, perturbed, random_motion, robot
+from pinocchio_logs import MODELS, perturbed, random_motion, robot
 from scipy.interpolate import make_interp_spline
 
 from geodrake import load_model
-from geodrake.diagnosis import add, explain
+from geodrake.diagnosis import add
 from geodrake.effects import CoulombFriction, FittedEffect, JointElasticity, ViscousFriction
 from geodrake.effects.deflection import Deflection
-from geodrake.identification.logs.noise import prepare_for_model
 from geodrake.logs.motion import JointLog, Motion
 from geodrake.model.saved_model import save_model
 
@@ -27,12 +26,12 @@ ARM = load_model(MODELS / "arm6.urdf")
 DRY = np.array([4.0, 5.0, 3.0, 0.15, 0.15, 0.08])  # N·m
 
 
-def elastic_motion(joint, stiffness, seed, *, off=0.0, duration=24.0, rate=250.0, pace=0.6):
+def elastic_motion(joint, stiffness, seed, *, off=0.0, duration=24.0):
     """Time, motor positions, velocities and accelerations, and the effort (N, n) of the links."""
     rng, file = np.random.default_rng(seed), robot("arm6")
     plant = perturbed(file, rng, off)
-    data, time = plant.createData(), np.arange(0.0, duration, 1.0 / rate)
-    motion = [x.copy() for x in random_motion(file, rng, pace=pace)(time)]
+    data, time = plant.createData(), np.arange(0.0, duration, 1.0 / 250.0)
+    motion = [x.copy() for x in random_motion(file, rng)(time)]
     effort = np.array([pin.rnea(plant, data, *x) for x in zip(*motion, strict=True)])
     bend = make_interp_spline(time, effort[:, joint] / stiffness, k=5)
     for order, values in enumerate(motion):
@@ -40,23 +39,15 @@ def elastic_motion(joint, stiffness, seed, *, off=0.0, duration=24.0, rate=250.0
     return time, *motion, effort
 
 
-def elastic_log(joint, stiffness, seed, *, share=0.01, friction=0.0, pace=0.6, duration=24.0):
+def elastic_log(joint, stiffness, seed, *, friction=0.0, duration=24.0):
     """A log of such a robot, with white noise and friction of all motors."""
-    time, q, v, _, effort = elastic_motion(
-        joint, stiffness, seed, off=0.2, pace=pace, duration=duration
+    time, q, v, _, effort = elastic_motion(joint, stiffness, seed, off=0.2, duration=duration)
+    effort = effort + friction * DRY * (np.tanh(v / 0.01) + 0.7 * v)
+    rng, noise = np.random.default_rng(seed), 0.01 * effort.std(0)
+    noisy = [x + size * rng.normal(size=q.shape) for x, size in ((q, 1e-5), (effort, noise))]
+    return JointLog(
+        f"elastic {seed}", ARM.joints, time, *noisy, v + 2e-4 * rng.normal(size=q.shape)
     )
-    size = friction * DRY
-    effort = effort + size * (np.tanh(v / 0.01) + 0.7 * v)
-    rng, noise = np.random.default_rng(seed), share * effort.std(0)
-    log = JointLog(
-        f"elastic {seed}",
-        ARM.joints,
-        time,
-        q + 1e-5 * rng.normal(size=q.shape),
-        effort + noise * rng.normal(size=effort.shape),
-        v + 2e-4 * rng.normal(size=q.shape),
-    )
-    return Recording(log, noise)
 
 
 @pytest.mark.parametrize("joint", [1, 2, 4])
@@ -90,31 +81,11 @@ def test_at_rest_the_posture_changes():
 
 
 class TestDiagnosis:
-    """On an arm; test_bandwidth.py has a pendulum whose soft joint is found."""
-
-    @pytest.mark.parametrize(
-        ("joint", "stiffness", "friction", "seed"),
-        [
-            pytest.param(1, 3000.0, 0.0, 1, marks=pytest.mark.thorough),
-            pytest.param(1, 6000.0, 0.0, 2, marks=pytest.mark.thorough),
-            pytest.param(2, 1500.0, 0.0, 1, marks=pytest.mark.thorough),
-        ],
-    )
-    def test_found(self, joint, stiffness, friction, seed):
-        recording = elastic_log(joint, stiffness, seed, friction=friction)
-        found = explain(ARM, [recording.log])
-        (step,) = found.steps
-        assert (step.effect, step.where) == ("joint_elasticity", (ARM.joints[joint],))
-        compliance = step.parameters[ARM.joints[joint]]["compliance"]
-        assert compliance == pytest.approx(1.0 / stiffness, rel=0.08)
-        trajectories, _ = prepare_for_model(ARM, [recording.log])
-        noise = recording.noise * trajectories[0].filter.noise_gain
-        floor = np.sqrt(np.mean((noise / [j.std for j in found.end.joints]) ** 2))
-        assert found.end.nrms < 1.15 * floor
+    """What is added; that a soft joint is found is in the benchmark of hidden effects."""
 
     def test_beside_friction_that_is_known(self):
         """What the spring bends by is told by its motor's motion, not by the friction."""
-        log = elastic_log(1, 3000.0, 1, friction=1.0, duration=12.0).log
+        log = elastic_log(1, 3000.0, 1, friction=1.0, duration=12.0)
         known = [
             FittedEffect(effect(joint), np.array([size]))
             for joint, dry in zip(ARM.joints, DRY, strict=True)
@@ -127,7 +98,7 @@ class TestDiagnosis:
         assert compliance == pytest.approx(1.0 / 3000.0, rel=0.1)
 
     def test_added_by_name_and_saved(self, tmp_path):
-        found = add("joint_elasticity", ARM, [elastic_log(2, 1500.0, 2).log])
+        found = add("joint_elasticity", ARM, [elastic_log(2, 1500.0, 2)])
         assert "elbow_pitch" in found.steps[0].where
         assert found.end.nrms < 0.5 * found.start.nrms
         save_model(found.model, tmp_path / "arm.yaml")

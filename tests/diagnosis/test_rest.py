@@ -4,8 +4,8 @@ import json
 
 import numpy as np
 import pytest
-from effort_logs import effort_log
 from excitation_robots import MODELS
+from pinocchio_logs import effort_log
 from scipy.signal import lfilter
 from typer.testing import CliRunner
 

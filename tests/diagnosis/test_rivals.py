@@ -5,9 +5,9 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from effort_logs import effort_log
 from excitation_robots import MODELS
 from pendulum_logs import pendulum_log
+from pinocchio_logs import effort_log
 from rich.console import Console
 
 from geodrake.diagnosis import add, diagnose, explain

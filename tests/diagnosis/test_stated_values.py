@@ -4,7 +4,7 @@ import re
 
 import numpy as np
 import pytest
-from effort_logs import MODELS, effort_log
+from pinocchio_logs import MODELS, effort_log
 
 from geodrake import load_model
 from geodrake.diagnosis import diagnose, explain

@@ -12,7 +12,7 @@ import pytest
 pytest.importorskip("pinocchio")
 
 import pinocchio as pin
-from effort_logs import MODELS, effort_log
+from pinocchio_logs import MODELS, effort_log
 from pydrake.multibody.tree import default_model_instance
 from pydrake.systems.framework import DiagramBuilder
 
@@ -42,13 +42,10 @@ def pendulum():
 def held(weight):
     """Efforts of friction, and of a ball at the last link that weighs in at w(t)."""
 
+    ball = pin.Inertia(MASS, CENTRE, 0.4 * MASS * 0.03**2 * np.eye(3))
+
     def hidden(seen):
-        heavier = pin.Model(seen.model)
-        ball = pin.Inertia(MASS, CENTRE, 0.4 * MASS * 0.03**2 * np.eye(3))
-        heavier.inertias[heavier.njoints - 1] += ball
-        data = heavier.createData()
-        samples = zip(seen.q, seen.v, seen.a, strict=True)
-        more = np.array([pin.rnea(heavier, data, *sample) for sample in samples]) - seen.load
+        more = seen.with_body(seen.model.njoints - 1, lambda own: own + ball)
         friction = COULOMB * seen.v / np.hypot(seen.v, 5e-3) + VISCOUS * seen.v
         return weight(seen.time)[:, None] * more + friction
 

@@ -290,12 +290,6 @@ class TestDelay:
             assert len(made) == count
             np.testing.assert_array_equal(sensors.delays_of(made, joints), some)
 
-    def test_bad_arguments(self):
-        with pytest.raises(ArgumentError, match="delay of effort_delay must be"):
-            effects.EffortDelay(np.nan)
-        with pytest.raises(ArgumentError, match=r"period must be .* above 0"):
-            effects.EffortDelay(0.1).delayed(self.time, 0.0)
-
 
 class TestCandidates:
     def test_stribeck_velocities(self):

@@ -16,7 +16,7 @@ from scipy.integrate import solve_ivp
 
 pytest.importorskip("pinocchio")
 
-from effort_logs import MODELS, effort_log
+from pinocchio_logs import MODELS, effort_log
 
 from geodrake import load_model
 from geodrake.control.systems import EffectForce

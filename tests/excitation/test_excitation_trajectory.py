@@ -7,7 +7,7 @@ import pytest
 import yaml
 from excitation_robots import arm
 
-from geodrake.errors import ArgumentError, OutputError
+from geodrake.errors import ArgumentError
 from geodrake.excitation.families import FourierMotion, FreeSamples, SplineMotion
 from geodrake.excitation.regressor_gradient import inverse_dynamics_regressor_gradient
 from geodrake.excitation.trajectory import (
@@ -181,24 +181,6 @@ def test_rates():
     assert len(trajectory.instants(100.0)) == 106
     with pytest.raises(ArgumentError, match="A rate is a positive"):
         trajectory.instants(0.0)
-
-
-def test_bad_arguments(tmp_path):
-    for wrong in (
-        lambda: FourierMotion(0.0),
-        lambda: FourierMotion(modes=0),
-        lambda: FourierMotion(frequency=-1.0),
-        lambda: SplineMotion(points=5),
-        lambda: SplineMotion(degree=2),
-        lambda: FreeSamples(0),
-    ):
-        with pytest.raises(ArgumentError):
-            wrong()
-    trajectory = trajectory_of(FourierMotion(), model := arm())
-    with pytest.raises(OutputError, match=r"\.csv.*\.yaml"):
-        write_trajectory(trajectory, tmp_path / "motion.bag", model)
-    with pytest.raises(OutputError):
-        write_trajectory(trajectory, tmp_path / "nowhere" / "motion.yaml", model)
 
 
 def test_balls_have_no_order(tmp_path):

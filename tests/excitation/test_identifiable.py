@@ -194,17 +194,6 @@ class TestBadInput:
         with pytest.raises(ArgumentError, match=r"the data say something of \d+ alone"):
             reduced_identification(target, factor, kept=target.base.rank)
 
-    def test_shapes(self):
-        target, motion, b, _ = measured_case()
-        with pytest.raises(ArgumentError, match="measurements of 2 of them"):
-            measurement_factor(target, motion, [b, b])
-        with pytest.raises(ArgumentError, match=r"must be \(60, 3\).*\(59, 3\)"):
-            measurement_factor(target, motion, [b[1:]])
-        with pytest.raises(ArgumentError, match=r"must be \(31, 31\)"):
-            reduced_identification(target, measurement_factor(target, motion))
-        with pytest.raises(ArgumentError, match="the target has 30 parameters"):
-            identifiable_parameters(target, np.eye(20))
-
 
 def test_a_motion_for_as_many_directions_as_are_asked_for():
     model = arm(joints="RR")

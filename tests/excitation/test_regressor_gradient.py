@@ -9,7 +9,6 @@ from pydrake.math import RigidTransform, RollPitchYaw
 from pydrake.multibody.tree import MultibodyForces_
 from random_plants import JOINTS, random_motion, random_plant, random_tree
 
-from geodrake.errors import ArgumentError
 from geodrake.excitation.regressor_gradient import (
     base_wrench_regressor_gradient,
     inverse_dynamics_regressor_gradient,
@@ -126,15 +125,3 @@ def test_samples_do_not_mix():
         for name in NAMES:
             found = getattr(whole, name)[i]
             np.testing.assert_allclose(found, getattr(alone, name)[0], rtol=1e-12, atol=1e-12)
-
-
-def test_bad_arguments():
-    rng = np.random.default_rng(6)
-    plant = random_plant(rng, ("revolute",))
-    motion = random_motion(plant, rng, 2)
-    with pytest.raises(ArgumentError, match=r"\(2, 1, 10\).*\(2, 1, 9\)"):
-        inverse_dynamics_regressor_gradient(plant, *motion, np.zeros((2, 1, 9)))
-    with pytest.raises(ArgumentError, match="holds nan"):
-        inverse_dynamics_regressor_gradient(plant, *motion, np.full((2, 1, 10), np.nan))
-    with pytest.raises(ArgumentError, match=r"\(2, 6, 10\)"):
-        base_wrench_regressor_gradient(plant, *motion, np.zeros((2, 1, 10)))

@@ -76,14 +76,6 @@ def test_each_regularizer_is_best_by_its_own_measure():
         assert own.divergence <= min(others) * (1 + 1e-6)
 
 
-def test_bad_comparisons_are_refused():
-    A, b = data(2)
-    with pytest.raises(ArgumentError, match="can be compared once"):
-        compare_regularizers(A, b, PRIOR, gamma=1.0, regularizers=["entropic", "entropic"])
-    with pytest.raises(ArgumentError, match="is 'ridge'"):
-        compare_regularizers(A, b, PRIOR, gamma=1.0, reference="ridge")
-
-
 def test_least_squares_is_that_of_numpy():
     A, b = data(3, rows=60)
     result = least_squares(A, b, bodies=2)

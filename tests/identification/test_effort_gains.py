@@ -4,8 +4,8 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from effort_logs import MODELS, effort_log
 from measurements import DATA, REFERENCE
+from pinocchio_logs import MODELS, effort_log
 
 from geodrake import load_model
 from geodrake.diagnosis import explain

@@ -174,11 +174,3 @@ def test_masses_far_from_the_body_are_found_where_those_of_the_body_do_not_reach
         fit = identify(A, b, PRIOR, regularizer=PointMassEuclidean(points), gamma=1e-6)
         least.append(fit.residual)
     assert least[1] < 1e-3 * least[0]
-
-
-def test_bad_regions_are_refused():
-    one = Ellipsoid([0.0, 0.0, 0.0], [0.3] * 3, np.eye(3))
-    with pytest.raises(ArgumentError, match=r"shape \(2,\) are needed, one a body; .* \(\)"):
-        PointMasses.within(PRIOR, one)
-    with pytest.raises(ArgumentError, match="counts must be a whole number from 20"):
-        PointMasses.within(PRIOR, Ellipsoid(np.zeros((2, 3)), [[0.3] * 3] * 2, np.eye(3)), 19)

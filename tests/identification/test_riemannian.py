@@ -9,7 +9,6 @@ from identified_bodies import random_data, restated
 from scipy.linalg import block_diag, expm
 from scipy.optimize import NonlinearConstraint, minimize
 
-from geodrake.errors import ArgumentError
 from geodrake.identification import BodyConstraints, Riemannian, identify
 from geodrake.identification.coordinates import SYMMETRIC_BASIS
 from geodrake.identification.riemannian import half_squared_logs, log_derivatives
@@ -156,11 +155,6 @@ def test_several_minima_are_found_and_reported():
         np.unique(result.minima.costs.round(6)), np.sort(costs[lowest]), rtol=1e-4
     )
     assert len(result.minima.starts) == 4
-
-
-def test_bad_settings_are_refused():
-    with pytest.raises(ArgumentError, match="must begin with 'entropic'"):
-        Riemannian(starts=("prior",))
 
 
 def test_the_point_to_set_form_against_slsqp():

@@ -7,7 +7,6 @@ from hypothesis import strategies as st
 from identified_bodies import THREE as PRIOR
 from scipy.optimize import minimize_scalar
 
-from geodrake.errors import ArgumentError
 from geodrake.identification import identify
 from geodrake.identification.identify import REGULARIZERS
 from geodrake.inertia import pseudo_inertia, pseudo_inertia_basis
@@ -126,15 +125,3 @@ def test_units_of_scalars_do_not_matter(regularizer, seed, log_unit, log_gamma):
     np.testing.assert_allclose(again.extra / in_unit, first.extra, rtol=1e-5)
     np.testing.assert_allclose(again.phi, first.phi, rtol=1e-4, atol=1e-6)
     assert again.divergence == pytest.approx(first.divergence, rel=1e-4, abs=1e-9)
-
-
-@pytest.mark.parametrize(
-    "prior", [[1.0, 1.0], [1.0, -1.0, 1.0], [0.0, 1.0, 1.0], [np.inf, 1.0, 1.0], [9.0, 1.0, 1.0],
-              [[1.0, 0.0], [1.0, 1.0], [1.0, 1.0]], "one"],
-)  # fmt: skip
-def test_wrong_priors_are_refused(prior):
-    A, b, _ = data(1)
-    bounds = [[0.0, 5.0], [0.0, np.inf], [0.0, np.inf]]
-    with pytest.raises(ArgumentError, match="extra_prior"):
-        identify(A, b, PRIOR, regularizer="entropic", gamma=1.0, extra_prior=prior,
-                 extra_bounds=bounds)  # fmt: skip

@@ -1,11 +1,9 @@
 """Distances between bodies: what they are made of, and what they do not depend on."""
 
 import numpy as np
-import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from geodrake.errors import ArgumentError
 from geodrake.inertia import (
     body_distances,
     change_frame,
@@ -98,11 +96,3 @@ def test_only_the_pullback_distance_is_finite_at_the_edge():
     assert (np.diff(body_distances.entropic_divergence(thin, body)) > 4.0).all()
     pullback = body_distances.pullback_distance(thin, body, body)
     np.testing.assert_allclose(pullback, np.sqrt(0.5), rtol=2e-2)
-
-
-def test_bodies_that_cannot_be():
-    body = random_bodies(np.random.default_rng(3))
-    with pytest.raises(ArgumentError, match="no body"):
-        body_distances.riemannian_distance(-body, body)
-    with pytest.raises(ArgumentError, match="no body"):
-        body_distances.pullback_distance(body, body, np.zeros(10))

@@ -1,9 +1,7 @@
 """Random bodies around given ones."""
 
 import numpy as np
-import pytest
 
-from geodrake.errors import ArgumentError, ConvergenceError
 from geodrake.inertia import is_physical, pseudo_inertia
 from geodrake.inertia.body_distances import riemannian_distance
 from geodrake.inertia.ellipsoids import Ellipsoid, equivalent_ellipsoid, is_realizable
@@ -59,19 +57,3 @@ def test_impossible_draws_are_counted_and_replaced():
     made = perturb(phi, 200, rng=np.random.default_rng(7), mass_uncertainty=0.9, point_masses=3)
     assert made.rejected > 0
     assert is_physical(made.phi).all()
-
-
-def test_bad_arguments():
-    phi, rng = bodies(), np.random.default_rng(8)
-    with pytest.raises(ArgumentError, match=r"Bodies \[1\]"):
-        perturb(phi * [[1], [-1], [1]], 3, rng=rng)
-    with pytest.raises(ArgumentError, match="between 0 and 1"):
-        perturb(phi, 3, rng=rng, mass_uncertainty=1.0)
-    with pytest.raises(ArgumentError, match=r"\(10,\)"):
-        perturb(phi[0], 3, rng=rng)
-    thin = Ellipsoid(np.zeros(3), np.array([1e-5, 1.0, 1.0]), np.eye(3)).uniform_body(1.0)
-    with pytest.raises(ConvergenceError, match="Body 0"):
-        perturb(thin[None], 3, rng=rng)
-    two = Ellipsoid(np.zeros((2, 3)), np.ones(3), np.eye(3))
-    with pytest.raises(ArgumentError, match=r"each of 3 bodies; got \(2,\)"):
-        perturb(phi, 3, rng=rng, support=two)

@@ -14,8 +14,7 @@ import pytest
 pytest.importorskip("pinocchio")
 
 import pinocchio as pin
-from effort_logs import MODELS
-from pinocchio_logs import perturbed, random_motion, robot
+from pinocchio_logs import MODELS, perturbed, random_motion, robot
 from typer.testing import CliRunner
 
 from geodrake import load_model

@@ -7,7 +7,6 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from geodrake.errors import ArgumentError
 from geodrake.inertia import (
     change_frame,
     change_units,
@@ -340,16 +339,3 @@ def test_divergence_of_close_points_is_not_lost_in_rounding(step):
     for k in range(12, 1, -1):  # r − log(1 + r) = Σ (−r)ᵏ / k
         exact += (-ratio) ** k / k
     assert Positive().divergence([x], [1.0]) == pytest.approx(exact, rel=1e-9)
-
-
-def test_bad_arguments():
-    with pytest.raises(ArgumentError, match="upper bound"):
-        Interval((1.0,), (1.0,))
-    with pytest.raises(ArgumentError, match=r"\(1, 9\)"):
-        ConstrainedInertia(np.ones((1, 9)), np.ones(1))
-    with pytest.raises(ArgumentError, match="above 0"):
-        ConstrainedInertia(np.ones((1, 10)), np.ones(1), 0.0)
-    with pytest.raises(ArgumentError, match="positive weight"):
-        Product((Free(), Free()), (1.0, -1.0))
-    with pytest.raises(ArgumentError, match="needs a manifold"):
-        Product(())

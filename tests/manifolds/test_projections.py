@@ -235,13 +235,3 @@ class TestBadInput:
             bregman_projection(PhysicalInertia(), self.X, affine_set(rows, [1.0, 3.0]))
         y = bregman_projection(PhysicalInertia(), self.X, affine_set(rows, [1.0, 2.0]))
         assert y[0] == pytest.approx(1.0)
-
-    def test_shapes_and_places(self):
-        with pytest.raises(ArgumentError, match="10 coordinates"):
-            bregman_projection(PhysicalInertia(), self.X, halfspace([1.0], 0.0))
-        with pytest.raises(ArgumentError, match="not inside"):
-            bregman_projection(PhysicalInertia(), -self.X, halfspace(np.eye(10)[0], 0.0))
-        with pytest.raises(ArgumentError, match="lower must be"):
-            Polyhedron(np.eye(2), np.zeros(3), np.ones(3))
-        with pytest.raises(ArgumentError, match="do not exceed"):
-            slab([1.0], 2.0, 1.0)

@@ -283,24 +283,6 @@ class TestFiles:
         assert note.startswith("meshes that are not shown: package://no/where.obj (")
 
 
-@pytest.mark.parametrize(
-    ("options", "message"),
-    [
-        ({"time_step": -1e-3}, "time_step"),
-        ({"scene_graph": "yes"}, "scene_graph"),
-        ({"name": 3}, "name"),
-        ({"sign_width": [0.1]}, "sign width"),
-        ({"log": 3}, "log"),
-    ],
-)
-def test_wrong_options(options, message):
-    model = with_effects(0.0)
-    with pytest.raises(ArgumentError, match=message):
-        model.add_to_builder(DiagramBuilder(), **options)
-    with pytest.raises(ArgumentError, match="builder"):
-        model.add_to_builder("builder")
-
-
 def test_bodies_that_cannot_be(tmp_path):
     model = load_model(DEMO)
     phi = model.phi.copy()

@@ -13,7 +13,6 @@ from pydrake.multibody.tree import FixedOffsetFrame, PrismaticJoint, RevoluteJoi
 from scipy.linalg import block_diag, null_space, solve_triangular
 from scipy.spatial.transform import Rotation
 
-from geodrake.errors import ArgumentError
 from geodrake.inertia import change_frame, inertial_parameters, pullback_metric
 from geodrake.robot.base_parameters import (
     base_parameters,
@@ -160,37 +159,6 @@ def test_metric_is_the_shortest_change_of_the_parameters(arm):
     assert step @ H0 @ step == pytest.approx(shortest @ shortest, rel=1e-8)
     inverse = base.matrix @ np.linalg.inv(G0) @ base.matrix.T
     np.testing.assert_allclose(H0 @ inverse, np.eye(base.rank), atol=1e-9)
-
-
-def test_bad_metrics(arm):
-    base, phi = structural_base_parameters(arm), inertial_parameters(arm)
-    with pytest.raises(ArgumentError, match="60 columns"):
-        pushforward_metric(base.matrix[:, :50], phi)
-    with pytest.raises(ArgumentError, match=r"bodies \[2\]"):
-        base.metric(np.where(np.arange(6)[:, None] == 2, -1.0, phi))
-    with pytest.raises(ArgumentError, match="dependent"):
-        pushforward_metric(base.matrix[[0, 0]], phi)
-    with pytest.raises(ArgumentError, match="60"):
-        base.labels(["one"])
-    with pytest.raises(ArgumentError, match=r"regressor must be \(\.\.\., 60\)"):
-        base.regressor(np.zeros((3, 70)))
-    with pytest.raises(ArgumentError, match="phi must be"):
-        base.values(phi[:5])
-
-
-@pytest.mark.parametrize(
-    ("arguments", "message"),
-    [
-        ((np.zeros(10),), "shape"),
-        ((np.zeros((3, 12)),), "12 columns"),
-        ((np.full((3, 10), np.nan),), "holds nan"),
-    ],
-)
-def test_bad_regressors(arguments, message):
-    with pytest.raises(ArgumentError, match=message):
-        base_parameters(*arguments)
-    with pytest.raises(ArgumentError, match=r"tolerance must be .* and 1"):
-        base_parameters(np.ones((3, 10)), tolerance=0.0)
 
 
 def test_base_parameters_reproduce_efforts_of_other_motions(arm):

@@ -9,7 +9,6 @@ from pydrake.autodiffutils import AutoDiffXd, ExtractGradient, InitializeAutoDif
 from pydrake.multibody.tree import MultibodyForces_
 from random_plants import JOINTS, random_motion, random_plant, random_tree
 
-from geodrake.errors import ArgumentError
 from geodrake.inertia import inertial_parameters
 from geodrake.robot.effort_slopes import effort_slopes
 from geodrake.robot.kinematics import KinematicTree
@@ -86,13 +85,3 @@ def test_pinocchio(name):
         for name_, theirs in zip(NAMES, (dq, dv, M), strict=True):
             own = getattr(found, name_)[i][np.ix_(ours, ours)]
             assert_close(own, theirs[np.ix_(pins, pins)])
-
-
-def test_wrong_shapes():
-    rng = np.random.default_rng(3)
-    plant = random_plant(rng, ["revolute"])
-    motion = random_motion(plant, rng, 2)
-    with pytest.raises(ArgumentError, match="phi has the shape"):
-        effort_slopes(plant, *motion, np.zeros((2, 10)))
-    with pytest.raises(ArgumentError, match=r"vd must be \(N, 1\)"):
-        effort_slopes(plant, *motion[:2], np.zeros((3, 1)), np.zeros((1, 10)))

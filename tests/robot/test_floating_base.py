@@ -22,7 +22,6 @@ from pydrake.multibody.tree import FixedOffsetFrame, RevoluteJoint, SpatialInert
 from pydrake.systems.analysis import Simulator
 from random_plants import JOINTS, random_motion, random_plant
 
-from geodrake.errors import ArgumentError
 from geodrake.inertia import inertial_parameters
 from geodrake.inertia.bodies import lumped_bodies
 from geodrake.robot.base_parameters import base_parameters, structural_base_parameters
@@ -31,7 +30,6 @@ from geodrake.robot.floating_base import (
     body_poses,
     zero_moment_point,
 )
-from geodrake.robot.kinematics import KinematicTree
 from geodrake.robot.plant import load_plant
 
 MODELS = Path(__file__).parents[2] / "models"
@@ -131,20 +129,6 @@ def test_in_the_air_there_is_no_zero_moment_point():
     # A sample that was not measured says nothing about the others.
     lost = np.vstack([flying[2:], np.full((1, 6), np.nan)])
     np.testing.assert_array_equal(np.isnan(zero_moment_point(lost)), [[False, False], [True, True]])
-
-
-def test_bad_input():
-    plant = load_plant(MODELS / "arm6.urdf").plant
-    tree, still = KinematicTree.from_plant(plant), np.zeros((3, 6))
-    with pytest.raises(ArgumentError, match=r"v must be \(N, 6\)"):
-        base_wrench_regressor(tree, still, still[:, 1:], still)
-    with pytest.raises(ArgumentError, match=r"pose has the shape \(2, 4, 4\)"):
-        base_wrench_regressor(tree, still, still, still, X_WP=np.zeros((2, 4, 4)))
-    with pytest.raises(ArgumentError, match=r"R Rᵀ is 3 off"):
-        base_wrench_regressor(tree, still, still, still, X_WP=2 * np.eye(4))
-    with pytest.raises(ArgumentError, match=r"\(N, 6\)"):
-        zero_moment_point(np.zeros(6))
-    assert base_wrench_regressor(tree, *np.zeros((3, 0, 6))).shape == (0, 6, 60)
 
 
 @pytest.mark.parametrize(

@@ -1,9 +1,7 @@
 """Triangular factors: exact where a Gram matrix is not, and independent of how rows are cut."""
 
 import numpy as np
-import pytest
 
-from geodrake.errors import ArgumentError
 from geodrake.robot.reduction import triangular_factor
 
 
@@ -36,17 +34,3 @@ def test_a_factor_continues_as_a_block():
     once = triangular_factor([matrix])
     twice = triangular_factor([triangular_factor([matrix[:200]]), matrix[200:]])
     np.testing.assert_allclose(np.abs(once), np.abs(twice), atol=1e-12)
-
-
-@pytest.mark.parametrize(
-    ("blocks", "message"),
-    [
-        ([], "no rows"),
-        ([np.zeros(3)], r"Block 0 has the shape \(3,\)"),
-        ([np.zeros((2, 3)), np.zeros((2, 4))], r"Block 1 .* expected \(n, 3\)"),
-        ([np.ones((2, 2)), np.array([[1.0, np.nan]])], "Block 1 has values that are not finite"),
-    ],
-)
-def test_wrong_blocks_are_named(blocks, message):
-    with pytest.raises(ArgumentError, match=message):
-        triangular_factor(blocks)

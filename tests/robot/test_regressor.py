@@ -97,14 +97,6 @@ def test_quaternions_of_any_length_mean_their_direction():
     )
 
 
-def test_wrong_parameters_and_bodies_are_refused(arm):
-    motion = random_motion(arm, np.random.default_rng(0), 2)
-    with pytest.raises(ArgumentError, match="phi must be"):
-        inverse_dynamics(arm, *motion, np.zeros(10))
-    with pytest.raises(ArgumentError, match="from 0 to 3; it is 99"):
-        body_regressor(arm, *motion, 99)
-
-
 def test_an_unsupported_joint_is_named():
     plant = random_plant(np.random.default_rng(0), ["weld"])
     with pytest.raises(ModelError, match="'joint0' has the unsupported type WeldJoint"):
@@ -117,16 +109,6 @@ def test_the_tree_does_not_keep_the_plant():
     del plant
     assert gone() is None
     assert tree.num_velocities == 4
-
-
-@pytest.mark.parametrize("wrong", [0, 1, 2])
-def test_wrong_shapes_are_named(arm, wrong):
-    name = ("q", "v", "vd")[wrong]
-    motion = list(random_motion(arm, np.random.default_rng(0), 3))
-    motion[wrong] = motion[wrong][:, :-1]
-    shape = motion[wrong].shape
-    with pytest.raises(ArgumentError, match=rf"^{name} must .* shape \({shape[0]}, {shape[1]}\)"):
-        inverse_dynamics_regressor(arm, *motion)
 
 
 def test_the_first_sample_that_is_not_finite_is_named(arm):
