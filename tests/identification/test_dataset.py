@@ -296,6 +296,15 @@ def test_vibration_that_efforts_do_not_know_lowers_the_bandwidth(model):
     assert words is None or "bandwidth" in words
 
 
+def test_a_lower_bandwidth_leaves_enough_of_a_short_log(model):
+    log = shaken(5e-2, at=3.0, seconds=4.0)
+    before = prepare_logs([log])[0]
+    (after,), words = prepare_for_model(model, [log])
+    assert coherent_bandwidth(model, [before]) < after.filter.bandwidth < before.filter.bandwidth
+    assert "bandwidth lowered" in words
+    assert len(validation_blocks([after])) > 1
+
+
 def test_short_log_gets_more_bandwidth(model):
     log = pendulum_log(9, seconds=15.0, rate=500.0)
     before = prepare_logs([log])[0]

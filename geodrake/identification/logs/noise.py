@@ -151,6 +151,7 @@ def _residual(
 
 
 _EXCESS = 25.0  # times the other's power: five times the amplitude is a clear difference
+_FEWEST = 60  # filtered samples that a lower bandwidth leaves at least, as far as there are so many
 _ENOUGH = 400  # filtered samples of each joint, which make folds of some fifty
 _SAMPLES = 100_000  # of a segment that are looked at
 _LARGEST_RATIO = 700.0  # logarithm of a ratio that is a number still
@@ -171,7 +172,11 @@ def prepare_for_model(
     trajectories = prepare_logs(uniform)
     chosen = min(trajectory.filter.bandwidth for trajectory in trajectories)
     coherent = coherent_bandwidth(model, trajectories)
+    outputs = sum(sum(trajectory.output_counts) for trajectory in trajectories)
     if coherent is not None:
+        least = chosen * min(1.0, _FEWEST / max(outputs, 1))  # which leaves enough to hold out
+        if (coherent := max(coherent, least)) >= chosen:
+            return trajectories, None
         lowered = prepare_logs(
             uniform, bandwidth=coherent, motion_bandwidth=coherent, how="chosen from the data"
         )
@@ -179,7 +184,6 @@ def prepare_for_model(
             f"bandwidth lowered to {coherent:.3g} Hz: above it the motion asks for efforts that "
             "were not measured, as vibration, play or position noise do"
         )
-    outputs = sum(sum(trajectory.output_counts) for trajectory in trajectories)
     if outputs >= _ENOUGH:
         return trajectories, None
     highest = HIGHEST_BANDWIDTH / max(t.filter.period for t in trajectories)

@@ -82,7 +82,7 @@ _BESIDE_TIME = _TIMES | _NANOSECONDS | {"header", "ros", "rostime", "elapsed", "
 _BESIDE_TIME |= {"joint", "states", "state", "robot", "system", "log", "msg", "field", "seconds"}
 _TURNS = {"pos_estimate": "rev", "vel_estimate": "rev/s", "input_pos": "rev"}  # of ODrive
 _WORD = re.compile(r"[A-Z]+(?=[A-Z][a-z])|[A-Z]?[^\W\d_A-Z]+|[A-Z]+|\d+")
-_SECOND = re.compile(r"(?<![A-Za-z])(q2d|qd2|d2q)(?![a-z])")  # second derivatives
+_SECOND = re.compile(r"(?<![A-Za-z])(?:q2d|d2q|qd2(?=[\s_.(\[]+\d))(?![a-z])")  # qd2 is joint 2's
 _BRACKETS = re.compile(r"\s*[\[(<{]\s*([^\])>}]*?)\s*[\])>}]\s*$")
 _INDEX = re.compile(r"\[(\d+)\]")
 _NAMING = frozenset(["name", "names", "joint", "joints", "motor", "motors", "axis", "actuator"])
