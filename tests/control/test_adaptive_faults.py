@@ -10,30 +10,20 @@ from adaptive_loops import (
     TRUTH,
     FaultySensor,
     check_estimates,
-    closed_loop,
-    frozen,
     infinite,
-    motion,
     natural,
     noisy,
     nothing,
-    pendulum_plant,
     perturbed,
     run,
-    simulator,
     tracking_error,
 )
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from pydrake.systems.framework import DiagramBuilder
-from pydrake.systems.primitives import LogVectorOutput, TrajectorySource
 from pydrake.trajectories import PiecewisePolynomial
 
 from geodrake.control.adaptation import (
-    ProjectedLaw,
-    intersection,
     natural_adaptation,
-    parameter_limits,
     parameter_manifold,
 )
 from geodrake.control.regressor import ControlModel
@@ -45,18 +35,14 @@ from geodrake.control.systems import (
     Safeguards,
 )
 from geodrake.effects import FittedEffect, JointEffect, Parameter
-from geodrake.inertia import is_physical, to_spatial_inertia
+from geodrake.inertia import is_physical
 
 START = perturbed(0.15)
 FILTERED = PredictionError(1.0, alone=True)
 STRONG = Safeguards(effort_limits=[8.0, 4.0])
-LIMITS = intersection(
-    parameter_limits(len(TRUTH), [0, 10], 0.05 * TRUTH[[0, 10]], 20.0 * TRUTH[[0, 10]]),
-    parameter_limits(len(TRUTH), [20, 21], 0.05 * TRUTH[20:], 20.0 * TRUTH[20:]),
-)
 """What is known of any robot: masses and friction within a factor of twenty."""
 
-FAULTS = {"nothing": nothing, "infinite": infinite, "frozen": frozen}
+FAULTS = {"nothing": nothing, "infinite": infinite}
 
 
 def controller(kind, law=None, **options):
@@ -83,12 +69,6 @@ GAMMA = {"varying": 0.02, "fixed": 0.02, "filtered": 0.02, "accelerated": 0.2}
 KINDS = tuple(GAMMA)
 
 
-def of_all(*always):
-    """All kinds of controllers; those that are not named are further rows of the same."""
-    marks = {kind: () if kind in always else pytest.mark.thorough for kind in KINDS}
-    return [pytest.param(kind, marks=marks[kind]) for kind in KINDS]
-
-
 def check(logs):
     """Everything is finite, within the limits, and every estimate physical."""
     check_estimates(logs)
@@ -96,17 +76,11 @@ def check(logs):
     assert (np.abs(logs["actuation"]) <= np.array([8.0, 4.0]) + 1e-9).all()
 
 
-@pytest.mark.sampled(2)
 @pytest.mark.parametrize(
     ("kind", "fault"),
     [
         ("varying", "nothing"),
-        ("accelerated", "nothing"),
         ("fixed", "infinite"),
-        ("filtered", "frozen"),
-        pytest.param("fixed", "nothing", marks=pytest.mark.thorough),
-        pytest.param("filtered", "nothing", marks=pytest.mark.thorough),
-        pytest.param("varying", "frozen", marks=pytest.mark.thorough),
     ],
 )
 def test_a_sensor_that_fails_for_a_while(kind, fault):
@@ -119,48 +93,6 @@ def test_a_sensor_that_fails_for_a_while(kind, fault):
     during = logs["parameters"][(time > 0.802) & (time < 0.999)]
     np.testing.assert_array_equal(during, np.broadcast_to(during[0], during.shape))
     assert np.abs(logs["parameters"][-1] - during[0]).max() > 1e-5  # and goes on after it
-
-
-@pytest.mark.parametrize("kind", of_all("fixed", "accelerated"))
-def test_all_messages_dropped_for_a_tenth_of_a_second(kind):
-    """No input says anything at all: the last actuation is held, or the last position."""
-    builder = DiagramBuilder()
-    plant, system = builder.AddSystem(pendulum_plant()), builder.AddSystem(controller(kind))
-    path = motion()
-    sources = {
-        "estimated_state": plant.get_state_output_port(),
-        "desired_state": builder.AddSystem(TrajectorySource(path, 1)).get_output_port(),
-        "desired_acceleration": builder.AddSystem(
-            TrajectorySource(path.MakeDerivative(2))
-        ).get_output_port(),
-    }
-    if kind == "accelerated":
-        sources["acceleration"] = plant.get_generalized_acceleration_output_port()
-    for name, source in sources.items():
-        drop = builder.AddSystem(FaultySensor(source.size(), nothing, 0.8, 0.9))
-        builder.Connect(source, drop.get_input_port())
-        builder.Connect(drop.get_output_port(), system.GetInputPort(name))
-    actuation = system.GetOutputPort("actuation")
-    builder.Connect(actuation, plant.get_actuation_input_port())
-    ports = {
-        "state": plant.get_state_output_port(),
-        "desired_state": sources["desired_state"],
-        "actuation": actuation,
-        "parameters": system.GetOutputPort("parameters"),
-        "lyapunov": system.GetOutputPort("lyapunov"),
-    }
-    sinks = {name: LogVectorOutput(port, builder, 1e-2) for name, port in ports.items()}
-    diagram = builder.Build()
-    context = diagram.CreateDefaultContext()
-    desired = np.concatenate([path.value(0.0), path.EvalDerivative(0.0)]).ravel()
-    plant.SetPositionsAndVelocities(plant.GetMyContextFromRoot(context), desired)
-    found = simulator(diagram, context)
-    found.AdvanceTo(1.6)
-    logs = {name: sink.FindLog(found.get_context()).data().T for name, sink in sinks.items()}
-    check(logs)
-    error = tracking_error(logs)
-    assert error.max() < 0.4
-    assert error[-20:].max() < 0.06
 
 
 def test_the_dead_zone_keeps_noise_from_moving_the_estimate():
@@ -176,78 +108,15 @@ def test_the_dead_zone_keeps_noise_from_moving_the_estimate():
     assert moved[1] == 0.0 < moved[0]
 
 
-@pytest.mark.parametrize("kind", of_all("varying"))
-def test_a_payload_that_is_picked_up_in_mid_motion(kind):
-    """The second link's inertia grows by a point-like mass of half the arm's, without a word."""
-    builder, loop = closed_loop(controller(kind))
-    diagram = builder.Build()
-    found = simulator(diagram, loop.context(diagram))
-    found.AdvanceTo(1.0)
-    plant = loop.plant
-    context = plant.GetMyMutableContextFromRoot(found.get_mutable_context())
-    link = plant.GetBodyByName(CONTROL.bodies[-1])
-    phi = CONTROL.phi(TRUTH)[-1].copy()
-    p = np.array([0.02, 0.0, 0.2])
-    mass = 0.5 * CONTROL.phi(TRUTH)[:, 0].sum()
-    phi += mass * np.array(
-        [1, *p, p[1] ** 2 + p[2] ** 2, p[0] ** 2 + p[2] ** 2, p[0] ** 2 + p[1] ** 2, 0, 0, 0]
-    )
-    phi[4:7] += 1e-4
-    link.SetSpatialInertiaInBodyFrame(context, to_spatial_inertia(phi))
-    found.AdvanceTo(3.0)
-    _, logs = loop.logged(found.get_context())
-    check(logs)
-    error = tracking_error(logs)
-    assert error.max() < 0.4
-    assert error[-50:].max() < (0.2 if kind == "accelerated" else 0.1)
-
-
-def jump():
-    """A motion that no motor of these limits makes: turns of 3 rad in 50 ms, and a slow one."""
-    t = np.array([0.0, 0.5, 0.55, 1.0, 1.05, 4.0])
-    q = np.array([[0.0, 0.1, 3.0, 3.0, 0.1, 0.3], [0.0, 0.1, -2.0, -2.0, 0.1, -0.2]])
-    return PiecewisePolynomial.CubicShapePreserving(t, q, True)
-
-
-@pytest.mark.parametrize("kind", of_all("filtered"))
-def test_motions_that_cannot_be_made(kind):
-    """Efforts saturate; adaptation waits, and the arm comes back when it can."""
-    law = ProjectedLaw(natural(GAMMA[kind]), LIMITS)
-    time, logs = run(controller(kind, law), 2.5, size=jump())
-    check(logs)
-    u = np.abs(logs["actuation"])
-    saturated = (u >= np.array([8.0, 4.0]) - 1e-9).any(1)
-    assert saturated.mean() > 0.03
-    error = tracking_error(logs)
-    assert error.max() < 10.0
-    assert error[time > 2.2].max() < 0.15
-
-
-@pytest.mark.parametrize(
-    ("kind", "factor"),
-    [
-        ("fixed", 0.1),
-        ("varying", 10.0),
-        *(
-            pytest.param(kind, factor, marks=pytest.mark.thorough)
-            for kind, factor in [
-                *(("varying", 0.1), ("filtered", 0.1), ("accelerated", 0.1)),
-                ("filtered", 10.0),
-            ]
-        ),
-    ],
-)
+@pytest.mark.parametrize(("kind", "factor"), [("fixed", 0.1), ("varying", 10.0)])
 def test_a_start_with_ten_times_wrong_masses(kind, factor):
     start = TRUTH.copy()
     start[: CONTROL.num_inertial] *= factor
     _, logs = run(controller(kind, parameters=start), 1.5)
     check(logs)
     error = tracking_error(logs)
-    # (Computed torque is as weak as its model is light, until there is a filtered sample.)
-    assert error.max() < (2.5 if kind == "filtered" else 0.7)
-    assert error[-20:].max() < 0.5
-    if kind != "accelerated":
-        assert error[-20:].max() < max(0.05, 0.8 * error.max())
+    assert error.max() < 0.7
+    assert error[-20:].max() < min(0.5, max(0.05, 0.8 * error.max()))
 
 
 @dataclass(frozen=True)

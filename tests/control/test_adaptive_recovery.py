@@ -17,7 +17,7 @@ from adaptive_loops import (
 )
 
 from diagrams.benchmarks.adaptive_soak import distances
-from diagrams.studies.adaptive.faults import FAULTS, Episode, moments
+from diagrams.studies.adaptive.faults import Episode, moments
 from geodrake.control.adaptation import (
     PartialLaw,
     adapted_parameters,
@@ -44,12 +44,12 @@ USUAL = 0.1  # rad, error of a joint under a sound sensor
 PATIENCE, GROWTH = 5.0, 3.0  # s until tracking is as before, and times the estimate's distance
 
 
-def controller(kind, law, model, seed):
+def controller(kind, law, model):
     """A controller of one of both kinds, and the distance of its estimates from the truth."""
     control, manifold = ControlModel.of(model), parameter_manifold(model)
     options = {
         "time_step": 2e-3,
-        "parameters": perturbed(0.1, seed, control.prior, control),
+        "parameters": perturbed(0.1, 0, control.prior, control),
         "safeguards": Safeguards(LIMITS),
     }
     chosen = (
@@ -72,37 +72,27 @@ def distance(system, law, estimates):
     return np.linalg.norm(estimates - system.control.prior, axis=1)
 
 
-ALWAYS = {
-    ("passivity", "natural", True, "noise"),
-    ("passivity", "natural", False, "huge"),
-    ("passivity", "natural", True, "dropped"),
-    ("computed torque", "natural", True, "stuck"),
-    ("computed torque", "euclidean", True, "turns"),
-    ("passivity", "euclidean", False, "weak actuators"),
-    ("passivity", "euclidean", False, "reversed joint"),
-    ("computed torque", "natural", False, "reversed joint"),
-}
-ROWS = [
-    pytest.param(*row, seed, marks=[] if row in ALWAYS and seed == 0 else [pytest.mark.thorough])
-    for row in [
-        (kind, law, friction, fault)
-        for kind in ("passivity", "computed torque")
-        for law in ("natural", "euclidean")
-        for friction in (True, False)
-        for fault in FAULTS
-    ]
-    for seed in range(3)
-]
-
-
-@pytest.mark.parametrize(("kind", "law", "friction", "fault", "seed"), ROWS)
-def test_a_second_of_faults_ruins_no_estimate(kind, law, friction, fault, seed):
+@pytest.mark.parametrize(
+    ("kind", "law", "friction", "fault"),
+    [
+        ("passivity", "natural", True, "noise"),
+        ("passivity", "natural", False, "huge"),
+        ("passivity", "natural", True, "dropped"),
+        ("computed torque", "natural", True, "stuck"),
+        ("computed torque", "euclidean", True, "turns"),
+        ("passivity", "euclidean", False, "weak actuators"),
+        ("passivity", "euclidean", False, "reversed joint"),
+        ("computed torque", "natural", False, "reversed joint"),
+    ],
+)
+def test_a_second_of_faults_ruins_no_estimate(kind, law, friction, fault):
+    """Of all kinds and faults; hours of them, with other seeds, are in the benchmark of soaking."""
     model = MODEL if friction else replace(MODEL, effects=())
-    system = controller(kind, law, model, seed)
+    system = controller(kind, law, model)
     episode, end = Episode(fault, START, STOP), STOP + PATIENCE + 0.5
     path = motion(duration=end + 1.0)
     plant = pendulum_plant(damping=DAMPING if friction else 0.0)
-    found = list(moments(system, plant, path, [episode], limits=LIMITS, end=end, seed=seed))
+    found = list(moments(system, plant, path, [episode], limits=LIMITS, end=end, seed=0))
     time = np.array([moment.time for moment in found])
     estimates = np.array([moment.parameters for moment in found])
     error = np.array([np.abs(moment.error).max() for moment in found])
@@ -212,7 +202,7 @@ class TestWithinReach:
 
 def test_what_was_learned_just_before_an_interruption_is_not_believed():
     """A jump of the desired motion takes efforts to their limits."""
-    system = controller("passivity", "natural", MODEL, 0)
+    system = controller("passivity", "natural", MODEL)
     context, p = system.CreateDefaultContext(), []
     steady, jump = np.array([0.3, -0.2, 0.0, 0.0]), np.array([1.0, 0.0, 0.0, 0.0])
     system.GetInputPort("estimated_state").FixValue(context, steady)

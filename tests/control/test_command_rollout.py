@@ -103,22 +103,6 @@ def test_the_true_servos_move_the_model_as_the_robot(arm):
         assert joint.moved > 0.05
 
 
-@pytest.mark.thorough
-def test_wrong_servos_depart(arm):
-    log, model = arm
-    silent = without_efforts(log, "a", "b")
-    true = roll_out(model, [silent], most=1, commands=True).relative
-    a, b = model.effort_signals
-    for wrong in (
-        replace(b, gain=0.5 * b.gain),
-        replace(b, damping=0.0),
-        replace(b, delay=0.0),
-        replace(b, limit=3.0),
-    ):
-        worse = roll_out(replace(model, effort_signals=(a, wrong)), [silent], most=1, commands=True)
-        assert worse.joints[1].relative > max(10 * true, 0.05)
-
-
 def test_servos_at_motors_behind_gears(arm):
     """Motors that turn N times as fast need stiffness and damping over N²."""
     log, model = arm

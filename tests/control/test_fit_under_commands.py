@@ -4,23 +4,20 @@ import dataclasses
 
 import numpy as np
 import pytest
-from flexible_arm import KD, KP, arm_log, soft_arm
 from two_masses import (
     ROTOR,
     STIFFNESS,
-    URDF,
     followed,
     springy,
     swung,
 )
 
-from geodrake import effects, load_model
+from geodrake import effects
 from geodrake.control.rollout import (
     FittedValue,
     RolloutFit,
     fit_rollouts,
     roll_out,
-    simulation,
 )
 from geodrake.control.rollout.fit_rollouts import better_model
 from geodrake.control.rollout.near_motion import NearMotion
@@ -50,13 +47,6 @@ SERVOS = {
     "limited": LIMITED,
     "limited pid": dataclasses.replace(LIMITED, integral=200.0),
 }
-
-
-@pytest.fixture(scope="module")
-def pendulum(tmp_path_factory):
-    path = tmp_path_factory.mktemp("pendulum") / "pendulum.urdf"
-    path.write_text(URDF)
-    return load_model(path)
 
 
 def servoed(model, share, *servos):
@@ -208,12 +198,6 @@ def test_a_robot_that_was_found_without_the_spring_is_found_with_it(pendulum, se
             assert abs(found.after - value) < 2.5 * found.deviation
 
 
-def servoed_arm(share, servos):
-    model = soft_arm(share)
-    signals = [EffortSignal(model.joints[j], "command", KP[j], damping=KD[j]) for j in servos]
-    return dataclasses.replace(model, effort_signals=tuple(signals))
-
-
 def test_what_cannot_follow_commands_is_said(pendulum):
     log = followed(0, PD, seconds=1.5)
     with pytest.raises(LogError, match="commands of a servo"):
@@ -250,22 +234,6 @@ def test_results_say_what_they_are_under(pendulum):
         assert {stage["under"] for stage in told[part].values()} == {"commands"}
 
 
-OFF = pytest.mark.xfail(strict=True, reason="one window of six is 1.5e-5 rad off")
-
-
-@pytest.mark.thorough
-@pytest.mark.parametrize(
-    "name", [pytest.param(name, marks=[OFF] * (name == "limited pid")) for name in SERVOS]
-)
-def test_all_servos_are_as_in_the_diagram(pendulum, name, monkeypatch):
-    """An integral that is held or not takes the diagram small steps."""
-    monkeypatch.setattr(simulation, "_ACCURACY", 1e-6)
-    monkeypatch.setattr(simulation, "LARGEST_STEP", 5e-4)
-    log = followed(1, SERVOS[name])
-    case = open_case(servoed(pendulum, 2.0, SERVOS[name]), [log], candidates=False)
-    check_changes(case, 2.0 / STIFFNESS, horizon=0.5, most=6, share=0.05)
-
-
 def test_slopes_with_integrals_are_differences(pendulum):
     """They are one more of what a window begins with, and have no velocities."""
     servo = SERVOS["pid"]
@@ -281,12 +249,3 @@ def test_slopes_with_integrals_are_differences(pendulum):
     pushed = dataclasses.replace(near, servos=dataclasses.replace(near.servos, effort=more))
     found, _ = pushed.departure(case.model.effects, couplings)
     np.testing.assert_allclose(found - plain, slopes[..., -1], atol=1e-9)
-
-
-@pytest.mark.thorough
-@pytest.mark.parametrize("servos", [(3,), (0, 1, 2), (2, 3, 4)])
-def test_joints_without_servos_get_their_efforts(servos):
-    """Soft or not: what is measured is where motors are."""
-    log = arm_log(2000.0, weight=0.0)
-    case = open_case(servoed_arm(0.8, servos), [log], candidates=False)
-    check_changes(case, 0.8 / 2000.0, horizon=0.4, share=0.1)

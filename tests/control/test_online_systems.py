@@ -189,20 +189,10 @@ def test_estimators_that_do_not_fit_are_refused():
         BregmanProjectionEstimator(CONTROL, UPDATE, filtered=other, time_step=STEP)
     with pytest.raises(ArgumentError, match="another ControlModel"):
         ModelResidual(CONTROL, filtered=other)
-    for memory in (np.nan, np.inf, -1.0):
-        with pytest.raises(ArgumentError, match="memory must be"):
-            BregmanProjectionEstimator(CONTROL, UPDATE, memory=memory)
     with pytest.raises(ArgumentError, match="inside of the law's manifold"):
         BregmanProjectionEstimator(CONTROL, UPDATE, parameters=-TRUTH)
     with pytest.raises(ArgumentError, match="tolerance"):
         BregmanProjectionEstimator(CONTROL, SampleUpdate(MANIFOLD, np.ones(3)))
-    with pytest.raises(ArgumentError, match="stale"):
-        BregmanProjectionEstimator(CONTROL, UPDATE, stale_time=np.nan)
-    with pytest.raises(ArgumentError, match="time_step"):
-        BregmanProjectionEstimator(CONTROL, UPDATE, time_step=0.0)
-    for every in (0, 1.5):
-        with pytest.raises(ArgumentError, match=f"update_every must .* it is {every}"):
-            BregmanProjectionEstimator(CONTROL, UPDATE, update_every=every)
 
 
 # The player of logs

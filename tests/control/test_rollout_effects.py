@@ -5,8 +5,8 @@ import dataclasses
 import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
+from two_masses import INERTIA, WEIGHT
 
-from geodrake import load_model
 from geodrake.control.rollout import roll_out
 from geodrake.control.systems import EffectForce
 from geodrake.effects import (
@@ -22,32 +22,7 @@ from geodrake.effects.robot_motion import log_number
 from geodrake.errors import ArgumentError
 from geodrake.logs.motion import JointLog
 
-MASS, LENGTH, INERTIA, GRAVITY = 1.5, 0.4, 0.28, 9.81  # kg, m, kg·m² about the hinge, m/s²
-URDF = f"""
-<robot name="pendulum">
-  <link name="base"/>
-  <link name="rod">
-    <inertial>
-      <origin xyz="0 0 {-LENGTH}"/>
-      <mass value="{MASS}"/>
-      <inertia ixx="{INERTIA - MASS * LENGTH**2}" iyy="{INERTIA - MASS * LENGTH**2}" izz="0.01"
-               ixy="0" ixz="0" iyz="0"/>
-    </inertial>
-  </link>
-  <joint name="hinge" type="revolute">
-    <parent link="base"/><child link="rod"/><axis xyz="0 1 0"/>
-    <limit lower="-9" upper="9" effort="99" velocity="99"/>
-  </joint>
-</robot>
-"""
 FIRST_STAMP, RATE, SECONDS = 100.0, 250.0, 14.0
-
-
-@pytest.fixture(scope="module")
-def pendulum(tmp_path_factory):
-    path = tmp_path_factory.mktemp("pendulum") / "pendulum.urdf"
-    path.write_text(URDF)
-    return load_model(path)
 
 
 def drive(t):
@@ -64,7 +39,7 @@ def swung(name, needed, rate=lambda t, v, z: 0.0, *, start=(0.1, 0.0, 0.0), begi
 
     def slope(t, x):
         q, v, z = x
-        effort = drive(t) - MASS * GRAVITY * LENGTH * np.sin(q) - needed(t, q, v, z)
+        effort = drive(t) - WEIGHT * np.sin(q) - needed(t, q, v, z)
         return [v, effort / INERTIA, rate(t, v, z)]
 
     time = np.arange(0.0, SECONDS, 1.0 / RATE)

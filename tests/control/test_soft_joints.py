@@ -18,7 +18,7 @@ from pydrake.systems.analysis import ResetIntegratorFromFlags, Simulator
 from pydrake.systems.framework import DiagramBuilder
 from pydrake.systems.primitives import FirstOrderTaylorApproximation, LogVectorOutput, Sine
 from scipy.integrate import solve_ivp
-from two_masses import FRICTION, INERTIA, URDF, WEIGHT
+from two_masses import FRICTION, INERTIA, WEIGHT
 from two_masses import ROTOR as MOTOR
 
 from geodrake import effects, load_model
@@ -132,13 +132,6 @@ def test_sides_of_play_push_and_do_not_pull():
     assert side.torque(1.1e-3, -1.0) == 0.0  # the link leaves faster than the side can follow
     assert 0.0 < side.torque(1e-3 + 1e-9, 1.0) < 0.01  # no jump
     assert side.lag(1.0) == pytest.approx(1.1e-3)
-
-
-@pytest.fixture(scope="module")
-def pendulum(tmp_path_factory):
-    path = tmp_path_factory.mktemp("pendulum") / "pendulum.urdf"
-    path.write_text(URDF)
-    return load_model(path)
 
 
 def with_effects(model, *pairs):

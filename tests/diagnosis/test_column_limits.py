@@ -31,8 +31,8 @@ from geodrake.report.numbers import Units
 MODELS = Path(__file__).parents[2] / "models"
 
 
-def made(mistake, robot="double_pendulum", number=0, motion="fast", duration=8.0):
-    return make_log(WrongLog(mistake, robot, "mujoco", motion, number, 3, duration))
+def made(mistake):
+    return make_log(WrongLog(mistake, "double_pendulum", "mujoco", "fast", 0, 3, 8.0))
 
 
 class TestLimit:
@@ -68,17 +68,9 @@ class TestLimit:
         assert flat.effort == pytest.approx(most, rel=0.02)
 
 
-@pytest.mark.parametrize(
-    ("mistake", "robot", "number"),
-    [
-        ("limit of a motor", "double_pendulum", 0),
-        ("limit that falls with speed", "double_pendulum", 0),
-        pytest.param("limit of a motor", "arm6", 1, marks=pytest.mark.thorough),
-        pytest.param("limit that falls with speed", "arm6", 1, marks=pytest.mark.thorough),
-    ],
-)
-def test_named_and_corrected(mistake, robot, number, tmp_path):
-    model, log, (secret,) = made(mistake, robot, number)
+@pytest.mark.parametrize("mistake", ["limit of a motor", "limit that falls with speed"])
+def test_named_and_corrected(mistake, tmp_path):
+    model, log, (secret,) = made(mistake)
     (found,) = check_columns(model, [log])
     joint = secret.joints[0]
     assert (found.kind, found.joints) == ("effort_limit", (model.joints[joint],))
@@ -96,7 +88,7 @@ def test_named_and_corrected(mistake, robot, number, tmp_path):
     able = with_motor_limits(model, [log], [found])
     assert check_columns(able, [log]) == ()
     file = tmp_path / "robot.urdf"
-    file.write_text(robot_file(robot).text, encoding="utf-8")
+    file.write_text(robot_file("double_pendulum").text, encoding="utf-8")
     path = tmp_path / "able.yaml"
     save_model(replace(able, path=file), path)
     (signal,) = load_model(path).effort_signals

@@ -153,18 +153,10 @@ def test_another_zero_is_found_within_the_arm():
     assert check_columns(model, [corrected(log, [found])]) == ()
 
 
-@pytest.mark.parametrize(
-    ("robot", "motion", "log", "seed"),
-    [
-        ("arm6", "fast", 6, 9),
-        pytest.param("arm6", "fast", 6, 7, marks=pytest.mark.thorough),
-        pytest.param("double_pendulum", "point to point", 5, 8, marks=pytest.mark.thorough),
-    ],
-)
-def test_a_base_on_a_slope_is_no_mistake_in_columns(robot, motion, log, seed):
+def test_a_base_on_a_slope_is_no_mistake_in_columns():
     """Leaning by up to 0.3 rad, of bodies a fifth off: zeros and gains of wrists would make up."""
-    engine = "pinocchio" if log < 5 else "mujoco"
-    model, made, _ = make_log(WrongLog("tilted base", robot, engine, motion, log, seed, DURATION))
+    drawn = WrongLog("tilted base", "arm6", "mujoco", "fast", 6, 9, DURATION)
+    model, made, _ = make_log(drawn)
     assert check_columns(model, [made]) == ()
 
 
@@ -203,15 +195,6 @@ def test_designs_of_a_leaning_base_are_efforts_under_its_gravity(pendulum, right
             own = design.columns < phi.size
             found = design.X[:, : len(own)][:, own] @ phi[design.columns[own]]
             np.testing.assert_allclose(found, efforts[design.rows, j], atol=1e-9)
-
-
-@pytest.mark.thorough
-def test_gains_are_found_within_their_uncertainty(pendulum, right):
-    wrong = times(right, "effort", 1, 0.4)
-    (found,) = check_columns(pendulum, [wrong])
-    assert (found.kind, found.joints) == ("effort_gain", ("elbow",))
-    assert found.values[0] == pytest.approx(2.5, rel=0.25)
-    assert f"--gain elbow={found.values[0]:.4g}" in str(found)
 
 
 @pytest.mark.thorough
@@ -270,23 +253,6 @@ class TestMeasured:
         assert found.error_after**2 < 0.1 * found.error_before**2
 
 
-@pytest.mark.thorough
-@pytest.mark.parametrize(
-    ("robot", "engine", "motion", "log", "seed"),
-    [
-        ("arm6", "mujoco", "fast", 6, 8),
-        ("arm7", "mujoco", "slow", 7, 8),
-        ("arm7", "pinocchio", "point to point", 2, 9),
-    ],
-)
-def test_torques_of_motors_are_told_together(robot, engine, motion, log, seed):
-    """Fits of all gains that went on swinging took one number for all, and one more for some."""
-    drawn = WrongLog("torque of the motors", robot, engine, motion, log, seed, DURATION)
-    model, log, _ = make_log(drawn)
-    (found,) = check_columns(model, [log])
-    assert (found.kind, found.joints) == ("effort_gains", model.joints)
-
-
 @pytest.mark.parametrize(("joints", "kinds"), [(6, ["effort_sign"]), (31, [])])
 def test_robots_of_many_joints_are_not_checked(joints, kinds):
     """What may be wrong with them is too much to weigh: that is said, and left to the fit."""
@@ -296,10 +262,9 @@ def test_robots_of_many_joints_are_not_checked(joints, kinds):
     assert bool(unchecked_words(model)) == (not kinds)
 
 
-@pytest.mark.parametrize("seed", [0, 1, 2])
-def test_one_log_a_joint_makes_no_mistake_likely(seed):
+def test_one_log_a_joint_makes_no_mistake_likely():
     """The usual protocol for friction: others rest, under efforts that dry friction holds."""
-    rng, time = np.random.default_rng(seed), np.arange(0.0, 25.0, 0.005)
+    rng, time = np.random.default_rng(0), np.arange(0.0, 25.0, 0.005)
     phase = 2.0 * np.pi * rng.uniform(0.1, 0.4, 3)[:, None] * time + rng.uniform(0.0, 6.0, (3, 1))
     rates = np.gradient(phase, time, axis=1)
     size = np.array([0.5, 0.3, 0.1])[:, None]

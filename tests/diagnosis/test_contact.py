@@ -24,7 +24,6 @@ from geodrake.diagnosis.contact_window import ResidualWindow, WrenchColumns, col
 from geodrake.effects import Contact
 from geodrake.effects.body_motion import RobotBodies
 from geodrake.effects.robot_motion import log_number
-from geodrake.errors import ArgumentError
 from geodrake.identification.logs.noise import prepare_for_model
 from geodrake.logs.filtering import design_filter
 from geodrake.logs.folds import dealt_out, set_apart, validation_blocks
@@ -92,15 +91,6 @@ class TestColumns:
         assert (
             not Contact("hand", -1.0, 1.0).regressor(dataclasses.replace(motion, time=None)).any()
         )
-
-    def test_turns_or_does_not(self):
-        with pytest.raises(ArgumentError, match="turning"):
-            Contact("hand", 0.0, 1.0, turning=2)
-
-    def test_bad_windows(self):
-        for arguments in [(2.0, 1.0), (0.0, np.inf), (0.0, 1.0, 0.0)]:
-            with pytest.raises(ArgumentError):
-                Contact("hand", *arguments)
 
     def test_in_a_simulation(self):
         plant = ARM.plant

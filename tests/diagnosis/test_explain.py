@@ -7,18 +7,17 @@ from itertools import pairwise
 import numpy as np
 import pendulum_logs
 import pytest
-from pendulum_logs import JOINTS, NOISE, PENDULUM, body_effort, friction
+from pendulum_logs import JOINTS, NOISE, PENDULUM, friction
 
 from geodrake import load_model
 from geodrake.diagnosis import Beliefs, add, compare, diagnose, explain
 from geodrake.effects import CoulombFriction, EffortDelay, FittedEffect, ViscousFriction
 from geodrake.errors import ArgumentError, LogError
-from geodrake.inertia import from_mass_com_inertia, is_physical
+from geodrake.inertia import is_physical
 from geodrake.logs.files import write_log
 from geodrake.logs.filtering import design_filter
 from geodrake.logs.motion import JointLog
 from geodrake.report.words import failing_words
-from geodrake.robot.regressor import inverse_dynamics_regressor
 
 BANDWIDTH = 6.0
 pendulum_log = partial(pendulum_logs.pendulum_log, seconds=20.0)
@@ -89,27 +88,6 @@ def test_a_second_fit_leaves_the_bandwidth_of_the_first(fitted, logs):
     assert again.fitted_to == (*fitted.fitted_to, other.fingerprint)
     notes = compare(again, [logs[0], other]).notes  # that have none in common
     assert any("chosen from the data" in note for note in notes)
-
-
-def payload_effort(q, v, vd, load):
-    """What a heavier lower link needs beyond the model's, by hand: a point mass of 0.3 kg.
-
-    It hangs 0.25 m below the elbow, the upper link is 0.2 m long, both joints turn about y.
-    """
-    del load
-    m, a, r, g = 0.3, 0.2, 0.25, 9.81
-    s, c = np.sin(q[:, 1]), np.cos(q[:, 1])
-    bend = 2 * v[:, 0] * v[:, 1] + v[:, 1] ** 2
-    both = m * g * r * np.sin(q.sum(1))
-    inner = m * r**2 + m * a * r * c
-    first = (m * a**2 + 2 * m * a * r * c + m * r**2) * vd[:, 0] + inner * vd[:, 1]
-    return np.stack(
-        [
-            first - m * a * r * s * bend + m * g * a * np.sin(q[:, 0]) + both,
-            inner * vd[:, 0] + m * r**2 * vd[:, 1] + m * a * r * s * v[:, 0] ** 2 + both,
-        ],
-        1,
-    )
 
 
 def test_compare_measures_the_hidden_effort(model, logs):
@@ -207,41 +185,6 @@ def test_fitted_model_needs_nothing_more(fitted):
     assert found.end == found.start
 
 
-@pytest.mark.parametrize("seed", [60, pytest.param(61, marks=pytest.mark.thorough)])
-def test_nothing_is_found_where_nothing_is_missing(model, seed):
-    found = explain(model, [pendulum_log(seed)], bandwidth=BANDWIDTH)
-    assert (found.verdict, found.steps) == ("adequate", ())
-    assert found.model.effects == ()
-
-
-def test_payload_is_found_on_a_fitted_model(fitted):
-    def hidden(q, v, vd, load):
-        return HIDDEN(q, v, vd, load) + payload_effort(q, v, vd, load)
-
-    logs = [pendulum_log(70, hidden), pendulum_log(71, hidden)]
-    found = explain(fitted, logs, bandwidth=BANDWIDTH)
-    assert places(found) == {"payload": ("lower_link",)}
-    assert found.verdict == "explained"
-    (step,) = found.steps
-    values, deviations = step.parameters["lower_link"], step.deviations["lower_link"]
-    assert abs(values["mass"] - 0.3) < max(4.0 * deviations["mass"], 0.03)
-    np.testing.assert_allclose(rms(found.end), FLOOR, rtol=0.2)
-
-
-def test_point_mass_by_hand_is_that_of_drake(model):
-    """The oracle itself."""
-    rng = np.random.default_rng(0)
-    q, v, vd = rng.normal(size=(3, 20, 2))
-    loaded = model.phi.copy()
-    loaded[-1] += from_mass_com_inertia(0.3, [0.0, 0.0, -0.25], np.zeros((3, 3)))
-    regressor = inverse_dynamics_regressor(model.plant, q, v, vd)
-    np.testing.assert_allclose(
-        body_effort(q, v, vd) + payload_effort(q, v, vd, None),
-        regressor @ loaded.ravel(),
-        atol=1e-12,
-    )
-
-
 def test_delay_is_found_between_the_samples(model, logs):
     late = [
         replace(
@@ -275,9 +218,8 @@ def test_something_that_no_effect_explains_is_said_to_be_left(model):
     assert all(0.5 < joint.removable < 1.0 for joint in found.end.joints)
 
 
-@pytest.mark.parametrize("seconds", [pytest.param(5.0, marks=pytest.mark.thorough), 1000.0])
-def test_time_shift_changes_nothing(model, logs, fitted, seconds):
-    shifted = [replace(log, time=log.time + seconds) for log in logs]
+def test_time_shift_changes_nothing(model, logs, fitted):
+    shifted = [replace(log, time=log.time + 1000.0) for log in logs]
     found = explain(model, shifted, bandwidth=BANDWIDTH)
     assert_same(found.model, fitted, rtol=1e-4)
 
@@ -286,11 +228,6 @@ def test_order_of_joints_changes_nothing(model, logs, fitted):
     swapped = [log.select(JOINTS[::-1]) for log in logs]
     found = explain(model, swapped, bandwidth=BANDWIDTH)
     assert_same(found.model, fitted, rtol=1e-9)
-
-
-@pytest.mark.thorough
-def test_order_of_logs_changes_nothing(model, logs, fitted):
-    assert_same(explain(model, logs[::-1], bandwidth=BANDWIDTH).model, fitted, rtol=1e-3)
 
 
 def test_files_are_as_good_as_logs_in_memory(model, logs, fitted, tmp_path):
@@ -317,17 +254,6 @@ def test_log_cut_in_two_files_gives_nearly_the_same(model, logs, fitted):
     assert_same(found.model, fitted, rtol=0.05)
 
 
-@pytest.mark.parametrize("factor", [pytest.param(1e-3, marks=pytest.mark.thorough), 1e3])
-def test_units_of_effort_change_nothing_but_the_values(model, logs, factor):
-    """Another unit of force, in model and log alike: the same steps, the same relative errors."""
-    light = replace(model, phi=factor * model.phi)
-    scaled = [replace(log, effort=factor * log.effort) for log in logs]
-    found = explain(light, scaled, bandwidth=BANDWIDTH)
-    assert places(found) == WHERE
-    values = parameters(found.model)
-    assert values["coulomb_friction", ("elbow",)] == pytest.approx(0.1 * factor, rel=0.1)
-
-
 def assert_same(one, other, *, rtol):
     """The same effects with the same parameters, and the same bodies as far as they are known."""
     values, expected = parameters(one), parameters(other)
@@ -350,17 +276,9 @@ def test_diagnose_says_what_is_missing(model, logs):
         assert candidate.false_alarm_probability <= 0.01
 
 
-def test_diagnose_says_that_nothing_is_missing(model):
-    found = diagnose(model, [pendulum_log(62)], bandwidth=BANDWIDTH)
-    assert (found.verdict, found.candidates) == ("adequate", ())
-
-
-@pytest.mark.parametrize(
-    "seed", [2, *(pytest.param(seed, marks=pytest.mark.thorough) for seed in (4, 8))]
-)
-def test_diagnose_names_the_simplest_that_does(model, seed):
+def test_diagnose_names_the_simplest_that_does(model):
     """Friction that differs by direction fits as well as dry and viscous friction, and is more."""
-    log = pendulum_log(seed, friction((0.3, 0.15), (0.3, 0.12)))
+    log = pendulum_log(2, friction((0.3, 0.15), (0.3, 0.12)))
     first, *others = diagnose(model, [log], bandwidth=BANDWIDTH).candidates
     assert first.effect in {"coulomb_friction", "viscous_friction"}
     assert first.where == JOINTS
@@ -543,12 +461,6 @@ def test_add_delays_of_joints(model, logs):
     np.testing.assert_allclose(rms(found.end), FLOOR, rtol=0.2)
     again = explain(found.model, logs, bandwidth=BANDWIDTH)
     assert "effort_delay" not in {step.effect for step in again.steps}
-
-
-def test_no_logs_are_refused(model):
-    for job in (compare, diagnose, explain):
-        with pytest.raises((ArgumentError, LogError)):
-            job(model, [])
 
 
 def test_log_of_other_joints_is_refused(model, logs):

@@ -26,15 +26,6 @@ def bump(time, start, stop):
     return q, v, np.gradient(v, time)
 
 
-@pytest.mark.thorough
-def test_logs_of_different_clocks(model):
-    slow = pendulum_log(3, friction((0.5, 0.2)), rate=100.0)
-    off = pendulum_log(4, friction((0.5, 0.2)), rate=200.0)
-    off = replace(off, time=off.time * 1.0001)
-    found = explain(model, [slow, off, pendulum_log(5, friction((0.5, 0.2)))])
-    assert {step.effect for step in found.steps} == {"coulomb_friction"}
-
-
 def test_joints_that_move_in_turn(model):
     """Folds in which a joint does not move say nothing about its friction."""
     time = np.arange(0.0, 60.0, 0.005)
@@ -78,15 +69,6 @@ def test_without_a_step_the_model_stays(model):
     found = explain(model, [pendulum_log(9)])
     assert found.steps == ()
     assert found.model is model
-
-
-@pytest.mark.thorough
-def test_velocities_that_nobody_filled_in(model):
-    log = pendulum_log(10, friction((0.5, 0.2)))
-    empty = replace(log, velocity=np.zeros_like(log.position))
-    with_zeros, without = explain(model, [empty]), explain(model, [log])
-    assert [s.effect for s in with_zeros.steps] == [s.effect for s in without.steps]
-    assert any("velocities are not used" in note for note in with_zeros.notes)
 
 
 def test_lists_do_for_a_log():

@@ -67,17 +67,6 @@ def test_another_log_needs_nothing_more(faded):
     assert found.end.nrms < 0.02
 
 
-@pytest.mark.thorough
-def test_dry_friction_that_is_known_is_seen_to_fade(faded):
-    jumping = replace(faded.model, fading_speed=None)
-    log = rubbing(3, 0.02).log
-    found = explain(jumping, [log])
-    assert found.steps == ()
-    assert found.end.nrms < compare(faded.model, [log]).errors.nrms < 0.5 * found.start.nrms
-    assert any("fades below" in note for note in found.notes)
-    assert found.model.fading_speed == pytest.approx(faded.model.fading_speed, rel=0.3)
-
-
 def test_one_effect_alone_is_not_said_to_fade(model):
     # What the others are is not known yet: at low speeds the error may be theirs.
     assert add("coulomb_friction", model, [rubbing(1, 0.02).log]).model.fading_speed is None
