@@ -21,7 +21,7 @@ from geodrake.effects import (
 )
 from geodrake.errors import LogError
 from geodrake.identification.logs import reduce
-from geodrake.identification.logs.log_slices import INERTIA, Layout, SharedRows
+from geodrake.identification.logs.log_slices import SharedRows
 from geodrake.identification.logs.noise import (
     coherent_bandwidth,
     effort_ratio,
@@ -359,28 +359,6 @@ class TestSharedRows:
                         np.testing.assert_allclose(x.motion, y.motion, atol=1e-9)
                         np.testing.assert_allclose(x.A, y.A, atol=1e-9)
                         np.testing.assert_allclose(x.b, y.b, atol=1e-9)
-
-    def test_only_new_columns_are_evaluated(self, model, trajectories, folds, monkeypatch):
-        evaluated, loads, evaluate = [], [], Layout.evaluate
-
-        def counted(self, motion, log, parts, load):
-            evaluated.extend(parts)
-            loads.append(load)
-            return evaluate(self, motion, log, parts, load)
-
-        monkeypatch.setattr(Layout, "evaluate", counted)
-        shared = SharedRows()
-        reduce_logs(model, trajectories, folds, effects=EFFECTS[:3], shared=shared)
-        assert set(evaluated) == {INERTIA, *EFFECTS[:2]}
-        assert all(load is None for load in loads)
-        evaluated.clear()
-        loads.clear()
-        reduce_logs(model, trajectories, folds, effects=EFFECTS, delays=(0.0, 0.02), shared=shared)
-        assert set(evaluated) == {*EFFECTS[3:]}
-        assert all(load is not None for load in loads)
-        evaluated.clear()
-        reduce_logs(model, trajectories, folds[::-1], effects=EFFECTS[2:], shared=shared)
-        assert not evaluated
 
 
 def test_noise_is_not_known_from_a_model_that_leaves_less(model):

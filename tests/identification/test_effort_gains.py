@@ -8,7 +8,6 @@ from measurements import DATA, REFERENCE
 from pinocchio_logs import MODELS, effort_log
 
 from geodrake import load_model
-from geodrake.diagnosis import explain
 from geodrake.errors import LogError
 from geodrake.identification.logs.case import open_case
 from geodrake.identification.logs.effort_gains import _GeodesicBodies
@@ -132,16 +131,3 @@ def test_ur10e_gains_lie_in_their_intervals():
     found = calibrated(model, [currents(log, GAINS)], ["current"] * 6)
     off = np.log([s.gain / gain for s, gain in zip(found, GAINS, strict=True)])
     assert (np.abs(off) < 2.0 * np.array([s.uncertainty for s in found])).all()
-
-
-@pytest.mark.thorough
-@pytest.mark.measurements("data/ur10e_free_a.csv", "data/ur10e_free_c.csv", "reference/ur10e.urdf")
-def test_ur10e_gains_by_inertias_fitted_on_another_day():
-    """A model fitted to efforts tells the gains of joints that gravity loads to 5 %."""
-    model = load_model(REFERENCE / "ur10e.urdf")
-    logs = [read_log(DATA / f"ur10e_free_{day}.csv") for day in "ac"]
-    fitted = explain(model, logs[:1]).model
-    log = log_of_model(logs[1], fitted)
-    found = calibrated(fitted, [currents(log, GAINS)], ["current"] * 6)
-    ratio = np.array([s.gain for s in found]) / GAINS
-    np.testing.assert_allclose(ratio[1:4], 1.0, atol=0.05)

@@ -27,12 +27,9 @@ from geodrake.errors import IdentificationError
 from geodrake.identification import normal_equations, solve_fit
 from geodrake.identification.conic_fit import solve_with_fallback
 from geodrake.identification.logs.candidate_effects import LONGEST_DELAY, candidate_delays
-from geodrake.identification.logs.case import open_case
 from geodrake.identification.logs.hypothesis import (
     CrossValidation,
-    first_hypothesis,
     hold_out,
-    settle,
 )
 from geodrake.identification.logs.model_fit import (
     fit_model,
@@ -211,23 +208,6 @@ def test_every_joint_has_a_delay_of_its_own(dataset, model, delay):
     np.testing.assert_allclose(found.fit_all, expected.fit_all, rtol=1e-7)
 
 
-@pytest.mark.parametrize("joint", [0, 1])
-def test_gains_of_efforts_move_parameters_as_is_said(dataset, model, joint):
-    """Against a second fit, to efforts that are 1 % larger at one joint."""
-    unknowns = with_effects(dataset, model_unknowns(dataset, model), *EFFECTS[:4])
-    shifts = fit_model(model, dataset, unknowns, WEIGHTS).gain_shifts
-    data = list(dataset.data)
-    larger = data[joint].factors.copy()
-    larger[:, :, -len(dataset.delays) :] *= 1.01
-    data[joint] = replace(data[joint], factors=larger)
-    one = solve_with_fallback(fit_problem(dataset, unknowns, WEIGHTS)).x
-    other = solve_with_fallback(
-        fit_problem(replace(dataset, data=tuple(data)), unknowns, WEIGHTS)
-    ).x
-    scale = np.abs(shifts[joint]).max()
-    np.testing.assert_allclose((other - one) / 0.01, shifts[joint], atol=2e-3 * scale)
-
-
 WEIGHT = KnownPayload("lower_link", 1.0, (0.05, 0.0, -0.2))
 
 
@@ -337,19 +317,6 @@ def test_what_is_unexplained_moves_a_parameter_by_two_deviations_at_most(dataset
         )
         deviation = np.sqrt(fit.unexplained_covariance[k, k])
         assert moved.x[k] - fit.result.x[k] == pytest.approx(2.0 * deviation, rel=1e-3)
-
-
-def test_first_hypothesis_is_settled():
-    """Weights that it begins with are far from those that its errors deserve."""
-
-    def compensator(q, v, vd, load):
-        return [0.4, 0.0] * np.sin(q - 1.0)
-
-    model, log = load_model(PENDULUM), pendulum_log(1, compensator, seconds=16.0)
-    case = open_case(model, [log], candidates=False)
-    start = first_hypothesis(case.dataset, model_unknowns(case.dataset, model))
-    again = settle(start, iterations=20)
-    assert again.nrms == pytest.approx(start.nrms, rel=0.01)
 
 
 @pytest.mark.parametrize(("period", "bandwidth"), [(0.002, 10.0), (0.01, 2.0), (0.04, 12.0)])

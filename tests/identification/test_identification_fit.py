@@ -86,17 +86,6 @@ def test_shortcuts_agree_with_the_conic_program(friction):
 
 
 @pytest.mark.parametrize("seed", range(3))
-def test_boundary_fits_are_physical_and_agree_with_scs(seed):
-    problem = example(seed, friction=-1.0, **AT_BOUNDARY)
-    result, other = solve_fit(problem), solve_fit(problem, solver="scs")
-    phi = result.x[:20].reshape(2, 10)
-    assert result.solver == "clarabel" and result.active_blocks
-    assert is_physical(phi).all() and (result.x >= problem.lower).all()
-    assert cost(problem, result.x) == pytest.approx(cost(problem, other.x), rel=1e-4)
-    assert cost(problem, result.x) <= cost(problem, problem.prior_mean)
-
-
-@pytest.mark.parametrize("seed", range(3))
 def test_entropic_fits_are_stationary(seed):
     problem = entropic(example(seed, friction=3.0, **AT_BOUNDARY), 0.5)
     result = solve_fit(problem)

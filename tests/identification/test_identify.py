@@ -6,7 +6,6 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from identified_bodies import THREE as PRIOR
 from identified_bodies import random_data, restated
-from measurements import DATA
 
 from geodrake.errors import ArgumentError, IdentificationError
 from geodrake.identification import BodyConstraints, identify
@@ -179,26 +178,6 @@ def test_contradictory_constraints_are_named(regularizer, solver):
                 constraints=BodyConstraints(mass_bounds=[[4, 5], [0, 1], [0, 1]]),
                 solver=solver,
             )
-
-
-@pytest.mark.thorough
-@pytest.mark.measurements("data/human_force_plate.npz")
-def test_human_residuals_match_for_all_regularizers():
-    human = np.load(DATA / "human_force_plate.npz")
-    sigma = np.tile(human["sigma"], len(human["b"]) // 3)
-    arguments = (human["A"], human["b"], human["phi_prior"])
-    options = {"sigma": sigma, "ellipsoids": human["Q"]}
-    gamma = 1e-2 * np.sum((human["A"] / sigma[:, None]) ** 2)
-    first = identify(*arguments, regularizer="euclidean", gamma=gamma, **options)
-    assert first.residual == pytest.approx(1331878.41, rel=1e-5)
-    for regularizer in REGULARIZERS:
-        other = identify(
-            *arguments, regularizer=regularizer, residual_bound=first.residual, **options
-        )
-        assert other.residual == pytest.approx(first.residual, rel=1e-6)
-        assert is_physical(other.phi).all()
-        inside = np.einsum("bij,bji->b", pseudo_inertia(other.phi), human["Q"])
-        assert (inside > -1e-6).all()
 
 
 @pytest.mark.parametrize("regularizer", REGULARIZERS)

@@ -9,7 +9,6 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from identified_bodies import THREE as PRIOR
 from identified_bodies import random_data, restated
-from measurements import DATA
 from scipy.linalg import block_diag, eigh
 
 from geodrake.errors import ArgumentError
@@ -55,13 +54,6 @@ def constrained(problem):
     rows[3, list(BODIES)] = 1.0
     lower, upper = np.array([0.0, 0.0, 0.0, 8.0]), np.array([np.inf, np.inf, np.inf, 8.0])
     return replace(problem, constraints=LinearConstraints(matrix=rows, lower=lower, upper=upper))
-
-
-def scaled(problem, weight):
-    """The problem with a weight of the whole prior."""
-    priors = {s: (phi, weight * gamma) for s, (phi, gamma) in problem.entropic.items()}
-    information = weight * problem.prior_information
-    return replace(problem, entropic=priors, prior_information=information)
 
 
 def divergence(problem, x):
@@ -168,49 +160,8 @@ def test_rank_deficient_scalars_stay_where_they_do_nothing():
     assert cost(twins, x) == pytest.approx(cost(merged, solve_newton(merged).x), rel=1e-9)
 
 
-@pytest.mark.parametrize("kind", ["plain", "constrained"])
-@pytest.mark.parametrize("gamma", [1e-4, 1e-3, 0.3, 200.0])
-def test_point_to_set_is_the_regularized_form_of_its_gamma(gamma, kind):
-    problem = example(4, gamma=1.0, rows=60)
-    if kind == "constrained":
-        problem = constrained(problem)
-    root = np.random.default_rng(4).normal(size=(3, problem.size))
-    problem = replace(problem, prior_information=0.1 * root.T @ root)
-    first = solve_newton(scaled(problem, gamma))
-    bounded = replace(problem, residual_bound=first.residual)
-    result = solve_newton(bounded)
-    assert result.residual == pytest.approx(first.residual, rel=1e-9)
-    assert result.prior_weight == pytest.approx(gamma, rel=1e-5)
-    np.testing.assert_allclose(result.x, first.x, rtol=1e-5, atol=1e-7)
-    if gamma < 1e-3:  # the bound leaves so little that Clarabel's steps may lose their last digit
-        return
-    conic = solve_fit(bounded)
-    assert conic.prior_weight == pytest.approx(gamma, rel=1e-3)
-    np.testing.assert_allclose(conic.x, result.x, rtol=1e-3, atol=1e-5)
-
-
 def test_what_newton_refuses():
     problem = example(11)
     with pytest.raises(ArgumentError, match=r"entropic or quadratic prior for every.*\[20\]"):
         priors = {start: problem.entropic[start] for start in BODIES[:2]}
         solve_newton(replace(problem, entropic=priors))
-
-
-@pytest.mark.thorough
-@pytest.mark.measurements("data/human_force_plate.npz")
-def test_the_human_as_clarabel_has_it():
-    human = np.load(DATA / "human_force_plate.npz")
-    sigma = np.tile(human["sigma"], len(human["b"]) // 3)
-    arguments = (human["A"], human["b"], human["phi_prior"])
-    options = {"sigma": sigma, "ellipsoids": human["Q"], "regularizer": "entropic"}
-    for gamma in (1e6, 1e2, 1.0):
-        newton = identify(*arguments, gamma=gamma, solver="newton", **options)
-        conic = identify(*arguments, gamma=gamma, **options)
-        costs = [result.residual + gamma * result.divergence for result in (newton, conic)]
-        assert costs[0] == pytest.approx(costs[1], rel=1e-9)
-        assert is_physical(newton.phi).all()
-        inside = np.einsum("bij,bji->b", pseudo_inertia(newton.phi), human["Q"])
-        assert (inside > -1e-9).all()
-    assert (inside < 1e-6).any()
-    bound = identify(*arguments, residual_bound=1331878.41, solver="newton", **options)
-    assert bound.residual == pytest.approx(1331878.41, rel=1e-9)
