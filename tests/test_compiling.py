@@ -8,75 +8,10 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from processes import limited
 
 from geodrake import compiling
 
 ROOT = Path(__file__).parents[1]
-SOURCE = """
-import sys
-from geodrake.compiling import compiled, inlined, while_compiling
-FACTOR = {factor}
-@inlined
-def scaled(x):
-    return FACTOR * x
-@compiled
-def scaled_sum(x, y):
-    return scaled(x) {operation} y
-def begins():
-    print("begins", flush=True)
-    sys.stdin.readline()
-for pair in sys.argv[1:]:
-    with while_compiling(begins, lambda: print("ends")):
-        print(scaled_sum(*eval(pair)))
-"""
-MADE = ["begins", "ends"]
-NUMBERS = "1.0, 1.0"
-
-
-def started(folder, *pairs, factor=2.0, operation="+"):
-    """A process that prints sums of the source with these changes, and what it is told of each.
-
-    It waits for a line, or the end of the input, before it compiles.
-    """
-    path = folder / "scaled.py"
-    path.write_text(SOURCE.format(factor=factor, operation=operation), "utf-8")
-    os.utime(path, (1e9, 1e9))  # as files of one size that are written within a second
-    process = subprocess.Popen(
-        [sys.executable, "-B", "-m", "scaled", *(pairs or [NUMBERS])],
-        env={**os.environ, "PYTHONPATH": f"{folder}{os.pathsep}{ROOT}"},
-        stdin=subprocess.PIPE,
-        stdout=subprocess.PIPE,
-        stderr=subprocess.PIPE,
-        text=True,
-    )
-    return limited(process, 60)
-
-
-def said(process):
-    """What a process prints, which says nothing is wrong."""
-    out, error = process.communicate()
-    assert error == ""
-    return out.splitlines()
-
-
-@pytest.mark.thorough
-def test_of_two_processes_one_compiles(tmp_path):
-    """Every signature has a file of its own, used as long as all that it came from stays."""
-    pairs = NUMBERS, "1, 1"
-    first = started(tmp_path, *pairs)
-    assert first.stdout.readline() == "begins\n"
-    second = started(tmp_path, pairs[0])
-    assert said(first) == ["ends", "3.0", *MADE, "3.0"]
-    assert said(second) == ["3.0"]
-    assert not [*tmp_path.rglob("*.lock")]
-    assert len([*tmp_path.rglob("*scaled_sum*.nbc")]) == 2
-    assert said(started(tmp_path, *pairs)) == ["3.0"] * 2
-    for path in tmp_path.rglob("*.nbc"):
-        path.write_bytes(path.read_bytes()[:40])
-    assert said(started(tmp_path)) == [*MADE, "3.0"]  # as the rest was cut off
-    assert said(started(tmp_path, operation="-")) == [*MADE, "1.0"]
-    assert said(started(tmp_path, factor=4.0)) == [*MADE, "5.0"]  # a constant
 
 
 def test_without_room_it_is_compiled_all_the_same(monkeypatch, tmp_path):

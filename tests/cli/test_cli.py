@@ -109,36 +109,6 @@ def test_add_takes_a_place_and_a_saved_model(log, tmp_path):
     )
 
 
-@pytest.mark.thorough
-def test_calibrated_torque_sensors_leave_what_is_unexplained(log, tmp_path):
-    numbers = tmp_path / "found.json"
-    arguments = ("add", "coulomb_friction", MODEL, log, "--where", "elbow", "--json", numbers)
-    found = {}
-    for share in ("0", "0.05"):
-        result = geodrake_command(*arguments, "--effort-uncertainty", share)
-        assert result.exit_code == 0, result.output
-        found[share] = json.loads(numbers.read_text())
-        value = re.search(r"Coulomb friction \(elbow, (.+) N·m\)", result.output)[1]
-        assert value.count("±") == 2  # all other friction stays
-    sure, unsure = (found[share]["steps"][0] for share in ("0", "0.05"))
-    assert sure["deviations"] == unsure["deviations"]
-    value = unsure["parameters"]["elbow"]["coulomb"]
-    both, rest = (step["systematic"]["elbow"]["coulomb"] for step in (unsure, sure))
-    assert np.sqrt(both**2 - rest**2) == pytest.approx(0.05 * value, rel=0.1)
-    model = load_model(MODEL)
-    bodies = found["0"]["bodies"]
-    assert set(bodies) == set(model.bodies)
-    for name, mass in zip(model.bodies, model.phi[:, 0], strict=True):
-        body = bodies[name]
-        assert set(body) == {
-            "mass", "mass_before", "mass_deviation", "com", "com_before", "com_deviation",
-            "at_boundary", "distance",
-        }  # fmt: skip
-        assert body["mass_before"] == pytest.approx(mass)
-        assert abs(body["mass"] - mass) < 5.0 * body["mass_deviation"]
-        assert np.shape(body["com"]) == np.shape(body["com_deviation"]) == (3,)
-
-
 def test_no_step_is_told_of_a_model_that_is_right(tmp_path):
     log = pendulum_log(tmp_path / "log.csv", friction=False)
     result = geodrake_command("explain", MODEL, log)

@@ -200,19 +200,6 @@ def test_other_regularizers(log, regularizer):
     assert numbers["error"]["end_nrms"] < 0.3
 
 
-@pytest.mark.thorough
-def test_compare_meets_one_residual(log):
-    result = identify(
-        MODEL, log, "--effects", FRICTIONS, "--gamma", "10", "--compare", "--json", "-"
-    )
-    assert result.exit_code == 0, result.output
-    rows = json.loads(result.stdout)["comparison"]
-    assert {"euclidean", "pullback", "entropic"} <= {row["regularizer"] for row in rows}
-    residuals = [row["residual"] for row in rows]
-    assert max(residuals) - min(residuals) < 1e-5 * max(residuals)
-    assert "Regularizers at the same training residual" in result.stderr
-
-
 def test_compare_tells_of_a_regularizer_without_a_solution(log, monkeypatch):
     solve = LogFits.solve
 

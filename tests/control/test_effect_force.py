@@ -6,7 +6,6 @@ from pydrake.math import RigidTransform, RollPitchYaw
 from pydrake.multibody.plant import MultibodyPlant
 from pydrake.multibody.tree import (
     FixedOffsetFrame,
-    PrismaticJoint,
     RevoluteJoint,
     SpatialInertia,
     UnitInertia,
@@ -99,13 +98,6 @@ class TestExactDynamics:
             expected = acceleration(arm(damping=damping, rotor=0.4), q, v, 10 * u)
             np.testing.assert_allclose(with_effect, expected, rtol=1e-10)
 
-    def test_payload_is_a_heavier_link(self):
-        phi = from_spatial_inertia(TOOL)
-        for q, v, u in STATES:
-            with_effect = acceleration(arm(), q, v, u, [(effects.Payload("link2"), phi)])
-            expected = acceleration(arm(on_link2=phi), q, v, u)
-            np.testing.assert_allclose(with_effect, expected, rtol=1e-9)
-
     def test_payload_on_a_welded_tool(self):
         phi = from_spatial_inertia(TOOL)
         loaded = arm(weld_tool=True)
@@ -154,18 +146,6 @@ class TestExactDynamics:
             )
             effort = sum(effect.effort(motion, mu)[0] for effect, mu in terms)
             np.testing.assert_allclose(load + 0.3 * v + effort, u, rtol=1e-7, atol=1e-7)
-
-    def test_tilt_is_another_gravity(self):
-        """Both angles small: the plant falls as if its gravity were turned."""
-        angles = np.array([2e-4, -3e-4])
-        for q, v, u in STATES:
-            leaning = arm()
-            down = leaning.gravity_field().gravity_vector()
-            turned = RollPitchYaw(*angles, 0.0).ToRotationMatrix().inverse() @ down
-            leaning.mutable_gravity_field().set_gravity_vector(turned)
-            with_effect = acceleration(arm(), q, v, u, [(effects.GravityTilt(), angles)])
-            np.testing.assert_allclose(with_effect, acceleration(leaning, q, v, u), atol=1e-4)
-            assert np.abs(with_effect - acceleration(arm(), q, v, u)).max() > 1e-3
 
     def test_gain_divides_the_applied_effort(self):
         friction = [
@@ -233,26 +213,6 @@ class TestSimulation:
         swing = np.abs(np.diff(log.data()[0])).sum()
         assert swing > 2.0
 
-    def test_dry_friction_stops_a_slider(self):
-        plant = MultibodyPlant(0.0)
-        body = plant.AddRigidBody("cart", SpatialInertia.SolidSphereWithMass(2.0, 0.1))
-        plant.AddJoint(
-            PrismaticJoint("rail", plant.world_frame(), body.body_frame(), [1.0, 0.0, 0.0])
-        )
-        plant.Finalize()
-        builder = DiagramBuilder()
-        builder.AddSystem(plant)
-        terms = [(effects.CoulombFriction("rail"), [1.0])]
-        EffectForce.AddToBuilder(builder, plant, terms, sign_width=1e-4)
-        simulator = Simulator(builder.Build())
-        context = plant.GetMyContextFromRoot(simulator.get_mutable_context())
-        plant.SetVelocities(context, [1.0])
-        simulator.AdvanceTo(1.0)
-        np.testing.assert_allclose(plant.GetVelocities(context), 0.5, rtol=1e-3)
-        simulator.AdvanceTo(3.0)  # stops at t = m v / F = 2 s after m v² / 2 F = 1 m
-        assert np.abs(plant.GetVelocities(context)) < 1e-4  # held: it creeps at most at sign_width
-        np.testing.assert_allclose(plant.GetPositions(context), 1.0, atol=1e-3)
-
 
 class TestSystem:
     def test_friction_that_fades_with_time(self):
@@ -295,22 +255,6 @@ class TestSystem:
                 [0.0, 0.25 * np.exp(-time / 2.0), 0.0],
                 atol=1e-9,
             )
-
-    def test_users_effect_of_the_acceleration(self):
-        class Flywheel(effects.JointEffect):
-            name = "flywheel"
-            parameters = (effects.Parameter("inertia", "kg·m²"),)
-
-            def columns(self, joint):
-                return [joint.vd * np.sin(joint.q) ** 2]
-
-        q, v, u = STATES[0]
-        np.testing.assert_allclose(
-            acceleration(arm(), q, v, u, [(Flywheel("joint2"), [0.4])]),
-            acceleration(
-                arm(), q, v, u, [(effects.RotorInertia("joint2"), [0.4 * np.sin(q[1]) ** 2])]
-            ),
-        )
 
     @pytest.mark.parametrize(
         ("effect", "mu", "message"),

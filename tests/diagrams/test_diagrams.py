@@ -317,16 +317,6 @@ class TestHiddenEffectLog:
         arm = (ROOT / "models" / "arm6.urdf").read_bytes()
         assert hashlib.sha256(demo).digest() == hashlib.sha256(arm).digest()
 
-    @pytest.mark.thorough
-    def test_several_effects(self, tmp_path):
-        call(
-            self.SCRIPT,
-            *("--quick", "--robot", "double_pendulum", "--log", tmp_path / "log.npz"),
-            *("--effect", "coulomb_friction", "--where", "shoulder", "--size", "0.16"),
-            *("--effect", "joint_spring", "--where", "elbow", "--size", "1.0,0.0"),
-        )
-        assert len(read_log(tmp_path / "log.npz")) == 1000
-
     @pytest.mark.parametrize(
         ("effect", "where", "message"),
         [("friction", "elbow", "no effect 'friction'"), ("viscous_friction", "knee", "'knee'")],

@@ -1,11 +1,8 @@
 """The AMBIDEX study: its arm, measurements and priors, and what its quick form must show."""
 
-import json
-
 import numpy as np
 import pytest
 from scipy.linalg import lstsq
-from scripts import call
 
 from diagrams.studies import ambidex_arm as draws
 from diagrams.studies.ambidex import arm as robot
@@ -15,7 +12,6 @@ from geodrake.inertia.ellipsoids import equivalent_ellipsoid
 from geodrake.logs.motion import Motion
 
 PLAN = draws.Plan(draws=2, counts=(30,), gamma=0.03, delta=0.5, hull=2.0, seed=4)
-AWARE = ("pullback", "entropic", "riemannian", "point_mass_euclidean", "point_mass_kl")
 
 
 @pytest.fixture(scope="module")
@@ -180,73 +176,3 @@ class TestFits:
         coulomb, viscous = np.split(draws.full_friction(prior, PLAN, measured), 2)
         np.testing.assert_allclose(coulomb, robot.COULOMB, rtol=0.3)
         assert (viscous >= 0).all()
-
-
-@pytest.fixture(scope="module")
-def quick(tmp_path_factory):
-    folder = tmp_path_factory.mktemp("ambidex")
-    options = ("--json", folder / "a.json", "--figures", folder / "figures")
-    call("ambidex_arm", "--quick", *options)
-    assert {path.name for path in (folder / "figures").glob("*.png")} == {
-        "ambidex_ellipsoids.png",
-        "ambidex_errors.png",
-        "ambidex_zmp.png",
-    }
-    return json.loads((folder / "a.json").read_text(encoding="utf-8"))
-
-
-def means(quick, column, cells):
-    """Means of a column for several (samples, regularizer), over draws that have all of them."""
-    table = {(r["draw"], r["samples"], r["regularizer"]): r[column] for r in quick["rows"]}
-    rows = [[table.get((draw, *cell)) for cell in cells] for draw in range(quick["plan"]["draws"])]
-    full = [row for row in rows if None not in row]
-    assert len(full) >= 0.8 * len(rows)
-    return np.mean(full, axis=0)
-
-
-@pytest.mark.thorough  # the order of regularizers is that of test_study_cheetah.py
-class TestQuick:
-    def line(self, quick, count, name):
-        found = [
-            line
-            for line in quick["summary"]
-            if (line["samples"], line["regularizer"]) == (count, name)
-        ]
-        return found[0]
-
-    @pytest.mark.parametrize("name", AWARE)
-    def test_aware_regularizers_beat_the_euclidean_at_30_samples(self, quick, name):
-        cells = [(30, name), (30, "euclidean"), (0, "prior")]
-        aware, euclidean, prior = means(quick, "test", cells)
-        assert aware < 0.94 * euclidean
-        assert aware < 0.98 * prior
-        aware, euclidean, prior = means(quick, "rigid", cells)
-        assert aware < 0.75 * euclidean
-        assert aware < 0.95 * prior
-
-    def test_euclidean_is_worse_than_the_prior_at_30_samples(self, quick):
-        cells = [(30, "euclidean"), (0, "prior")]
-        for column, share in (("test", 1.03), ("rigid", 1.2)):
-            euclidean, prior = means(quick, column, cells)
-            assert euclidean > share * prior
-        assert self.line(quick, 30, "euclidean")["worse_than_prior"] > 0.5
-
-    @pytest.mark.parametrize("name", draws.NAMES)
-    def test_all_agree_with_all_samples(self, quick, name):
-        entropic = self.line(quick, 4100, "entropic")
-        assert self.line(quick, 4100, name)["test"] == pytest.approx(entropic["test"], rel=0.02)
-
-    def test_training_residuals_are_equal(self, quick):
-        groups = {}
-        for row in quick["rows"]:
-            if row["regularizer"] not in ("prior", "riemannian"):
-                groups.setdefault((row["draw"], row["samples"]), []).append(row["training"])
-        for values in groups.values():
-            np.testing.assert_allclose(values, values[0], rtol=5e-6)
-
-    def test_geometric_fits_stay_off_the_boundary(self, quick):
-        for name in ("entropic", "riemannian"):
-            assert self.line(quick, 30, name)["at_boundary"] == 0
-        assert self.line(quick, 30, "euclidean")["at_boundary"] > 5
-        near, far = (self.line(quick, 30, kind)["distance"] for kind in ("entropic", "euclidean"))
-        assert near < 0.2 * far

@@ -59,29 +59,6 @@ def test_all_samples_tell_the_same_with_every_regularizer(quick_leg):
     assert max(test) < 0.3 * few["median"]
 
 
-@pytest.fixture(
-    scope="module",
-    params=[3, *(pytest.param(seed, marks=pytest.mark.thorough) for seed in (0, 1, 2, 4))],
-)
-def quick_gallop(request, tmp_path_factory):
-    folder = tmp_path_factory.mktemp("gallop")
-    options = ("--json", folder / "table.json", "--figures", folder)
-    call("cheetah_gallop", "--quick", "--seed", request.param, *options)
-    assert list(folder.glob("cheetah_gallop_*.png"))
-    return json.loads((folder / "table.json").read_text(encoding="utf-8"))
-
-
-@pytest.mark.thorough
-def test_distance_aware_regularizers_carry_over_to_the_floating_base(quick_gallop):
-    found = {(row["regularizer"], row["quantity"]): row for row in quick_gallop}
-    for quantity in ("body force", "body moment"):
-        euclidean, prior = (found[kind, quantity] for kind in ("euclidean", "prior"))
-        assert euclidean["mean"] < prior["mean"]
-        for kind in ("264 point masses", "687 point masses", "pullback", "entropic"):
-            assert found[kind, quantity]["mean"] < 0.8 * euclidean["mean"]
-            assert found[kind, quantity]["train"] == pytest.approx(euclidean["train"], rel=1e-4)
-
-
 def test_motion_of_a_leg_tells_32_combinations():
     leg = cheetah.load_leg(gallop.GEARS)
     time = np.linspace(0.0, 1.0 / gallop.STRIDE, 200, endpoint=False)

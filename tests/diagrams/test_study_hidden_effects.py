@@ -165,95 +165,19 @@ class TestLines:
 
 
 EASY = ("load_dependent_friction", "effort_delay", "rotor_inertia", "gravity_tilt")
-EASIEST = ("viscous_friction", "coulomb_friction", "effort_offset", "gravity_compensator")
 
 
 class TestWhatItMustShow:
-    @pytest.mark.parametrize(
-        ("robot", "names"),
-        [
-            ("double_pendulum", EASY),
-            pytest.param("arm6", EASY + EASIEST, marks=pytest.mark.thorough),
-        ],
-    )
-    def test_easy_effects(self, robot, names):
-        fixed = {**PLAIN, "robot": robot, "shares": (0.12,)}
-        rows = [scoring.score_draw(logs.draw("one", (n,), 0, 0, **fixed)) for n in names]
-        few = len(names) // 8
-        assert sum(row["first"] for row in rows) >= len(names) - few
-        assert all(row["in_set"] for row in rows)
-        assert sum(not row["extra"] for row in rows) >= len(names) - few
+    def test_easy_effects(self):
+        fixed = {**PLAIN, "robot": "double_pendulum", "shares": (0.12,)}
+        rows = [scoring.score_draw(logs.draw("one", (n,), 0, 0, **fixed)) for n in EASY]
+        assert all(row["first"] and row["in_set"] and not row["extra"] for row in rows)
         assert np.median([row["over_floor"] for row in rows]) < 1.1
 
-    @pytest.mark.thorough
-    @pytest.mark.parametrize(
-        ("case", "hidden", "number", "seed", "fixed"),
-        [
-            # The friction hides the spring, and the spring the friction: neither convinces alone.
-            ("two", ("joint_spring", "viscous_friction"), 7, 8, {"robot": "panda"}),
-            # Before the pair is known, bounded friction and bristles fit better than either.
-            ("two", ("gravity_compensator", "viscous_friction"), 3, 11, {"robot": "panda"}),
-            # An offset leaves several times the squared error, most of it in a few folds.
-            ("one", ("gravity_compensator",), 2, 8, {"robot": "arm7"}),
-            # The load changes its sign in five of eight folds.
-            ("one", ("backlash",), 2, 9, {"robot": "panda"}),
-            # Single rotors do as well, beside a body that cannot be.
-            ("one", ("coupled_rotor_inertia",), 1, 18, {"robot": "double_pendulum"}),
-            # Bodies that may move take the payload in: then only the other effect is found.
-            ("two", ("payload", "joint_spring"), 9, 103, {"robot": "double_pendulum"}),
-            ("two", ("payload", "effort_delay"), 0, 111, {"robot": "arm7", "prior": "exact"}),
-            # Bodies that may not move at all make one more rotor of what they are off.
-            ("two", ("rotor_inertia", "payload"), 5, 103, {"robot": "panda"}),
-            # On a coarse grid of exponents v and v² stand for |v|^1.7.
-            (
-                "two",
-                ("nonlinear_viscous_friction", "load_dependent_friction"),
-                8,
-                102,
-                {"robot": "arm7"},
-            ),
-        ],
-    )
-    def test_what_single_criteria_hide(self, case, hidden, number, seed, fixed):
-        if fixed["robot"] not in robot_names():
-            pytest.skip(f"{fixed['robot']} is in the test extra")
-        row = scoring.score_draw(logs.draw(case, hidden, number, seed, **fixed))
-        assert row["named"]
-        assert not row["extra"]
-        assert row["over_floor"] < 1.1
-
-    @pytest.mark.thorough
-    @pytest.mark.parametrize(
-        ("case", "hidden", "number", "seed"),
-        [
-            # Friction that does not jump where a joint turns round.
-            pytest.param(
-                *("two", ("asymmetric_friction", "load_dependent_friction"), 0, 103),
-                marks=pytest.mark.thorough,
-            ),
-            # Viscous friction does half of what bristles do, and hides them.
-            ("one", ("hysteresis",), 1, 15),
-            # The link's acceleration is known only at a lower bandwidth than the motor's.
-            pytest.param(
-                *("one", ("joint_elasticity",), 1, 18),
-                marks=pytest.mark.thorough,  # as is TestSoftness of test_bandwidth.py
-            ),
-        ],
-    )
-    def test_other_laws_than_those_of_the_library(self, case, hidden, number, seed):
-        """The effect is named, and no further one for what its law leaves."""
-        row = scoring.score_draw(logs.draw(case, hidden, number, seed, robot="double_pendulum"))
-        assert row["named"]
-        assert not row["extra"]
-        assert row["over_floor"] < 1.3
-
     @pytest.mark.parametrize("colour", [logs.WHITE, logs.COLOURED])
-    @pytest.mark.parametrize(
-        "number", [0, *(pytest.param(k, marks=pytest.mark.thorough) for k in (1, 2))]
-    )
-    def test_no_false_alarms(self, colour, number):
+    def test_no_false_alarms(self, colour):
         fixed = {**PLAIN, "colour": colour, "shares": ()}
-        assert not scoring.score_draw(logs.draw("none", (), number, 0, **fixed))["steps"]
+        assert not scoring.score_draw(logs.draw("none", (), 0, 0, **fixed))["steps"]
 
     @pytest.mark.parametrize(
         "name", ["oscillation in time", "brake that another joint's position tightens"]
@@ -261,15 +185,6 @@ class TestWhatItMustShow:
     def test_outside_effects(self, name):
         fixed = {**PLAIN, "robot": "double_pendulum", "shares": (0.15,)}
         row = scoring.score_draw(logs.draw("outside", (name,), 0, 0, **fixed))
-        assert row["verdict"] == "unexplained"
-        assert row["right_joint"]
-        assert row["right_correlate"]
-
-    @pytest.mark.thorough
-    def test_a_hose_that_free_bodies_follow(self):
-        """It goes with the pendulum's weight, so that bodies spread it over both joints."""
-        hose = "hose on the sum of two angles"
-        row = scoring.score_draw(logs.draw("outside", (hose,), 0, 22, robot="double_pendulum"))
         assert row["verdict"] == "unexplained"
         assert row["right_joint"]
         assert row["right_correlate"]

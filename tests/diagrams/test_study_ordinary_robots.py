@@ -17,7 +17,6 @@ from diagrams.benchmarks.hidden.robots import (
     robot_file,
     robot_model,
 )
-from diagrams.benchmarks.hidden.truths import Seen
 from diagrams.benchmarks.ordinary import logs
 from diagrams.benchmarks.ordinary.logs import (
     ARMS,
@@ -28,7 +27,6 @@ from diagrams.benchmarks.ordinary.logs import (
     QUIET,
     ROTOR,
     TOOL,
-    Site,
     all_draws,
     draw,
     make_recording,
@@ -106,39 +104,6 @@ class TestRecording:
         if kind not in {"pendulum in a link", "slipping belt"}:  # which act on other joints, too
             acting = set(np.flatnonzero(shares).tolist())
             assert site.joint in acting <= {site.joint, site.other}
-
-
-def test_a_pendulum_that_came_to_rest_pulls_at_its_hinge():
-    """A weight on a horizontal axis that hangs is as one at the hinge: nothing is left of it."""
-    file, still = robot_file("ur5"), np.zeros(6)
-    site = Site(5, 4, file, still, still + 1.0, still + 1.0, still + 1.0, _Horizontal())
-    effort = KINDS["pendulum in a link"].make(site)
-    engine, time = MuJoCoEngine(file), np.arange(0.0, 20.0, 0.01)
-    # The last link's y stands upright, so that the axis, its x, is level.
-    q = np.tile([0.3, -1.0, 0.8, 0.2, 0.5, 0.0], (len(time), 1))
-    turn = engine.rotations(5, q[:1])[0]
-    q[:, 5] = np.arctan2(-turn[2, 0], -turn[2, 2])
-    level = engine.rotations(5, q[:1])[0][2, 0]
-    assert abs(level) < 1e-9
-    seen = Seen(time, q, 0.0 * q, 0.0 * q, engine.efforts(q, 0.0 * q, 0.0 * q), engine)
-    swing = effort(seen, 2.0)
-    np.testing.assert_allclose(swing, 2.0 * effort(seen, 1.0), atol=1e-12)
-    assert np.abs(swing[: len(time) // 10]).max() > 0.01
-    assert np.abs(swing[-1]).max() < 0.02 * np.abs(swing).max()
-
-
-class _Horizontal:
-    """Draws a short, damped pendulum about x that starts along y."""
-
-    def __init__(self):
-        self._draws = iter([0.1, 0.3, np.zeros(3)])
-        self._axes = iter([np.array([1.0, 0.0, 0.0]), np.array([0.0, 0.0, 1.0])])
-
-    def uniform(self, *_):
-        return next(self._draws)
-
-    def normal(self, size):
-        return next(self._axes)
 
 
 def _step(effect, where, probability=0.95):

@@ -93,15 +93,3 @@ class TestMotion:
             assert np.abs(motion.EvalDerivative(t, 1)).max() < 1e-9
             assert (np.abs(motion.value(t).ravel()) <= robot.REACH + 1e-12).all()
         assert motion.end_time() == pytest.approx(4.5)
-
-
-@pytest.mark.thorough  # test_diagrams.py has one sandbag
-class TestStudy:
-    def test_natural_adaptation_helps_and_stays_physical(self):
-        rows = [
-            study.run_draw(study.Draw("links 3, 5, 10", law, 1.0, 1), seed=0)
-            for law in (laws.NONE, laws.NATURAL)
-        ]
-        assert rows[1]["rms"] < 0.7 * rows[0]["rms"]
-        assert rows[1]["unphysical"] == 0.0
-        assert not rows[1]["lost"]

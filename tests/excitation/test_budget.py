@@ -8,7 +8,6 @@ from excitation_robots import MODELS, arm
 from pydrake.geometry import Box
 from pydrake.math import RigidTransform
 
-from geodrake.errors import ArgumentError
 from geodrake.excitation import (
     CollisionWorld,
     DesignOptions,
@@ -63,14 +62,6 @@ class SlowWorld(CollisionWorld):
         return np.zeros(len(q)), np.zeros(q.shape)
 
 
-class NarrowWorld(SlowWorld):
-    """Every single posture is free, and every motion hits something."""
-
-    def distances(self, q):
-        far, names = super().distances(q)
-        return (far, names) if len(q) == 1 else (np.zeros(len(q)), names)
-
-
 def limits_of(model):
     nv = len(model.joints)
     most = np.full(nv, 2.0)
@@ -105,14 +96,6 @@ def test_no_time_for_a_close_look_is_said(clock):
     assert [outcome.seed for outcome in result.outcomes] == [0]
     assert "2 starts were not begun, as time was up" in result.notes
     assert any("collisions were looked for every 0.3" in note for note in result.notes)
-
-
-@pytest.mark.thorough
-def test_no_motion_in_that_time_is_an_error(clock):
-    begin = clock.monotonic()
-    with pytest.raises(ArgumentError, match=r"No motion within the limits was found in 0\.5 s"):
-        designed(clock, 0.5, NarrowWorld, seeds=2)
-    assert clock.monotonic() - begin < 0.5 + 1.0 + SLACK
 
 
 @pytest.mark.usefixtures("clock")

@@ -71,19 +71,6 @@ def test_temperatures_tell_halls_apart():
     assert not any(found.changes)
 
 
-@pytest.mark.thorough
-@pytest.mark.parametrize("level", [0.3])
-def test_alarms_are_no_more_than_asked_for(level):
-    """By Markov's inequality they are fewer; with scales that are learnt, not known."""
-    histories = fleet(2, 150, {})
-    model = learn_type([each.equations() for each in histories], columns())
-    alarms = 0
-    for r, each in enumerate(histories):
-        search = RobotSearch(model.of(r), each, hypotheses(), level)
-        alarms += bool(search.find())
-    assert alarms <= level * len(histories)
-
-
 def test_an_odd_log_is_no_change():
     odd = {0: lambda t: np.array([0.0, 0.0, 0.5, 0.0]) * (t == 9)}
     found = find_changes(fleet(3, 8, odd), columns(), hypotheses(), passes=1)

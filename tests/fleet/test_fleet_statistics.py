@@ -251,32 +251,3 @@ def test_bodies_spread_by_their_geometric_distance():
     narrow = narrow_factor(seen[:4])
     assert narrow.shape == (4, 4)
     np.testing.assert_allclose(narrow @ narrow.T, B[:, 10:] @ root @ root.T @ B[:, 10:].T)
-
-
-@pytest.mark.thorough
-def test_looking_every_night_is_as_safe_as_looking_once():
-    """Of robots in which nothing changes, few ever pass a bound that grows with the nights."""
-    rng, nights, largest = np.random.default_rng(11), 40, []
-    known = {"deviations": np.full(3, 0.1), "scatter": np.full(3, 0.03)}
-    for _ in range(80):
-        rows, passed = robot(rng, logs=nights, rows=6), 0.0
-        for night in range(3, nights + 1):
-            history = Rows(rows.A[:night], rows.b[:night]).history()
-            logs = history.equations()
-            model = made([logs], **known)
-            evidence = calc_change_evidence(
-                model.fit(0, logs), history.days, hypotheses(), model.scale(0)
-            )
-            passed = max(passed, night * np.exp(evidence.total))
-        largest.append(passed)
-    for bound in (2 * nights, 5 * nights, 10 * nights):
-        assert np.mean(np.array(largest) >= bound) <= nights / bound
-
-
-@pytest.mark.thorough
-def test_scatter_is_neither_too_small_nor_too_large():
-    for logs, tolerance in ((3, 0.2), (20, 0.08)):
-        rng = np.random.default_rng(6)
-        histories = [robot(rng, logs=logs, rows=60).history() for _ in range(150)]
-        found = learn_type([each.equations() for each in histories], columns(), rounds=20)
-        np.testing.assert_allclose(found.scatter, 0.03, rtol=tolerance)

@@ -20,7 +20,7 @@ from typer.testing import CliRunner
 from geodrake import load_model
 from geodrake.cli.app import app
 from geodrake.control.rollout import roll_out
-from geodrake.diagnosis import compare, explain
+from geodrake.diagnosis import compare
 from geodrake.effects import EffortDelay, FittedEffect
 from geodrake.errors import ArgumentError
 from geodrake.identification.logs.case import open_case
@@ -73,31 +73,6 @@ def gain_of(joint, size=0.08, count=6):
 
 
 class TestGainTold:
-    @pytest.mark.thorough  # TestCommand has a smaller robot
-    @pytest.mark.parametrize(
-        ("seed", "joint", "gain"),
-        [(1, 1, 0.08), (2, 4, -0.08), (4, 5, 0.02)],
-    )
-    def test_at_its_joint(self, seed, joint, gain):
-        found = explain(model_file(), two_logs(seed, gain_of(joint, gain)))
-        name = model_file().joints[joint]
-        steps = {step.effect: step for step in found.steps if step.effect != "wrong_inertia"}
-        assert {effect: step.where for effect, step in steps.items()} == {"effort_scale": (name,)}
-        told = steps["effort_scale"]
-        assert told.parameters[name]["gain_error"] == pytest.approx(gain, abs=0.01)
-        assert told.systematic == {}  # it is what gains are found to be
-        assert found.verdict == "explained"
-
-    @pytest.mark.thorough
-    def test_of_all_joints_where_the_stated_mass_is_wrong(self):
-        """10 % too large looks like gains 1/1.1 of all joints, and a note says so."""
-        found = explain(model_file(), two_logs(8, stated=replace(WEIGHT, mass=3.3)))
-        (step,) = found.steps
-        assert (step.effect, set(step.where)) == ("effort_scale", set(model_file().joints))
-        values = [values["gain_error"] for values in step.parameters.values()]
-        assert values == pytest.approx(6 * [1 / 1.1 - 1.0], abs=0.01)
-        assert "if its mass is 0.9" in found.notes[-1]
-
     def test_not_by_what_all_logs_have(self):
         held = [two_logs(seed, gain_of(1))[1] for seed in (9, 10)]
         case = open_case(model_file(), held, candidates=True)

@@ -1,7 +1,5 @@
 """Reading and writing logs, and what is said about bad ones."""
 
-import time as clock
-
 import numpy as np
 import pytest
 from hypothesis import HealthCheck, given, settings
@@ -168,23 +166,6 @@ def test_failed_write_leaves_nothing(tmp_path):
     with pytest.raises(OutputError, match=r"folder\.csv"):
         write_log(log, tmp_path / "folder.csv")
     assert sorted(file.name for file in tmp_path.iterdir()) == ["folder.csv", "log.csv"]
-
-
-@pytest.mark.thorough
-def test_large_files_are_fast(tmp_path):
-    table = np.random.default_rng(0).standard_normal((45_000, 12))
-    names = tuple(f"joint_{k}" for k in range(6))
-    log = JointLog("log", names, 2e-4 * np.arange(45_000), table[:, :6], table[:, 6:])
-    write_log(log, tmp_path / "log.csv")
-    ours, plain = [], []
-    for _ in range(2):
-        begin = clock.process_time()
-        read_log(tmp_path / "log.csv")
-        ours.append(clock.process_time() - begin)
-        begin = clock.process_time()
-        np.loadtxt(tmp_path / "log.csv", delimiter=",", skiprows=1)
-        plain.append(clock.process_time() - begin)
-    assert min(ours) < 3.0 * min(plain)
 
 
 @pytest.mark.parametrize("suffix", [".csv", ".npz"])

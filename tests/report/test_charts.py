@@ -5,7 +5,6 @@ import dataclasses
 import json
 import re
 
-import matplotlib
 import numpy as np
 import pytest
 from report_results import (
@@ -259,13 +258,3 @@ def test_figures_are_saved(tmp_path):
     (tmp_path / "file").write_text("")
     with pytest.raises(OutputError, match="file cannot be made"):
         save_figures(figures, tmp_path / "file")
-
-
-@pytest.mark.thorough
-def test_figures_are_the_same_whatever_matplotlib_is_told():
-    chart = effort_chart(comparison(("a",), 1.0), units=UNITS)
-    usual = png(chart_figure(chart))
-    told = {"text.usetex": True, "font.family": "monospace", "axes.grid": True, "font.size": 30}
-    with matplotlib.rc_context(told):
-        assert png(chart_figure(chart)) == usual
-        assert matplotlib.rcParams["font.size"] == 30

@@ -1,13 +1,11 @@
 """Bodies drawn as ellipsoids: the right ones, in the right place, marked where they should be."""
 
 import base64
-import io
 import re
 from pathlib import Path
 
 import numpy as np
 import pytest
-from PIL import Image
 from pydrake.geometry import Meshcat
 
 from geodrake.errors import ArgumentError
@@ -19,7 +17,6 @@ from geodrake.report.ellipsoid_figure import ellipsoid_figure, figure_bytes
 from geodrake.report.ellipsoids import (
     BOUNDARY,
     LEAST_THICKNESS,
-    TRUTH,
     EllipsoidSet,
     placed,
     skeleton,
@@ -82,32 +79,6 @@ def test_the_skeleton_goes_from_joint_to_joint(model, context):
         origin = model.plant.EvalBodyPoseInWorld(context, model.plant.get_body(body.body_index))
         assert np.linalg.norm(ends - origin.translation(), axis=1).min() < 1e-9
     assert np.linalg.norm(lines[:, 1] - lines[:, 0], axis=1).min() > 1e-6
-
-
-@pytest.mark.thorough
-def test_the_figure_has_a_panel_for_each_set_and_marks_the_boundary(model):
-    sets = [
-        EllipsoidSet.of("prior", model.phi),
-        EllipsoidSet.of("euclidean", flattened(model.phi, 2), at_boundary=[2]),
-        EllipsoidSet.of("pullback", model.phi),
-        EllipsoidSet.of("truth", 1.1 * model.phi, color=TRUTH),
-    ]
-    figure = ellipsoid_figure(model.plant, sets)
-    assert len(figure.axes) == len(sets)
-    assert [ax.get_title() for ax in figure.axes] == [one.name for one in sets]
-    (legend,) = figure.legends
-    words = [text.get_text() for text in legend.get_texts()]
-    assert words == [*(one.name for one in sets), "at the boundary of what a body can be", "robot"]
-    plain = ellipsoid_figure(model.plant, sets[:1]).legends[0]
-    assert "at the boundary of what a body can be" not in [t.get_text() for t in plain.get_texts()]
-
-    pixels = np.asarray(Image.open(io.BytesIO(figure_bytes(figure))).convert("RGB")).astype(int)
-    redness = pixels[..., 0] - np.maximum(pixels[..., 1], pixels[..., 2])
-    height, width = redness.shape
-    above = redness[int(0.09 * height) : height // 2]
-    assert (above[:, width // 3 : 2 * width // 3] > 80).sum() > 50  # the second panel
-    assert (above[:, : width // 3] > 80).sum() == 0
-    assert figure_bytes(figure) == figure_bytes(ellipsoid_figure(model.plant, sets))
 
 
 @pytest.mark.parametrize(("kind", "start"), [("pdf", b"%PDF"), ("svg", b"<?xml")])

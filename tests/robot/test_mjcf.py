@@ -1,7 +1,6 @@
 """MJCF means what MuJoCo makes of it: each construct against MuJoCo's own inverse dynamics."""
 
 import threading
-import time
 
 import mujoco
 import numpy as np
@@ -15,7 +14,6 @@ from geodrake.robot import mujoco_check
 from geodrake.robot.files import mjcf_source
 from geodrake.robot.files.given import Given
 from geodrake.robot.mjcf_shapes import mjcf_geoms
-from geodrake.robot.plant import load_plant
 from geodrake.robot.shapes import robot_shapes
 
 HEAD = '<mujoco model="r">{head}<worldbody>{world}</worldbody>{tail}</mujoco>'
@@ -371,16 +369,6 @@ def test_a_joint_whose_body_is_connected_to_its_parent_does_not_move(tmp_path):
     assert model.held == {"t": 0.0} and not model.left_out
 
 
-def test_a_joint_that_follows_is_drawn_elsewhere_too(tmp_path):
-    text = mjcf(
-        tip('ref="20"'),
-        tail='<equality><joint joint1="t" joint2="a" polycoef=".1 2 0 0 0"/></equality>',
-    )
-    loaded = load_plant(write(tmp_path, text))
-    (follower,) = loaded.followers
-    assert (follower.ratio, follower.offset) == pytest.approx((2.0, 0.1 + np.deg2rad(20)))
-
-
 @pytest.mark.parametrize(
     ("text", "words"),
     [
@@ -412,21 +400,6 @@ def test_a_plant_that_is_not_mujocos_is_refused(tmp_path, monkeypatch):
     monkeypatch.setattr(mujoco_check, "_efforts", other)
     with pytest.raises(ModelError, match="does not read the joint t or the body t as MuJoCo does"):
         load_model(path)
-
-
-def test_seven_joints_are_read_in_a_moment(tmp_path):
-    inside = ""
-    for k in range(7):
-        inertial = '<inertial pos="0 0 .1" mass="1" diaginertia=".1 .1 .05"/>'
-        inside = f'<body name="l{k}" pos="0 0 .2"><joint name="j{k}"/>{inertial}{inside}</body>'
-    path = write(tmp_path, HEAD.format(head="", world=inside, tail=""))
-    load_model(path)
-    seconds = []
-    for _ in range(3):
-        start = time.perf_counter()
-        load_model(path)
-        seconds.append(time.perf_counter() - start)
-    assert min(seconds) < 0.3
 
 
 LOOKS = """<mujoco model="r"><asset><mesh name="m" file="cube.obj" scale="2 2 2"/>
@@ -601,12 +574,6 @@ def test_bodies_within_bodies_without_end_are_read_or_refused(tmp_path):
     path = write(tmp_path, mjcf("<frame>" * 500 + "</frame>" * 500))
     with pytest.raises(ModelError, match="more than 400 elements within each other"):
         load_model(path)
-
-
-def test_friction_of_a_tendon_is_that_of_its_joint(tmp_path):
-    text, _ = TAKEN["a tendon of one joint"]
-    loaded = load_plant(write(tmp_path, text))
-    assert loaded.file_friction == pytest.approx([0.0, 0.3])
 
 
 def test_one_thread_at_a_time_takes_mujocos_warnings():

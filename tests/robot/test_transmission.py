@@ -308,27 +308,3 @@ def test_accelerations_are_those_of_drakes_coupler_constraints():
     M = np.stack([efforts(unit) - bias for unit in np.eye(2)], -1)
     vd = np.linalg.solve(M, RATIO * torque - bias)  # a rotor's torque moves q by its ratio
     np.testing.assert_allclose(theirs, transmission.matrix @ vd, rtol=2e-3)
-
-
-def test_power_through_a_crank_is_the_change_of_energy():
-    plant = arm(rotors=True)
-    plant.Finalize()
-    linkage = OwnTransmission(
-        (4, 2),
-        lambda q: np.hstack([crank(q), 3 * q[:, :1]]),
-        lambda q: np.concatenate(
-            [crank_jacobian(q), np.broadcast_to([[[3.0, 0.0]]], (len(q), 1, 2))], 1
-        ),
-    )
-    motion, context, step = random_motion(), plant.CreateDefaultContext(), 1e-5
-    efforts = actuator_efforts(plant, linkage, motion)
-
-    def energy(q, v):
-        moved = linkage.joint_motion(Motion(q[None], v[None], v[None]))
-        plant.SetPositions(context, moved.q[0])
-        plant.SetVelocities(context, moved.v[0])
-        return plant.CalcKineticEnergy(context) + plant.CalcPotentialEnergy(context)
-
-    for q, v, vd, effort in zip(motion.q, motion.v, motion.vd, efforts, strict=True):
-        after, before = (energy(q + h * v, v + h * vd) for h in (step, -step))
-        assert effort @ v == pytest.approx((after - before) / (2 * step), rel=1e-6, abs=1e-6)
