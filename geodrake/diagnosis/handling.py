@@ -11,6 +11,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 from itertools import combinations, product
 from typing import Any
 
@@ -27,6 +28,7 @@ from geodrake.effects.base import Effect, Proposer
 from geodrake.effects.episode import Episode
 from geodrake.effects.robot_motion import log_number
 from geodrake.identification.logs.case import Case
+from geodrake.identification.logs.dataset import JointRows
 from geodrake.identification.logs.unknowns import pullback_information
 from geodrake.identification.normal_equations import scaled_cholesky
 from geodrake.inertia import PARAMETERS_PER_BODY
@@ -188,30 +190,38 @@ class _Around:
 
     def rows(self, log: int, body: str) -> list[_Rows]:
         """Return the rows of a log over columns of a body, joint by joint, in order of time."""
-        began, found = self.case.trajectories[log].began, list[_Rows]()
         start = PARAMETERS_PER_BODY * self.case.model.bodies.index(body)
-        own = np.arange(start, start + PARAMETERS_PER_BODY)
+        own = slice(start, start + PARAMETERS_PER_BODY)
+        reach = np.asarray(self.model.dataset.reach[:, own].any(axis=1))
+        return [replace(e, body=e.body[:, own]) for e in self._logs[log] if reach[e.joint]]
+
+    @cached_property
+    def _logs(self) -> list[list[_Rows]]:
+        """Rows of each log as `rows`, over the columns of all bodies."""
+        found: list[list[_Rows]] = [[] for _ in self.case.trajectories]
         for j, data in enumerate(self.model.dataset.data):
-            local = data.local(own)
-            parts = [
-                rows
-                for fold, kept in zip(self.case.folds, data.rows, strict=True)
-                for block, rows in zip(fold.blocks, kept, strict=False)
-                if block.trajectory == log and len(rows.b)
-            ]
-            if not parts or not np.any(local >= 0):
-                continue
-            A, b = np.concatenate([p.A for p in parts]), np.concatenate([p.b for p in parts])
-            known, effort = self.model.row_columns(self.fit, j, A, b)
-            known = known[:, self.kept]
-            left = effort - known @ self.x
-            turned = solve_triangular(self.root, known.T, lower=True).T
-            wide = np.hstack([A, np.zeros((len(A), 1))])[:, local]
-            time = np.concatenate([p.time for p in parts]) - began
-            weight = float(self.fit.weights[j])
-            every = _Rows(j, time, wide, turned, left, weight)
-            found.append(every.part(np.argsort(time, kind="stable")))
+            parts: list[list[JointRows]] = [[] for _ in found]
+            for fold, kept in zip(self.case.folds, data.rows, strict=True):
+                for block, rows in zip(fold.blocks, kept, strict=False):
+                    parts[block.trajectory] += [rows] if len(rows.b) else []
+            for log, own in enumerate(parts):
+                if own:
+                    found[log].append(self._of_joint(j, self.case.trajectories[log].began, own))
         return found
+
+    def _of_joint(self, joint: int, began: float, parts: Sequence[JointRows]) -> _Rows:
+        time = np.concatenate([part.time for part in parts])
+        order = np.argsort(time, kind="stable")
+        A, b = np.concatenate([p.A for p in parts])[order], np.concatenate([p.b for p in parts])
+        known, effort = self.model.row_columns(self.fit, joint, A, b[order])
+        known = known[:, self.kept]
+        turned = solve_triangular(self.root, known.T, lower=True).T
+        columns = self.model.dataset.data[joint].columns
+        columns = columns[columns < self.case.model.phi.size]
+        bodies = np.zeros((len(A), self.case.model.phi.size))
+        bodies[:, columns] = A[:, : len(columns)]
+        weight = float(self.fit.weights[joint])
+        return _Rows(joint, time[order] - began, bodies, turned, effort - known @ self.x, weight)
 
 
 def _gains(sums: Array, known: Array) -> tuple[Array, Array]:

@@ -85,15 +85,15 @@ def joint_residuals(case: Case, hypothesis: Hypothesis) -> list[JointResidual]:
 
 def full_motion(case: Case) -> list[tuple[int, Segment]]:
     """The segments of all logs, in memory, each with the index of its log."""
-    if case.kept.segments:
-        return list(case.kept.segments)
+    if case.segments:
+        return list(case.segments)
     found = [
         (log, segment[:_SAMPLES])
         for log, trajectory in enumerate(case.trajectories)
         for segment in trajectory.segments
     ]
     if sum(len(segment) for _, segment in found) <= _SAMPLES:
-        case.kept.segments += found
+        case.segments.extend(found)
     return found
 
 

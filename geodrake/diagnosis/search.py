@@ -33,7 +33,7 @@ from geodrake.effects import Effect
 from geodrake.effects.declarations import Proposer, Role
 from geodrake.effects.robot_motion import log_number
 from geodrake.errors import ArgumentError
-from geodrake.identification.logs.case import Case, KeptMotion, reduced
+from geodrake.identification.logs.case import Case, reduced
 from geodrake.identification.logs.model_fit import effects_of
 from geodrake.logs.folds import dealt_out
 
@@ -334,7 +334,7 @@ class Search:
         loads = fitted_loads(self.case, self.model, self.fit)
         effects = [term.effect for term in self.fit.terms if not term.is_body]
         if loads is not None and any(e and "load" in e.depends_on for e in effects):
-            self.case = replace(self.case, loads=loads, kept=KeptMotion())
+            self.case = replace(self.case, loads=loads)
             changed = True
         if changed or near or moved:
             self._anew(moved, retimed=retimed)
@@ -365,7 +365,7 @@ class Search:
         if speeds is None:
             return False
         faded = replace(self.case.model, fading_speed=speeds)
-        self.case = replace(self.case, model=faded, kept=KeptMotion())
+        self.case = replace(self.case, model=faded)
         self._anew()
         return True
 

@@ -23,19 +23,23 @@ from geodrake.diagnosis.explain import Investigation, investigate
 from geodrake.diagnosis.findings import Finding, holds
 from geodrake.diagnosis.log_model import Choice, Fit, LogModel
 from geodrake.diagnosis.moves import neighbours
-from geodrake.diagnosis.neighbourhood import Neighbourhood
 from geodrake.diagnosis.posterior import Certainty
+from geodrake.diagnosis.residuals import filtered_columns, full_motion, joint_residuals
 from geodrake.diagnosis.results import Explanation
 from geodrake.diagnosis.search import Found
 from geodrake.diagnosis.search_progress import FoundStep, Progress
-from geodrake.diagnosis.terms import Term
 from geodrake.diagnosis.unknown_efforts import range_of_motion, reversals
 from geodrake.effects.base import Effect
-from geodrake.identification.logs.case import error_table, open_case, reduced
+from geodrake.effects.robot_motion import RobotMotion
+from geodrake.identification.logs.case import Case, error_table, open_case, reduced
 from geodrake.identification.logs.criteria import NOISE_MARGIN
 from geodrake.identification.logs.hypothesis import Hypothesis
 from geodrake.identification.logs.model_fit import effects_of
+from geodrake.identification.logs.noise import motion_of
+from geodrake.identification.logs.reduce import sign_widths
 from geodrake.logs.motion import JointLog
+from geodrake.logs.smoothing import Segment
+from geodrake.model.carried_payloads import carrying
 from geodrake.model.robot_model import RobotModel
 
 _MOST_JOINTS = 3  # of which it is reported what their error goes with
@@ -43,6 +47,7 @@ _MOST_CORRELATES, _TRIED = 3, 12  # of a joint, and sets of signals of which eac
 _NOTABLE = 0.1  # share of the squared error that is reported
 _NO_FURTHER = 0.05  # share more than a simpler correlate has, to be reported beside it
 _ROUNDS = 3  # of closer and closer constants at which terms turn
+_AT_ONCE = 64  # terms of which columns are made
 _STEPS = np.linspace(-1.0, 1.0, 9).tolist()
 _TOLD = 0.05  # probability of a rival
 
@@ -111,10 +116,9 @@ def rest_correlates(investigation: Investigation) -> tuple[Correlate, ...]:
     if not joints:
         return ()
     every = found.case.model.single_joints
-    offered = _offered(
-        found, [Formula(j, (term,)) for j in joints for term in vocabulary(j, every)]
+    return tuple(
+        each for joint in joints for each in _correlates(found, joint, vocabulary(joint, every))
     )
-    return tuple(each for joint in joints for each in _correlates(offered, joint))
 
 
 def draft_rest(investigation: Investigation, *, progress: Progress | None = None) -> Draft:
@@ -131,7 +135,7 @@ def draft_rest(investigation: Investigation, *, progress: Progress | None = None
             continue
         words = vocabulary(joint, model.single_joints, reach)
         offered = _offered(found, [Formula(joint, (term,)) for term in words])
-        correlates += _correlates(offered, joint)
+        correlates += _correlates(found, joint, words)
         after = _with_formula(offered, joint, reach)
         finding = _finding(offered, after, joint)
         validated = after.model.validated(after.fit)
@@ -265,28 +269,27 @@ def _rivals(found: Found, joint: str) -> list[str]:
     return [f.words() for f in others if 0 < len(f.terms) <= most]
 
 
-def _correlates(found: Found, joint: str) -> list[Correlate]:
+def _correlates(found: Found, joint: str, words: Sequence[FormulaTerm]) -> list[Correlate]:
     """Return what the error at a joint goes with, each set of signals once.
 
     Shares are of fits whose bodies need not exist, as none of them is kept.
     """
-    model, fit = found.model, found.fit
+    best = dict[frozenset[tuple[str, str]], FormulaTerm]()
+    for k in np.argsort(-_gains(found, joint, words)):
+        if len(best) < _TRIED:
+            best.setdefault(words[k].signals, words[k])
+    offered = _offered(found, [Formula(joint, (term,)) for term in best.values()])
+    model, fit = offered.model, offered.fit
     j = model.dataset.joints.index(joint)
-    offered = [t for t in model.terms if isinstance(t.effect, Formula) and t.joint == joint]
-    offered = [t for t in offered if t not in fit.terms]
-    best = dict[frozenset[tuple[str, str]], tuple[Term, FormulaTerm]]()
-    gains = Neighbourhood(model, fit).gains([(term,) for term in offered])
-    for k in np.argsort(-gains):
-        if len(best) < _TRIED and isinstance(offered[k].effect, Formula):
-            (term,) = offered[k].effect.terms
-            best.setdefault(term.signals, (offered[k], term))
     hypothesis, was = model.validated(fit, physical=False), fit.choice
     before, shares = float(hypothesis.held_out.sse[:, j].sum()), model.shares(fit)
     told = list[tuple[float, FormulaTerm]]()
-    for each, term in best.values():
-        choice = model.choice(was, (*fit.terms, each))
-        other = model.validated(model.unbounded(choice, shares, fit.variance), physical=False)
-        told.append((1.0 - float(other.held_out.sse[:, j].sum()) / before, term))
+    for each in model.terms:
+        term = each.effect.terms[0] if isinstance(each.effect, Formula) else None
+        if term is not None and term in best.values() and each not in fit.terms:
+            choice = model.choice(was, (*fit.terms, each))
+            other = model.validated(model.unbounded(choice, shares, fit.variance), physical=False)
+            told.append((1.0 - float(other.held_out.sse[:, j].sum()) / before, term))
     told.sort(key=lambda each: -each[0])
     chosen = list[tuple[float, FormulaTerm]]()
     for share, term in told:
@@ -296,6 +299,42 @@ def _correlates(found: Found, joint: str) -> list[Correlate]:
     found_ones = [Correlate(joint, term.words(joint), share) for share, term in chosen]
     clock = clock_correlates(hypothesis, joint)
     return sorted([*found_ones[:_MOST_CORRELATES], *clock], key=lambda each: -each.share)
+
+
+def _gains(found: Found, joint: str, words: Sequence[FormulaTerm]) -> Array:
+    """Return (m,) what each term alone adds to the evidence at a joint, by the joint's own rows."""
+    case, model, fit = found.case, found.model, found.fit
+    j = model.dataset.joints.index(joint)
+    rows = [each for fold in model.dataset.data[j].rows for each in fold]
+    A, b = (np.concatenate([getattr(each, name) for each in rows]) for name in ("A", "b"))
+    known, effort = model.row_columns(fit, j, A, b)
+    at = next(e for e in joint_residuals(case, model.hypothesis(fit)) if e.joint == joint)
+    left, weight, covariance = effort - known @ fit.x, fit.weights[j], np.linalg.inv(fit.hessian)
+    motion, gains = full_motion(case), list[Array]()
+    seen = [_seen(case, *each) for each in motion]
+    for few in np.array_split(np.arange(len(words)), -(-len(words) // _AT_ONCE)):
+        formula = Formula(joint, tuple(words[k] for k in few))
+        columns = filtered_columns(case, motion, at, (formula.rows(each)[joint] for each in seen))
+        there = np.isfinite(columns).all(axis=1)
+        C, A = columns[there], known[there]
+        half, power = A.T @ C, np.square(C).sum(axis=0)
+        size = model.beliefs.size * model.dataset.effort_std[j]
+        prior = np.maximum(power / len(C), np.finfo(float).tiny) / size**2
+        schur = weight * power - weight**2 * (half * (covariance @ half)).sum(axis=0) + prior
+        gains.append((weight * left[there] @ C) ** 2 / schur - np.log(schur / prior))
+    return np.concatenate(gains)
+
+
+def _seen(case: Case, log: int, segment: Segment) -> RobotMotion:
+    """Return a segment of a log as effects see it."""
+    trajectory = case.trajectories[log]
+    robot = carrying(case.load_model, trajectory.payloads)
+    grounded = trajectory.contacts is not None or segment.ground is not None
+    return robot.motion(
+        motion_of(segment, robot, trajectory),
+        sign_width=sign_widths(robot, case.trajectories),
+        load=segment.motor_effort if grounded else None,
+    )
 
 
 def _drafted(

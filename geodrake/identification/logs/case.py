@@ -15,7 +15,6 @@ from geodrake.boundary.arguments import instance, instances, integer, real_array
 from geodrake.boundary.showing import Short
 from geodrake.effects import catalogue
 from geodrake.effects.base import Effect
-from geodrake.effects.robot_motion import RobotMotion
 from geodrake.errors import LogError
 from geodrake.identification.logs.candidate_effects import candidate_delays, candidate_effects
 from geodrake.identification.logs.dataset import Dataset, Delay
@@ -58,17 +57,6 @@ class Asked:
     blocks: int | None  # blocks asked for
 
 
-@dataclass(eq=False)
-class KeptMotion:
-    """What was computed of a model and its logs alone, and serves again."""
-
-    # The segments of all logs in memory, with the index of their log.
-    segments: list[tuple[int, Segment]] = field(default_factory=list)
-    seen: list[RobotMotion] = field(default_factory=list)  # their motion as effects see it
-    # Effect -> its column at every joint, for each segment.
-    columns: dict[Effect, list[Array]] = field(default_factory=dict)
-
-
 @dataclass(frozen=True, eq=False)
 class Case(Short):
     """A model and its logs."""
@@ -80,8 +68,8 @@ class Case(Short):
     fingerprints: tuple[str, ...]
     notes: tuple[str, ...]  # what was done to the logs and noticed about the model
     asked: Asked  # what it was opened with
-    # What was computed of model and motion alone, and serves again.
-    kept: KeptMotion = field(default_factory=KeptMotion, repr=False)
+    # The segments of all logs in memory, with the index of their log, once somebody looked.
+    segments: list[tuple[int, Segment]] = field(default_factory=list, repr=False)
     # What reductions of the logs share.
     shared: SharedRows = field(default_factory=SharedRows, repr=False)
     # (nb, 10) inertial parameters that efforts of bodies are computed with, which columns of
@@ -269,7 +257,7 @@ def reopen(case: Case, model: RobotModel) -> Case:
         fitted=True,
         shared=case.shared,
     )
-    return replace(case, model=model, dataset=dataset, kept=KeptMotion(), loads=None)
+    return replace(case, model=model, dataset=dataset, loads=None)
 
 
 def reduced(

@@ -81,15 +81,6 @@ class JointData:
         return np.asarray(stacked.T @ stacked)
 
     @cached_property
-    def _entries(self) -> Array:
-        """((p_j + d + 1)², F) entries of the normal matrices, with zeros where position −1 is."""
-        folds, _, width = self.factors.shape
-        padded = np.zeros((width + 1, width + 1, folds))
-        for fold, factor in enumerate(self.factors):
-            padded[:width, :width, fold] = factor.T @ factor
-        return padded.reshape(-1, folds)
-
-    @cached_property
     def _positions(self) -> Indices:
         """Position of every global column up to the last, and −1 for all that follow."""
         positions = np.full(self.columns[-1] + 2, -1)
@@ -100,13 +91,15 @@ class JointData:
         """Positions of global columns at this joint; −1 where a column cannot be nonzero."""
         return self._positions[np.minimum(columns, len(self._positions) - 1)]
 
-    def products(self, left: Indices, right: Indices) -> Array:
-        """Return (l, r, F) blocks of the normal matrices, for positions (l,) and (r,).
+    def factors_of(self, columns: Indices, late: int = 0) -> Array:
+        """Return factors (F, m, p + 1) of [A | b] with global columns (p,) and efforts of a delay.
 
-        They are among the joint's columns, its efforts last, or −1 for columns of zeros.
+        Columns that cannot be nonzero at this joint are zero.
         """
-        size = self.factors.shape[2] + 1
-        return self._entries.take((left % size)[:, None] * size + right % size, axis=0)
+        local = self.local(columns)
+        found = self.factors[:, :, np.append(local, len(self.columns) + late)]
+        found[:, :, :-1] *= local >= 0
+        return found
 
     @property
     def still(self) -> float:

@@ -70,15 +70,15 @@ def normal_matrices(
     The weights (nv,) are those of a squared residual of each joint, 1 / (N·m)² or 1 / N².
     """
     p, folds = len(columns), len(dataset.folds)
-    gram, rhs = np.zeros((p, p, folds)), np.zeros((p, folds))
+    gram, rhs = np.zeros((folds, p, p)), np.zeros((folds, p))
     delays = dataset.delay_of_each(delay)
     for data, weight, late in zip(dataset.data, weights, delays, strict=True):
-        local = data.local(columns)
-        seen = np.flatnonzero(local >= 0)
-        effort = np.array([len(data.columns) + late])
-        gram[seen[:, None], seen] += weight * data.products(local[seen], local[seen])
-        rhs[seen] += weight * data.products(effort, local[seen])[0]
-    return np.ascontiguousarray(np.moveaxis(gram, 2, 0)), np.ascontiguousarray(rhs.T)
+        seen = np.flatnonzero(data.local(columns) >= 0)
+        rows = data.factors_of(columns[seen], late)
+        own = weight * np.swapaxes(rows, 1, 2)[:, :-1] @ rows
+        gram[:, seen[:, None], seen] += own[:, :, :-1]
+        rhs[:, seen] += own[:, :, -1]
+    return gram, rhs
 
 
 class CrossValidation:

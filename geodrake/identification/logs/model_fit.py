@@ -127,13 +127,11 @@ def _gain_shifts(
     for j, (data, weight) in enumerate(zip(dataset.data, weights, strict=True)):
         if dataset.joints[j] in fitted:
             continue
-        local = data.local(unknowns.columns)
-        if known:
-            pull = data.products(local, local).sum(axis=2) @ (fit.x - unknowns.mean)
-        else:
-            pull = data.products(np.array([len(data.columns)]), local)[0].sum(axis=1)
-        carried = np.append(data.carried.sum(axis=0), 0.0)[local]  # 0 where the joint sees nothing
-        pulls[j] = weight * (pull + carried)
+        rows = np.concatenate(data.factors_of(unknowns.columns))
+        A, b = rows[:, :-1], rows[:, -1]
+        pull = A.T @ (A @ (fit.x - unknowns.mean) if known else b)
+        carried = np.append(data.carried.sum(axis=0), 0.0)  # 0 where the joint sees nothing
+        pulls[j] = weight * (pull + carried[data.local(unknowns.columns)])
     return _moved(fit, pulls.T).T
 
 
@@ -149,8 +147,8 @@ def _unexplained_covariance(
     """
     gram = np.zeros((len(unknowns.columns),) * 2)
     for data, weight, worth in zip(dataset.data, weights, samples, strict=True):
-        local = data.local(unknowns.columns)
-        gram += worth / WORTH * weight * data.products(local, local).sum(axis=2)
+        A = np.concatenate(data.factors_of(unknowns.columns))[:, :-1]
+        gram += worth / WORTH * weight * (A.T @ A)
     return _moved(fit, _moved(fit, gram).T)
 
 

@@ -116,7 +116,7 @@ def _carried(
 ) -> Array:
     """(n,) mean square that noise of the accelerations makes of a segment's predicted efforts."""
     some = slice(None, None, max(1, len(segment) // _POSES))
-    motion, rows = _motion(segment[some], model, trajectory), None if rows is None else rows[some]
+    motion, rows = motion_of(segment[some], model, trajectory), None if rows is None else rows[some]
     power, needed = np.zeros(len(trajectory.joints)), model.effort(motion, sign_width=sign_width)
     for j, deviation in enumerate(trajectory.acceleration_noise):
         faster = motion.vd.copy()
@@ -127,7 +127,7 @@ def _carried(
     return power
 
 
-def _motion(segment: Segment, model: RobotModel, trajectory: Trajectory) -> Motion:
+def motion_of(segment: Segment, model: RobotModel, trajectory: Trajectory) -> Motion:
     """A segment as the model's motion, in the time and at the temperatures of its log."""
     return Motion(
         model.positions(segment.position),
@@ -146,7 +146,7 @@ def _residual(
     rows: Array | None,
 ) -> Array:
     """(K, n) measured − predicted effort at the full rate."""
-    needed = model.effort(_motion(segment, model, trajectory), sign_width=sign_width)
+    needed = model.effort(motion_of(segment, model, trajectory), sign_width=sign_width)
     return segment.effort - _taken(rows, delayed_by(model.delays, needed, segment.period))
 
 

@@ -171,11 +171,7 @@ def fit_problem(
     triangle = np.zeros((1, p + 1))
     delays = dataset.delay_of_each(delay)
     for data, weight, late in zip(dataset.data, weights, delays, strict=True):
-        local = data.local(unknowns.columns)
-        stacked = np.concatenate(data.factors[kept])
-        rows = np.zeros((len(stacked), p + 1))
-        rows[:, :p][:, local >= 0] = stacked[:, local[local >= 0]]
-        rows[:, p] = stacked[:, len(data.columns) + late]
+        rows = np.concatenate(data.factors_of(unknowns.columns, late)[kept])
         triangle = triangular_factor([triangle, np.sqrt(weight) * rows])
     lower, upper = unknowns.scalar_bounds
     return FitProblem(
