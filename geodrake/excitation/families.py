@@ -56,6 +56,11 @@ class MotionFamily(abc.ABC):
     def fastest(self) -> float:
         """Shortest time in which the motion does something, s: a period, or between knots."""
 
+    @property
+    def steepness(self) -> float:
+        """Largest size of a derivative by that of what it is the derivative of, 1/s; inf: none."""
+        return np.inf
+
     @abc.abstractmethod
     def basis(self, times: ArrayLike, *, orders: int = 3) -> Array:
         """(orders, N, count) matrices Φ₀, Φ₁, Φ₂, … at times (N,), s."""
@@ -146,6 +151,15 @@ class FourierMotion(MotionFamily):
     def fastest(self) -> float:
         """Period of the last mode, s."""
         return 2.0 * np.pi / (self.omega * self.modes)
+
+    @property
+    def steepness(self) -> float:
+        """Return the last mode's rate, by Bernstein's inequality, if the motion has whole periods.
+
+        |f'| ≤ nω max |f| for a trigonometric polynomial f of degree n.
+        """
+        is_whole = self.omega * self.duration >= 2.0 * np.pi * (1.0 - 1e-9)
+        return self.omega * self.modes if is_whole else np.inf
 
     def basis(self, times: ArrayLike, *, orders: int = 3) -> Array:
         """(orders, N, count): 1, cos jωt, sin jωt and their derivatives."""

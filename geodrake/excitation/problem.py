@@ -37,6 +37,7 @@ _MOST, _MOST_SAMPLES = 1_000_000, 10_000
 _EFFORT_SHARE = 0.1  # of the family's shortest time, between instants at which efforts are limited
 _COLLISION_SHARE = 0.05  # likewise of collisions
 _AFTER_START = np.array([0.02, 0.05, 0.1, 0.2, 0.4, 0.7])  # of the first interval
+_CORNERS, _NEAR = 200, 0.8  # states, and share of a limit beyond which an effort is near it
 _STILL = 1e-8  # relative error of a constant motion
 _NOTHING = 1e-12  # relative size of what is rounding
 _WITHIN = {1: 0.992, 2: 0.96}  # of limits, at every instant or at each second one
@@ -60,7 +61,7 @@ class DesignOptions(Short):
             `Criterion`. If None, one of 24 in a quick search, otherwise 8 and then 64.
         guess: (count, nv) coefficients of a motion to start from, besides the random ones. What
             is beyond the limits is scaled down.
-        quick: Whether a stage ends once the value changes by less than 1 % in twelve evaluations
+        quick: Whether a stage ends once the value changes by less than 5 % in twelve evaluations
             (solvers polish the last digits for minutes), with speeds and accelerations of many
             joints constrained at half as many instants, to 96 % of their limits. What is checked
             in the end is the same.
@@ -247,28 +248,44 @@ class DesignProblem(Short):
         by_coefficients = trajectory.coefficient_gradient(self.basis, gradient)
         return value, (self.scale * (self.free.T @ by_coefficients)).ravel()
 
-    def efforts(self, variables: Array) -> tuple[Array, Array]:
-        """(n nv,) efforts as shares of their limits, and their Jacobian (n nv, f nv).
+    @cached_property
+    def loaded(self) -> NDArray[np.intp]:
+        """(k,) joints whose efforts may come near their limits; of the others none are constrained.
 
-        Joints without a limit have the share zero.
+        Efforts are those of random postures with every joint at its largest speed and acceleration,
+        which no motion reaches at once. What is checked in the end is the efforts of all joints.
         """
+        limits, nv = self.limits, len(self.limits.joints)
+        random, shape = np.random.default_rng(0), (_CORNERS, nv)
+        signs = [random.choice([-1.0, 1.0], shape) for _ in range(2)]
+        fastest = np.minimum(limits.acceleration, self.family.steepness * limits.velocity)
+        unlimited = ~np.isfinite(fastest)
+        q = limits.middle + limits.reach * random.uniform(-1.0, 1.0, shape)
+        vd = signs[1] * np.where(unlimited, 0.0, fastest)
+        motion = Motion(q[:, joint_order(self.model)], signs[0] * limits.velocity, vd)
+        efforts = np.abs(self.model.effort(motion, sign_width=self.sign_width)).max(axis=0)
+        near = unlimited.any() | (efforts > _NEAR * limits.effort)
+        return np.flatnonzero(near & np.isfinite(limits.effort))
+
+    def efforts(self, variables: Array) -> tuple[Array, Array]:
+        """(n k,) efforts of `loaded` joints as shares of their limits, and Jacobian (n k, f nv)."""
         trajectory, basis = self.trajectory(variables), self.effort_basis
         motion, width = trajectory.motion_of(basis @ trajectory.coefficients), self.sign_width
-        n, nv = motion.v.shape
-        effort = self.model.effort(motion, sign_width=width)
-        each = Motion(*(np.repeat(x, nv, axis=0) for x in (motion.q, motion.v, motion.vd)))
-        weights = np.tile(np.diag(1.0 / self.limits.effort), (n, 1))
+        (n, nv), k, limits = motion.v.shape, len(self.loaded), self.limits.effort[self.loaded]
+        effort = self.model.effort(motion, sign_width=width)[:, self.loaded]
+        each = Motion(*(np.repeat(x, k, axis=0) for x in (motion.q, motion.v, motion.vd)))
+        weights = np.tile(np.eye(nv)[self.loaded] / limits[:, None], (n, 1))
         seen = self.model.motion(each, sign_width=width)
         gradient = effort_gradient(self.model, each, seen, weights)
         by_joint = np.zeros_like(gradient.v)
         by_joint[:, trajectory.order] = gradient.q
         free = basis @ self.free
         jacobian = sum(
-            np.einsum("nij,nk->nikj", part.reshape(n, nv, nv), free[order])
+            np.einsum("nij,nk->nikj", part.reshape(n, k, nv), free[order])
             for order, part in enumerate((by_joint, gradient.v, gradient.vd))
         )
         jacobian = np.asarray(jacobian) * self.scale
-        return (effort / self.limits.effort).ravel(), jacobian.reshape(n * nv, -1)
+        return (effort / limits).ravel(), jacobian.reshape(n * k, -1)
 
     def nearness(self, variables: Array) -> tuple[Array, Array]:
         """(n,) values of `CollisionWorld.constraint`, and their Jacobian (n, f nv)."""
@@ -337,8 +354,8 @@ def build_program(
     flat = variables.ravel()
     program.AddCost(_with_autodiff(cost, raised, check), vars=flat)
     limit_motion(program, problem, variables)
-    if np.isfinite(problem.limits.effort).any():
-        most = np.ones(problem.effort_basis.shape[1] * nv)
+    if len(problem.loaded):
+        most = np.ones(problem.effort_basis.shape[1] * len(problem.loaded))
         efforts = _with_autodiff(problem.efforts, raised, check)
         program.AddConstraint(efforts, lb=-most, ub=most, vars=flat)
     if problem.collisions is not None:
@@ -351,17 +368,23 @@ def build_program(
 def limit_motion(
     program: MathematicalProgram, problem: DesignProblem, variables: NDArray[np.object_]
 ) -> None:
-    """Add the linear constraints of every joint, with the program's variables (f, nv)."""
+    """Add the linear constraints of every joint, with the program's variables (f, nv).
+
+    A derivative that the limits of the one before keep within its own needs none.
+    """
     # A sine exceeds its samples, 20 a period or 10, by less than what is kept of the limits.
     stride = 2 if problem.options.quick and variables.size >= _MANY else 1
     for j in range(len(problem.limits.joints)):
+        largest = np.inf
         for order, (Phi, (lower, upper)) in enumerate(
             zip(problem.limit_basis, problem.bounds, strict=True)
         ):
             within, step = (_WITHIN[stride], stride) if order else (1.0, 1)
             low, high = within * lower[j], within * upper[j]
-            if not np.isfinite(high):
+            largest *= problem.family.steepness
+            if largest <= high:  # both are infinite where nothing is limited
                 continue
+            largest = 0.5 * (upper[j] - lower[j])
             A = Phi[::step] @ problem.free * problem.scale[:, j]
             fixed = Phi[::step] @ problem.offset[:, j]
             reach = np.abs(A).max(axis=1)

@@ -19,7 +19,7 @@ SOLVERS: dict[str, type[SolverInterface]] = {"snopt": SnoptSolver, "ipopt": Ipop
 INTERRUPTED, OUT_OF_TIME, SETTLED = "interrupted", "out of time", "settled"
 """How a start ends that was stopped, whose time is up, or whose value stands still."""
 _OPTIMAL, _FEASIBLE = 1e-4, 1e-6
-_STILL, _STILL_FOR = 1e-2, 12  # a value (a logarithm) changes by less in so many evaluations
+_STILL, _STILL_FOR = 5e-2, 12  # a value (a logarithm) changes by less in so many evaluations
 
 
 class OutOfTimeError(Exception):
@@ -91,7 +91,7 @@ def solve(
     """Improve a motion, from variables (f, nv) within the limits.
 
     Args:
-        quick: Whether to end once the value changes by less than 1 % in twelve evaluations.
+        quick: Whether to end once the value changes by less than 5 % in twelve evaluations.
     """
     options = problem.options
     raised: list[BaseException] = []

@@ -27,7 +27,7 @@ _ROUNDING, _NOTHING = 1e-9, 1e-9
 _FILL = (0.6, 0.95)  # share of the limits that a random motion uses
 _CORNERS = 2
 _SHRINK, _STEPS = 0.8, 40
-_BISECTIONS, _FIRST_STEP_BACK = 14, 0.002
+_FIRST_STEP_BACK, _NEAR = 1e-3, 1.1e-3  # of the way from one motion to the other
 
 
 def holding_efforts(model: RobotModel, postures: Array) -> Array:
@@ -233,7 +233,7 @@ def within_limits(
     with suppress(OutOfTimeError):
         if keeps_limits(problem, variables, stride=stride, budget=budget):
             return variables
-        for _ in range(_BISECTIONS):
+        while most - least > _NEAR:
             share = most - step if most - step > least else 0.5 * (least + most)
             tried = inside + share * (variables - inside)
             if keeps_limits(problem, tried, stride=stride, budget=budget):
