@@ -45,7 +45,7 @@ class AxisOptions(ReadingOptions):
         mass (KG): About what the --axis moves, kg; the fit corrects it.
     """
 
-    PANEL: ClassVar = "Models"
+    PANEL: ClassVar = "models"
 
     axis: str | None = None
     mass: float | None = None

@@ -38,7 +38,7 @@ class ModelOptions:
         floating: Leave roots free that nothing fixes to the world.
     """
 
-    PANEL: ClassVar = "Models"
+    PANEL: ClassVar = "models"
 
     lock: list[str] | None = None
     robot: str | None = None

@@ -155,7 +155,7 @@ class _Regularization:
         compare: All regularizers at the same training residual.
     """
 
-    PANEL: ClassVar = "Near the model"
+    PANEL: ClassVar = "near the model"
 
     regularizer: str = "entropic"
     gamma: float | None = None
@@ -260,7 +260,7 @@ class _Motion:
         samples (N): Samples by which information is counted; 300 if absent, or 50 free ones.
     """
 
-    PANEL: ClassVar = "Motion"
+    PANEL: ClassVar = "motion"
 
     trajectory: str = "fourier"
     duration: float = 10.0
@@ -290,7 +290,7 @@ class _Robot:
             below its base where it starts has none.
     """
 
-    PANEL: ClassVar = "Robot and surroundings"
+    PANEL: ClassVar = "robot and surroundings"
 
     limits: list[str] | None = None
     start: str | None = None
@@ -317,7 +317,7 @@ class _Choosing:
         solver (NAME): snopt or ipopt.
     """
 
-    PANEL: ClassVar = "Search"
+    PANEL: ClassVar = "search"
 
     criterion: str = "e_optimality"
     normalization: str = "geometric"

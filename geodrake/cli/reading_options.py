@@ -43,7 +43,7 @@ class ReadingOptions:
         skip_bad_rows: Leave out rows that no recorder meant, up to 1 %, and say how many.
     """
 
-    PANEL: ClassVar = "Logs"
+    PANEL: ClassVar = "logs"
 
     mapping: Path | None = None
     columns: str | None = None

@@ -126,7 +126,8 @@ T = TypeVar("T", bound="DataclassInstance")
 
 _FIRST = ("save", "report", "json")
 _RARE = {"bandwidth", "blocks", "debug", "draft_effect", "effort_uncertainty", "known_payload"}
-_RARE |= {"no_auto_lock", "series", "horizon", "windows", "live", "speed"}
+_RARE |= {"no_auto_lock", "series", "horizon", "windows", "live", "speed", "seconds", "quiet"}
+_RARE |= {"ellipsoids", "scheduler", "workers"}
 _ARGUMENTS = {"model", "logs", "folder", "fleet", "effect"}
 _ENTRY = re.compile(r"(?P<name>\w+)(?: \((?P<metavar>[^)]*)\))?: (?P<help>.*)")
 
@@ -141,11 +142,11 @@ def taking(options: type[T]) -> Callable[[Callable[[T], None]], Callable[..., No
     hints, told = get_type_hints(options), _SHARED | _documented(options)
     kinds = {field.name: field for field in fields(options)}
     names = sorted(kinds, key=lambda name: _FIRST.index(name) if name in _FIRST else len(_FIRST))
-    panels = dict[str, str]()
+    rare = _RARE | ({"effects"} if told.get("effects") == _SHARED["effects"] else set())
+    panels = dict.fromkeys(rare, "Advanced: rarely needed")
     for each in options.__mro__:
         if "PANEL" in vars(each):
-            panels |= dict.fromkeys(inspect.get_annotations(each), vars(each)["PANEL"])
-    panels |= dict.fromkeys(_RARE, "Rarely needed")
+            panels |= dict.fromkeys(inspect.get_annotations(each), f"Advanced: {each.PANEL}")
     parameters = [
         _parameter(kinds[name], hints[name], panels.get(name), told.get(name, (None, "")))
         for name in names
