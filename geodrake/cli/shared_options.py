@@ -146,7 +146,9 @@ def taking(options: type[T]) -> Callable[[Callable[[T], None]], Callable[..., No
     panels = dict.fromkeys(rare, "Advanced: rarely needed")
     for each in options.__mro__:
         if "PANEL" in vars(each):
-            panels |= dict.fromkeys(inspect.get_annotations(each), f"Advanced: {each.PANEL}")
+            panels |= dict.fromkeys(
+                inspect.get_annotations(each), f"Advanced: {vars(each)['PANEL']}"
+            )
     parameters = [
         _parameter(kinds[name], hints[name], panels.get(name), told.get(name, (None, "")))
         for name in names
