@@ -2,11 +2,10 @@
 
 A seven-joint arm with 70 inertial parameters and 14 of friction is controlled at 1 kHz by the
 passivity-based controller with the natural law, its plant at 10 kHz. Three questions: how much
-faster than real time that is, beside the plant alone, and the plant with a system that does
-nothing; how much longer a step of the controller is with adaptation than without; how many samples
-a second the estimator takes, and what it makes of them, by exact projections and by nudges. All
-times are CPU times of one core, of pieces of 50 ms of runs that take turns: the median, and the
-fastest tenth, which is what they are where nothing else runs.
+faster than real time that is, beside the plant alone; how much longer a step of the controller is
+with adaptation than without; how many samples a second the estimator takes, by exact projections
+and by nudges. All times are CPU times of one core, of pieces of 50 ms of runs that take turns: the
+median, and the fastest tenth, which is what they are where nothing else runs.
 
     OMP_NUM_THREADS=1 python -m diagrams.benchmarks.adaptive_speed --json speed.json
 """
@@ -22,18 +21,16 @@ import numpy as np
 from pydrake.multibody.parsing import Parser
 from pydrake.multibody.plant import DiscreteContactApproximation, MultibodyPlant
 from pydrake.systems.analysis import Simulator
-from pydrake.systems.framework import Context, Diagram, DiagramBuilder, EventStatus, LeafSystem
+from pydrake.systems.framework import Context, Diagram, DiagramBuilder
 from pydrake.systems.primitives import TrajectorySource
 from pydrake.trajectories import PiecewisePolynomial
 from rich.progress import track
 
 from diagrams.harness import MODELS, bars, cpu_time, script_parser, tell
 from geodrake.control import (
-    AdaptiveComputedTorqueController,
     BregmanProjectionEstimator,
     ControlModel,
     PassivityBasedAdaptiveController,
-    PredictionError,
     SampleUpdate,
     add_adaptive_loop,
     natural_adaptation,
@@ -44,7 +41,6 @@ from geodrake.control.systems import AdaptiveController
 from geodrake.effects import CoulombFriction, FittedEffect, ViscousFriction
 from geodrake.inertia import Array, from_pseudo_inertia, pseudo_inertia
 from geodrake.manifolds import Product
-from geodrake.manifolds.slabs import TOLERANCE
 from geodrake.model import RobotModel, load_description
 
 ARM = MODELS / "arm7.urdf"
@@ -54,7 +50,6 @@ PIECE = 0.05  # s, of simulated time
 GAMMA = 0.05
 NOISE = 0.02  # N·m, of the efforts that the estimator sees
 EVERY = 2  # samples of the estimator to a projection
-IDLE = "plant with an idle system"
 WRONG = 0.1  # size of the congruences that spoil the first estimate
 
 
@@ -102,7 +97,7 @@ class Arm:
         phase = np.outer(np.linspace(0.7, 2.0, 7), t) + np.arange(7)[:, None]
         return PiecewisePolynomial.CubicWithContinuousSecondDerivatives(t, 0.5 * np.sin(phase))
 
-    def plant(self, damping: float = DAMPING) -> MultibodyPlant:
+    def plant(self) -> MultibodyPlant:
         """The discrete plant, with viscous friction as Drake's damping."""
         plant = MultibodyPlant(PLANT_STEP)
         plant.SetUseSampledOutputPorts(False)
@@ -113,7 +108,7 @@ class Arm:
         for index in plant.GetJointIndices():
             joint = plant.get_mutable_joint(index)
             if joint.num_velocities() == 1:
-                joint.set_default_damping_vector([damping])
+                joint.set_default_damping_vector([DAMPING])
                 if not plant.HasJointActuatorNamed(joint.name()):
                     plant.AddJointActuator(joint.name(), joint)
         plant.Finalize()
@@ -125,57 +120,25 @@ class Arm:
             self.control, law, time_step=CONTROL_STEP, parameters=self.start
         )
 
-    def filtered(self, law: UpdateLaw | None) -> AdaptiveController:
-        """Computed torque by the filtered regressor."""
-        return AdaptiveComputedTorqueController(
-            self.control,
-            law,
-            time_step=CONTROL_STEP,
-            parameters=self.start,
-            prediction=PredictionError(1.0, alone=True),
-        )
-
     @cached_property
     def law(self) -> UpdateLaw:
         """The natural law."""
         return natural_adaptation(self.manifold, GAMMA)
 
 
-def closed_loop(arm: Arm, law: UpdateLaw | None, *, dry: bool) -> tuple[Diagram, Context]:
-    """The whole loop; with dry friction, its force is evaluated at every step of the plant."""
+def closed_loop(arm: Arm, law: UpdateLaw | None) -> tuple[Diagram, Context]:
+    """The whole loop."""
     builder = DiagramBuilder()
-    plant = builder.AddSystem(arm.plant(0.0 if dry else DAMPING))
-    effects = [(fitted.effect, fitted.parameters) for fitted in arm.model.effects] if dry else []
-    loop = add_adaptive_loop(
-        builder, plant, arm.controller(law), arm.motion, effects=effects, sign_width=0.05
-    )
+    plant = builder.AddSystem(arm.plant())
+    loop = add_adaptive_loop(builder, plant, arm.controller(law), arm.motion)
     diagram = builder.Build()
     return diagram, loop.context(diagram)
 
 
-class Idle(LeafSystem):
-    """A system in Python that sees the state at the controller's rate, and asks for no effort."""
-
-    def __init__(self, states: int, efforts: int) -> None:
-        super().__init__()
-        self._state = self.DeclareVectorInputPort("state", states)
-        self._effort = self.DeclareDiscreteState(efforts)
-        self.DeclarePeriodicDiscreteUpdateEvent(CONTROL_STEP, 0.0, self._update)
-        self.DeclareStateOutputPort("effort", self._effort)
-
-    def _update(self, context: Context, discrete_state: Any) -> EventStatus:
-        self._state.Eval(context)
-        return EventStatus.Succeeded()
-
-
-def plant_alone(arm: Arm, *, idle: bool = False) -> tuple[Diagram, Context]:
-    """The plant that falls by itself, perhaps with a system that does nothing about it."""
+def plant_alone(arm: Arm) -> tuple[Diagram, Context]:
+    """The plant that falls by itself."""
     builder = DiagramBuilder()
     plant = builder.AddSystem(arm.plant())
-    if idle:
-        system = builder.AddSystem(Idle(plant.num_multibody_states(), plant.num_actuators()))
-        builder.Connect(plant.get_state_output_port(), system.GetInputPort("state"))
-        builder.Connect(system.GetOutputPort("effort"), plant.get_actuation_input_port())
     diagram = builder.Build()
     context = diagram.CreateDefaultContext()
     own = plant.GetMyMutableContextFromRoot(context)
@@ -235,45 +198,6 @@ def estimator(
     return diagram, diagram.CreateDefaultContext()
 
 
-def accuracy(arm: Arm, duration: float) -> dict[str, dict[str, float]]:
-    """What exact projections and nudges make of the same samples, every one of them."""
-    table = {}
-    for method in ("projection", "nudge"):
-        diagram, context = estimator(arm, duration, method=method)
-        (system,) = (s for s in diagram.GetSystems() if isinstance(s, BregmanProjectionEstimator))
-        simulator = Simulator(diagram, context)
-        own, residuals, errors = system.GetMyContextFromRoot(context), [], []
-        simulator.Initialize()
-        for stop in np.arange(0.01, duration, 0.01):
-            simulator.AdvanceTo(stop)
-            residuals.append(system.GetOutputPort("residual").Eval(own))
-            errors.append(float(system.GetOutputPort("projection_error").Eval(own)[0]))
-        p, truth = system.parameters(own), arm.control.prior
-        first = float(arm.manifold.divergence(truth, arm.start))
-        table[method] = {
-            "RMS error of a sample before it is used, last half, N·m": float(
-                np.sqrt(np.mean(np.square(residuals[len(residuals) // 2 :])))
-            ),
-            "RMS error of the motion's efforts, N·m": unexplained(arm, p),
-            "divergence from the truth / at the start": float(
-                arm.manifold.divergence(truth, p) / first
-            ),
-            "share of samples with a certificate": float(np.mean(np.array(errors) <= TOLERANCE)),
-        }
-    table["start"] = {"RMS error of the motion's efforts, N·m": unexplained(arm, arm.start)}
-    return table
-
-
-def unexplained(arm: Arm, p: Array) -> float:
-    """RMS error of the efforts along the whole motion, N·m."""
-    squares = []
-    for t in np.arange(0.0, 20.0, 0.1):
-        q, v, a = (arm.motion.EvalDerivative(t, order).ravel() for order in range(3))
-        error = arm.control.at(q, v, v, a).regressor @ (p - arm.control.prior)
-        squares.append(error**2)
-    return float(np.sqrt(np.mean(squares)))
-
-
 def cpu_times(made: tuple[Diagram, Context], duration: float) -> list[float]:
     """Return CPU seconds a simulated second of every piece, after a tenth to warm up."""
     simulator = Simulator(*made)
@@ -287,20 +211,13 @@ def measure(arm: Arm, *, duration: float, repeats: int) -> dict[str, list[float]
     """CPU seconds a simulated second of all pieces of everything, `repeats` times in turn."""
     work: dict[str, Callable[[], tuple[Diagram, Context]]] = {
         "plant": lambda: plant_alone(arm),
-        IDLE: lambda: plant_alone(arm, idle=True),
-        "loop": lambda: closed_loop(arm, arm.law, dry=False),
-        "loop without adaptation": lambda: closed_loop(arm, None, dry=False),
-        "loop with dry friction": lambda: closed_loop(arm, arm.law, dry=True),
+        "loop": lambda: closed_loop(arm, arm.law),
+        "loop without adaptation": lambda: closed_loop(arm, None),
         "step": lambda: controller_alone(arm, arm.controller(arm.law)),
         "step without adaptation": lambda: controller_alone(arm, arm.controller(None)),
-        "filtered step": lambda: controller_alone(arm, arm.filtered(arm.law)),
-        "filtered step without adaptation": lambda: controller_alone(arm, arm.filtered(None)),
         "estimator": lambda: estimator(arm, duration),
         "estimator, projecting every second": lambda: estimator(arm, duration, every=EVERY),
         "estimator, nudging": lambda: estimator(arm, duration, method="nudge"),
-        "estimator, nudging every second": lambda: estimator(
-            arm, duration, every=EVERY, method="nudge"
-        ),
     }
     times: dict[str, list[float]] = {name: [] for name in work}
     for _ in track(range(repeats), description="measuring"):
@@ -314,17 +231,13 @@ def summary(times: dict[str, list[float]]) -> dict[str, Any]:
     table: dict[str, Any] = {}
     for name, share in (("undisturbed", 0.1), ("median", 0.5)):
         cost = {key: float(np.quantile(values, share)) for key, values in times.items()}
-        filtered = cost["filtered step"], cost["filtered step without adaptation"]
         table[name] = {
             "CPU seconds a simulated second": cost,
             "times real time": 1.0 / cost["loop"],
             "times real time, the plant alone": 1.0 / cost["plant"],
             "speed of the loop / of the plant": cost["plant"] / cost["loop"],
-            "speed with an idle system / of the plant": cost["plant"] / cost[IDLE],
             "times real time, without adaptation": 1.0 / cost["loop without adaptation"],
-            "times real time, with dry friction": 1.0 / cost["loop with dry friction"],
             "adaptive step / step": cost["step"] / cost["step without adaptation"],
-            "filtered adaptive step / step": filtered[0] / filtered[1],
         }
         estimators = [key for key in cost if key.startswith("estimator")]
         table[name] |= {
@@ -341,7 +254,7 @@ def main() -> None:
     duration, repeats = (0.05, 1) if options.quick else (2.0, 7)
     arm = Arm.load(options.seed)
     times = measure(arm, duration=duration, repeats=options.repeats or repeats)
-    table = summary(times) | {"estimator": accuracy(arm, 1.0 if options.quick else 10.0)}
+    table = summary(times)
     cost = table["undisturbed"]["CPU seconds a simulated second"]
     each = {name: 1e3 * CONTROL_STEP * value for name, value in cost.items()}
     title = "CPU time of one millisecond of control"

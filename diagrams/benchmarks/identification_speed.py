@@ -3,8 +3,8 @@
 Two fits, as in [Lee2019] §3.6: an arm of ten bodies with seven motors, from 4,100 samples of all
 torques (107 parameters, made here), and a human of sixteen bodies in bounding ellipsoids (measured,
 990 rows). Times are CPU times, medians of repeats, of everything from regressors to result unless
-said otherwise. Peak memory is that of a process of its own. Geodesic least squares is tried on the
-arm's first samples, beside the entropic fit at the same residual.
+said otherwise. Geodesic least squares is tried on the arm's first samples, beside the entropic fit
+at the same residual.
 
     OMP_NUM_THREADS=1 python -m diagrams.benchmarks.identification_speed --json speed.json
 """
@@ -22,7 +22,7 @@ from pydrake.multibody.plant import MultibodyPlant
 from pydrake.multibody.tree import FixedOffsetFrame, RevoluteJoint, SpatialInertia
 from rich.progress import track
 
-from diagrams.harness import bars, cpu_clock, cpu_times, medians, peak_memory, script_parser, tell
+from diagrams.harness import bars, cpu_clock, medians, script_parser, tell
 from diagrams.public_data import add_folder_option
 from geodrake.identification import (
     BodyConstraints,
@@ -250,32 +250,6 @@ def solver_ratios(case: Case, *, repeats: int) -> dict[str, Any]:
     return table
 
 
-def sweep_ratio(case: Case, *, count: int, repeats: int) -> dict[str, Any]:
-    """A sweep over γ by Newton's method against one by Drake's program, each solve cold."""
-    gammas = case.gamma * np.logspace(1.0, -4.0, count)
-    problems = [case.problem(gamma) for gamma in gammas]
-    found: dict[str, Any] = {}
-
-    def keep(name: str, results: Any) -> None:
-        found[name] = results
-
-    methods = {
-        "newton": lambda: keep("newton", [solve_newton(single) for single in problems]),
-        "drake": lambda: keep("drake", [solve_fit(single) for single in problems]),
-    }
-    newton, drake = cpu_times(methods, repeats).values()
-    costs = {
-        name: np.array([cost(*pair) for pair in zip(problems, [r.x for r in own], strict=True)])
-        for name, own in found.items()
-    }
-    return {
-        "gammas": [float(gammas[0]), float(gammas[-1]), len(gammas)],
-        "seconds": {"newton": float(np.median(newton)), "drake": float(np.median(drake))},
-        "drake / newton": float(np.median(np.divide(drake, newton))),
-        "largest cost difference": float(np.abs(costs["drake"] / costs["newton"] - 1.0).max()),
-    }
-
-
 def geodesic_rows(
     case: Case, sizes: Sequence[int], gammas: Sequence[float]
 ) -> list[dict[str, Any]]:
@@ -312,40 +286,13 @@ def geodesic_rows(
     return table
 
 
-def memory(name: str, arguments: list[str]) -> dict[str, Any]:
-    """Return the largest memory, MB, of a process that makes a case, and of ones that solve it."""
-    module = "diagrams.benchmarks.identification_speed"
-    code = f"import sys\nfrom {module} import solve\nsolve(sys.argv)\n"
-
-    def peak(*what: str) -> float:
-        return peak_memory(code, name, *arguments, *what)[0] / 1024**2
-
-    made = peak()
-    return {solver: {"made": made, "solved": peak(solver)} for solver in ("clarabel", "newton")}
-
-
-def solve(arguments: Sequence[str]) -> None:
-    """Make a case, and solve it by a solver, if one is named."""
-    name, samples, seed, shared, *solvers = arguments[1:]
-    case = made_case(name, int(samples), int(seed), Path(shared))
-    for solver in solvers if case is not None else ():
-        case.identified("entropic", solver)
-
-
-def made_case(name: str, samples: int, seed: int, shared: Path) -> Case | None:
-    """Return the case of a name; None for one whose measurements are not there."""
-    return arm_case(samples=samples, seed=seed) if name == "arm" else human_case(shared)
-
-
-def measured(case: Case, *, gammas: int, repeats: int, arguments: list[str]) -> dict[str, Any]:
+def measured(case: Case, *, repeats: int) -> dict[str, Any]:
     """All numbers of one case."""
     return {
         "size": list(case.A.shape),
         "gamma": case.gamma,
         "whole": whole_times(case, repeats),
         "from the factor": solver_ratios(case, repeats=repeats),
-        "sweep": sweep_ratio(case, count=gammas, repeats=max(1, repeats // 3)),
-        "memory, MB": memory(case.name, arguments),
     }
 
 
@@ -361,14 +308,13 @@ def main() -> None:
         print("CVXPY is not installed (pip install geodrake[dev]): no comparison with it.")
     table: dict[str, Any] = {"cvxpy": has_cvxpy()}
     panels = {}
-    for name in track(("arm", "human"), description="measuring"):
-        case = made_case(name, samples, options.seed, options.shared)
+    cases = {"arm": arm_case(samples=samples, seed=options.seed)}
+    cases["human"] = human_case(options.shared)
+    for name, case in track(cases.items(), description="measuring"):
         if case is None:
             print(f"There are no measurements in {options.shared / 'data'}: no {name}.")
             continue
-        arguments = [str(each) for each in (samples, options.seed, options.shared)]
-        gammas = 6 if options.quick else 20
-        table[name] = measured(case, gammas=gammas, repeats=repeats, arguments=arguments)
+        table[name] = measured(case, repeats=repeats)
         few = ((10,), (1.0,)) if options.quick else ((10, 30), (1.0, 10.0))
         table[name]["geodesic least squares"] = geodesic_rows(case, *few)
         title = f"{name}: {case.A.shape[0]} rows, {case.A.shape[1]} parameters"

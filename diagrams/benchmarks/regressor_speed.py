@@ -1,32 +1,26 @@
-"""How fast the regressor is, against Pinocchio's, and how fast a long log is reduced.
+"""How fast the regressor is, against Pinocchio's.
 
 Both engines compute the same regressors of an arm of seven joints, and of a tree of thirty, at the
-same samples, on one core: times are CPU times, medians of repeats. The log is reduced to one
-triangular factor a joint, piece by piece, so that its length does not matter for memory.
+same samples, on one core: times are CPU times, medians of repeats. What a long log costs
+is in `long_log.py`.
 
-    python -m diagrams.benchmarks.regressor_speed --samples 10000000 --json speed.json
+    python -m diagrams.benchmarks.regressor_speed --json speed.json
 """
 
 from __future__ import annotations
 
-import resource
-import time
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any
 
 import numpy as np
-from rich.progress import track
 
 from diagrams.harness import MODELS, bars, medians, script_parser, tell
 from geodrake.inertia import inertial_parameters
 from geodrake.robot import KinematicTree, inverse_dynamics, inverse_dynamics_regressor, load_plant
-from geodrake.robot.reduction import triangular_factor
 from geodrake.robot.regressor import regressor_pieces
 
 ARM = MODELS / "arm7.urdf"
-CHUNK = 20_000
-NOISE = 0.1  # N·m
 
 
 def measure_speed(robot: Path, *, samples: int, repeats: int, seed: int) -> dict[str, Any]:
@@ -103,37 +97,6 @@ def write_tree(folder: Path, *, limbs: int = 5, joints: int = 6, seed: int = 0) 
     return path
 
 
-def measure_reduction(*, samples: int, seed: int) -> dict[str, Any]:
-    """Reduces a simulated log, whose samples exist only while their chunk is worked on."""
-    plant = load_plant(ARM).plant
-    tree, phi = KinematicTree.from_plant(plant), inertial_parameters(plant).ravel()
-    rng = np.random.default_rng(seed)
-    columns = [tree.columns(dof) for dof in range(tree.num_velocities)]
-    factors = [np.zeros((1, len(own) + 1)) for own in columns]
-    factor_time, start = 0.0, time.perf_counter()
-    for first in track(range(0, samples, CHUNK), description="reducing"):
-        motion = random_motion(rng, min(CHUNK, samples - first), tree.num_velocities)
-        for _, piece in regressor_pieces(tree, *motion):
-            for joint, own in enumerate(columns):
-                rows = piece[:, joint, own]
-                effort = rows @ phi[own] + rng.normal(0.0, NOISE, len(rows))
-                rows = np.column_stack([rows, effort])
-                before = time.perf_counter()
-                factors[joint] = triangular_factor([factors[joint], rows])
-                factor_time += time.perf_counter() - before
-    seconds = time.perf_counter() - start
-    operations = sum(2 * samples * len(factor) ** 2 for factor in factors)
-    return {
-        "samples": samples,
-        "seconds": seconds,
-        "microseconds_per_sample": 1e6 * seconds / samples,
-        "factor_share": factor_time / seconds,
-        "gigaflops": operations / factor_time / 1e9,
-        "peak_memory": resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * 1024 / 1e9,
-        "noise_found": [abs(factor[-1, -1]) / np.sqrt(samples) for factor in factors],
-    }
-
-
 def random_motion(rng: np.random.Generator, samples: int, joints: int) -> tuple[np.ndarray, ...]:
     """Positions, velocities and accelerations (samples, joints) of a lively arm."""
     return tuple(rng.uniform(-scale, scale, (samples, joints)) for scale in (3.0, 2.0, 5.0))
@@ -141,26 +104,21 @@ def random_motion(rng: np.random.Generator, samples: int, joints: int) -> tuple[
 
 def main() -> None:
     """Measure, print, and write what was asked for."""
-    parser = script_parser(__doc__)
-    parser.add_argument("--samples", type=int, help="length of the reduced log")
-    options = parser.parse_args()
-    reduced = options.samples or (5_000 if options.quick else 500_000)
+    options = script_parser(__doc__).parse_args()
     repeats, part = (2, 10) if options.quick else (9, 1)
-    reduction = measure_reduction(samples=reduced, seed=options.seed)
     with TemporaryDirectory() as folder:
         robots = {ARM: 50_000, write_tree(Path(folder), seed=options.seed): 5_000}
         speeds = [
             measure_speed(robot, samples=count // part, repeats=repeats, seed=options.seed)
             for robot, count in robots.items()
         ]
-    table = {"speed": speeds, "reduction": reduction}
     panels = {
         f"{speed['robot']}, one core": {
             name: speed[name] for name in ("efforts", "regressor", "pinocchio") if name in speed
         }
         for speed in speeds
     }
-    tell(options, table, regressor_speed=lambda: bars(panels, "µs"))
+    tell(options, {"speed": speeds}, regressor_speed=lambda: bars(panels, "µs"))
 
 
 if __name__ == "__main__":

@@ -2,7 +2,6 @@
 
 import numpy as np
 import pytest
-from scipy.stats import binomtest
 
 pytest.importorskip("pinocchio")
 pytest.importorskip("mujoco")
@@ -141,12 +140,6 @@ class TestLogs:
 
 
 class TestLines:
-    @pytest.mark.parametrize(("count", "total"), [(0, 7), (19, 20), (30, 30), (4, 90)])
-    def test_wilson(self, count, total):
-        ours = bars.wilson(count, total)
-        scipys = binomtest(count, total).proportion_ci(0.95, method="wilson")
-        np.testing.assert_allclose(ours, (scipys.low, scipys.high), atol=1e-12)
-
     def test_bars_are_reached_or_missed(self):
         assert bars.share("x", [True] * 19 + [False], 0.95).reached
         assert not bars.share("x", [True] * 18 + [False] * 2, 0.95).reached

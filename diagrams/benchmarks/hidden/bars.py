@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 from matplotlib.figure import Figure
-from scipy.stats import norm
+from scipy.stats import binomtest
 
 from diagrams.benchmarks.hidden.logs import (
     COVERAGE,
@@ -100,14 +100,6 @@ def tell_draws(title: str, lines: Sequence[Line], missed: Sequence[str], draws: 
     print(f"Missed, {len(missed)} of {draws} draws:", *missed, sep="\n- ")
 
 
-def wilson(count: int, total: int, confidence: float = 0.95) -> tuple[float, float]:
-    """Wilson's interval of a share of `count` out of `total`."""
-    z, n = float(norm.ppf(0.5 + confidence / 2.0)), total
-    center = (count + z * z / 2.0) / (n + z * z)
-    half = z / (n + z * z) * np.sqrt(count * (n - count) / n + z * z / 4.0)
-    return float(max(center - half, 0.0)), float(min(center + half, 1.0))
-
-
 def share(
     figure: str,
     rows: Sequence[bool],
@@ -119,7 +111,8 @@ def share(
     """A line of a share."""
     if not rows:
         return Line(figure, bar, most, None, None, None, 0, highest)
-    value, interval = float(np.mean(rows)), wilson(sum(rows), len(rows))
+    of_wilson = binomtest(sum(rows), len(rows)).proportion_ci(0.95, "wilson")
+    value, interval = float(np.mean(rows)), (float(of_wilson.low), float(of_wilson.high))
     return Line(figure, bar, most, value, *interval, len(rows), highest)
 
 
