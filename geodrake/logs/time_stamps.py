@@ -15,6 +15,7 @@ _LATEST = 1e20  # s; nanoseconds since 1970 are 2e18
 _EPOCH = 9e8, 4.2e9  # s since 1970 at which a robot may have been logged: from 1998 to 2103
 _UNITS = {"ns": 1e-9, "µs": 1e-6, "ms": 1e-3}
 _RATES = 5.0, 5000.0  # rows a second of a log
+_ROWS = 100_000  # that tell the unit
 _SLOWEST = 2.0  # s between rows: no log has more
 _MOST_SETS = 5  # of a clock, in a log
 _EVEN = 0.02  # share of the rows before and after, at least, and ten of them
@@ -28,7 +29,7 @@ def time_unit(name: str, time: Array) -> tuple[float, str] | None:
     They are of an epoch in ms, µs or ns, or of no plausible rate in any unit but one; those in a
     column of the `name` time are in s unless they are of an epoch, as geodrake writes them.
     """
-    known = time[np.isfinite(time)]
+    known = time[np.isfinite(time)][:_ROWS]
     if len(known) < 2:
         return None
     typical, period = float(np.median(known)), float(np.median(np.abs(np.diff(known))))

@@ -93,6 +93,18 @@ def test_memory_grows_with_the_log_alone(monkeypatch, tmp_path):
     assert 40 < grown < 110  # and rows, steps and gaps for a moment
 
 
+def test_parquet_is_read_in_stretches(monkeypatch, tmp_path):
+    monkeypatch.setattr("geodrake.logs.files.array_files._ROWS", 300)
+    frame = (log := long_log(50)).to_dataframe()
+    frame.loc[19, f"{JOINTS[0]}.effort"] = np.nan
+    frame["note"] = np.arange(len(frame))
+    frame.to_parquet(tmp_path / "log.parquet")
+    again = read_log(tmp_path / "log.parquet")
+    assert np.isnan(again.effort[19, 0])
+    assert np.array_equal(again.effort[20:], log.effort[20:])
+    assert np.array_equal(again.time, log.time)
+
+
 def test_csv_is_read_in_stretches(monkeypatch, tmp_path):
     monkeypatch.setattr("geodrake.logs.files.text_file._BLOCK", 300)
     log = long_log(50)

@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import json
 import math
+import re
 import zipfile
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -21,7 +22,10 @@ from geodrake.logs.files.column_mapping import check_once, is_used
 from geodrake.logs.files.name_rules import meaning_of
 from geodrake.logs.files.reading import Reading
 from geodrake.logs.files.table import (
+    Groups,
     LogTable,
+    Part,
+    TornRows,
     check_room,
     numeric_table,
     readable,
@@ -155,6 +159,9 @@ def _arrays(variables: dict[str, Any]) -> dict[str, Any]:
     return {n: x for n, x in _fields(variables) if isinstance(x, np.ndarray) and x.size > 1}
 
 
+_ROWS = 100_000  # that are read at once
+
+
 def read_parquet(path: Path, reading: Reading) -> LogTable:
     """Return the columns of a Parquet file; see `read_bag` for arguments."""
     parquet = optional_package("pyarrow.parquet", "logs", "Parquet files", LogError)
@@ -162,7 +169,44 @@ def read_parquet(path: Path, reading: Reading) -> LogTable:
         file = parquet.ParquetFile(path)
         rows, width = file.metadata.num_rows, file.metadata.num_columns
         check_room(path, rows * width, f"{rows} rows of {width} columns")
+        check_once(path, file.schema_arrow.names)
+        if all(_PLAIN.fullmatch(str(field.type)) for field in file.schema_arrow):
+            return ParquetTable(path, file)
         return arrow_table(path, file.read())
+
+
+_PLAIN = re.compile(r"float|double|u?int\d+")
+
+
+class ParquetTable(LogTable):
+    """Columns of numbers of a Parquet file, read some rows at a time."""
+
+    def __init__(self, path: Path, file: Any) -> None:
+        super().__init__(path, {})
+        self._file = file
+
+    @property
+    def names(self) -> Sequence[str]:
+        """Names of the columns."""
+        return list(self._file.schema_arrow.names)
+
+    def rows(self, names: Sequence[str]) -> int:
+        """Return how many rows there are."""
+        return int(self._file.metadata.num_rows)
+
+    def parts(self, groups: Groups, torn: TornRows) -> Iterator[Part]:
+        """Yield rows, and the numbers of some columns in them; see `LogTable`."""
+        names, row = list(dict.fromkeys(name for group in groups for name in group)), 0
+        with readable(self.path, "Parquet file"):
+            for batch in self._file.iter_batches(_ROWS, columns=names):
+                arrays = {n: batch[n].to_numpy(zero_copy_only=False) for n in names}
+                rows, row = slice(row, row + len(batch)), row + len(batch)
+                yield rows, {n: np.asarray(values, float) for n, values in arrays.items()}
+
+    def loaded(self) -> LogTable:
+        """Return the table with all its columns read."""
+        with readable(self.path, "Parquet file"):
+            return arrow_table(self.path, self._file.read())
 
 
 def read_feather(path: Path, reading: Reading) -> LogTable:

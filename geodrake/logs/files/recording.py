@@ -145,9 +145,12 @@ class Recording:
         """Return efforts (N, n), zeros at joints without a motor, their kinds, and notes."""
         kinds, notes, command = self.columns.kinds, [], self.values.get("command")
         for at, joint in enumerate(self.columns.joints):
+            said, motorless = kinds.get(joint) == PASSIVE, self.columns.reading.motorless
+            if not said and joint not in motorless:
+                continue
             largest = float(np.abs(np.nan_to_num(effort[:, at])).max(initial=0.0))
             told = command is not None and np.isfinite(command[:, at]).any()
-            if kinds.get(joint) == PASSIVE and largest > 0.0:
+            if said and largest > 0.0:
                 raise LogError(
                     f"Joint {joint!r} is said to have no motor, and log {self.columns.path.name!r} "
                     f"has efforts of it, of up to {largest:.4g}.",
@@ -155,7 +158,7 @@ class Recording:
                     "leaves that column out.",
                     joint=joint,
                 )
-            if joint in self.columns.reading.motorless and not (largest or told):
+            if joint in motorless and not (largest or told):
                 kinds[joint] = PASSIVE
                 notes.append(f"{joint} has no motor by the model, and no effort here: passive")
             if kinds.get(joint) == PASSIVE:
