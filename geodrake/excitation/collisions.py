@@ -13,7 +13,7 @@ from pydrake.multibody.inverse_kinematics import MinimumDistanceLowerBoundConstr
 from pydrake.multibody.tree import BodyIndex, RigidBody
 from pydrake.systems.framework import DiagramBuilder
 
-from geodrake.boundary.arguments import instance, instances, integer, number, typed
+from geodrake.boundary.arguments import instance, instances, number, typed
 from geodrake.errors import ArgumentError
 from geodrake.excitation.collision_geometry import Solid, add_collision_plant, solids_of_file
 from geodrake.inertia import Array
@@ -47,26 +47,24 @@ class CollisionWorld:
         links: Mapping[str, Sequence[Solid]] | None = None,
         clearance: float = 0.01,
         use_file: bool = True,
-        seed: int = 0,
     ) -> None:
         instance(model, "model", RobotModel)
         obstacles = instances(obstacles, "obstacles", Solid)
         links = {} if links is None else instance(links, "links", Mapping)
         links = {body: instances(each, f"links[{body!r}]", Solid) for body, each in links.items()}
         number(clearance, "clearance", lower=0.0)
-        integer(seed, "seed", lower=0)
         own = solids_of_file(model.path, model.given) if use_file else {}
         self.clearance, self._model, self._solids = clearance, model, (own, links)
-        self._place(obstacles, seed)
+        self._place(obstacles)
 
     @typed
-    def among(self, obstacles: Sequence[Solid], *, seed: int = 0) -> CollisionWorld:
+    def among(self, obstacles: Sequence[Solid]) -> CollisionWorld:
         """Return the same robot among other obstacles; its meshes are not read again."""
         world = copy(self)
-        world._place(instances(obstacles, "obstacles", Solid), integer(seed, "seed", lower=0))
+        world._place(instances(obstacles, "obstacles", Solid))
         return world
 
-    def _place(self, obstacles: Sequence[Solid], seed: int) -> None:
+    def _place(self, obstacles: Sequence[Solid]) -> None:
         model, builder = self._model, DiagramBuilder()
         self.obstacles = tuple(solid.name for solid in obstacles)
         self._plant, self._scene = add_collision_plant(builder, model, obstacles, *self._solids)
@@ -78,7 +76,7 @@ class CollisionWorld:
         self._diagram = builder.Build()
         self._root = self._diagram.CreateDefaultContext()
         self._context = self._plant.GetMyMutableContextFromRoot(self._root)
-        self.notes = self._allow_overlaps(model, seed)
+        self.notes = self._allow_overlaps(model)
         self._constraint = MinimumDistanceLowerBoundConstraint(
             plant=self._plant,
             bound=self.clearance,
@@ -161,12 +159,12 @@ class CollisionWorld:
         ]
         return names[0], names[1]
 
-    def _allow_overlaps(self, model: RobotModel, seed: int) -> tuple[str, ...]:
+    def _allow_overlaps(self, model: RobotModel) -> tuple[str, ...]:
         """Let links overlap that always do, and say which."""
         lower, upper = self._plant.GetPositionLowerLimits(), self._plant.GetPositionUpperLimits()
         bounded = np.isfinite(lower) & np.isfinite(upper)
         lower, upper = np.where(bounded, lower, -np.pi), np.where(bounded, upper, np.pi)
-        q = np.random.default_rng(seed).uniform(lower, upper, (_POSTURES, len(lower)))
+        q = np.random.default_rng(0).uniform(lower, upper, (_POSTURES, len(lower)))
         count: Counter[tuple[int, ...]] = Counter()
         words: dict[tuple[int, ...], str] = {}
         for pairs in self._pairs(q, 0.0):

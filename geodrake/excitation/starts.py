@@ -84,11 +84,10 @@ def possible_postures(
     limits: MotionLimits,
     collisions: CollisionWorld | None,
     *,
-    seed: int = 0,
     most: int = _POSTURES,
 ) -> Array:
     """Return postures (n, nv) by joint that a robot can hold, the middle of its ranges first."""
-    random = np.random.default_rng(seed)
+    random = np.random.default_rng(0)
     shares = random.uniform(-1.0, 1.0, (_POSTURES, len(limits.joints)))
     shares *= np.linspace(0.0, 0.95, _POSTURES)[:, None]  # the middle, and then further out
     postures = limits.middle + limits.reach * shares

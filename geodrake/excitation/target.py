@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike, NDArray
 from pydrake.math import RigidTransform
 from scipy.linalg import block_diag
 
-from geodrake.boundary.arguments import instance, instances, integer, one_of, real_array
+from geodrake.boundary.arguments import instance, instances, one_of, real_array
 from geodrake.boundary.showing import Short
 from geodrake.effects import Effect, FittedEffect, RobotMotion
 from geodrake.errors import ArgumentError
@@ -64,7 +64,6 @@ class Target(Short):
             components of a base wrench, N·m and N.
         sign_width: (nv,) speed over which friction changes sign, rad/s or m/s.
         X_WP: Frame of the base wrench, if that is what is measured; None for efforts.
-        seed: Of the random motions that base parameters are found with.
     """
 
     model: RobotModel
@@ -73,7 +72,6 @@ class Target(Short):
     noise: Array
     sign_width: Array
     X_WP: RigidTransform | None = None
-    seed: int = 0
 
     @property
     def payloads(self) -> tuple[FittedEffect, ...]:
@@ -163,7 +161,7 @@ class Target(Short):
     @cached_property
     def random_motion(self) -> Motion:
         """A motion through all positions whose accelerations matter as much as gravity."""
-        random, nv = np.random.default_rng(self.seed), len(self.model.joints)
+        random, nv = np.random.default_rng(0), len(self.model.joints)
         count = max(_RANDOM_SAMPLES, 3 * self.size)
         q = random.uniform(*_ranges(self.model), (count, self.model.tree.num_positions))
         q = inside(self.model.tree, q)
@@ -198,7 +196,6 @@ def make_target(
     effects: Sequence[FittedEffect | Effect] | None = None,
     sign_width: ArrayLike | None = None,
     X_WP: RigidTransform | None = None,
-    seed: int = 0,
 ) -> Target:
     """Return what a motion of a robot is to identify.
 
@@ -213,10 +210,8 @@ def make_target(
         sign_width: Speed over which friction changes sign; 2 % of each joint's fastest by default.
         X_WP: Frame of the base wrench, if a force plate or base sensor is what measures. Effects
             do not show there.
-        seed: Of the random motions that base parameters are found with.
     """
     instance(model, "model", RobotModel)
-    integer(seed, "seed", lower=0)
     if X_WP is not None:
         instance(X_WP, "X_WP", RigidTransform)
     bodies = model.bodies if bodies is None else instances(bodies, "bodies", str)
@@ -253,7 +248,6 @@ def make_target(
         _checked_noise(noise, rows),
         model.sign_widths(widths if sign_width is None else sign_width),
         X_WP,
-        seed,
     )
 
 

@@ -54,32 +54,25 @@ class Fold:
 
 
 def validation_blocks(
-    trajectories: Sequence[Trajectory],
-    *,
-    blocks: int | None = None,
-    gap_seconds: float | None = None,
+    trajectories: Sequence[Trajectory], *, blocks: int | None = None
 ) -> tuple[Fold, ...]:
     """Split trajectories into folds that share no filtered sample and are apart in time.
 
     Four trajectories or more are one fold each, or two if one alone has a known payload or has
     none; fewer are cut into blocks of equal length, about eight in all. Samples in the gaps between
-    blocks belong to no fold.
+    blocks belong to no fold: these are as long as the filter's window and half a second, and at
+    most 5 % of a block.
 
     Args:
         blocks: Blocks for each trajectory, if it is to be cut; fewer where a block would have less
             than ten filtered samples.
-        gap_seconds: Time between neighbouring blocks, s; by default the length of the filter's
-            window and half a second, at most 5 % of a block.
 
     Raises:
-        ArgumentError: If there is no trajectory, or `blocks` or `gap_seconds` is out of range.
+        ArgumentError: If there is no trajectory, or `blocks` is out of range.
         LogError: If the trajectories are too short for two folds.
     """
-    if not trajectories or not 0.0 <= (gap_seconds or 0.0) < np.inf:
-        raise ArgumentError(
-            f"Folds need a trajectory and a gap of zero or more; got {len(trajectories)} "
-            f"trajectories, gap_seconds={gap_seconds}."
-        )
+    if not trajectories:
+        raise ArgumentError("There is no trajectory to make folds of.")
     least = 2 if len(trajectories) == 1 else 1
     if blocks is not None and not least <= blocks <= _MOST_BLOCKS:
         why = "something must be held out" if blocks < least else "each is held out of a fit once"
@@ -95,7 +88,7 @@ def validation_blocks(
     folds = tuple(
         fold
         for index, trajectory in enumerate(trajectories)
-        for fold in _cut(trajectory, index, wanted, gap_seconds)
+        for fold in _cut(trajectory, index, wanted)
     )
     if len(folds) < 2:
         outputs = sum(trajectories[0].output_counts)
@@ -197,7 +190,7 @@ def _outputs_within(
                 yield first, last
 
 
-def _cut(trajectory: Trajectory, index: int, wanted: int, gap_seconds: float | None) -> list[Fold]:
+def _cut(trajectory: Trajectory, index: int, wanted: int) -> list[Fold]:
     counts = np.array(trajectory.output_counts)
     ends = np.cumsum(counts)
     total, period = int(ends[-1]), trajectory.filter.output_period
@@ -205,8 +198,6 @@ def _cut(trajectory: Trajectory, index: int, wanted: int, gap_seconds: float | N
     for pieces in range(max(1, min(wanted, total // _LEAST_OUTPUTS)), 0, -1):
         gap = int(np.ceil((window + _CORRELATION_SECONDS) / period))
         gap = min(gap, max(1, int(_LARGEST_GAP * total / pieces)))
-        if gap_seconds is not None:
-            gap = int(np.ceil(gap_seconds / period))
         length = (total - gap * (pieces - 1)) // pieces
         if length >= _LEAST_OUTPUTS:
             break

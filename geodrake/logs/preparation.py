@@ -33,15 +33,6 @@ _FREQUENCIES = 257  # at which the noise of accelerations is added up
 _NOTED_LAG = 0.1  # of the sampling period, between measured velocity and position
 
 
-def prepare_log(log: JointLog, *, bandwidth: float | None = None) -> Trajectory:
-    """Prepare one log; see `prepare_logs`.
-
-    Args:
-        bandwidth: Bandwidth of efforts and regressors, Hz; by default chosen from the data.
-    """
-    return prepare_logs([log], bandwidth=bandwidth)[0]
-
-
 def prepare_logs(
     logs: Sequence[JointLog | UniformLog],
     *,

@@ -18,7 +18,7 @@ from geodrake.errors import LogError
 from geodrake.identification.logs.compare import compare
 from geodrake.identification.logs.contact_rows import rows_without
 from geodrake.logs.motion import JointLog
-from geodrake.logs.preparation import prepare_log
+from geodrake.logs.preparation import prepare_logs
 from geodrake.model.base_logs import with_base
 from geodrake.model.ground_contacts import contact_frames
 from geodrake.model.robot_model import load_description
@@ -190,7 +190,7 @@ def test_pose_and_imu_are_the_joints_of_the_base(model, maker):
 
 def test_noise_of_the_base_is_that_of_its_imu(model, maker):
     log = with_base(maker.log(wrenches=False, noise=1.0), model)
-    trajectory = prepare_log(log)
+    trajectory = prepare_logs([log])[0]
     found = trajectory.acceleration_noise[[log.joints.index(j) for j in model.base_joints[:3]]]
     np.testing.assert_allclose(found, 0.02 * trajectory.filter.noise_gain, rtol=0.15)
 

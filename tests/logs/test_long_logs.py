@@ -13,7 +13,7 @@ from geodrake.identification.logs import noise, reduce
 from geodrake.logs import smoothing, uniform_log
 from geodrake.logs.files import read_log, write_log
 from geodrake.logs.motion import JointLog
-from geodrake.logs.preparation import prepare_log
+from geodrake.logs.preparation import prepare_logs
 from geodrake.model.saved_model import load_model
 
 
@@ -34,7 +34,7 @@ def long_log(samples, *, velocity=False, seed=0):
 def test_slices_are_those_of_the_whole(monkeypatch, velocity):
     monkeypatch.setattr(smoothing, "CHUNK", 700)
     monkeypatch.setattr(smoothing, "_KEPT", 700)
-    (stretch,) = prepare_log(long_log(9000, velocity=velocity), bandwidth=6.0).segments
+    (stretch,) = prepare_logs([long_log(9000, velocity=velocity)], bandwidth=6.0)[0].segments
     whole = stretch[:]
     assert len(whole) == len(stretch)
     for first, chunk in stretch.chunks():
@@ -49,7 +49,7 @@ def test_slices_are_those_of_the_whole(monkeypatch, velocity):
 
 
 def test_what_is_kept_of_a_short_log_cannot_be_written_to():
-    (stretch,) = prepare_log(long_log(3000), bandwidth=6.0).segments
+    (stretch,) = prepare_logs([long_log(3000)], bandwidth=6.0)[0].segments
     part = stretch[5:50]
     for signal in (part.time, part.position, part.velocity, part.acceleration, part.effort):
         with pytest.raises(ValueError, match="read-only"):
@@ -60,10 +60,10 @@ def test_trimming_does_not_depend_on_chunks(monkeypatch):
     log = long_log(9000)
     still = np.clip(log.time, 3.0, 15.0)
     log = replace(log, position=np.sin(np.array([2.0, 3.3]) * (still[:, None] - 3.0)))
-    (whole,) = prepare_log(log, bandwidth=6.0).segments
+    (whole,) = prepare_logs([log], bandwidth=6.0)[0].segments
     monkeypatch.setattr(smoothing, "CHUNK", 333)
     monkeypatch.setattr(smoothing, "_KEPT", 333)
-    (cut,) = prepare_log(log, bandwidth=6.0).segments
+    (cut,) = prepare_logs([log], bandwidth=6.0)[0].segments
     assert (cut.first, cut.stop) == (whole.first, whole.stop)
     assert cut.first > 0
     assert cut.stop < len(cut.piece)

@@ -10,7 +10,7 @@ from geodrake.diagnosis.columns.finding import ColumnFinding
 from geodrake.errors import ArgumentError
 from geodrake.logs import JointLog, log_of_frame, read_log, write_log
 from geodrake.logs.files.reading import Reading
-from geodrake.logs.preparation import prepare_log
+from geodrake.logs.preparation import prepare_logs
 from geodrake.logs.temperatures import Temperatures
 
 JOINTS = ("shoulder", "elbow")
@@ -115,9 +115,11 @@ def test_readings_of_sensors_that_fail_are_none(code):
 def test_a_prepared_log_says_which_sensors_fail():
     readings = WARMTH.copy()
     readings[:, 1] = 255.0
-    notes = prepare_log(log_with(readings), bandwidth=5.0).notes
+    notes = prepare_logs([log_with(readings)], bandwidth=5.0)[0].notes
     assert "temperature of elbow: the sensor fails" in notes
-    assert not any("sensor" in note for note in prepare_log(log_with(WARMTH), bandwidth=5.0).notes)
+    assert not any(
+        "sensor" in note for note in prepare_logs([log_with(WARMTH)], bandwidth=5.0)[0].notes
+    )
 
 
 def test_columns_of_swapped_joints_take_theirs_along():
@@ -127,6 +129,6 @@ def test_columns_of_swapped_joints_take_theirs_along():
 
 def test_a_prepared_log_knows_them_by_time_stamp():
     log = dataclasses.replace(log_with(WARMTH), time=TIME + 100.0)
-    trajectory = prepare_log(log, bandwidth=5.0)
+    trajectory = prepare_logs([log], bandwidth=5.0)[0]
     found = trajectory.temperature(np.array([105.0, 110.0]))
     np.testing.assert_allclose(found, [[35.0, 42.5], [40.0, 40.0]], atol=0.05)
