@@ -21,7 +21,6 @@ from geodrake.errors import LogError, ModelError
 from geodrake.identification.logs.case import open_case
 from geodrake.identification.logs.compare import compare
 from geodrake.identification.logs.model_errors import Comparison
-from geodrake.model.robot_model import RobotModel
 from geodrake.report.explaining import (
     Explained,
     comparison_page,
@@ -36,7 +35,6 @@ from geodrake.report.json_output import (
     explanation_dict,
     motions_dict,
 )
-from geodrake.report.page import Pictures
 
 
 def run_compare(options: Options) -> None:
@@ -48,7 +46,7 @@ def run_compare(options: Options) -> None:
             lambda given: compare(given.model, given.logs, **given.settings),
             comparison_dict,
             comparison_page,
-            pictures=lambda found, model: _drawn(model, {"": found}),
+            drawn=lambda found: {"": found},
         ),
         options,
     )
@@ -63,7 +61,7 @@ def run_diagnose(options: Options) -> None:
             lambda given: diagnose(given.model, given.logs, extra=given.extra, **given.settings),
             diagnosis_dict,
             diagnosis_page,
-            pictures=lambda found, model: _drawn(model, {"": found.comparison}),
+            drawn=lambda found: {"": found.comparison},
         ),
         options,
     )
@@ -85,7 +83,7 @@ def run_add(options: AddOptions) -> None:
         added,
         _numbers,
         explanation_page,
-        pictures=_pictures,
+        drawn=_drawn,
         check_effects=lambda extra: effect_class(effect, extra),
     )
     run(command, options)
@@ -100,7 +98,7 @@ def run_explain(options: ExplainOptions | Options, promise: str = "") -> None:
         _explained if target is None else _drafted,
         _numbers,
         explanation_page,
-        pictures=_pictures,
+        drawn=_drawn,
         more={"draft-effect": target},
         makers=_makers,
         promise=promise,
@@ -146,16 +144,10 @@ def _makers(found: Explained) -> Mapping[str, Maker]:
     return {} if draft is None or not draft.effects else {"draft-effect": lambda: source_of(draft)}
 
 
-def _pictures(found: Explained, model: RobotModel) -> Pictures | None:
+def _drawn(found: Explained) -> Mapping[str, Comparison]:
     explanation = found.explanation
     now = {"now": explanation.after} if explanation.steps else {}
-    return _drawn(model, {"as it stands": explanation.before, **now})
-
-
-def _drawn(model: RobotModel, compared: Mapping[str, Comparison]) -> Pictures | None:
-    from geodrake.report.robot_pictures import error_pictures  # as matplotlib takes a while
-
-    return error_pictures(model, compared)
+    return {"as it stands": explanation.before, **now}
 
 
 def _numbers(found: Explained) -> dict[str, Any]:

@@ -62,6 +62,10 @@ def run_identify(options: IdentifyOptions) -> None:
         identification_page,
         more={name: getattr(options, name) for name in ("export", "ellipsoids", "meshcat")},
         makers=lambda found: _makers(found, options),
+        drawn=lambda found: {
+            "as it stands": replace(found.comparison, errors=found.before),
+            "identified": found.comparison,
+        },
         check=check,
     )
     run(command, replace(options, effects=files))

@@ -31,6 +31,7 @@ from geodrake.diagnosis.columns import ColumnFinding, corrected, with_motor_limi
 from geodrake.effects import load_effect_file
 from geodrake.effects.base import Effect
 from geodrake.errors import ArgumentError, LogError
+from geodrake.identification.logs.model_errors import Comparison
 from geodrake.logs.files import Reading, check_log, parts_of, read_log
 from geodrake.logs.motion import JointLog
 from geodrake.model.logged_joints import holding_resting, model_of_logs, reading_for
@@ -38,7 +39,7 @@ from geodrake.model.robot_model import RobotModel
 from geodrake.model.saved_model import saved_text
 from geodrake.report.json_output import to_json
 from geodrake.report.numbers import Units
-from geodrake.report.page import About, Page, Pictures, Section
+from geodrake.report.page import About, Page, Section
 from geodrake.report.series_table import check_series, series_content
 from geodrake.report.terminal import ResultsConsole, show_page, show_saved
 
@@ -88,7 +89,7 @@ class Command(Generic[R]):
         more: Option -> what else the command writes.
         makers: What makes these files; nothing is written without one.
         saved: Option -> what its file is, where that is not the usual.
-        pictures: Draws the robot for the page.
+        drawn: Title -> comparison by whose errors the page colours the robot.
         check_effects: Refuses effects that do not exist, before anything is read.
         check: Refuses a model that the command cannot work on, before the logs are looked at.
         write: Writes the files, and returns those that no option names.
@@ -109,7 +110,7 @@ class Command(Generic[R]):
     suffixes: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
     makers: Callable[[R], Mapping[str, Maker]] = lambda result: {}
     saved: Mapping[str, str] = field(default_factory=dict)
-    pictures: Callable[[R, RobotModel], Pictures | None] = lambda result, model: None
+    drawn: Callable[[R], Mapping[str, Comparison]] = lambda result: {}
     check_effects: Callable[[Sequence[type[Effect]]], object] = lambda extra: None
     check: Callable[[RobotModel], None] = lambda model: None
     write: Callable[[R, Mapping[Path, Content]], Sequence[Path]] = _write
@@ -162,7 +163,7 @@ def _run(command: Command[R], options: Any) -> R:
         )
         makers: dict[str, Maker] = {
             "json": lambda: numbers,
-            "report": lambda: _html(replace(page, pictures=command.pictures(result, fitted))),
+            "report": lambda: _html(page, fitted, command.drawn(result)),
             "save": partial(saved_text, fitted, getattr(options, "save", None) or Path()),
             "series": partial(_samples, result, series or Path()),
             **command.makers(result),
@@ -183,10 +184,11 @@ def _run(command: Command[R], options: Any) -> R:
     return result
 
 
-def _html(page: Page) -> str:
-    from geodrake.report.html import render  # as jinja2 takes a while
+def _html(page: Page, model: RobotModel, drawn: Mapping[str, Comparison]) -> str:
+    from geodrake.report.html import render  # as jinja2 and matplotlib take a while
+    from geodrake.report.robot_pictures import error_pictures
 
-    return render(page)
+    return render(replace(page, pictures=error_pictures(model, drawn) if drawn else None))
 
 
 def _samples(result: Any, target: Path) -> Content:

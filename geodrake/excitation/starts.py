@@ -26,7 +26,7 @@ _POSTURES, _TRIED = 400, 5
 _ROUNDING, _NOTHING = 1e-9, 1e-9
 _FILL = (0.6, 0.95)  # share of the limits that a random motion uses
 _CORNERS = 2
-_SHRINK, _STEPS = 0.8, 40
+_SHRINK, _STEPS = 0.8, 20
 _FIRST_STEP_BACK, _NEAR = 1e-3, 1.1e-3  # of the way from one motion to the other
 
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import io
 from collections.abc import Iterator
 from pathlib import Path
+from subprocess import SubprocessError
 from tempfile import TemporaryDirectory
 from typing import Any
 
@@ -45,10 +46,10 @@ def _encoder() -> Any:
         "imageio_ffmpeg", "viewers", "videos in MP4 (GIF needs none)", OutputError
     )
     try:
-        encoder.get_ffmpeg_exe()
-    except RuntimeError as error:
+        encoder.get_ffmpeg_version()  # by running it
+    except (RuntimeError, OSError, LookupError, SubprocessError) as error:
         raise OutputError(
-            "There is no ffmpeg, which encodes MP4.",
+            "There is no ffmpeg that runs, which encodes MP4.",
             advice='Install one: pip install "geodrake[viewers]"; or name the video FILE.gif.',
         ) from error
     return encoder
@@ -80,12 +81,17 @@ def video(
     with TemporaryDirectory() as folder:
         path = Path(folder) / "play.mp4"
         size = (_WIDTH, _HEIGHT + _PLOTS)
-        out = _encoder().write_frames(str(path), size, fps=rate, macro_block_size=4)
-        out.send(None)
-        for frame in frames:
-            out.send(np.ascontiguousarray(frame))
-        out.close()
-        return path.read_bytes()
+        try:
+            out = _encoder().write_frames(str(path), size, fps=rate, macro_block_size=4)
+            out.send(None)
+            for frame in frames:
+                out.send(np.ascontiguousarray(frame))
+            out.close()
+            return path.read_bytes()
+        except OSError as error:
+            raise OutputError(
+                "This ffmpeg does not encode MP4.", advice="Name the video FILE.gif."
+            ) from error
 
 
 def _frames(

@@ -215,14 +215,18 @@ def test_a_missing_package_is_named_before_the_work(tmp_path, monkeypatch, modul
     assert not list(tmp_path.iterdir())
 
 
-def test_no_ffmpeg_is_one_line(tmp_path, monkeypatch):
+@pytest.mark.parametrize("program", [None, "/no/such/ffmpeg", "/bin/false"])
+def test_no_ffmpeg_that_runs_is_one_line(tmp_path, monkeypatch, program):
     encoder = pytest.importorskip("imageio_ffmpeg")
 
-    def none():
-        raise RuntimeError("No ffmpeg exe could be found.")
+    def found():
+        if program is None:
+            raise RuntimeError("No ffmpeg exe could be found.")
+        return program
 
     monkeypatch.chdir(tmp_path)
-    monkeypatch.setattr(encoder, "get_ffmpeg_exe", none)
+    monkeypatch.setattr("imageio_ffmpeg._utils.get_ffmpeg_exe", found)
+    assert encoder.get_ffmpeg_version.__module__ == "imageio_ffmpeg._utils"
     result = CliRunner().invoke(app, ["play", str(URDF), str(LOG), "--video", "p.mp4"])
     assert result.exit_code == 2 and result.stderr.count("\n") == 1
     assert "no ffmpeg" in result.stderr and "FILE.gif" in result.stderr
