@@ -10,7 +10,6 @@ from typer.testing import CliRunner
 from geodrake.cli.app import app
 from geodrake.model.saved_model import load_model, save_model
 
-ROOT = Path(__file__).parents[2]
 HEADER = "time,shoulder.position,elbow.position,shoulder.effort,elbow.effort"
 
 
@@ -47,70 +46,6 @@ def refused(*arguments, code=2):
 
 def contents(folder):
     return {path.name: path.read_bytes() for path in folder.iterdir() if path.is_file()}
-
-
-def still(table):
-    table[:, 1:3] = table[0, 1:3]
-    return table
-
-
-def backwards(table):
-    table[50, 0] = table[48, 0] - 0.001
-    return table
-
-
-def repeated(table):
-    table[50:900, 0] = table[49:899:2, 0].repeat(2)
-    return table
-
-
-def constant(table):
-    table[:, 0] = 3.0
-    return table
-
-
-def empty(table):
-    table[:, 3] = np.nan
-    return table
-
-
-def text(table):
-    return [*table[:20].tolist(), [0.2, "broken", 0.1, 0.1, 0.1], *table[21:].tolist()]
-
-
-BAD_TABLES = [
-    (backwards, "runs backwards"),
-    (repeated, "repeats"),
-    (constant, "is constant"),
-    (still, "is still throughout"),
-    (empty, "rows without empty cells"),
-    (text, "'broken', which is not a number"),
-    (lambda table: table[:5], "has 5 rows"),
-    (lambda table: table[:40], "short"),
-]
-
-
-@pytest.mark.parametrize("command", [("explain",), ("add", "coulomb_friction")])
-@pytest.mark.parametrize(("change", "words"), BAD_TABLES)
-def test_a_log_that_cannot_be_used_leaves_no_trace(tmp_path, command, change, words):
-    log = write(tmp_path / "log.csv", change(rows()))
-    kept = tmp_path / "kept.yaml"
-    kept.write_text("from before")
-    before = contents(tmp_path)
-    new = ("--json", tmp_path / "new.json")
-    message = refused(*command, PENDULUM, log, "--save", kept, *new)
-    assert words in message
-    assert "log" in message
-    assert contents(tmp_path) == before
-
-
-def test_nan_in_some_cells_splits_the_log(tmp_path):
-    table = rows()
-    table[1400:1405, 3] = np.nan
-    log = write(tmp_path / "log.csv", table)
-    result = CliRunner().invoke(app, ["compare", str(PENDULUM), str(log)])
-    assert result.exit_code == 0, result.output
-    assert "split into 2 pieces" in result.output
 
 
 @pytest.mark.parametrize(
@@ -241,20 +176,6 @@ def test_a_saved_model_says_where_its_base_was(tmp_path, log):
     message = refused("explain", saved, log)
     assert "robot.urdf" in message
     assert "base_model" in message
-
-
-def test_a_failing_write_leaves_what_was_there(tmp_path, log, monkeypatch):
-    def full(self, *_arguments, **_settings):
-        raise OSError(28, "No space left on device")
-
-    target = tmp_path / "out.json"
-    target.write_text("from before")
-    before = contents(tmp_path)
-    monkeypatch.setattr(Path, "replace", full)
-    result = CliRunner().invoke(app, ["compare", str(PENDULUM), str(log), "--json", str(target)])
-    assert result.exit_code == 2
-    assert "No space left" in result.stderr
-    assert contents(tmp_path) == before
 
 
 def test_zero_masses_and_odd_units_are_told_of_and_not_fatal(tmp_path):
