@@ -54,28 +54,6 @@ def test_what_is_another_users_is_refused_before_the_work_and_nothing_is_left(st
     assert sticky.read_text(encoding="utf-8") == "theirs"
 
 
-def test_one_of_several_that_cannot_be_put_there_leaves_all_as_they_were(tmp_path, monkeypatch):
-    """What was replaced is kept until all are there: by a copy, where a link would stay."""
-    first, second = tmp_path / "a", tmp_path / "b"
-    first.write_text("before", encoding="utf-8")
-    monkeypatch.setattr(whole_files, "_is_of_another_user", lambda target: target == first)
-    monkeypatch.setattr(whole_files.os, "geteuid", lambda: 0)
-    rename = whole_files._Part.rename
-
-    def refuse(part):
-        if part.path == second:
-            raise PermissionError(errno.EPERM, "Operation not permitted")
-        rename(part)
-
-    links = []
-    monkeypatch.setattr(whole_files._Part, "rename", refuse)
-    monkeypatch.setattr(whole_files.Path, "hardlink_to", lambda *of: links.append(of))
-    with pytest.raises(OutputError, match="Operation not permitted"):
-        write_together({first: "after", second: "after"})
-    assert files_in(tmp_path) == ["a"] and not links
-    assert first.read_text(encoding="utf-8") == "before"
-
-
 def test_folders_that_were_made_in_vain_go(tmp_path):
     (tmp_path / "there").mkdir()
     with pytest.raises(OutputError, match="No space"), made_folder(tmp_path / "there" / "x" / "y"):

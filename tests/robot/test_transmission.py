@@ -4,7 +4,6 @@ import numpy as np
 import pytest
 from own_transmission import OwnTransmission
 from pydrake.math import RigidTransform
-from pydrake.multibody.parsing import Parser
 from pydrake.multibody.plant import DiscreteContactApproximation, MultibodyPlant
 from pydrake.multibody.tree import (
     FixedOffsetFrame,
@@ -134,16 +133,6 @@ def test_actuators_follow_from_the_joints(name):
     np.testing.assert_allclose(q, motion.q, atol=1e-8)
 
 
-@pytest.mark.parametrize("name", PARTS)
-def test_power_is_the_same_on_both_sides(name):
-    part = PARTS[name]
-    motion = random_motion(width=part.num_actuators)
-    efforts = np.random.default_rng(1).normal(size=(6, part.num_joints))
-    across = part.actuator_efforts(motion.q, efforts)
-    power = (efforts * part.joint_motion(motion).v).sum(1)
-    np.testing.assert_allclose((across * motion.v).sum(1), power, atol=1e-12)
-
-
 def test_a_rotor_on_a_fixed_base_is_drakes_reflected_inertia():
     """Drake's rotor_inertia and gear_ratio; the rotor of the second joint is left out."""
     geared, plain = arm(rotors=False, gear_in_drake=True), arm(rotors=True)
@@ -161,64 +150,6 @@ def test_a_rotor_on_a_fixed_base_is_drakes_reflected_inertia():
         M = geared.CalcMassMatrix(context)  # with the reflected inertia
         bias = geared.CalcBiasTerm(context) - geared.CalcGravityGeneralizedForces(context)
         np.testing.assert_allclose(ours, M @ vd + bias, atol=1e-11)
-
-
-def test_efforts_are_those_of_pinocchios_mimic_joints():
-    pinocchio = pytest.importorskip("pinocchio")
-
-    def body(name, mass, com):
-        return (
-            f'<link name="{name}"><inertial><origin xyz="{com}"/><mass value="{mass}"/>'
-            '<inertia ixx="0.02" iyy="0.03" izz="0.025" ixy="0.001" ixz="0.002" iyz="-0.001"/>'
-            "</inertial></link>"
-        )
-
-    def joint(name, parent, child, axis, extra=""):
-        return (
-            f'<joint name="{name}" type="revolute"><parent link="{parent}"/><child link="{child}"/>'
-            f'<origin xyz="0.1 0.2 -0.3" rpy="0.3 0.1 -0.2"/><axis xyz="{axis}"/>'
-            f'<limit lower="-99" upper="99" effort="1" velocity="1"/>{extra}</joint>'
-        )
-
-    def text(mimic):
-        def follow(of, by, offset=0.0):
-            return f'<mimic joint="{of}" multiplier="{by}" offset="{offset}"/>' if mimic else ""
-
-        return (
-            '<robot name="geared"><link name="base"/>'
-            + body("a", 2.0, "0.1 0 0.2")
-            + body("b", 1.0, "0 0.1 -0.2")
-            + body("ra", 0.5, "0.01 0 0")
-            + body("rb", 0.4, "0 0.02 0.01")
-            + joint("ja", "base", "a", "0 0 1")
-            + joint("jb", "a", "b", "0 1 0")
-            + joint("sa", "base", "ra", "1 0 0", follow("ja", 9.0))
-            + joint("sb", "a", "rb", "0 1 0", follow("jb", -7.0, 0.4))
-            + "</robot>"
-        )
-
-    plant = MultibodyPlant(0.0)
-    Parser(plant).AddModelsFromString(text(mimic=False), "urdf")
-    plant.WeldFrames(plant.world_frame(), plant.GetFrameByName("base"))
-    plant.Finalize()
-    names = joint_names(plant)
-    ratios = {"ja": {"a": 1.0}, "jb": {"b": 1.0}, "sa": {"a": 9.0}, "sb": {"b": -7.0}}
-    linear = LinearTransmission.from_ratios(names, ["a", "b"], ratios)
-    offset = [0.4 * (name == "sb") for name in names]
-    transmission, motion = LinearTransmission.of(linear.matrix, offset), random_motion()
-    ours = actuator_efforts(plant, transmission, motion)
-    model = pinocchio.buildModelFromXML(text(mimic=True), True)
-    assert model.nv == 2
-    data, order = (
-        model.createData(),
-        [model.joints[model.getJointId(n)].idx_v for n in ("ja", "jb")],
-    )
-    for i in range(len(motion)):
-        state = (np.zeros(2), np.zeros(2), np.zeros(2))
-        for theirs, values in zip(state, (motion.q, motion.v, motion.vd), strict=True):
-            theirs[order] = values[i]
-        expected = pinocchio.rnea(model, data, *state)[order]
-        np.testing.assert_allclose(ours[i], expected, atol=1e-10 * np.abs(expected).max())
 
 
 def test_a_joint_that_an_actuator_does_not_move_does_not_limit_it():
