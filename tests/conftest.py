@@ -43,12 +43,16 @@ LONG_MODULES = {
     "servo_logs",
 }
 LONG_FUNCTIONS = {
+    "check_columns",
+    "compare_regularizers",
+    "design_excitation",
     "explain",
     "diagnose",
     "add",
     "roll_out",
     "draft_effects",
     "export_to",
+    "make_digest",
     "Simulator",
 }
 LONG_MARKS = ("thorough", "measurements")

@@ -116,37 +116,17 @@ def close(actual, expected, tolerance=1e-11):
     np.testing.assert_allclose(actual, expected, rtol=0, atol=tolerance * scale)
 
 
-def on_random_trees(test):
-    """Runs a test on trees of every joint type."""
-
-    @settings(max_examples=60)
-    @given(
-        seed=st.integers(0, 2**32 - 1),
-        kinds=st.lists(st.sampled_from(KINDS), max_size=7),
-        last=st.sampled_from(MOVING),
-    )
-    def run(seed, kinds, last):
-        rng = np.random.default_rng(seed)
-        test(case_of(random_plant(rng, [*kinds, last]), rng))
-
-    run.__name__, run.__doc__ = test.__name__, test.__doc__
-    return run
-
-
-@on_random_trees
-def test_with_equal_velocities_it_is_the_regressor_of_inverse_dynamics(case):
+def with_equal_velocities_it_is_the_regressor_of_inverse_dynamics(case):
     expected = inverse_dynamics_regressor(case.tree, case.q[None], case.qd[None], case.a[None])[0]
     close(case.regressor(v=case.qd), expected)
 
 
-@on_random_trees
-def test_efforts_without_the_regressor_are_those_with_it(case):
+def efforts_without_the_regressor_are_those_with_it(case):
     sample = case.sample()
     close(sample.effort(case.phi), case.regressor() @ case.phi.ravel())
 
 
-@on_random_trees
-def test_mass_and_bias_are_drakes(case):
+def mass_and_bias_are_drakes(case):
     sample, context = case.sample(), case.context
     M, C = sample.mass_matrix(case.phi), case.coriolis_matrix()
     gravity = case.plant.CalcGravityGeneralizedForces(context)
@@ -156,8 +136,7 @@ def test_mass_and_bias_are_drakes(case):
     close(sample.effort(case.phi), M @ case.a + C @ case.v - gravity)
 
 
-@on_random_trees
-def test_the_rate_of_mass_less_twice_coriolis_is_skew(case):
+def the_rate_of_mass_less_twice_coriolis_is_skew(case):
     rate = case.rate(lambda q, _: case.sample(q=q).mass_matrix(case.phi))
     C = case.coriolis_matrix()
     scale = np.abs(case.sample().mass_matrix(case.phi)).max() + np.abs(C).max()
@@ -166,12 +145,27 @@ def test_the_rate_of_mass_less_twice_coriolis_is_skew(case):
     assert abs(x @ (rate - 2 * C) @ x) < 1e-7 * scale * (x @ x)
 
 
-@on_random_trees
-def test_efforts_are_the_rate_of_momentum_less_its_drift(case):
+def efforts_are_the_rate_of_momentum_less_its_drift(case):
     rate = case.rate(lambda q, qd: case.momentum_regressors(q=q, qd=qd)[0])
     expected = inverse_dynamics_regressor(case.tree, case.q[None], case.qd[None], case.a[None])[0]
     drift = case.momentum_regressors()[1]
     close(rate - drift, expected, 1e-7)
+
+
+@settings(max_examples=60)
+@given(
+    seed=st.integers(0, 2**32 - 1),
+    kinds=st.lists(st.sampled_from(KINDS), max_size=7),
+    last=st.sampled_from(MOVING),
+)
+def test_axioms_hold_on_trees_of_every_joint_type(seed, kinds, last):
+    rng = np.random.default_rng(seed)
+    case = case_of(random_plant(rng, [*kinds, last]), rng)
+    with_equal_velocities_it_is_the_regressor_of_inverse_dynamics(case)
+    efforts_without_the_regressor_are_those_with_it(case)
+    mass_and_bias_are_drakes(case)
+    the_rate_of_mass_less_twice_coriolis_is_skew(case)
+    efforts_are_the_rate_of_momentum_less_its_drift(case)
 
 
 @pytest.mark.parametrize("name", ["arm7.urdf", "ambidex_like.urdf"])
