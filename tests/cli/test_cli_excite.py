@@ -14,12 +14,9 @@ from yaml import safe_load
 from geodrake.boundary.interrupts import StopSearch
 from geodrake.cli.app import app
 from geodrake.cli.excite import separation_of
-from geodrake.cli.identify import named_effects
-from geodrake.cli.option_values import joint_values, limits_of
+from geodrake.cli.option_values import limits_of
 from geodrake.effects import CoulombFriction, FittedEffect
 from geodrake.errors import ArgumentError
-from geodrake.excitation import make_target
-from geodrake.excitation.target import sized_effects
 from geodrake.logs.files import read_log
 from geodrake.logs.motion import Motion
 from geodrake.model import EffortSignal
@@ -283,23 +280,6 @@ class TestLimits:
         for text in ("voltage=1", "shoulder.current=1"):
             with pytest.raises(ArgumentError, match="the model knows no efforts by it"):
                 limits_of([text], driven)
-
-    def test_values_by_joint(self):
-        np.testing.assert_allclose(joint_values("0.5", self.model, "--x"), 0.5)
-        values = joint_values("elbow=1,shoulder=2", self.model, "--x")
-        np.testing.assert_allclose(values, [2.0, 1.0])
-
-
-def test_effects_of_unknown_size_are_felt():
-    """Friction takes at least 2 % of the limit of effort at every joint, however light its load."""
-    model = load_model(MODELS / "arm6.urdf")
-    target = make_target(model, effects=named_effects(["viscous_friction"], model))
-    motion = target.random_motion
-    for effect in sized_effects(target):
-        joint = effect.effect.where[0]
-        j = model.joints.index(joint)
-        effort = effect.parameters[0] * np.sqrt(np.mean(motion.v[:, j] ** 2))
-        assert effort >= 0.02 * limits_of(None, model).effort[j] * (1 - 1e-9)
 
 
 @pytest.mark.parametrize(

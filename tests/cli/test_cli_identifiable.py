@@ -95,17 +95,6 @@ def test_counts_are_those_of_the_motion(log):
     )
 
 
-def test_deviations_are_those_of_estimates(tmp_path):
-    """Friction fitted to logs of other noise scatters as much as is said."""
-    model, scores = load_model(MODEL), []
-    effects = named_effects(["viscous_friction"], model)
-    for seed in range(8):
-        log = pendulum_log(tmp_path / f"{seed}.csv", seed=seed, friction=(0.0, 0.0))
-        found = log_identifiability(model, [log], effects=effects)
-        scores += [(entry.value - 0.1) / entry.deviation for entry in found.effects]
-    assert 0.6 < np.sqrt(np.mean(np.square(scores))) < 1.5
-
-
 def test_a_joint_that_hardly_moves_is_not_told(tmp_path, log):
     lame = found_in([pendulum_log(tmp_path / "lame.csv", elbow=0.01)], noise=NOISE)
     lively = found_in([log], noise=NOISE)

@@ -14,10 +14,8 @@ from geodrake.manifolds import (
     Free,
     Interval,
     PhysicalInertia,
-    Polyhedron,
     Positive,
     Product,
-    bregman_projection,
 )
 
 STEP = 1e-3
@@ -149,14 +147,6 @@ def test_steps_end_in_the_slabs():
         assert (np.abs(Y @ x - effort) < 1.01 * tolerance).all()
 
 
-def test_samples_that_contradict_each_other_do_little():
-    x, Y, _, tolerance, _ = slabs(np.random.default_rng(3), 1)
-    both, now = np.vstack([Y, Y + 1e-6]), float((Y @ x)[0])
-    efforts = now + np.array([1.0, -1.0])
-    y = slab_step(MIXED, x, both, efforts, np.tile(tolerance, 2))
-    assert MIXED.divergence(y, x) < 1e-6
-
-
 # Samples
 
 
@@ -262,16 +252,3 @@ def test_rows_of_held_efforts_are_exact_to_second_order():
         Y, u = filtered.rows(memory)
         errors.append(np.abs(Y @ TRUTH - u).max())
     assert errors[1] < 0.3 * errors[0] < 1e-3
-
-
-def test_small_steps_are_toward_the_projection():
-    """Newton's first step is the projection itself, to second order of a small error."""
-    rng = np.random.default_rng(1)
-    x, row = inside(rng), rng.normal(size=(1, MIXED.dimension))
-    for size in (1e-3, 1e-4):
-        effort, tolerance = row @ x - size, np.array([0.1 * size])
-        y = slab_step(MIXED, x, row, effort, tolerance)
-        nearest = bregman_projection(
-            MIXED, x, Polyhedron(row, effort - tolerance, effort + tolerance)
-        )
-        assert np.abs(y - nearest).max() < 0.02 * np.abs(nearest - x).max()

@@ -18,9 +18,6 @@ from geodrake.effects import (
 )
 from geodrake.errors import ArgumentError
 from geodrake.excitation import (
-    DesignOptions,
-    FourierMotion,
-    design_excitation,
     make_rival,
     make_separation,
     motion_limits,
@@ -33,8 +30,6 @@ from geodrake.robot.regressor import inverse_dynamics_regressor
 
 NOISE = np.array([0.1, 0.2, 0.05])
 WIDTH = np.array([0.05, 0.1, 0.2])
-FAST = DesignOptions(samples=60, iterations=15, sharpness=(8.0,))
-SHORT = FourierMotion(4.0, 3)
 PENDULUM = MODELS / "double_pendulum.urdf"
 
 
@@ -230,30 +225,6 @@ class TestRivals:
 
 
 class TestDesign:
-    @pytest.mark.parametrize(
-        "names",
-        [("coulomb_friction", "load_dependent_friction"), ("effort_offset", "asymmetric_friction")],
-    )
-    def test_within_limits_and_better_than_its_start(self, names):
-        model = pendulum()
-        limits = motion_limits(model, acceleration=dict.fromkeys(model.joints, 6.0))
-        separation = separation_of(model, names, noise=0.1)
-        told = []
-        result = design_excitation(
-            separation, limits, trajectory=SHORT, options=FAST, seeds=2, progress=told.append
-        )
-        assert told and len(result.outcomes) == 2
-        for outcome in result.outcomes:
-            assert outcome.value < 0.8 * outcome.random_value
-        best = min(outcome.value for outcome in result.outcomes)
-        assert 1.0 / separation.separations(result.motion).min() == pytest.approx(best, rel=1e-9)
-        q, v, vd = result.trajectory.states(np.linspace(0.0, 4.0, 2000))
-        assert (q >= limits.lower - 1e-6).all() and (q <= limits.upper + 1e-6).all()
-        assert (np.abs(v) <= limits.velocity * (1 + 1e-4)).all()
-        assert (np.abs(vd) <= limits.acceleration * (1 + 1e-3)).all()
-        effort = np.abs(model.effort(result.trajectory.motion_of(np.stack([q, v, vd]))))
-        assert (effort <= limits.effort * (1 + 1e-3)).all()
-
     def test_a_motion_on_which_rivals_agree(self):
         """At one speed, forwards and backwards, an offset of viscosity is Coulomb friction."""
         model = pendulum()

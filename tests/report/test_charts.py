@@ -29,7 +29,7 @@ from geodrake.identification.logs.model_errors import (
     worst_windows,
 )
 from geodrake.report import Units, figures_of, page_of, save_figures
-from geodrake.report.charts import decimated, gap_filled, packed
+from geodrake.report.charts import decimated, packed
 from geodrake.report.error_charts import (
     BEFORE,
     candidate_bars,
@@ -81,11 +81,6 @@ def test_decimated_curves_keep_their_extremes_and_gaps():
     curves[:, ::3] = np.nan  # too many gaps to show
     time, thin = decimated(time, curves, 2000)
     assert len(time) <= 2000 and np.isfinite(thin).any()
-
-
-def test_gaps_have_an_instant():
-    np.testing.assert_array_equal(gap_filled(np.array([0, 1, np.nan, 5])), [0, 1, 3, 5])
-    assert len(gap_filled(np.array([np.nan]))) == 0
 
 
 def test_the_worst_stretch_of_time_is_found():
@@ -163,24 +158,6 @@ def test_steps_can_be_chosen_where_their_predictions_are_known():
 
 def ends(bars):
     return [[bar.end for bar in row.bars] for row in bars.rows]
-
-
-def test_equal_ratios_are_equal_lengths():
-    table = errors(joint_names(3), 0.5)  # RMS 0.5, 1.0, 1.5; deviations 5, 10, 15
-    halved = [0.5 * joint.rms for joint in table.joints]
-    bars = joint_bars(table, [("half", halved), ("a quarter", [0.5 * x for x in halved])])
-    lengths = np.array(ends(bars))
-    np.testing.assert_allclose(np.diff(lengths, n=2), 0.0, atol=1e-12)
-    assert (np.diff(lengths) < 0).all()
-    assert lengths.min() > 0.0 and lengths.max() < 1.0
-    assert [bar.text for bar in bars.rows[0].bars] == [number(0.1 * 0.5**k) for k in range(3)]
-
-
-def test_noise_is_where_an_error_as_large_would_end():
-    (joint,) = errors(joint_names(1), 0.5).joints
-    table = ErrorTable((dataclasses.replace(joint, floor=0.25),))
-    (row,) = joint_bars(table, [("at the noise", [0.25])]).rows
-    assert row.marks[0].end == row.bars[1].end
 
 
 @pytest.mark.parametrize("rms", [np.nan, np.inf, 0.0])

@@ -6,7 +6,6 @@ import re
 import subprocess
 import sys
 from html.parser import HTMLParser
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -21,7 +20,6 @@ from report_results import (
     step,
 )
 
-from geodrake import load_model
 from geodrake.errors import ArgumentError
 from geodrake.identification.logs.model_errors import (
     ErrorTable,
@@ -172,15 +170,6 @@ def test_an_explanation_without_steps(verdict, words):
     assert "Parameters found" not in text
 
 
-def test_steps_without_evidence_are_not_called_missing():
-    joints = joint_names(3)
-    doubtful = step("rotor_inertia", joints, {}, {}, false_alarm_probability=0.6)
-    useless = step("joint_spring", joints, {}, {}, error_after=0.5)
-    text = check_self_contained(page(explanation(joints, (doubtful, useless))))
-    assert "Missing:" not in text
-    assert "Added without convincing evidence: rotor inertia and joint spring" in text
-
-
 def test_a_diagnosis_tells_ties_and_silence():
     joints = joint_names(3)
     text = check_self_contained(page(diagnosis(joints)))
@@ -220,11 +209,6 @@ def test_units_of_prismatic_joints():
     assert units.parameter("viscous_friction", "viscous", "slide") == "N·s/m"
     assert units.parameter("rotor_inertia", "inertia", "slide") == "kg"
     assert units.parameter("load_dependent_friction", "load_factor", "elbow") == ""
-
-
-def test_units_of_a_model():
-    model = load_model(Path(__file__).parents[2] / "models" / "double_pendulum.urdf")
-    assert Units.of(model).effort(model.joints) == "N·m"
 
 
 @pytest.mark.parametrize(
@@ -288,12 +272,6 @@ def test_numbers_in_words():
     ]
     assert places_label(("a", "b"), ("a", "b")) == "a and b"
     assert places_label(("a", "b", "d", "e"), tuple("abcde"), most=3) == "4 joints"
-
-
-def test_where_only_noise_is_left_no_better_model_is_promised():
-    text = page(explanation(joint_names(3), verdict="explained"))
-    assert "is sensor noise" in text
-    assert "a better model could" not in text
 
 
 def test_where_no_noise_is_seen_nothing_is_called_removable():
