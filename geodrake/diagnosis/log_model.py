@@ -22,7 +22,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from geodrake.diagnosis.beliefs import Beliefs
-from geodrake.diagnosis.normal_kernels import RIDGE, calc_most_probable, calc_squares
+from geodrake.diagnosis.normal_kernels import (
+    RIDGE,
+    Normal,
+    calc_most_probable,
+    calc_packed,
+    calc_squares,
+)
 from geodrake.diagnosis.terms import (
     Compatibility,
     Term,
@@ -329,9 +335,8 @@ class LogModel:
         mean, inertias = self.mean[columns], self._inertias.take(columns, axis=1)
         joints = self.normal(columns, choice.delay)
         if variance is None:
-            powers = calc_squares(joints, np.zeros(len(columns)))
             passive = inertias.any(axis=1)
-            variance = np.where(passive, self.dataset.effort_std**2, powers / rows)
+            variance = np.where(passive, self.dataset.effort_std**2, joints[-1] / rows)
         noise, of_prior = (shares, rows, self.floor), (prior, prior @ mean)
         try:
             x, variance, found = calc_most_probable(joints, of_prior, inertias, noise, variance)
@@ -409,9 +414,17 @@ class LogModel:
         """Return (nv,) where the efforts of each joint, later by a delay, stand in its matrix."""
         return np.asarray(self._ends + np.array(delay))
 
-    def normal(self, columns: Indices, delay: Delay) -> tuple[Array, Indices, Indices]:
-        """Return the normal matrices of all joints, and where columns (n,) and efforts stand."""
-        return self.grams, self.places.take(columns, axis=1), self.efforts(delay)
+    def normal(self, columns: Indices, delay: Delay) -> Normal:
+        """Return the normal matrices of all joints over columns (n,), efforts later by a delay."""
+        packed = calc_packed(self.grams, self.places.take(columns, axis=1))
+        return packed, *self.moments(columns, delay)
+
+    def moments(self, columns: Indices, delay: Delay) -> tuple[Array, Array]:
+        """Return Aᵀb (nv, n) and bᵀb (nv,) of efforts later by a delay."""
+        joints, efforts = np.arange(len(self.grams)), self.efforts(delay)
+        places = self.places.take(columns, axis=1)  # the last row is of zeros
+        own = self.grams[joints[:, None], efforts[:, None], places]
+        return own, self.grams[joints, efforts, efforts]
 
     def shares(self, fit: Fit) -> Array:
         """Return (nv,) how many independent samples each row of a fit's residuals is worth."""

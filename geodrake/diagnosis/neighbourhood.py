@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from geodrake.diagnosis.log_model import Delay, Fit, LogModel
-from geodrake.diagnosis.normal_kernels import add_normal, calc_squares
+from geodrake.diagnosis.normal_kernels import add_normal, calc_squares, packed_of
 from geodrake.diagnosis.terms import Term, Terms
 from geodrake.model.servos import servos_of
 
@@ -36,10 +36,10 @@ class Neighbourhood:
 
     def __init__(self, model: LogModel, fit: Fit) -> None:
         self._model, self.fit = model, fit
-        size = len(model.mean)
-        gram, right = np.zeros((size, size)), np.zeros(size)
-        efforts = model.efforts(fit.choice.delay)
-        add_normal((model.grams, model.places, efforts), fit.weights, gram, right)
+        every = np.arange(len(model.mean))
+        packed, moments, _ = model.normal(every, fit.choice.delay)
+        gram, right = np.zeros((len(every),) * 2), fit.weights @ moments
+        add_normal(packed, fit.weights, gram)
         columns = fit.columns
         self._inverse = np.linalg.inv(fit.hessian)
         self._turned = self._inverse @ gram[columns]
@@ -55,12 +55,12 @@ class Neighbourhood:
         own, found with it: its effort is not late once more.
         """
         model, was = self._model, self.fit.choice.delay
-        columns, fit, joints = self.fit.columns, self.fit, range(len(was))
+        columns, fit, joints = self.fit.columns, self.fit, [*range(len(was))]
         count = len(model.dataset.delays)
         if count < 2:
             return []
-        late = [model.normal(columns, (k,) * len(was)) for k in range(count)]
-        own, *every = (_moments(*each) for each in (model.normal(columns, was), *late))
+        packed, own, _ = model.normal(columns, was)
+        late = [model.moments(columns, (k,) * len(was)) for k in range(count)]
         samples = fit.weights * np.maximum(fit.variance, model.floor) * model.rows
         now, found = fit.variance * model.rows, list[tuple[Delay, float]]()
         base, servos = model.model.base_joints, servos_of(model.model)
@@ -70,11 +70,11 @@ class Neighbourhood:
             if joint not in base and servos[j] is None
         ]
         for moved in free if any(servos) else (joints, *free):
-            tried = []
-            for k, moments in enumerate(every):
+            tried, alone = [], packed if len(moved) > 1 else packed_of(packed, moved[0])
+            for k, (moments, powers) in enumerate(late):
                 change = fit.weights[moved] @ (moments[moved] - own[moved])
                 x = fit.x + self._inverse @ change
-                left = calc_squares(late[k], x)[moved]
+                left = calc_squares((alone, moments[moved], powers[moved]), x)
                 ratio = np.maximum(left, 1e-12 * now[moved]) / now[moved]
                 delay = tuple(k if j in moved else was[j] for j in joints)
                 tried.append((delay, float(-samples[moved] @ np.log(ratio))))
@@ -121,8 +121,3 @@ class Neighbourhood:
             below = (positive & ~above).any(axis=1)
             found[chosen] = np.where(below, -np.inf, gain)
         return found
-
-
-def _moments(grams: Array, places: Indices, efforts: Indices) -> Array:
-    """Return Aᵀb (nv, n) of each joint."""
-    return grams[np.arange(len(grams))[:, None], efforts[:, None], places]

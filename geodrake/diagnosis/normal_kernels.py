@@ -16,52 +16,90 @@ from geodrake.identification.normal_equations import calc_solution
 Array = NDArray[np.float64]
 Indices = NDArray[np.intp]
 
+Packed = tuple[Indices, Indices, Array]
+"""Columns that joints feel, ascending, where those of each end, and lower triangles, row by row."""
+Normal = tuple[Packed, Array, Array]
+"""With these, Aᵀb (J, n) and bᵀb (J,) of all joints."""
+
 RIDGE = 1e-11
 _ALIKE = 0.02  # noise is settled if no logarithm of a variance changes by more
 _MOST_FITS = 8
 
 
 @compiled
-def add_normal(
-    joints: tuple[Array, Indices, Indices], weights: Array, gram: Array, right: Array
-) -> None:
-    """Add the weighted AᵀA to (n, n), and Aᵀb to (n,).
+def calc_packed(grams: Array, places: Indices) -> Packed:
+    """Return what normal matrices (J, M, M) hold of columns at places (J, n), close together.
 
-    `joints` are normal matrices (J, M, M), places (J, n), and where efforts (J,) stand.
+    Fits go through it again and again, and do not have to gather it each time.
     """
-    grams, places, efforts = joints
-    for j in range(len(grams)):
+    count, size = 0, 0
+    for j in range(len(places)):
+        felt = np.sum(places[j] >= 0)
+        count, size = count + felt, size + felt * (felt + 1) // 2
+    columns, ends = np.empty(count, np.intp), np.zeros(len(places) + 1, np.intp)
+    lower, at = np.empty(size), 0
+    for j in range(len(places)):
         own = np.flatnonzero(places[j] >= 0)
         local = places[j][own]
+        ends[j + 1] = ends[j] + len(own)
+        columns[ends[j] : ends[j + 1]] = own
         for i in range(len(own)):
-            row, a = grams[j, local[i]], own[i]
-            right[a] += weights[j] * row[efforts[j]]
+            row = grams[j, local[i]]
             for k in range(i + 1):
-                gram[a, own[k]] += weights[j] * row[local[k]]
-                if k < i:
-                    gram[own[k], a] += weights[j] * row[local[k]]
+                lower[at + k] = row[local[k]]
+            at += i + 1
+    return columns, ends, lower
+
+
+def packed_of(packed: Packed, joint: int) -> Packed:
+    """Return what is there of one joint."""
+    columns, ends, lower = packed
+    counts = np.diff(ends)
+    last = np.cumsum(counts * (counts + 1) // 2)[joint]
+    size = counts[joint] * (counts[joint] + 1) // 2
+    own = columns[ends[joint] : ends[joint + 1]]
+    return own, np.array([0, len(own)], np.intp), lower[last - size : last]
 
 
 @compiled
-def calc_squares(joints: tuple[Array, Indices, Indices], x: Array) -> Array:
-    """Return sums (J,) of squared residuals with parameters (n,)."""
-    grams, places, efforts = joints
-    squares = np.empty(len(grams))
-    for j in range(len(grams)):
-        own = np.flatnonzero(places[j] >= 0)
-        local = places[j][own]
-        squares[j] = grams[j, efforts[j], efforts[j]]
+def add_normal(packed: Packed, weights: Array, gram: Array) -> None:
+    """Add the weighted AᵀA of all joints to a symmetric matrix (n, n)."""
+    columns, ends, lower = packed
+    at = 0
+    for j in range(len(weights)):
+        own = columns[ends[j] : ends[j + 1]]
         for i in range(len(own)):
-            row, product = grams[j, local[i]], 0.0
-            for k in range(len(own)):
-                product += row[local[k]] * x[own[k]]
-            squares[j] += (product - 2.0 * row[efforts[j]]) * x[own[i]]
+            row = gram[own[i]]
+            for k in range(i + 1):
+                row[own[k]] += weights[j] * lower[at + k]
+            at += i + 1
+    for i in range(len(gram)):
+        for k in range(i):
+            gram[k, i] = gram[i, k]
+
+
+@compiled
+def calc_squares(joints: Normal, x: Array) -> Array:
+    """Return sums (J,) of squared residuals with parameters (n,)."""
+    (columns, ends, lower), moments, powers = joints
+    squares, at = np.empty(len(powers)), 0
+    for j in range(len(powers)):
+        own = columns[ends[j] : ends[j + 1]]
+        squares[j] = powers[j]
+        for i in range(len(own)):
+            product = 0.0
+            for k in range(i):
+                product += lower[at + k] * x[own[k]]
+            value = x[own[i]]
+            product = 2.0 * (product - moments[j, own[i]]) + lower[at + i] * value
+            squares[j] += product * value
+            at += i + 1
     return squares
 
 
 @compiled
 def calc_most_probable(
-    joints: tuple[Array, Indices, Indices],  # as above
+    joints: Normal,
     prior: tuple[Array, Array],  # information (n, n), and its product with the mean (n,)
     inertias: Array,  # (J, n) as `Dataset.passive_shares`
     noise: tuple[Array, Array, Array],  # (J,) independent samples over rows, rows, least variance
@@ -73,6 +111,7 @@ def calc_most_probable(
     the prior, and the logarithm of its determinant.
     """
     (information, pull), (shares, rows, floor) = prior, noise
+    packed, moments, _ = joints
     n, count = len(pull), len(rows)
     weights, inertia, passive = np.empty(count), np.ones(count), np.zeros(count, np.bool_)
     for j in range(count):
@@ -84,7 +123,9 @@ def calc_most_probable(
             weights[j] = shares[j] / max(variance[j], floor[j])
             if passive[j]:
                 right += shares[j] * rows[j] / inertia[j] * inertias[j]
-        add_normal(joints, weights, gram, right)
+            for i in range(n):
+                right[i] += weights[j] * moments[j, i]
+        add_normal(packed, weights, gram)
         x, logarithm = calc_solution(gram, right, RIDGE)
         before, variance, settled = variance, calc_squares(joints, x) / rows, True
         for j in range(count):

@@ -155,8 +155,10 @@ def fitted_loads(case: Case, model: LogModel, fit: Fit) -> Array | None:
     """Return the bodies (nb, 10) of a fit with what they carry; None if loads barely change.
 
     Friction that grows with the load, gears that give way or have play: what they do is known at
-    the right instants only if the load is.
+    the right instants only if the load is. Where the ground pushes, motors say what it is.
     """
+    if all(trajectory.is_grounded for trajectory in case.trajectories):
+        return None
     robot, was = case.model, case.load_model.phi
     phi = model.bodies(fit)
     for term in fit.terms:

@@ -324,6 +324,11 @@ class Trajectory:
         """Return how many filtered and decimated samples each segment gives."""
         return tuple(self.filter.output_count(len(segment)) for segment in self.segments)
 
+    @property
+    def is_grounded(self) -> bool:
+        """Return whether the ground pushes, so that only motors tell the loads of joints."""
+        return self.contacts is not None or any(s[:1].ground is not None for s in self.segments)
+
     def temperature(self, time: Array) -> Array | None:
         """(N, n) temperatures at time stamps (N,), s, NaN at joints without; None of all."""
         courses = self.temperatures

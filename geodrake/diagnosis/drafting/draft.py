@@ -329,11 +329,10 @@ def _seen(case: Case, log: int, segment: Segment) -> RobotMotion:
     """Return a segment of a log as effects see it."""
     trajectory = case.trajectories[log]
     robot = carrying(case.load_model, trajectory.payloads)
-    grounded = trajectory.contacts is not None or segment.ground is not None
     return robot.motion(
         motion_of(segment, robot, trajectory),
         sign_width=sign_widths(robot, case.trajectories),
-        load=segment.motor_effort if grounded else None,
+        load=segment.motor_effort if trajectory.is_grounded else None,
     )
 
 

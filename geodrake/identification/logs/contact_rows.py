@@ -17,6 +17,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from geodrake.compiling import compiled, contiguous
 from geodrake.effects.body_motion import RobotBodies
 from geodrake.logs.motion import Trajectory
 from geodrake.logs.smoothing import Segment
@@ -104,21 +105,26 @@ class MixedRows:
                     found[i] += self.own[:, i, None] * own
                 continue
             sources = [j for j in blocks if coupling[i, j]]
+            if of is None and len(sources) == 1:
+                found[i] = self.mixed[i][:, sources[0], None] * blocks[sources[0]]
+                continue
             width = len(of[i]) if of is not None else blocks[sources[0]].shape[1]
-            total = np.zeros((len(self.own), width))
+            found[i] = np.zeros((len(self.own), width))
             for j in sources:
-                at = slice(None) if of is None else _places(of[i], of[j])
-                total[:, at] += self.mixed[i][:, j, None] * blocks[j]
-            found[i] = total
+                at = np.arange(width) if of is None else np.searchsorted(of[i], of[j])
+                add_weighted(self.mixed[i], j, contiguous(blocks[j]), at, found[i])
         return found
 
 
-def _places(columns: NDArray[np.intp], some: NDArray[np.intp]) -> slice | NDArray[np.intp]:
-    """Return where some columns stand among others, as a slice if they follow one another."""
-    at = np.searchsorted(columns, some)
-    if len(at) and at[-1] - at[0] == len(at) - 1:
-        return slice(int(at[0]), int(at[-1]) + 1)
-    return at
+@compiled
+def add_weighted(
+    row: Array, joint: int, columns: Array, at: NDArray[np.intp], total: Array
+) -> None:
+    """Add columns (N, k) of a joint, by its weights in a row (N, nv), to those `at` (k,) places."""
+    for n in range(len(columns)):
+        weight = row[n, joint]
+        for k in range(len(at)):
+            total[n, at[k]] += weight * columns[n, k]
 
 
 def couplings(model: RobotModel, trajectories: Sequence[Trajectory]) -> NDArray[np.bool_] | None:
@@ -165,17 +171,50 @@ def rows_without(J: Array, flags: NDArray[np.bool_], scales: Array, base: Sequen
         if not mode.any():
             found[at] = np.eye(nv)
             continue
-        K = J[at][:, mode].reshape(len(at), -1, nv) / scales
-        Q, _ = np.linalg.qr(np.swapaxes(K, 1, 2))
-        P = np.eye(nv) - Q @ np.swapaxes(Q, 1, 2)
-        own = _owners(P[len(at) // 2], base, nv - Q.shape[2])
-        A = P[:, :, own]
-        G = A[:, own] + 1e-12 * np.eye(len(own))
-        L = np.linalg.cholesky(G)
-        N = np.linalg.solve(L, np.swapaxes(A, 1, 2))  # (n, r, nv), rows orthonormal
-        rows = scales[own][:, None] * N / scales
-        found[np.ix_(at, np.array(own))] = rows
+        K = contiguous(J[at][:, mode].reshape(len(at), -1, nv) / scales)
+        middle = K[len(at) // 2]
+        Q = np.linalg.qr(middle.T)[0]
+        own = np.array(_owners(np.eye(nv) - Q @ Q.T, base, nv - Q.shape[1]), np.intp)
+        N = np.zeros((len(at), nv, nv))
+        calc_free_rows(K, own, N)
+        found[at] = scales[:, None] * N / scales
     return found
+
+
+@compiled
+def calc_free_rows(K: Array, own: NDArray[np.intp], rows: Array) -> None:
+    """Write orthonormal rows that are orthogonal to those of K (N, m, nv), by Gram and Schmidt.
+
+    Args:
+        own: (r,) velocities from whose unit vectors they begin.
+        rows: (N, nv, nv) zeros; row i of `own` is written where i is.
+    """
+    count, m, nv = K.shape
+    basis = np.empty((m + len(own), nv))
+    for n in range(count):
+        for k in range(m + len(own)):
+            row = basis[k]
+            row[:] = 0.0
+            if k < m:
+                row[:] = K[n, k]
+            else:
+                row[own[k - m]] = 1.0
+            whole, size = 0.0, 0.0
+            for i in range(nv):
+                whole += row[i] * row[i]
+            for _ in range(2):  # once leaves what rounding left of the first ones
+                for other in range(k):
+                    along = 0.0
+                    for i in range(nv):
+                        along += basis[other, i] * row[i]
+                    for i in range(nv):
+                        row[i] -= along * basis[other, i]
+            for i in range(nv):
+                size += row[i] * row[i]
+            for i in range(nv):
+                row[i] = row[i] / np.sqrt(size) if size > _NONE**2 * whole else 0.0
+            if k >= m:
+                rows[n, own[k - m]] = row
 
 
 def _owners(P: Array, first: Sequence[int], rank: int) -> list[int]:

@@ -47,20 +47,29 @@ class SharedRows:
     """What reductions of the same logs by the same robot share, by what it belongs to.
 
     The columns of an effect do not depend on what else is tried, so that only those have to be
-    evaluated that no reduction had before. When there is no more room for so many numbers, or
-    `signals` at the full rate, which only further columns need, no more is kept.
+    evaluated that no reduction had before. When there is no more room for so many numbers, what no
+    reduction has used for longest makes room; what the present one used stays. Of `signals` at the
+    full rate, which only further columns need, no more is kept then.
     """
 
     def __init__(self, room: int = ROOM, *, signals: int = SIGNALS_ROOM) -> None:
         self._room, self._signals, self._kept = room, signals, dict[Hashable, Blocks]()
+        self._used, self._turn, self._stale = dict[Hashable, int](), 0, list[Hashable]()
+
+    def begin(self) -> None:
+        """Begin another reduction."""
+        self._turn += 1
+        self._stale = sorted(self._used, key=self._used.__getitem__, reverse=True)
 
     def get(self, key: Hashable) -> Blocks | None:
         """Return what is kept under a key, if anything is."""
+        if key in self._used:
+            self._used[key] = self._turn
         return self._kept.get(key)
 
     def once(self, key: Hashable, make: Callable[[], Blocks], *, signals: bool = False) -> Blocks:
         """Return what is kept under a key, or make it and keep it; `signals` as in `keep`."""
-        if (found := self._kept.get(key)) is None:
+        if (found := self.get(key)) is None:
             self.keep(key, found := make(), signals=signals)
         return found
 
@@ -72,12 +81,22 @@ class SharedRows:
 
     def keep(self, key: Hashable, blocks: Blocks, *, signals: bool = False) -> None:
         """Keep blocks as long as there is room; `signals` are at the full rate."""
-        size = sum(block.size for block in blocks.values())
-        room = min(self._room, self._signals) if signals else self._room
-        if 0 < size <= room and key not in self._kept:
+        if (size := _size(blocks)) == 0 or key in self._kept:
+            return
+        while size > self._room and self._stale and not signals:
+            if self._used[old := self._stale.pop()] < self._turn:
+                self._room += _size(self._kept.pop(old))
+                del self._used[old]
+        if size <= (min(self._room, self._signals) if signals else self._room):
             self._room -= size
             self._signals -= size if signals else 0
             self._kept[key] = {at: np.array(block, order="C") for at, block in blocks.items()}
+            if not signals:
+                self._used[key] = self._turn
+
+
+def _size(blocks: Blocks) -> int:
+    return sum(block.size for block in blocks.values())
 
 
 INERTIA = "inertia"
@@ -379,7 +398,7 @@ class LogSlice:
             known = shared.get(key)
             motion, load = self._motion(shared), None if known is None else known[0]
             rows = self._contact_rows(shared)
-            if rows is not None or self._here.ground is not None:
+            if self.trajectory.is_grounded:
                 load = self._here.motor_effort  # which no model tells beside the ground's forces
             new, load = layout.evaluate(motion, self.trajectory, missing, load)
             if rows is not None and layout.coupling is not None:

@@ -242,7 +242,7 @@ def effort_ratio(model: RobotModel, trajectories: Sequence[Trajectory]) -> tuple
         measured = measured + _density(_taken(rows, start.effort), segment, window, frequency)
     tiny = np.finfo(float).tiny
     idle = [joint for t in trajectories for joint in t.passive]
-    grounded = all(t.contacts is not None or s[:1].ground is not None for t, s in held)
+    grounded = all(trajectory.is_grounded for trajectory in trajectories)
     driven = ~np.isin(model.joints, [*idle, *(() if grounded else model.base_joints)])
     if (measured[:, driven] > 0.0).any():  # limbs that stand throughout have no rows
         driven &= (measured > 0.0).any(axis=0)

@@ -66,6 +66,7 @@ def reduce_logs(
     still[np.isin(model.joints, model.base_joints)] = 0.0
     widths = sign_widths(model, trajectories)
     shared = SharedRows(0) if shared is None else shared
+    shared.begin()
     coupling = coupling_of(model, trajectories, shared)
     layout = Layout.of(model, effects, widths, still, coupling=coupling)
     further = np.array([np.broadcast_to(delay, len(model.joints)) for delay in delays])
