@@ -139,6 +139,85 @@ def _names_in_parquet(folder):
     return folder / "names.parquet"
 
 
+def _frame():
+    names = [f"{joint}.{q}" for q in ("position", "effort") for joint in JOINTS]
+    table = pandas.DataFrame(np.hstack([POSITION, EFFORT]), columns=names)
+    table.insert(0, "time", TIME)
+    return table
+
+
+def _text(name, change, **options):
+    """A CSV of the frame, changed."""
+
+    def write(folder):
+        frame = change(_frame())
+        frame.to_csv(folder / f"{name}.csv", index=False, **options)
+        return folder / f"{name}.csv"
+
+    write.__name__ = f"_{name}"
+    return write
+
+
+def _with_times(form):
+    moments = [pandas.Timestamp("2026-05-01 12:00:00") + pandas.Timedelta(seconds=t) for t in TIME]
+    return lambda frame: frame.assign(time=[moment.strftime(form) for moment in moments])
+
+
+def _two_levels(frame):
+    below = [["", *JOINTS, *JOINTS], ["time", *["position"] * 2, *["effort"] * 2]]
+    return frame.set_axis(pandas.MultiIndex.from_arrays(below[::-1]), axis=1)
+
+
+def _frame_as_json(orient):
+    def write(folder):
+        _frame().to_json(folder / "frame.json", orient=orient, double_precision=15)
+        return folder / "frame.json"
+
+    write.__name__ = f"_frame_as_{orient}"
+    return write
+
+
+def _for_excel(folder):
+    text = _frame().to_csv(index=False, sep=";", decimal=",")
+    (folder / "excel.csv").write_text(f"sep=;\n{text}")
+    return folder / "excel.csv"
+
+
+def _echo_of_ros2(folder):
+    stamps = [(1700000000, round(1e9 * t), "world", *JOINTS[::-1]) for t in TIME]
+    nothing = np.zeros_like(POSITION)
+    numbers = np.hstack([POSITION[:, ::-1], nothing, EFFORT[:, ::-1]]).tolist()
+    rows = [[*stamp, *row] for stamp, row in zip(stamps, numbers, strict=True)]
+    return _write(folder / "echo.csv", rows[0], rows[1:])
+
+
+def _turned_npz(folder):
+    np.savez(folder / "turned.npz", time=TIME, q=POSITION.T, tau=EFFORT.T)
+    return folder / "turned.npz"
+
+
+def _lerobot_parquet(folder):
+    features = {"observation.state": list(POSITION), "observation.effort": list(EFFORT)}
+    path = folder / "episode_000000.parquet"
+    pandas.DataFrame({"timestamp": TIME, **features}).to_parquet(path)
+    return path
+
+
+ORDINARY = [
+    _text("clock", _with_times("%H:%M:%S.%f")),
+    _text("strokes", _with_times("%Y/%m/%d %H:%M:%S.%f")),
+    _text("timedelta", lambda f: f.assign(time=[str(pandas.Timedelta(seconds=t)) for t in TIME])),
+    _text(
+        "arrays", lambda f: f[["time"]].assign(q=[*map(repr, POSITION)], tau=[*map(repr, EFFORT)])
+    ),
+    _text("levels", _two_levels),
+    _frame_as_json("columns"),
+    _frame_as_json("split"),
+    _for_excel,
+    _echo_of_ros2,
+    _turned_npz,
+    _lerobot_parquet,
+]
 NAMED = [
     _names_in_lists,
     _names_once_in_json,
@@ -148,6 +227,7 @@ NAMED = [
 ]
 SHAPES = [
     *NAMED,
+    *ORDINARY,
     _lists,
     _named_cells,
     _swapping_cells,
@@ -166,6 +246,29 @@ def test_a_table_of_any_shape_is_the_same_log(tmp_path, write):
     np.testing.assert_allclose(log.time - log.time[0], TIME, atol=1e-6)
     np.testing.assert_allclose(log.position, POSITION, atol=1e-12)
     np.testing.assert_allclose(log.effort, EFFORT, atol=1e-12)
+
+
+@pytest.mark.parametrize("kind", ["csv", "parquet"])
+def test_a_row_a_joint_by_its_number(tmp_path, kind):
+    frame = pandas.read_csv(_long(tmp_path)).rename(columns={"joint": "motor_id"})
+    frame["motor_id"] = frame["motor_id"].map(dict(zip(JOINTS, (11, 12), strict=True)))
+    path = tmp_path / f"numbers.{kind}"
+    getattr(frame, f"to_{kind}")(path, index=False)
+    log = read_log(path)
+    assert log.joints == ("joint_11", "joint_12")
+    np.testing.assert_allclose(log.effort, EFFORT)
+
+
+@pytest.mark.parametrize("many", [False, True])
+@pytest.mark.parametrize("word", ["NA", "N/A", "null", "None", "-", "#N/A", "NaN"])
+def test_words_for_nothing(tmp_path, monkeypatch, word, many):
+    monkeypatch.setattr(text_file, "_MANY", 20 if many else 10**6)
+    frame = _frame().astype(object)
+    frame.iloc[0, 3] = frame.iloc[30, 4] = word
+    frame.to_csv(tmp_path / "log.csv", index=False)
+    effort = EFFORT.copy()
+    effort[0, 0] = effort[30, 1] = np.nan
+    np.testing.assert_allclose(read_log(tmp_path / "log.csv").effort, effort)
 
 
 def test_a_log_without_a_model_has_the_joints_that_its_cells_name(tmp_path):

@@ -19,7 +19,7 @@ from geodrake.boundary.input_files import open_regular, open_text
 from geodrake.boundary.optional_packages import optional_package
 from geodrake.errors import LogError
 from geodrake.logs.files.column_mapping import check_once, is_used
-from geodrake.logs.files.name_rules import meaning_of
+from geodrake.logs.files.name_rules import meaning_of, numbers_joints
 from geodrake.logs.files.reading import Reading
 from geodrake.logs.files.table import (
     Groups,
@@ -46,6 +46,7 @@ def read_json(path: Path, reading: Reading) -> LogTable:
             content: Any = [json.loads(line) for line in file if line.strip()]
         else:
             content = json.load(file)
+    content = _of_pandas(content)
     if isinstance(content, Mapping):
         lists = {n: x for n, x in _fields(content) if isinstance(x, list) and len(x) > 1}
         return numeric_table(path, lists, rows_of(lists))
@@ -60,6 +61,18 @@ def read_json(path: Path, reading: Reading) -> LogTable:
             values.extend([None] * (k + 1 - len(values)))
     arrays = {name: np.array(values, object) for name, values in columns.items()}
     return numeric_table(path, arrays, len(content))
+
+
+def _of_pandas(content: Any) -> Any:
+    """Return what a data frame that was written as JSON holds, as columns."""
+    if not isinstance(content, Mapping):
+        return content
+    if content.keys() == {"columns", "index", "data"}:
+        return [dict(zip(content["columns"], row, strict=True)) for row in content["data"]]
+    rows = [tuple(each) if isinstance(each, Mapping) else () for each in content.values()]
+    if len(rows) > 1 and rows[0][:2] == ("0", "1") and set(rows) == {rows[0]}:
+        return {name: [*each.values()] for name, each in content.items()}
+    return content
 
 
 def _fields(
@@ -89,9 +102,7 @@ def read_mat(path: Path, reading: Reading) -> LogTable:
     own = {name: value for name, value in variables.items() if not name.startswith(("__", "#"))}
     arrays = _arrays(own)
     rows = max((max(array.shape) for array in arrays.values()), default=0)
-    sides = {name: np.squeeze(array) for name, array in arrays.items()}
-    sides = {n: x.T if x.ndim == 2 and x.shape[0] != rows else x for n, x in sides.items()}
-    table = numeric_table(path, sides, rows)
+    table = numeric_table(path, {name: np.squeeze(x) for name, x in arrays.items()}, rows)
     if not table.columns:
         raise LogError(
             f"Log {str(path)!r} has no arrays of numbers; its variables are "
@@ -169,8 +180,10 @@ def read_parquet(path: Path, reading: Reading) -> LogTable:
         file = parquet.ParquetFile(path)
         rows, width = file.metadata.num_rows, file.metadata.num_columns
         check_room(path, rows * width, f"{rows} rows of {width} columns")
-        check_once(path, file.schema_arrow.names)
-        if all(_PLAIN.fullmatch(str(field.type)) for field in file.schema_arrow):
+        names = file.schema_arrow.names
+        is_plain = all(_PLAIN.fullmatch(str(field.type)) for field in file.schema_arrow)
+        if is_plain and not any(map(numbers_joints, names)):
+            check_once(path, names)
             return ParquetTable(path, file)
         return arrow_table(path, file.read())
 
@@ -268,7 +281,7 @@ def read_npz(path: Path, reading: Reading) -> LogTable:
                         arrays[name] = np.asarray(arrays[name], float)
     numeric = {n: values for n, values in arrays.items() if values.dtype.kind in "fiubmM"}
     rows = rows_of(numeric)
-    odd = {n: values for n, values in numeric.items() if len(values) != rows}
+    odd = {n: values for n, values in numeric.items() if rows not in values.shape}
     table = numeric_table(path, {n: v for n, v in arrays.items() if n not in odd}, rows)
     silent = {n: f"holds {arrays[n].dtype}, not real numbers" for n in table.silent}
     objects = [_member(entry) for entry, (_, dtype) in declared.items() if dtype.hasobject]

@@ -20,6 +20,7 @@ from geodrake.logs.files.name_rules import (
     meaning_of,
     names_joints,
     number_of,
+    numbers_joints,
     plain_words,
 )
 from geodrake.logs.files.reading import Reading
@@ -186,6 +187,7 @@ def reshaped(table: LogTable, reading: Reading) -> LogTable:
         table: One whose cells may name joints; other tables are returned as they are.
     """
     words = {n: w for column, cells in table.words.items() for n, w in _items(column, cells)}
+    words |= {n: w for n, x in table.columns.items() if (w := _numbered(n, x)) is not None}
     naming = {n: w for n, w in words.items() if names_joints(n) and len({*w}) <= _MOST_JOINTS}
     numbered = {n: w for n, w in naming.items() if number_of(n) is not None}
     if reading.mapping is not None or not naming:
@@ -204,6 +206,14 @@ def _items(column: str, cells: Texts) -> Iterator[tuple[str, Texts]]:
                 yield f"{column}[{k}]", np.array(names, object)
             return
     yield column, cells
+
+
+def _numbered(column: str, values: Array) -> Texts | None:
+    """Return the joints that a column of whole numbers names; None of another, or of one joint."""
+    if not numbers_joints(column) or not np.all(values == np.rint(values)):
+        return None
+    several = 1 < len(np.unique(values)) <= _MOST_JOINTS
+    return np.array([f"joint_{value:.0f}" for value in values], object) if several else None
 
 
 def _check_names(table: LogTable, column: str, words: Texts) -> None:

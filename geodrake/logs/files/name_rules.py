@@ -83,6 +83,7 @@ _BESIDE_TIME |= {"joint", "states", "state", "robot", "system", "log", "msg", "f
 _TURNS = {"pos_estimate": "rev", "vel_estimate": "rev/s", "input_pos": "rev"}  # of ODrive
 _WORD = re.compile(r"[A-Z]+(?=[A-Z][a-z])|[A-Z]?[^\W\d_A-Z]+|[A-Z]+|\d+")
 _SECOND = re.compile(r"(?<![A-Za-z])(?:q2d|d2q|qd2(?=[\s_.(\[]+\d))(?![a-z])")  # qd2 is joint 2's
+_OBSERVED = ("observation.state", "observation.position")  # of LeRobot
 _BRACKETS = re.compile(r"\s*[\[(<{]\s*([^\])>}]*?)\s*[\])>}]\s*$")
 _INDEX = re.compile(r"\[(\d+)\]")
 _NAMING = frozenset(["name", "names", "joint", "joints", "motor", "motors", "axis", "actuator"])
@@ -146,6 +147,11 @@ def names_joints(column: str) -> bool:
     """Return whether a column of words, by its name, has names of joints."""
     words = plain_words(column)
     return bool(_NAMING.intersection(words)) and "frame" not in words
+
+
+def numbers_joints(column: str) -> bool:
+    """Return whether a column of whole numbers, by its name, says which joint a row is of."""
+    return names_joints(column) and number_of(column) is None and meaning_of(column) is None
 
 
 def plain_words(text: str) -> frozenset[str]:
@@ -220,7 +226,7 @@ def _time(name: str) -> Meaning | None:
 
 def _joint(column: str) -> Meaning | None:
     """Read a name of a quantity of a joint, its words in whatever order."""
-    name = _INDEX.sub(r"_\1", _SECOND.sub("qdd", column))
+    name = _INDEX.sub(r"_\1", _SECOND.sub("qdd", column)).replace(*_OBSERVED)
     brackets = _BRACKETS.search(name)
     cut = brackets.start() if brackets else len(name)
     parts = [part for part in name[:cut].split("/") if part] or [name]

@@ -61,9 +61,10 @@ def check_room(path: Path, count: int, words: str) -> None:
 Array = NDArray[np.float64]
 
 _DATE = re.compile(
-    r"(\d{4}-\d\d-\d\d[Tt ]\d\d:\d\d(?::\d\d)?)"
+    r"(\d{4}[-/]\d\d[-/]\d\d[Tt ]\d\d:\d\d(?::\d\d)?)"
     r"(?:[.,](\d{1,9})\d*)?\s*([Zz]|UTC|[+-]\d\d(?::?\d\d)?)?"
 )
+_TIME = re.compile(r"(?:(\d+) days? )?(\d\d?):(\d\d):(\d\d)(?:[.,](\d{1,9})\d*)?")
 _EPOCH = datetime(1970, 1, 1, tzinfo=UTC)
 _SECOND, _DAY = 1_000_000_000, 86_400  # ns, s
 NO_DATE = np.iinfo(np.int64).min
@@ -74,14 +75,19 @@ def date_of(text: str) -> int | None:
     """Return the nanoseconds since 1970 of a date with its time of day; None if the text is none.
 
     Args:
-        text: In ISO 8601, with a blank for the T if need be. Without a time zone it is in UTC.
+        text: In ISO 8601, with a blank for the T or strokes if need be. Without a time zone it is
+            in UTC. A time of day alone, or days and a time, are those since 1970.
     """
+    if (found := _TIME.fullmatch(text.strip())) is not None:
+        days, hours, minutes, seconds = (int(number or 0) for number in found.groups()[:4])
+        seconds += _DAY * days + 3600 * hours + 60 * minutes
+        return seconds * _SECOND + int((found[5] or "").ljust(9, "0"))
     found = _DATE.fullmatch(text.strip())
     if found is None:
         return None
     head, fraction, zone = found.groups()
     try:
-        instant = datetime.fromisoformat(f"{head.upper()}{_offset(zone)}")
+        instant = datetime.fromisoformat(f"{head.upper().replace('/', '-')}{_offset(zone)}")
     except ValueError:  # the 30th of February
         return None
     since = instant - _EPOCH
@@ -95,8 +101,10 @@ def _offset(zone: str | None) -> str:
 
 
 def date_words(nanoseconds: int) -> str:
-    """Return a date as messages write it."""
+    """Return a date as messages write it; a time of day alone has none."""
     instant = _EPOCH + timedelta(microseconds=nanoseconds // 1000)
+    if nanoseconds < _DAY * _SECOND:
+        return f"{instant:%H:%M:%S} of a day"
     return f"{instant:%Y-%m-%d %H:%M:%S} UTC"
 
 
@@ -315,7 +323,9 @@ class LogTable:
 _ONE_SECOND = np.timedelta64(1, "s")
 _MOST_NAMES = 8
 _LONGEST_TEXT = 60
-_NOTHING = ("", "NaT", "nan", "None", "null", "<NA>")
+_SAYS_NOTHING = ("", "nan", "nat", "none", "null", "na", "n/a", "<na>", "#n/a", "-", "--")
+NOTHING = tuple({f(word) for word in _SAYS_NOTHING for f in (str, str.upper, str.title)} | {"NaN"})
+"""What stands in a cell where nothing was measured."""
 
 
 def numeric_table(path: Path, arrays: Mapping[str, Any], rows: int) -> LogTable:
@@ -333,6 +343,8 @@ def numeric_table(path: Path, arrays: Mapping[str, Any], rows: int) -> LogTable:
     for name, given in arrays.items():
         values = _array(given) if isinstance(given, list) else given
         found, origin = numbers(values)
+        if found is not None and found.ndim == 2 and found.shape[0] != rows == found.shape[1]:
+            found = found.T
         if found is None or found.ndim not in (1, 2) or len(found) != rows:
             silent[name] = _what_else(values, rows)
             words |= _texts(name, values, rows)
@@ -464,7 +476,7 @@ def _of_objects(array: NDArray[Any]) -> tuple[Array | None, int | None]:
 def _is_nothing(value: Any) -> bool:
     if isinstance(value, Sized) and not isinstance(value, str):
         return False
-    return str(value) in _NOTHING
+    return str(value) in NOTHING
 
 
 def _date(value: Any) -> int | None:
@@ -486,5 +498,5 @@ def _is_number(text: str) -> bool:
     try:
         float(text)
     except ValueError:
-        return text in _NOTHING
+        return text in NOTHING
     return True

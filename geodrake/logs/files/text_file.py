@@ -19,16 +19,17 @@ from geodrake.boundary.input_files import open_regular, open_text, regular_file
 from geodrake.errors import LogError
 from geodrake.logs.files.column_mapping import HEADER_ADVICE, check_text
 from geodrake.logs.files.mapping_file import proposed_mapping, with_proposal
-from geodrake.logs.files.name_rules import is_time, names_joints
+from geodrake.logs.files.name_rules import is_time, names_joints, numbers_joints
 from geodrake.logs.files.reading import Reading
-from geodrake.logs.files.table import Groups, LogTable, Part, TornRows, date_of
+from geodrake.logs.files.table import NOTHING, Groups, LogTable, Part, TornRows, date_of
 from geodrake.logs.files.units import UNITS, find_unit
 
 COMMENTS = ("#", "%", "//")
 _HEADER_LINES = 1000  # of a header whose names have line ends
 _LINES_AHEAD = 1000  # in which dates, lists and words are looked for
 _WHITESPACE = None
-_LIST = re.compile(r"[\[(]([^\[\]()]*)[\])]")
+_LIST = re.compile(r"(?:(?:array|tensor)\()?[\[(]([^\[\]()]*)[\])](?:, dtype=[\w.]+)?\)?")
+_EXCEL = re.compile(r'"?sep=(.)"?')  # the first line of what is to be opened by it
 _BETWEEN = re.compile(r"\s*[,;]\s*|\s+")
 
 
@@ -100,7 +101,9 @@ def text_layout(
     comment, first, count = "", "", 0
     for first in islice(file, _HEADER_LINES):
         plain = first.strip()
-        if plain.startswith(COMMENTS) and not plain.startswith("%time"):
+        if _EXCEL.fullmatch(plain):
+            pass
+        elif plain.startswith(COMMENTS) and not plain.startswith("%time"):
             comment = plain.lstrip("#%/ \t")
         elif plain:
             break
@@ -110,11 +113,18 @@ def text_layout(
     separator = _separator(first)
     cells, used, rest = _header_cells(path, first, file, separator)
     if not _are_numbers(cells):
+        if not reading.columns and (named := _joint_state(cells)):
+            layout = TextLayout(named, separator, ".", count)
+            return _with_contents(layout, chain([first], rest))
         header = _renamed(path, reading, cells) if reading.columns else cells
         check_text(path, header)
         if not any(header):
             raise _no_header(path, header)
         following = next(rest, "")
+        below = [cell.strip() for cell in following.split(separator)]
+        if _completes(header, below):
+            header = [f"{b}.{a}".strip(".") for a, b in zip(header, below, strict=True)]
+            following, used = next(rest, ""), used + 1
         units = _units(header, following, separator)
         if units:
             following, used = next(rest, ""), used + 1
@@ -129,6 +139,26 @@ def text_layout(
         raise with_proposal(_no_header(path, cells), path, proposal)
     names = names or [str(k) for k in range(1, len(cells) + 1)]
     return _with_contents(TextLayout(tuple(names), separator, decimal, count), chain([first], rest))
+
+
+def _completes(header: Sequence[str], below: Sequence[str]) -> bool:
+    """Return whether names that come twice have a second level in the line below them."""
+    if not len(set(header)) < len(header) == len(below) or any(map(is_number, below)):
+        return False
+    return len({*zip(header, below, strict=True)}) == len(header)
+
+
+def _joint_state(cells: Sequence[str]) -> tuple[str, ...]:
+    """Return names for the cells of `ros2 topic echo --csv` of a JointState; none for others."""
+    count, odd = divmod(len(cells) - 3, 4)
+    is_stamp = all(cell.isdecimal() for cell in cells[:2])
+    if odd or not count or not is_stamp or not _are_numbers(cells[3 + count :]):
+        return ()
+    if any(map(is_number, cells[3 : 3 + count])):
+        return ()
+    fields = ("name", "position", "velocity", "effort")
+    stamp = (f"header.{each}" for each in ("stamp.sec", "stamp.nanosec", "frame_id"))
+    return (*stamp, *(f"{field}{k}" for field in fields for k in range(count)))
 
 
 def _decimal(separator: str | None, line: str) -> str:
@@ -157,7 +187,7 @@ def _with_contents(layout: TextLayout, lines: Iterator[str]) -> tuple[TextLayout
     with suppress(csv.Error):  # said when the rows are read
         for _, cells in layout.cells(ahead):
             for name, cell in zip(layout.names, cells, strict=False):
-                if cell.strip() not in ("", "[]", "()"):
+                if cell.strip() not in (*NOTHING, "[]", "()"):
                     first.setdefault(name, cell)
     dates = {name: date_of(cell) for name, cell in first.items()}
     origins = {name: date for name, date in dates.items() if date is not None}
@@ -336,7 +366,8 @@ def read_text(
     with open_text(path, "log", LogError, newline="") as file:
         layout, _ = text_layout(path, file, reading, joints, numbered=numbered)
     table = TextTable(path, layout, lines, reading)
-    return table.loaded() if any(map(names_joints, layout.texts)) else table
+    names_rows = any(map(names_joints, layout.texts)) or any(map(numbers_joints, layout.names))
+    return table.loaded() if names_rows and reading.mapping is None else table
 
 
 def _blocks(path: Path, skip: int = 0) -> Iterator[bytes]:
@@ -416,7 +447,7 @@ def _by_arrow(block: bytes, layout: TextLayout, columns: Sequence[int]) -> Array
             arrow.ConvertOptions(
                 include_columns=list(dict.fromkeys(used)),
                 column_types=dict.fromkeys(used, pyarrow.float64()),
-                null_values=["", "nan", "NaN"],
+                null_values=NOTHING,
                 decimal_point=layout.decimal,
             ),
         )
@@ -498,6 +529,8 @@ def _numbers_of(cell: str, path: Path, row: int, layout: TextLayout, place: int)
 def _number(text: str) -> float | None:
     """Return the number that a text is, NaN for nothing; None for others."""
     try:
-        return None if "_" in text else float(text or "nan")  # which Python takes in its own
+        if "_" in text:  # which Python takes in its own numbers
+            return None
+        return np.nan if text in NOTHING else float(text)
     except ValueError:
         return None
