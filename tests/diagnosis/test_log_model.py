@@ -323,7 +323,8 @@ def lighter(distance, seed):
     return hidden
 
 
-@pytest.mark.parametrize("distance", [0.05, 0.2])
+@pytest.mark.sampled(2)
+@pytest.mark.parametrize("distance", [0.2, 0.05])
 def test_bodies_are_as_far_from_the_file_as_they_are(distance):
     """Between the widths that are searched, by logs of two arms of other bodies."""
     found = []

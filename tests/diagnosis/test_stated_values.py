@@ -7,7 +7,7 @@ import pytest
 from pinocchio_logs import MODELS, effort_log
 
 from geodrake import load_model
-from geodrake.diagnosis import diagnose, explain
+from geodrake.diagnosis import explain
 
 DRY, WET = np.array([0.5, 0.8, 0.4, 0.3, 0.2, 0.1]), np.array([0.6, 0.9, 0.3, 0.2, 0.1, 0.08])
 
@@ -66,12 +66,6 @@ def test_wrong_values_of_a_file_are_named_where_they_are(seed, joints, tmp_path)
 
 def test_right_values_of_a_file_are_no_steps(tmp_path):
     assert not explain(load_model(file_with(tmp_path, DRY, WET)), [recorded(4)]).steps
-
-
-def test_diagnose_ranks_wrong_values(joints, tmp_path):
-    dry = np.where(np.arange(6) == 1, 0.4, DRY)
-    best = diagnose(load_model(file_with(tmp_path, dry, WET)), [recorded(5)]).candidates[0]
-    assert (best.effect, best.where) == ("coulomb_friction", (joints[1],))
 
 
 def test_friction_that_is_another_than_when_it_was_fitted_has_its_own_name(joints):
