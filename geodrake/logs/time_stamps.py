@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.ndimage import uniform_filter1d
 
 from geodrake.errors import LogError
 
@@ -20,6 +21,10 @@ _SLOWEST = 2.0  # s between rows: no log has more
 _MOST_SETS = 5  # of a clock, in a log
 _EVEN = 0.02  # share of the rows before and after, at least, and ten of them
 _REPEATED = 0.05  # share of rows that may have the stamp of the row before
+_FEWEST = 50  # rows that tell bursts
+_SHORT, _BURSTS = 0.25, 0.05  # of the mean step, and the share of steps that are shorter
+_GAP_STEPS, _BURSTS_TOGETHER = 5.0, 10.0  # longest usual steps of a gap, and of what is averaged
+_INSTANT = 1e-9  # s
 _GAP = 1.0  # s that are taken to lie between rows before and after a clock was set back
 
 
@@ -70,6 +75,50 @@ def with_clock_set_back(time: Array) -> tuple[Array, tuple[str, ...]]:
         )
         found[rows[k + 1] :] += gap - steps[k]
     return found, tuple(notes)
+
+
+def evened(time: Array, position: Array) -> tuple[Array, tuple[str, ...]]:
+    """Return even time stamps where rows came in bursts and were stamped on arrival, and a note.
+
+    The mean of the stamps of some bursts counts, if positions run more smoothly with it.
+
+    Args:
+        time: (N,) time stamps, s.
+        position: (N, n) positions, rad or m.
+    """
+    rows = np.flatnonzero(np.isfinite(time))
+    stamps = time[rows]
+    steps = np.diff(stamps)
+    if len(steps) < _FEWEST or (steps < 0.0).any():
+        return time, ()
+    pause = float(np.quantile(steps, 0.98))
+    inside = steps <= _GAP_STEPS * pause
+    period = float(steps[inside].mean())
+    short = np.count_nonzero(steps[inside] < _SHORT * period)
+    if short < _BURSTS * len(steps):
+        return time, ()
+    found, width = stamps.copy(), round(_BURSTS_TOGETHER * pause / period)
+    for part in np.split(np.arange(len(stamps)), np.flatnonzero(~inside) + 1):
+        if len(part) > width:
+            line = period * np.arange(len(part))
+            late = uniform_filter1d(stamps[part] - line, width, mode="nearest")
+            found[part] = line + late
+    apart = np.abs(found - stamps).max() > 2.0 * pause or not (np.diff(found) > 0.0).all()
+    if apart or not _roughness(found, position[rows]) < 0.5 * _roughness(stamps, position[rows]):
+        return time, ()
+    even = time.copy()
+    even[rows] = found
+    words = (
+        f"rows were stamped on arrival, {short} of {len(rows)} at once with the one before: they "
+        f"are taken as even, {1.0 / period:.4g} a second"
+    )
+    return even, (words,)
+
+
+def _roughness(time: Array, position: Array) -> float:
+    """Return by how much speeds typically change from row to row, summed over joints."""
+    speeds = np.diff(position, axis=0) / np.maximum(np.diff(time), _INSTANT)[:, None]
+    return float(np.nanmedian(np.abs(np.diff(speeds, axis=0)), axis=0).sum())
 
 
 def repeats(time: Array) -> NDArray[np.bool_]:

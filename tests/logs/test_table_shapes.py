@@ -394,6 +394,35 @@ def test_a_clock_that_was_set_back_leaves_a_gap(tmp_path):
     assert any("set back by 0.14 s at row 31" in note for note in log.notes)
 
 
+def _log_at(folder, stamps, time):
+    rows = np.column_stack([stamps, np.sin(3 * time) + 0.1 * np.cos(7 * time), np.cos(time)])
+    return read_log(_write(folder / "log.csv", ["time", "a.position", "a.effort"], rows.tolist()))
+
+
+@pytest.mark.parametrize("together", [2, 5, 10])
+@pytest.mark.parametrize("apart", [0.0, 1e-4])
+@pytest.mark.parametrize("lost", [0.0, 0.03])
+def test_rows_that_were_stamped_on_arrival(tmp_path, together, apart, lost):
+    random, row = np.random.default_rng(together), np.arange(3000)
+    row = row[random.random(len(row)) >= lost]
+    time, place = 0.01 * row, np.arange(len(row))
+    burst = place // together * together
+    stamps = time[np.minimum(burst + together - 1, len(row) - 1)] + apart * (place - burst)
+    log = _log_at(tmp_path, stamps, time)
+    assert any("were stamped on arrival" in note for note in log.notes)
+    steps = np.diff(log.time)
+    assert len(log) == len(row) and (steps > 0).all()
+    late = log.time - time
+    assert np.abs(late[100:-100] - np.median(late)).max() < (0.02 if lost else 0.002)
+
+
+def test_rows_at_irregular_instants_keep_their_stamps(tmp_path):
+    time = np.cumsum(np.random.default_rng(0).exponential(0.01, 3000)).round(9)
+    log = _log_at(tmp_path, time, time)
+    np.testing.assert_array_equal(log.time, time)
+    assert not any("arrival" in note for note in log.notes)
+
+
 def test_rows_of_another_time_are_no_clock_set_back(tmp_path):
     time = TIME.copy()
     time[30:45] -= 0.25

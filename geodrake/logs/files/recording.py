@@ -12,7 +12,7 @@ from geodrake.logs.files.column_mapping import Columns, Source
 from geodrake.logs.files.registers import are_whole, signed_register
 from geodrake.logs.files.table import TornRows, check_room
 from geodrake.logs.motion import PASSIVE, JointLog
-from geodrake.logs.time_stamps import repeats, time_unit, with_clock_set_back
+from geodrake.logs.time_stamps import evened, repeats, time_unit, with_clock_set_back
 
 Array = NDArray[np.float64]
 
@@ -89,6 +89,8 @@ class Recording:
             self.time[:rows] = np.arange(rows) / self.columns.rate
         time, notes = self._seconds(self.time[:rows])
         time, more = with_clock_set_back(time)
+        time, even = evened(time, self.values["position"][:rows])
+        more += even
         again = repeats(time)
         if again.any():
             time = np.where(again, np.nan, time)
