@@ -35,6 +35,7 @@ class Beliefs:
         load: How well each of these is known, as a geometric distance.
         inner: Odds against a payload on a body that carries others.
         unknown: As `size`, for each term of a function of the motion that no effect describes.
+        curves: The same for a curve of one signal of the motion as a whole: each is tried.
         reversal: As `size`, for what friction does at speeds that a log does not resolve.
         columns: Odds of a mistake in the columns of a log; all kinds and places share them.
         odd_joint: Odds of efforts at some joint that have nothing to do with its motion, or have
@@ -61,6 +62,7 @@ class Beliefs:
     load: float = 0.7
     inner: float = 30.0
     unknown: float = 0.3
+    curves: tuple[float, ...] = (0.03, 0.3)
     reversal: float = 0.3
     columns: float = 0.01
     odd_joint: float = 0.2
@@ -71,7 +73,7 @@ class Beliefs:
 
     def __post_init__(self) -> None:
         for name, value in vars(self).items():
-            if name in ("widths", "payloads", "free"):
+            if name in ("widths", "payloads", "free", "curves"):
                 if not instances(value, name, (int, float)):
                     raise ArgumentError(f"{name} holds nothing.", advice="Give one at least.")
                 for each in value:

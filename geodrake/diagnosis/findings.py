@@ -14,7 +14,7 @@ from geodrake.diagnosis.posterior import Certainty, Posterior, nrms_of
 from geodrake.diagnosis.results import Verdict
 from geodrake.diagnosis.search import Found
 from geodrake.diagnosis.terms import Term, names_and_places
-from geodrake.diagnosis.unknown_efforts import UnknownFunction
+from geodrake.diagnosis.unknown_efforts import CURVES, UNKNOWN
 from geodrake.effects import Effect, Role
 from geodrake.effects.episode import Episode
 from geodrake.effects.lookup import effect_of
@@ -105,7 +105,7 @@ def _refitted(found: Found, choice: Choice) -> Found:
 class Unnamed:
     """What no finding has."""
 
-    joints: tuple[str, ...]  # with something that no effect describes
+    motion: Mapping[str, str]  # joint -> what something goes with there that no effect describes
     loads: Mapping[str, float]  # body -> how probable a payload is that bodies take in
     gains: Mapping[str, tuple[float, float]]  # as `LogModel.usual_gains`
 
@@ -116,18 +116,31 @@ def named(found: Found) -> tuple[Found, list[Finding], Unnamed]:
     A function of a joint's motion that no effect describes is not fitted.
     """
     found, posterior = believed(found)
-    findings = [f for f in findings_of(found, posterior) if f.name != UnknownFunction.name]
-    unknown = [term for term in found.fit.terms if isinstance(term.effect, UnknownFunction)]
-    joints, gains = tuple(term.where[0] for term in unknown), found.model.usual_gains(found.fit)
-    rest = Unnamed(joints, posterior.of_loads(), gains)
+    unknown = [term for term in found.fit.terms if isinstance(term.effect, UNKNOWN)]
+    findings = findings_of(found, posterior)
+    motion = {term.where[0]: _signal(term) for term in unknown}
+    rest = Unnamed(motion, posterior.of_loads(), found.model.usual_gains(found.fit))
     return without(found, unknown), findings, rest
 
 
+def _signal(term: Term) -> str:
+    """Return in words what an unknown function is one of."""
+    if not isinstance(term.effect, CURVES):
+        return "its position and speed"
+    whose = "its" if len(term.where) == 1 else f"the {term.where[1]}'s"
+    return f"{whose} {term.effect.curve}"
+
+
 def findings_of(found: Found, posterior: Posterior | None = None) -> list[Finding]:
-    """Return each finding of a search once; every payload is one of its own."""
+    """Return each finding of a search once; every payload is one of its own.
+
+    A function that no effect describes is none.
+    """
     groups = dict[object, list[Term]]()
     posterior = Posterior(found.model, found.fit) if posterior is None else posterior
     for term in found.fit.terms:
+        if isinstance(term.effect, UNKNOWN):
+            continue
         groups.setdefault(term.key if term.is_whole else term.name, []).append(term)
     findings = [Finding(t[0].name, tuple(t), posterior.of_terms(t)) for t in groups.values()]
     if found.fit.choice.delay != found.model.on_time:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections import Counter
 from collections.abc import Collection, Iterable, Iterator
 from dataclasses import dataclass, replace
 from itertools import combinations
@@ -101,9 +100,12 @@ class _Finder:
                 self.by_joint.setdefault(term.joint, []).append(term)
         kinds = dict[str, list[Term]]()
         for here in self.by_joint.values():
-            for name, count in Counter(term.name for term in here).items():
-                if count == 1:  # it has no shape, or one
-                    kinds.setdefault(name, []).extend(t for t in here if t.name == name)
+            named = dict[str, list[Term]]()
+            for term in here:
+                named.setdefault(term.name, []).append(term)
+            for name, terms in named.items():
+                if len(terms) == 1:  # it has no shape, or one
+                    kinds.setdefault(name, []).append(terms[0])
         self.everywhere = [*kinds.values()]
 
     def moves(self) -> Iterator[Move]:

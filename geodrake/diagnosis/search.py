@@ -34,6 +34,7 @@ from geodrake.effects.declarations import Proposer, Role
 from geodrake.effects.robot_motion import log_number
 from geodrake.errors import ArgumentError
 from geodrake.identification.logs.case import Case, reduced
+from geodrake.identification.logs.criteria import NOISE_MARGIN
 from geodrake.identification.logs.model_fit import effects_of
 from geodrake.logs.folds import dealt_out
 
@@ -307,12 +308,26 @@ class Search:
                 return True
         if not self._doubted:
             self._doubted = True
-            self._effects += unknown_functions(self.case.model, self.case.trajectories)
+            joints = self._doubtful()
+            if not joints:
+                return False
+            self._effects += unknown_functions(self.case, self.model.hypothesis(self.fit), joints)
             self._anew()
             before = self.fit.choice.key
             self._climb(hopeful=False)
             return self.fit.choice.key != before
         return False
+
+    def _doubtful(self) -> set[str]:
+        """Return joints whose residual is more than noise, or that something was found at."""
+        left = np.sqrt(self.fit.variance) > NOISE_MARGIN * self.case.dataset.noise_floor
+        felt = [
+            self.case.dataset.felt(t.effect)
+            for t in self.fit.terms
+            if t.effect is not None and t.joint is not None
+        ]
+        joints = np.logical_or.reduce([left, *felt])
+        return {self.case.model.joints[j] for j in np.flatnonzero(joints)}
 
     def _refined(self) -> bool:
         """Return whether delays, shapes, slopes or loads were made anew."""

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from geodrake.diagnosis.beliefs import Beliefs
-from geodrake.diagnosis.unknown_efforts import UnknownFunction
+from geodrake.diagnosis.unknown_efforts import CURVES, UnknownFunction
 from geodrake.effects.base import Effect, Proposer
 from geodrake.effects.declarations import Role
 from geodrake.effects.episode import Episode, PointEpisode
@@ -104,6 +104,8 @@ def is_expandable(effect: Effect) -> bool:
 def key_of(effect: Effect, kind: type[Effect] | None = None) -> Key:
     """Return the key of an effect, or of one of another kind at its place."""
     when = [str(effect.window[3])] if isinstance(effect, Episode) else []
+    if isinstance(effect, CURVES):
+        when.append(str(effect.curve))
     if isinstance(effect, PointEpisode):  # of which a log may have several
         when.append(f"{0.5 * (effect.start + effect.end):.0f} s")
     return (kind or effect).name, (*effect.where, *when)
@@ -134,7 +136,9 @@ def terms_of(
             odds = len(priors) * (usual + (len(held_by) - usual) / beliefs.inner)
             odds *= 1.0 if last else beliefs.inner
         else:
-            priors = [(np.zeros(len(columns)), _slab(effect, sizes[columns], beliefs))]
+            slabs = _slabs(effect, sizes[columns], beliefs)
+            odds *= len(slabs)
+            priors = [(np.zeros(len(columns)), slab) for slab in slabs]
             if is_own:  # what a file states is as likely wrong as right
                 odds = 1.0 if model.information is None else odds * beliefs.fitted
         bounded = [0] if body else [k for k, p in enumerate(effect.parameters) if p.lower == 0.0]
@@ -147,11 +151,18 @@ def terms_of(
     return (*terms, *_wrong_bodies(model, dataset, beliefs))
 
 
-def _slab(effect: Effect, sizes: Array, beliefs: Beliefs) -> Array:
-    """(k, k) prior information of parameters whose columns have sizes (k,)."""
-    size = beliefs.unknown if isinstance(effect, UnknownFunction) else beliefs.size
+def _slabs(effect: Effect, sizes: Array, beliefs: Beliefs) -> list[Array]:
+    """Prior informations (k, k) of parameters whose columns have sizes (k,): each is tried."""
     spread = np.array([parameter.spread for parameter in effect.parameters])
-    return np.diag(np.minimum(size / np.maximum(sizes, 1e-12), spread) ** -2.0)
+    shares = [np.full(len(sizes), beliefs.size)]
+    if isinstance(effect, UnknownFunction):
+        shares = [np.full(len(sizes), beliefs.unknown)]
+    if isinstance(effect, CURVES):
+        smooth = 1.0 / (1.0 + np.arange(len(sizes)))
+        shares = [share * smooth / np.linalg.norm(smooth) for share in beliefs.curves]
+    return [
+        np.diag(np.minimum(share / np.maximum(sizes, 1e-12), spread) ** -2.0) for share in shares
+    ]
 
 
 _IN_MANY = Proposer.WAVES, Proposer.HANDLING

@@ -2,15 +2,31 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass
 from typing import ClassVar
 
 import numpy as np
+from numpy.polynomial.legendre import legvander
 from numpy.typing import NDArray
 
-from geodrake.effects.base import Effect, JointEffect, JointMotion, Parameter
+from geodrake.diagnosis.residuals import (
+    filtered_columns,
+    full_motion,
+    joint_residuals,
+)
+from geodrake.effects.base import (
+    Effect,
+    JointEffect,
+    JointMotion,
+    JointPairEffect,
+    Parameter,
+    RobotMotion,
+    Rows,
+)
 from geodrake.effects.declarations import Shape
+from geodrake.identification.logs.case import Case
+from geodrake.identification.logs.hypothesis import Hypothesis
 from geodrake.identification.logs.reduce import peak_speeds, sign_widths
 from geodrake.logs.motion import Trajectory
 from geodrake.model.robot_model import RobotModel
@@ -19,6 +35,9 @@ Array = NDArray[np.float64]
 
 _SAMPLES = 100_000  # of a segment that are looked at
 _RESOLVED = 2.0  # times the speed below which the direction is not known
+_MOST_COUPLED = 6  # curves of other joints' motions at a joint, those that promise most
+_LOOKED_AT = 4_000  # samples to choose them by
+_DEGREES = 7  # polynomials of a curve
 _SLIP = 0.02  # of a joint's peak speed, below which surfaces may give way before they slide
 
 
@@ -97,6 +116,75 @@ class UnknownFunction(JointEffect):
         ]
 
 
+_SIGNALS = {"q": "position", "v": "speed"}
+_FACTORS = {"": "", "v": " times its own speed", "sgn v": " times its own direction of motion"}
+_CURVES = ("q", ""), ("q", "v"), ("q", "sgn v"), ("v", ""), ("v", "sgn v")
+_COEFFICIENTS = tuple(Parameter(f"coefficient_{k}", "N·m") for k in range(_DEGREES))
+
+
+@dataclass(frozen=True)
+class Curve:
+    """A smooth curve of a signal, which may be multiplied by how the joint that feels it moves."""
+
+    of: str  # the signal, "q" or "v"
+    times: str  # "", "v" or "sgn v"
+    center: float  # middle of the signal's range, rad or m, or per second
+    reach: float  # half that range
+    speed: float  # peak speed of the joint that feels it, rad/s or m/s
+
+    def columns(self, own: JointMotion, other: JointMotion) -> list[Array]:
+        """Return Legendre polynomials of the other's signal, times a factor of the own motion."""
+        signal = ((other.q if self.of == "q" else other.v) - self.center) / self.reach
+        factors = {"": np.ones_like(own.v), "v": own.v / self.speed, "sgn v": own.sign_v}
+        return [*(factors[self.times] * legvander(signal, _DEGREES - 1).T)]
+
+    def __str__(self) -> str:
+        return f"{_SIGNALS[self.of]}{_FACTORS[self.times]}"
+
+
+@dataclass(frozen=True)
+class UnknownCurve(JointEffect):
+    """An unknown curve of a joint's own position or speed.
+
+    What is unknown is often simple: a curve costs less than a function of all the motion.
+    """
+
+    curve: Curve
+
+    name: ClassVar[str] = "unknown_curve"
+    parameters: ClassVar[tuple[Parameter, ...]] = _COEFFICIENTS
+    depends_on: ClassVar[frozenset[str]] = frozenset({"q", "v"})
+    complexity: ClassVar[int] = 3
+    free_shapes: ClassVar[int] = 1
+
+    def columns(self, joint: JointMotion) -> Sequence[Array]:
+        """Return the columns of the curve."""
+        return self.curve.columns(joint, joint)
+
+
+@dataclass(frozen=True)
+class UnknownCoupling(JointPairEffect):
+    """An unknown curve at a joint, of another's position or speed."""
+
+    curve: Curve
+
+    name: ClassVar[str] = "unknown_coupling"
+    parameters: ClassVar[tuple[Parameter, ...]] = _COEFFICIENTS
+    depends_on: ClassVar[frozenset[str]] = frozenset({"q", "v"})
+    complexity: ClassVar[int] = 3
+    free_shapes: ClassVar[int] = 1
+
+    def rows(self, motion: RobotMotion) -> Rows:
+        """Return the columns at the first joint; see `Effect.rows`."""
+        own, other = (motion.joint(name) for name in self.joints)
+        return motion.efforts_at(self.joints[0], np.stack(self.curve.columns(own, other), -1))
+
+
+CURVES = UnknownCurve, UnknownCoupling
+UNKNOWN = UnknownFunction, *CURVES
+"""Kinds of functions of the motion that no effect describes."""
+
+
 def reversals(
     model: RobotModel, trajectories: Sequence[Trajectory]
 ) -> tuple[UnresolvedReversal, ...]:
@@ -124,22 +212,56 @@ def is_resolved(effect: Effect, unsure: Sequence[UnresolvedReversal]) -> bool:
     return all(value >= least.get(joint, 0.0) for value in values for joint in effect.where)
 
 
-def unknown_functions(
-    model: RobotModel, trajectories: Sequence[Trajectory]
-) -> tuple[UnknownFunction, ...]:
-    """Return an unknown function of the motion for every joint that moves."""
-    peaks = peak_speeds(trajectories)
-    low, high = range_of_motion(trajectories)
-    return tuple(
-        UnknownFunction(
-            joint,
-            float(0.5 * (low[j] + high[j])),
-            float(max(0.5 * (high[j] - low[j]), 1e-9)),
-            float(peaks[j]),
-        )
-        for j, joint in enumerate(model.joints)
-        if peaks[j] > 0.0 and joint in model.single_joints
-    )
+def unknown_functions(case: Case, hypothesis: Hypothesis, joints: Collection[str]) -> list[Effect]:
+    """Return functions of the motion for some joints: of their own, and of others' motions.
+
+    Those of others are the ones that alone would take most of the residual of a hypothesis away.
+    """
+    model, peaks = case.model, peak_speeds(case.trajectories)
+    low, high = range_of_motion(case.trajectories)
+    center, reach = 0.5 * (low + high), np.maximum(0.5 * (high - low), 1e-9)
+    moving = [j for j, name in enumerate(model.joints) if peaks[j] and name in model.single_joints]
+    curves = {
+        (own, other): [
+            Curve(of, times, float(center[other]), float(reach[other]), float(peaks[own]))
+            if of == "q"
+            else Curve(of, times, 0.0, float(peaks[other]), float(peaks[own]))
+            for of, times in _CURVES
+        ]
+        for own in moving
+        for other in moving
+    }
+    motion, found = full_motion(case), list[Effect]()
+    raw = [np.concatenate([s.position, s.velocity], axis=1) for _, s in motion]
+    for residual in joint_residuals(case, hypothesis):
+        own = model.joints.index(residual.joint)
+        if residual.joint not in joints or own not in moving:
+            continue
+        scales = float(center[own]), float(reach[own]), float(peaks[own])
+        found.append(UnknownFunction(residual.joint, *scales))
+        found += [UnknownCurve(residual.joint, curve) for curve in curves[own, own]]
+        signals = filtered_columns(case, motion, residual, raw)
+        seen = np.flatnonzero(np.isfinite(signals).all(axis=1))[:: 1 + len(signals) // _LOOKED_AT]
+        q, v = np.split(signals[seen], 2, axis=1)
+        moved = [
+            JointMotion(q[:, j], v[:, j], q[:, j], q[:, j], residual.direction(v[:, j]))
+            for j in range(len(model.joints))
+        ]
+        pairs = [(o, curve) for o in moving if o != own for curve in curves[own, o]]
+        left = [
+            _left(curve.columns(moved[own], moved[o]), residual.residual[seen])
+            for o, curve in pairs
+        ]
+        for k in np.argsort(left)[:_MOST_COUPLED].tolist():
+            other, curve = pairs[k]
+            found.append(UnknownCoupling((residual.joint, model.joints[other]), curve))
+    return found
+
+
+def _left(columns: list[Array], b: Array) -> float:
+    """Return the squares that columns leave of b (K,)."""
+    A = np.stack(columns, -1)
+    return float(np.square(b - A @ np.linalg.lstsq(A, b, rcond=None)[0]).sum())
 
 
 def range_of_motion(trajectories: Sequence[Trajectory]) -> tuple[Array, Array]:
