@@ -127,8 +127,7 @@ def _signal(term: Term) -> str:
     """Return in words what an unknown function is one of."""
     if not isinstance(term.effect, CURVES):
         return "its position and speed"
-    whose = "its" if len(term.where) == 1 else f"the {term.where[1]}'s"
-    return f"{whose} {term.effect.curve}"
+    return term.effect.curve.words(*term.where[1:])
 
 
 def findings_of(found: Found, posterior: Posterior | None = None) -> list[Finding]:

@@ -11,6 +11,7 @@ import numpy as np
 from geodrake.diagnosis.log_model import Choice, Fit, LogModel
 from geodrake.diagnosis.neighbourhood import Dropped, Neighbourhood
 from geodrake.diagnosis.terms import Term, Terms, odds_against
+from geodrake.diagnosis.unknown_efforts import UNKNOWN
 
 _MOST = 14
 """So many neighbours, those that promise most, are fitted."""
@@ -61,8 +62,13 @@ def neighbours(
 
 
 def additions(model: LogModel, fit: Fit) -> list[Fit]:
-    """Add terms of one name to an explanation at every place where they gain, best first."""
-    choices = [move.choice for move in _Finder(model, fit).added()]
+    """Add effects of one name to an explanation at every place where they gain, best first."""
+    moves = _Finder(model, fit).added()
+    choices = [
+        move.choice
+        for move in moves
+        if not any(isinstance(term.effect, UNKNOWN) for term in move.choice.terms)
+    ]
     return model.ranked(choices, model.shares(fit), fit.variance)
 
 
@@ -224,9 +230,12 @@ class _Finder:
             for other in self.model.terms
             if other not in present and (term.joint is None or other.joint is None)
         ]
-        if term.joint is None:  # what it does together may be of one kind at every joint
-            alone = [tuple(t for t in kind if t not in rest) for kind in self.everywhere]
-            others += [kind for kind in alone if len(kind) > 1]
+        if term.joint is None:  # what it does together may be of one kind at several joints
+            for kind in self.everywhere:
+                free = [t for t in kind if t not in rest]
+                gains = self.around.gains([(t,) for t in free], dropped)
+                best = [free[k] for k in np.argsort(-gains)]
+                others += [tuple(best[:count]) for count in range(2, len(best) + 1)]
         yield from (move for move in self._moves(rest, others, dropped) if move.gain > _HOPE)
 
     def _without(self, rest: Terms, dropped: Dropped) -> Iterator[Move]:

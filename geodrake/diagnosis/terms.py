@@ -105,7 +105,7 @@ def key_of(effect: Effect, kind: type[Effect] | None = None) -> Key:
     """Return the key of an effect, or of one of another kind at its place."""
     when = [str(effect.window[3])] if isinstance(effect, Episode) else []
     if isinstance(effect, CURVES):
-        when.append(str(effect.curve))
+        when.append(effect.curve.words())
     if isinstance(effect, PointEpisode):  # of which a log may have several
         when.append(f"{0.5 * (effect.start + effect.end):.0f} s")
     return (kind or effect).name, (*effect.where, *when)

@@ -11,6 +11,7 @@ from numpy.polynomial.legendre import legvander
 from numpy.typing import NDArray
 
 from geodrake.diagnosis.residuals import (
+    SLOW,
     filtered_columns,
     full_motion,
     joint_residuals,
@@ -116,30 +117,53 @@ class UnknownFunction(JointEffect):
         ]
 
 
-_SIGNALS = {"q": "position", "v": "speed"}
-_FACTORS = {"": "", "v": " times its own speed", "sgn v": " times its own direction of motion"}
-_CURVES = ("q", ""), ("q", "v"), ("q", "sgn v"), ("v", ""), ("v", "sgn v")
+_OWN = ("q", "1"), ("q", "v"), ("q", "sgn v"), ("v", "1"), ("v", "sgn v")
+_OTHERS = (
+    *_OWN,
+    *((signal + sense, "1") for signal in "qv" for sense in "+-"),
+    *(("v" + sense, "its sign") for sense in "+-"),
+)
+_FACTORS = {
+    "1": "",
+    "v": " times its own speed",
+    "sgn v": " times its own direction of motion",
+    "its sign": " and its direction",
+}
 _COEFFICIENTS = tuple(Parameter(f"coefficient_{k}", "N·m") for k in range(_DEGREES))
 
 
 @dataclass(frozen=True)
 class Curve:
-    """A smooth curve of a signal, which may be multiplied by how the joint that feels it moves."""
+    """A smooth curve of a signal, times one or how the joint that feels it moves."""
 
-    of: str  # the signal, "q" or "v"
-    times: str  # "", "v" or "sgn v"
+    of: str  # position "q" or speed "v" of the other joint, or its sum "q+" or difference "q-"
+    times: str  # "1", "v", "sgn v", or "its sign", that of the signal
     center: float  # middle of the signal's range, rad or m, or per second
     reach: float  # half that range
     speed: float  # peak speed of the joint that feels it, rad/s or m/s
 
-    def columns(self, own: JointMotion, other: JointMotion) -> list[Array]:
-        """Return Legendre polynomials of the other's signal, times a factor of the own motion."""
-        signal = ((other.q if self.of == "q" else other.v) - self.center) / self.reach
-        factors = {"": np.ones_like(own.v), "v": own.v / self.speed, "sgn v": own.sign_v}
-        return [*(factors[self.times] * legvander(signal, _DEGREES - 1).T)]
+    def columns(self, own: JointMotion, other: JointMotion, unsure: float = 0.0) -> list[Array]:
+        """Return Legendre polynomials of the signal, times its factor.
 
-    def __str__(self) -> str:
-        return f"{_SIGNALS[self.of]}{_FACTORS[self.times]}"
+        `unsure` is the speed below which the direction of a sum of speeds is not known.
+        """
+        signal = (other.q if self.of[0] == "q" else other.v) - self.center
+        if self.of[1:]:
+            added = own.q if self.of[0] == "q" else own.v
+            signal = signal + (added if self.of[1] == "+" else -added)
+        scaled = signal / self.reach
+        factors = {"1": np.ones_like(scaled), "v": own.v / self.speed, "sgn v": own.sign_v}
+        factor = factors.get(self.times, np.tanh(signal / max(unsure, 1e-9)))
+        return [*(factor * legvander(scaled, _DEGREES - 1).T)]
+
+    def words(self, other: str = "") -> str:
+        """Return what it is a curve of, for a joint's name other than its own."""
+        signal = "position" if self.of[0] == "q" else "speed"
+        whose = f"the {other}'s {signal}" if other else f"its {signal}"
+        if self.of[1:]:
+            kind = "sum of" if self.of[1] == "+" else "difference between"
+            whose = f"the {kind} its {signal} and {whose}"
+        return f"{whose}{_FACTORS[self.times]}"
 
 
 @dataclass(frozen=True)
@@ -177,7 +201,9 @@ class UnknownCoupling(JointPairEffect):
     def rows(self, motion: RobotMotion) -> Rows:
         """Return the columns at the first joint; see `Effect.rows`."""
         own, other = (motion.joint(name) for name in self.joints)
-        return motion.efforts_at(self.joints[0], np.stack(self.curve.columns(own, other), -1))
+        unsure = float(sum(motion.sign_width[motion.index(name)] for name in self.joints))
+        columns = self.curve.columns(own, other, unsure)
+        return motion.efforts_at(self.joints[0], np.stack(columns, -1))
 
 
 CURVES = UnknownCurve, UnknownCoupling
@@ -215,31 +241,37 @@ def is_resolved(effect: Effect, unsure: Sequence[UnresolvedReversal]) -> bool:
 def unknown_functions(case: Case, hypothesis: Hypothesis, joints: Collection[str]) -> list[Effect]:
     """Return functions of the motion for some joints: of their own, and of others' motions.
 
-    Those of others are the ones that alone would take most of the residual of a hypothesis away.
+    Those of others are the ones that, beside functions of its own motion, would take most of the
+    residual of a hypothesis away.
     """
     model, peaks = case.model, peak_speeds(case.trajectories)
     low, high = range_of_motion(case.trajectories)
     center, reach = 0.5 * (low + high), np.maximum(0.5 * (high - low), 1e-9)
     moving = [j for j, name in enumerate(model.joints) if peaks[j] and name in model.single_joints]
-    curves = {
-        (own, other): [
-            Curve(of, times, float(center[other]), float(reach[other]), float(peaks[own]))
-            if of == "q"
-            else Curve(of, times, 0.0, float(peaks[other]), float(peaks[own]))
-            for of, times in _CURVES
-        ]
-        for own in moving
-        for other in moving
-    }
+    scales = {"q": (center, reach), "v": (np.zeros_like(peaks), peaks)}
+
+    def curves(own: int, other: int) -> list[Curve]:
+        found = list[Curve]()
+        for of, times in _OWN if other == own else _OTHERS:
+            middle, half = (each[[other, own]] for each in scales[of[0]])
+            if of[1:]:
+                middle, half = middle @ [1.0, 1.0 if of[1] == "+" else -1.0], half.sum()
+            else:
+                middle, half = middle[0], half[0]
+            found.append(Curve(of, times, float(middle), float(half), float(peaks[own])))
+        return found
+
     motion, found = full_motion(case), list[Effect]()
     raw = [np.concatenate([s.position, s.velocity], axis=1) for _, s in motion]
     for residual in joint_residuals(case, hypothesis):
         own = model.joints.index(residual.joint)
         if residual.joint not in joints or own not in moving:
             continue
-        scales = float(center[own]), float(reach[own]), float(peaks[own])
-        found.append(UnknownFunction(residual.joint, *scales))
-        found += [UnknownCurve(residual.joint, curve) for curve in curves[own, own]]
+        function = UnknownFunction(
+            residual.joint, float(center[own]), float(reach[own]), float(peaks[own])
+        )
+        found.append(function)
+        found += [UnknownCurve(residual.joint, curve) for curve in curves(own, own)]
         signals = filtered_columns(case, motion, residual, raw)
         seen = np.flatnonzero(np.isfinite(signals).all(axis=1))[:: 1 + len(signals) // _LOOKED_AT]
         q, v = np.split(signals[seen], 2, axis=1)
@@ -247,9 +279,11 @@ def unknown_functions(case: Case, hypothesis: Hypothesis, joints: Collection[str
             JointMotion(q[:, j], v[:, j], q[:, j], q[:, j], residual.direction(v[:, j]))
             for j in range(len(model.joints))
         ]
-        pairs = [(o, curve) for o in moving if o != own for curve in curves[own, o]]
+        pairs = [(o, curve) for o in moving if o != own for curve in curves(own, o)]
+        alone = function.columns(moved[own])  # what the joint's own motion may do
         left = [
-            _left(curve.columns(moved[own], moved[o]), residual.residual[seen])
+            _left([*alone, *curve.columns(moved[own], moved[o], SLOW * curve.reach)], b)
+            for b in [residual.residual[seen]]
             for o, curve in pairs
         ]
         for k in np.argsort(left)[:_MOST_COUPLED].tolist():
