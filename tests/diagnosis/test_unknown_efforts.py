@@ -8,7 +8,7 @@ import pytest
 
 pytest.importorskip("pinocchio")
 
-from effort_logs import MODELS, effort_log
+from pinocchio_logs import MODELS, effort_log
 
 from geodrake import load_model
 from geodrake.diagnosis import explain
