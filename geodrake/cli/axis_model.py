@@ -53,12 +53,7 @@ class AxisOptions(ReadingOptions):
 
 @contextmanager
 def written_axis(options: AxisOptions, model: Path, log: Path) -> Iterator[None]:
-    """MODEL is there, written if options ask for an axis; what fails takes it away again.
-
-    Raises:
-        GeodrakeError: MODEL is there already, the options do not fit together, or the log has
-            several joints.
-    """
+    """MODEL is there, written if options ask for an axis; what fails takes it away again."""
     if options.axis is None:
         if options.mass is not None:
             raise ArgumentError("--mass is for --axis.", advice="Add --axis prismatic.")
@@ -73,11 +68,7 @@ def written_axis(options: AxisOptions, model: Path, log: Path) -> Iterator[None]
 
 
 def _text(options: AxisOptions, model: Path, log: Path) -> str:
-    """The URDF, its joint named as that of the first log.
-
-    Raises:
-        GeodrakeError: See `written_axis`.
-    """
+    """The URDF, its joint named as that of the first log."""
     from geodrake.logs.files import read_log
 
     kind, mass = options.axis, options.mass

@@ -70,11 +70,7 @@ _REPEATS = 3  # of a motion that distinguishes effects: a diagnosis holds out bl
 
 
 def run_excite(options: ExciteOptions) -> None:
-    """Design a motion.
-
-    Raises:
-        GeodrakeError: Something about the input, or about the targets, does not do.
-    """
+    """Design a motion."""
     family = family_of(options)
     _check(options)
     files, names = split_effects(options.effects)
@@ -102,11 +98,7 @@ def run_excite(options: ExciteOptions) -> None:
 
 
 def run_identifiable(options: IdentifiableOptions) -> None:
-    """Say what is identifiable from logs.
-
-    Raises:
-        GeodrakeError: Something about the input, or about the targets, does not do.
-    """
+    """Say what is identifiable from logs."""
     if not 0 < options.threshold < np.inf:
         raise ArgumentError(f"A threshold is a positive variance; got {options.threshold}.")
     files, names = split_effects(options.effects)
@@ -130,11 +122,7 @@ def run_identifiable(options: IdentifiableOptions) -> None:
 
 
 def family_of(options: ExciteOptions) -> MotionFamily:
-    """Return the family of motions that options ask for.
-
-    Raises:
-        ArgumentError: There is no such family, or it has no such option or value.
-    """
+    """Return the family of motions that options ask for."""
     name = options.trajectory
     if name not in _FAMILIES:
         raise ArgumentError(
@@ -293,12 +281,7 @@ def _collisions(
     limits: MotionLimits,
     start: NDArray[np.float64] | None,
 ) -> tuple[CollisionWorld | None, tuple[str, ...]]:
-    """Return what the robot may not hit, and what to say where that is nothing.
-
-    Raises:
-        ArgumentError: An obstacle cannot be read, or the robot has nothing that could hit it.
-        ModelError: The file has collision geometry that cannot be read.
-    """
+    """Return what the robot may not hit, and what to say where that is nothing."""
     obstacles = read_obstacles(options.obstacle or ())
     if not options.collisions:
         if obstacles:
@@ -393,11 +376,7 @@ def check_alone(options: ExciteOptions, names: Sequence[str]) -> None:
 
 
 def rivals_in(text: str) -> tuple[tuple[str, tuple[str, ...]], tuple[str, tuple[str, ...]]]:
-    """Names and places of two effects, `a@elbow,b@j1+j2`; a place that is not said is empty.
-
-    Raises:
-        ArgumentError: There are not two.
-    """
+    """Names and places of two effects, `a@elbow,b@j1+j2`; a place that is not said is empty."""
     parts = [part.strip().partition("@") for part in text.split(",")]
     if len(parts) != 2 or not all(name for name, _, _ in parts):
         raise ArgumentError(f"--tell-apart takes two effects; got {text!r}.", advice=_FORM)
@@ -416,9 +395,6 @@ def placed_rivals(
     Args:
         text: What the option was given. A place said of one is that of the other too, if both are
             at places of one kind.
-
-    Raises:
-        ArgumentError: There are no such effects or places.
     """
     (first, there), (second, here) = rivals_in(text)
     if effect_class(first, extra).places == effect_class(second, extra).places:
@@ -437,11 +413,7 @@ def separation_of(
     noise: ArrayLike,
     extra: Sequence[type[Effect]] = (),
 ) -> tuple[Separation, tuple[str, ...]]:
-    """What distinguishing two effects amounts to, and what to say of it.
-
-    Raises:
-        ArgumentError: There are no such effects or places, or these cannot be distinguished.
-    """
+    """What distinguishing two effects amounts to, and what to say of it."""
     rivals = placed_rivals(text, model, limits, extra=extra)
     first, second = (rival.name for rival in rivals)
     width = _SIGN_SHARE * limits.velocity

@@ -21,11 +21,7 @@ from geodrake.report.exports import CheckedModel, check_dict, check_page, export
 
 
 def run_export(options: ExportOptions) -> None:
-    """Write a model for a simulator.
-
-    Raises:
-        GeodrakeError: Something about the input, or about the targets, does not do.
-    """
+    """Write a model for a simulator."""
     options = options.with_folder
     form, folder = export_format(options.to), Path(options.folder or "")
 
@@ -57,12 +53,7 @@ def run_export(options: ExportOptions) -> None:
 
 
 def run_check(options: CheckOptions) -> None:
-    """Compare a model's dynamics with MultibodyPlant's.
-
-    Raises:
-        GeodrakeError: Something about the input, or about the target, does not do.
-        Exit: The two do not agree on the file as it stands.
-    """
+    """Compare a model's dynamics with MultibodyPlant's."""
 
     def checked(given: Input) -> CheckedModel:
         found = check_dynamics(given.model, samples=options.samples, seed=options.seed)

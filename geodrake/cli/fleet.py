@@ -37,12 +37,7 @@ _SHORTEST, _LONGEST = 0.1, 1e6  # s between two looks
 
 
 def run_fleet_command(options: FleetOptions) -> None:
-    """Look at a fleet once, or again and again.
-
-    Raises:
-        GeodrakeError: The fleet file, a model, a log's place or the scheduler does not do.
-        Exit: With `--once` there is a new finding.
-    """
+    """Look at a fleet once, or again and again."""
     fleet = read_fleet(options.fleet)
     work = FleetWork(options.workers, options.scheduler, options.false_alarms)
     number(options.every, "--every", lower=_SHORTEST, upper=_LONGEST)
@@ -103,9 +98,6 @@ def _watch(fleet: Fleet, work: FleetWork, options: FleetOptions, targets: Target
 
     What fails at the first look is a mistake of the fleet file. Later, places of logs and
     schedulers that do not answer may do so again.
-
-    Raises:
-        GeodrakeError: What fails is something else.
     """
     seen: FleetDigests | None = None
     while True:

@@ -24,11 +24,7 @@ from geodrake.report.json_output import identification_dict
 
 
 def run_identify(options: IdentifyOptions) -> None:
-    """Fit a model's inertias and effects.
-
-    Raises:
-        GeodrakeError: Something about the input, or about the targets, does not do.
-    """
+    """Fit a model's inertias and effects."""
     files, names = split_effects(options.effects)
     settings = IdentificationSettings(
         regularizer=options.regularizer,
@@ -78,9 +74,6 @@ def named_effects(
 
     At all places that do not have it yet: joints of one degree of freedom, or pairs that follow
     each other.
-
-    Raises:
-        ArgumentError: There is no such effect or place, or it cannot be made from its name.
     """
     taken = {(fitted.effect.name, fitted.effect.where) for fitted in model.effects}
     found: dict[Effect, None] = {}

@@ -29,9 +29,6 @@ def with_known_payloads(
     Args:
         given: `LOG:BODY:MASS[:X,Y,Z]`: path or name of a log, link of the robot, kg, and the centre
             of mass in the link's frame, m.
-
-    Raises:
-        ArgumentError: One cannot be read, or names no log, no body or no mass.
     """
     carried = known_payloads(files, given, model)
     return tuple(
@@ -43,11 +40,7 @@ def with_known_payloads(
 def known_payloads(
     files: Sequence[Path], given: Sequence[str], model: RobotModel
 ) -> dict[Path, tuple[KnownPayload, ...]]:
-    """Log -> its known payloads, of logs that have some.
-
-    Raises:
-        ArgumentError: One cannot be read, or names no log, no body or no mass.
-    """
+    """Log -> its known payloads, of logs that have some."""
     carried: dict[Path, list[KnownPayload]] = defaultdict(list)
     for text in given:
         log, payload = _parsed(text, files)

@@ -41,11 +41,7 @@ _SUFFIXES = {
 
 
 def run_log(options: LogCommandOptions) -> None:
-    """Say what is understood of logs.
-
-    Raises:
-        GeodrakeError: A log cannot be read, or a file not be written.
-    """
+    """Say what is understood of logs."""
     more = {name: getattr(options, name.replace("-", "_")) for name in _SUFFIXES}
     asked = [name for name, path in more.items() if path is not None]
     if asked and len(options.logs) > 1:
@@ -143,11 +139,7 @@ def _makers(found: InspectedLogs, options: LogCommandOptions) -> Mapping[str, Ma
 
 
 def run_digest(options: DigestOptions) -> None:
-    """Digest logs; the exit code is 1 if a log has no digest, which the others then have.
-
-    Raises:
-        GeodrakeError: Something about the options, the model or the folder does not do.
-    """
+    """Digest logs; the exit code is 1 if a log has no digest, which the others then have."""
     date = None if options.date is None else date_seconds(options.date)
 
     def digested(given: Input) -> DigestRun:

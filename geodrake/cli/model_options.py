@@ -50,11 +50,7 @@ class ModelOptions:
 
     @property
     def given(self) -> Given:
-        """Return how the file is to be read.
-
-        Raises:
-            GeodrakeError: An option cannot be read, or a folder is not there.
-        """
+        """Return how the file is to be read."""
         from geodrake.model import Given
 
         return Given.of_words(
@@ -69,11 +65,7 @@ class ModelOptions:
 
     @property
     def held(self) -> dict[str, float]:
-        """Joint -> where it is to be held, rad or m.
-
-        Raises:
-            ArgumentError: An option cannot be read, or names a joint twice.
-        """
+        """Joint -> where it is to be held, rad or m."""
         found: dict[str, float] = {}
         for text in self.lock or ():
             joint, sign, value = text.rpartition("=")
@@ -95,11 +87,7 @@ class ModelOptions:
 def read_model(
     path: Path, options: ModelOptions, told: Activity, extra: Sequence[type[Effect]] = ()
 ) -> RobotModel:
-    """Read the model of a command, and report at once what was repaired in its file.
-
-    Raises:
-        GeodrakeError: It cannot be read in this way.
-    """
+    """Read the model of a command, and report at once what was repaired in its file."""
     from geodrake.model import load_model
     from geodrake.robot.files.named_robots import planned_download
 

@@ -29,11 +29,7 @@ def split_effects(given: Sequence[Path] | None) -> tuple[list[Path], list[str]]:
 
 
 def joint_values(text: str, model: RobotModel, option: str) -> Array:
-    """(nv,) values from `0.1`, which is for all joints, or `a=0.1,b=0.2`.
-
-    Raises:
-        ArgumentError: It is neither, or names a joint that there is not, or leaves one out.
-    """
+    """(nv,) values from `0.1`, which is for all joints, or `a=0.1,b=0.2`."""
     if "=" not in text and "," not in text:
         return np.full(len(model.joints), _number(text, option))
     values: dict[str, float] = {}
@@ -114,9 +110,6 @@ def limits_of(
             A (voltage, pwm alike); `joint.effort=40` and `joint.position=-1:0.5` for one joint.
             Each may hold several, with commas between them; later ones win.
         bounded: As for `motion_limits`.
-
-    Raises:
-        ArgumentError: One cannot be read, names no joint, or a joint has no room or no end.
     """
     said = _Limits(model)
     for text in given or ():

@@ -122,11 +122,7 @@ class AddOptions(_Steps, _Addition):
 
     @property
     def addition(self) -> tuple[str, list[str] | None]:
-        """Name of the effect, and where it is to be; None if nobody said.
-
-        Raises:
-            ArgumentError: The place is said twice, or empty.
-        """
+        """Name of the effect, and where it is to be; None if nobody said."""
         name, at, place = self.effect.partition("@")
         if at and not all(place.split("+")):
             raise ArgumentError(
@@ -435,11 +431,7 @@ class ExportOptions(ReadingOptions, ModelOptions):
 
     @property
     def with_folder(self) -> ExportOptions:
-        """The options with their folder, whichever way it was named.
-
-        Raises:
-            ArgumentError: There is none.
-        """
+        """The options with their folder, whichever way it was named."""
         if self.to_dir is not None:
             last = [] if self.folder is None else [self.folder]  # which is a log then
             return replace(self, folder=self.to_dir, to_dir=None, logs=[*(self.logs or ()), *last])

@@ -22,11 +22,7 @@ DEFAULT_OUT = Path("play.html")
 
 
 def run_play(options: PlayOptions) -> None:
-    """Play logs over the robot, as a page or on a port of this machine.
-
-    Raises:
-        GeodrakeError: Something about the input, or about the targets, does not do.
-    """
+    """Play logs over the robot, as a page or on a port of this machine."""
     positive(options.speed, "--speed")
     positive(options.seconds, "--seconds")
     if options.ghost is not None:

@@ -125,10 +125,6 @@ def run(command: Command[R], options: Any) -> R:
     Args:
         command: The command.
         options: Options that the user gave: a dataclass of `geodrake.cli.options`.
-
-    Raises:
-        GeodrakeError: Something about the input, or about the targets, does not do.
-        Exit: The exit code is not 0.
     """
     logs = getattr(options, "logs", None) or []
     axis: AbstractContextManager[None] = nullcontext()
@@ -284,11 +280,7 @@ def _read(command: Command[R], options: Any, targets: Targets, update: Activity)
 def _readable(
     paths: Sequence[Path], joints: Sequence[str], reading: Reading
 ) -> tuple[list[Path], list[JointLog], list[str]]:
-    """Return the logs that can be read, with their paths, and why others cannot.
-
-    Raises:
-        LogError: None can be read.
-    """
+    """Return the logs that can be read, with their paths, and why others cannot."""
     kept, logs, errors = list[Path](), list[JointLog](), list[tuple[Path, LogError]]()
     for path in paths:
         try:

@@ -57,12 +57,7 @@ class Targets:
         return {name: path for name, path in self.asked.items() if path not in (None, STDOUT)}
 
     def check(self, inputs: Iterable[Path]) -> None:
-        """Refuse targets that cannot be written or that would overwrite something else.
-
-        Raises:
-            OutputError: A target has another kind's suffix, is an input or another target, is no
-                regular file, or its folder is missing or cannot be written to.
-        """
+        """Refuse targets that cannot be written or that would overwrite something else."""
         for name, path in self.asked.items():
             if path is not None and path == STDOUT and name != "json":
                 reason = "is standard output, which takes --json alone"

@@ -134,11 +134,7 @@ def _own(own: OwnParameter) -> dict[str, Any]:
 
 
 def parquet_contents(result: FleetResult, folder: Path) -> Mapping[Path, Content]:
-    """File -> content of three tables: `findings`, `parameters` over time, and `unused_logs`.
-
-    Raises:
-        FleetError: Pyarrow is not installed.
-    """
+    """File -> content of three tables: `findings`, `parameters` over time, and `unused_logs`."""
     arrow = optional_package("pyarrow", "fleet", "tables in Parquet", FleetError)
     parquet = optional_package("pyarrow.parquet", "fleet", "tables in Parquet", FleetError)
     text, real, flag = arrow.string(), arrow.float64(), arrow.bool_()

@@ -18,11 +18,7 @@ from geodrake.report.page import Page, Table
 
 
 def render(page: Page) -> str:
-    """Return a page as one HTML file that loads nothing from elsewhere; all text is escaped.
-
-    Raises:
-        ArgumentError: A link leads to no page.
-    """
+    """Return a page as one HTML file that loads nothing from elsewhere; all text is escaped."""
     for words, address in page.links.items():
         scheme, colon, _ = address.split("/")[0].partition(":")
         if colon and scheme.lower() not in ("http", "https"):

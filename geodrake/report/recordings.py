@@ -44,12 +44,7 @@ class _Played:
 
 
 def check_viewer(to: str, file: Path) -> None:
-    """Refuse a viewer that is unknown or not installed, and a file of another kind.
-
-    Raises:
-        ArgumentError: There is no such viewer.
-        OutputError: Its package is missing, or the file's name does not end as it must.
-    """
+    """Refuse a viewer that is unknown or not installed, and a file of another kind."""
     suffix, module, _ = _VIEWERS[one_of(to, "--to", _VIEWERS)]
     if file.suffix.lower() != suffix:
         raise OutputError(

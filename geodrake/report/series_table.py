@@ -81,9 +81,6 @@ def series_content(columns: Columns, path: Path) -> Content:
 
     Args:
         path: The file, CSV or Parquet; empty entries of a CSV are samples that were left out.
-
-    Raises:
-        ArgumentError: Parquet is asked for, and pyarrow is not installed.
     """
     if path.suffix.lower() == ".parquet":
         arrow, parquet = optional("pyarrow", "logs"), optional("pyarrow.parquet", "logs")
@@ -96,21 +93,13 @@ def series_content(columns: Columns, path: Path) -> Content:
 
 
 def check_series(path: Path) -> None:
-    """Refuse a file of samples that could not be written in the end.
-
-    Raises:
-        ArgumentError: As `series_content`.
-    """
+    """Refuse a file of samples that could not be written in the end."""
     if path.suffix.lower() == ".parquet":
         optional("pyarrow", "logs")
 
 
 def optional(module: str, extra: str) -> Any:
-    """A module of a package that results can do without.
-
-    Raises:
-        ArgumentError: It is not installed.
-    """
+    """A module of a package that results can do without."""
     return optional_package(module, extra, "tables of results", ArgumentError)
 
 

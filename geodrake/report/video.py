@@ -32,11 +32,7 @@ _GROUND = (245, 247, 250)
 
 
 def check_video(file: Path) -> None:
-    """Refuse a video that nothing here can encode.
-
-    Raises:
-        OutputError: Neither the package nor the program that encodes MP4 is here.
-    """
+    """Refuse a video that nothing here can encode."""
     if file.suffix.lower() == ".mp4":
         _encoder()
 
@@ -63,9 +59,6 @@ def video(
     Args:
         shapes: Shapes of the links.
         speed: Seconds of the log in a second of the video.
-
-    Raises:
-        OutputError: It cannot be encoded on this machine.
     """
     rate, count = RATES[suffix], len(playback.q)
     step = FRAMES * speed / rate

@@ -52,9 +52,6 @@ def page_of(result: object, about: About | None = None) -> Page:
 
     Args:
         about: What it is of; by default the result's own model, without names.
-
-    Raises:
-        ArgumentError: Nothing is known of such a result.
     """
     if about is None:
         model = getattr(result, "model", None)
