@@ -28,7 +28,7 @@ _SAVED = {"meshcat": "replay of measured and simulated motion"}
 
 
 def run_rollout(options: RolloutOptions) -> None:
-    """Simulate a model under logged efforts or commands, or fit its soft joints and play to them."""
+    """Simulate a model under logged efforts or commands, or fit its soft joints and play."""
     if options.save is not None and not options.fit:
         raise ArgumentError(
             f"Without --fit a rollout changes nothing of the model, so --save {options.save} would "
