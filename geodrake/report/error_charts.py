@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
@@ -42,7 +41,6 @@ MEASURED = Stage("measured", "measured", "measured", look="wide")
 BEFORE = Stage("before", "as it stands", "before")
 AFTER = Stage("after", "final model", "after")
 
-_BLOCK = re.compile(r"^(?P<log>.+) -?[\d.]+–-?[\d.]+ s$")
 _GAP = 1.5  # samples farther apart than so many times the usual are not joined by a line
 _MOST_CANDIDATES, _MOST_LETTERS = 14, 80
 _MOST_DOTS, _BINS = 160, 20
@@ -60,12 +58,6 @@ _RESIDUALS = (
     "Line: mean in bins of equally many samples; dashed: RMS; band: sensor noise."
 )
 _START, _END = Color("before", label="as it stands"), Color("after", label="refitted on the logs")
-
-
-def log_of(block: str) -> str:
-    """Return the log that a block was cut from: its name without the stretch of time."""
-    match = _BLOCK.match(block)
-    return match["log"] if match else block
 
 
 def worst_joints(errors: ErrorTable, most: int = MOST_PANELS) -> tuple[str, ...]:
@@ -94,8 +86,8 @@ class _Timeline:
     def of(cls, series: Sequence[Series]) -> _Timeline:
         spans: dict[str, tuple[float, float]] = {}
         for s in (s for s in series if len(s.time)):  # not where a joint stands still throughout
-            low, high = spans.get(log_of(s.block), (np.inf, -np.inf))
-            spans[log_of(s.block)] = min(low, float(s.time[0])), max(high, float(s.time[-1]))
+            low, high = spans.get(s.log, (np.inf, -np.inf))
+            spans[s.log] = min(low, float(s.time[0])), max(high, float(s.time[-1]))
         gap = 0.02 * sum(high - low for low, high in spans.values())
         shifts, at = {}, 0.0
         for log, (low, high) in spans.items():
@@ -110,7 +102,7 @@ class _Timeline:
             steps = np.diff(s.time)
             late = 1 + np.flatnonzero(steps > _GAP * np.median(steps)) if len(steps) else steps
             breaks = np.append(late.astype(int), len(s.time))
-            time.append(np.insert(s.time + self.shifts[log_of(s.block)], breaks, np.nan))
+            time.append(np.insert(s.time + self.shifts[s.log], breaks, np.nan))
             values.append(np.insert(getattr(s, name), breaks, np.nan))
         return np.concatenate(time), np.concatenate(values)
 
@@ -218,7 +210,7 @@ def _shades(
     found = []
     for stage, series in ends.items():
         for window in worst_windows(series):
-            log = log_of(window.block)
+            log = window.log
             words = (
                 f"{log + ' ' if several else ''}{window.start:.1f}–{window.end:.1f} s: RMS "
                 f"{number(window.rms)} {unit}"

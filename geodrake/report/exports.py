@@ -93,9 +93,8 @@ def _export_words(found: ProvenExport) -> str:
     lacks = ", ".join(names) if len(names) <= _NAMED else f"{len(names)} effects"
     words = f"the files hold the model but for {lacks}" if lacks else "the files hold the model"
     if found.costs is not None:
-        words += f"; nrms {number(found.costs.whole)} of the model"
-        if lacks:
-            words += f", {number(found.costs.held)} of the files"
+        whole, held = number(found.costs.whole), number(found.costs.held)
+        words += f"; nrms {whole} of the model, {held} of the files" if lacks else f", nrms {whole}"
     if found.proof.ignored:
         engine = found.proof.differences[0].engine.partition(" ")[0]
         words += f". {engine} does not act on {', '.join(found.proof.ignored)} in them"

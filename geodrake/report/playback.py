@@ -237,7 +237,7 @@ def _score(log: str, ends: tuple[float, float], found: Sequence[Comparison]) -> 
         stds = {joint.joint: joint.std for joint in one.errors.joints}
         worst = 0.0
         for s in one.series:
-            if _log_of(s.block, [log]) == log:
+            if s.log == log:
                 inside = (s.time >= ends[0]) & (s.time < ends[1])
                 squares = (s.residual[inside] / stds[s.joint]) ** 2
                 worst = max(worst, float(squares.mean()) if len(squares) else 0.0)
@@ -285,17 +285,12 @@ def _stopped(window: Window) -> Array:
 def _played(
     title: str, case: Case, found: Comparison, excerpts: Sequence[Excerpt], simulated: Array
 ) -> PlayedModel:
-    logs = [trajectory.name for trajectory in case.trajectories]
     shape = (sum(len(e.time) for e in excerpts), len(case.model.joints))
     measured, predicted, error = (np.full(shape, np.nan) for _ in range(3))
     for j, joint in enumerate(case.model.joints):
         row = 0
         for excerpt in excerpts:
-            own = [
-                s
-                for s in found.series
-                if s.joint == joint and _log_of(s.block, logs) == excerpt.log
-            ]
+            own = [s for s in found.series if s.joint == joint and s.log == excerpt.log]
             rows = slice(row, row + len(excerpt.time))
             row = rows.stop
             if sum(len(s.time) for s in own):
@@ -341,9 +336,3 @@ def _worst(number: int, error: Array, played: PlayedModel) -> Iterable[Moment]:
         left[max(0, frame - close) : frame + close + 1] = -1.0
         counts[joint] += 1
         left[:, counts >= _MOST_AT_ONE] = -1.0
-
-
-def _log_of(block: str, logs: Sequence[str]) -> str:
-    """The log that a block was cut from: its name is followed by a stretch of time."""
-    fitting = [log for log in logs if block == log or block.startswith(f"{log} ")]
-    return max(fitting, key=len, default="")

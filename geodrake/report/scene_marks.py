@@ -24,7 +24,7 @@ from geodrake.report.playback import Excerpt
 from geodrake.report.robot_scene import JointPlace, RobotScene, clock, draw_ellipsoid
 from geodrake.report.words import effect_label
 
-MEASURED, PREDICTED, CONTACT = "#374151", style.AFTER, "#c026a3"
+MEASURED, PREDICTED, CONTACT = "#64748b", style.AFTER, "#c026a3"
 """Colours of arrows."""
 
 _SMALLEST = 0.01  # scale of an arrow: one of no length has no direction

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import io
-import re
 from collections.abc import Iterable, Mapping, Sequence
 from functools import partial
 from pathlib import Path
@@ -23,8 +22,6 @@ Array = NDArray[np.float64]
 Columns = Mapping[str, Sequence[str] | Array]
 """Name of a column -> its values, all of one length."""
 
-_BLOCK = re.compile(r"^(?P<log>.+) -?[\d.]+–-?[\d.]+ s$")
-
 
 def comparison_series(now: Comparison, before: Comparison | None = None) -> Columns:
     """Efforts of a comparison, N·m or N; NaN where a joint's sample was left out.
@@ -37,14 +34,14 @@ def comparison_series(now: Comparison, before: Comparison | None = None) -> Colu
         predicted; with a model before also `predicted_before` and `residual_before`.
     """
     stages = {"": now} if before is None else {"_before": before, "": now}
-    index = _index((log_of(s.block), s.time) for c in stages.values() for s in c.series)
+    index = _index((s.log, s.time) for c in stages.values() for s in c.series)
     columns = _head(index)
     for joint in dict.fromkeys(s.joint for s in now.series):
         values = {f"{joint}.measured": np.full(len(index), np.nan)}
         for stage, comparison in stages.items():
             predicted = np.full(len(index), np.nan)
             for s in (s for s in comparison.series if s.joint == joint):
-                at = [index[log_of(s.block), time] for time in s.time.tolist()]
+                at = [index[s.log, time] for time in s.time.tolist()]
                 values[f"{joint}.measured"][at], predicted[at] = s.measured, s.predicted
             values[f"{joint}.predicted{stage}"] = predicted
             values[f"{joint}.residual{stage}"] = values[f"{joint}.measured"] - predicted
@@ -101,12 +98,6 @@ def check_series(path: Path) -> None:
 def optional(module: str, extra: str) -> Any:
     """A module of a package that results can do without."""
     return optional_package(module, extra, "tables of results", ArgumentError)
-
-
-def log_of(block: str) -> str:
-    """The log that a block was cut from: its name without the stretch of time."""
-    match = _BLOCK.match(block)
-    return match["log"] if match else block
 
 
 def _index(stretches: Iterable[tuple[str, Array]]) -> dict[tuple[str, float], int]:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import re
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
@@ -15,6 +16,7 @@ from geodrake.identification.logs.criteria import JOINT_NOISE_MARGIN, NOISE_MARG
 
 Array = NDArray[np.float64]
 
+_BLOCK = re.compile(r"^(?P<log>.+) -?[\d.]+–-?[\d.]+ s$")
 _SHARE = 0.03  # of a joint's samples, over which errors are averaged to find the worst windows
 _LEAST_SAMPLES = 5
 _NOTABLE = 2.0  # times the joint's mean square, from which on a window is bad
@@ -137,6 +139,11 @@ class Series(Short):
     predicted: Array  # effort, N·m or N
 
     @property
+    def log(self) -> str:
+        """Name of the log that the block was cut from."""
+        return _log_of(self.block)
+
+    @property
     def residual(self) -> Array:
         """(K,) measured − predicted."""
         return self.measured - self.predicted
@@ -175,6 +182,17 @@ class WorstWindow:
     end: float  # last instant, s
     rms: float  # of measured − predicted effort there, N·m or N
     share: float  # of the joint's squared error that is made there
+
+    @property
+    def log(self) -> str:
+        """Name of the log that the block was cut from."""
+        return _log_of(self.block)
+
+
+def _log_of(block: str) -> str:
+    """Return the name of a block without its stretch of time, if it has one."""
+    match = _BLOCK.match(block)
+    return match["log"] if match else block
 
 
 def worst_windows(series: Sequence[Series], *, most: int = 3) -> tuple[WorstWindow, ...]:
