@@ -189,7 +189,7 @@ def test_a_format_is_one_more_entry(folder, tmp_path, monkeypatch):
     result = export(folder / "model.yaml", folder / "log.csv", "--to", "words", tmp_path / "out")
     assert result.exit_code == 0, result.output
     assert "load_dependent_friction" in (tmp_path / "out" / "effects.txt").read_text()
-    assert "The files hold the model; nrms" in " ".join(result.stdout.split())
+    assert "The files hold the model, nrms" in " ".join(result.stdout.split())
 
 
 def test_a_floating_robot_goes_into_its_own_format_alone(tmp_path):
