@@ -129,9 +129,7 @@ class RobotModel(Short):
     @cached_property
     def tree(self) -> RobotTree:
         """Return the plant's kinematics for the model's motion, read once."""
-        if self.actuation is None:
-            return self.joint_tree
-        return DrivenTree(self.joint_tree, self.actuation)
+        return DrivenTree(self.joint_tree, self.actuation) if self.transmission else self.joint_tree
 
     @cached_property
     def joint_tree(self) -> KinematicTree:
@@ -144,17 +142,14 @@ class RobotModel(Short):
         return OwnCoordinates(self.plant, self.followers)
 
     @cached_property
-    def actuation(self) -> Actuation | None:
-        """Return how those follow from the model's, if there is a transmission.
+    def actuation(self) -> Actuation:
+        """Return how those follow from the model's.
 
         Raises:
-            ModelError: It does not fit the robot.
+            ModelError: The transmission does not fit the robot.
         """
-        if not self.transmission:
-            return None
-        places = dict(zip(*self._single_of_tree, strict=True))
         count = len(self.coordinates.own_positions)
-        return Actuation.of(self.tree_joints, places, count, self.transmission)
+        return Actuation.of(self.tree_joints, self._single_of_tree, count, self.transmission)
 
     @cached_property
     def tree_joints(self) -> tuple[str, ...]:
@@ -165,12 +160,12 @@ class RobotModel(Short):
     @cached_property
     def joints(self) -> tuple[str, ...]:
         """Names of the nv velocities: the joints', or those of the actuators in their place."""
-        return self.tree_joints if self.actuation is None else self.actuation.names
+        return self.actuation.names
 
     @cached_property
     def joints_behind(self) -> tuple[str, ...]:
         """Return names of joints in loops or behind the transmission, which effects may act at."""
-        return () if self.actuation is None else tuple(self.actuation.behind)
+        return tuple(self.actuation.behind)
 
     def plant_positions(self, q: Array) -> Array:
         """(N, nq of the plant) positions, of those of the model (N, nq)."""
@@ -178,9 +173,7 @@ class RobotModel(Short):
 
     def plant_velocities(self, q: Array, v: Array) -> Array:
         """(N, nv of the plant) velocities, of positions (N, nq) and velocities (N, nv)."""
-        if self.actuation is not None:
-            v = times(self.actuation.jacobian(q), v)
-        return self.coordinates.plant_velocities(v)
+        return self.coordinates.plant_velocities(times(self.actuation.jacobian(q), v))
 
     def driving(
         self,
@@ -204,15 +197,13 @@ class RobotModel(Short):
 
     def robot_gradient(self, q: Array, gradient: Array) -> Array:
         """(N, nq) gradient with the positions q (N, nq), of that with the plant's (N, ·)."""
-        gradient = self.coordinates.robot_gradient(gradient)
-        return gradient if self.actuation is None else self.actuation.robot_gradient(q, gradient)
+        return self.actuation.robot_gradient(q, self.coordinates.robot_gradient(gradient))
 
     def place_of(self, joint: Joint) -> int | None:
         """Which velocity of the model a joint of the plant has; None if it has none of its own."""
         if scoped(joint) in self.coordinates.leaders:
             return None
-        at = self.coordinates.velocity_of(joint)
-        return at if self.actuation is None else self.actuation.standing.get(at)
+        return self.actuation.standing.get(self.coordinates.velocity_of(joint))
 
     @cached_property
     def led(self) -> Mapping[str, tuple[str, float]]:
@@ -227,10 +218,7 @@ class RobotModel(Short):
     @cached_property
     def position_limits(self) -> tuple[Array, Array]:
         """Lower and upper limits (nq,) of the positions, rad or m."""
-        limits = self.coordinates.position_limits()
-        if self.actuation is None:
-            return limits
-        return actuator_positions_between(self.actuation, *limits)
+        return actuator_positions_between(self.actuation, *self.coordinates.position_limits())
 
     @cached_property
     def velocity_limits(self) -> Array:
@@ -245,16 +233,12 @@ class RobotModel(Short):
 
     def _rates(self, limits: Array) -> Array:
         limits = self.coordinates.rate_limits(limits)
-        if self.actuation is None:
-            return limits
         return actuator_rates(self.actuation, limits, self.position_limits)
 
     @cached_property
     def effort_limits(self) -> Array:
         """Largest efforts (nv,) of the file, N·m or N; infinite where there is no limit."""
         limits = effort_limits(self.plant)[self.coordinates.own_velocities]
-        if self.actuation is None:
-            return limits
         return actuator_effort_limits(self.actuation, limits, self.position_limits)
 
     @property
@@ -295,7 +279,7 @@ class RobotModel(Short):
             if mobilizer.parent < 0:
                 continue
             own = mobilizers[mobilizer.parent].velocities.start, mobilizer.velocities.start
-            both = own if self.actuation is None else map(self.actuation.standing.get, own)
+            both = map(self.actuation.standing.get, own)
             pair = [at for at in dict.fromkeys(both) if at in self.single_places[0]]
             if len(pair) == 2 and self._types[pair[0]] == self._types[pair[1]]:
                 pairs.append((self.joints[pair[0]], self.joints[pair[1]]))
@@ -418,7 +402,7 @@ class RobotModel(Short):
         """Drake's names for the types of the joints, by where their velocities begin."""
         types = {self.place_of(joint): joint.type_name() for joint in moving_joints(self.plant)}
         found = {at: name for at, name in types.items() if at is not None}
-        for place in () if self.actuation is None else self.actuation.places:
+        for place in self.actuation.places:
             slides = place.drive.slides
             for at, sliding in zip(place.actuator_v.tolist(), slides or (), strict=False):
                 found[at] = "prismatic" if sliding else "revolute"
@@ -427,10 +411,8 @@ class RobotModel(Short):
     def default_position(self, joint: str) -> float:
         """Return where the model file puts a joint of one degree of freedom, rad or m."""
         q = self.plant.GetPositions(self.plant.CreateDefaultContext())
-        own = q[self.coordinates.own_positions]
-        if self.actuation is not None:
-            (own,) = self.actuation.nearest(own[None])
-        return float(own[self._at(joint)])
+        own = self.actuation.nearest(q[None, self.coordinates.own_positions])
+        return float(own[0, self._at(joint)])
 
     def limits_of(self, joint: str) -> tuple[float, float]:
         """Return the positions between which a joint of one degree of freedom stays, rad or m."""
@@ -463,20 +445,17 @@ class RobotModel(Short):
     @cached_property
     def single_places(self) -> tuple[list[int], list[int]]:
         """Return where the joints of one degree of freedom are in v and in q."""
-        if self.actuation is not None:
-            return self.actuation.single_places(dict(zip(*self._single_of_tree, strict=True)))
-        return self._single_of_tree
+        return self.actuation.single_places(self._single_of_tree)
 
     @cached_property
-    def _single_of_tree(self) -> tuple[list[int], list[int]]:
-        """Return the same in the velocities and positions of `joint_tree`."""
+    def _single_of_tree(self) -> dict[int, int]:
+        """Return velocity -> position, of joints of one degree of freedom of `joint_tree`."""
         coordinates = self.coordinates
-        single = [
-            (coordinates.velocity_of(j), coordinates.position_of(j))
+        return {
+            coordinates.velocity_of(j): coordinates.position_of(j)
             for j in moving_joints(self.plant)
             if j.num_velocities() == j.num_positions() == 1 and scoped(j) not in coordinates.leaders
-        ]
-        return [at for at, _ in single], [at for _, at in single]
+        }
 
     def create_context(self) -> Context:
         """A default Context of the plant with the model's inertial parameters, payloads included.

@@ -52,7 +52,7 @@ class StatedEffects:
     Attributes:
         joints: Names of the velocities of the plant's tree, without followers.
         names: Names of the model's velocities.
-        actuation: How the former follow from the latter; None if they are the same.
+        actuation: How the former follow from the latter.
         closing: Joint that closes a loop -> what is stated of it.
         notes: Sentences on what the effects are of.
         left_out: Sentences on what no effect is.
@@ -60,7 +60,7 @@ class StatedEffects:
 
     joints: Sequence[str]
     names: Sequence[str]
-    actuation: Actuation | None
+    actuation: Actuation
     closing: Mapping[str, Mapping[str, float]]
     effects: list[FittedEffect] = field(default_factory=list)
     notes: list[str] = field(default_factory=list)
@@ -83,9 +83,7 @@ class StatedEffects:
 
         A ratio J multiplies it by |J| to a power.
         """
-        values, lost = own, list[int]()
-        if self.actuation is not None:
-            values, lost = self.actuation.joined(own, lambda J: np.abs(J) ** power)
+        values, lost = self.actuation.joined(own, lambda J: np.abs(J) ** power)
         found = dict(zip(self.names, values.tolist(), strict=True))
         for at in lost:
             found[self.joints[at]] = found.get(self.joints[at], 0.0) + float(own[at])
@@ -100,18 +98,17 @@ class StatedEffects:
         """
         rows: dict[int, dict[str, float]] = {at: {name: 1.0} for at, name in enumerate(self.joints)}
         shifts = dict[int, float]()
-        if self.actuation is not None:
-            for at, unit in enumerate(np.eye(len(self.joints))):
-                ratios, lost = self.actuation.joined(unit, lambda J: J)
-                if not lost:
-                    moved = np.flatnonzero(ratios)
-                    rows[at] = {self.names[int(to)]: float(ratios[to]) for to in moved}
-                    shifts[at] = float(self.actuation.offsets[at])
+        for at, unit in enumerate(np.eye(len(self.joints))):
+            ratios, lost = self.actuation.joined(unit, lambda J: J)
+            if not lost:
+                moved = np.flatnonzero(ratios)
+                rows[at] = {self.names[int(to)]: float(ratios[to]) for to in moved}
+                shifts[at] = float(self.actuation.offsets[at])
         return rows, shifts
 
 
 def stated_effects(
-    loaded: LoadedPlant, joints: Sequence[str], names: Sequence[str], actuation: Actuation | None
+    loaded: LoadedPlant, joints: Sequence[str], names: Sequence[str], actuation: Actuation
 ) -> StatedEffects:
     """Return the effects that a model file states; see `StatedEffects`."""
     found = StatedEffects(joints, names, actuation, loaded.closing)

@@ -86,7 +86,7 @@ def exported_joints(model: RobotModel) -> dict[str, ExportedJoint]:
             stiffness, preload = fitted.parameters.tolist()
             own |= {"stiffness": stiffness, "rest": effect.center - preload / stiffness}
     names = tuple(model.joints)
-    if model.actuation is None:  # else joints are behind a transmission
+    if not model.transmission:  # else joints are behind a transmission
         every = scoped_joint_names(model.plant)
         names = tuple(every[k] for k in model.coordinates.own_velocities)
     limits = model.velocity_limits.tolist(), model.known_effort_limits.tolist()

@@ -176,7 +176,7 @@ class Actuation:
     @cached_property
     def driven(self) -> Indices:
         """Velocities of the robot that are those of actuators of drives."""
-        return np.concatenate([place.actuator_v for place in self.places])
+        return np.concatenate([np.zeros(0, np.intp), *(p.actuator_v for p in self.places)])
 
     def tree_samples(self, q: Array, v: Array, vd: Array) -> tuple[Array, Array, Array, Array]:
         """Positions, velocities and accelerations of the tree, and J, along a motion (N, ·)."""
