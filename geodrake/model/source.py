@@ -307,7 +307,7 @@ def _formulas(
         if effect.role is Role.SCALE:
             scales.append(fitted)
         elif effect.role is not Role.BODY:
-            for joint, columns in recorded_rows(effect, seen, with_past=False).items():
+            for joint, columns in recorded_rows(effect, seen).items():
                 at = seen.index(joint)
                 effort[at] = effort[at] + columns @ fitted.parameters.astype(object)
         included.append(what)

@@ -8,7 +8,6 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from pydrake.autodiffutils import AutoDiffXd, ExtractGradient, InitializeAutoDiff
-from pydrake.symbolic import Evaluate, MakeVectorContinuousVariable
 from pydrake.systems.analysis import Simulator
 from pydrake.systems.framework import DiagramBuilder
 from pydrake.systems.primitives import (
@@ -189,17 +188,12 @@ def test_models_without_servos_have_none(arm):
         PositionServo.of(current)
 
 
-def test_clones_and_other_scalars_do_the_same():
+def test_clones_do_the_same():
     system = PositionServo(**GAINS)
     context = seen(system)
     wanted = everything(system, context)
     clone = system.Clone()
     np.testing.assert_array_equal(everything(clone, seen(clone)), wanted)
-    other = system.ToSymbolic()
-    state = MakeVectorContinuousVariable(4, "x")
-    symbolic = everything(other, seen(other, estimated_state=state))
-    at = dict(zip(state, SEEN["estimated_state"], strict=True))
-    np.testing.assert_allclose(Evaluate(symbolic, at).ravel(), wanted, rtol=1e-14)
 
 
 def test_slopes_are_those_of_differences():

@@ -2,14 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from contextlib import nullcontext
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
-from pydrake.symbolic import Expression
 from pydrake.systems.framework import (
+    BasicVector,
     Context,
     ContinuousState,
     DiagramBuilder,
@@ -21,22 +19,20 @@ from geodrake.boundary.arguments import instance, one_or_each, real_array
 from geodrake.errors import ArgumentError
 from geodrake.inertia import Array
 from geodrake.inertia.bodies import check_context
-from geodrake.model.formulas.evaluation import Scalars, evaluated
-from geodrake.model.formulas.symbols import Symbols
 from geodrake.model.robot_model import RobotModel
 from geodrake.model.servos import command_delays, servo_gains
 from geodrake.model.simulation.robot_in_diagram import RobotInDiagram, late
-from geodrake.model.simulation.scalar_system import ScalarSystem, add_scalar_types
+from geodrake.model.simulation.scalar_system import differenced
 
 
 class ServoGains(NamedTuple):
     """Gains of servos, all (n,), as `PositionServo` has them; an infinite limit is none."""
 
-    kp: Scalars
-    kd: Scalars
-    ki: Scalars
-    limit: Scalars
-    dead_band: Scalars
+    kp: Array
+    kd: Array
+    ki: Array
+    limit: Array
+    dead_band: Array
 
 
 class ServoError(NamedTuple):
@@ -49,13 +45,13 @@ class ServoError(NamedTuple):
         feedforward: Effort that is added, N·m or N.
     """
 
-    position: Scalars
-    velocity: Scalars
-    integral: Scalars
-    feedforward: Scalars
+    position: Array
+    velocity: Array
+    integral: Array
+    feedforward: Array
 
 
-def servo_effort(gains: ServoGains, error: ServoError) -> Scalars:
+def servo_effort(gains: ServoGains, error: ServoError) -> Array:
     """Return the efforts (..., n) of servos, N·m or N.
 
         τ = sat(kp e + kd ė + ki z + τ_ff),   e = dead(c − q),   ż = e,   ė = ċ − v
@@ -65,7 +61,7 @@ def servo_effort(gains: ServoGains, error: ServoError) -> Scalars:
     return np.maximum(np.minimum(_unlimited(gains, error), gains.limit), -gains.limit)
 
 
-def integral_rate(gains: ServoGains, error: ServoError) -> Scalars:
+def integral_rate(gains: ServoGains, error: ServoError) -> Array:
     """Return the rates ż (..., n); 0 where the effort is at its limit and would go beyond."""
     effort, e = _unlimited(gains, error), _beyond(error.position, gains.dead_band)
     wound_up = np.logical_or(
@@ -75,12 +71,12 @@ def integral_rate(gains: ServoGains, error: ServoError) -> Scalars:
     return np.where(wound_up, 0.0, e)
 
 
-def _unlimited(gains: ServoGains, error: ServoError) -> Scalars:
+def _unlimited(gains: ServoGains, error: ServoError) -> Array:
     e = _beyond(error.position, gains.dead_band)
     return gains.kp * e + gains.kd * error.velocity + gains.ki * error.integral + error.feedforward
 
 
-def _beyond(e: Scalars, band: Scalars) -> Scalars:
+def _beyond(e: Array, band: Array) -> Array:
     """Return errors less a dead band: e − b above b, e + b below −b, 0 between."""
     return np.maximum(e - band, 0.0) + np.minimum(e + band, 0.0)
 
@@ -90,87 +86,8 @@ def _checked(name: str, value: ArrayLike, count: int) -> Array:
     return one_or_each(value, name, count, strict=name == "limit", finite=name != "limit")
 
 
-class _PositionServo(ScalarSystem):
-    """`PositionServo` of any scalar type; its gains are numeric parameters."""
-
-    def _declare(self, gains: ServoGains, integral: bool, converter: Any) -> None:
-        self._begin(converter)
-        self._initial, self._integral = gains, integral
-        self._count = n = len(gains.kp)
-        for values in gains:
-            self.DeclareNumericParameter(self._vector(values))
-        self._command_port = self.DeclareVectorInputPort("commanded_position", self._vector(n))
-        self._rate_port = self.DeclareVectorInputPort("commanded_velocity", self._vector(n))
-        self._state_port = self.DeclareVectorInputPort("estimated_state", self._vector(2 * n))
-        self._feedforward_port = self.DeclareVectorInputPort("feedforward", self._vector(n))
-        known = {self.all_input_ports_ticket(), self.all_parameters_ticket()}
-        if integral:
-            self.DeclareContinuousState(n)
-            known.add(self.xc_ticket())
-        self.DeclareVectorOutputPort("actuation", self._vector(n), self._calc_actuation, known)
-
-    def gains(self, context: Context) -> ServoGains:
-        """Return the gains in a Context."""
-        groups = range(len(ServoGains._fields))
-        values = (context.get_numeric_parameter(i).CopyToVector() for i in groups)
-        return ServoGains(*map(np.asarray, values))
-
-    def set_gains(self, context: Context, **gains: ArrayLike) -> None:
-        """Change gains in a Context.
-
-        Args:
-            **gains: Those of kp, kd, ki, limit and dead_band that change; one for all joints or
-                (n,).
-        """
-        check_context(self, context)
-        names = ServoGains._fields
-        if unknown := [name for name in gains if name not in names]:
-            raise ArgumentError(
-                f"A servo has no {', '.join(unknown)}.", advice=f"It has {', '.join(names)}."
-            )
-        values = {name: _checked(name, value, self._count) for name, value in gains.items()}
-        if not self._integral and values.get("ki", np.zeros(1)).any():
-            raise ArgumentError(
-                "This servo was made without an integral.",
-                advice="Give its constructor a ki above zero.",
-            )
-        for name, own in values.items():
-            self._set(context.get_mutable_numeric_parameter(names.index(name)), own)
-
-    def DoCalcTimeDerivatives(self, context: Context, derivatives: ContinuousState) -> None:
-        """Rates of the integrals, rad or m; see `LeafSystem`."""
-        if derivatives.size():
-            self._set(derivatives.get_mutable_vector(), self._law(integral_rate, context))
-
-    def _calc_actuation(self, context: Context, output: Any) -> None:
-        self._set(output, self._law(servo_effort, context))
-
-    def _law(self, law: Callable[[ServoGains, ServoError], Scalars], context: Context) -> Scalars:
-        n, count = self._count, len(ServoGains._fields)
-        state, none = np.asarray(self._state_port.Eval(context)), np.zeros(n)
-        rate, feedforward = (
-            np.asarray(port.Eval(context)) if port.HasValue(context) else none
-            for port in (self._rate_port, self._feedforward_port)
-        )
-        integral = context.get_continuous_state_vector().CopyToVector() if self._integral else none
-        command = np.asarray(self._command_port.Eval(context))
-        told = command, state[:n], rate, state[n:], np.asarray(integral), feedforward
-        inputs = (*self.gains(context), *told)
-
-        def of_inputs(*values: Scalars) -> Scalars:
-            c, q, c_rate, v, *more = values[count:]
-            return law(ServoGains(*values[:count]), ServoError(c - q, c_rate - v, *more))
-
-        if self._of is float:
-            return of_inputs(*inputs)
-        named = {f"x{i}": values for i, values in enumerate(inputs)}
-        symbols = (Symbols.inputs(name, len(values)) for name, values in named.items())
-        # (Drake's symbols raise flags of floating point that say nothing.)
-        with np.errstate(invalid="ignore") if self._of is Expression else nullcontext():
-            return evaluated(of_inputs(*symbols), named, self._of)
-
-
-class PositionServo(_PositionServo, LeafSystem):
+@differenced
+class PositionServo(LeafSystem):
     """Servos of joints: PD or PID on the position, with limits, a dead band, and feedforward.
 
     .. pydrake_system::
@@ -200,7 +117,7 @@ class PositionServo(_PositionServo, LeafSystem):
     to that.
 
     Gains are numeric parameters of the Context (`set_gains`). The system can be cloned, and
-    converted to AutoDiffXd and Expression.
+    converted to AutoDiffXd.
 
     A servo alone swings at √(kp / inertia); explicit integrators need steps well below one over
     that, and below 2 · inertia / kd.
@@ -217,7 +134,7 @@ class PositionServo(_PositionServo, LeafSystem):
         ArgumentError: A gain is negative, a limit is not positive, or they are not as many.
     """
 
-    def _construct(
+    def __init__(
         self,
         kp: ArrayLike,
         *,
@@ -225,16 +142,72 @@ class PositionServo(_PositionServo, LeafSystem):
         ki: ArrayLike = 0.0,
         limit: ArrayLike = np.inf,
         dead_band: ArrayLike = 0.0,
-        converter: Any = None,
     ) -> None:
+        """Constructs the system."""
+        LeafSystem.__init__(self, converter=self._converter)
         kp = real_array(kp, "kp")
-        count = len(kp) if kp.ndim == 1 else len(real_array([kp], "kp", ("n",)))
+        self._count = n = len(kp) if kp.ndim == 1 else len(real_array([kp], "kp", ("n",)))
         named = zip(ServoGains._fields, (kp, kd, ki, limit, dead_band), strict=True)
-        gains = ServoGains(*(_checked(name, value, count) for name, value in named))
-        self._declare(gains, bool(gains.ki.any()), converter)
+        gains = ServoGains(*(_checked(name, value, n) for name, value in named))
+        self._integral = bool(gains.ki.any())
+        for values in gains:
+            self.DeclareNumericParameter(BasicVector(values))
+        self._command_port = self.DeclareVectorInputPort("commanded_position", BasicVector(n))
+        self._rate_port = self.DeclareVectorInputPort("commanded_velocity", BasicVector(n))
+        self._state_port = self.DeclareVectorInputPort("estimated_state", BasicVector(2 * n))
+        self._feedforward_port = self.DeclareVectorInputPort("feedforward", BasicVector(n))
+        known = {self.all_input_ports_ticket(), self.all_parameters_ticket()}
+        if self._integral:
+            self.DeclareContinuousState(n)
+            known.add(self.xc_ticket())
+        self.DeclareVectorOutputPort("actuation", BasicVector(n), self._calc_actuation, known)
 
-    def _construct_copy(self, other: _PositionServo, converter: Any = None) -> None:
-        self._declare(other._initial, other._integral, converter)
+    def gains(self, context: Context) -> ServoGains:
+        """Return the gains in a Context."""
+        groups = range(len(ServoGains._fields))
+        return ServoGains(*(context.get_numeric_parameter(i).CopyToVector() for i in groups))
+
+    def set_gains(self, context: Context, **gains: ArrayLike) -> None:
+        """Change gains in a Context.
+
+        Args:
+            **gains: Those of kp, kd, ki, limit and dead_band that change; one for all joints or
+                (n,).
+        """
+        check_context(self, context)
+        names = ServoGains._fields
+        if unknown := [name for name in gains if name not in names]:
+            raise ArgumentError(
+                f"A servo has no {', '.join(unknown)}.", advice=f"It has {', '.join(names)}."
+            )
+        values = {name: _checked(name, value, self._count) for name, value in gains.items()}
+        if not self._integral and values.get("ki", np.zeros(1)).any():
+            raise ArgumentError(
+                "This servo was made without an integral.",
+                advice="Give its constructor a ki above zero.",
+            )
+        for name, own in values.items():
+            context.get_mutable_numeric_parameter(names.index(name)).SetFromVector(own)
+
+    def DoCalcTimeDerivatives(self, context: Context, derivatives: ContinuousState) -> None:
+        """Rates of the integrals, rad or m; see `LeafSystem`."""
+        if derivatives.size():
+            rates = integral_rate(self.gains(context), self._error(context))
+            derivatives.get_mutable_vector().SetFromVector(rates)
+
+    def _calc_actuation(self, context: Context, output: BasicVector) -> None:
+        output.SetFromVector(servo_effort(self.gains(context), self._error(context)))
+
+    def _error(self, context: Context) -> ServoError:
+        n, state = self._count, self._state_port.Eval(context)
+        rate, feedforward = (
+            port.Eval(context) if port.HasValue(context) else np.zeros(n)
+            for port in (self._rate_port, self._feedforward_port)
+        )
+        held = context.get_continuous_state_vector().CopyToVector()
+        integral = held if self._integral else np.zeros(n)
+        position = self._command_port.Eval(context) - state[:n]
+        return ServoError(position, rate - state[n:], integral, feedforward)
 
     @staticmethod
     def of(model: RobotModel) -> PositionServo:
@@ -281,6 +254,3 @@ class PositionServo(_PositionServo, LeafSystem):
                 builder.Connect(acting, servo.GetInputPort(name))
         builder.Connect(servo.GetOutputPort("actuation"), robot.effort)
         return servo
-
-
-PositionServo_ = add_scalar_types(PositionServo, _PositionServo, symbolic=True)

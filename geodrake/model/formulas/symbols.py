@@ -14,7 +14,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from geodrake.effects import Effect, RobotMotion
-from geodrake.effects.base import BEYOND_MOTION
 from geodrake.effects.column_checks import line_of
 from geodrake.errors import ArgumentError, ModelError
 
@@ -254,18 +253,10 @@ def _as_symbols(found: Any) -> Any:
     return found
 
 
-def recorded_rows(
-    effect: Effect, motion: RobotMotion, *, with_past: bool = True
-) -> Mapping[str, Formulas]:
-    """Return columns (k,) of an effect in symbols, by joint.
-
-    Args:
-        motion: One sample of symbols; with time and hidden states where it has any.
-        with_past: Whether the sample has these; without, the effect is as if it had settled.
-    """
-    with_past = with_past and bool(effect.depends_on & BEYOND_MOTION)
+def recorded_rows(effect: Effect, motion: RobotMotion) -> Mapping[str, Formulas]:
+    """Return columns (k,) of an effect in one sample of symbols by joint, as if it had settled."""
     try:
-        found: Any = (effect.rows if with_past else effect.formula_rows)(motion)
+        found: Any = effect.formula_rows(motion)
         count = len(effect.parameters)
         return {joint: np.asarray(x, object).reshape(count) for joint, x in found.items()}
     except Exception as error:  # whatever NumPy says of symbols
@@ -273,7 +264,7 @@ def recorded_rows(
         problem = error.problem if isinstance(error, ArgumentError) else str(error)
         raise ModelError(
             f"{effect.name} of {effect.place} is known for numbers only{line}, without "
-            f"derivatives, symbols and source code: {problem}",
+            f"source code: {problem}",
             advice=getattr(error, "advice", None)
             or "Let it use functions of NumPy's on whole arrays, or define formula_rows.",
         ) from error

@@ -3,15 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
-from contextlib import nullcontext
-from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
 from pydrake.common.value import AbstractValue
 from pydrake.multibody.plant import MultibodyPlant
-from pydrake.symbolic import Expression
 from pydrake.systems.framework import (
+    BasicVector,
     Context,
     ContinuousState,
     DiagramBuilder,
@@ -24,18 +22,12 @@ from geodrake.boundary.arguments import instance, real_array
 from geodrake.effects import Effect
 from geodrake.effects.deflection import SPRING_DAMPING
 from geodrake.effects.robot_motion import log_number
-from geodrake.errors import ArgumentError, ModelError
+from geodrake.errors import ArgumentError
 from geodrake.inertia import PARAMETERS_PER_BODY, Array
 from geodrake.inertia.bodies import check_context
 from geodrake.logs.temperatures import Temperatures
-from geodrake.model.formulas.evaluation import Scalars
 from geodrake.model.simulation.force_law import EffectWithValues, ForceLaw, Response, admissible
-from geodrake.model.simulation.scalar_system import (
-    ScalarSystem,
-    add_scalar_types,
-    slopes_of,
-    value_of,
-)
+from geodrake.model.simulation.scalar_system import differenced
 from geodrake.model.simulation.soft_joints import Coupling
 from geodrake.model.simulation.terms import PlantMotion, PlantState
 from geodrake.robot.robot_instance import RobotInstance, add_generalized_force, selected
@@ -43,21 +35,108 @@ from geodrake.robot.robot_instance import RobotInstance, add_generalized_force, 
 _PARAMETERS, _PHI = 0, 1
 
 
-class _EffectForce(ScalarSystem):
-    """`EffectForce` of any scalar type."""
+@differenced
+class EffectForce(LeafSystem):
+    """The force law of effects, for a MultibodyPlant to be simulated with them.
 
-    def _declare(self, law: ForceLaw, converter: Any) -> None:
-        self._begin(converter)
-        self.law = law
-        plant = law.plant.plant
-        nq, nv = plant.num_positions(), plant.num_velocities()
-        self._nq = nq
-        self._state_port = self.DeclareVectorInputPort("state", self._vector(nq + nv))
-        self._effort_port = self.DeclareVectorInputPort("applied_effort", self._vector(nv))
-        self.DeclareNumericParameter(self._vector(law.mu))
-        self.DeclareNumericParameter(self._vector(law.phi.ravel()))
-        if self._of is Expression:
-            law.check_symbolic()
+    .. pydrake_system::
+
+        name: EffectForce
+        input_ports:
+        - state
+        - applied_effort
+        output_ports:
+        - generalized_force
+        - motor_state
+
+    An effect adds to the effort that a motion needs, so it takes its effort away from the plant:
+
+        generalized_force = −Σ_e Y_e(q, v, v̇, τ_model) μ_e
+
+    which belongs at `plant.get_applied_generalized_force_input_port()`; see `AddToBuilder`. A wrong
+    gain (`EffortScale`) turns the effort u that is commanded, or measured, into u / (1 + ε).
+
+    Effects of v̇ (rotor inertia, payload) are f(q, v) + M_e(q, v) v̇ with the v̇ that the plant has
+    with them, (M + M_e) v̇ = u − C v + τ_g + … − f: the plant moves exactly as if its mass matrix
+    were M + M_e. Friction that depends on the load τ_model, the effort that the rigid bodies need,
+    is found by fixed-point iteration. Both need u, the `applied_effort` (nv) of controllers at the
+    joints, zero if the port is not connected; forces that reach the plant otherwise, as by contact,
+    are not known here. Where no effect depends on v̇ or load, the port is not read.
+
+    Hidden states (`Hysteresis`) are continuous states, zero at first (`set_hidden_states`). Joints
+    that are elastic or have play (`DeflectionEffect`) are two bodies: the plant's joint is the
+    link; the motor's position, less that of the link, and its velocity are continuous states, zero
+    at first (`set_motors`), with the spring of the effect between them, or its dead band (see
+    `geodrake.model.simulation.soft_joints`). Efforts, friction and rotor inertia act at the motor;
+    gravity, payloads and contacts at the link. `motor_state` (nq + nv), which encoders measure, is
+    the plant's state with the motors in the place of the links; it is there with soft joints alone.
+    A motor has at least 1 % of its link's inertia; `notes` says where that is more than the
+    model's. Explicit integrators need steps below some 1.7 / ω, with ω = √(k (1/B + 1/M)) the
+    frequency at which motor and link swing against each other; stiff ones are for "radau3" or
+    "implicit_euler" (`ResetIntegratorFromFlags`). Plants with time steps take the torque of the
+    spring as it was when the step began, and need steps far below 1 / ω.
+
+    Effects of the time since a log began (`FrictionDrift`, `Contact`) take the Context's, and
+    contacts that were found in a log act only where that log is simulated. Friction that goes with
+    the temperature takes that of `temperatures`.
+
+    Numeric parameters of the Context are all μ (`set_effect_parameters`), and the inertial
+    parameters that the plant is taken to have (`set_inertial_parameters`), which matter to effects
+    of v̇, load and bodies. No system sees another one's Context: who changes the plant's inertias
+    there must change them here, too, as `RobotInDiagram.set_parameters` does. All else of the plant
+    is as by default. In a plant that holds more than the robot (`RobotInstance`), state, efforts
+    and forces are those of the whole plant, with zeros where the robot has no part in them.
+
+    The system can be cloned, and converted to AutoDiffXd: derivatives with state, efforts, time and
+    parameters are central differences, exact to some 1e-9, and a diagram may be linearized.
+
+    Dry friction makes a simulation stiff. Its sgn v is tanh(v / sign_width), so F acts near rest
+    like a damper F / sign_width, and a joint that it holds creeps at less than sign_width. Explicit
+    integrators, and plants with time steps, need steps below 2 · sign_width · inertia / F, rotor
+    inertia included: 1 ms for 0.1 kg·m² and 2 N·m, but tens of µs for a wrist of bare links without
+    rotors. There, use "implicit_euler", or widen sign_width.
+
+    Args:
+        plant: A finalized plant, with the joints and bodies that the effects name; or one robot in
+            it: then nothing else feels them.
+        effects: Effects with their linear parameters μ, SI, such as those of a model; or pairs.
+        sign_width: Speed below which dry friction fades, rad/s or m/s (`RobotModel.sign_widths`
+            has those of a fitted model); one, or (nv,), of a robot in a plant (n,).
+        phi: (nb, 10) inertial parameters of the simulated plant, where its Context has others
+            than the default ones; such as `model.total_phi`, whose payloads then are no effects.
+        log: Name of the log that is simulated; None for none.
+        temperatures: Those of the joints, in the time of the Context; without, each joint has that
+            to which its friction belongs.
+        spring_damping: Damping of elastic joints that have none of their own, as a share of the
+            critical one.
+
+    Raises:
+        ArgumentError: An effect does not fit the plant, parameters are not on the manifold
+            of their effect, as negative friction is not, or a payload is among the effects
+            although `phi` is given.
+    """
+
+    def __init__(
+        self,
+        plant: MultibodyPlant | RobotInstance,
+        effects: Iterable[EffectWithValues],
+        *,
+        sign_width: ArrayLike = 1e-2,
+        phi: ArrayLike | None = None,
+        log: str | None = None,
+        temperatures: Temperatures | None = None,
+        spring_damping: float = SPRING_DAMPING,
+    ) -> None:
+        """Constructs the system."""
+        LeafSystem.__init__(self, converter=self._converter)
+        number = 0 if log is None else log_number(instance(log, "log", str))
+        motion = PlantMotion(plant, sign_width, number, temperatures)
+        self.law = law = ForceLaw(motion, effects, phi, spring_damping=spring_damping)
+        self._nq, nv = motion.plant.num_positions(), motion.plant.num_velocities()
+        self._state_port = self.DeclareVectorInputPort("state", BasicVector(self._nq + nv))
+        self._effort_port = self.DeclareVectorInputPort("applied_effort", BasicVector(nv))
+        self.DeclareNumericParameter(BasicVector(law.mu))
+        self.DeclareNumericParameter(BasicVector(law.phi.ravel()))
         states = law.state_count + 2 * len(law.soft)
         known = {self._state_port.ticket(), self.all_parameters_ticket()}
         if law.timed:
@@ -72,11 +151,11 @@ class _EffectForce(ScalarSystem):
         # Both force and rates of the motors need it.
         self._response = self.DeclareCacheEntry("response", producer, moved)
         self.DeclareVectorOutputPort(
-            "generalized_force", self._vector(nv), self._calc_force, {self._response.ticket()}
+            "generalized_force", BasicVector(nv), self._calc_force, {self._response.ticket()}
         )
         if law.soft:
             self.DeclareVectorOutputPort(
-                "motor_state", self._vector(nq + nv), self._calc_motor_state, known
+                "motor_state", BasicVector(self._nq + nv), self._calc_motor_state, known
             )
 
     @property
@@ -99,7 +178,7 @@ class _EffectForce(ScalarSystem):
         """Return what was assumed."""
         return self.law.notes
 
-    def effect_parameters(self, context: Context, effect: Effect) -> Scalars:
+    def effect_parameters(self, context: Context, effect: Effect) -> Array:
         """Return linear parameters (k,) of an effect in a Context of the system.
 
         Raises:
@@ -114,11 +193,11 @@ class _EffectForce(ScalarSystem):
             ArgumentError: An effect is none of `effects`, or cannot have these parameters.
         """
         check_context(self, context)
-        mu = self._parameters(context).copy()
+        mu = self._parameters(context)
         for effect, given in values.items():
             mu[self._part(effect)] = admissible(effect, given)
         self.law.soft.couplings(mu)  # do all of them still give way?
-        self._set(context.get_mutable_numeric_parameter(_PARAMETERS), mu)
+        context.get_mutable_numeric_parameter(_PARAMETERS).SetFromVector(mu)
 
     def set_inertial_parameters(self, context: Context, phi: ArrayLike) -> None:
         """Changes what inertial parameters (nb, 10) the plant is taken to have, in a Context.
@@ -130,7 +209,7 @@ class _EffectForce(ScalarSystem):
         """
         check_context(self, context)
         phi = real_array(phi, "phi", self.law.phi.shape)
-        self._set(context.get_mutable_numeric_parameter(_PHI), phi.ravel())
+        context.get_mutable_numeric_parameter(_PHI).SetFromVector(phi.ravel())
 
     def set_hidden_states(self, context: Context, states: Mapping[Effect, ArrayLike]) -> None:
         """Sets hidden states (s,), such as `Effect.states_along` leaves them; others keep theirs.
@@ -226,7 +305,7 @@ class _EffectForce(ScalarSystem):
         if law.soft:
             response: Response = self._response.Eval(context)
             rates += [state.speed - state.v[law.soft.velocities], response.motor_acceleration]
-        self._set(derivatives.get_mutable_vector(), np.concatenate(rates))
+        derivatives.get_mutable_vector().SetFromVector(np.concatenate(rates))
 
     def _part(self, effect: Effect) -> slice:
         if effect not in self.law.effects:
@@ -236,21 +315,12 @@ class _EffectForce(ScalarSystem):
             )
         return self.law.parts[self.law.effects.index(effect)]
 
-    def _parameters(self, context: Context) -> Scalars:
-        return np.asarray(context.get_numeric_parameter(_PARAMETERS).CopyToVector())
+    def _parameters(self, context: Context) -> Array:
+        return np.array(context.get_numeric_parameter(_PARAMETERS).value())
 
-    def _values(self, context: Context) -> tuple[Scalars, Array]:
+    def _values(self, context: Context) -> tuple[Array, Array]:
         """Return parameters (k,) of all effects, and (nb, 10) of the bodies."""
-        phi = np.asarray(context.get_numeric_parameter(_PHI).CopyToVector())
-        if self._of is Expression:
-            phi = np.array([entry.Evaluate() for entry in phi])
-        elif self._of is not float:
-            if slopes_of(phi).any():
-                raise ModelError(
-                    "The force law has no derivatives with the inertial parameters.",
-                    advice="Take differences, by EffectForce.set_inertial_parameters.",
-                )
-            phi = value_of(phi)
+        phi = np.array(context.get_numeric_parameter(_PHI).value())
         return self._parameters(context), phi.reshape(-1, PARAMETERS_PER_BODY)
 
     def _plant_state(self, context: Context) -> PlantState:
@@ -267,120 +337,16 @@ class _EffectForce(ScalarSystem):
         if self.law.coupled and self._effort_port.HasValue(context):
             u = self._effort_port.Eval(context)
         acting = self.law.applied(u, parameters[0])
-        # (Drake's symbols raise flags of floating point that say nothing.)
-        with np.errstate(invalid="ignore") if self._of is Expression else nullcontext():
-            response = self.law.response(state, acting, parameters)
-            force = acting - u - response.effort
+        response = self.law.response(state, acting, parameters)
+        force = acting - u - response.effort
         value.set_value(Response(force, response.motor_acceleration))
 
-    def _calc_force(self, context: Context, output: Any) -> None:
-        self._set(output, self._response.Eval(context).effort)
+    def _calc_force(self, context: Context, output: BasicVector) -> None:
+        output.SetFromVector(self._response.Eval(context).effort)
 
-    def _calc_motor_state(self, context: Context, output: Any) -> None:
+    def _calc_motor_state(self, context: Context, output: BasicVector) -> None:
         motor = self.law.at_motors(self._plant_state(context))
-        self._set(output, np.concatenate([motor.q, motor.v]))
-
-
-class EffectForce(_EffectForce, LeafSystem):
-    """The force law of effects, for a MultibodyPlant to be simulated with them.
-
-    .. pydrake_system::
-
-        name: EffectForce
-        input_ports:
-        - state
-        - applied_effort
-        output_ports:
-        - generalized_force
-        - motor_state
-
-    An effect adds to the effort that a motion needs, so it takes its effort away from the plant:
-
-        generalized_force = −Σ_e Y_e(q, v, v̇, τ_model) μ_e
-
-    which belongs at `plant.get_applied_generalized_force_input_port()`; see `AddToBuilder`. A wrong
-    gain (`EffortScale`) turns the effort u that is commanded, or measured, into u / (1 + ε).
-
-    Effects of v̇ (rotor inertia, payload) are f(q, v) + M_e(q, v) v̇ with the v̇ that the plant has
-    with them, (M + M_e) v̇ = u − C v + τ_g + … − f: the plant moves exactly as if its mass matrix
-    were M + M_e. Friction that depends on the load τ_model, the effort that the rigid bodies need,
-    is found by fixed-point iteration. Both need u, the `applied_effort` (nv) of controllers at the
-    joints, zero if the port is not connected; forces that reach the plant otherwise, as by contact,
-    are not known here. Where no effect depends on v̇ or load, the port is not read.
-
-    Hidden states (`Hysteresis`) are continuous states, zero at first (`set_hidden_states`). Joints
-    that are elastic or have play (`DeflectionEffect`) are two bodies: the plant's joint is the
-    link; the motor's position, less that of the link, and its velocity are continuous states, zero
-    at first (`set_motors`), with the spring of the effect between them, or its dead band (see
-    `geodrake.model.simulation.soft_joints`). Efforts, friction and rotor inertia act at the motor;
-    gravity, payloads and contacts at the link. `motor_state` (nq + nv), which encoders measure, is
-    the plant's state with the motors in the place of the links; it is there with soft joints alone.
-    A motor has at least 1 % of its link's inertia; `notes` says where that is more than the
-    model's. Explicit integrators need steps below some 1.7 / ω, with ω = √(k (1/B + 1/M)) the
-    frequency at which motor and link swing against each other; stiff ones are for "radau3" or
-    "implicit_euler" (`ResetIntegratorFromFlags`). Plants with time steps take the torque of the
-    spring as it was when the step began, and need steps far below 1 / ω.
-
-    Effects of the time since a log began (`FrictionDrift`, `Contact`) take the Context's, and
-    contacts that were found in a log act only where that log is simulated. Friction that goes with
-    the temperature takes that of `temperatures`.
-
-    Numeric parameters of the Context are all μ (`set_effect_parameters`), and the inertial
-    parameters that the plant is taken to have (`set_inertial_parameters`), which matter to effects
-    of v̇, load and bodies. No system sees another one's Context: who changes the plant's inertias
-    there must change them here, too, as `RobotInDiagram.set_parameters` does. All else of the plant
-    is as by default. In a plant that holds more than the robot (`RobotInstance`), state, efforts
-    and forces are those of the whole plant, with zeros where the robot has no part in them.
-
-    The system can be cloned and converted. AutoDiffXd has exact derivatives with state, efforts,
-    time and μ, from effects' formulas and the plant's own derivatives; a diagram may be linearized.
-    An effect of your own that is no formula of NumPy's functions is refused there. Expression needs
-    effects that depend on neither v̇ nor load, and no soft joints.
-
-    Dry friction makes a simulation stiff. Its sgn v is tanh(v / sign_width), so F acts near rest
-    like a damper F / sign_width, and a joint that it holds creeps at less than sign_width. Explicit
-    integrators, and plants with time steps, need steps below 2 · sign_width · inertia / F, rotor
-    inertia included: 1 ms for 0.1 kg·m² and 2 N·m, but tens of µs for a wrist of bare links without
-    rotors. There, use "implicit_euler", or widen sign_width.
-
-    Args:
-        plant: A finalized plant, with the joints and bodies that the effects name; or one robot in
-            it: then nothing else feels them.
-        effects: Effects with their linear parameters μ, SI, such as those of a model; or pairs.
-        sign_width: Speed below which dry friction fades, rad/s or m/s (`RobotModel.sign_widths`
-            has those of a fitted model); one, or (nv,), of a robot in a plant (n,).
-        phi: (nb, 10) inertial parameters of the simulated plant, where its Context has others
-            than the default ones; such as `model.total_phi`, whose payloads then are no effects.
-        log: Name of the log that is simulated; None for none.
-        temperatures: Those of the joints, in the time of the Context; without, each joint has that
-            to which its friction belongs.
-        spring_damping: Damping of elastic joints that have none of their own, as a share of the
-            critical one.
-
-    Raises:
-        ArgumentError: An effect does not fit the plant, parameters are not on the manifold
-            of their effect, as negative friction is not, or a payload is among the effects
-            although `phi` is given.
-    """
-
-    def _construct(
-        self,
-        plant: MultibodyPlant | RobotInstance,
-        effects: Iterable[EffectWithValues],
-        *,
-        sign_width: ArrayLike = 1e-2,
-        phi: ArrayLike | None = None,
-        log: str | None = None,
-        temperatures: Temperatures | None = None,
-        spring_damping: float = SPRING_DAMPING,
-        converter: Any = None,
-    ) -> None:
-        number = 0 if log is None else log_number(instance(log, "log", str))
-        motion = PlantMotion(plant, sign_width, number, temperatures)
-        self._declare(ForceLaw(motion, effects, phi, spring_damping=spring_damping), converter)
-
-    def _construct_copy(self, other: _EffectForce, converter: Any = None) -> None:
-        self._declare(other.law, converter)
+        output.SetFromVector(np.concatenate([motor.q, motor.v]))
 
     @staticmethod
     def AddToBuilder(
@@ -408,6 +374,3 @@ class EffectForce(_EffectForce, LeafSystem):
         builder.Connect(whole.get_state_output_port(), system.GetInputPort("state"))
         add_generalized_force(builder, whole, system.GetOutputPort("generalized_force"))
         return system
-
-
-EffectForce_ = add_scalar_types(EffectForce, _EffectForce, symbolic=True)

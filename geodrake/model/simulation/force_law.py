@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import replace
 from functools import cached_property
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -18,7 +18,6 @@ from geodrake.effects.effect_columns import dependencies
 from geodrake.errors import ArgumentError, ModelError
 from geodrake.inertia import Array
 from geodrake.model.admissible import check_effect
-from geodrake.model.simulation.scalar_system import settled, solve
 from geodrake.model.simulation.soft_joints import (
     LEAST_MOTOR,
     SoftJoints,
@@ -34,7 +33,7 @@ from geodrake.model.simulation.terms import (
     Terms,
 )
 
-_LOAD_ITERATIONS = 200
+_LOAD_ITERATIONS, _LOAD_TOLERANCE = 200, 1e-10
 _LAG_ITERATIONS = 100
 _LAG_TOLERANCE = 1e-12
 
@@ -50,8 +49,8 @@ class Response(NamedTuple):
         motor_acceleration: (m,) accelerations of the motors of soft joints.
     """
 
-    effort: Any
-    motor_acceleration: Any
+    effort: Array
+    motor_acceleration: Array
 
 
 class Side(NamedTuple):
@@ -211,26 +210,25 @@ class ForceLaw:
         """Return whether the applied effort must be known."""
         return self.implicit or any(effect.role is Role.SCALE for effect in self.effects)
 
-    def applied(self, u: Any, mu: Any) -> Any:
-        """Return efforts (nv, …) that act where u (nv, …) are commanded or measured, by μ (k,)."""
-        acting = u
+    def applied(self, u: Array, mu: Array) -> Array:
+        """Return efforts (nv,) that act where u (nv,) are commanded or measured, by μ (k,)."""
+        acting = u.copy()
         for effect, part in zip(self.effects, self.parts, strict=True):
             if effect.role is Role.SCALE:
-                acting = np.array(acting)
                 at = self.plant.joints.index(effect.where[0])
-                acting[at] = acting[at] / (1.0 + mu[part.start])
+                acting[at] /= 1.0 + mu[part.start]
         return acting
 
     def at_motors(self, state: PlantState) -> PlantState:
         """Return a state as it is measured: positions and velocities are those of the motors."""
         if not self.soft:
             return state
-        q, v = np.array(state.q), np.array(state.v)
-        q[self.soft.positions] = q[self.soft.positions] + state.lag
+        q, v = state.q.copy(), state.v.copy()
+        q[self.soft.positions] += state.lag
         v[self.soft.velocities] = state.speed
         return replace(state, q=q, v=v)
 
-    def response(self, state: PlantState, u: Any, parameters: Parameters) -> Response:
+    def response(self, state: PlantState, u: Array, parameters: Parameters) -> Response:
         """Return what effects need, and how motors of soft joints accelerate.
 
         With x = (q̈, θ̈ of the soft joints), q̈ = L x of the links, and A x the accelerations of all
@@ -253,7 +251,7 @@ class ForceLaw:
         M, drift, rigid_drift = self.dynamics.at(state.q, state.v, parameters[1])
         at_soft = np.zeros(nv)
         if self.soft:
-            rate = state.speed - np.asarray(state.v)[self.soft.velocities]
+            rate = state.speed - state.v[self.soft.velocities]
             at_soft = unit @ self.soft.torques(parameters[0], state.lag, rate)
         f_m, f_l = direct + f_m, self.links.direct.direct(state, parameters) + f_l
         rest, loaded = (f_m, BA, f_l, M_l), bool(self.motors.loaded or self.links.loaded)
@@ -264,9 +262,10 @@ class ForceLaw:
                 f_m, BA, f_l, M_l = (a + b for a, b in zip(rest, (*more[0], *more[1]), strict=True))
             K = A.T @ BA + L.T @ (M @ L + M_l)
             K[nv:, nv:] += np.diag(self.added_inertia)
-            x = solve(K, A.T @ (u - f_m) - L.T @ (drift + f_l) + (L - A).T @ at_soft)
+            x = np.linalg.solve(K, A.T @ (u - f_m) - L.T @ (drift + f_l) + (L - A).T @ at_soft)
             before, load = load, M @ x[:nv] + rigid_drift
-            if not loaded or settled(np.asarray(before), np.asarray(load)):
+            size = 1.0 + np.abs(load).max()
+            if not loaded or np.abs(load - before).max() <= _LOAD_TOLERANCE * size:
                 rigid = (1.0 - unit.sum(1)) * (f_m + BA @ x)
                 effort = f_l + M_l @ x + rigid + unit.sum(1) * u - at_soft
                 return Response(effort, x[nv:])
@@ -303,23 +302,7 @@ class ForceLaw:
                 break
         return lag
 
-    def check_symbolic(self) -> None:
-        """Refuses what is no formula of state and time; records the rest."""
-        if self.implicit:
-            raise ModelError(
-                "Effects that depend on accelerations or loads, and soft joints, have no formulas: "
-                "their accelerations solve equations.",
-                advice="Use ToAutoDiffXd, or leave them out.",
-            )
-        if any(terms.warmed for terms in (*self.motors, *self.links)):
-            raise ModelError(
-                "Temperatures have no formulas of the time.",
-                advice="Use ToAutoDiffXd, or leave the temperatures out.",
-            )
-        for side in (self.motors, self.links):
-            side.direct.record(self.state_count, (self.mu, self.phi))
-
-    def state_rates(self, state: PlantState, parameters: Parameters) -> Any:
+    def state_rates(self, state: PlantState, parameters: Parameters) -> Array:
         """Return rates (h,) of the hidden states of effects."""
         sides = (self.motors, self.at_motors(state)), (self.links, state)
         each = [(terms, at) for side, at in sides for terms in side if terms.hidden]

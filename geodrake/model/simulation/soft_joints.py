@@ -12,7 +12,6 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -46,12 +45,12 @@ class Coupling:
         ramp: Way beyond the dead band over which the damping comes on, rad or m.
     """
 
-    stiffness: Any
-    play: Any
-    damping: Any
-    ramp: Any
+    stiffness: float
+    play: float
+    damping: float
+    ramp: float
 
-    def torque(self, lag: Any, rate: Any) -> Any:
+    def torque(self, lag: float, rate: float) -> float:
         """Return the torque on the link, N·m or N.
 
         Args:
@@ -61,11 +60,9 @@ class Coupling:
             return self.stiffness * lag + self.damping * rate
         side = 1.0 if lag > 0.0 else -1.0
         over = side * lag - self.play
-        if over <= 0.0:
-            return 0.0 * over
-        share = over / self.ramp if over < self.ramp else 1.0
+        share = min(over / self.ramp, 1.0)
         push = self.stiffness * over + share * self.damping * (side * rate)
-        return side * push if push > 0.0 else 0.0 * push
+        return side * push if over > 0.0 and push > 0.0 else 0.0
 
     def lag(self, torque: float) -> float:
         """Return the lag (rad or m) under a steady torque (N·m or N)."""
@@ -99,7 +96,7 @@ class SoftJoints:
         """Return how many there are."""
         return len(self.names)
 
-    def couplings(self, mu: Any) -> list[Coupling]:
+    def couplings(self, mu: Array) -> list[Coupling]:
         """Return what holds motors and links together, by the parameters (k,) of all effects.
 
         Springs have the damping 2 ζ √(k I), with I the inertia of motor and link against each
@@ -130,7 +127,7 @@ class SoftJoints:
             found.append(Coupling(stiffness, give.play, damping, _RAMP * yields))
         return found
 
-    def torques(self, mu: Any, lag: Any, rate: Any) -> Any:
+    def torques(self, mu: Array, lag: Array, rate: Array) -> Array:
         """Return (m,) torques on the links, N·m or N.
 
         Args:
@@ -142,7 +139,7 @@ class SoftJoints:
         return np.array([coupling.torque(s, ds) for coupling, s, ds in each])
 
 
-def _give_of(effects: Iterable[tuple[DeflectionEffect, Any]]) -> Give:
+def _give_of(effects: Iterable[tuple[DeflectionEffect, Array]]) -> Give:
     return sum((effect.give(values) for effect, values in effects), start=Give())
 
 

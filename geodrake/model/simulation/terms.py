@@ -1,17 +1,15 @@
-"""The motion of a plant as effects see it, and their efforts, in any of Drake's scalar types."""
+"""The motion of a plant as effects see it, and their efforts."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
 from functools import cache, cached_property
-from itertools import pairwise
 from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from pydrake.autodiffutils import AutoDiffXd
 from pydrake.multibody.plant import MultibodyPlant
-from pydrake.multibody.tree import JointIndex, MultibodyForces_
+from pydrake.multibody.tree import JointIndex, MultibodyForces
 
 from geodrake.boundary.arguments import one_or_each
 from geodrake.effects import Effect, JointMotion, RobotMotion
@@ -22,10 +20,6 @@ from geodrake.errors import ArgumentError
 from geodrake.inertia import PARAMETERS_PER_BODY, Array, change_frame, inertial_parameters
 from geodrake.inertia.bodies import Member, lumped_bodies
 from geodrake.logs.temperatures import Temperatures
-from geodrake.model.formulas.evaluation import evaluated
-from geodrake.model.formulas.rigid_bodies import BodyFormulas, inverse_dynamics_formula
-from geodrake.model.formulas.symbols import Formulas, Symbols, recorded_rows
-from geodrake.model.simulation.scalar_system import value_of
 from geodrake.robot.kinematics import KinematicTree
 from geodrake.robot.plant import set_inertial_parameters
 from geodrake.robot.regressor import inverse_dynamics_regressor
@@ -121,32 +115,8 @@ class PlantMotion:
             start = PARAMETERS_PER_BODY * index
             return regressor()[..., start : start + PARAMETERS_PER_BODY] @ to_lump
 
-        bodies = RobotBodies(self.tree, q, phi)
-        return self._motion(self.of_joints(q), rates, columns, bodies, **known)
-
-    def formulas(
-        self, q: Formulas, rates: tuple[Formulas, Formulas, Formulas], phi: Array, **known: Any
-    ) -> RobotMotion:
-        """Return one sample in symbols as effects see it; see `seen`."""
-        v, vd, _ = rates
-        at_joints = Symbols.of(np.full((1, len(self.joints)), np.nan))
-        single = self.positions >= 0
-        at_joints[:, single] = q[:, self.positions[single]]
-
-        def columns(name: str) -> Formulas:
-            index, to_lump = self._in_lump(name)
-            unit = np.zeros((PARAMETERS_PER_BODY, *phi.shape))
-            unit[:, index] = np.eye(PARAMETERS_PER_BODY)
-            efforts = [inverse_dynamics_formula(self.tree, q[0], v[0], vd[0], x) for x in unit]
-            return Symbols.of(np.stack(efforts, -1) @ to_lump)[None]
-
-        return self._motion(at_joints, rates, columns, BodyFormulas(self.tree, q, phi), **known)
-
-    def _motion(
-        self, q: Array, rates: tuple[Array, Array, Array], columns: Any, bodies: Any, **known: Any
-    ) -> RobotMotion:
-        width = self._sign_width
-        return RobotMotion(self.joints, q, *rates, width, columns, bodies, log=self._log, **known)
+        own = self.of_joints(q), *rates, self._sign_width, columns, RobotBodies(self.tree, q, phi)
+        return RobotMotion(self.joints, *own, log=self._log, **known)
 
     def of_joints(self, q: Array) -> Array:
         """Return the position belonging to each velocity, NaN for joints of several degrees."""
@@ -174,46 +144,33 @@ class PlantDynamics:
         """Makes the Context."""
         self._plant, self._context = plant, plant.CreateDefaultContext()
         self._phi = np.zeros(0)
-        self._autodiff: tuple[Any, Any] | None = None
 
     def context(self, phi: Array) -> Any:
-        """Return the Context of floats, with inertial parameters (nb, 10)."""
+        """Return the Context with inertial parameters (nb, 10)."""
         if not np.array_equal(self._phi, phi):
             set_inertial_parameters(self._plant, self._context, phi)
-            self._phi, self._autodiff = phi.copy(), None
+            self._phi = phi.copy()
         return self._context
 
-    def at(self, q: Any, v: Any, phi: Array) -> tuple[Any, Any, Any]:
-        """Return M, C v − τ of all force elements, and C v − τ_g alone, of the plant.
-
-        Args:
-            q: (nq,) positions, of floats or AutoDiffXd.
-            v: (nv,) velocities.
-            phi: (nb, 10) inertial parameters.
-        """
-        plant, context, scalar = self._plant, self.context(phi), float
-        if np.asarray(q).dtype == object:
-            if self._autodiff is None:
-                other = plant.ToAutoDiffXd()
-                self._autodiff = other, other.CreateDefaultContext()
-                self._autodiff[1].SetTimeStateAndParametersFrom(context)
-            (plant, context), scalar = self._autodiff, AutoDiffXd
+    def at(self, q: Array, v: Array, phi: Array) -> tuple[Array, Array, Array]:
+        """Return M, C v − τ of all force elements, and C v − τ_g alone, at q (nq,) and v (nv,)."""
+        plant, context = self._plant, self.context(phi)
         plant.SetPositions(context, q)
         plant.SetVelocities(context, v)
-        forces = MultibodyForces_[scalar](plant)
+        forces = MultibodyForces(plant)
         plant.CalcForceElementsContribution(context, forces)
-        drift = plant.CalcInverseDynamics(context, 0.0 * v, forces)
+        drift = plant.CalcInverseDynamics(context, np.zeros(len(v)), forces)
         rigid_drift = plant.CalcBiasTerm(context) - plant.CalcGravityGeneralizedForces(context)
         return plant.CalcMassMatrix(context), drift, rigid_drift
 
 
-Parameters = tuple[Any, Array]
+Parameters = tuple[Array, Array]
 """(k,) linear parameters of all effects, and (nb, 10) inertial parameters of the bodies."""
 
 
 @dataclass(frozen=True, eq=False)
 class PlantState:
-    """State of a plant and of its motors, in floats or in one of Drake's other scalar types.
+    """State of a plant and of its motors.
 
     Attributes:
         q: (nq,) positions of the links.
@@ -224,12 +181,12 @@ class PlantState:
         speed: (m,) velocities of these motors.
     """
 
-    q: Any
-    v: Any
-    time: Any
-    hidden: Any
-    lag: Any = ()
-    speed: Any = ()
+    q: Array
+    v: Array
+    time: float
+    hidden: Array
+    lag: Array = field(default_factory=lambda: np.zeros(0))
+    speed: Array = field(default_factory=lambda: np.zeros(0))
 
 
 @dataclass(frozen=True, eq=False)
@@ -246,7 +203,6 @@ class Terms:
     effects: tuple[Effect, ...]
     places: NDArray[np.intp]
     hidden: dict[Effect, slice]
-    _recorded: dict[Any, Formulas] = field(default_factory=dict)
 
     def __bool__(self) -> bool:
         """Return whether there are any."""
@@ -260,35 +216,30 @@ class Terms:
     @cached_property
     def timed(self) -> bool:
         """Return whether the time must be known."""
-        return "time" in self.columns.depends_on or self.warmed
+        return "time" in self.columns.depends_on or self._warmth is not None
 
     @cached_property
-    def warmed(self) -> bool:
-        """Return whether the temperatures of the joints matter, and are known."""
-        return self.plant.temperatures is not None and "temperature" in self.columns.depends_on
+    def _warmth(self) -> Temperatures | None:
+        """Return the temperatures of the joints, if they matter and are known."""
+        return self.plant.temperatures if "temperature" in self.columns.depends_on else None
 
-    def direct(self, at: PlantState, parameters: Parameters) -> Any:
+    def direct(self, at: PlantState, parameters: Parameters) -> Array:
         """Return the effort (nv,) of effects that see neither accelerations nor loads."""
         rest = np.zeros(len(at.v))
         return self.effort(at, rest[None], rest, parameters)[0]
 
     def split(
-        self, at: PlantState, accelerations: Array, load: Any, parameters: Parameters
-    ) -> tuple[Any, Any]:
+        self, at: PlantState, accelerations: Array, load: Array, parameters: Parameters
+    ) -> tuple[Array, Array]:
         """Return the effort (nv,) at v̇ = 0, and its change (nv, n) with n accelerations (n, nv)."""
         vd = np.vstack([np.zeros_like(accelerations[:1]), accelerations])
         efforts = self.effort(at, vd, load, parameters)
         return efforts[0], (efforts[1:] - efforts[0]).T
 
-    def effort(self, at: PlantState, vd: Array, load: Any, parameters: Parameters) -> Any:
+    def effort(self, at: PlantState, vd: Array, load: Array, parameters: Parameters) -> Array:
         """Return efforts (N, nv) at one state with N accelerations (N, nv), under a load (nv,)."""
         if not self.effects:
             return np.zeros_like(vd)
-        if (scalar := _scalar(at, parameters, load)) is not float:
-            formulas = self.record(len(at.hidden), parameters)
-            inputs = (self._inputs(at, row, load, parameters[0]) for row in np.asarray(vd))
-            rows = [evaluated(formulas, each, scalar) for each in inputs]
-            return self.plant.own(np.array(rows, object))
         mu, signals = parameters[0][self.places], self.columns.depends_on
         if not signals & {"vd", "load"}:
             rest, rates = np.zeros(len(at.v)), (at.v[None], vd, np.zeros_like(vd))
@@ -313,57 +264,13 @@ class Terms:
         motion = self.plant.trial(rest, np.vstack([rest[0], np.eye(nv)]), rest)
         return np.concatenate([effect.regressor(motion) for effect in self.effects], axis=-1)
 
-    def state_rates(self, at: PlantState, parameters: Parameters) -> Any:
-        """Return rates of all hidden states, zero where the effect is not one of these."""
-        zero, scalar = np.zeros((1, len(at.v))), _scalar(at, parameters)
-        if scalar is float:
-            motion = self._seen(at, (at.v[None], zero, zero), parameters)
-            return self._rates(motion, at.hidden, np.zeros(len(at.hidden)))
-        if "rates" not in self._recorded:
-            motion, z = self._recorded_motion(len(at.hidden), parameters[1])
-            self._recorded["rates"] = self._rates(motion, z, Symbols.of(np.zeros(len(z))))
-        inputs = self._inputs(at, zero[0], zero[0], parameters[0])
-        return evaluated(self._recorded["rates"], inputs, scalar)
-
-    def _rates(self, motion: RobotMotion, hidden: Any, rates: Any) -> Any:
-        """Writes the rates of hidden states (h,) at one sample into zeros (h,)."""
+    def state_rates(self, at: PlantState, parameters: Parameters) -> Array:
+        """Return rates of all hidden states (h,), zero where the effect is not one of these."""
+        zero, rates = np.zeros((1, len(at.v))), np.zeros(len(at.hidden))
+        motion = self._seen(at, (at.v[None], zero, zero), parameters)
         for effect, place in self.hidden.items():
-            rates[place] = effect.state_rates(motion, hidden[None, place])[0]
+            rates[place] = effect.state_rates(motion, at.hidden[None, place])[0]
         return rates
-
-    def record(self, states: int, parameters: Parameters) -> Formulas:
-        """Return the effort (nv,) as formulas; inertial parameters are numbers in them."""
-        mu, phi = parameters
-        key = phi.tobytes()
-        if key not in self._recorded:
-            motion, _ = self._recorded_motion(states, phi)
-            symbols = Symbols.inputs("mu", len(mu))[self.places]
-            effort = Symbols.of(np.zeros(len(self.plant.joints)))
-            ends = np.cumsum([0, *(len(effect.parameters) for effect in self.effects)]).tolist()
-            for effect, part in zip(self.effects, pairwise(ends), strict=True):
-                for joint, columns in recorded_rows(effect, motion).items():
-                    place = self.plant.joints.index(joint)
-                    effort[place] = effort[place] + columns @ symbols[slice(*part)]
-            self._recorded[key] = effort
-        return self._recorded[key]
-
-    def _recorded_motion(self, states: int, phi: Array) -> tuple[RobotMotion, Symbols]:
-        """Return one sample of symbols, and all hidden states (h,)."""
-        nv, nq = len(self.plant.joints), self.plant.plant.num_positions()
-        q, v, vd, load = (
-            Symbols.inputs(name, count)[None]
-            for name, count in (("q", nq), ("v", nv), ("vd", nv), ("load", nv))
-        )
-        z = Symbols.inputs("hidden", states)
-        known: dict[str, Any] = {"states": {e: z[None, s] for e, s in self.hidden.items()}}
-        if self.timed:
-            known["time"] = Symbols.inputs("time", 1)
-        if self.warmed:
-            courses = self.plant.temperatures.courses if self.plant.temperatures else {}
-            is_known = [joint in courses for joint in self.plant.joints]
-            warmth = np.where(is_known, Symbols.inputs("temperature", nv), np.nan)
-            known["temperature"] = warmth[None]
-        return self.plant.formulas(q, (v, vd, load), phi, **known), z
 
     def _seen(
         self, at: PlantState, rates: tuple[Array, Array, Array], parameters: Parameters
@@ -373,28 +280,6 @@ class Terms:
         known: dict[str, Any] = {"states": {e: at.hidden[None, s] for e, s in self.hidden.items()}}
         if self.timed:
             known["time"] = np.full(count, at.time)
-        if self.warmed:
-            known["temperature"] = np.repeat(self._temperature(at), count, axis=0)
+        if self._warmth is not None:
+            known["temperature"] = self._warmth.at(known["time"], self.plant.joints)
         return self.plant.seen(np.tile(at.q, (count, 1)), rates, parameters[1], **known)
-
-    def _temperature(self, at: PlantState) -> Array:
-        """Return (1, nv) temperatures at an instant, °C; NaN where not known."""
-        plant = self.plant
-        if plant.temperatures is None:
-            return np.full((1, len(plant.joints)), np.nan)
-        return plant.temperatures.at(value_of(np.array([at.time])), plant.joints)
-
-    def _inputs(self, at: PlantState, vd: Any, load: Any, mu: Any) -> dict[str, Any]:
-        """Return what formulas are of; temperatures are slow, and have no slope with the time."""
-        known = {"q": at.q, "v": at.v, "vd": vd, "load": load, "hidden": at.hidden, "mu": mu}
-        if self.warmed:
-            known["temperature"] = self._temperature(at)[0]
-        return {**known, "time": [at.time]}
-
-
-def _scalar(at: PlantState, parameters: Parameters, load: Any = ()) -> type:
-    """Return the scalar type of a state."""
-    for values in (at.q, at.v, at.hidden, parameters[0], load):
-        if np.asarray(values).dtype == object and len(values):
-            return type(values[0])
-    return float
