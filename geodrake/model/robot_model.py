@@ -614,7 +614,7 @@ def from_loaded_plant(
         transmission=(*drives, *loops),
         known_joints=loaded.joints,
     )
-    stated = stated_effects(loaded, bare.tree_joints, bare.joints, bare.actuation)
+    stated = stated_effects(loaded, bare.tree_joints, bare.coordinates, bare.actuation)
     notes += stated.notes
     left_out += tuple(stated.left_out)
     if loaded.geared and not transmission:

@@ -33,7 +33,8 @@ from geodrake.model.file_terms import (
     StrutEffect,
 )
 from geodrake.robot import stated
-from geodrake.robot.plant import LoadedPlant
+from geodrake.robot.followers import OwnCoordinates
+from geodrake.robot.plant import LoadedPlant, scoped_joint_names
 from geodrake.robot.transmission.actuation import Actuation
 
 _LEAST = 1e-100  # SI units: less counts as zero, as its square has no inverse
@@ -45,23 +46,21 @@ _SINGLE: Mapping[str, Callable[[str], Effect]] = {
 }
 
 
+Rows = dict[int, dict[str, float]]
+"""Velocity of a plant -> the actuator, or joint, that it follows -> ratio."""
+
+
 @dataclass
 class StatedEffects:
     """Effects that a file states.
 
     Attributes:
-        joints: Names of the velocities of the plant's tree, without followers.
         names: Names of the model's velocities.
-        actuation: How the former follow from the latter.
-        closing: Joint that closes a loop -> what is stated of it.
         notes: Sentences on what the effects are of.
         left_out: Sentences on what no effect is.
     """
 
-    joints: Sequence[str]
     names: Sequence[str]
-    actuation: Actuation
-    closing: Mapping[str, Mapping[str, float]]
     effects: list[FittedEffect] = field(default_factory=list)
     notes: list[str] = field(default_factory=list)
     left_out: list[str] = field(default_factory=list)
@@ -78,71 +77,88 @@ class StatedEffects:
             kept = found[0][0].name
             self.notes.append(f"The {what} in the file ({listed}) is kept as {kept}.")
 
-    def by_name(self, own: Array, what: str, power: float) -> dict[str, float]:
-        """Return actuator or joint -> its coefficient, of those (nv of the tree,) of the joints.
+    def by_name(self, own: Array, rows: Rows, power: float) -> dict[str, float]:
+        """Return actuator or joint -> its coefficient, of those (nv of the plant,) of the joints.
 
         A ratio J multiplies it by |J| to a power.
         """
-        values, lost = self.actuation.joined(own, lambda J: np.abs(J) ** power)
-        found = dict(zip(self.names, values.tolist(), strict=True))
-        for at in lost:
-            found[self.joints[at]] = found.get(self.joints[at], 0.0) + float(own[at])
-        return found | {joint: each.get(what, 0.0) for joint, each in self.closing.items()}
+        found = dict.fromkeys(self.names, 0.0)
+        for at, value in enumerate(own.tolist()):
+            for name, ratio in rows[at].items() if value else ():
+                found[name] = found.get(name, 0.0) + abs(ratio) ** power * value
+        return found
 
-    def ratios(self) -> tuple[dict[int, dict[str, float]], dict[int, float]]:
-        """Return what moves each velocity of the tree by a constant ratio, and from where.
 
-        Returns:
-            Velocity -> name of its actuator -> ratio, or the joint itself where several move it or
-            the ratio changes; and velocity -> position with the actuator at zero.
-        """
-        rows: dict[int, dict[str, float]] = {at: {name: 1.0} for at, name in enumerate(self.joints)}
-        shifts = dict[int, float]()
-        for at, unit in enumerate(np.eye(len(self.joints))):
-            ratios, lost = self.actuation.joined(unit, lambda J: J)
-            if not lost:
-                moved = np.flatnonzero(ratios)
-                rows[at] = {self.names[int(to)]: float(ratios[to]) for to in moved}
-                shifts[at] = float(self.actuation.offsets[at])
-        return rows, shifts
+def _rows(
+    joints: Sequence[str], coordinates: OwnCoordinates, actuation: Actuation
+) -> tuple[Rows, dict[int, float]]:
+    """Return what each velocity of a plant follows, and its position where that is at zero.
+
+    A joint that several actuators move, or by a ratio that changes, follows itself.
+    """
+    rows, shifts, known = Rows(), dict[int, float](), actuation.ratios
+    for at, to in enumerate(coordinates.own_velocities.tolist()):
+        name, ratio, shifts[to] = known.get(at, (joints[at], 1.0, 0.0))
+        rows[to] = {name: ratio}
+    for follower, (to, of, ratio) in zip(coordinates.followers, coordinates.followed, strict=True):
+        rows[to] = {name: ratio * own for name, own in rows[of].items()}
+        shifts[to] = ratio * shifts[of] + follower.offset
+    return rows, shifts
 
 
 def stated_effects(
-    loaded: LoadedPlant, joints: Sequence[str], names: Sequence[str], actuation: Actuation
+    loaded: LoadedPlant, joints: Sequence[str], coordinates: OwnCoordinates, actuation: Actuation
 ) -> StatedEffects:
-    """Return the effects that a model file states; see `StatedEffects`."""
-    found = StatedEffects(joints, names, actuation, loaded.closing)
+    """Return the effects that a model file states.
+
+    Args:
+        joints: Names of the velocities of the plant's tree, without followers.
+    """
+    found, built, terms = StatedEffects(actuation.names), loaded.stated, loaded.terms
+    rows, shifts = _rows(joints, coordinates, actuation)
     values = {
-        what: found.by_name(own, what, 1.0 if what == _FRICTION else 2.0)
-        for what, own in loaded.stated.items()
+        _DAMPING: found.by_name(built.damping, rows, 2.0),
+        _FRICTION: found.by_name(built.friction, rows, 1.0),
+        _ROTOR: found.by_name(built.rotor_inertia, rows, 2.0),
     }
-    rows, shifts = found.ratios()
     springs = dict[str, stated.Spring]()
 
     def add_spring(name: str, spring: stated.Spring) -> None:
         springs[name] = springs[name] + spring if name in springs else spring
 
-    for at, spring in loaded.file_springs.items():
+    for at, spring in built.springs.items():
         for to, ratio in rows[at].items():
-            add_spring(to, spring.through(ratio, shifts.get(at, 0.0)))
-    for joint, of_loop in loaded.closing.items():
-        add_spring(joint, stated.Spring.linear(of_loop.get("spring", 0.0), of_loop["rest"]))
-    entries = ((i, j, x) for (i, j), x in loaded.file_inertias.items())
-    inertias = stated.entries_through(entries, rows)
+            add_spring(to, spring.through(ratio, shifts[at]))
+    for cut in loaded.closing:
+        values[_DAMPING][cut.name] = cut.damping
+        values[_FRICTION][cut.name] = terms.friction.get(cut.scoped_name, 0.0)
+        values[_ROTOR][cut.name] = terms.armature.get(cut.scoped_name, cut.rotor_inertia)
+        if cut.scoped_name in terms.springs:
+            add_spring(cut.name, terms.springs[cut.scoped_name])
+    scoped = dict(enumerate(scoped_joint_names(loaded.plant)))
+    by_joint = {scoped[at]: row for at, row in rows.items()} | {name: {} for name in loaded.places}
+    places = {scoped[at]: place for at, place in shifts.items()} | dict(loaded.places)
+    inertias = stated.entries_through(terms.coupled_inertia, by_joint)
     for name in [name for name, other in inertias if name == other]:
         values[_ROTOR][name] = values[_ROTOR].get(name, 0.0) + inertias.pop((name, name))
-    tendons = [each.through(rows, shifts) for each in loaded.file_tendons]
-    couplings, rubs = _across(found, tendons, values, add_spring)
+    tendons = [each for each in terms.tendons if by_joint.keys() >= each.shares.keys()]
+    found.left_out += [
+        f"The tendon {tendon.name} over joints of several robots is left out."
+        for tendon in terms.tendons
+        if tendon not in tendons and not by_joint.keys().isdisjoint(tendon.shares)
+    ]
+    own_tendons = [each.through(by_joint, places) for each in tendons]
+    couplings, rubs = _across(found, own_tendons, values, add_spring)
     for what, kind in _SINGLE.items():
-        own = values.get(what, {})
+        own = values[what]
         small = {n: value for n, value in own.items() if 0.0 < abs(value) < _LEAST}
         if small:
             listed = ", ".join(f"{name} {value:g}" for name, value in small.items())
             found.notes.append(f"The {what} in the file ({listed}) is negligible, and counts as 0.")
         found.keep(what, [(kind(n), [x]) for n, x in own.items() if n not in small])
-    for exponent, of_power in zip((2.0, 3.0), loaded.file_powers, strict=True):
+    for exponent, of_power in zip((2.0, 3.0), built.powers, strict=True):
         what = f"damping of the power {exponent:g}"
-        single = found.by_name(of_power, what, exponent + 1.0)
+        single = found.by_name(of_power, rows, exponent + 1.0)
         found.keep(what, [(Drag(n, exponent=exponent), [x]) for n, x in single.items()])
     simple, others = [], []
     for name, spring in springs.items():
@@ -161,16 +177,24 @@ def stated_effects(
         "dry friction of tendons",
         [(CoupledDry((i, j), sign), [x, 0.0]) for (i, j, sign), x in rubs.items()],
     )
-    weights = [(Carried(w.body, *w.place.tolist()), [w.mass]) for w in loaded.file_weights]
-    found.keep("carried weight", weights)
+    _keep_of_bodies(found, loaded)
+    return found
+
+
+def _keep_of_bodies(found: StatedEffects, loaded: LoadedPlant) -> None:
+    """Add what carries weights, struts and media."""
+    terms = loaded.terms
+    weights = stated.weights_of(loaded.plant, terms.carried)
+    carried = [(Carried(w.body, *w.place.tolist()), [w.mass]) for w in weights]
+    found.keep("carried weight", carried)
     struts = []
-    for strut in loaded.file_struts:
+    for strut in stated.struts_of(loaded.plant, terms.struts):
         effect = StrutEffect(strut.bodies, *strut.points[0].tolist(), *strut.points[1].tolist())
         numbers = [strut.stiffness, -strut.stiffness * strut.length, strut.damping]
         struts.append((effect, numbers))
     found.keep("tendon", struts)
-    found.keep("medium", [(_drag(b), [b.density, b.viscosity]) for b in loaded.file_boxes])
-    return found
+    boxes = stated.boxes_of(loaded.plant, terms.boxes)
+    found.keep("medium", [(_drag(b), [b.density, b.viscosity]) for b in boxes])
 
 
 def _across(

@@ -165,18 +165,6 @@ class OwnCoordinates:
             limits[of] = min(limits[of], limits[to] / abs(ratio))
         return limits[self.own_velocities]
 
-    def joined(self, values: Array, power: int) -> Array:
-        """Values (nv,) of the robot, of those of the plant: a leader's with those of its followers.
-
-        Args:
-            values: (nv of the plant) coefficients of efforts.
-            power: Of the ratio: 2 for damping and inertia, 1 for dry friction.
-        """
-        values = np.array(values, float)
-        for to, of, ratio in self.followed:
-            values[of] += abs(ratio) ** power * values[to]
-        return values[self.own_velocities]
-
     @cached_property
     def _places(self) -> tuple[tuple[int, int], ...]:
         """Of each follower, its position and its leader's in the plant's."""

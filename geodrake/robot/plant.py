@@ -1,7 +1,7 @@
 """Model files as plants of rigid bodies, and the parameters of such plants.
 
 A loaded plant has rigid-body dynamics only. Damping, dry friction and rotor inertia that the file
-states are read out (`LoadedPlant.file_damping` and so on) and taken out of the plant, because they
+states are read out (`LoadedPlant.stated`) and taken out of the plant, because they
 are effects of their own in geodrake; inertias that no body can have are repaired and reported.
 """
 
@@ -41,20 +41,7 @@ from geodrake.robot.holding import (
 from geodrake.robot.loops import ClosedLoop, LoopJoints, Loops, closed_loops
 from geodrake.robot.mujoco_check import check_against_mujoco, check_loops_against_mujoco
 from geodrake.robot.repairs import Repair, repair_inertias
-from geodrake.robot.stated import (
-    BoxInMedium,
-    BuiltPlant,
-    Entries,
-    FileTerms,
-    Spring,
-    StatedStrut,
-    Tendon,
-    Weight,
-    boxes_of,
-    entries_through,
-    struts_of,
-    weights_of,
-)
+from geodrake.robot.stated import BuiltPlant, CutJoint, FileTerms, Spring
 from geodrake.robot.transmission.statements import Followers, Gear
 
 _STATES = 3  # random ones at which loops are compared with MuJoCo's
@@ -72,22 +59,13 @@ class LoadedPlant:
         repairs: Bodies whose inertia no body can have, with what they got instead.
         changes: Sentences on all inertias that are not those of the file, repairs first.
         notes: Sentences on what else of the file was read in a way worth knowing.
-        file_damping: (nv,) damping of the file, N·m·s/rad or N·s/m; here and below nv without
-            followers, whose share is their leader's.
-        file_friction: (nv,) dry friction of the file, N·m or N.
-        file_rotor_inertia: (nv,) reflected inertia of the file, kg·m² or kg.
-        file_powers: (2, nv) c of the file's damping c |v| v and c v³, SI.
-        file_springs: Velocity -> the spring that the file has there.
-        file_tendons: Tendons over several joints, by velocities.
-        file_inertias: Entries of tendons in the mass matrix.
-        file_weights: What carries weights of bodies.
-        file_boxes: Bodies as what a medium acts on.
-        file_struts: Springs and dampers between points of bodies.
+        stated: What the file states of the plant's joints, which the plant does not have.
+        terms: What the file states beside.
         left_out: Sentences on what of the file bears on efforts, and is in none of these.
         loops: Closed loops, whose joints are among the plant's own.
-        closing: Joint that closes a loop and is not in the plant -> what the file states of it,
-            by its name in `stated`, and `spring` and `rest`, SI.
+        closing: Joints that close loops and are not in the plant.
         held: Joint that does not move, though it does in the file -> where it is held, rad or m.
+        places: The same by scoped names, those that follow held ones included.
         given: How the file was to be read.
         followers: Joints of the plant that follow others.
         joints: Names of all joints of one degree of freedom of the file, held ones and followers
@@ -101,34 +79,18 @@ class LoadedPlant:
     repairs: tuple[Repair, ...]
     changes: tuple[str, ...]
     notes: tuple[str, ...]
-    file_damping: Array
-    file_friction: Array
-    file_rotor_inertia: Array
-    file_powers: Array
-    file_springs: Mapping[int, Spring]
-    file_tendons: tuple[Tendon, ...]
-    file_inertias: Entries[int]
-    file_weights: tuple[Weight, ...]
-    file_boxes: tuple[BoxInMedium, ...]
-    file_struts: tuple[StatedStrut, ...]
+    stated: BuiltPlant
+    terms: FileTerms
     left_out: tuple[str, ...]
     loops: tuple[ClosedLoop, ...]
-    closing: Mapping[str, Mapping[str, float]]
+    closing: tuple[CutJoint, ...]
     held: Mapping[str, float]
+    places: Mapping[str, float]
     given: Given
     followers: tuple[Follower, ...]
     joints: tuple[str, ...]
     bent: tuple[Followers, ...]
     geared: tuple[str, ...]
-
-    @property
-    def stated(self) -> Mapping[str, Array]:
-        """What the file states of joints and the plant does not have, (nv,) each, by its name."""
-        return {
-            "damping": self.file_damping,
-            "dry friction": self.file_friction,
-            "reflected rotor inertia": self.file_rotor_inertia,
-        }
 
 
 def load_plant(
@@ -184,34 +146,25 @@ def load_plant(
     notes = [*origin, *terms.notes, *built.notes, *_follower_notes(arrangement), *loops.notes]
     lines = [message.partition("\n")[0].rpartition("warning: ")[2] for message in messages]
     of_drake = [f"Drake: {line}" for line in lines if "inertia" in line or "mass" in line]
-    coordinates = OwnCoordinates(plant, arrangement.followers)
-    rows, shifts = _rows(coordinates, arrangement)
-    tendons, lost = _joined_tendons(terms, rows, shifts)
-    closing = _closing(terms, built, loops)
-    left_out = [*terms.left_out, *(apart if of_xml else ()), *lost, *loops.left_out]
+    moving = {loop.map.joints[k] for loop in loops.loops for k in loop.map.cut}
+    cuts = (each.cut for each in built.opened)
+    closing = tuple(cut for cut in cuts if cut is not None and cut.name in moving)
     return LoadedPlant(
         plant,
         path,
         repairs,
         _once([*map(str, repairs), *weightless, *terms.lost, *of_drake]),
         _once([*notes, *(() if of_xml else apart)]),
-        coordinates.joined(built.damping, 2),
-        coordinates.joined(built.friction, 1),
-        coordinates.joined(built.rotor_inertia, 2),
-        np.array([coordinates.joined(c, n) for c, n in zip(built.powers, (3, 4), strict=True)]),
-        _joined_springs(built, coordinates),
-        tendons,
-        entries_through(terms.coupled_inertia, rows),
-        weights_of(plant, terms.carried),
-        boxes_of(plant, terms.boxes),
-        struts_of(plant, terms.struts),
-        _once(left_out),
+        built,
+        terms,
+        _once([*terms.left_out, *(apart if of_xml else ()), *loops.left_out]),
         loops.loops,
         closing,
         held={**loops.held, **held},
+        places=arrangement.places,
         given=given,
         followers=arrangement.followers,
-        joints=(*arrangement.joints, *closing),
+        joints=(*arrangement.joints, *(cut.name for cut in closing)),
         bent=tuple(part for part in terms.bent if part not in loops.taken),
         # Gears of MJCF's actuators do not count: most scale efforts and are no gears.
         geared=tuple(joint for is_alike, joint in _motors(description) if not is_alike),
@@ -220,46 +173,6 @@ def load_plant(
 
 def _once(sentences: Iterable[str]) -> tuple[str, ...]:
     return tuple(dict.fromkeys(sentences))
-
-
-def _joined_springs(built: BuiltPlant, coordinates: OwnCoordinates) -> dict[int, Spring]:
-    """Return the springs at the robot's own velocities, with those of their followers."""
-    springs = dict(built.springs)
-    offsets = [follower.offset for follower in coordinates.followers]
-    for (to, of, ratio), offset in zip(coordinates.followed, offsets, strict=True):
-        if to in springs and ratio:
-            own = springs[to].through(ratio, offset)
-            springs[of] = springs[of] + own if of in springs else own
-    every = enumerate(coordinates.own_velocities.tolist())
-    return {at: springs[of] for at, of in every if of in springs and not springs[of].is_none}
-
-
-def _rows(
-    coordinates: OwnCoordinates, arrangement: Arrangement
-) -> tuple[dict[str, dict[int, float]], dict[str, float]]:
-    """Return how joints follow the robot's own velocities, and where they are with those at zero.
-
-    Returns:
-        Scoped name -> velocity -> ratio, and scoped name -> rad or m.
-    """
-    names, followers = scoped_joint_names(coordinates.plant), coordinates.followers
-    own = {names[of]: at for at, of in enumerate(coordinates.own_velocities.tolist())}
-    rows = {name: {at: 1.0} for name, at in own.items()}
-    rows |= {follower.joint: {own[follower.leader]: follower.ratio} for follower in followers}
-    shifts = {follower.joint: follower.offset for follower in followers}
-    return {**rows, **{name: {} for name in arrangement.places}}, shifts | arrangement.places
-
-
-def _joined_tendons(
-    terms: FileTerms, rows: Mapping[str, Mapping[int, float]], shifts: Mapping[str, float]
-) -> tuple[tuple[Tendon, ...], list[str]]:
-    """Return the tendons over the robot's own velocities, and those that are not its own."""
-    within = [tendon for tendon in terms.tendons if rows.keys() >= tendon.shares.keys()]
-    return tuple(tendon.through(rows, shifts) for tendon in within), [
-        f"The tendon {tendon.name} over joints of several robots is left out."
-        for tendon in terms.tendons
-        if tendon not in within and not rows.keys().isdisjoint(tendon.shares)
-    ]
 
 
 def _motors(description: ModelDescription) -> Iterator[tuple[bool, str]]:
@@ -339,22 +252,6 @@ def _loops(description: ModelDescription, built: BuiltPlant, how: LoopJoints) ->
             advice="Give the loop joints that turn about or slide along one axis.",
             path=description.path,
         )
-    return found
-
-
-def _closing(terms: FileTerms, built: BuiltPlant, loops: Loops) -> dict[str, dict[str, float]]:
-    """Return what the file states of joints that close loops which move."""
-    moving, found = {loop.map.joints[k] for loop in loops.loops for k in loop.map.cut}, {}
-    for cut in (each.cut for each in built.opened):
-        if cut is not None and cut.name in moving:
-            spring = terms.springs.get(cut.scoped_name, _NO_SPRING)
-            found[cut.name] = {
-                "damping": cut.damping,
-                "dry friction": terms.friction.get(cut.scoped_name, 0.0),
-                "reflected rotor inertia": terms.armature.get(cut.scoped_name, cut.rotor_inertia),
-                "spring": spring.coefficients[1],
-                "rest": spring.center,
-            }
     return found
 
 

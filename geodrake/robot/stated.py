@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, fields, replace
-from typing import Any, TypeVar
+from typing import Any
 
 import numpy as np
 from numpy.polynomial import Polynomial
@@ -81,24 +81,24 @@ class Tendon:
 
     Attributes:
         name: Its name in the file.
-        shares: Joint, or velocity, -> cᵢ.
+        shares: Joint -> cᵢ.
     """
 
     name: str
-    shares: Mapping[Any, float]
+    shares: Mapping[str, float]
     stiffness: float = 0.0
     length: float = 0.0
     damping: float = 0.0
     friction: float = 0.0
 
-    def through(self, rows: Mapping[Any, Mapping[Any, float]], at: Mapping[Any, float]) -> Tendon:
+    def through(self, rows: Mapping[str, Mapping[str, float]], at: Mapping[str, float]) -> Tendon:
         """Return the tendon over what its joints follow.
 
         Args:
             rows: Joint -> what it follows -> ratio; none of a joint that stands still.
             at: Joint -> its position where those are at zero, rad or m.
         """
-        shares, shift = dict[Any, float](), 0.0
+        shares, shift = dict[str, float](), 0.0
         for joint, share in self.shares.items():
             shift += share * at.get(joint, 0.0)
             for place, ratio in rows[joint].items():
@@ -106,21 +106,16 @@ class Tendon:
         return replace(self, shares=shares, length=self.length - shift)
 
 
-Place = TypeVar("Place", int, str)
-Entries = dict[tuple[Place, Place], float]
-"""Entries of a symmetric matrix of velocities, or joints, i ≤ j."""
-
-
 def entries_through(
-    entries: Iterable[tuple[Any, Any, float]], rows: Mapping[Any, Mapping[Place, float]]
-) -> Entries[Place]:
-    """Return what entries between two joints each are between what the joints follow.
+    entries: Iterable[tuple[str, str, float]], rows: Mapping[str, Mapping[str, float]]
+) -> dict[tuple[str, str], float]:
+    """Return entries i ≤ j of a symmetric matrix between what joints follow.
 
     Args:
         entries: Two joints, or one twice, and the entry between them.
-        rows: Joint -> velocity that it follows -> ratio.
+        rows: Joint -> what it follows -> ratio.
     """
-    found: Entries[Place] = {}
+    found = dict[tuple[str, str], float]()
     for first, second, value in entries:
         once = 0.5 if first == second else 1.0
         for i, own in rows.get(first, {}).items():

@@ -114,9 +114,9 @@ def test_urdf_ignores_geometry_mimic_and_transmissions(load):
 def test_urdf_reads_limits_damping_and_friction(load):
     loaded = load(urdf(inertial(), joint="<dynamics damping='0.5' friction='0.3'/>"))
     plant = loaded.plant
-    assert loaded.file_damping == pytest.approx([0.5])
-    assert loaded.file_friction == pytest.approx([0.3])
-    assert loaded.file_rotor_inertia == pytest.approx([0.0])
+    assert loaded.stated.damping == pytest.approx([0.5])
+    assert loaded.stated.friction == pytest.approx([0.3])
+    assert loaded.stated.rotor_inertia == pytest.approx([0.0])
     assert effort_limits(plant) == pytest.approx([10.0])
     assert velocity_limits(plant) == pytest.approx([3.0])
     assert np.ravel(position_limits(plant)) == pytest.approx([-1.0, 2.0])
@@ -131,7 +131,7 @@ def test_rotor_inertia_is_read_out_and_removed(load):
     <x:rotor_inertia value="0.001"/><x:gear_ratio value="10"/></actuator></transmission>"""
     text = urdf(inertial(), extra=extra).replace("<robot", "<robot xmlns:x='http://drake.mit.edu'")
     loaded = load(text)
-    assert loaded.file_rotor_inertia == pytest.approx([0.1])
+    assert loaded.stated.rotor_inertia == pytest.approx([0.1])
     mass = loaded.plant.CalcMassMatrix(loaded.plant.CreateDefaultContext())
     assert mass[0, 0] == pytest.approx(0.1 + 0.1**2)
 
@@ -149,10 +149,10 @@ SDF = """<sdf version="1.7"><model name="m"><link name="l1"><inertial>
 def test_sdf(load):
     loaded = load(SDF.format(mass=1.0, ixx=0.1), "m.sdf")
     assert loaded.repairs == ()
-    assert loaded.file_damping == pytest.approx([0.2])
-    assert loaded.file_friction == pytest.approx([0.3])
+    assert loaded.stated.damping == pytest.approx([0.2])
+    assert loaded.stated.friction == pytest.approx([0.3])
     assert effort_limits(loaded.plant) == pytest.approx([7.0])
-    assert loaded.file_springs == {0: Spring.linear(3.0)}
+    assert loaded.stated.springs == {0: Spring.linear(3.0)}
     assert loaded.plant.num_force_elements() == 1
 
 
@@ -193,9 +193,9 @@ def test_mjcf(load):
     loaded = load(MJCF, "m.xml")
     plant = loaded.plant
     assert joint_names(plant) == ("h", "s", "s2", "q_wx", "q_wy", "q_wz")
-    assert loaded.file_damping == pytest.approx([0.3] * 6)
-    assert loaded.file_rotor_inertia == pytest.approx([0.2] * 6)
-    assert loaded.file_friction == pytest.approx([2.0, 0.5, 0, 0, 0, 0])
+    assert loaded.stated.damping == pytest.approx([0.3] * 6)
+    assert loaded.stated.rotor_inertia == pytest.approx([0.2] * 6)
+    assert loaded.stated.friction == pytest.approx([2.0, 0.5, 0, 0, 0, 0])
     assert effort_limits(plant)[0] == pytest.approx(100.0)
     assert any("meshes" in note and "b" in note for note in loaded.changes)
     # The body without mass gets a thousandth of the robot's; that between two joints has none.

@@ -65,6 +65,11 @@ class ExportedJoint:
     rest: float = 0.0
 
     @property
+    def numbers(self) -> dict[str, float]:
+        """What files say of it, by the names of `with_joint_numbers`."""
+        return {name: getattr(self, name) for name in _NUMBERS}
+
+    @property
     def is_servo(self) -> bool:
         """Whether it is told positions."""
         return self.kp > 0.0
@@ -115,10 +120,7 @@ def exported_joints(model: RobotModel) -> dict[str, ExportedJoint]:
 
 def all_numbers(model: RobotModel) -> dict[str, dict[str, float]]:
     """Return what a model has at its joints, by scoped name and name of the number."""
-    return {
-        joint.scoped: {name: getattr(joint, name) for name in _NUMBERS}
-        for joint in exported_joints(model).values()
-    }
+    return {joint.scoped: joint.numbers for joint in exported_joints(model).values()}
 
 
 def changed_numbers(model: RobotModel) -> dict[str, dict[str, float]]:

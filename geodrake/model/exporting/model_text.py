@@ -13,7 +13,7 @@ from pydrake.math import RigidTransform, RollPitchYaw
 from pydrake.multibody.tree import Joint
 
 from geodrake.errors import ModelError
-from geodrake.inertia import Array, change_frame, to_mass_com_inertia
+from geodrake.inertia import Array, change_frame
 from geodrake.inertia.bodies import lumped_bodies
 from geodrake.model.export import export_bodies, file_kind, repair_comments
 from geodrake.model.exporting.joints import (
@@ -28,18 +28,21 @@ from geodrake.model.robot_model import RobotModel, is_of_file
 from geodrake.robot.files.description import model_text_of
 from geodrake.robot.files.mjcf import MjcfText
 from geodrake.robot.files.model_edits import (
+    put_inertia,
+    put_numbers,
     with_gravity,
     with_joint_numbers,
     with_references,
     without_passive_forces,
 )
 from geodrake.robot.files.source_text import comment_words
-from geodrake.robot.files.values import UPPER, tensor_words, words
+from geodrake.robot.files.values import words
 from geodrake.robot.files.xacro_file import read_expanded
 from geodrake.robot.holding import moving_joints
 from geodrake.robot.plant import joint_names, motor_joints, scoped_joint_names
 
 _DRAKE = "http://drake.mit.edu"
+_ALWAYS = ("damping", "friction")  # written where they are 0, too
 _UNLIMITED = 1e9  # effort and speed, where a URDF must state some
 SUFFIXES = {"urdf": ".urdf", "sdf": ".sdf", "xml": ".xml"}
 
@@ -138,11 +141,6 @@ def from_plant(model: RobotModel, kind: str, gravity: Array) -> bytes:
     return tostring(root, encoding="utf-8", xml_declaration=True) + b"\n"
 
 
-def _inertial(phi: Array) -> tuple[str, str, Mapping[str, str], Array]:
-    mass, com, inertia = to_mass_com_inertia(phi)
-    return words(mass), words(com), tensor_words(inertia), inertia
-
-
 def _pose(X: RigidTransform) -> tuple[str, str]:
     return words(X.translation()), words(RollPitchYaw(X.rotation()).vector())
 
@@ -152,12 +150,7 @@ def _urdf(links: Sequence[Link], name: str, gravity: Array) -> Element:
     root = Element("robot", {"name": name, "xmlns:drake": _DRAKE})
     SubElement(root, "link", name="world")
     for link in links:
-        element = SubElement(root, "link", name=link.name)
-        mass, com, tensor, _ = _inertial(link.phi)
-        inertial = SubElement(element, "inertial")
-        SubElement(inertial, "origin", xyz=com, rpy="0 0 0")
-        SubElement(inertial, "mass", value=mass)
-        SubElement(inertial, "inertia", dict(tensor))
+        put_inertia(root, SubElement(root, "link", name=link.name), link.phi)
         _urdf_joint(root, link)
     return root
 
@@ -179,14 +172,7 @@ def _urdf_joint(root: Element, link: Link) -> None:
         low, high = np.clip(link.limits, -_UNLIMITED, _UNLIMITED)
         limit |= {"lower": words(low), "upper": words(high)}
     SubElement(joint, "limit", limit)
-    SubElement(joint, "dynamics", damping=words(numbers.damping), friction=words(numbers.friction))
-    if numbers.armature:
-        transmission = SubElement(root, "transmission", name=f"{link.joint.name}_rotor")
-        SubElement(transmission, "type").text = "transmission_interface/SimpleTransmission"
-        SubElement(transmission, "joint", name=link.joint.name)
-        actuator = SubElement(transmission, "actuator", name=f"{link.joint.name}_motor")
-        SubElement(actuator, "drake:rotor_inertia", value=words(numbers.armature))
-        SubElement(actuator, "drake:gear_ratio", value="1.0")
+    put_numbers(root, joint, {k: x for k, x in numbers.numbers.items() if x or k in _ALWAYS})
 
 
 def _sdf(links: Sequence[Link], name: str, gravity: Array) -> Element:
@@ -196,18 +182,12 @@ def _sdf(links: Sequence[Link], name: str, gravity: Array) -> Element:
     for link in links:
         element = SubElement(model, "link", name=link.name)
         SubElement(element, "pose", relative_to=link.joint.name).text = "0 0 0 0 0 0"
-        mass, com, tensor, _ = _inertial(link.phi)
-        inertial = SubElement(element, "inertial")
-        SubElement(inertial, "pose").text = f"{com} 0 0 0"
-        SubElement(inertial, "mass").text = mass
-        inertia = SubElement(inertial, "inertia")
-        for key, word in tensor.items():
-            SubElement(inertia, key).text = word
-        _sdf_joint(model, link)
+        put_inertia(root, element, link.phi)
+        _sdf_joint(root, model, link)
     return root
 
 
-def _sdf_joint(model: Element, link: Link) -> None:
+def _sdf_joint(root: Element, model: Element, link: Link) -> None:
     numbers = link.joint
     kind = "revolute" if numbers.turns else "prismatic"
     joint = SubElement(model, "joint", name=link.joint.name, type=kind)
@@ -215,9 +195,6 @@ def _sdf_joint(model: Element, link: Link) -> None:
     pose.text = " ".join(_pose(link.X_PL))
     SubElement(joint, "parent").text = link.parent or "world"
     SubElement(joint, "child").text = link.name
-    if numbers.armature:
-        SubElement(joint, "drake:rotor_inertia").text = words(numbers.armature)
-        SubElement(joint, "drake:gear_ratio").text = "1.0"
     axis = SubElement(joint, "axis")
     SubElement(axis, "xyz").text = words(link.axis)
     bounds = dict(zip(("lower", "upper"), link.limits, strict=True))
@@ -226,12 +203,7 @@ def _sdf_joint(model: Element, link: Link) -> None:
     for key, value in limits.items():
         if np.isfinite(value):
             SubElement(limit, key).text = words(value)
-    dynamics = SubElement(axis, "dynamics")
-    SubElement(dynamics, "damping").text = words(numbers.damping)
-    SubElement(dynamics, "friction").text = words(numbers.friction)
-    if numbers.stiffness:
-        SubElement(dynamics, "spring_reference").text = words(numbers.rest)
-        SubElement(dynamics, "spring_stiffness").text = words(numbers.stiffness)
+    put_numbers(root, joint, {k: x for k, x in numbers.numbers.items() if x or k in _ALWAYS})
 
 
 def _mjcf(links: Sequence[Link], name: str, gravity: Array) -> Element:
@@ -245,10 +217,9 @@ def _mjcf(links: Sequence[Link], name: str, gravity: Array) -> Element:
         pose = {"pos": words(link.X_PL.translation()), "quat": words(quaternion)}
         body = SubElement(bodies[link.parent], "body", {"name": link.name, **pose})
         bodies[link.name] = body
-        mass, com, _, inertia = _inertial(link.phi)
-        full = words(inertia[UPPER])
-        SubElement(body, "inertial", pos=com, mass=mass, fullinertia=full)
-        SubElement(body, "joint", _mjcf_joint(link))
+        put_inertia(root, body, link.phi)
+        joint = SubElement(body, "joint", _mjcf_joint(link))
+        put_numbers(root, joint, {k: x for k, x in link.joint.numbers.items() if x})
     return root
 
 
@@ -264,16 +235,7 @@ def _mjcf_joint(link: Link) -> dict[str, str]:
     if numbers.driven and np.isfinite(numbers.effort):
         attributes["actuatorfrcrange"] = words(np.array([-link.joint.effort, link.joint.effort]))
         attributes["actuatorfrclimited"] = "true"
-    values = {
-        "damping": numbers.damping,
-        "frictionloss": numbers.friction,
-        "armature": numbers.armature,
-        "stiffness": numbers.stiffness,
-        "springref": numbers.rest,
-    }
-    if numbers.friction:
-        attributes |= _STICKING
-    return attributes | {key: words(value) for key, value in values.items() if value}
+    return attributes | (_STICKING if numbers.friction else {})
 
 
 _STICKING = {"solreffriction": "0.004 1", "solimpfriction": "0.9999 0.9999 0.001 0.5 2"}

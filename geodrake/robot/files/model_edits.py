@@ -79,6 +79,11 @@ def put_inertia(root: Element, link: Element, phi: Array) -> None:
     _FORMATS[root.tag].put_inertia(link, phi)
 
 
+def put_numbers(root: Element, joint: Element, change: Change) -> None:
+    """Write numbers into a joint of a URDF, SDF or MJCF with a root element."""
+    _FORMATS[root.tag].put_numbers(root, joint, change)
+
+
 def with_joint_numbers(data: bytes, path: Path, changes: Mapping[str, Change]) -> bytes:
     """Return a model file in which joints have other numbers.
 
@@ -93,7 +98,7 @@ def with_joint_numbers(data: bytes, path: Path, changes: Mapping[str, Change]) -
     joints = dict(_FORMATS[root.tag].joints(root, path))
     check_in_itself(changes, joints, path)
     for name, change in changes.items():
-        _FORMATS[root.tag].put_numbers(root, joints[name], change)
+        put_numbers(root, joints[name], change)
     return edited(data, path, root)
 
 

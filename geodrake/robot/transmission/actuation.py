@@ -116,16 +116,6 @@ class Actuation:
             return None
         return self._jacobian(np.zeros((1, self.num_positions)))[0]
 
-    @property
-    def offsets(self) -> Array:
-        """(nv of the tree,) θ₀ of joints with constant ratios, where their actuators are at 0."""
-        found = np.zeros(self.sizes[1])
-        for place in self.places:
-            if place.drive.map.constant_jacobian is not None:
-                still = np.zeros((1, len(place.actuator_q)))
-                found[place.joint_v] = place.drive.map.joint_positions(still)[0]
-        return found
-
     def tree_positions(self, q: Array) -> Array:
         """(N, nq of the tree) positions, of those of the robot (N, nq)."""
         whole, _ = self._kept(q)
@@ -265,31 +255,23 @@ class Actuation:
         """The robot's velocities that move some velocities of the tree."""
         return tuple(np.flatnonzero(self._moves[list(velocities)].any(axis=0)).tolist())
 
-    def joined(self, values: Array, weight: Callable[[Array], Array]) -> tuple[Array, list[int]]:
-        """Coefficients (nv,) at the actuators, of those of the joints, and what has none.
+    @property
+    def ratios(self) -> dict[int, tuple[str, float, float]]:
+        """Velocity of the tree -> the one of the robot that it follows, the ratio, and an offset.
 
-        Args:
-            values: (nv of the tree,) coefficients of efforts of the joints, such as damping.
-            weight: What J makes of them, such as J² of damping.
-
-        Returns:
-            The coefficients, and velocities of the tree whose own are left out: they follow several
-            actuators, or by a ratio that changes with the position, so that no coefficient at an
-            actuator does the same.
+        Those that follow several actuators, or by a ratio that changes, are left out.
         """
-        found, lost = np.zeros(self.num_velocities), list[int]()
-        own, tree = self.kept_v
-        found[own] = values[tree]
+        own, tree = self.kept_v.tolist()
+        found = {at: (self.names[to], 1.0, 0.0) for to, at in zip(own, tree, strict=True)}
         for place in self.places:
-            J = place.drive.map.constant_jacobian
-            for k, at in enumerate(place.joint_v.tolist()):
-                row = None if J is None else J[k]
-                if row is None or np.count_nonzero(row) != 1:
-                    lost += [at] if values[at] else []
-                    continue
-                (i,) = np.flatnonzero(row)
-                found[place.actuator_v[i]] += float(weight(row[i])) * values[at]
-        return found, lost
+            if (J := place.drive.map.constant_jacobian) is not None:
+                still = place.drive.map.joint_positions(np.zeros((1, J.shape[1])))[0]
+                for at, row, shift in zip(place.joint_v.tolist(), J, still.tolist(), strict=True):
+                    if np.count_nonzero(row) == 1:
+                        (i,) = np.flatnonzero(row)
+                        name = self.names[place.actuator_v[i]]
+                        found[at] = name, float(row[i]), shift
+        return found
 
     @cached_property
     def behind(self) -> dict[str, tuple[int, int]]:
