@@ -2,27 +2,20 @@
 
 MultibodyPlant computes with the bodies that geodrake made of a file, and so cannot see what was
 lost on the way. MuJoCo compiles an MJCF whole, with what no model takes; Pinocchio reads a URDF,
-and an SDF where it is built with SDFormat. Of velocities u of a joint of Drake's, in the world or
-the joint's frame, theirs are T u, those of a turning body in the body. With its rotation R,
-
-    ball           T = Rᵀ                    Drake's u = ω
-    free, MuJoCo   T = [0 1; Rᵀ 0] B         B u = (ω, v); theirs (v, ω), the latter in the body
-    free, Pinocchio  T = [0 Rᵀ; Rᵀ 0] B      both in the body, so that v̇ is less ω × v
-
-and efforts Tᵀ times theirs. The six joints of a free base have u = (ṗ, rates of yaw, pitch, roll).
+and an SDF where it is built with SDFormat.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Sequence
+from dataclasses import replace
 from types import ModuleType
 from typing import Any
 from xml.etree.ElementTree import Element
 
 import numpy as np
 from numpy.typing import NDArray
-from pydrake.math import RigidTransform, RollPitchYaw, RotationMatrix
+from pydrake.math import RigidTransform, RotationMatrix
 from pydrake.multibody.plant import MultibodyPlant
 from pydrake.multibody.tree import Joint
 
@@ -36,59 +29,15 @@ from geodrake.robot.files import read_description
 from geodrake.robot.files.base import ModelText
 from geodrake.robot.files.description import drake_messages
 from geodrake.robot.files.mjcf import MjcfText
-from geodrake.robot.files.mjcf_source import load_mujoco, quiet_mujoco
 from geodrake.robot.files.xacro_file import read_expanded
 from geodrake.robot.files.xml_text import parse_xml_bytes
 from geodrake.robot.holding import moving_joints
+from geodrake.robot.mujoco_check import OtherProgram, Places, Units, by_mujoco
 from geodrake.robot.regressor import inverse_dynamics
 from geodrake.robot.transmission.base import times
 
 Array = NDArray[np.float64]
 _ENDS = ("parent", "child")
-Units = Sequence[tuple[Joint, ...]]
-Places = Mapping[str, float]
-"""Joint -> where it is held, rad or m."""
-
-
-@dataclass(frozen=True, eq=False)
-class OtherProgram:
-    """Another program with the model that it read of a file.
-
-    Attributes:
-        rest: Its positions, velocities and accelerations, held joints in their places.
-        places: Of each joint, where it is in its positions and velocities.
-        free: Makes of R and p of a free body, and of its velocities ω and v in the world, the
-            positions, T and the bias of accelerations of the program.
-        inverse_dynamics: Makes of its positions, velocities and accelerations efforts.
-    """
-
-    by: str
-    rest: tuple[Array, Array, Array]
-    places: Sequence[tuple[slice, slice]]
-    free: Callable[[RotationMatrix, Array, Array], tuple[Array, Array, Array]]
-    inverse_dynamics: Callable[[Array, Array, Array], Array]
-
-    def state(self, q: Array, v: Array, size: int) -> tuple[Array, Array, Array]:
-        """Return its positions, T and the bias of its accelerations, of a joint of the plant.
-
-        Args:
-            q: (1,), (3,) or, of a free base, (6,) positions of the joint.
-        """
-        if len(q) == 6:
-            rpy = RollPitchYaw(q[:2:-1])
-            spin = np.stack(list(map(rpy.CalcAngularVelocityInParentFromRpyDt, np.eye(3))), 1)
-            B, bias = np.zeros((6, 6)), np.zeros(6)
-            B[:3, :2:-1], B[3:, :3] = spin, np.eye(3)
-            unaccelerated = rpy.CalcRpyDDtFromRpyDtAndAngularAccelInParent(v[:2:-1], np.zeros(3))
-            bias[:3] = -spin @ unaccelerated
-            placed, T, rest = self.free(rpy.ToRotationMatrix(), q[:3], B @ v)
-            return placed, T @ B, T @ bias + rest
-        if len(q) == 3:
-            rpy = RollPitchYaw(q)
-            turned = rpy.ToQuaternion().wxyz()
-            return turned, rpy.ToRotationMatrix().matrix().T, np.zeros(3)
-        placed = np.array([np.cos(q[0]), np.sin(q[0])]) if size == 2 else q
-        return placed, np.eye(1), np.zeros(1)
 
 
 def second_opinion(
@@ -124,7 +73,7 @@ def second_opinion(
     ours = inverse_dynamics(model.tree, *states, model.total_phi)
     held = {name: place for text in texts for name, place in _held(model, text).items()}
     if alone and isinstance(texts[0], MjcfText):
-        found = _by_mujoco(texts[0], held, joints)
+        found = by_mujoco(texts[0].compiled, held, joints)
         motion = Motion(*states)
         still = [f for f in model.effects if not isinstance(f.effect, DryFriction)]
         ours = replace(model, effects=tuple(still)).effort(motion)
@@ -132,7 +81,7 @@ def second_opinion(
         found = _by_pinocchio(model, texts, held, joints)
     if isinstance(found, str):
         return found
-    efforts = _efforts(found, joints, *plant_states)
+    efforts = found.efforts(joints, *plant_states)
     return found.by, times(np.swapaxes(jacobians, 1, 2), efforts), ours
 
 
@@ -142,33 +91,6 @@ def _units(plant: MultibodyPlant) -> list[tuple[Joint, ...]]:
     names = {joint.name() for base in bases for joint in base}
     others = [(joint,) for joint in moving_joints(plant) if joint.name() not in names]
     return [*others, *bases]
-
-
-def _part(unit: tuple[Joint, ...]) -> tuple[slice, slice]:
-    """Return where joints are in the positions and velocities of a plant."""
-    first, last = unit[0], unit[-1]
-    return (
-        slice(first.position_start(), last.position_start() + last.num_positions()),
-        slice(first.velocity_start(), last.velocity_start() + last.num_velocities()),
-    )
-
-
-def _efforts(engine: OtherProgram, units: Units, q: Array, v: Array, vd: Array) -> Array:
-    """Return efforts (N, nv of the plant) by another program, of the plant's motion (N, ·)."""
-    found = np.zeros_like(v)
-    for k in range(len(q)):
-        position, rate, acceleration = (x.copy() for x in engine.rest)
-        turns = []
-        for unit, (at_q, at_v) in zip(units, engine.places, strict=True):
-            there, own = _part(unit)
-            placed, T, bias = engine.state(q[k, there], v[k, own], len(position[at_q]))
-            position[at_q] = placed
-            rate[at_v], acceleration[at_v] = T @ v[k, own], T @ vd[k, own] + bias
-            turns.append((own, at_v, T))
-        effort = engine.inverse_dynamics(position, rate, acceleration)
-        for own, at_v, T in turns:
-            found[k, own] = T.T @ effort[at_v]
-    return found
 
 
 def _held(model: RobotModel, text: ModelText) -> Places:
@@ -182,45 +104,6 @@ def _held(model: RobotModel, text: ModelText) -> Places:
             if leader in places:
                 places.setdefault(joint, follower.ratio * places[leader] + follower.offset)
     return places
-
-
-def _by_mujoco(text: MjcfText, held: Places, units: Units) -> OtherProgram | str:
-    mujoco, theirs = load_mujoco(), text.compiled
-    theirs.opt.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_CONSTRAINT)
-    sizes = {0: (7, 6), 1: (4, 3)}  # of free joints and balls
-    data = mujoco.MjData(theirs)
-    for name, place in held.items():
-        at = mujoco.mj_name2id(theirs, mujoco.mjtObj.mjOBJ_JOINT, name)
-        if at < 0:
-            return "MuJoCo has other joints"
-        data.qpos[theirs.jnt_qposadr[at]] = place
-    places = []
-    for *others, joint in units:
-        at = mujoco.mj_name2id(theirs, mujoco.mjtObj.mjOBJ_JOINT, joint.name())
-        if others:
-            body = theirs.body(joint.child_body().name())
-            at = int(body.jntadr[0]) if body.jntnum[0] == 1 else -1
-        if at < 0 or joint.num_positions() not in (1, 3):
-            return "MuJoCo has other joints"
-        nq, nv = sizes.get(int(theirs.jnt_type[at]), (1, 1))
-        if nv != len(others) + joint.num_velocities():
-            return "MuJoCo has other joints"
-        start, first = int(theirs.jnt_qposadr[at]), int(theirs.jnt_dofadr[at])
-        places.append((slice(start, start + nq), slice(first, first + nv)))
-
-    def free(R: RotationMatrix, p: Array, v: Array) -> tuple[Array, Array, Array]:
-        T = np.zeros((6, 6))
-        T[:3, 3:], T[3:, :3] = np.eye(3), R.matrix().T
-        return np.concatenate([p, R.ToQuaternion().wxyz()]), T, np.zeros(len(v))
-
-    def inverse_dynamics(q: Array, v: Array, vd: Array) -> Array:
-        data.qpos[:], data.qvel[:], data.qacc[:] = q, v, vd
-        with quiet_mujoco():
-            mujoco.mj_inverse(theirs, data)
-        return np.array(data.qfrc_inverse)
-
-    rest = (np.array(data.qpos), *np.zeros((2, theirs.nv)))
-    return OtherProgram(f"MuJoCo {mujoco.__version__}", rest, places, free, inverse_dynamics)
 
 
 def pinocchio_or_none() -> ModuleType | None:
