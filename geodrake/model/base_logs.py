@@ -34,9 +34,6 @@ def with_base(log: JointLog, model: RobotModel) -> JointLog:
     """Return a log with the six joints of a floating model's base, and what the ground does.
 
     The log of a fixed model is itself; a note says so if it has the pose of a base.
-
-    Raises:
-        LogError: The log has neither an orientation of the base nor an IMU, or they are wrong.
     """
     joints = model.base_joints
     if not joints and any(name.startswith("base.") for name in log.floating):
@@ -111,11 +108,7 @@ def _base_motion(log: JointLog, model: RobotModel) -> tuple[Array, Array | None,
 
 
 def _orientation(log: JointLog, gravity: Array) -> tuple[Rotation, NDArray[np.bool_]]:
-    """Return R_WB of N rows, and in which (N,) it is known.
-
-    Raises:
-        LogError: It is not in the log, cannot be, or the base pitches too far.
-    """
+    """Return R_WB of N rows, and in which (N,) it is known."""
     columns = log.floating
     quaternion = vectors(columns, "base.orientation")
     gyro = vectors(columns, "imu.angular_velocity")

@@ -113,14 +113,6 @@ def check_dynamics(model: RobotModel, *, samples: int = 100, seed: int = 0) -> D
 
     The second opinion, by MuJoCo or Pinocchio, is on the file: it is given of models that are still
     those of their files, so not of ones with payloads, fits or, of MJCF, other effects.
-
-    Args:
-        model: The model.
-        samples: Number of random states.
-        seed: Of the random numbers.
-
-    Raises:
-        ArgumentError: A number is none, or out of its range.
     """
     instance(model, "model", RobotModel)
     integer(samples, "samples", lower=1, upper=MOST_SAMPLES)

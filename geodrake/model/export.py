@@ -89,9 +89,6 @@ def export_model(model: RobotModel) -> Export:
     what the others leave of the identified body, if that is something that a body can be;
     otherwise all are stretched and reweighted by the one affine map that takes the body of the
     file to the identified one.
-
-    Raises:
-        ModelError: The model's file cannot take the inertias.
     """
     exported = export_bodies(instance(model, "model", RobotModel))
     before, after = list[str](), list[str]()

@@ -66,11 +66,7 @@ def upwards(gravity: Array) -> Array:
 
 
 def contact_frames(model: RobotModel, names: Sequence[str]) -> tuple[ContactFrame, ...]:
-    """Return links by name, with the collision spheres that a URDF gives them.
-
-    Raises:
-        LogError: The model has no such link.
-    """
+    """Return links by name, with the collision spheres that a URDF gives them."""
     links = {
         member.name: (lump.name, member.X_RB)
         for lump in lumped_bodies(model.plant)
@@ -110,11 +106,7 @@ def _balls(model: RobotModel) -> dict[str, tuple[Array, float]]:
 
 
 def with_ground(log: JointLog, model: RobotModel) -> JointLog:
-    """Return a log with the efforts of measured wrenches, or with the frames that may touch.
-
-    Raises:
-        LogError: A link is not there, a force is not whole, or is in the axes of the world.
-    """
+    """Return a log with the efforts of measured wrenches, or with the frames that may touch."""
     loaded, flagged = frames_of(log.floating, FORCE), frames_of(log.floating, FLAG)
     whole = set(model.joints) <= set(log.joints)
     if loaded and whole:

@@ -39,7 +39,6 @@ def holding(
     at these joints and bodies are left out, which a note says.
 
     Args:
-        model: The model.
         held: Joint -> where it is held, rad or m. One that is held already may be held elsewhere
             by loading the model file again.
         why: Why they are, for the note.

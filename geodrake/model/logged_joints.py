@@ -58,7 +58,6 @@ def model_of_logs(
     counts as one that was not logged: its sensor has nothing to say.
 
     Args:
-        model: The model.
         logs: All logs, of joints of the model; see `read_log` with `partial`.
         hold_resting: Whether joints that hardly move are held, too; see `holding_resting`.
 
@@ -106,10 +105,6 @@ def holding_resting(model: RobotModel, logs: Sequence[JointLog]) -> RobotModel:
     nothing that a model could be held to. Samples at which a joint that moves stands still are left
     out for the same reason. A joint is held if it rests in all logs, at one place; a model that was
     fitted to one of the logs keeps the joints that it was fitted with.
-
-    Args:
-        model: The model.
-        logs: All logs, of joints of the model.
     """
     places, known = _resting_places(model, logs), model.fitted_to
     if not places or (known and any(log_of_model(log, model).fingerprint in known for log in logs)):

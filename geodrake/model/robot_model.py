@@ -143,11 +143,7 @@ class RobotModel(Short):
 
     @cached_property
     def actuation(self) -> Actuation:
-        """Return how those follow from the model's.
-
-        Raises:
-            ModelError: The transmission does not fit the robot.
-        """
+        """Return how those follow from the model's."""
         count = len(self.coordinates.own_positions)
         return Actuation.of(self.tree_joints, self._single_of_tree, count, self.transmission)
 
@@ -316,7 +312,6 @@ class RobotModel(Short):
         """Return a motion as effects see it: by joint, with the rigid bodies' effort as load.
 
         Args:
-            motion: (N, ·) positions, velocities and accelerations in Drake's order.
             load: (N, nv) effort of the rigid bodies, if it is known already.
         """
         samples = instance(motion, "motion", Motion).q, motion.v, motion.vd
@@ -379,11 +374,7 @@ class RobotModel(Short):
         return columns, np.concatenate([np.zeros(0), *(fitted.parameters for fitted in some)])
 
     def positions(self, by_joint: Array) -> Array:
-        """(N, nq) positions in Drake's order from (N, nv) positions of single-degree joints.
-
-        Raises:
-            ArgumentError: The robot has joints of several degrees, whose positions are not those.
-        """
+        """(N, nq) positions in Drake's order from (N, nv) positions of single-degree joints."""
         by_joint = real_array(by_joint, "by_joint", ("N", len(self.joints)))
         at_velocity, at_position = self.single_places
         if len(at_velocity) < len(self.joints):
@@ -503,10 +494,6 @@ class RobotModel(Short):
             sign_width: Speed below which dry friction fades, rad/s or m/s, at least; one for all
                 velocities or (nv,). See `EffectForce` for what it means for steps.
             log: Name of the log that is simulated, in which the model's contacts act.
-
-        Raises:
-            ArgumentError: An argument is none of these.
-            ModelError: The model's file is gone, or Drake refuses its inertial parameters.
         """
         instance(builder, "builder", DiagramBuilder)
         if scene_graph is not None:
@@ -566,11 +553,7 @@ class RobotModel(Short):
         information: Array,
         effort_noise: Array,
     ) -> RobotModel:
-        """Return the model with fitted parameters, as in its attributes, in place of its own.
-
-        Raises:
-            ArgumentError: A value is not finite, or a shape does not fit the model.
-        """
+        """Return the model with fitted parameters, as in its attributes, in place of its own."""
         effects = instances(effects, "effects", FittedEffect)
         p = self.phi.size + sum(len(fitted.parameters) for fitted in effects)
         phi = real_array(phi, "phi", self.phi.shape)

@@ -233,9 +233,6 @@ def save_model(model: RobotModel, path: str | Path) -> None:
 
     The base model's path is written relative to it, so that both can be moved together; it is also
     looked for beside it, and where it was.
-
-    Raises:
-        OutputError: The target cannot be written.
     """
     path = file_path(path)
     write_whole(path, saved_text(model, path))

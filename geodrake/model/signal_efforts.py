@@ -163,10 +163,7 @@ def limited_integral(time: Array, error: Array, effort: Array, gain: float, limi
     """Return `error_integral`, that stays where the servo is at its limit and would go beyond.
 
     Args:
-        time: Instants, s.
-        error: Commanded less measured position.
         effort: Effort without what the integral adds from the first row on.
-        limit: Largest effort, N·m or N.
     """
     known = np.isfinite(error) & np.isfinite(time) & np.isfinite(effort)
     if np.count_nonzero(known) < 2:

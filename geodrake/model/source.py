@@ -351,12 +351,8 @@ def python_source(model: RobotModel, *, sign_width: ArrayLike = 0.0) -> str:
     the motion is named in the comment at its head.
 
     Args:
-        model: The model.
         sign_width: Speed below which dry friction fades, rad/s or m/s, at least; one for all
             velocities or (nv,). At 0, the sign of a velocity jumps where the model's does.
-
-    Raises:
-        ModelError: An effect cannot be written as source code.
     """
     return effort_source(model, "python", sign_width=sign_width).text
 

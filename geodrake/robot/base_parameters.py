@@ -62,20 +62,12 @@ class BaseParameters(Short):
         return tuple(np.flatnonzero(~self.matrix.any(axis=0)).tolist())
 
     def regressor(self, regressor: ArrayLike) -> Array:
-        """Y_B (..., n_B) of a regressor Y (..., p) of the same kind: the independent columns.
-
-        Raises:
-            ArgumentError: The regressor has another number of columns.
-        """
+        """Y_B (..., n_B) of a regressor Y (..., p) of the same kind: the independent columns."""
         regressor = real_array(regressor, "regressor", ("...", self.matrix.shape[1]))
         return regressor[..., self.independent]
 
     def values(self, phi: ArrayLike) -> Array:
-        """φ_B = B φ (n_B,) of parameters φ, (p,) or (nb, 10).
-
-        Raises:
-            ArgumentError: There are not p parameters.
-        """
+        """φ_B = B φ (n_B,) of parameters φ, (p,) or (nb, 10)."""
         flat = real_array(phi, "phi").ravel()
         return np.asarray(self.matrix @ real_array(flat, "phi", (self.matrix.shape[1],)))
 
@@ -89,11 +81,7 @@ class BaseParameters(Short):
         Coefficients are in SI units and given with three digits.
 
         Args:
-            bodies: Names of the bodies, in the order of their columns.
             extra: Names of the parameters after those of the bodies.
-
-        Raises:
-            ArgumentError: There are not as many names as columns.
         """
         bodies, extra = instances(bodies, "bodies", str), instances(extra, "extra", str)
         names = [f"{name} of {body}" for body in bodies for name in PARAMETER_NAMES] + [*extra]
@@ -120,9 +108,6 @@ def base_parameters(
         extra: Number of further columns, such as those of friction; they are scaled one by one.
         tolerance: Share of the greatest singular value below which one counts as zero. Rounding
             reaches some 1e-14; a greater tolerance leaves out what a motion hardly excites.
-
-    Raises:
-        ArgumentError: The shape or the tolerance is impossible, or a value is not finite.
     """
     rows = real_array(regressor, "regressor", ("...", "m", "p"))
     number(tolerance, "tolerance", lower=_ROUNDING, upper=1.0, strict=True)
@@ -182,12 +167,6 @@ def pushforward_metric(
         matrix: (n_B, p) B.
         prior: (nb, 10) physical prior.
         extra: (p − 10 nb,) metric of each further parameter: 1/(2 x²) for a positive one near x.
-
-    Returns:
-        (n_B, n_B) symmetric positive definite H₀.
-
-    Raises:
-        ArgumentError: Shapes do not fit, the prior is not physical, or rows of B are dependent.
     """
     B = real_array(matrix, "matrix", ("n", "p"))
     prior = real_array(prior, "prior", ("nb", PARAMETERS_PER_BODY))

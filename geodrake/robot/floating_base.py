@@ -46,20 +46,12 @@ def base_wrench_regressor(
     work for the others. Of a robot that is fixed to the world, they are its reaction.
 
     Args:
-        plant: A finalized plant with any base, or its tree.
-        q: (N, nq) positions in Drake's order.
-        v: (N, nv) velocities in Drake's order.
-        vd: (N, nv) accelerations v̇ in Drake's order.
         X_WP: Pose of the frame P that the wrench is about: one for all samples, such as a force
             plate's, or (N, 4, 4) for one that moves, such as a base's (`body_poses`); the world
             if None.
 
     Returns:
         (N, 6, 10 nb) rows nx, ny, nz, fx, fy, fz.
-
-    Raises:
-        ArgumentError: A shape does not fit, a value is not finite, or X_WP is no pose.
-        ModelError: The plant has a joint that is not supported.
     """
     tree, (q, v, _, vd), _ = checked_samples(plant, q, v, vd)
     resting = np.zeros((len(q), 6))
@@ -74,18 +66,9 @@ def base_wrench_regressor(
 def zero_moment_point(wrench: ArrayLike, *, height: float = 0.0) -> Array:
     """Points (N, 2) of the plane z = height of P in which a wrench has no moment along the plane.
 
-    On the sole of a foot or a force plate, that is the centre of pressure.
-
-    Args:
-        wrench: (N, 6) wrenches (n, f) about Po, with z of P normal to the ground.
-        height: z of the plane in P, m.
-
-    Returns:
-        (N, 2) positions x, y in P, m; NaN where nothing presses on the plane (f_z ≤ 0), or where
-        the wrench is NaN.
-
-    Raises:
-        ArgumentError: The shape is another.
+    On the sole of a foot or a force plate, that is the centre of pressure. Wrenches (N, 6) are
+    (n, f) about Po, with z of P normal to the ground. Points are NaN where nothing presses on the
+    plane (f_z ≤ 0), or where the wrench is NaN.
     """
     wrench = real_array(wrench, "wrench", ("N", 6), finite=False)
     number(height, "height")

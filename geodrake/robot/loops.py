@@ -166,11 +166,7 @@ class ClosedLoop:
         return theta, times(G, units * rng.uniform(-1.0, 1.0, q.shape))
 
     def posture(self, held: Mapping[str, float], path: object) -> dict[str, float]:
-        """Joint -> where it is if some joints are held.
-
-        Args:
-            held: Joint of the tree -> where it is held, rad or m.
-        """
+        """Joint -> where it is if some joints are held."""
         free, names = self.map.free, self.map.joints
         q = np.array([held.get(names[at], self.map.reference[at]) for at in free])
         theta, _, reached = self.map.solved(q[None])

@@ -41,10 +41,6 @@ def inverse_dynamics_regressor(
 
     Returns:
         (N, nv, 10 nb) regressor Y; bodies in the order of `geodrake.inertia.bodies.lumped_bodies`.
-
-    Raises:
-        ArgumentError: A shape does not fit the plant, or a value is not finite.
-        ModelError: The plant has a joint that is not supported.
     """
     tree, samples, J = checked_samples(plant, q, v, vd)
     regressor = np.zeros(

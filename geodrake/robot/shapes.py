@@ -97,9 +97,6 @@ def add_visuals(
     """Give the bodies of a plant the shapes of its file, and return what cannot be shown.
 
     Nothing collides.
-
-    Args:
-        plant: A finalized plant that was read from the file, and is a source of the SceneGraph.
     """
     found = robot_shapes(path, given)
     for k in map(BodyIndex, range(plant.num_bodies())):

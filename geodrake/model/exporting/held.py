@@ -68,7 +68,6 @@ def held_by(
 
     Args:
         holds: Whether the format holds an effect as it is.
-        motions: Motion on which the approximation is to be good.
         keep: Which effects stay although the format does not hold them, to see what others cost.
     """
     kept, lost = list[FittedEffect](), list[FittedEffect]()

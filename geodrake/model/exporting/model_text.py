@@ -125,7 +125,6 @@ def from_plant(model: RobotModel, kind: str, gravity: Array) -> bytes:
     """Return a robot's bodies and joints, without geometry.
 
     Args:
-        model: The model, of effects that the format holds.
         gravity: (3,) acceleration of gravity in the frame of the base, for a format that has it.
     """
     if model.floating:
@@ -278,7 +277,6 @@ def model_file(
     else a new one of bodies and joints alone.
 
     Args:
-        model: The model, of effects that the format holds.
         folder: Where the file will be: relative paths in it lead from there.
         stands: Whether the model has the effects of its own file.
     """

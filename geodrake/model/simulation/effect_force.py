@@ -179,19 +179,11 @@ class EffectForce(LeafSystem):
         return self.law.notes
 
     def effect_parameters(self, context: Context, effect: Effect) -> Array:
-        """Return linear parameters (k,) of an effect in a Context of the system.
-
-        Raises:
-            ArgumentError: `effects` does not have it.
-        """
+        """Return linear parameters (k,) of an effect in a Context of the system."""
         return self._parameters(context)[self._part(effect)]
 
     def set_effect_parameters(self, context: Context, values: Mapping[Effect, ArrayLike]) -> None:
-        """Changes linear parameters μ (k,), SI, of effects in a Context; others keep theirs.
-
-        Raises:
-            ArgumentError: An effect is none of `effects`, or cannot have these parameters.
-        """
+        """Changes linear parameters μ (k,), SI, of effects in a Context; others keep theirs."""
         check_context(self, context)
         mu = self._parameters(context)
         for effect, given in values.items():
@@ -203,9 +195,6 @@ class EffectForce(LeafSystem):
         """Changes what inertial parameters (nb, 10) the plant is taken to have, in a Context.
 
         They are those that `set_inertial_parameters` writes into the plant's.
-
-        Raises:
-            ArgumentError: The shape does not fit.
         """
         check_context(self, context)
         phi = real_array(phi, "phi", self.law.phi.shape)
@@ -233,9 +222,6 @@ class EffectForce(LeafSystem):
         """Sets where the motors of `soft_joints` are, by lags and speeds (m,).
 
         A lag is the position of a motor less that of its link, rad or m.
-
-        Raises:
-            ArgumentError: They are not as many as the soft joints.
         """
         check_context(self, context)
         size = (len(self.law.soft),)
@@ -255,9 +241,6 @@ class EffectForce(LeafSystem):
 
         Positions (nq,), velocities (nv,) and accelerations are those of the motors; parameters
         those of the Context.
-
-        Raises:
-            ArgumentError: The Context is another's, or they are not as many.
         """
         check_context(self, context)
         size = (self.law.plant.plant.num_velocities(),)

@@ -279,12 +279,6 @@ class ForceLaw:
         """Return positions (m,) of motors less those of links that follow a motion of the motors.
 
         To all orders in the compliance, but as if the lags had no rates.
-
-        Args:
-            q: (nq,) positions of the motors.
-            v: (nv,) their velocities.
-            vd: (nv,) their accelerations.
-            parameters: (k,) of all effects, and (nb, 10) of the bodies.
         """
         lag, couplings = np.zeros(len(self.soft)), self.soft.couplings(parameters[0])
         hidden, links = np.zeros(self.state_count), self.links

@@ -113,10 +113,6 @@ class RobotInDiagram:
         Args:
             phi: (nb, 10) inertial parameters, payloads included; None for those that it has.
             effects: Effect of `effect_force` -> (k,) its parameters, SI; others keep theirs.
-
-        Raises:
-            ArgumentError: A shape does not fit, an effect is none of them, or cannot have these
-                parameters.
         """
         force = self.effect_force
         if self.driving is not None:

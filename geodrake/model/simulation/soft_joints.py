@@ -128,13 +128,7 @@ class SoftJoints:
         return found
 
     def torques(self, mu: Array, lag: Array, rate: Array) -> Array:
-        """Return (m,) torques on the links, N·m or N.
-
-        Args:
-            mu: (k,) linear parameters of all effects.
-            lag: (m,) positions of the motors less those of the links, rad or m.
-            rate: (m,) their rates.
-        """
+        """Return (m,) torques on the links, N·m or N."""
         each = zip(self.couplings(mu), lag, rate, strict=True)
         return np.array([coupling.torque(s, ds) for coupling, s, ds in each])
 

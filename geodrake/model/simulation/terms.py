@@ -101,13 +101,7 @@ class PlantMotion:
     def seen(
         self, q: Array, rates: tuple[Array, Array, Array], phi: Array, **known: Any
     ) -> RobotMotion:
-        """Return a motion as effects see it.
-
-        Args:
-            q: (N, nq) positions.
-            rates: (N, nv) velocities, accelerations and loads.
-            phi: (nb, 10) inertial parameters of the bodies.
-        """
+        """Return a motion as effects see it."""
         regressor = cache(lambda: inverse_dynamics_regressor(self.tree, q, *rates[:2]))
 
         def columns(name: str) -> Array:

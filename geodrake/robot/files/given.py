@@ -79,12 +79,7 @@ class Given:
         *,
         trust_xacro: bool = False,
     ) -> Given:
-        """From `NAME=FOLDER` and `NAME:=VALUE`, as people write them.
-
-        Args:
-            packages: `NAME=FOLDER` of each package.
-            xacro: `NAME:=VALUE` of each argument of a xacro file.
-        """
+        """From `NAME=FOLDER` and `NAME:=VALUE`, as people write them."""
         folders = _pairs(packages, "=", "--package", "ur_description=~/ws/src/ur_description")
         values = _pairs(xacro, ":=", "--xacro-arg", "ur_type:=ur10e")
         there = {name: Path(folder).expanduser() for name, folder in folders.items()}

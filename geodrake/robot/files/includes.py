@@ -69,11 +69,7 @@ class Includes:
         return regular_file(file, what, ModelError, largest=LARGEST_FILE)
 
     def enter(self, chain: tuple[Path, ...], file: Path) -> tuple[Path, ...]:
-        """Return the files that led to a file, and the file.
-
-        Args:
-            chain: The files that led there, all resolved, the model file first.
-        """
+        """Return the files that led to a file, and the file."""
         self._count += 1
         file = self.checked(file).resolve()
         if file in chain:

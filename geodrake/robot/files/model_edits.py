@@ -88,7 +88,6 @@ def with_joint_numbers(data: bytes, path: Path, changes: Mapping[str, Change]) -
     """Return a model file in which joints have other numbers.
 
     Args:
-        path: Where they are from, for messages and for the name of a model that has none.
         changes: Scoped name of the joint -> what changes.
     """
     changes = {name: change for name, change in changes.items() if change}
@@ -203,7 +202,6 @@ def sdf_models(parent: Element, scope: str = "", first: str = "") -> Iterator[tu
     """Yield models within models and worlds, with their scoped names.
 
     Args:
-        scope: Its scoped name; nothing for a file.
         first: Name of the models of a file; nothing for their own.
     """
     for model in [*parent.findall("model"), *parent.findall("world/model")]:

@@ -57,14 +57,7 @@ def rotation(values: Array) -> Array:
 
 
 def inertial_parameters_of(mass: float, com: Array, R: Array, inertia: Array) -> Array:
-    """Parameters (10,) of a central inertia that is expressed in a frame turned by R.
-
-    Args:
-        mass: The mass, kg.
-        com: (3,) centre of mass p_BoBcm_B, m.
-        R: (3, 3) rotation in B of the frame that the inertia is expressed in.
-        inertia: (3, 3) rotational inertia about the centre of mass, kg·m².
-    """
+    """Parameters (10,) of a central inertia (3, 3) that is expressed in a frame turned by R."""
     with np.errstate(over="ignore", invalid="ignore"):  # what is no number stays none
         return calc_from_mass_com_inertia(np.asarray(mass, float), com, R @ inertia @ R.T)
 

@@ -53,9 +53,6 @@ def read_expanded(path: Path, given: Given) -> bytes:
 
     They are kept in `given`, and taken from there while the file, and whatever it asks for while it
     is expanded, is the same.
-
-    Args:
-        given: Arguments of xacro, folders of packages, and whether any expression is evaluated.
     """
     data = read_regular(path, "model file", ModelError, largest=LARGEST_FILE)
     if not _has_elements(data):

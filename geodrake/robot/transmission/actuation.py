@@ -367,12 +367,7 @@ def _check(drives: Sequence[Drive], by_name: Mapping[str, int]) -> None:
 
 
 def middle(low: Array, high: Array) -> Array:
-    """(n,) positions in the middle of a range; 0 where there is none.
-
-    Args:
-        low: (n,) least positions.
-        high: (n,) greatest positions.
-    """
+    """(n,) positions in the middle of a range; 0 where there is none."""
     bounded = np.isfinite(low) & np.isfinite(high)
     return np.asarray(0.5 * (np.where(bounded, low, 0.0) + np.where(bounded, high, 0.0)))
 
@@ -404,10 +399,6 @@ def actuator_effort_limits(
     """Largest efforts (nv,) of a robot's actuators, of those of its joints; see `actuator_rates`.
 
     Free joints of a closed loop have their own: a motor at another joint adds to what is possible.
-
-    Args:
-        limits: (nv of the tree,) those of the joints.
-        within: Least and greatest positions (nq,) of the robot.
     """
     found = _each(actuation, limits, within, _efforts)
     for place in actuation.places:

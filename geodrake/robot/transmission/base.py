@@ -63,12 +63,7 @@ class Transmission(abc.ABC):
         return (8 * near - far) / (12 * _STEP) * speed[:, :, None]
 
     def along(self, q: Array, v: Array) -> tuple[Array, Array, Array]:
-        """θ (N, k), J and J̇ (N, k, n) along a motion of the actuators.
-
-        Args:
-            q: (N, n) actuator coordinates.
-            v: (N, n) their velocities.
-        """
+        """θ (N, k), J and J̇ (N, k, n) along a motion of the actuators."""
         return self.joint_positions(q), self.jacobian(q), self.jacobian_rate(q, v)
 
     @property
@@ -221,9 +216,6 @@ def gears(ratios: ArrayLike) -> LinearTransmission:
 
     Args:
         ratios: (n,) gear ratios N, motor turns for one of the joint.
-
-    Raises:
-        ArgumentError: A ratio is zero or not finite.
     """
     N = real_array(ratios, "ratios", ("n",))
     if not N.all():
@@ -239,9 +231,6 @@ def rolling_joint(share: float = 0.5) -> LinearTransmission:
 
     Args:
         share: s = r₂ / (r₁ + r₂) of the first joint, between 0 and 1.
-
-    Raises:
-        ArgumentError: The share is out of its range.
     """
     number(share, "share", lower=0.0, upper=1.0)
     return LinearTransmission.of([[share], [1.0 - share]])

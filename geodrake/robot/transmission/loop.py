@@ -65,11 +65,7 @@ class LoopTransmission(Transmission, Short):
         return len(self.shown), len(self.free)
 
     def solved(self, q: Array) -> tuple[Array, Array, Array]:
-        """Positions (N, k) of all joints, G (N, k, n), and the share of the way there (N,).
-
-        Args:
-            q: (N, n) positions of the free joints.
-        """
+        """Positions (N, k) of all joints, G (N, k, n), and the share of the way there (N,)."""
         q = contiguous(q)
         theta = np.empty((len(q), len(self.reference)))
         G, reached = np.empty((*theta.shape, self.num_actuators)), np.empty(len(q))
@@ -82,12 +78,7 @@ class LoopTransmission(Transmission, Short):
         return theta[:, self.shown], G[:, self.shown], rate[:, self.shown]
 
     def of_all(self, q: Array, v: Array) -> tuple[Array, Array, Array]:
-        """Positions (N, k) of all k joints, G and Ġ (N, k, n).
-
-        Args:
-            q: (N, n) positions of the free joints.
-            v: (N, n) their velocities.
-        """
+        """Positions (N, k) of all k joints, G and Ġ (N, k, n)."""
         theta, G = self._closed(self._q(q))
         rate = np.zeros_like(G)
         calc_loop_rates(self.records, theta, G, contiguous(v), rate)
@@ -102,12 +93,7 @@ class LoopTransmission(Transmission, Short):
         return self._closed(self._q(q))[1][:, self.shown]
 
     def jacobian_rate(self, q: Array, v: Array) -> Array:
-        """J̇ = Ġ.
-
-        Args:
-            q: (N, n) positions of the free joints.
-            v: (N, n) their velocities.
-        """
+        """J̇ = Ġ."""
         return self.along(q, v)[2]
 
     def actuator_positions(self, theta: Array, *, start: object = 0.0) -> Array:
@@ -122,12 +108,7 @@ class LoopTransmission(Transmission, Short):
         return np.where((share < 1.0)[:, None], moved, q)
 
     def range_within(self, lower: Array, upper: Array) -> tuple[Array, Array]:
-        """Least and greatest positions (n,) of the free joints between which the loop closes.
-
-        Args:
-            lower: (n,) least positions by their own limits, rad or m.
-            upper: (n,) greatest ones.
-        """
+        """Least and greatest positions (n,) of the free joints between which the loop closes."""
         there, units = self.reference[self.free], self.records[7][self.free]
         ends = [np.maximum(lower, there - _FAR * units), np.minimum(upper, there + _FAR * units)]
         for k, (end, own) in enumerate(zip(ends, (lower, upper), strict=True)):
