@@ -65,11 +65,7 @@ def instances(value: Iterable[Kind], name: str, kind: Kinds) -> tuple[Kind, ...]
 
 
 def function(value: Kind, name: str) -> Kind:
-    """Something that can be called.
-
-    Raises:
-        ArgumentError: It cannot.
-    """
+    """Something that can be called."""
     if not callable(value):
         raise ArgumentError(f"{name} must be a function; it is {shown(value)}.", name=name)
     return value
@@ -126,8 +122,6 @@ def real_array(
     """Return an array of real numbers of a shape.
 
     Args:
-        value: What the caller passed.
-        name: What messages call it.
         shape: Its shape, with symbols for lengths that may be any; None for any shape.
         sizes: What symbols stand for so far; completed by this array.
         finite: Whether NaN, infinity and what is beyond `LARGEST` are refused.
@@ -154,9 +148,6 @@ def one_or_each(
     """Numbers (count,) from one for all, or one for each.
 
     Args:
-        value: What the caller passed.
-        name: What messages call it.
-        count: How many numbers there must be, unless there is one for all.
         strict: Whether `lower` itself is refused.
         finite: Whether infinity is refused; NaN always is.
     """
@@ -186,14 +177,7 @@ def mask(value: Any, name: str, count: int | None = None) -> NDArray[np.bool_]:
 
 
 def positive_definite(value: Any, name: str, shape: Shape, sizes: Sizes | None = None) -> Array:
-    """Return a symmetric positive-definite matrix, in whatever units its rows are.
-
-    Args:
-        value: What the caller passed.
-        name: What messages call it.
-        shape: Its shape (n, n), with symbols for lengths that may be any.
-        sizes: What symbols stand for so far; completed by this matrix.
-    """
+    """Return a symmetric positive-definite matrix, in whatever units its rows are."""
     matrix = real_array(value, name, shape, sizes)
     diagonal = np.diagonal(matrix)
     if not (diagonal > 0).all():
@@ -300,8 +284,6 @@ def number(
     """A real number between two others.
 
     Args:
-        value: What the caller passed.
-        name: What messages call it.
         strict: Whether the bounds themselves are refused.
         finite: Whether infinity and what is beyond `LARGEST` is refused; NaN always is.
     """
@@ -321,12 +303,7 @@ def positive(value: Any, name: str) -> float:
 def integer(
     value: Any, name: str, *, lower: float = -sys.maxsize, upper: float = sys.maxsize
 ) -> int:
-    """A whole number from `lower` to `upper`.
-
-    Args:
-        value: What the caller passed: an int, or an integer of NumPy, but no bool.
-        name: What messages call it.
-    """
+    """A whole number from `lower` to `upper`."""
     try:
         found = operator.index(value)
     except TypeError:

@@ -31,10 +31,6 @@ def open_regular(
     Args:
         path: The path as the user gave it; links are followed.
         what: What the file is to the user, such as "model file".
-
-    Raises:
-        GeodrakeError: Of the kind `error`: there is nothing, or no regular file, it is too large,
-            or must not be read.
     """
     try:
         reason = _kind(path.stat())  # before it is opened, which may rewind a tape

@@ -13,7 +13,6 @@ def optional_package(module: str, extra: str, what: str, error: type[GeodrakeErr
 
     Args:
         module: The module, such as "pyarrow.parquet".
-        extra: The extra of geodrake that installs its package, such as "parquet".
         what: What it is needed for, such as "Parquet files".
     """
     try:

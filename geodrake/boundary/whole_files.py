@@ -32,10 +32,6 @@ _MOST_BYTES = 230  # of a name that a temporary one may repeat; file systems tak
 def write_whole(path: str | Path, content: Content) -> None:
     """Write a file; text in UTF-8.
 
-    Args:
-        path: Target. A symbolic link stays, and what it points to is replaced.
-        content: Text, bytes, or a function that writes bytes to a file.
-
     Raises:
         OutputError: It cannot be written; what was there is as it was.
     """
@@ -47,9 +43,6 @@ def write_together(contents: Mapping[Path, Content]) -> None:
 
     Interrupts wait until the files are there; one that comes before the first is renamed leaves
     none of them.
-
-    Raises:
-        OutputError: One cannot be written; what was there is as it was.
     """
     with deferred_interrupts() as interrupted, ExitStack() as stack:
         parts = _parts(contents, stack)
@@ -64,12 +57,6 @@ def write_new(path: Path, content: Content, beside: Mapping[Path, Content]) -> b
 
     Args:
         beside: Other targets, which are written if this one is -> what goes into them.
-
-    Returns:
-        Whether this process did.
-
-    Raises:
-        OutputError: One cannot be written.
     """
     with deferred_interrupts(), ExitStack() as stack:
         parts = _parts({path: content, **beside}, stack)
@@ -82,11 +69,7 @@ def write_new(path: Path, content: Content, beside: Mapping[Path, Content]) -> b
 
 @contextmanager
 def made_folder(path: Path) -> Iterator[None]:
-    """Make a folder, and those above it, unless they are there; none stays empty after an error.
-
-    Raises:
-        OutputError: It cannot be made.
-    """
+    """Make a folder, and those above it, unless they are there; none stays empty after an error."""
     made = list[Path]()
     try:
         try:
@@ -107,11 +90,7 @@ def made_folder(path: Path) -> Iterator[None]:
 
 
 def check_writable(path: str | Path) -> None:
-    """Refuse a target that cannot be written, before the work that makes its content.
-
-    Raises:
-        OutputError: It cannot be written.
-    """
+    """Refuse a target that cannot be written, before the work that makes its content."""
     path = Path(path)
     with deferred_interrupts(), _refusing(path), _Part(path):
         pass

@@ -43,12 +43,7 @@ def yaml_text(path: Path, what: str = "model file", error: type[GeodrakeError] =
 
 
 def yaml_content(path: Path, what: str, error: type[GeodrakeError], *, advice: str) -> object:
-    """Return what a YAML file holds, each key of a table once.
-
-    Raises:
-        GeodrakeError: Of the kind `error`: it cannot be read, is no YAML, or has a key twice, of
-            which YAML would keep the last.
-    """
+    """Return what a YAML file holds, each key of a table once."""
     text = yaml_text(path, what, error)
     try:
         _refuse_repeated(yaml.compose(text, yaml.SafeLoader))
@@ -60,11 +55,7 @@ def yaml_content(path: Path, what: str, error: type[GeodrakeError], *, advice: s
 
 
 def _refuse_repeated(node: yaml.Node | None) -> None:
-    """Refuse a key that a table has twice.
-
-    Raises:
-        YAMLError: There is one.
-    """
+    """Refuse a key that a table has twice."""
     if isinstance(node, yaml.MappingNode):
         seen: set[str] = set()
         for key, value in node.value:
