@@ -9,7 +9,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from xml.etree import ElementTree
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,6 +19,9 @@ from geodrake.inertia.bodies import lumped_bodies
 from geodrake.logs.floating import FLAG, FORCE, ContactFlags, frames_of, vectors, widened
 from geodrake.logs.motion import JointLog
 from geodrake.model.robot_model import RobotModel
+from geodrake.robot.files.values import numbers
+from geodrake.robot.files.xacro_file import read_expanded
+from geodrake.robot.files.xml_text import parse_xml_bytes
 
 Array = NDArray[np.float64]
 
@@ -88,20 +90,22 @@ def contact_frames(model: RobotModel, names: Sequence[str]) -> tuple[ContactFram
 
 def _balls(model: RobotModel) -> dict[str, tuple[Array, float]]:
     """Link of a URDF that has one collision sphere -> its center in the link, and its radius, m."""
-    if model.path.suffix != ".urdf" or not model.path.is_file():
+    if model.path.suffix.lower() in (".yaml", ".yml") or not model.path.is_file():
         return {}
-    found = {}
-    for link in ElementTree.parse(model.path).getroot().iterfind("link"):
+    root, found = parse_xml_bytes(read_expanded(model.path, model.given), model.path), {}
+    for link in root.iterfind("link"):
         spheres = [
-            (collision.find("origin"), sphere)
+            (collision, sphere)
             for collision in link.iterfind("collision")
             for sphere in collision.iterfind("geometry/sphere")
         ]
         if len(spheres) == 1:
-            origin, sphere = spheres[0]
-            place = "0 0 0" if origin is None else origin.get("xyz", "0 0 0")
-            radius = float(sphere.get("radius", "0"))
-            found[link.get("name", "")] = np.array(place.split(), float), radius
+            collision, sphere = spheres[0]
+            origin = collision.find("origin")
+            place = numbers("" if origin is None else origin.get("xyz", ""), 3)
+            radius = float(numbers(sphere.get("radius", ""), 1)[0])
+            if np.isfinite([*place, radius]).all():
+                found[link.get("name", "")] = place, radius
     return found
 
 

@@ -9,6 +9,7 @@ from __future__ import annotations
 from collections import Counter
 
 import numpy as np
+from numpy.typing import NDArray
 from pydrake.multibody.plant import MultibodyPlant
 from pydrake.multibody.tree import (
     BallRpyJoint,
@@ -19,6 +20,8 @@ from pydrake.multibody.tree import (
     WeldJoint,
 )
 from scipy.cluster.hierarchy import DisjointSet
+from scipy.sparse import coo_array
+from scipy.sparse.csgraph import shortest_path
 
 from geodrake.errors import ModelError
 from geodrake.robot.followers import joints_of, scoped
@@ -32,7 +35,7 @@ def open_loops(plant: MultibodyPlant) -> tuple[Closure, ...]:
         return ()
     actuators, far = _actuators(plant), _steps(plant, joints)
 
-    def rank(joint: Joint) -> tuple[int, int]:
+    def rank(joint: Joint) -> tuple[int, float]:
         """How gladly a joint closes a loop, and how far it is from the base."""
         driven = _is_driven(actuators.get(int(joint.index()), []))
         kind = {WeldJoint: 0, RevoluteJoint: 2 - driven, PrismaticJoint: 2 - driven}
@@ -76,19 +79,14 @@ def _actuators(plant: MultibodyPlant) -> dict[int, list[JointActuator]]:
     return found
 
 
-def _steps(plant: MultibodyPlant, joints: list[Joint]) -> list[int]:
+def _steps(plant: MultibodyPlant, joints: list[Joint]) -> NDArray[np.float64]:
     """Return how many joints lie between each body and the world, or a body that hangs on none."""
-    ends, count = list(map(ends_of, joints)), plant.num_bodies()
-    hanging = {child for _, child in ends}
-    found = [count if body in hanging else 0 for body in range(count)]
-    for _ in range(count):
-        before = list(found)
-        for first, second in ends:
-            found[first] = min(found[first], found[second] + 1)
-            found[second] = min(found[second], found[first] + 1)
-        if found == before:
-            break
-    return found
+    count = plant.num_bodies()
+    ends = np.array([ends_of(joint) for joint in joints])
+    graph = coo_array((np.ones(len(ends)), ends.T), (count, count))
+    hanging = np.isin(np.arange(count), ends[:, 1])
+    far = shortest_path(graph, directed=False, unweighted=True, indices=np.flatnonzero(~hanging))
+    return np.asarray(far.min(axis=0))
 
 
 def _is_driven(actuators: list[JointActuator]) -> bool:

@@ -17,13 +17,14 @@ from numpy.typing import ArrayLike
 from pydrake.multibody.plant import MultibodyPlant
 from pydrake.multibody.tree import BodyIndex, Joint, JointActuator, RigidBody, SpatialInertia
 from pydrake.systems.framework import Context
+from scipy.cluster.hierarchy import DisjointSet
 
 from geodrake.boundary.arguments import instance, number, real_array, typed
 from geodrake.errors import ModelError
 from geodrake.inertia import PARAMETERS_PER_BODY, Array, inertial_parameters, to_spatial_inertia
 from geodrake.inertia.bodies import Member, lumped_bodies
 from geodrake.robot.base_joints import add_base_joints
-from geodrake.robot.cut_joints import open_loops
+from geodrake.robot.cut_joints import ends_of, open_loops
 from geodrake.robot.files import Given, ModelDescription
 from geodrake.robot.files.checks import check_poses
 from geodrake.robot.files.description import drake_errors, drake_messages, read_description
@@ -44,6 +45,7 @@ from geodrake.robot.repairs import Repair, repair_inertias
 from geodrake.robot.stated import BuiltPlant, CutJoint, FileTerms, Spring
 from geodrake.robot.transmission.statements import Followers, Gear
 
+_WORLD = 0
 _STATES = 3  # random ones at which loops are compared with MuJoCo's
 _LIMIT = "limit of "  # before the names of actuators that only have a limit of efforts
 _SAME = 1e-9  # of the largest of a body's parameters: what text and Drake may change
@@ -446,18 +448,12 @@ def arrange_as(plant: MultibodyPlant, other: MultibodyPlant) -> None:
 
 def free_roots(plant: MultibodyPlant) -> list[RigidBody]:
     """Return the root of each tree that no joint connects to the world."""
-    tree = list(range(plant.num_bodies()))
-    children = set()
-    for joint in joints_of(plant):
-        parent, child = int(joint.parent_body().index()), int(joint.child_body().index())
+    trees, children = DisjointSet(range(plant.num_bodies())), set[int]()
+    for parent, child in map(ends_of, joints_of(plant)):
+        trees.merge(parent, child)
         children.add(child)
-        old, new = tree[child], tree[parent]
-        tree = [new if label == old else label for label in tree]
-    roots: dict[int, int] = {}
-    for body, label in enumerate(tree):
-        if label != tree[0] and body not in children:
-            roots.setdefault(label, body)
-    return [plant.get_body(BodyIndex(body)) for body in roots.values()]
+    tops = (tree - children for tree in trees.subsets() if _WORLD not in tree)
+    return [plant.get_body(BodyIndex(body)) for body in sorted(min(top) for top in tops if top)]
 
 
 def motor_joints(plant: MultibodyPlant) -> frozenset[str]:

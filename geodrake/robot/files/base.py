@@ -23,7 +23,7 @@ from geodrake.robot.files.model_edits import put_inertia
 from geodrake.robot.files.values import drop, numbers
 from geodrake.robot.files.xml_text import numbered_text, place_of, wrong_at
 from geodrake.robot.followers import Follower
-from geodrake.robot.stated import Closure, FileTerms
+from geodrake.robot.stated import Closure, FileTerms, Spring
 from geodrake.robot.transmission.statements import Statement
 
 _BALL = "drake:ball_constraint"
@@ -124,6 +124,17 @@ class ModelText(abc.ABC):
             self.terms.gravity = np.zeros(3)
         else:
             self.terms.carried = dict.fromkeys(off, 1.0)
+
+    def _take_spring(self, joint: str, parent: Element, *tags: str) -> None:
+        """Take the spring of a joint, by its scoped name, of the tags of stiffness and rest."""
+        stated = [parent.find(tag) for tag in tags]
+        texts = ["0" if each is None else each.text or "0" for each in stated]
+        values = [float(numbers(text, 1)[0]) for text in texts]
+        for element, text, value in zip(stated, texts, values, strict=True):
+            if element is not None and not np.isfinite(value):
+                what = f"<{element.tag}> has {text.strip()[:50]!r} instead of a number."
+                raise wrong_at(element, self.path, what)
+        self.terms.springs[joint] = Spring.linear(*values)
 
     def _take_mimic(self, scope: str, joint: Element) -> None:
         for mimic in [e for e in joint.iter() if e.tag in ("mimic", "drake:mimic")]:

@@ -23,9 +23,8 @@ from geodrake.robot.files.values import (
     symmetric,
 )
 from geodrake.robot.files.xml_text import wrong_at
-from geodrake.robot.stated import Spring
 
-_SPRING = ("stiffness", "reference")
+_SPRING = ("spring_stiffness", "spring_reference")
 
 
 class SdfText(ModelText):
@@ -82,21 +81,8 @@ class SdfText(ModelText):
         self.terms.friction[name] = numbers(joint.findtext("axis/dynamics/friction", "0"), 1)[0]
         for dynamics in joint.iter("dynamics"):
             if dynamics is joint.find("axis/dynamics"):
-                self.terms.springs[name] = Spring.linear(
-                    *(self._of_spring(dynamics, f"spring_{key}") for key in _SPRING)
-                )
-            drop(dynamics, *(f"spring_{key}" for key in _SPRING))
-
-    def _of_spring(self, dynamics: Element, tag: str) -> float:
-        """Return a number of a spring, 0 where none is stated."""
-        stated = dynamics.find(tag)
-        if stated is None:
-            return 0.0
-        value = float(numbers(stated.text or "0", 1)[0])
-        if not np.isfinite(value):
-            what = f"<{tag}> has {(stated.text or '').strip()[:50]!r} instead of a number."
-            raise wrong_at(stated, self.path, what)
-        return value
+                self._take_spring(name, dynamics, *_SPRING)
+            drop(dynamics, *_SPRING)
 
     def _inertia(self, link: Element) -> Array | None:
         inertial = link.find("inertial")

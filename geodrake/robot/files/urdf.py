@@ -5,8 +5,6 @@ from __future__ import annotations
 from copy import deepcopy
 from xml.etree.ElementTree import Element
 
-import numpy as np
-
 from geodrake.inertia import Array
 from geodrake.robot.files.base import ModelText
 from geodrake.robot.files.checks import URDF_NUMBERS
@@ -22,7 +20,6 @@ from geodrake.robot.files.values import (
     symmetric,
 )
 from geodrake.robot.files.xml_text import wrong_at
-from geodrake.robot.stated import Spring
 from geodrake.robot.transmission.statements import Statement
 
 
@@ -68,10 +65,7 @@ class UrdfText(ModelText):
             name = f"{scope}::{element.get('reference')}"
             stated = element.findtext("springStiffness", "")
             if element.get("reference") in joints and stated.strip():
-                tags = ("springStiffness", "springReference")
-                self.terms.springs[name] = Spring.linear(
-                    *(self._of_spring(element, t) for t in tags)
-                )
+                self._take_spring(name, element, "springStiffness", "springReference")
             elif not is_nothing(stated):
                 said = wrong_at(
                     element,
@@ -85,14 +79,6 @@ class UrdfText(ModelText):
             if any(falls) and name in self._links:
                 off.append(name)
         self._take_weightless(off)
-
-    def _of_spring(self, element: Element, tag: str) -> float:
-        stated = element.findtext(tag, "0")
-        value = float(numbers(stated, 1)[0])
-        if not np.isfinite(value):
-            words = stated.strip()[:50]
-            raise wrong_at(element, self.path, f"<{tag}> has {words!r} instead of a number.")
-        return value
 
     def motors(self) -> tuple[Statement, ...]:
         """The transmissions of ros_control."""
