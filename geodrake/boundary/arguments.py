@@ -71,17 +71,17 @@ def function(value: Kind, name: str) -> Kind:
     return value
 
 
-def file_path(value: str | os.PathLike[str], name: str = "path") -> Path:
+def file_path(value: str | os.PathLike[str]) -> Path:
     """Return the path of a file."""
     if not isinstance(value, str | os.PathLike):
-        raise ArgumentError(f"{name} must be a path; it is {shown(value)}.", name=name)
+        raise ArgumentError(f"path must be a path; it is {shown(value)}.", name="path")
     path = Path(value)
     try:
         unusable = b"\0" in os.fsencode(path)
     except UnicodeEncodeError:
         unusable = True
     if unusable:
-        raise ArgumentError(f"{name} must be a path; no file can be called {value!a}.", name=name)
+        raise ArgumentError(f"path must be a path; no file can be called {value!a}.", name="path")
     return path
 
 
@@ -141,14 +141,13 @@ def one_or_each(
     name: str,
     count: int,
     *,
-    lower: float = 0.0,
     strict: bool = False,
     finite: bool = True,
 ) -> Array:
-    """Numbers (count,) from one for all, or one for each.
+    """Numbers (count,), at least 0, from one for all, or one for each.
 
     Args:
-        strict: Whether `lower` itself is refused.
+        strict: Whether 0 itself is refused.
         finite: Whether infinity is refused; NaN always is.
     """
     array = real_array(value, name, finite=finite)
@@ -156,23 +155,20 @@ def one_or_each(
         raise ArgumentError(
             f"{name} must be one number or {count}; it has the shape {array.shape}.", name=name
         )
-    if not (array > lower if strict else array >= lower).all():
+    if not (array > 0.0 if strict else array >= 0.0).all():
         wanted = "above" if strict else "at least"
-        raise ArgumentError(
-            f"{name} must be {wanted} {lower:g}; it is {shown(array.tolist())}.", name=name
-        )
+        raise ArgumentError(f"{name} must be {wanted} 0; it is {shown(array.tolist())}.", name=name)
     return np.broadcast_to(array, (count,))
 
 
-def mask(value: Any, name: str, count: int | None = None) -> NDArray[np.bool_]:
-    """Return booleans (n,), checked, of a given or any number."""
+def mask(value: Any, name: str) -> NDArray[np.bool_]:
+    """Return booleans (n,), checked."""
     try:
         found = np.asarray(value)
     except ValueError:  # ragged
         found = np.empty((), object)
-    size = "n" if count is None else count
-    if found.ndim != 1 or found.dtype != bool or count not in (None, len(found)):
-        raise ArgumentError(f"{name} must be ({size},) booleans; it is {shown(value)}.", name=name)
+    if found.ndim != 1 or found.dtype != bool:
+        raise ArgumentError(f"{name} must be (n,) booleans; it is {shown(value)}.", name=name)
     return found
 
 

@@ -51,10 +51,10 @@ class LumpedBody:
     members: tuple[Member, ...]
 
 
-def check_plant(plant: MultibodyPlant, name: str = "plant") -> None:
+def check_plant(plant: MultibodyPlant) -> None:
     """Refuses what is no finalized plant."""
-    if not instance(plant, name, MultibodyPlant).is_finalized():
-        raise ModelError(f"The {name} is not finalized.", advice="Call plant.Finalize() first.")
+    if not instance(plant, "plant", MultibodyPlant).is_finalized():
+        raise ModelError("The plant is not finalized.", advice="Call plant.Finalize() first.")
 
 
 def check_context(system: System, context: Context) -> None:

@@ -136,23 +136,14 @@ def base_parameters(
     return BaseParameters(matrix, independent, np.asarray(singular, float), tolerance)
 
 
-def structural_base_parameters(
-    plant: MultibodyPlant | RobotTree, *, seed: int = 0, tolerance: float = 1e-9
-) -> BaseParameters:
-    """Base parameters that efforts identify with the best of motions, from random ones.
-
-    Args:
-        seed: Of the random motions; another one finds the same combinations.
-    """
+def structural_base_parameters(plant: MultibodyPlant | RobotTree) -> BaseParameters:
+    """Base parameters that efforts identify with the best of motions, from random ones."""
     tree = checked_tree(plant)
-    integer(seed, "seed", lower=0)
-    number(tolerance, "tolerance", lower=_ROUNDING, upper=1.0, strict=True)
-    random, nv = np.random.default_rng(seed), tree.num_velocities
+    random, nv = np.random.default_rng(0), tree.num_velocities
     count = 3 * PARAMETERS_PER_BODY * len(tree.bodies) // max(nv, 1) + 10
     sizes = (tree.num_positions, nv, nv)
     q, v, vd = (random.uniform(-np.pi, np.pi, (count, size)) for size in sizes)
-    Y = inverse_dynamics_regressor(tree, inside(tree, q), v, vd)
-    return base_parameters(Y, tolerance=tolerance)
+    return base_parameters(inverse_dynamics_regressor(tree, inside(tree, q), v, vd))
 
 
 def pushforward_metric(
