@@ -186,7 +186,12 @@ class Manifold(abc.ABC):
             return span.point(np.array([t]))
 
         speed = float(np.sqrt(span.products[0, 0]))
-        return MirrorLine(point, lambda t: float(np.vdot(b, point(t))), np.inf, scale_of(speed))
+        longest = self._longest_line(x, b)
+        return MirrorLine(point, lambda t: float(np.vdot(b, point(t))), longest, scale_of(speed))
+
+    def _longest_line(self, x: Array, b: Array) -> float:
+        """Time at which the mirror line ends at infinity; never unless overridden."""
+        return np.inf
 
     def calc_mirror_span(self, x: Array, rows: Array) -> MirrorSpan:
         """Kernel of `mirror_span`.

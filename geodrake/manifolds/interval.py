@@ -12,7 +12,7 @@ from geodrake.boundary.arguments import LARGEST, Sizes, integer, real_array
 from geodrake.compiling import contiguous
 from geodrake.errors import ArgumentError
 from geodrake.manifolds.base import Array, Manifold, excess, slowed_time
-from geodrake.manifolds.mirror import MirrorLine, MirrorSpan, scale_of
+from geodrake.manifolds.mirror import MirrorSpan
 from geodrake.manifolds.robot_kernels import Factors, calc_natural_steps, robot_span
 
 _LONGEST_GROWTH = 300.0  # logarithm of a growth that is still a number
@@ -134,17 +134,11 @@ class Interval(Manifold):
         """Diagonal (n, n)."""
         return np.diag(1.0 / np.sqrt(self._curvature(x)))
 
-    def calc_mirror_line(self, x: Array, b: Array) -> MirrorLine:
-        """In closed form for each parameter: 1/slack is linear in t, or a quadratic equation."""
-        span, one = self.calc_mirror_span(x, b[None]), self._one_sided
-
-        def point(t: float) -> Array:
-            return span.point(np.array([t]))
-
+    def _longest_line(self, x: Array, b: Array) -> float:
+        """Where the inverse slack of a parameter with one bound, linear in time, is zero."""
+        one = self._one_sided
         most = float(((x[..., one] - self._only_bound) * b[..., one]).max(initial=0.0))
-        longest = 1.0 / most if most > 0 else np.inf
-        speed = float(np.sqrt(span.products[0, 0]))
-        return MirrorLine(point, lambda t: float(np.vdot(b, point(t))), longest, scale_of(speed))
+        return 1.0 / most if most > 0 else np.inf
 
     def calc_mirror_span(self, x: Array, rows: Array) -> MirrorSpan:
         """Each parameter by itself; NaN where there is no point of one."""

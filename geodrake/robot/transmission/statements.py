@@ -285,10 +285,6 @@ class Polynomial(OneJoint):
         """Return the polynomial."""
         return polynomial(np.array(self.coefficients, float))
 
-    def range(self) -> None:
-        """Return that it holds everywhere."""
-        return
-
 
 class PositionTable(OneJoint):
     """θ between pairs, rad or m, by a cubic spline, and straight on beyond its ends."""
