@@ -19,7 +19,9 @@ from geodrake.inertia import Array
 Scalars = NDArray[Any]
 """An array of floats, or of AutoDiffXd."""
 
-_STEP = 6e-6  # cube root of the rounding of floats
+_STEP = 3e-5  # a thirtieth of what signs of friction are smoothed over, or less
+_SHARE = 1e-3  # of a parameter, which is moved by less where it is small
+_LEAST_STEP = 1e-9
 
 
 def scalars(values: Any, scalar: type) -> Scalars:
@@ -33,27 +35,32 @@ def scalars(values: Any, scalar: type) -> Scalars:
     return found.reshape(array.shape)
 
 
-def by_differences(function: Callable[[Array], Array], x: Scalars) -> Scalars:
+def by_differences(
+    function: Callable[[Array], Array], x: Scalars, parameters: slice = slice(0)
+) -> Scalars:
     """Return a function of floats, from (n,) to (m,), at AutoDiffXd, its slopes by differences.
 
-    Derivatives are exact to about 1e-9 of what they are differences of.
+    They are of fourth order, exact to about 1e-9 of what they are differences of. A step of
+    parameters is a small share of them: of a compliance, by which forces are divided, too.
     """
     whole = scalars(x, AutoDiffXd)
     value, slopes = ExtractValue(whole).ravel(), ExtractGradient(whole)
     found = np.asarray(function(value), float)
     changes = np.zeros((len(found), slopes.shape[1]))
     known = np.isfinite(found)  # what is not has no slopes
+    steps = _STEP * (1.0 + np.abs(value))
+    own = np.abs(value[parameters])
+    steps[parameters] = np.where(own > 0, np.clip(_SHARE * own, _LEAST_STEP, _STEP), _STEP)
     for k, direction in enumerate(slopes.T):
         moved = np.flatnonzero(direction)
         if len(moved):
-            size = 1.0 + np.abs(value[moved]).max()
-            h = _STEP * size / np.abs(direction[moved]).max()
-            ends = []
-            for sign in (1.0, -1.0):
-                there = value.copy()
-                there[moved] += sign * h * direction[moved]
-                ends.append(np.asarray(function(there), float)[known])
-            changes[known, k] = (ends[0] - ends[1]) / (2.0 * h)
+            h = (steps[moved] / np.abs(direction[moved])).min()
+            for share, weight in ((1.0, 8.0), (2.0, -1.0)):
+                for sign in (1.0, -1.0):
+                    there = value.copy()
+                    there[moved] += sign * share * h * direction[moved]
+                    changes[known, k] += sign * weight * np.asarray(function(there), float)[known]
+            changes[known, k] /= 12.0 * h
     return InitializeAutoDiff(found, changes).ravel()
 
 
@@ -98,7 +105,7 @@ def differenced(made: System) -> System:
     """Lets a LeafSystem class be cloned, and converted to AutoDiffXd.
 
     A clone is made of the arguments of the constructor. AutoDiffXd has derivatives with inputs,
-    states, numeric parameters and time, by central differences: exact to some 1e-9, where the
+    states, numeric parameters and time, by differences: exact to some 1e-9, where the
     system is smooth. There is no conversion to Expression.
 
     The class, or its base, gives its converter to LeafSystem: `LeafSystem.__init__(self,
@@ -236,7 +243,9 @@ class _Differenced(_Base):
             scratch.SetTime(float(next(pieces)[0]))
             return np.array(function(scratch), float)
 
-        return by_differences(at, np.concatenate([scalars(part, AutoDiffXd) for part in parts]))
+        whole = np.concatenate([scalars(part, AutoDiffXd) for part in parts])
+        first, last = np.concatenate([[0], ends])[[len(known), len(known) + len(groups)]]
+        return by_differences(at, whole, slice(first, last))
 
 
 def _vector(size_or_values: Any) -> Any:
