@@ -18,7 +18,7 @@ from geodrake.logs.files.mapping_file import mapping_of
 from geodrake.logs.files.units import unit_of
 from geodrake.logs.motion import PASSIVE, JointLog
 from geodrake.logs.sensor_faults import without_faults
-from geodrake.logs.unit_hints import position_unit_hint, row_order_hint
+from geodrake.logs.unit_hints import effort_sign_hint, position_unit_hint, row_order_hint
 
 Array = NDArray[np.float64]
 
@@ -109,7 +109,8 @@ def inspect_log(
     missing = [joint for joint in joints or () if joint not in (*log.joints, *log.standing)]
     notes += [f"nothing is measured of the model's {', '.join(missing)}"] if missing else []
     converted = any(s.unit for n, s in columns.sources.items() if n.endswith(".position"))
-    hints = [row_order_hint(log), None if converted else position_unit_hint(log)]
+    hints = [row_order_hint(log), effort_sign_hint(log)]
+    hints += [] if converted else [position_unit_hint(log)]
     return LogInspection(
         log,
         columns.sources["time"].column if "time" in columns.sources else "",

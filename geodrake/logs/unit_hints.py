@@ -14,6 +14,8 @@ _ENOUGH_ROWS = 30  # that tell an order
 _JUMP = 0.2  # of its range, between two rows: 0.3 in random order, 0.1 in 20 rows a swing
 _LARGEST = 1e100  # of efforts that are compared with limits, and of positions with each other
 _LEAST_LIMIT = 1e-9  # N·m or N: no motor is that weak
+_NEAR_ZERO, _TOUCHES = 0.03, 4  # of the largest effort, and how often one comes down to it
+_LOOKS = 200  # at a position, between which its noise turns it round
 _LEAST_TICKS = 100.0  # no joint goes there in radians
 _FEW = 0.01  # share of samples that may be spikes
 _MARGIN = 0.01  # of a range, by which a joint may pass its stops
@@ -66,6 +68,37 @@ def position_unit_hint(log: JointLog) -> str | None:
             "--units position=deg converts them."
         )
     return None
+
+
+def effort_sign_hint(log: JointLog) -> str | None:
+    """Return a sentence for the user if efforts are magnitudes by the look of them; else None.
+
+    Efforts that only gravity keeps from changing their sign do not come back from zero again and
+    again.
+    """
+    rows = np.isfinite(log.position).all(axis=1) & np.isfinite(log.effort).all(axis=1)
+    position, effort = log.position[rows][:_ROWS], log.effort[rows][:_ROWS]
+    if len(effort) < _ENOUGH_ROWS:
+        return None
+    found = []
+    for name, q, tau in zip(log.joints, position.T, effort.T, strict=True):
+        largest = float(tau.max())
+        if log.effort_kinds.get(name) in ("passive", "ground") or tau.min() < 0.0 or not largest:
+            continue
+        low, turns = (
+            tau < _NEAR_ZERO * largest,
+            np.diff(np.sign(np.diff(q[:: len(q) // _LOOKS + 1]))),
+        )
+        touches = np.count_nonzero(low[1:] & ~low[:-1])
+        if touches >= _TOUCHES and np.count_nonzero(turns) > 1:
+            found.append(name)
+    if not found:
+        return None
+    return (
+        f"The efforts of {', '.join(found)} are never negative, and come down to zero again and "
+        "again while the joint turns both ways: magnitudes, by the look of it. Log them with their "
+        "sign; or, where servos' commands are logged too, use these: --kind command."
+    )
 
 
 def position_limit_hint(log: JointLog, lower: ArrayLike, upper: ArrayLike) -> str | None:

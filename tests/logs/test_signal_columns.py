@@ -8,6 +8,7 @@ from geodrake.logs import JointLog, log_of_frame, read_log, write_log
 from geodrake.logs.files.reading import ColumnMapping, MappedColumn, Reading, parsed_gain
 from geodrake.logs.log_checks import check_commands, check_saturation
 from geodrake.logs.uniform_log import make_uniform
+from geodrake.logs.unit_hints import effort_sign_hint
 
 JOINTS = ("shoulder", "elbow")
 ROWS = 300
@@ -389,3 +390,42 @@ def test_whole_numbers_of_a_wide_range_are_no_registers():
     reading = Reading(units={"position": "ticks"})
     log = log_of_frame(frame(q_J=ticks, effort_J=S), joints=JOINTS, reading=reading)
     assert "is read as" not in said(log)
+
+
+TICKS = np.rint(2048.0 + Q / (2.0 * np.pi) * 4096.0)
+
+
+def test_positions_in_ticks_of_servos(tmp_path):
+    path = write(tmp_path / "log.csv", frame(q_J=TICKS, goal_position_J=TICKS[::-1], effort_J=S))
+    log = read_log(path, joints=JOINTS)
+    np.testing.assert_allclose(log.position, np.pi + Q, atol=np.pi / 4096.0)
+    assert "ticks of servos with 4096 a turn: converted" in said(log)
+
+
+@pytest.mark.parametrize(
+    ("positions", "units"),
+    [
+        (TICKS + 0.5, {}),
+        (TICKS - 3000.0, {}),
+        (TICKS + 3000.0, {}),
+        (np.rint(180.0 + 180.0 * Q), {}),
+        (TICKS, {"position": "rad"}),
+    ],
+)
+def test_other_positions_are_no_ticks(tmp_path, positions, units):
+    path = write(tmp_path / "log.csv", frame(q_J=positions, effort_J=S))
+    log = read_log(path, joints=JOINTS, reading=Reading(units=units))
+    np.testing.assert_array_equal(log.position, positions)
+
+
+@pytest.mark.parametrize("kind", ["effort", "current"])
+def test_efforts_without_their_sign_are_said(kind):
+    def hint(efforts):
+        log = log_of_frame(frame(q_J=np.tile(Q, (4, 1))[:ROWS], **{f"{kind}_J": efforts}))
+        return effort_sign_hint(log)
+
+    waves = np.sin(TIME[:, None] * np.array([11.0, 13.0]))
+    assert "magnitudes" in hint(np.abs(waves))
+    assert hint(waves) is None
+    assert hint(2.0 + waves) is None
+    assert hint(np.zeros_like(waves)) is None

@@ -33,7 +33,12 @@ from geodrake.logs.motion import GROUND, PASSIVE, JointLog, Trajectory
 from geodrake.logs.preparation import motion_bandwidth_of, prepare_logs
 from geodrake.logs.smoothing import Segment
 from geodrake.logs.uniform_log import make_uniform
-from geodrake.logs.unit_hints import effort_unit_hint, position_limit_hint, position_unit_hint
+from geodrake.logs.unit_hints import (
+    effort_sign_hint,
+    effort_unit_hint,
+    position_limit_hint,
+    position_unit_hint,
+)
 from geodrake.model.carried_payloads import joints_with_known_gain, payload_notes
 from geodrake.model.logged_joints import holding_resting, log_of_model, reading_for
 from geodrake.model.robot_model import RobotModel
@@ -415,7 +420,11 @@ def _naming_units(hints: Sequence[str]) -> Iterator[None]:
 
 def _hints(log: JointLog, model: RobotModel) -> list[str]:
     limits = model.position_limits
-    hints = [effort_unit_hint(log, model.effort_limits), position_unit_hint(log)]
+    hints = [
+        effort_unit_hint(log, model.effort_limits),
+        effort_sign_hint(log),
+        position_unit_hint(log),
+    ]
     if len(limits[0]) == len(log.joints):
         hints.append(position_limit_hint(log, *limits))
     return [hint for hint in hints if hint]

@@ -17,6 +17,7 @@ from geodrake.logs.time_stamps import evened, repeats, time_unit, with_clock_set
 Array = NDArray[np.float64]
 
 LEAST_ROWS = 10
+TICKS = 4096  # of a turn, of servos with twelve bits
 _FIRST = 1000  # rows that mostly tell that numbers are no whole ones
 _STILL = 2e-3  # rad or m, by which a joint may move and still stand
 
@@ -102,6 +103,7 @@ class Recording:
         alone = {joint: numbers[:rows] for joint, numbers in self._standing.items()}
         floating = {name: numbers[:rows] for name, numbers in self._floating.items()}
         values, signed = self._signed(values)
+        values, ticks = self._in_radians(values)
         values["effort"], kinds, more_notes = self._without_motors(values["effort"])
         if kept is not None:
             time = time[kept]
@@ -116,7 +118,7 @@ class Recording:
             values["effort"],
             values.get("velocity"),
             values.get("acceleration"),
-            (*self.columns.notes, *notes, *more, *signed, *more_notes, *torn),
+            (*self.columns.notes, *notes, *more, *signed, *ticks, *more_notes, *torn),
             effort_uncertainty=self._uncertainty(kinds),
             standing={joint: self._place(joint, rows) for joint in self._standing},
             alone=alone,
@@ -142,6 +144,30 @@ class Recording:
                     found[quantity] = _with_column(found[quantity], at, column)
                     notes.append(f"{source.column!r} is read as {signed[1]}")
         return found, notes
+
+    def _in_radians(self, values: dict[str, Array]) -> tuple[dict[str, Array], list[str]]:
+        """Return positions and commands (N, n) in rad where they are ticks of servos; and notes.
+
+        Whole numbers from 0 to less than 4,096, and beyond 1,024, are taken for such if nobody
+        says their unit: in rad no joint goes so far, and in degrees hardly one in whole ones.
+        """
+        told = [n for n in values if n in ("position", "command") and np.isfinite(values[n]).any()]
+        for quantity in told:
+            sources = (self.columns.sources.get(f"{j}.{quantity}") for j in self.columns.joints)
+            if any(s is not None and (s.unit or s.factor != 1.0) for s in sources):
+                return values, []
+            numbers, least = values[quantity], TICKS / 4 if quantity == "position" else 0.0
+            if not (are_whole(numbers[:_FIRST]) and are_whole(numbers)):
+                return values, []
+            if not np.nanmin(numbers) >= 0.0 or not least < np.nanmax(numbers) < TICKS:
+                return values, []
+        turned = {name: values[name] * (2.0 * np.pi / TICKS) for name in told}
+        words = (
+            f"positions are whole numbers, from {np.nanmin(values['position']):.0f} to "
+            f"{np.nanmax(values['position']):.0f}, and so ticks of servos with {TICKS} a turn: "
+            "converted (give their unit by --units or a mapping if they are none)"
+        )
+        return {**values, **turned}, [words]
 
     def _without_motors(self, effort: Array) -> tuple[Array, dict[str, str], list[str]]:
         """Return efforts (N, n), zeros at joints without a motor, their kinds, and notes."""
