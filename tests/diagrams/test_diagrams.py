@@ -25,6 +25,7 @@ LONG = {  # whose parts are tested elsewhere, too
     "fleet_kills",
     "fleet_speed",
     "fleet_study",
+    "floating_robots",
     "hidden_effects",
     "hobby_arm",
     "identification_speed",

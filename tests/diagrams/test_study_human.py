@@ -26,6 +26,7 @@ def tables(tmp_path_factory):
     return json.loads((folder / "table.json").read_text(encoding="utf-8"))
 
 
+@pytest.mark.thorough
 @NEEDED
 def test_blocks_that_were_not_fitted_are_predicted_better_than_by_the_prior(tables):
     found = {line["regularizer"]: np.array(line["test"]) for line in tables["errors"]}
@@ -36,6 +37,7 @@ def test_blocks_that_were_not_fitted_are_predicted_better_than_by_the_prior(tabl
         assert (found[name][1:] > trained[1:]).all(), name
 
 
+@pytest.mark.thorough
 @NEEDED
 def test_residuals_and_bodies(tables):
     assert len(tables["fits"]) == 10

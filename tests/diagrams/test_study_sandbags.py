@@ -67,6 +67,7 @@ class TestCoupledArm:
         mass = [plant.CalcTotalMass(plant.CreateDefaultContext()) for plant in (bare, full)]
         assert mass[1] - mass[0] == pytest.approx(1.5)
 
+    @pytest.mark.thorough
     def test_truth_tracks_where_friction_is_even(self, true, monkeypatch):
         """Drake's ten coupled joints do what the controller's seven turns predict."""
         monkeypatch.setattr(study, "UNEVEN", 0.0)

@@ -158,6 +158,7 @@ def loaded():
     return {draw.law: payload.run_draw(draw, seed=0) for draw in draws}
 
 
+@pytest.mark.thorough  # as wam_payload is
 class TestPayload:
     def test_natural_finds_the_load(self, loaded):
         assert loaded[laws.NATURAL]["mass"] == pytest.approx(3.0, abs=0.3)
