@@ -76,12 +76,9 @@ def distance(system, law, estimates):
     ("kind", "law", "friction", "fault"),
     [
         ("passivity", "natural", True, "noise"),
-        ("passivity", "natural", False, "huge"),
         ("passivity", "natural", True, "dropped"),
         ("computed torque", "natural", True, "stuck"),
         ("computed torque", "euclidean", True, "turns"),
-        ("passivity", "euclidean", False, "weak actuators"),
-        ("passivity", "euclidean", False, "reversed joint"),
         ("computed torque", "natural", False, "reversed joint"),
     ],
 )

@@ -81,7 +81,7 @@ def files(pendulum, tmp_path_factory):
     folder = tmp_path_factory.mktemp("command")
     save_model(springy(pendulum, 0.8), folder / "soft.yaml")
     save_model(having(pendulum, ROTOR, FRICTION), folder / "stiff.yaml")
-    write_log(swung(0), folder / "log.csv")
+    write_log(swung(0, seconds=10.0), folder / "log.csv")
     return folder
 
 

@@ -30,10 +30,11 @@ def log():
     return servo_log()
 
 
-@pytest.fixture(scope="module", params=[1, 2], ids=["one log", "two logs"])
-def fit(request, model, log):
+@pytest.fixture(scope="module")
+def fit(model, log):
+    """Of one log, cut in two."""
     half = len(log) // 2
-    logs = [log] if request.param == 1 else [part(log, 0, half, "a"), part(log, half, None, "b")]
+    logs = [part(log, 0, half, "a"), part(log, half, None, "b")]
     return fit_rollouts(model, logs, commands=True)
 
 
