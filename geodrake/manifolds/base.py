@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from geodrake.boundary.arguments import Shape, Sizes, number, real_array
+from geodrake.boundary.arguments import Sizes, number, real_array
 from geodrake.errors import ArgumentError
 from geodrake.manifolds.mirror import MirrorLine, MirrorSpan, scale_of
 
@@ -28,7 +28,8 @@ class Manifold(abc.ABC):
     Every function is a door that refuses points outside of the set, covectors that are not finite,
     and what is no array of real numbers (ArgumentError). Behind it is a kernel of the same name
     with `calc_`, which trusts its arrays: for every sample of a controller, and for solvers that
-    meet points outside on their way. A manifold of your own defines the kernels.
+    meet points outside on their way. What only those need is a kernel alone. A manifold of your own
+    defines the kernels.
     """
 
     @property
@@ -65,40 +66,6 @@ class Manifold(abc.ABC):
         """The time (...) at which the straight line x + t v leaves the set, inf for never."""
         return self.calc_longest_step(*self._point_and(x, v, "v"))
 
-    def frame(self, x: ArrayLike) -> Array:
-        """Tangent vectors (n, n), one a column, that the metric at x (n,) makes orthonormal."""
-        return self.calc_frame(self._points(x, shape=(self.dimension,)))
-
-    def mirror_line(self, x: ArrayLike, b: ArrayLike) -> MirrorLine:
-        """The points y(t) with ∇h(y(t)) = ∇h(x) + t b, for x and b (n,) and b not zero."""
-        x, b = self._points(x, shape=(self.dimension,)), real_array(b, "b", (self.dimension,))
-        if not b.any():
-            raise ArgumentError("A mirror line leads nowhere where b is zero.")
-        return self.calc_mirror_line(x, b)
-
-    def mirror_span(self, x: ArrayLike, rows: ArrayLike) -> MirrorSpan:
-        """The points y(λ) with ∇h(y(λ)) = ∇h(x) + Aᵀ λ, for x (n,) and rows A (k, n)."""
-        x = self._points(x, shape=(self.dimension,))
-        return self.calc_mirror_span(x, real_array(rows, "rows", ("k", self.dimension)))
-
-    def point_of_gradient(self, gradient: ArrayLike, near: ArrayLike) -> Array:
-        """The point y (n,) with a gradient ∇h(y): the mirror map, backward.
-
-        Args:
-            gradient: (n,) the gradient; one that no point has is refused.
-            near: (n,) point inside the set, from which y is looked for if it has no closed form.
-        """
-        near = self._points(near, "near", shape=(self.dimension,))
-        gradient = real_array(gradient, "gradient", (self.dimension,))
-        y = self.calc_point_of_gradient(gradient, near)
-        if not self.calc_contains(y):
-            raise ArgumentError(
-                f"gradient must be that of a point of {type(self).__name__}; none was found for "
-                f"{gradient.tolist()}.",
-                name="gradient",
-            )
-        return y
-
     def retract(self, x: ArrayLike, v: ArrayLike) -> Array:
         """The point (..., n) that a step v (..., n) from x leads to, inside however long v is.
 
@@ -118,16 +85,9 @@ class Manifold(abc.ABC):
         """
         return self.calc_natural_step(*self._point_and(x, b, "b"), number(time, "time"))
 
-    def _points(
-        self,
-        x: ArrayLike,
-        name: str = "x",
-        sizes: Sizes | None = None,
-        *,
-        shape: Shape | None = None,
-    ) -> Array:
+    def _points(self, x: ArrayLike, name: str = "x", sizes: Sizes | None = None) -> Array:
         """Points (..., n) inside the set."""
-        points = real_array(x, name, shape or ("...", self.dimension), sizes)
+        points = real_array(x, name, ("...", self.dimension), sizes)
         if not (inside := self.calc_contains(points)).all():
             outside = points[~inside][0] if inside.ndim else points
             raise ArgumentError(
@@ -171,7 +131,7 @@ class Manifold(abc.ABC):
         """Kernel of `longest_step`."""
 
     def calc_frame(self, x: Array) -> Array:
-        """Kernel of `frame`."""
+        """Tangent vectors (n, n), one a column, that the metric at x (n,) makes orthonormal."""
         metric = self.calc_metric(x)
         # On a unit diagonal, so that units cost no precision.
         scale = 1.0 / np.sqrt(np.diagonal(metric))
@@ -179,7 +139,7 @@ class Manifold(abc.ABC):
         return np.asarray(scale[:, None] * np.linalg.inv(L).T)
 
     def calc_mirror_line(self, x: Array, b: Array) -> MirrorLine:
-        """Kernel of `mirror_line`; of points and covectors (..., n) it is the line of all."""
+        """The points y(t) with ∇h(y(t)) = ∇h(x) + t b, for all points and covectors (..., n)."""
         span = self.calc_mirror_span(x, b[None])
 
         def point(t: float) -> Array:
@@ -194,10 +154,7 @@ class Manifold(abc.ABC):
         return np.inf
 
     def calc_mirror_span(self, x: Array, rows: Array) -> MirrorSpan:
-        """Kernel of `mirror_span`.
-
-        Of points (..., n) and rows (k, ..., n) it is the span of all points together.
-        """
+        """The points y(λ) with ∇h(y(λ)) = ∇h(x) + Aᵀ λ, for all points and rows A (k, ..., n)."""
         flat = rows.reshape(len(rows), x.size)
         pulls = self.calc_inverse_metric_times(x, rows).reshape(flat.shape)
         start = self.calc_gradient(x)
@@ -209,7 +166,7 @@ class Manifold(abc.ABC):
         return MirrorSpan(((flat, pulls),), point)
 
     def calc_point_of_gradient(self, gradient: Array, near: Array) -> Array:
-        """Kernel of `point_of_gradient`, of gradients and points (..., n).
+        """The points y (..., n) with gradients ∇h(y), looked for from points near: the mirror map.
 
         Where there is no such point, what comes is outside of the manifold, or not a number.
         """

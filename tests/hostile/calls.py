@@ -153,15 +153,12 @@ def special(name, function):
         return {}
     if isinstance(owner, System):
         return {"context": Fresh(owner.CreateDefaultContext)}
-    kind, method = name.split(".")[0], name.partition(".")[2]
+    kind = name.split(".")[0]
     if hasattr(owner, "calc_gradient") and hasattr(owner, "calc_metric"):
         x = PHI if "Inertia" in kind else np.array([[0.3, 0.4], [0.5, 0.6]])
         if kind == "Product":
             x = np.stack([BY_NAME["parameters"], 1.1 * BY_NAME["parameters"]])
-        single = method in ("frame", "mirror_line", "mirror_span", "point_of_gradient")
-        first = x[0] if single else x
-        near = {"gradient": owner.calc_gradient(x[1]), "near": x[0], "rows": 0.01 * x}
-        return {"x": first, "y": x[::-1], "v": 0.01 * x, "b": 0.01 * first, **near}
+        return {"x": x, "y": x[::-1], "v": 0.01 * x, "b": 0.01 * x}
     if kind.endswith("Law"):
         p = BY_NAME["parameters"]
         return {"parameters": p, "truth": p, "b": 0.01 * p, "rows": np.eye(len(p))[:2]}

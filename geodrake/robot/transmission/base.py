@@ -83,13 +83,6 @@ class Transmission(abc.ABC):
         acceleration = times(J, vd) + times(self.jacobian_rate(q, v), v)
         return Motion(self.joint_positions(q), times(J, v), acceleration, motion.time)
 
-    def actuator_efforts(self, q: ArrayLike, efforts: ArrayLike) -> Array:
-        """τ_q = Jᵀ τ_θ (N, n), of the joints' efforts (N, k), N·m or N, at q (N, n)."""
-        sizes: Sizes = {}
-        q = self._q(q, sizes)
-        efforts = real_array(efforts, "efforts", ("N", self.num_joints), sizes)
-        return times(np.swapaxes(self.jacobian(q), 1, 2), efforts)
-
     def regressor(self, q: ArrayLike, regressor: ArrayLike) -> Array:
         """Y_q = Jᵀ Y_θ (N, n, p), of the tree's regressor (N, k, p) at `joint_motion`'s samples."""
         sizes: Sizes = {}
