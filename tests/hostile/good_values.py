@@ -257,7 +257,7 @@ BY_NAME = {
     "parameters": control_model().prior, "scheduler": "tcp://a:1", "truth": control_model().prior,
     "date": 1.7e9, "units": {}, "columns: tuple[str, ...]": (),
     "path": in_folder("log.csv"), "regularizer": "entropic", "theta": Q,
-    "signal": V, "starts": ("entropic",), "kept": 2,
+    "signal": V, "starts": ("entropic",), "kept": 2, "texts": ("table=box:0.6,0.8,0.05@0.5,0,0.4",),
 }  # fmt: skip
 """Name of an argument -> its value, whatever function has it."""
 
