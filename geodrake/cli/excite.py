@@ -258,11 +258,7 @@ def _objective(
 
 
 def noise_of(text: str | None, model: RobotModel) -> tuple[np.ndarray, tuple[str, ...]]:
-    """(nv,) noise of the measured efforts, and where it comes from if nobody said so.
-
-    Args:
-        text: What `--noise` says; None if it is not given.
-    """
+    """(nv,) noise of the measured efforts, and where it comes from if nobody said so."""
     if text is not None:
         return joint_values(text, model, "--noise"), ()
     if model.effort_noise is not None:

@@ -108,9 +108,6 @@ def _hang_up(request: socket.socket) -> None:
 def page_server(port: int) -> PageServer:
     """Return a server that has its port, and serves nothing yet.
 
-    Args:
-        port: The port; 0 for any that is free.
-
     Raises:
         ArgumentError: It is none.
         OutputError: It cannot be had.

@@ -120,12 +120,7 @@ class Command(Generic[R]):
 
 
 def run(command: Command[R], options: Any) -> R:
-    """Run a command, and return its result.
-
-    Args:
-        command: The command.
-        options: Options that the user gave: a dataclass of `geodrake.cli.options`.
-    """
+    """Run a command, and return its result."""
     logs = getattr(options, "logs", None) or []
     axis: AbstractContextManager[None] = nullcontext()
     if isinstance(options, AxisOptions):

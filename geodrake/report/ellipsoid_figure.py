@@ -33,7 +33,7 @@ from geodrake.report.ellipsoids import (
 
 _LIGHT = np.array([0.45, -0.6, 0.66])
 _MOST_COLUMNS = 3
-_OPAQUE, _ZOOM = 0.62, 1.15
+_OPAQUE, _ZOOM, _VIEW = 0.62, 1.15, (18.0, -62.0)  # of elevation and azimuth, degrees
 _WORDS = "Each body as the uniform ellipsoid with its mass, centre of mass and inertia; axes in m."
 
 
@@ -43,7 +43,6 @@ def ellipsoid_figure(
     sets: Sequence[EllipsoidSet],
     *,
     context: Context | None = None,
-    view: tuple[float, float] = (18.0, -62.0),
 ) -> Figure:
     """The equivalent uniform ellipsoids of every body over the robot, a panel for each set.
 
@@ -76,7 +75,7 @@ def ellipsoid_figure(
             getattr(ax, f"set_{axis}lim")(middle - half, middle + half)
             getattr(ax, f"{axis}axis").set_pane_color((1.0, 1.0, 1.0, 0.0))
             getattr(ax, f"{axis}axis")._axinfo["grid"].update(color=style.RULE, linewidth=0.4)
-        ax.view_init(*view)
+        ax.view_init(*_VIEW)
         ax.locator_params(nbins=4)
         ax.tick_params(labelsize=6.5, labelcolor=style.QUIET, pad=-1)
         ax.set_box_aspect(tuple(reach), zoom=_ZOOM)

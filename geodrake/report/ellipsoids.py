@@ -51,11 +51,6 @@ class EllipsoidSet:
     ) -> EllipsoidSet:
         """A set in which the bodies of some numbers are at the boundary.
 
-        Args:
-            name: What the legend calls the set.
-            phi: (nb, 10) inertial parameters of the bodies.
-            at_boundary: Indices of the bodies at the boundary of the physical ones.
-
         Raises:
             ArgumentError: phi is not (nb, 10).
         """
@@ -139,12 +134,7 @@ def skeleton(plant: MultibodyPlant, context: Context) -> Array:
 
 
 class SkeletonLines:
-    """A robot's lines in a MeshCat, each with a ball at its beginning.
-
-    Args:
-        path: Folder of the scene.
-        count: How many lines there are.
-    """
+    """A robot's lines in a MeshCat, each with a ball at its beginning."""
 
     def __init__(self, meshcat: Meshcat, path: str, count: int, color: Rgba) -> None:
         self._meshcat, self._path = meshcat, path

@@ -360,11 +360,7 @@ def draft_chart(draft: Draft, units: Units) -> Chart:
 
 
 def error_tile(title: str, errors: ErrorTable, units: Units, where: str = "all joints") -> Tile:
-    """Return how large an error is, in N·m first; only its nrms where units are mixed.
-
-    Args:
-        where: What the error is of, in words.
-    """
+    """Return how large an error is, in N·m first; only its nrms where units are mixed."""
     unit = units.effort([joint.joint for joint in errors.joints])
     if " or " in unit:
         return Tile(title, number(errors.nrms), f"nrms: error over std of the effort, {where}")
@@ -380,11 +376,7 @@ def noise_tile(errors: ErrorTable) -> Tile:
 
 
 def removable_tiles(errors: ErrorTable, of: str) -> tuple[Tile, ...]:
-    """Return what a better model could remove; none where no noise is seen, as it is unknown then.
-
-    Args:
-        of: What the share is of, in words.
-    """
+    """Return what a better model could remove; none where no noise is seen."""
     if not errors.shows_noise:
         return ()
     return (Tile("removable", percent(words.removable_share(errors)), of),)
@@ -600,11 +592,7 @@ def steps_table(explanation: Explanation, units: Units) -> Table:
 
 
 def effect_cell(name: str, units: Units) -> Cell:
-    """Return an effect, or two that were found together, by name.
-
-    Args:
-        name: Name of the effect, or two joined by " + ".
-    """
+    """Return an effect, or two that were found together, by name."""
     label, typed = words.effect_label(name), name.replace(" + ", "\n+ ")
     return Cell(label, words.effect_signature(name, units), typed=typed)
 

@@ -38,11 +38,7 @@ _NOT_SAID = "the model does not say it"
 
 
 def rounded(value: float, deviation: float = 0.0) -> float:
-    """Return a value to six digits of itself or of its deviation, whichever is larger.
-
-    Args:
-        deviation: Its standard deviation in the same unit; 0 if it has none.
-    """
+    """Return a value to six digits of itself or of its deviation, whichever is larger."""
     largest = max(abs(value), abs(deviation) if math.isfinite(deviation) else 0.0)
     if not math.isfinite(value) or largest == 0.0:
         return value

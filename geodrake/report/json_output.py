@@ -35,12 +35,7 @@ class NoNumber:
 
 
 def number_or(value: float | None, reason: str) -> float | NoNumber:
-    """A finite number, or why there is none.
-
-    Args:
-        value: The number, None where there is none.
-        reason: Why there may be none, for the key `nulls`.
-    """
+    """A finite number, or why there is none."""
     return NoNumber(reason) if value is None or not math.isfinite(value) else value
 
 
@@ -108,11 +103,7 @@ def _signal(signal: EffortSignal) -> dict[str, Any]:
 
 
 def certificate_dict(certificate: Certificate | None) -> dict[str, Any] | NoNumber:
-    """What the MathematicalProgram of a fit says of it; the gap as a share of the cost.
-
-    Args:
-        certificate: The certificate, None where no fit is reported.
-    """
+    """What the MathematicalProgram of a fit says of it; the gap as a share of the cost."""
     if certificate is None:
         return NoNumber("the model stays as it is")
     return {
@@ -124,11 +115,7 @@ def certificate_dict(certificate: Certificate | None) -> dict[str, Any] | NoNumb
 
 
 def bodies_dict(bodies: Sequence[BodyChange]) -> dict[str, Any]:
-    """Mass and centre of mass of bodies before and after a fit, kg and m.
-
-    Args:
-        bodies: The bodies, in the order that is to be theirs.
-    """
+    """Mass and centre of mass of bodies before and after a fit, kg and m."""
     return {
         body.name: {
             "mass": body.mass[1],

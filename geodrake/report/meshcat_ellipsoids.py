@@ -85,12 +85,7 @@ class MeshcatEllipsoids:
 def ellipsoid_page(
     plant: MultibodyPlant, sets: Sequence[EllipsoidSet], *, context: Context | None = None
 ) -> str:
-    """One HTML page that loads nothing from elsewhere, with the sets side by side.
-
-    Args:
-        sets: The models, each drawn over the robot's lines.
-        context: The plant's context, for its positions; the default ones if None.
-    """
+    """One HTML page that loads nothing from elsewhere, with the sets side by side."""
     context = plant.CreateDefaultContext() if context is None else context
     lines = skeleton(plant, context)
     ends = lines.reshape(-1, 3)

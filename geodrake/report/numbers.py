@@ -68,11 +68,7 @@ def if_known(value: float, deviation: float) -> str:
 
 
 def is_noticed(deviation: float, systematic: float) -> bool:
-    """Whether a systematic deviation is shown beside another one.
-
-    Args:
-        systematic: One that more data do not narrow, in the same unit.
-    """
+    """Whether a systematic deviation is shown beside another one."""
     return math.isfinite(systematic) and 0.0 < deviation < systematic / _NOTICED
 
 
@@ -148,11 +144,7 @@ class Units:
         return cls(model.joints, frozenset(model.sliding_joints), {**cls().effects, **own})
 
     def at(self, joint: str, unit: str) -> str:
-        """A unit that is written for a revolute joint, at a joint.
-
-        Args:
-            unit: The unit at a revolute joint, such as N·m/rad.
-        """
+        """A unit that is written for a revolute joint, at a joint."""
         if joint in self.prismatic:
             return when_sliding(unit)
         return unit

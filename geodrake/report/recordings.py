@@ -62,7 +62,6 @@ def recording(
 
     Args:
         to: "rerun" or "mcap".
-        shapes: Shapes of the links.
     """
     _, module, write = _VIEWERS[one_of(to, "to", _VIEWERS)]
     package = optional_package(module, "viewers", f"recordings for {to}", OutputError)

@@ -32,7 +32,6 @@ def error_pictures(model: RobotModel, compared: Mapping[str, Comparison]) -> Pic
     """Draw a robot where the first of its models errs most, once for each of them.
 
     Args:
-        model: The robot.
         compared: Title -> how far a model is from the logs.
 
     Returns:

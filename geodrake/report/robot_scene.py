@@ -126,11 +126,7 @@ class RobotScene:
             self._meshcat.SetTransform(self.link_path(body), X_WB, time)
 
     def place_behind(self, name: str) -> JointPlace:
-        """Where a joint of the plant is that follows others, in a closed loop say.
-
-        Args:
-            name: Its name, which the plant has.
-        """
+        """Where a joint of the plant is that follows others, in a closed loop say."""
         plant, names = self._model.plant, joint_names(self._model.plant)
         joints = (plant.get_joint(index) for index in plant.GetJointIndices())
         moving = (joint for joint in joints if joint.num_velocities() == 1)
@@ -237,11 +233,7 @@ class Extent:
 
 
 def draw_floor(meshcat: Meshcat, path: str, extent: Extent) -> None:
-    """Draws a disc for a robot to stand on.
-
-    Args:
-        path: Folder of the robot, or "" for that of the whole scene.
-    """
+    """Draws a disc for a robot to stand on."""
     disc = Cylinder(0.3 * extent.size, _FLOOR_THICKNESS)
     meshcat.SetObject(f"{path}/floor", disc, Rgba(0.87, 0.89, 0.92, 1.0))
     meshcat.SetTransform(f"{path}/floor", RigidTransform([0.0, 0.0, -_FLOOR_THICKNESS]))

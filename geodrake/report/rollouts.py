@@ -138,11 +138,7 @@ def _footer(after: Rollout) -> str:
 def departures_table(
     after: Rollout, before: Rollout | None, units: Units, between: Sequence[Rollout] = ()
 ) -> Table:
-    """Return how far every joint departs from its measured motion.
-
-    Args:
-        before: A rollout of the same passages with another model; None for none.
-    """
+    """Return how far every joint departs from its measured motion."""
     others = (before, *between) if before else ()
     rows = []
     for j, joint in enumerate(after.joints):
@@ -200,11 +196,7 @@ def _fit_table(found: RolloutFit, units: Units) -> Table:
 
 
 def rollout_chart(after: Rollout, before: Rollout | None, units: Units) -> Chart:
-    """Measured and simulated positions of every joint over time, window after window.
-
-    Args:
-        before: That of the model before; None for none.
-    """
+    """Measured and simulated positions of every joint over time, window after window."""
     starts = np.arange(len(after.windows)) * 1.1 * after.horizon
     times = [s + w.time - w.time[0] for s, w in zip(starts, after.windows, strict=True)]
     time = gap_filled(_joined([[t] for t in times])[0])

@@ -93,9 +93,6 @@ class EffortArrows:
 class EffectMarks:
     """The effects of a model at their places: bodies, contacts, rings at joints.
 
-    Args:
-        size: Size of the robot, m.
-
     Attributes:
         marks: What to say where; of effects of the whole robot at its foot.
     """

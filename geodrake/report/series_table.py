@@ -26,9 +26,6 @@ Columns = Mapping[str, Sequence[str] | Array]
 def comparison_series(now: Comparison, before: Comparison | None = None) -> Columns:
     """Efforts of a comparison, N·m or N; NaN where a joint's sample was left out.
 
-    Args:
-        before: That of the model before on the same logs, if there is one.
-
     Returns:
         `time`, `log`, and of every joint `measured`, `predicted` and `residual`, measured −
         predicted; with a model before also `predicted_before` and `residual_before`.

@@ -89,22 +89,14 @@ def plain(size: float = NORMAL, color: str = INK, **more: Any) -> dict[str, Any]
 
 
 def joint_title(ax: Axes, joint: str, detail: str = "") -> None:
-    """Puts a joint's name above its axes, and a detail at the right.
-
-    Args:
-        detail: Words at the right; "" for none.
-    """
+    """Puts a joint's name above its axes, and a detail at the right."""
     ax.set_title(label(joint, 48), loc="left", pad=4, **plain(fontweight="bold"))
     if detail:
         ax.set_title(label(detail), loc="right", pad=4, **plain(SMALL, QUIET))
 
 
 def label(text: str, most: int = _MOST_LETTERS) -> str:
-    """Words for a figure: not too many letters, and those that the font does not have as �.
-
-    Args:
-        most: Most letters; the middle of a longer text is left out.
-    """
+    """Words for a figure: not too many letters, and those that the font does not have as �."""
     font = get_font(findfont(_FONT))
     return "".join(c if font.get_char_index(ord(c)) else "�" for c in shortened(text, most))
 
@@ -135,11 +127,7 @@ def legend_above(figure: Figure, handles: Sequence[Any], *, columns: int = 5) ->
 
 
 def note_below(figure: Figure, text: str) -> None:
-    """A remark under a figure.
-
-    Args:
-        text: The remark; "" for none.
-    """
+    """A remark under a figure."""
     if text:
         figure.supxlabel(text, x=0.01, ha="left", **plain(SMALL, QUIET))
 

@@ -57,7 +57,6 @@ def video(
     """Return a video of a playback, ".mp4" or ".gif".
 
     Args:
-        shapes: Shapes of the links.
         speed: Seconds of the log in a second of the video.
     """
     rate, count = RATES[suffix], len(playback.q)
