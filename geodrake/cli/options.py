@@ -8,7 +8,7 @@ from typing import Any, ClassVar
 
 from geodrake.cli.model_options import ModelOptions
 from geodrake.cli.reading_options import ReadingOptions
-from geodrake.cli.shared_options import LogOptions, Options, ValidationOptions
+from geodrake.cli.shared_options import CommonOptions, LogOptions, Options, ValidationOptions
 from geodrake.errors import ArgumentError
 
 __all__ = ["Options"]
@@ -137,6 +137,19 @@ class AddOptions(_Steps, _Addition):
 
 
 @dataclass(frozen=True, kw_only=True)
+class _NamedEffects:
+    """Effects that are named.
+
+    Attributes:
+        effects (NAME[@PLACE],…|FILE.py): Effects beside the model's, by their names (an unknown
+            name such as x lists them), and the joint or body where they are; a FILE.py brings
+            effects that may be named. Repeatable.
+    """
+
+    effects: list[Path] | None = None
+
+
+@dataclass(frozen=True, kw_only=True)
 class _Regularization:
     """What keeps identified inertias near the model's.
 
@@ -161,20 +174,16 @@ class _Regularization:
 
 
 @dataclass(frozen=True, kw_only=True)
-class IdentifyOptions(Options, _Regularization):
+class IdentifyOptions(_NamedEffects, Options, _Regularization):
     """Options of identify.
 
     Attributes:
-        effects (NAME[@PLACE],…|FILE.py): Effects beside the model's, by their names (an unknown
-            name such as x lists them), and the joint or body where they are; a FILE.py brings
-            effects that may be named. Repeatable.
         export (FILE.urdf|.sdf|.xml): Write the identified inertias into a copy of the model file;
             all else in it stays as it is.
         ellipsoids (FILE.png): Draw the bodies as ellipsoids before and after.
         meshcat (FILE.html): The same as a page to turn around in a browser.
     """
 
-    effects: list[Path] | None = None
     export: Path | None = None
     ellipsoids: Path | None = None
     meshcat: Path | None = None
@@ -186,7 +195,7 @@ class IdentifyOptions(Options, _Regularization):
 
 
 @dataclass(frozen=True, kw_only=True)
-class LogCommandOptions(ReadingOptions, ModelOptions):
+class LogCommandOptions(ReadingOptions, ModelOptions, CommonOptions):
     """Options of log.
 
     Attributes:
@@ -203,13 +212,10 @@ class LogCommandOptions(ReadingOptions, ModelOptions):
     convert: Path | None = None
     figure: Path | None = None
     write_mapping: Path | None = None
-    json: Path | None = None
-    quiet: bool = False
-    debug: bool = False
 
 
 @dataclass(frozen=True, kw_only=True)
-class DemoOptions:
+class DemoOptions(CommonOptions):
     """Options of demo.
 
     Attributes:
@@ -217,13 +223,10 @@ class DemoOptions:
     """
 
     report: Path = Path("geodrake_demo.html")
-    json: Path | None = None
-    quiet: bool = False
-    debug: bool = False
 
 
 @dataclass(frozen=True, kw_only=True)
-class IdentifiableOptions(ValidationOptions):
+class IdentifiableOptions(_NamedEffects, ValidationOptions):
     """Options of identifiable.
 
     Attributes:
@@ -231,14 +234,10 @@ class IdentifiableOptions(ValidationOptions):
             deviation of 10 %.
         noise (NOISE): Deviation of the filtered efforts, N·m or N: one number, or JOINT=NUMBER,…;
             what the refitted model leaves on held-out data if absent.
-        effects (NAME[@PLACE],…|FILE.py): Effects beside the model's, by their names (an unknown
-            name such as x lists them), and the joint or body where they are; a FILE.py brings
-            effects that may be named. Repeatable.
     """
 
     threshold: float = 0.01
     noise: str | None = None
-    effects: list[Path] | None = None
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -326,13 +325,10 @@ class _Choosing:
 
 
 @dataclass(frozen=True, kw_only=True)
-class ExciteOptions(ModelOptions, _Motion, _Robot, _Choosing):
+class ExciteOptions(_NamedEffects, ModelOptions, _Motion, _Robot, _Choosing, CommonOptions):
     """Options of excite.
 
     Attributes:
-        effects (NAME[@PLACE],…|FILE.py): Effects beside the model's, by their names (an unknown
-            name such as x lists them), and the joint or body where they are; a FILE.py brings
-            effects that may be named. Repeatable.
         tell_apart (EFFECT,EFFECT[@PLACE]): Two effects that logs so far cannot distinguish: the
             motion on which their predictions differ most, once everything else is refitted.
         save (FILE): Write the motion: as a log with the predicted efforts (.csv, .npz), a ROS
@@ -342,19 +338,15 @@ class ExciteOptions(ModelOptions, _Motion, _Robot, _Choosing):
     """
 
     model: Path
-    effects: list[Path] | None = None
     tell_apart: str | None = None
     save: Path | None = None
     rate: float = 100.0
-    json: Path | None = None
     report: Path | None = None
     meshcat: Path | None = None
-    quiet: bool = False
-    debug: bool = False
 
 
 @dataclass(frozen=True, kw_only=True)
-class CheckOptions(ModelOptions):
+class CheckOptions(ModelOptions, CommonOptions):
     """Options of check.
 
     Attributes:
@@ -366,13 +358,10 @@ class CheckOptions(ModelOptions):
     samples: int = 100
     seed: int = 0
     effects: list[Path] | None = None
-    json: Path | None = None
-    quiet: bool = False
-    debug: bool = False
 
 
 @dataclass(frozen=True, kw_only=True)
-class DigestOptions(ReadingOptions, ModelOptions):
+class DigestOptions(ReadingOptions, ModelOptions, CommonOptions):
     """Options of digest.
 
     Attributes:
@@ -394,13 +383,10 @@ class DigestOptions(ReadingOptions, ModelOptions):
     bandwidth: float | None = None
     blocks: int | None = None
     known_payload: list[str] | None = None
-    json: Path | None = None
-    quiet: bool = False
-    debug: bool = False
 
 
 @dataclass(frozen=True, kw_only=True)
-class ExportOptions(ReadingOptions, ModelOptions):
+class ExportOptions(ReadingOptions, ModelOptions, CommonOptions):
     """Options of export.
 
     Attributes:
@@ -422,12 +408,9 @@ class ExportOptions(ReadingOptions, ModelOptions):
     to: str
     to_dir: Path | None = None
     force: bool = False
-    json: Path | None = None
     report: Path | None = None
-    quiet: bool = False
     effects: list[Path] | None = None
     bandwidth: float | None = None
-    debug: bool = False
 
     @property
     def with_folder(self) -> ExportOptions:
@@ -443,7 +426,7 @@ class ExportOptions(ReadingOptions, ModelOptions):
 
 
 @dataclass(frozen=True, kw_only=True)
-class FleetOptions:
+class FleetOptions(CommonOptions):
     """Options of fleet.
 
     Attributes:
@@ -463,7 +446,6 @@ class FleetOptions:
     """
 
     fleet: Path
-    json: Path | None = None
     report: Path | None = None
     workers: int | None = None
     scheduler: str | None = None
@@ -471,5 +453,3 @@ class FleetOptions:
     watch: bool = False
     every: float = 60.0
     once: bool = False
-    quiet: bool = False
-    debug: bool = False

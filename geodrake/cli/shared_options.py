@@ -49,7 +49,16 @@ _SHARED = {
 
 
 @dataclass(frozen=True, kw_only=True)
-class LogOptions(AxisOptions, ModelOptions):
+class CommonOptions:
+    """Options of all commands."""
+
+    json: Path | None = None
+    quiet: bool = False
+    debug: bool = False
+
+
+@dataclass(frozen=True, kw_only=True)
+class LogOptions(AxisOptions, ModelOptions, CommonOptions):
     """Options of all commands on a model and logs.
 
     Attributes:
@@ -59,13 +68,10 @@ class LogOptions(AxisOptions, ModelOptions):
 
     model: Path
     logs: list[Path]
-    json: Path | None = None
     report: Path | None = None
     effects: list[Path] | None = None
     bandwidth: float | None = None
     known_payload: list[str] | None = None
-    quiet: bool = False
-    debug: bool = False
 
     @property
     def settings(self) -> dict[str, Any]:
