@@ -334,6 +334,16 @@ def test_unusable_models(tmp_path):
     assert "--no-collisions" in refused(lost, *FAST)
 
 
+@pytest.mark.parametrize("obstacle", ["floor:0.5", "box:4,4,4@0,0,0"])
+def test_a_floor_through_the_robot_and_an_obstacle_about_it_are_one_line(tmp_path, obstacle):
+    arm = tmp_path / "arm.urdf"
+    shape = '<collision><geometry><sphere radius="0.1"/></geometry></collision>'
+    arm.write_text(BALLS.format(shape=shape, effort=20))
+    result = excite(arm, *FAST, "--quiet", "--obstacle", obstacle)
+    assert result.exit_code == 2 and result.stderr.count("\n") == 1
+    assert "collides in all of" in result.stderr
+
+
 STANDING = """<robot name="standing"><link name="base"/>
   <joint name="yaw" type="revolute"><parent link="base"/><child link="post"/><axis xyz="0 0 1"/>
     <origin xyz="0 0 0.3"/><limit lower="-2" upper="2" velocity="2" effort="50"/></joint>
