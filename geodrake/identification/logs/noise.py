@@ -165,8 +165,9 @@ def prepare_for_model(
     The motion alone suggests a bandwidth (`prepare_logs`). It is lowered to where the motion asks
     for efforts that were not measured: vibration, play and elasticity behind the motor move the
     joint without the motor's effort. It is raised where the log is short, as far as position noise
-    does not ask for more effort than was measured. A rough model will do; logs have their joints in
-    its order. With the prepared logs comes a sentence on what was changed and why, if anything was.
+    does not ask for more effort than was measured, unless accelerations are noisier than efforts
+    there, as those of an IMU may be. A rough model will do; logs have their joints in its order.
+    With the prepared logs comes a sentence on what was changed and why, if anything was.
     """
     uniform = [log if isinstance(log, UniformLog) else make_uniform(log) for log in logs]
     trajectories = prepare_logs(uniform)
@@ -194,9 +195,30 @@ def prepare_for_model(
     raised = min(chosen * _ENOUGH / outputs, limit)
     if raised < 1.2 * chosen:
         return trajectories, None
-    return prepare_logs(uniform, bandwidth=raised, how="chosen from the data"), (
-        f"bandwidth raised from {chosen:.3g} to {raised:.3g} Hz, as the log is short"
-    )
+    longer = prepare_logs(uniform, bandwidth=raised, how="chosen from the data")
+    if _moves_noisily(model, longer):
+        return trajectories, None
+    return longer, f"bandwidth raised from {chosen:.3g} to {raised:.3g} Hz, as the log is short"
+
+
+def _moves_noisily(model: RobotModel, trajectories: Sequence[Trajectory]) -> bool:
+    """Return whether accelerations make more noise of a predicted effort than was measured there.
+
+    Residuals are then made of what columns have in them, too: bodies that feel accelerations less
+    seem better, the more surely the more samples there are.
+    """
+    for trajectory in trajectories:
+        robot, low_pass = carrying(model, trajectory.payloads), trajectory.filter
+        for segment in trajectory.segments:
+            start, rate = segment[:_SAMPLES], 1.0 / segment.period
+            rows = contact_rows(robot, trajectory, start)
+            measured = replace(start, effort=_taken(rows, start.effort))
+            density = quiet_density(measured.effort, rate, low_pass.bandwidth)
+            noise = density * low_pass.noise_gain**2 * rate / 2.0
+            known = (noise > 0.0) & ~_is_silent(density, measured)
+            if np.any(_carried(start, robot, trajectory, 0.0, rows)[known] > noise[known]):
+                return True
+    return False
 
 
 def coherent_bandwidth(model: RobotModel, trajectories: Sequence[Trajectory]) -> float | None:
