@@ -152,6 +152,8 @@ class Recording:
         says their unit: in rad no joint goes so far, and in degrees hardly one in whole ones.
         """
         told = [n for n in values if n in ("position", "command") and np.isfinite(values[n]).any()]
+        if "position" not in told:
+            return values, []
         for quantity in told:
             sources = (self.columns.sources.get(f"{j}.{quantity}") for j in self.columns.joints)
             if any(s is not None and (s.unit or s.factor != 1.0) for s in sources):
