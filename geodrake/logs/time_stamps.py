@@ -21,7 +21,7 @@ _SLOWEST = 2.0  # s between rows: no log has more
 _MOST_SETS = 5  # of a clock, in a log
 _EVEN = 0.02  # share of the rows before and after, at least, and ten of them
 _REPEATED = 0.05  # share of rows that may have the stamp of the row before
-_FEWEST = 50  # rows that tell bursts
+_FEWEST, _BEGIN = 50, 20_000  # rows that tell bursts, and among which these are looked for
 _SHORT, _BURSTS = 0.25, 0.05  # of the mean step, and the share of steps that are shorter
 _GAP_STEPS, _BURSTS_TOGETHER = 5.0, 10.0  # longest usual steps of a gap, and of what is averaged
 _INSTANT = 1e-9  # s
@@ -86,10 +86,13 @@ def evened(time: Array, position: Array) -> tuple[Array, tuple[str, ...]]:
         time: (N,) time stamps, s.
         position: (N, n) positions, rad or m.
     """
+    begin = np.diff(time[:_BEGIN][np.isfinite(time[:_BEGIN])])
+    if len(begin) < _FEWEST or np.mean(begin < _SHORT * np.mean(begin)) < _BURSTS:
+        return time, ()
     rows = np.flatnonzero(np.isfinite(time))
     stamps = time[rows]
     steps = np.diff(stamps)
-    if len(steps) < _FEWEST or (steps < 0.0).any():
+    if (steps < 0.0).any():
         return time, ()
     pause = float(np.quantile(steps, 0.98))
     inside = steps <= _GAP_STEPS * pause

@@ -16,6 +16,7 @@ _LARGEST = 1e100  # of efforts that are compared with limits, and of positions w
 _LEAST_LIMIT = 1e-9  # N·m or N: no motor is that weak
 _NEAR_ZERO, _TOUCHES = 0.03, 4  # of the largest effort, and how often one comes down to it
 _LOOKS = 200  # at a position, between which its noise turns it round
+_LEAST_DEGREES = 45.0  # seven turns of a joint in radians
 _LEAST_TICKS = 100.0  # no joint goes there in radians
 _FEW = 0.01  # share of samples that may be spikes
 _MARGIN = 0.01  # of a range, by which a joint may pass its stops
@@ -61,7 +62,7 @@ def position_unit_hint(log: JointLog) -> str | None:
             "ticks of encoders? --units position=ticks converts those of servos with 4,096 a turn; "
             "for others give a gain in a mapping."
         )
-    if peaks[worst] > 4.0 * np.pi and np.mean(peaks > 10.0) > 0.5:
+    if peaks[worst] > _LEAST_DEGREES and np.mean(peaks > 10.0) > 0.5:
         return (
             f"Positions are in degrees by the look of it: {log.joints[worst]} reaches "
             f"{peaks[worst]:.4g}, and most joints go beyond 10. Positions are rad or m: "

@@ -418,6 +418,11 @@ def test_other_positions_are_no_ticks(tmp_path, positions, units):
     np.testing.assert_array_equal(log.position, positions)
 
 
+def test_geodrakes_own_names_hold_radians(tmp_path):
+    path = write(tmp_path / "log.csv", own(position=TICKS, effort=S))
+    np.testing.assert_array_equal(read_log(path, joints=JOINTS).position, TICKS)
+
+
 @pytest.mark.parametrize("kind", ["effort", "current"])
 def test_efforts_without_their_sign_are_said(kind):
     def hint(efforts):

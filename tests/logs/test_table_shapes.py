@@ -191,6 +191,23 @@ def _echo_of_ros2(folder):
     return _write(folder / "echo.csv", rows[0], rows[1:])
 
 
+def _preceded(folder):
+    text = _frame().to_csv(index=False)
+    (folder / "preceded.csv").write_text(f"Robot,UR5\nRate,100 Hz\n\nrecorded by hand\n{text}")
+    return folder / "preceded.csv"
+
+
+def _labelled(folder):
+    (folder / "labelled.txt").write_text(_frame().to_string(float_format="{:.17g}".format))
+    return folder / "labelled.txt"
+
+
+def _cut_off(folder):
+    text = pandas.concat([_frame()] * 3).assign(time=0.01 * np.arange(3 * ROWS))
+    (folder / "cut.csv").write_text(text.to_csv(index=False) + "end of log\n")
+    return folder / "cut.csv"
+
+
 def _turned_npz(folder):
     np.savez(folder / "turned.npz", time=TIME, q=POSITION.T, tau=EFFORT.T)
     return folder / "turned.npz"
@@ -214,6 +231,8 @@ ORDINARY = [
     _frame_as_json("columns"),
     _frame_as_json("split"),
     _for_excel,
+    _preceded,
+    _labelled,
     _echo_of_ros2,
     _turned_npz,
     _lerobot_parquet,
@@ -246,6 +265,12 @@ def test_a_table_of_any_shape_is_the_same_log(tmp_path, write):
     np.testing.assert_allclose(log.time - log.time[0], TIME, atol=1e-6)
     np.testing.assert_allclose(log.position, POSITION, atol=1e-12)
     np.testing.assert_allclose(log.effort, EFFORT, atol=1e-12)
+
+
+def test_a_last_row_that_is_cut_off_is_left_out(tmp_path):
+    log = read_log(_cut_off(tmp_path))
+    assert len(log) == 3 * ROWS
+    assert any("left out 1 bad rows" in note for note in log.notes)
 
 
 @pytest.mark.parametrize("kind", ["csv", "parquet"])

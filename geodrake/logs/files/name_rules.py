@@ -12,7 +12,7 @@ from __future__ import annotations
 import re
 from collections import defaultdict
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import zip_longest
 
 from geodrake.logs.files.units import Unit, find_unit
@@ -209,6 +209,10 @@ def _time(name: str) -> Meaning | None:
         unit = find_unit(parts[-1], "time")
         plain = "_".join(parts[:-1]) if unit else plain
     words = _split(plain)
+    inside, stroke, own = name.rpartition("/")
+    if stroke and words and not (_BESIDE_TIME | ROLE_WORDS.keys()).issuperset(_split(inside)):
+        found = _time(own)  # of a group of any name
+        return None if found is None else replace(found, column=name, role=found.role + 1)
     if not words or not (_BESIDE_TIME | ROLE_WORDS.keys()).issuperset(words):
         return None
     asked = DESIRED in (ROLE_WORDS.get(str(w)) for w in words)  # by a plan's clock

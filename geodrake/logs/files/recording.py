@@ -149,14 +149,16 @@ class Recording:
         """Return positions and commands (N, n) in rad where they are ticks of servos; and notes.
 
         Whole numbers from 0 to less than 4,096, and beyond 1,024, are taken for such if nobody
-        says their unit: in rad no joint goes so far, and in degrees hardly one in whole ones.
+        says their unit, as geodrake's own names of columns do: in rad no joint goes so far, and in
+        degrees hardly one in whole ones.
         """
         told = [n for n in values if n in ("position", "command") and np.isfinite(values[n]).any()]
         if "position" not in told:
             return values, []
         for quantity in told:
-            sources = (self.columns.sources.get(f"{j}.{quantity}") for j in self.columns.joints)
-            if any(s is not None and (s.unit or s.factor != 1.0) for s in sources):
+            names = (f"{joint}.{quantity}" for joint in self.columns.joints)
+            sources = ((name, self.columns.sources.get(name)) for name in names)
+            if any(s and (s.unit or s.factor != 1.0 or s.column == n) for n, s in sources):
                 return values, []
             numbers, least = values[quantity], TICKS / 4 if quantity == "position" else 0.0
             if not (are_whole(numbers[:_FIRST]) and are_whole(numbers)):

@@ -163,7 +163,8 @@ class TornRows:
             time: (N,) time stamps of all rows, s, NaN in bad ones.
         """
         bad = np.array(self.rows, int)
-        if self.first is not None and not self.skip:
+        cut = self.rows == [len(time) - 1]  # off, in the middle of the last row
+        if self.first is not None and not (self.skip or cut):
             raise self._refusal(self.rows, len(time), f"of {len(time)}")
         backwards = rows_out_of_order(time)
         if len(backwards):

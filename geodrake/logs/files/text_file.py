@@ -26,6 +26,7 @@ from geodrake.logs.files.units import UNITS, find_unit
 
 COMMENTS = ("#", "%", "//")
 _HEADER_LINES = 1000  # of a header whose names have line ends
+_PREFACE = 100  # lines, among which names are looked for
 _LINES_AHEAD = 1000  # in which dates, lists and words are looked for
 _WHITESPACE = None
 _LIST = re.compile(r"(?:(?:array|tensor)\()?[\[(]([^\[\]()]*)[\])](?:, dtype=[\w.]+)?\)?")
@@ -82,7 +83,7 @@ class TextLayout:
             reader = csv.reader(lines, delimiter=self.separator)
             rows = ((reader.line_num, cells) for cells in reader)
         for line, cells in rows:
-            if not cells or cells[0].lstrip().startswith(COMMENTS):
+            if not cells or cells[0].lstrip().startswith(COMMENTS) or cells == [*self.names]:
                 continue
             trailing = len(cells) == len(self.names) + 1 and not cells[-1].strip()
             kept = cells[:-1] if trailing else cells  # a separator behind the last cell
@@ -98,18 +99,7 @@ def text_layout(
     numbered: bool = False,
 ) -> tuple[TextLayout, Iterator[str]]:
     """Return the layout of a table, and its lines from the first row on."""
-    comment, first, count = "", "", 0
-    for first in islice(file, _HEADER_LINES):
-        plain = first.strip()
-        if _EXCEL.fullmatch(plain):
-            pass
-        elif plain.startswith(COMMENTS) and not plain.startswith("%time"):
-            comment = plain.lstrip("#%/ \t")
-        elif plain:
-            break
-        count += 1
-    else:
-        first = ""
+    comment, first, count, file = _first_line(file)
     separator = _separator(first)
     cells, used, rest = _header_cells(path, first, file, separator)
     if not _are_numbers(cells):
@@ -121,10 +111,13 @@ def text_layout(
         if not any(header):
             raise _no_header(path, header)
         following = next(rest, "")
-        below = [cell.strip() for cell in following.split(separator)]
+        below = _cells_of(following, separator)
         if _completes(header, below):
             header = [f"{b}.{a}".strip(".") for a, b in zip(header, below, strict=True)]
             following, used = next(rest, ""), used + 1
+        cells = _cells_of(following, separator)
+        if len(cells) == len(header) + 1 and all(cells) and any(map(is_number, cells)):
+            header = ["_row", *header]  # which have numbers or names, as R and pandas write them
         units = _units(header, following, separator)
         if units:
             following, used = next(rest, ""), used + 1
@@ -139,6 +132,50 @@ def text_layout(
         raise with_proposal(_no_header(path, cells), path, proposal)
     names = names or [str(k) for k in range(1, len(cells) + 1)]
     return _with_contents(TextLayout(tuple(names), separator, decimal, count), chain([first], rest))
+
+
+def _first_line(file: Iterator[str]) -> tuple[str, str, int, Iterator[str]]:
+    """Return the last comment, the line after it, how many come before, and those after that."""
+    comment, first, count = "", "", 0
+    for first in islice(file, _HEADER_LINES):
+        plain = first.strip()
+        if _EXCEL.fullmatch(plain):
+            pass
+        elif plain.startswith(COMMENTS) and not plain.startswith("%time"):
+            comment = plain.lstrip("#%/ \t")
+        elif plain:
+            break
+        count += 1
+    else:
+        first = ""
+    ahead = list(islice(file, _PREFACE))
+    if before := _preface([first, *ahead]):
+        count, (first, *ahead) = count + before, [first, *ahead][before:]
+    return comment, first, count, chain(ahead, file)
+
+
+def _preface(lines: Sequence[str]) -> int:
+    """Return how many lines come before that of the names: free text about the recording.
+
+    Two rows with numbers follow that line, with as many cells as names.
+    """
+    rows = [(k, line.split(mark := _separator(line)), mark) for k, line in enumerate(lines)]
+    rows = [(k, cells, mark) for k, cells, mark in rows if lines[k].strip()]
+    for (k, names, mark), *below in zip(rows[1:], rows[2:], rows[3:], strict=False):
+        wide = all(len(cells) == len(names) > 1 and other == mark for _, cells, other in below)
+        few = min(sum(map(is_number, cells)) for _, cells, _ in below) <= len(names) / 2
+        if wide and not few and len(names) != len(rows[0][1]) and not any(map(is_number, names)):
+            return k
+    return 0
+
+
+def _cells_of(line: str, separator: str | None) -> list[str]:
+    """Return the cells of a line alone."""
+    if separator is None:
+        return line.split()
+    with suppress(csv.Error):
+        return [cell.strip() for cell in next(csv.reader([line], delimiter=separator), [])]
+    return []
 
 
 def _completes(header: Sequence[str], below: Sequence[str]) -> bool:
