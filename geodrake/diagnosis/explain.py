@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 from geodrake.boundary.arguments import function, instance
@@ -21,7 +21,7 @@ from geodrake.diagnosis.findings import (
     without_finding,
 )
 from geodrake.diagnosis.notes import changed_notes, left_out_notes, notes_of, unnamed_notes
-from geodrake.diagnosis.results import Explanation, Step
+from geodrake.diagnosis.results import Correlate, Explanation, Step
 from geodrake.diagnosis.search import Found, searched
 from geodrake.diagnosis.search_progress import Progress
 from geodrake.diagnosis.steps import steps_of
@@ -44,6 +44,7 @@ class Investigation(Short):
     explanation: Explanation
     case: Case  # the case, with the columns of what was found
     found: Found  # what was found, without what no effect describes
+    correlates: tuple[Correlate, ...] = ()  # what that goes with
 
 
 def explain(
@@ -102,7 +103,8 @@ def investigate(
 ) -> Investigation:
     """Explain a case that has columns for candidates; see `explain`."""
     found, findings, rest = named(searched(case, beliefs, progress=progress))
-    return explained(case, found, findings, notes=unnamed_notes(rest))
+    made = explained(case, found, findings, notes=unnamed_notes(rest))
+    return replace(made, correlates=rest.motion)
 
 
 def explained(

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from geodrake.diagnosis.log_model import Choice, Fit
 from geodrake.diagnosis.posterior import Certainty, Posterior, nrms_of
-from geodrake.diagnosis.results import Verdict
+from geodrake.diagnosis.results import Correlate, Verdict
 from geodrake.diagnosis.search import Found
 from geodrake.diagnosis.terms import Term, names_and_places
 from geodrake.diagnosis.unknown_efforts import CURVES, UNKNOWN
@@ -105,7 +105,7 @@ def _refitted(found: Found, choice: Choice) -> Found:
 class Unnamed:
     """What no finding has."""
 
-    motion: Mapping[str, str]  # joint -> what something goes with there that no effect describes
+    motion: tuple[Correlate, ...]  # what no effect describes goes with
     loads: Mapping[str, float]  # body -> how probable a payload is that bodies take in
     gains: Mapping[str, tuple[float, float]]  # as `LogModel.usual_gains`
 
@@ -118,16 +118,27 @@ def named(found: Found) -> tuple[Found, list[Finding], Unnamed]:
     found, posterior = believed(found)
     unknown = [term for term in found.fit.terms if isinstance(term.effect, UNKNOWN)]
     findings = findings_of(found, posterior)
-    motion = {term.where[0]: _signal(term) for term in unknown}
-    rest = Unnamed(motion, posterior.of_loads(), found.model.usual_gains(found.fit))
-    return without(found, unknown), findings, rest
+    left = without(found, unknown)
+    motion = _correlates(found, left, unknown)
+    return left, findings, Unnamed(motion, posterior.of_loads(), found.model.usual_gains(found.fit))
+
+
+def _correlates(found: Found, left: Found, unknown: Sequence[Term]) -> tuple[Correlate, ...]:
+    """Return what efforts go with that no effect describes, by what is left without them."""
+    if not unknown:
+        return ()
+    errors = [each.model.validated(each.fit).held_out.sse.sum(axis=0) for each in (found, left)]
+    shares = 1.0 - errors[0] / np.maximum(errors[1], np.finfo(float).tiny)
+    share = dict(zip(found.case.model.joints, shares.tolist(), strict=True))
+    told = [Correlate(term.where[0], _signal(term), share[term.where[0]]) for term in unknown]
+    return tuple(sorted(told, key=lambda each: -each.share))
 
 
 def _signal(term: Term) -> str:
     """Return in words what an unknown function is one of."""
-    if not isinstance(term.effect, CURVES):
-        return "its position and speed"
-    return term.effect.curve.words(*term.where[1:])
+    if isinstance(term.effect, CURVES):
+        return term.effect.curve.words(*term.where[1:])
+    return "its position and its velocity"
 
 
 def findings_of(found: Found, posterior: Posterior | None = None) -> list[Finding]:

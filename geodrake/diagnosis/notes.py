@@ -41,9 +41,9 @@ def notes_of(found: Found, case: Case, fit: ModelFit, bodies: Sequence[BodyChang
 def unnamed_notes(rest: Unnamed) -> list[str]:
     """Describe what no finding has."""
     unknown = [
-        f"what is left at {joint} goes with {signal} in a way that no effect describes; "
+        f"what is left at {each.joint} goes with {each.words} in a way that no effect describes; "
         "`--draft-effect FILE` looks for a formula"
-        for joint, signal in rest.motion.items()
+        for each in rest.motion
     ]
     loads = [
         f"{body} may carry a payload ({p:.0%}), which bodies that are not as in the model take in: "

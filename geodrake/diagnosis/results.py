@@ -15,6 +15,20 @@ from geodrake.model.robot_model import RobotModel
 Verdict = Literal["adequate", "explained", "unexplained", "undecided"]
 
 
+@dataclass(frozen=True)
+class Correlate:
+    """What the error that is left at a joint goes with.
+
+    Attributes:
+        words: Such as "its direction of motion times the position of wrist_1_joint".
+        share: Share of the joint's squared held-out error that goes with it.
+    """
+
+    joint: str
+    words: str
+    share: float
+
+
 @dataclass(frozen=True, eq=False)
 class Candidate(Short):
     """An effect that could be missing.

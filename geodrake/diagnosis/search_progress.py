@@ -8,6 +8,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from geodrake.diagnosis.log_model import Fit, LogModel
+from geodrake.diagnosis.terms import Term
+from geodrake.diagnosis.unknown_efforts import UNKNOWN
 from geodrake.effects import Role
 from geodrake.effects.lookup import effect_of
 
@@ -41,14 +43,18 @@ Progress = Callable[[FoundStep], None]
 """Called with each step. It may raise `StopSearch`: what was found by then is the result."""
 
 
+def _told(term: Term) -> str:
+    return "something unknown" if isinstance(term.effect, UNKNOWN) else term.name
+
+
 def progress_of(model: LogModel, before: Fit, after: Fit) -> FoundStep:
     """Return the step from one explanation to another."""
     data = model.dataset
     deviation = np.where(data.effort_std > 0.0, data.effort_std, np.inf)
     new = [term for term in after.terms if term not in before.terms]
     old = [term for term in before.terms if term not in after.terms]
-    names = dict.fromkeys(term.name for term in new)
-    gone = tuple(dict.fromkeys(term.name for term in old if term.name not in names))
+    names = dict.fromkeys(_told(term) for term in new)
+    gone = tuple(dict.fromkeys(_told(term) for term in old if _told(term) not in names))
     if after.choice.delay != before.choice.delay:
         names[effect_of(Role.DELAY).name] = None
     if not names and not gone:

@@ -124,10 +124,10 @@ _OTHERS = (
     *(("v" + sense, "its sign") for sense in "+-"),
 )
 _FACTORS = {
-    "1": "",
-    "v": " times its own speed",
-    "sgn v": " times its own direction of motion",
-    "its sign": " and its direction",
+    "1": "{}",
+    "v": "its velocity times {}",
+    "sgn v": "its direction of motion times {}",
+    "its sign": "{}, and its direction",
 }
 _COEFFICIENTS = tuple(Parameter(f"coefficient_{k}", "N·m") for k in range(_DEGREES))
 
@@ -158,12 +158,12 @@ class Curve:
 
     def words(self, other: str = "") -> str:
         """Return what it is a curve of, for a joint's name other than its own."""
-        signal = "position" if self.of[0] == "q" else "speed"
-        whose = f"the {other}'s {signal}" if other else f"its {signal}"
+        signal = "position" if self.of[0] == "q" else "velocity"
+        whose = f"the {signal} of {other}" if other else f"its {signal}"
         if self.of[1:]:
             kind = "sum of" if self.of[1] == "+" else "difference between"
             whose = f"the {kind} its {signal} and {whose}"
-        return f"{whose}{_FACTORS[self.times]}"
+        return _FACTORS[self.times].format(whose)
 
 
 @dataclass(frozen=True)

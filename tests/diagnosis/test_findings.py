@@ -163,7 +163,7 @@ def test_a_payload_that_bodies_may_have_taken_in_is_said(loaded):
     bodies = with_load(loaded, width=loaded.model.widths[-2], has_load=False)
     loads = Posterior(bodies.model, bodies.fit).of_loads()
     assert loads["lower_link"] > 0.5  # a file that is 30 % off is less probable
-    (note,) = (n for n in unnamed_notes(Unnamed({}, loads, {})) if n.startswith("lower_link"))
+    (note,) = (n for n in unnamed_notes(Unnamed((), loads, {})) if n.startswith("lower_link"))
     assert f"{loads['lower_link']:.0%}" in note
     having = with_load(loaded, width=loaded.model.widths[0])
     assert "lower_link" not in Posterior(having.model, having.fit).of_loads()

@@ -36,11 +36,9 @@ def damper(seen):
 @pytest.mark.parametrize(
     ("hidden", "signal"),
     [
-        pytest.param(
-            brake, f"the {OTHER}'s position times its own direction of motion", id="brake"
-        ),
+        pytest.param(brake, f"its direction of motion times the position of {OTHER}", id="brake"),
         pytest.param(stop, "its position", id="stop"),
-        pytest.param(damper, f"the {OTHER}'s position times its own speed", id="damper"),
+        pytest.param(damper, f"its velocity times the position of {OTHER}", id="damper"),
     ],
 )
 def test_signal_is_told_and_no_name(hidden, signal):

@@ -7,8 +7,9 @@ what the rest goes with, in a fraction of the time.
 """
 
 from geodrake.diagnosis.drafting.draft import draft_effects, rest_correlates
-from geodrake.diagnosis.drafting.results import Correlate, Draft
+from geodrake.diagnosis.drafting.results import Draft
 from geodrake.diagnosis.drafting.source import source_of
+from geodrake.diagnosis.results import Correlate
 
 __all__ = [
     "Correlate",

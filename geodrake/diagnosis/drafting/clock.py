@@ -5,7 +5,8 @@ from __future__ import annotations
 import numpy as np
 from scipy.fft import next_fast_len
 
-from geodrake.diagnosis.drafting.results import Array, Correlate
+from geodrake.diagnosis.drafting.results import Array
+from geodrake.diagnosis.results import Correlate
 from geodrake.identification.logs.hypothesis import Hypothesis, residual_blocks
 
 _LEAST_SHARE = 0.25

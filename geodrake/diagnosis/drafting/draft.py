@@ -17,7 +17,7 @@ from geodrake.diagnosis.beliefs import Beliefs
 from geodrake.diagnosis.climbing import climb, gain_of
 from geodrake.diagnosis.drafting.clock import clock_correlates
 from geodrake.diagnosis.drafting.formula import Formula, FormulaTerm
-from geodrake.diagnosis.drafting.results import Array, Correlate, Draft, DraftedEffect
+from geodrake.diagnosis.drafting.results import Array, Draft, DraftedEffect
 from geodrake.diagnosis.drafting.vocabulary import TURNS, vocabulary
 from geodrake.diagnosis.explain import Investigation, investigate
 from geodrake.diagnosis.findings import Finding, holds
@@ -25,7 +25,7 @@ from geodrake.diagnosis.log_model import Choice, Fit, LogModel
 from geodrake.diagnosis.moves import neighbours
 from geodrake.diagnosis.posterior import Certainty
 from geodrake.diagnosis.residuals import filtered_columns, full_motion, joint_residuals
-from geodrake.diagnosis.results import Explanation
+from geodrake.diagnosis.results import Correlate, Explanation
 from geodrake.diagnosis.search import Found
 from geodrake.diagnosis.search_progress import FoundStep, Progress
 from geodrake.diagnosis.unknown_efforts import range_of_motion, reversals
@@ -112,9 +112,10 @@ def rest_correlates(investigation: Investigation) -> tuple[Correlate, ...]:
         Signals and products of two of them, for the joints that err most beyond noise.
     """
     found, hypothesis = _where_fewest_joints_err(investigation.found)
-    joints = _erring(hypothesis)[:_MOST_JOINTS]
+    erring, known = _erring(hypothesis)[:_MOST_JOINTS], investigation.correlates
+    joints = [joint for joint in erring if joint not in {each.joint for each in known}]
     if not joints:
-        return ()
+        return known
     every = found.case.model.single_joints
     return tuple(
         each for joint in joints for each in _correlates(found, joint, vocabulary(joint, every))
@@ -128,14 +129,15 @@ def draft_rest(investigation: Investigation, *, progress: Progress | None = None
     low, high = range_of_motion(found.case.trajectories)
     ends = zip(model.joints, low.tolist(), high.tolist(), strict=True)
     reach = {joint: (a, b) for joint, a, b in ends if joint in model.single_joints}
-    drafted, correlates = list[DraftedEffect](), list[Correlate]()
+    drafted, correlates = list[DraftedEffect](), [*investigation.correlates]
+    known = {each.joint for each in correlates}
     before = _effects(found.fit)
     for joint in () if investigation.explanation.is_interrupted else _erring(start):
         if joint not in _erring(hypothesis):
             continue
         words = vocabulary(joint, model.single_joints, reach)
         offered = _offered(found, [Formula(joint, (term,)) for term in words])
-        correlates += _correlates(found, joint, words)
+        correlates += [] if joint in known else _correlates(found, joint, words)
         after = _with_formula(offered, joint, reach)
         finding = _finding(offered, after, joint)
         validated = after.model.validated(after.fit)

@@ -10,24 +10,11 @@ from numpy.typing import NDArray
 from geodrake.boundary.escaping import identifiers
 from geodrake.boundary.showing import Short
 from geodrake.diagnosis.drafting.formula import Formula
+from geodrake.diagnosis.results import Correlate
 from geodrake.effects import Effect
 from geodrake.identification.logs.model_errors import ErrorTable
 
 Array = NDArray[np.float64]
-
-
-@dataclass(frozen=True)
-class Correlate:
-    """What the error that is left at a joint goes with.
-
-    Attributes:
-        words: Such as "its direction of motion times the position of wrist_1_joint".
-        share: Share of the joint's squared held-out error that goes with it.
-    """
-
-    joint: str
-    words: str
-    share: float
 
 
 @dataclass(frozen=True, eq=False)
