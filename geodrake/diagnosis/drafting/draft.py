@@ -117,9 +117,8 @@ def rest_correlates(investigation: Investigation) -> tuple[Correlate, ...]:
     if not joints:
         return known
     every = found.case.model.single_joints
-    return tuple(
-        each for joint in joints for each in _correlates(found, joint, vocabulary(joint, every))
-    )
+    others = [each for j in joints for each in _correlates(found, j, vocabulary(j, every))]
+    return (*known, *others)
 
 
 def draft_rest(investigation: Investigation, *, progress: Progress | None = None) -> Draft:
