@@ -11,7 +11,7 @@ import pinocchio
 import pytest
 from chain_logs import inverse_dynamics
 from pydrake.multibody.parsing import Parser
-from pydrake.multibody.plant import MultibodyPlant
+from pydrake.multibody.plant import DiscreteContactApproximation, MultibodyPlant
 
 from geodrake.effects import (
     AsymmetricFriction,
@@ -218,6 +218,30 @@ def test_a_robot_goes_through_all_formats_and_back(tmp_path):
         model = load_model(path)
         assert model.joints == ("a", "b")
         np.testing.assert_allclose(model.effort(moved), ours, atol=1e-9)
+
+
+def test_joints_that_follow_others_follow_them_in_all_formats(tmp_path):
+    mimic = '<mimic joint="b" multiplier="-0.5" offset="0.1"/>'
+    third = """<link name="three"><inertial><origin xyz="0.1 0 0.2"/><mass value="0.7"/>
+      <inertia ixx="0.02" iyy="0.02" izz="0.01" ixy="0" ixz="0" iyz="0"/></inertial></link>
+      <joint name="c" type="revolute"><parent link="one"/><child link="three"/><axis xyz="1 0 0"/>
+      <limit lower="-3" upper="3" effort="10" velocity="2"/><dynamics damping="0.4"/>"""
+    path = tmp_path / "arm.urdf"
+    path.write_text(URDF.replace("</robot>", f"{third}{mimic}</joint></robot>"), encoding="utf-8")
+    first = model = load_model(path)
+    moved = motion(first)
+    for to in ("sdf", "mjcf", "urdf"):
+        path, _ = exported(model, to, tmp_path / to)
+        model = load_model(path)
+        assert [(f.ratio, f.offset) for f in model.followers] == [(-0.5, 0.1)]
+        np.testing.assert_allclose(model.effort(moved), first.effort(moved), atol=1e-9)
+        plant = MultibodyPlant(time_step=0.001)
+        plant.set_discrete_contact_approximation(DiscreteContactApproximation.kSap)
+        if to != "mjcf":
+            Parser(plant).AddModels(str(path))
+            assert plant.num_constraints() == 1
+        else:
+            assert mujoco.MjModel.from_xml_path(str(path)).neq == 1
 
 
 def test_several_files_become_one(tmp_path):

@@ -118,6 +118,22 @@ def exported_joints(model: RobotModel) -> dict[str, ExportedJoint]:
     return found
 
 
+def without_drive(name: str, scoped: str, *, turns: bool) -> ExportedJoint:
+    """Return a joint that nothing drives or slows, as one that follows another."""
+    return ExportedJoint(
+        name,
+        scoped,
+        turns=turns,
+        driven=False,
+        velocity=np.inf,
+        effort=0.0,
+        kp=0.0,
+        kd=0.0,
+        delay=0.0,
+        measured_late=0.0,
+    )
+
+
 def all_numbers(model: RobotModel) -> dict[str, dict[str, float]]:
     """Return what a model has at its joints, by scoped name and name of the number."""
     return {joint.scoped: joint.numbers for joint in exported_joints(model).values()}

@@ -22,6 +22,7 @@ from geodrake.model.exporting.joints import (
     changed_numbers,
     exported_joints,
     with_actuators,
+    without_drive,
 )
 from geodrake.model.file_terms import Tilt
 from geodrake.model.robot_model import RobotModel, is_of_file
@@ -38,6 +39,7 @@ from geodrake.robot.files.model_edits import (
 from geodrake.robot.files.source_text import comment_words
 from geodrake.robot.files.values import words
 from geodrake.robot.files.xacro_file import read_expanded
+from geodrake.robot.followers import scoped
 from geodrake.robot.holding import moving_joints
 from geodrake.robot.plant import joint_names, motor_joints, scoped_joint_names
 
@@ -58,6 +60,7 @@ class Link:
         axis: (3,) unit axis of the joint, in L.
         limits: Lowest and highest position, rad or m; infinite where there is none.
         phi: (10,) inertial parameters about Lo, expressed in L.
+        follows: The name of the joint that this one follows, r and θ₀ of θ = r θ_leader + θ₀.
     """
 
     name: str
@@ -67,11 +70,13 @@ class Link:
     axis: Array
     limits: tuple[float, float]
     phi: Array
+    follows: tuple[str, float, float] | None = None
 
 
 def _links_of(model: RobotModel) -> tuple[Link, ...]:
     """Return the links of a model from the base on, each after its parent, payloads included."""
     plant, joints = model.plant, exported_joints(model)
+    followers = {follower.joint: follower for follower in model.followers}
     context = plant.CreateDefaultContext()
     plant.SetPositions(context, np.zeros(plant.num_positions()))
     lumps = lumped_bodies(plant)
@@ -100,14 +105,19 @@ def _links_of(model: RobotModel) -> tuple[Link, ...]:
             X_LR = X_WL[k].inverse() @ X_WR
             turns = joint.type_name() == "revolute"
             axis = joint.revolute_axis() if turns else joint.translation_axis()
+            shown, follows = joints[model.joints[model.coordinates.velocity_of(joint)]], None
+            if (follower := followers.get(scoped(joint))) is not None:
+                follows = shown.name, follower.ratio, follower.offset
+                shown = without_drive(joint.name(), follower.joint, turns=turns)
             found[k] = Link(
                 names[k],
                 None if above is None else names[above],
-                joints[model.joints[model.coordinates.velocity_of(joint)]],
+                shown,
                 X_WP.inverse() @ X_WL[k],
                 np.array(axis),
                 (float(joint.position_lower_limits()[0]), float(joint.position_upper_limits()[0])),
                 change_frame(model.total_phi[k], X_LR.rotation().matrix(), X_LR.translation()),
+                follows,
             )
     return tuple(found.values())
 
@@ -171,12 +181,16 @@ def _urdf_joint(root: Element, link: Link) -> None:
         low, high = np.clip(link.limits, -_UNLIMITED, _UNLIMITED)
         limit |= {"lower": words(low), "upper": words(high)}
     SubElement(joint, "limit", limit)
+    if link.follows:
+        leader, ratio, offset = link.follows
+        SubElement(joint, "mimic", joint=leader, multiplier=words(ratio), offset=words(offset))
     put_numbers(root, joint, {k: x for k, x in numbers.numbers.items() if x or k in _ALWAYS})
 
 
 def _sdf(links: Sequence[Link], name: str, gravity: Array) -> Element:
     del gravity
-    root = Element("sdf", {"version": "1.9", "xmlns:drake": _DRAKE})
+    version = "1.11" if any(link.follows for link in links) else "1.9"  # that has <mimic>
+    root = Element("sdf", {"version": version, "xmlns:drake": _DRAKE})
     model = SubElement(root, "model", name=name)
     for link in links:
         element = SubElement(model, "link", name=link.name)
@@ -202,6 +216,14 @@ def _sdf_joint(root: Element, model: Element, link: Link) -> None:
     for key, value in limits.items():
         if np.isfinite(value):
             SubElement(limit, key).text = words(value)
+    if link.follows:  # once for Gazebo, and once for Drake, which reads its own element alone
+        leader, ratio, offset = link.follows
+        terms = {"multiplier": words(ratio), "offset": words(offset)}
+        SubElement(joint, "drake:mimic", {"joint": leader, **terms})
+        mimic = SubElement(axis, "mimic", joint=leader)
+        for key, text in terms.items():
+            SubElement(mimic, key).text = text
+        SubElement(mimic, "reference").text = "0"
     put_numbers(root, joint, {k: x for k, x in numbers.numbers.items() if x or k in _ALWAYS})
 
 
@@ -219,6 +241,13 @@ def _mjcf(links: Sequence[Link], name: str, gravity: Array) -> Element:
         put_inertia(root, body, link.phi)
         joint = SubElement(body, "joint", _mjcf_joint(link))
         put_numbers(root, joint, {k: x for k, x in link.joint.numbers.items() if x})
+    following = [link for link in links if link.follows]
+    equality = SubElement(root, "equality") if following else root
+    for link in following:
+        leader, ratio, offset = link.follows or ("", 0.0, 0.0)
+        polynomial = words(np.array([offset, ratio, 0.0, 0.0, 0.0]))
+        joints = {"joint1": link.joint.name, "joint2": leader}
+        SubElement(equality, "joint", {**joints, "polycoef": polynomial})
     return root
 
 
