@@ -77,8 +77,9 @@ def effort_sign_hint(log: JointLog) -> str | None:
     Efforts that only gravity keeps from changing their sign do not come back from zero again and
     again.
     """
-    rows = np.isfinite(log.position).all(axis=1) & np.isfinite(log.effort).all(axis=1)
-    position, effort = log.position[rows][:_ROWS], log.effort[rows][:_ROWS]
+    position, effort = log.position[:_ROWS], log.effort[:_ROWS]
+    rows = np.isfinite(position).all(axis=1) & np.isfinite(effort).all(axis=1)
+    position, effort = position[rows], effort[rows]
     if len(effort) < _ENOUGH_ROWS:
         return None
     found = []
