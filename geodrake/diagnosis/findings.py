@@ -124,14 +124,22 @@ def named(found: Found) -> tuple[Found, list[Finding], Unnamed]:
 
 
 def _correlates(found: Found, left: Found, unknown: Sequence[Term]) -> tuple[Correlate, ...]:
-    """Return what efforts go with that no effect describes, by what is left without them."""
+    """Return what efforts go with that no effect describes, by what each takes off what is left."""
     if not unknown:
         return ()
-    errors = [each.model.validated(each.fit).held_out.sse.sum(axis=0) for each in (found, left)]
-    shares = 1.0 - errors[0] / np.maximum(errors[1], np.finfo(float).tiny)
-    share = dict(zip(found.case.model.joints, shares.tolist(), strict=True))
-    told = [Correlate(term.where[0], _signal(term), share[term.where[0]]) for term in unknown]
+    end, start, told = _squares(found), _squares(left), list[Correlate]()
+    for term in unknown:
+        (joint, *_), others = term.where, _squares(without(found, [term]))
+        share = (others[joint] - end[joint]) / max(start[joint], np.finfo(float).tiny)
+        if share > 0.0:
+            told.append(Correlate(joint, _signal(term), share))
     return tuple(sorted(told, key=lambda each: -each.share))
+
+
+def _squares(found: Found) -> dict[str, float]:
+    """Return the squared held-out error of each joint."""
+    squares = found.model.validated(found.fit).held_out.sse.sum(axis=0)
+    return dict(zip(found.case.model.joints, squares.tolist(), strict=True))
 
 
 def _signal(term: Term) -> str:

@@ -319,13 +319,10 @@ class Search:
         return False
 
     def _doubtful(self) -> set[str]:
-        """Return joints whose residual is more than noise, or that something was found at."""
+        """Return joints with more than noise left, or with something found at their motors."""
         left = np.sqrt(self.fit.variance) > NOISE_MARGIN * self.case.dataset.noise_floor
-        felt = [
-            self.case.dataset.felt(t.effect)
-            for t in self.fit.terms
-            if t.effect is not None and t.joint is not None
-        ]
+        effects = [term.effect for term in self.fit.terms]
+        felt = [self.case.dataset.felt(e) for e in effects if e is not None and e.at_motor]
         joints = np.logical_or.reduce([left, *felt])
         return {self.case.model.joints[j] for j in np.flatnonzero(joints)}
 

@@ -34,7 +34,7 @@ from geodrake.model.robot_model import RobotModel
 
 Array = NDArray[np.float64]
 
-_SAMPLES = 100_000  # of a segment that are looked at
+_SAMPLES = 100_000  # of a segment that are looked at, at a time
 _RESOLVED = 2.0  # times the speed below which the direction is not known
 _MOST_COUPLED = 6  # curves of other joints' motions at a joint, those that promise most
 _LOOKED_AT = 4_000  # samples to choose them by
@@ -250,9 +250,12 @@ def unknown_functions(case: Case, hypothesis: Hypothesis, joints: Collection[str
     moving = [j for j, name in enumerate(model.joints) if peaks[j] and name in model.single_joints]
     scales = {"q": (center, reach), "v": (np.zeros_like(peaks), peaks)}
 
+    slides = [name in model.sliding_joints for name in model.joints]
+
     def curves(own: int, other: int) -> list[Curve]:
         found = list[Curve]()
-        for of, times in _OWN if other == own else _OTHERS:
+        # A position in rad and one in m have no sum.
+        for of, times in _OWN if other == own or slides[other] != slides[own] else _OTHERS:
             middle, half = (each[[other, own]] for each in scales[of[0]])
             if of[1:]:
                 middle, half = middle @ [1.0, 1.0 if of[1] == "+" else -1.0], half.sum()
@@ -262,7 +265,7 @@ def unknown_functions(case: Case, hypothesis: Hypothesis, joints: Collection[str
         return found
 
     motion, found = full_motion(case), list[Effect]()
-    raw = [np.concatenate([s.position, s.velocity], axis=1) for _, s in motion]
+    raw = [np.hstack([s.position[:, moving], s.velocity[:, moving]]) for _, s in motion]
     for residual in joint_residuals(case, hypothesis):
         own = model.joints.index(residual.joint)
         if residual.joint not in joints or own not in moving:
@@ -273,12 +276,12 @@ def unknown_functions(case: Case, hypothesis: Hypothesis, joints: Collection[str
         found.append(function)
         found += [UnknownCurve(residual.joint, curve) for curve in curves(own, own)]
         signals = filtered_columns(case, motion, residual, raw)
-        seen = np.flatnonzero(np.isfinite(signals).all(axis=1))[:: 1 + len(signals) // _LOOKED_AT]
-        q, v = np.split(signals[seen], 2, axis=1)
-        moved = [
-            JointMotion(q[:, j], v[:, j], q[:, j], q[:, j], residual.direction(v[:, j]))
-            for j in range(len(model.joints))
-        ]
+        seen = np.flatnonzero(np.isfinite(signals).all(axis=1))
+        seen = seen[:: 1 + len(seen) // _LOOKED_AT]
+        moved = {
+            j: JointMotion(q, v, q, q, residual.direction(v))
+            for j, q, v in zip(moving, *np.split(signals[seen].T, 2), strict=True)
+        }
         pairs = [(o, curve) for o in moving if o != own for curve in curves(own, o)]
         alone = function.columns(moved[own])  # what the joint's own motion may do
         left = [
@@ -300,9 +303,12 @@ def _left(columns: list[Array], b: Array) -> float:
 
 def range_of_motion(trajectories: Sequence[Trajectory]) -> tuple[Array, Array]:
     """Lowest and highest positions (nv,) of every joint, rad or m."""
-    segments = [s for trajectory in trajectories for s in trajectory.segments if len(s)]
-    seen = [s[:_SAMPLES].position for s in segments]
-    return (
-        np.min([q.min(axis=0) for q in seen], axis=0),
-        np.max([q.max(axis=0) for q in seen], axis=0),
-    )
+    ends = [
+        (q.min(axis=0), q.max(axis=0))
+        for trajectory in trajectories
+        for s in trajectory.segments
+        for first in range(0, len(s), _SAMPLES)
+        for q in [s[first : first + _SAMPLES].position]
+    ]
+    lowest, highest = zip(*ends, strict=True)
+    return np.min(lowest, axis=0), np.max(highest, axis=0)

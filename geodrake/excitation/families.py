@@ -58,7 +58,7 @@ class MotionFamily(abc.ABC):
 
     @property
     def steepness(self) -> float:
-        """Largest size of a derivative by that of what it is the derivative of, 1/s; inf: none."""
+        """Bound on the largest size of a derivative over that of its function, 1/s; inf: none."""
         return np.inf
 
     @abc.abstractmethod

@@ -370,7 +370,7 @@ def limit_motion(
 ) -> None:
     """Add the linear constraints of every joint, with the program's variables (f, nv).
 
-    A derivative that the limits of the one before keep within its own needs none.
+    A derivative is left out where the limits of the one before keep it within its own.
     """
     # A sine exceeds its samples, 20 a period or 10, by less than what is kept of the limits.
     stride = 2 if problem.options.quick and variables.size >= _MANY else 1
