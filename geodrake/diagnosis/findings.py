@@ -152,7 +152,7 @@ def _signal(term: Term) -> str:
 def findings_of(found: Found, posterior: Posterior | None = None) -> list[Finding]:
     """Return each finding of a search once; every payload is one of its own.
 
-    A function that no effect describes is none.
+    A function that no effect describes is not a finding.
     """
     groups = dict[object, list[Term]]()
     posterior = Posterior(found.model, found.fit) if posterior is None else posterior

@@ -129,14 +129,15 @@ _FACTORS = {
     "sgn v": "its direction of motion times {}",
     "its sign": "{}, and its direction",
 }
-_COEFFICIENTS = tuple(Parameter(f"coefficient_{k}", "N·m") for k in range(_DEGREES))
 
 
 @dataclass(frozen=True)
 class Curve:
     """A smooth curve of a signal, times one or how the joint that feels it moves."""
 
-    of: str  # position "q" or speed "v" of the other joint, or its sum "q+" or difference "q-"
+    # Position "q" or velocity "v" of the other joint; "q+", "v-": its sum with, or difference from,
+    # that of the joint that feels it.
+    of: str
     times: str  # "1", "v", "sgn v", or "its sign", that of the signal
     center: float  # middle of the signal's range, rad or m, or per second
     reach: float  # half that range
@@ -152,8 +153,12 @@ class Curve:
             added = own.q if self.of[0] == "q" else own.v
             signal = signal + (added if self.of[1] == "+" else -added)
         scaled = signal / self.reach
-        factors = {"1": np.ones_like(scaled), "v": own.v / self.speed, "sgn v": own.sign_v}
-        factor = factors.get(self.times, np.tanh(signal / max(unsure, 1e-9)))
+        factor = {
+            "1": np.ones_like(scaled),
+            "v": own.v / self.speed,
+            "sgn v": own.sign_v,
+            "its sign": np.tanh(signal / max(unsure, 1e-9)),
+        }[self.times]
         return [*(factor * legvander(scaled, _DEGREES - 1).T)]
 
     def words(self, other: str = "") -> str:
@@ -166,20 +171,24 @@ class Curve:
         return _FACTORS[self.times].format(whose)
 
 
-@dataclass(frozen=True)
-class UnknownCurve(JointEffect):
-    """An unknown curve of a joint's own position or speed.
+class _Unknown(Effect):
+    """A curve of one signal: it costs less than a function of all the motion."""
 
-    What is unknown is often simple: a curve costs less than a function of all the motion.
-    """
+    parameters: ClassVar[tuple[Parameter, ...]] = tuple(
+        Parameter(f"coefficient_{k}", "N·m") for k in range(_DEGREES)
+    )
+    depends_on: ClassVar[frozenset[str]] = frozenset({"q", "v"})
+    complexity: ClassVar[int] = 3
+    free_shapes: ClassVar[int] = 1  # which curve it is; its scales are those of the motion
+
+
+@dataclass(frozen=True)
+class UnknownCurve(_Unknown, JointEffect):
+    """An unknown curve of a joint's own position or velocity."""
 
     curve: Curve
 
     name: ClassVar[str] = "unknown_curve"
-    parameters: ClassVar[tuple[Parameter, ...]] = _COEFFICIENTS
-    depends_on: ClassVar[frozenset[str]] = frozenset({"q", "v"})
-    complexity: ClassVar[int] = 3
-    free_shapes: ClassVar[int] = 1
 
     def columns(self, joint: JointMotion) -> Sequence[Array]:
         """Return the columns of the curve."""
@@ -187,16 +196,12 @@ class UnknownCurve(JointEffect):
 
 
 @dataclass(frozen=True)
-class UnknownCoupling(JointPairEffect):
-    """An unknown curve at a joint, of another's position or speed."""
+class UnknownCoupling(_Unknown, JointPairEffect):
+    """An unknown curve at the first joint, of the position or velocity of the second."""
 
     curve: Curve
 
     name: ClassVar[str] = "unknown_coupling"
-    parameters: ClassVar[tuple[Parameter, ...]] = _COEFFICIENTS
-    depends_on: ClassVar[frozenset[str]] = frozenset({"q", "v"})
-    complexity: ClassVar[int] = 3
-    free_shapes: ClassVar[int] = 1
 
     def rows(self, motion: RobotMotion) -> Rows:
         """Return the columns at the first joint; see `Effect.rows`."""

@@ -90,7 +90,7 @@ class EffortSignal:
         no_load_speed: At which the motor gives no effort, rad/s or m/s; of no servo.
 
     Raises:
-        ArgumentError: There is no such kind, or a number is none that it may be.
+        ArgumentError: There is no such kind, or a number is out of its range.
     """
 
     joint: str

@@ -203,9 +203,11 @@ class TestDesigns:
         asked = {"criterion": "d_optimality", "trajectory": SHORT}
         target, limits = make_target(model), limits_of(model)
         found = design_excitation(target, limits, options=options, seeds=3, **asked)
-        options = replace(options, solver="ipopt", guess=found.trajectory.coefficients)
+        guess = 0.8 * found.trajectory.coefficients
+        options = replace(options, solver="ipopt", guess=guess)
         again = design_excitation(target, limits, options=options, seeds=1, **asked)
-        assert again.outcomes[-1].value == pytest.approx(found.value, abs=0.05)
+        back = again.outcomes[-1]  # from a smaller motion to SNOPT's optimum, or to a better one
+        assert back.value - found.value < 0.02 * (back.random_value - found.value)
 
     def test_the_optimum_does_not_depend_on_frames_and_base(self):
         rng = np.random.default_rng(3)

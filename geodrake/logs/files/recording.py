@@ -148,7 +148,7 @@ class Recording:
     def _in_radians(self, values: dict[str, Array]) -> tuple[dict[str, Array], list[str]]:
         """Return positions and commands (N, n) in rad where they are ticks of servos; and notes.
 
-        Whole numbers from 0 to less than 4,096, and beyond 1,024, are taken for such if nobody
+        Whole numbers from 0 to less than 4,096, and beyond 1,024, are taken for ticks if nobody
         says their unit, as geodrake's own names of columns do: in rad no joint goes so far, and in
         degrees hardly one in whole ones.
         """
@@ -169,7 +169,7 @@ class Recording:
         words = (
             f"positions are whole numbers, from {np.nanmin(values['position']):.0f} to "
             f"{np.nanmax(values['position']):.0f}, and so ticks of servos with {TICKS} a turn: "
-            "converted (give their unit by --units or a mapping if they are none)"
+            "converted (if they are not, give their unit by --units or a mapping)"
         )
         return {**values, **turned}, [words]
 

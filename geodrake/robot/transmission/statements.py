@@ -177,7 +177,8 @@ class Coupled(Statement):
         for name in self.offsets:
             if name not in self.joints:
                 raise ArgumentError(
-                    f"offsets has {name!r}, which is none of its joints {', '.join(self.joints)}."
+                    f"offsets has {name!r}, which is not one of its joints: "
+                    f"{', '.join(self.joints)}."
                 )
         names = list(self.joints), self.actuator_names()
         J = LinearTransmission.from_ratios(*names, self.joints).matrix
