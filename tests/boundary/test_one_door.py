@@ -8,8 +8,17 @@ import geodrake
 PACKAGE = Path(geodrake.__file__).parent
 OPENERS = frozenset(
     {
-        *("open", "fdopen", "read_text", "read_bytes", "fromfile", "genfromtxt", "memmap"),
-        *("File", "ZipFile", "ParquetFile", "ParquetDataset", "read_table", "loadmat", "EventLog"),
+        *("open", "fdopen", "read_text", "read_bytes", "fromfile", "genfromtxt", "open_memmap"),
+        *(
+            "File",
+            "ZipFile",
+            "load_workbook",
+            "ParquetFile",
+            "ParquetDataset",
+            "read_table",
+            "loadmat",
+            "EventLog",
+        ),
         *(
             "Reader",
             "AnyReader",
@@ -42,8 +51,8 @@ CHECKED = {
         "read_table",
         "ZipFile",
         "open",
+        "open_memmap",
     },
-    "logs/files/formats.py": {"read_text"},
     "logs/files/lcm_log.py": {"EventLog"},
     "logs/files/lerobot_dataset.py": {"read_table"},
     "logs/files/ros_bag.py": {"Reader"},
@@ -55,7 +64,7 @@ CHECKED = {
 HELD = {
     "fleet/digest.py": {"ZipFile"},
     "fleet/history.py": {"load"},
-    "logs/files/text_file.py": {"loadtxt", "read_csv"},
+    "logs/files/text_file.py": {"loadtxt", "read_csv", "load_workbook", "ZipFile"},
     "robot/mjcf_shapes.py": {"MemoryFile"},
 }
 """Module -> what it reads of a file that the door has opened, or of lines and entries of it."""

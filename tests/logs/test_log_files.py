@@ -1,5 +1,9 @@
 """Reading and writing logs, and what is said about bad ones."""
 
+import bz2
+import gzip
+import lzma
+
 import numpy as np
 import pytest
 from hypothesis import HealthCheck, given, settings
@@ -8,7 +12,7 @@ from hypothesis.extra.numpy import arrays
 from odd_names import IN_XML
 
 from geodrake.errors import LogError, OutputError
-from geodrake.logs.files import read_log, write_log
+from geodrake.logs.files import Reading, read_log, write_log
 from geodrake.logs.motion import JointLog
 
 HEADER = "time,a.position,b.position,a.effort,b.effort"
@@ -116,8 +120,8 @@ def test_unreadable_files(tmp_path):
         read_log(tmp_path / "missing.csv")
     with pytest.raises(LogError, match="is a folder"):
         read_log(tmp_path)
-    with pytest.raises(LogError, match=r"'\.xlsx'"):
-        read_log(_write(tmp_path, name="log.xlsx"))
+    with pytest.raises(LogError, match=r"'\.docx'"):
+        read_log(_write(tmp_path, name="log.docx"))
     binary = tmp_path / "log.csv"
     binary.write_bytes(bytes(range(256)) * 10)
     with pytest.raises(LogError, match="no text in UTF-8"):
@@ -176,3 +180,70 @@ def test_a_written_log_has_the_names_that_it_was_given(what, suffix, tmp_path):
     again = read_log(tmp_path / f"log{suffix}", joints=names)
     assert again.joints == names
     np.testing.assert_array_equal(again.effort, values)
+
+
+TABLE = "time,a.position,a.effort\n" + "".join(f"{k / 100},{k % 7},{k % 5}\n" for k in range(50))
+
+
+def packed(path):
+    pyarrow = pytest.importorskip("pyarrow")
+    ways = {".gz": gzip.compress, ".bz2": bz2.compress, ".xz": lzma.compress}
+    way = ways.get(path.suffix, lambda data: pyarrow.compress(data, "zstd", asbytes=True))
+    path.write_bytes(way(TABLE.encode()))
+
+
+def as_sheet(path):
+    openpyxl = pytest.importorskip("openpyxl")
+    book = openpyxl.Workbook()
+    book.active.append(["recorded by hand"])
+    sheet = book.create_sheet("run 1")
+    header, *rows = (line.split(",") for line in TABLE.splitlines())
+    sheet.append(header)
+    for row in rows:
+        sheet.append([float(cell) for cell in row])
+    book.save(path)
+
+
+def as_records(path):
+    numbers = [tuple(map(float, line.split(","))) for line in TABLE.splitlines()[1:]]
+    fields = [(name, float) for name in TABLE.splitlines()[0].split(",")]
+    np.save(path, np.array(numbers, fields))
+
+
+@pytest.mark.parametrize(
+    ("name", "write"),
+    [
+        *((f"log.csv{suffix}", packed) for suffix in (".gz", ".bz2", ".xz", ".zst")),
+        ("log.xlsx", as_sheet),
+        ("log.npy", as_records),
+    ],
+)
+def test_packed_tables_sheets_and_records_are_tables(tmp_path, name, write):
+    path = tmp_path / name
+    write(path)
+    log = read_log(path)
+    assert log.name == "log"
+    assert (len(log), log.joints) == (50, ("a",))
+    assert log.effort[7, 0] == 2.0
+    path.write_bytes(path.read_bytes()[: path.stat().st_size // 2])
+    with pytest.raises(LogError, match="can be read"):
+        read_log(path)
+
+
+def test_matrices_have_columns_of_the_names_that_are_given(tmp_path):
+    path = tmp_path / "log.npy"
+    np.save(path, np.random.default_rng(1).normal(size=(50, 3)) + [[k, 0, 0] for k in range(50)])
+    with pytest.raises(LogError, match="has no header") as refused:
+        read_log(path)
+    assert "1" in refused.value.evidence["proposal"]
+    named = Reading(rate=100.0, columns=("_", "a.position", "a.effort"))
+    assert read_log(path, reading=named).joints == ("a",)
+
+
+@pytest.mark.parametrize(
+    ("name", "words"), [("log.npz.gz", "is packed"), ("log.xlsx", "sheet of Excel"), ("a.gz", "is")]
+)
+def test_what_is_packed_or_no_sheet_is_said(tmp_path, name, words):
+    (tmp_path / name).write_bytes(b"PK and no more")
+    with pytest.raises(LogError, match=words):
+        read_log(tmp_path / name)

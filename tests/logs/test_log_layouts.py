@@ -238,7 +238,12 @@ def test_joined_files_without_a_common_clock(tmp_path):
     stamps = np.datetime64("2026-05-01T12:00") + np.round(1e9 * time).astype("timedelta64[ns]")
     second = tmp_path / "efforts.npz"
     np.savez(second, time=stamps, a=tau[:, 0])
-    with pytest.raises(LogError, match=r"no common clock: time in positions\.csv"):
+    log = read_log(f"{first}+{second}")
+    assert np.allclose(log.time - log.time[0], time - time[0])
+    assert np.allclose(log.effort, tau)
+    assert any("of another clock in positions.csv" in note for note in log.notes)
+    write(first, ["time", "a"], [time[20:], q[20:]])
+    with pytest.raises(LogError, match=r"no common clock: .* 0\.358 and 0\.398 s long"):
         read_log(f"{first}+{second}")
     write(first, ["time", "a"], [1e3 * time, q])
     np.savez(second, time=1e3 * time, a=tau[:, 0])

@@ -1,4 +1,4 @@
-"""Logs in files of arrays: JSON, MATLAB's, HDF5, Parquet, Feather and NPZ."""
+"""Logs in files of arrays: JSON, MATLAB's, HDF5, Parquet, Feather, NPY and NPZ."""
 
 from __future__ import annotations
 
@@ -8,6 +8,7 @@ import re
 import zipfile
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
+from io import TextIOWrapper
 from pathlib import Path
 from typing import Any
 
@@ -15,11 +16,12 @@ import numpy as np
 from numpy.lib import format as npy
 from scipy.io import loadmat
 
-from geodrake.boundary.input_files import open_regular, open_text
+from geodrake.boundary.input_files import open_regular, regular_file
 from geodrake.boundary.optional_packages import optional_package
 from geodrake.errors import LogError
 from geodrake.logs.files.column_mapping import check_once, is_used
 from geodrake.logs.files.name_rules import meaning_of, numbers_joints
+from geodrake.logs.files.packed_files import open_log, unpacked
 from geodrake.logs.files.reading import Reading
 from geodrake.logs.files.table import (
     Groups,
@@ -32,6 +34,7 @@ from geodrake.logs.files.table import (
     rows_of,
     spread,
 )
+from geodrake.logs.files.text_file import names_of_numbers
 
 _LINES = (".jsonl", ".ndjson")
 _JSON_ADVICE = (
@@ -41,8 +44,12 @@ _JSON_ADVICE = (
 
 def read_json(path: Path, reading: Reading) -> LogTable:
     """Return the columns of a JSON file: fields of records by their paths, as in `state.q[0]`."""
-    with readable(path, "JSON file", _JSON_ADVICE), open_text(path, "log", LogError) as file:
-        if path.suffix.lower() in _LINES:
+    with (
+        readable(path, "JSON file", _JSON_ADVICE),
+        open_log(path) as data,
+        TextIOWrapper(data, "utf-8-sig") as file,
+    ):
+        if unpacked(path).suffix.lower() in _LINES:
             content: Any = [json.loads(line) for line in file if line.strip()]
         else:
             content = json.load(file)
@@ -248,6 +255,25 @@ def arrow_numbers(column: Any) -> Any:
     if values.null_count or not rows or np.any(lengths != lengths[0]):
         return column.to_numpy()
     return np.asarray(flat.to_numpy(zero_copy_only=False)).reshape(rows, -1)
+
+
+def read_npy(
+    path: Path, reading: Reading, joints: Sequence[str] | None = None, *, numbered: bool = False
+) -> LogTable:
+    """Return the columns of an NPY file: fields of records, or a matrix; see `names_of_numbers`."""
+    with readable(path, "NPY file", "Write it by numpy.save: records, or a row for each sample."):
+        array = npy.open_memmap(regular_file(path, "log", LogError), mode="r")
+    check_room(path, array.size, f"{array.size} numbers")
+    if array.dtype.names:
+        return numeric_table(path, {n: array[n] for n in array.dtype.names}, len(array))
+    if array.ndim != 2:
+        raise LogError(
+            f"The array of log {str(path)!r} is not 2-D: its shape is {array.shape}.",
+            advice="Save a row for each sample, or records with a field for each column.",
+        )
+    first = [str(value) for value in array[:1].ravel().tolist()]
+    names = names_of_numbers(path, first, reading, joints, numbered=numbered)
+    return numeric_table(path, dict(zip(names, array.T, strict=True)), len(array))
 
 
 _NPZ_ADVICE = "Store one 1-D array for each column, all equally long."

@@ -15,6 +15,7 @@ from geodrake.logs.files.array_files import (
     read_hdf5,
     read_json,
     read_mat,
+    read_npy,
     read_npz,
     read_parquet,
 )
@@ -22,15 +23,23 @@ from geodrake.logs.files.joined_tables import joined_tables, meanings_of, reshap
 from geodrake.logs.files.lcm_log import MAGIC, read_lcm
 from geodrake.logs.files.lerobot_dataset import INFO, read_lerobot
 from geodrake.logs.files.name_rules import OF_JOINTS, is_time, meaning_of, quantity_of
+from geodrake.logs.files.packed_files import unpacked
 from geodrake.logs.files.reading import Reading
 from geodrake.logs.files.ros_bag import read_bag
 from geodrake.logs.files.table import LogTable
-from geodrake.logs.files.text_file import read_text
+from geodrake.logs.files.text_file import read_sheet, read_text
 
 Reader = Callable[[Path, Reading], LogTable]
 
-TEXT = (".csv", ".txt", ".dat", ".tsv", ".log")
-"""Suffixes of tables of text."""
+_TEXT, _JSON = (".csv", ".txt", ".dat", ".tsv", ".log"), (".json", ".jsonl", ".ndjson")
+_SHEETS = (".xlsx", ".xlsm")
+
+TABLES = {
+    **dict.fromkeys(_TEXT, read_text),
+    **dict.fromkeys(_SHEETS, read_sheet),
+    ".npy": read_npy,
+}
+"""Reader of files that may have no names of their columns, by their suffix."""
 
 SUFFIXES: Mapping[str, Reader] = {
     ".npz": read_npz,
@@ -46,9 +55,9 @@ SUFFIXES: Mapping[str, Reader] = {
     ".mat": read_mat,
     ".h5": read_hdf5,
     ".hdf5": read_hdf5,
-    **dict.fromkeys((".json", ".jsonl", ".ndjson"), read_json),
+    **dict.fromkeys(_JSON, read_json),
 }
-"""Reader of files beside text, by their suffix."""
+"""Reader of files beside these, by their suffix."""
 
 FOLDERS: Mapping[str, Reader] = {
     "metadata.yaml": read_bag,
@@ -70,20 +79,26 @@ def table_of(
     Args:
         joints: Names of the model's joints, if there is a model, for a proposed mapping.
     """
-    kind = path.suffix.lower()
-    if kind in TEXT:
-        table = read_text(path, reading, joints, numbered=numbered)
+    kind = unpacked(path).suffix.lower()
+    if unpacked(path) != path and kind not in (*_TEXT, *_JSON):
+        raise LogError(
+            f"Log {str(path)!r} is packed, and no table of text or JSON by its name.",
+            advice=f"Unpack it first, or name it as what is in it: log.csv{path.suffix}.",
+        )
+    if kind in TABLES:
+        table = TABLES[kind](path, reading, joints, numbered=numbered)
     else:
         reader = reader_of(check_log(path))
         if reader is None:
             raise LogError(
                 f"Log {str(path)!r} ends in {path.suffix!r}, which geodrake does not read.",
-                advice=f"Convert it to .csv, .npz or one of {', '.join(SUFFIXES)}.",
+                advice=f"Convert it to .csv or one of {', '.join([*TABLES, *SUFFIXES][1:])}.",
             )
         table = reader(path, reading)
         if kind != ".npz":
             return table
-    said = {"topic": ", ".join(reading.topics) or None, "episode": reading.episode}
+    topics = ", ".join(reading.topics) if kind not in _SHEETS else ""
+    said = {"topic": topics or None, "episode": reading.episode}
     notes = [
         f"{path.name} has no {name}s, so that {value!r} chooses nothing in it"
         for name, value in said.items()
@@ -116,8 +131,8 @@ def reader_of(path: Path) -> Reader | None:
     """Return what reads a file or folder that is there; None if none of these formats is it."""
     if path.is_dir():
         return next((reader for mark, reader in FOLDERS.items() if any(path.glob(mark))), None)
-    if path.suffix.lower() in SUFFIXES:
-        return SUFFIXES[path.suffix.lower()]
+    if (kind := unpacked(path).suffix.lower()) in SUFFIXES:
+        return SUFFIXES[kind]
     with open_regular(path, "log", LogError) as file:
         first = file.read(max(map(len, BEGINNINGS)))
     return BEGINNINGS.get(first)
@@ -166,8 +181,9 @@ def joined_table(paths: Sequence[Path], reading: Reading) -> LogTable:
 def _named_table(path: Path, reading: Reading) -> LogTable:
     """Return the columns of one file; bare names of joints get the quantity of the file's name."""
     table = reshaped(table_of(path, reading, numbered=True).loaded(), reading)
-    quantity = quantity_of(path.stem)
-    if quantity is None and _TOLD.search(path.stem.lower()):
+    stem = unpacked(path).stem
+    quantity = quantity_of(stem)
+    if quantity is None and _TOLD.search(stem.lower()):
         quantity = "command"
     if quantity is None or any(m.quantity == quantity for m in meanings_of(table)):
         return table

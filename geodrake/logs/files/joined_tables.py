@@ -32,6 +32,7 @@ Array = NDArray[np.float64]
 
 _YEARS = 9e8  # s, above which time is since 1970
 _ROUNDING = 1e-6  # s, by which stamps of different clocks' forms may differ
+_ROWS_APART = 2.0  # by which the ends of parts that begin together may differ
 _MIXED = 10.0  # times by which the rates of parts may differ
 _ALIKE = 0.9  # of the longest period, from which on parts are as slow, and the first is taken
 _GAP_STEPS, _GAP_SECONDS = 5.0, 0.02  # a longer time step is a gap, as in logs
@@ -41,7 +42,7 @@ def joined_tables(log: Path, tables: Sequence[LogTable], reading: Reading) -> Lo
     """The columns of several tables, at the time stamps of the first with the fewest a second."""
     units = {column: unit for table in tables for column, unit in table.units.items()}
     noted = tuple(note for table in tables for note in table.notes)
-    times, origins, unit_notes = _one_clock(log, tables, reading)
+    times, origins, clock_notes = _one_clock(log, tables, reading)
     stamped = [k for k, time in enumerate(times) if time is not None]
     if len(stamped) < 2:
         columns = _side_by_side(log, tables)
@@ -79,7 +80,7 @@ def joined_tables(log: Path, tables: Sequence[LogTable], reading: Reading) -> Lo
                 columns[column] = at_instants(known[base], time, values, holds=holds)
     rate = 1.0 / periods[base]
     note = f"joined by time, at the {rate:.4g} rows a second of {tables[base].path}"
-    notes = (note, *unit_notes, *noted)
+    notes = (note, *clock_notes, *noted)
     return LogTable(log, columns, units, notes, origins, in_seconds=True)
 
 
@@ -105,7 +106,7 @@ def _time(table: LogTable, reading: Reading) -> tuple[Array | None, str]:
 def _one_clock(
     log: Path, tables: Sequence[LogTable], reading: Reading
 ) -> tuple[list[Array | None], dict[str, int], tuple[str, ...]]:
-    """Return time stamps of each table, s, since when they are if known, and notes of units."""
+    """Return time stamps of each table, s, since when they are if known, and notes of them."""
     stamps = [_time(table, reading) for table in tables]
     times = [time for time, _ in stamps]
     for table, time in zip(tables, times, strict=True):
@@ -115,24 +116,53 @@ def _one_clock(
                 advice="Give each row its time.",
             )
     notes = tuple(dict.fromkeys(note for _, note in stamps if note))
-    zeros = [next((o for c, o in t.origins.items() if is_time(c)), None) for t in tables]
-    known = [zero for zero in zeros if zero is not None]
-    if not known or sum(time is not None for time in times) < 2:
+    stamped = [k for k, time in enumerate(times) if time is not None]
+    if len(stamped) < 2:
         return times, {}, notes
-    first = min(known)
-    moved: list[Array | None] = []
-    for table, time, zero in zip(tables, times, zeros, strict=True):
-        if time is None or zero is not None:
-            moved.append(None if time is None or zero is None else time + 1e-9 * (zero - first))
-            continue
-        if not np.nanmedian(time) > _YEARS:
-            raise LogError(
-                f"The parts of log {str(log)!r} have no common clock: time in {table.path} "
-                "is not since 1970, and in another part it is of dates.",
-                advice="Log dates, or seconds since 1970, in each part.",
-            )
-        moved.append(time - 1e-9 * first)
-    return moved, {"time": first}, notes
+    zeros = [next((o for c, o in t.origins.items() if is_time(c)), None) for t in tables]
+    if not any(zero is not None for zero in zeros):
+        return times, {}, notes
+    first = min(zero for zero in zeros if zero is not None)
+    own = []  # tables of which nobody knows when their time is zero
+    for k in stamped:
+        zero, time = zeros[k], np.asarray(times[k])
+        if zero is not None:
+            times[k] = time + 1e-9 * (zero - first)
+        elif np.nanmedian(time) > _YEARS:
+            times[k] = time - 1e-9 * first
+        else:
+            own.append(k)
+    base = next(k for k in stamped if k not in own)
+    for k in own:
+        named = [(str(tables[j].path), np.asarray(times[j])) for j in (k, base)]
+        times[k], words = _begun_together(log, *named)
+        notes = (*notes, words)
+    return times, {"time": first}, notes
+
+
+def _begun_together(
+    log: Path, part: tuple[str, Array], base: tuple[str, Array]
+) -> tuple[Array, str]:
+    """Return time of a part without dates on the clock of one with them, and a note.
+
+    Parts that are equally long, to two rows, begin together.
+    """
+    (name, time), (other, known) = part, base
+    spans = [float(np.nanmax(t) - np.nanmin(t)) for t in (time, known)]
+    period = max(float(np.nanmedian(np.diff(t))) if len(t) > 1 else 0.0 for t in (time, known))
+    if abs(spans[0] - spans[1]) > _ROWS_APART * period:
+        raise LogError(
+            f"The parts of log {str(log)!r} have no common clock: time in {name} is not since "
+            f"1970, and in {other} it is of dates; they are {spans[0]:.6g} and {spans[1]:.6g} s "
+            "long.",
+            advice="Log dates, or seconds since 1970, in each part; or cut them so that both begin "
+            "and end at the same instants.",
+        )
+    words = (
+        f"time is of dates in {other}, and of another clock in {name}; both are {spans[1]:.4g} s "
+        "long, and are taken to begin together"
+    )
+    return time + float(np.nanmin(known) - np.nanmin(time)), words
 
 
 def _side_by_side(log: Path, tables: Sequence[LogTable]) -> dict[str, Array]:

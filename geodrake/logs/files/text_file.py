@@ -4,24 +4,39 @@ from __future__ import annotations
 
 import csv
 import re
-from collections.abc import Iterator, Mapping, Sequence
-from contextlib import suppress
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import AbstractContextManager, nullcontext, suppress
 from dataclasses import dataclass, field, replace
+from functools import partial
 from importlib import import_module
 from importlib.util import find_spec
+from io import BytesIO, StringIO, TextIOWrapper
 from itertools import chain, islice
 from pathlib import Path
+from typing import Any, BinaryIO
+from zipfile import ZipFile
 
 import numpy as np
 from numpy.typing import NDArray
 
-from geodrake.boundary.input_files import open_regular, open_text, regular_file
+from geodrake.boundary.input_files import regular_file
+from geodrake.boundary.optional_packages import optional_package
 from geodrake.errors import LogError
-from geodrake.logs.files.column_mapping import HEADER_ADVICE, check_text
+from geodrake.logs.files.column_mapping import HEADER_ADVICE, check_text, listed
 from geodrake.logs.files.mapping_file import proposed_mapping, with_proposal
 from geodrake.logs.files.name_rules import is_time, names_joints, numbers_joints
+from geodrake.logs.files.packed_files import open_log, unpacked
 from geodrake.logs.files.reading import Reading
-from geodrake.logs.files.table import NOTHING, Groups, LogTable, Part, TornRows, date_of
+from geodrake.logs.files.table import (
+    NOTHING,
+    Groups,
+    LogTable,
+    Part,
+    TornRows,
+    check_room,
+    date_of,
+    readable,
+)
 from geodrake.logs.files.units import UNITS, find_unit
 
 COMMENTS = ("#", "%", "//")
@@ -125,13 +140,35 @@ def text_layout(
         layout = TextLayout(tuple(header), separator, decimal, count + used, units)
         return _with_contents(layout, chain([following], rest))
     decimal = _decimal(separator, first)
-    names = _renamed(path, reading, cells) if reading.columns else None
-    names = names or _names_in_comment(cells, comment)
+    stated = _names_in_comment(cells, comment)
+    names = names_of_numbers(path, cells, reading, joints, stated=stated, numbered=numbered)
+    return _with_contents(TextLayout(tuple(names), separator, decimal, count), chain([first], rest))
+
+
+def names_of_numbers(
+    path: Path,
+    cells: Sequence[str],
+    reading: Reading,
+    joints: Sequence[str] | None,
+    *,
+    stated: Sequence[str] | None = None,
+    numbered: bool = False,
+) -> Sequence[str]:
+    """Return names of columns whose file has none: the user's, those stated, or numbers from 1.
+
+    Args:
+        cells: The first row, as texts.
+        joints: Names of the model's joints, if there is a model, for a proposed mapping.
+        numbered: Whether numbers will do though no mapping speaks of them.
+
+    Raises:
+        LogError: Nobody says what the columns are.
+    """
+    names = _renamed(path, reading, cells) if reading.columns else stated
     if names is None and not (numbered or reading.mapping):
         proposal = proposed_mapping(path, cells, joints, headed=False, motorless=reading.motorless)
         raise with_proposal(_no_header(path, cells), path, proposal)
-    names = names or [str(k) for k in range(1, len(cells) + 1)]
-    return _with_contents(TextLayout(tuple(names), separator, decimal, count), chain([first], rest))
+    return names or [str(k) for k in range(1, len(cells) + 1)]
 
 
 def _first_line(file: Iterator[str]) -> tuple[str, str, int, Iterator[str]]:
@@ -322,16 +359,25 @@ _BLOCK = 2_000_000  # bytes that are read at once
 _LONGEST = 8_000_000  # bytes of a line, which hold 400,000 numbers
 _LINE_ENDS = re.compile(rb"\r\n?|\n")
 
+Opener = Callable[[], AbstractContextManager[BinaryIO]]
+"""What opens the bytes of a table anew."""
+
 
 class TextTable(LogTable):
     """A table of text, read block by block."""
 
     def __init__(
-        self, path: Path, layout: TextLayout, lines: Sequence[int], reading: Reading
+        self,
+        path: Path,
+        layout: TextLayout,
+        lines: Sequence[int],
+        reading: Reading,
+        opened: Opener,
     ) -> None:
         """Take how many lines each block of the file has."""
         super().__init__(path, {}, layout.units, (), layout.origins)
         self._read = layout, lines, reading
+        self._opened = opened
 
     @property
     def names(self) -> Sequence[str]:
@@ -348,13 +394,17 @@ class TextTable(LogTable):
         layout, lines, _ = self._read
         places, row, quick = [layout.places[name] for name in names], 0, sum(lines) > _MANY
         before = np.maximum(np.cumsum([0, *lines]), layout.lines).tolist()
-        for block, line in zip(_blocks(self.path, layout.lines), before, strict=False):
+        for block, line in zip(self._blocks(), before, strict=False):
             table = _numbers(layout, block, places, quick=quick)
             if table is None:
                 own = _lines(block)
                 table = _cells(self.path, layout, names, own, before=(row, line), torn=torn)
             yield slice(row, row + len(table)), dict(zip(names, table.T, strict=True))
             row += len(table)
+
+    def _blocks(self) -> Iterator[bytes]:
+        """Yield the lines of rows, many at once."""
+        return _blocks(self.path, self._opened, self._read[0].lines)
 
     def loaded(self) -> LogTable:
         """Return the table with all its columns read, those of words as texts."""
@@ -378,7 +428,7 @@ class TextTable(LogTable):
         """Yield columns of words, if every row has them."""
         layout = self._read[0]
         with suppress(csv.Error):
-            lines = [line for block in _blocks(self.path, layout.lines) for line in _lines(block)]
+            lines = [line for block in self._blocks() for line in _lines(block)]
             cells = [row for _, row in layout.cells(lines)]
             places = [(name, layout.names.index(name)) for name in layout.texts]
             if len(cells) == rows:
@@ -394,23 +444,68 @@ def _all(kept: NDArray[np.bool_] | None) -> NDArray[np.bool_] | slice:
 def read_text(
     path: Path, reading: Reading, joints: Sequence[str] | None = None, *, numbered: bool = False
 ) -> LogTable:
-    """Return the columns of a table of text.
+    """Return the columns of a table of text, which may be packed.
 
     Args:
         joints: Names of the model's joints, if there is a model, for a proposed mapping.
     """
-    lines = list(map(_count, _blocks(regular_file(path, "log", LogError))))
-    with open_text(path, "log", LogError, newline="") as file:
-        layout, _ = text_layout(path, file, reading, joints, numbered=numbered)
-    table = TextTable(path, layout, lines, reading)
+    regular_file(path, "log", LogError)
+    return _text_table(path, reading, joints, numbered=numbered, opened=lambda: open_log(path))
+
+
+def read_sheet(
+    path: Path, reading: Reading, joints: Sequence[str] | None = None, *, numbered: bool = False
+) -> LogTable:
+    """Return the columns of a sheet of Excel, as those of a table of text; see `read_text`."""
+    openpyxl = optional_package("openpyxl", "logs", "sheets of Excel", LogError)
+    text = StringIO()
+    with readable(path, "sheet of Excel"), open_log(regular_file(path, "log", LogError)) as file:
+        size = sum(entry.file_size for entry in ZipFile(file).infolist())
+        check_room(path, size // 8, f"{size / 1e9:.3g} GB when it is unpacked")
+        book = openpyxl.load_workbook(file, read_only=True, data_only=True)
+        sheets = {sheet.title: sheet for sheet in book.worksheets}
+        largest = max(sheets, key=lambda name: _size(sheets[name]))
+        name = reading.topics[0] if reading.topics else largest
+        if name not in sheets:
+            raise LogError(
+                f"Log {str(path)!r} has no sheet {name!r}; its sheets are {listed([*sheets])}.",
+                advice="Name one of them by --topic; without it, the largest is taken.",
+            )
+        rows = sheets[name].iter_rows(values_only=True)
+        csv.writer(text).writerows(row for row in rows if any(cell is not None for cell in row))
+    others = [each for each in sheets if each != name]
+    note = [f"sheet {name!r} is read, and not {listed(others)} (--topic)"] if others else []
+    content = text.getvalue().encode()
+    opened = partial(BytesIO, content)
+    return _text_table(path, reading, joints, numbered=numbered, opened=opened).noting(*note)
+
+
+def _size(sheet: Any) -> int:
+    return (sheet.max_row or 0) * (sheet.max_column or 0)
+
+
+def _text_table(
+    path: Path,
+    reading: Reading,
+    joints: Sequence[str] | None,
+    *,
+    numbered: bool,
+    opened: Opener,
+) -> LogTable:
+    is_packed = unpacked(path) != path
+    with readable(path, f"{path.suffix} file") if is_packed else nullcontext():
+        lines = list(map(_count, _blocks(path, opened)))
+    with opened() as file, TextIOWrapper(file, "utf-8-sig", newline="") as text:
+        layout, _ = text_layout(path, text, reading, joints, numbered=numbered)
+    table = TextTable(path, layout, lines, reading, opened)
     names_rows = any(map(names_joints, layout.texts)) or any(map(numbers_joints, layout.names))
     return table.loaded() if names_rows and reading.mapping is None else table
 
 
-def _blocks(path: Path, skip: int = 0) -> Iterator[bytes]:
+def _blocks(path: Path, opened: Opener, skip: int = 0) -> Iterator[bytes]:
     """Yield whole lines of a file, many at once, without the first `skip` of them."""
     rest = b""
-    with open_regular(path, "log", LogError) as file:
+    with opened() as file:
         for data in chain(iter(lambda: file.read(_BLOCK), b""), [b""]):
             block = rest + data
             # A carriage return at the end may be the first half of a line end.
