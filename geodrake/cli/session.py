@@ -148,10 +148,10 @@ def _run(command: Command[R], options: Any) -> R:
         numbers = to_json(
             {"version": version(), "command": command.name, **command.numbers(result), **told}
         )
-        page = replace(
-            command.page(result, _about(command, options, fitted, given.extra)),
-            first=_first([*column_words(columns or (), corrected=corrects), *unchecked]),
-        )
+        page = command.page(result, _about(command, options, fitted, given.extra))
+        said = (*column_words(columns or (), corrected=corrects), *unchecked)
+        mistakes = Section("First of all: columns of the logs", items=said)
+        page = replace(page, first=(mistakes, *page.first))
         makers: dict[str, Maker] = {
             "json": lambda: numbers,
             "report": lambda: _html(page, fitted, command.drawn(result)),
@@ -186,11 +186,6 @@ def _samples(result: Any, target: Path) -> Content:
     from geodrake.report.views import samples  # which needs all kinds of results
 
     return series_content(samples(result), target)
-
-
-def _first(words: Sequence[str]) -> Section | None:
-    """Return what is said of mistakes in columns before all else."""
-    return Section("First of all: columns of the logs", items=tuple(words)) if words else None
 
 
 def _about(

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import pairwise
 from pathlib import Path
 
@@ -17,6 +17,7 @@ from geodrake.logs.files.column_mapping import Columns, Source
 from geodrake.logs.files.mapping_file import mapping_of
 from geodrake.logs.files.units import unit_of
 from geodrake.logs.motion import PASSIVE, JointLog
+from geodrake.logs.preparation import prepare_logs
 from geodrake.logs.sensor_faults import without_faults
 from geodrake.logs.unit_hints import effort_sign_hint, position_unit_hint, row_order_hint
 
@@ -56,6 +57,7 @@ class LogInspection:
         rests: First and last instant of stretches in which no joint moves, s.
         notes: What was noticed while reading, and what sensors did wrong.
         time_unit: Unit that time was in; "" where nobody said it.
+        left_out: What of the log is of no use at the bandwidth of its positions; "" for little.
     """
 
     log: JointLog
@@ -67,6 +69,7 @@ class LogInspection:
     rests: tuple[tuple[float, float], ...]
     notes: tuple[str, ...]
     time_unit: str = ""
+    left_out: str = ""
 
     @property
     def seconds(self) -> float:
@@ -121,7 +124,18 @@ def inspect_log(
         tuple(_rests(log, period)),
         (*log.notes, *notes, *filter(None, hints)),
         unit.name if (unit := columns.sources.get("time", Source("")).unit) else "",
+        _left_out(log),
     )
+
+
+def _left_out(log: JointLog) -> str:
+    """Return what of a log cannot be used, or why nothing of it can."""
+    told = np.isnan(log.effort).all(axis=0)  # by commands, in the place of efforts
+    try:
+        (trajectory,) = prepare_logs([replace(log, effort=np.where(told, 0.0, log.effort))])
+    except LogError as error:
+        return f"nothing of it is of use: {error.problem}"
+    return trajectory.left_out
 
 
 def mapping_text(

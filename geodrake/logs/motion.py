@@ -84,6 +84,7 @@ class JointLog(Short):
         ground: (N, n) what measured wrenches add to the efforts of joints with motors, N·m or N.
         contacts: Where a free base may be in contact, unless its wrenches were measured.
         motors: Joint -> its motor, whose data sheet says what gains of signals to expect.
+        left_out: Joints of the file that are left out, as the model lacks them.
 
     Raises:
         ArgumentError: If the shapes do not fit together, or a joint is named twice.
@@ -111,6 +112,7 @@ class JointLog(Short):
     ground: Array | None = field(default=None, kw_only=True)
     contacts: ContactFlags | None = field(default=None, kw_only=True)
     motors: Mapping[str, Motor] = field(default_factory=dict, kw_only=True)
+    left_out: tuple[str, ...] = field(default=(), kw_only=True)
 
     def __post_init__(self) -> None:
         for share in np.ravel(np.asarray(self.effort_uncertainty, object)):
@@ -302,6 +304,7 @@ class Trajectory:
         bandwidths: Those asked for of efforts and regressors, and of the motion, Hz.
         temperatures: Courses of the joints' temperatures, if there are any.
         contacts: Where a free base may be in contact, unless its wrenches were measured.
+        left_out: What of the log is not used, in one line; "" if it is next to nothing.
     """
 
     name: str
@@ -318,6 +321,7 @@ class Trajectory:
     temperatures: Temperatures | None = None
     passive: tuple[str, ...] = ()
     contacts: ContactFlags | None = None
+    left_out: str = ""
 
     @property
     def output_counts(self) -> tuple[int, ...]:

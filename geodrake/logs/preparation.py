@@ -30,6 +30,7 @@ _STILL_SPEED, _SPEED_NOISE = 0.01, 4.0  # of the peak speed, and deviations of t
 _SHARPER = 3.0  # bandwidth of the smoothed motion over that of efforts and regressors
 _SPEED_AGREEMENT = 0.05  # relative RMS of measured velocity − derivative of position
 _FREQUENCIES = 257  # at which the noise of accelerations is added up
+_NOTED_LOSS, _MUCH = 1e-3, 0.01  # of a log's time, that is said, and said before all else
 _NOTED_LAG = 0.1  # of the sampling period, between measured velocity and position
 
 
@@ -106,10 +107,15 @@ def _prepare(
     long = tuple(p for p in uniform.pieces if low_pass.output_count(len(p)) > 0)
     # Known before the work, which for a filter longer than the log is the longest there is.
     _check_outputs(uniform, low_pass, sum(low_pass.output_count(len(p)) for p in long))
-    stretches = _smooth(replace(uniform, pieces=long), low_pass, smoother, notes) if long else ()
+    usable, standstill = replace(uniform, pieces=long), (0.0, 0.0)
+    stretches: tuple[Stretch, ...] = ()
+    if long:
+        stretches, standstill = _smooth(usable, low_pass, smoother, notes)
     derived = any(stretch.derived for stretch in stretches)
     temperatures = Temperatures.of(log.joints, log.time, log.temperature)
     notes += _failed_sensors(log, temperatures)
+    is_much, left_out = _left_out(uniform, stretches, standstill)
+    notes += [left_out] if left_out and not is_much else []
     trajectory = Trajectory(
         log.name,
         log.joints,
@@ -125,17 +131,44 @@ def _prepare(
         temperatures,
         log.passive,
         log.contacts,
+        left_out if is_much else "",
     )
     _check_outputs(uniform, low_pass, sum(trajectory.output_counts))
-    dropped = len(uniform.pieces) - len(stretches)
-    if dropped:
-        lost = uniform.seconds - sum(len(s.piece) * period for s in stretches)
-        note = (
-            f"left out {dropped} of {len(uniform.pieces)} pieces, {lost:.3g} of "
-            f"{uniform.seconds:.3g} s: still, or short for the filter"
-        )
-        return replace(trajectory, notes=(*notes, note))
     return trajectory
+
+
+def _left_out(
+    uniform: UniformLog, stretches: Sequence[Stretch], standstill: tuple[float, float]
+) -> tuple[bool, str]:
+    """Return what of a log is not used, in one line, "" for nothing; and whether it is much.
+
+    Args:
+        stretches: What is used of its pieces.
+        standstill: How long all joints stand at the start and at the end, s.
+    """
+    time, of_pieces = uniform.log.time, uniform.seconds
+    known = time[np.isfinite(time)]
+    whole = max(float(known[-1] - known[0]), of_pieces)
+    used = sum(map(len, stretches)) * uniform.period
+    held = sum(len(stretch.piece) for stretch in stretches) * uniform.period
+    dropped = len(uniform.pieces) - len(stretches)
+    parts = {
+        "of standstill at the start": standstill[0],
+        "of standstill at the end": standstill[1],
+        f"in {dropped} of {len(uniform.pieces)} pieces, still or short for the filter": (
+            of_pieces - held
+        ),
+        "where pieces begin and end": held - used - sum(standstill),
+        "in gaps and empty cells": whole - of_pieces,
+    }
+    said = [f"{s:.3g} s {words}" for words, s in parts.items() if s > _NOTED_LOSS * whole]
+    lines = []
+    if said:
+        share = f"{100 * (whole - used) / whole:.2g} %"
+        lines = [f"{whole - used:.3g} of {whole:.4g} s ({share}) are left out: {', '.join(said)}"]
+    if joints := uniform.log.left_out:
+        lines.append(f"left out, as the model has no such joint: {', '.join(joints)}")
+    return whole - used > _MUCH * whole or bool(joints), "; ".join(lines)
 
 
 def _failed_sensors(log: JointLog, known: Temperatures | None) -> list[str]:
@@ -169,17 +202,19 @@ def _check_outputs(uniform: UniformLog, low_pass: ZeroPhaseFilter, outputs: int)
 
 def _smooth(
     uniform: UniformLog, low_pass: ZeroPhaseFilter, smoother: ZeroPhaseFilter, notes: list[str]
-) -> tuple[Stretch, ...]:
+) -> tuple[tuple[Stretch, ...], tuple[float, float]]:
+    """Return stretches that are of use, and the standstill before the first and after the last."""
     lag, note = _measured_lag(uniform, smoother)
     notes += [note] if note else []
     pieces = smooth_pieces(uniform.pieces, smoother, lag)
     whole = [Stretch(piece, 0, len(piece)) for piece in pieces]
-    kept = _keep(uniform, whole, (low_pass, smoother), notes)
-    return tuple(
+    kept, standstill = _keep(uniform, whole, (low_pass, smoother))
+    stretches = tuple(
         replace(stretch, first=rows.start, stop=rows.stop)
         for stretch, rows in zip(whole, kept, strict=True)
         if low_pass.output_count(rows.stop - rows.start) > 0
     )
+    return stretches, standstill
 
 
 def _measured_lag(
@@ -253,9 +288,8 @@ def _keep(
     uniform: UniformLog,
     whole: Sequence[Stretch],
     filters: tuple[ZeroPhaseFilter, ZeroPhaseFilter],
-    notes: list[str],
-) -> Iterator[slice]:
-    """Yield samples of each piece to keep.
+) -> tuple[list[slice], tuple[float, float]]:
+    """Return samples of each piece to keep, and seconds of standstill at both ends that go.
 
     Near a piece's end, smoothing leans on reflected data, which is right only for a joint at rest:
     those samples go. Of a standstill at an end of the log only what the filter needs to reach the
@@ -268,20 +302,20 @@ def _keep(
     moving = [_first_and_last_moving(stretch, threshold) for stretch in whole]
     busy = [k for k, ends in enumerate(moving) if ends is not None]
     lean, reach = smoother.halfwidth, low_pass.halfwidth
+    kept, standstill = list[slice](), [0, 0]
     for k, (stretch, ends) in enumerate(zip(whole, moving, strict=True)):
         count = len(stretch)
         if not busy or k < busy[0] or k > busy[-1]:
-            yield slice(0, 0)
+            kept.append(slice(0, 0))
             continue
         before, after = (count, count) if ends is None else (ends[0], count - 1 - ends[1])
         first, last = max(lean - before, 0), max(lean - after, 0)
         if k == busy[0] and before > reach:
-            first = before - reach
-            notes.append(f"left out {first * uniform.period:.2f} s of standstill at the start")
+            first = standstill[0] = before - reach
         if k == busy[-1] and after > reach:
-            last = after - reach
-            notes.append(f"left out {last * uniform.period:.2f} s of standstill at the end")
-        yield slice(first, max(first, count - last))
+            last = standstill[1] = after - reach
+        kept.append(slice(first, max(first, count - last)))
+    return kept, (standstill[0] * uniform.period, standstill[1] * uniform.period)
 
 
 def _first_and_last_moving(stretch: Stretch, threshold: Array) -> tuple[int, int] | None:

@@ -18,7 +18,7 @@ from geodrake.logs.inspection import LogInspection
 from geodrake.model.dynamics_check import TOLERANCE, Agreement, DynamicsCheck
 from geodrake.model.exporting.joints import exported_joints
 from geodrake.report.charts import Chart, Panel, Plot, Shade, Stage
-from geodrake.report.explaining import effect_cell, notes_section
+from geodrake.report.explaining import effect_cell, left_out_section, notes_section
 from geodrake.report.json_output import NoNumber, number_or, picked
 from geodrake.report.numbers import Units, number, percent
 from geodrake.report.page import About, Cell, Page, Section, Table, Tile, cells
@@ -343,7 +343,9 @@ def logs_page(found: InspectedLogs, about: About) -> Page:
             Section("Rows", items=_row_words(each)),
             notes_section(each.notes),
         ]
-    return Page(about.title, "", "", "understood", "", (), (), tuple(sections))
+    left_out = [f"{name}: {each.left_out}" for name, each in found.logs if each.left_out]
+    first = (left_out_section(left_out),)
+    return Page(about.title, "", "", "understood", "", (), (), tuple(sections), first=first)
 
 
 def _columns_table(found: LogInspection) -> Table:
@@ -543,6 +545,7 @@ def inspection_dict(found: LogInspection) -> dict[str, Any]:
         ],
         "gaps": [{"time": instant, "seconds": length} for instant, length in found.gaps],
         "rests": [{"from": first, "to": last} for first, last in found.rests],
+        "left_out": found.left_out,
         "notes": list(found.notes),
     }
 

@@ -171,7 +171,7 @@ class Page:
         headline: The answer, in a sentence.
         lead: What the answer means, in paragraphs.
         tiles: The numbers worth seeing first.
-        first: What is to be known before all else, such as mistakes in columns.
+        first: What is to be known before all else: mistakes in columns, and what is left out.
         pictures: The robot, which HTML pages alone have.
     """
 
@@ -185,7 +185,7 @@ class Page:
     sections: tuple[Section, ...]
     footer: str = ""
     links: Mapping[str, str] = field(default_factory=dict)
-    first: Section | None = None
+    first: tuple[Section, ...] = ()
     pictures: Pictures | None = None
 
     @property

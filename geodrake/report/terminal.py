@@ -30,12 +30,12 @@ class ResultsConsole(Console):
 
 
 def show_page(console: Console, page: Page) -> None:
-    """Print a page: its subject, the first section, the answer, and the rest."""
+    """Print a page: its subject, the first sections, the answer, and the rest."""
     if page.subject:
         console.print(page.subject, soft_wrap=True)
     sections = [s for s in page.shown_sections if not s.detailed and _is_printed(s)]
-    if page.first is not None:
-        show_section(console, page.first)
+    for section in filter(_is_printed, page.first):
+        show_section(console, section)
     for section in sections[:1]:
         show_section(console, section)
     if page.headline:

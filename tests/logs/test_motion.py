@@ -107,7 +107,8 @@ def test_pieces_too_short_are_dropped_with_a_note():
     keep = (time < 20.0) | ((time > 21.0) & (time < 21.5)) | (time > 22.0)
     trajectory = prepare_logs([_make_log(time[keep])], bandwidth=4.0)[0]
     assert len(trajectory.segments) == 2
-    assert "left out 1 of 3 pieces" in trajectory.notes[-1]
+    assert "0.49 s in 1 of 3 pieces" in trajectory.left_out
+    assert "1.51 s in gaps" in trajectory.left_out
 
 
 def _with_standstills(lead, pause, tail, period=0.01):
@@ -128,8 +129,8 @@ def test_standstills_at_the_ends_go_and_those_inside_stay():
     reach = trajectory.filter.halfwidth * trajectory.filter.period
     assert 5.0 - reach - 0.2 < segment.time[0] < 6.0 - reach
     assert 20.0 + reach - 1.0 < segment.time[-1] < 20.2 + reach
-    assert any("standstill at the start" in note for note in trajectory.notes)
-    assert any("standstill at the end" in note for note in trajectory.notes)
+    assert "s of standstill at the start" in trajectory.left_out
+    assert "s of standstill at the end" in trajectory.left_out
 
 
 def test_still_throughout():

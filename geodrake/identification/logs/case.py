@@ -72,6 +72,7 @@ class Case(Short):
     dataset: Dataset  # the reduced logs, with columns for the model's effects and the candidates
     fingerprints: tuple[str, ...]
     notes: tuple[str, ...]  # what was done to the logs and noticed about the model
+    left_out: tuple[str, ...]  # what of the logs is not used, which the notes have first
     asked: Asked  # what it was opened with
     # The segments of all logs in memory, with the index of their log, once somebody looked.
     segments: list[tuple[int, Segment]] = field(default_factory=list, repr=False)
@@ -176,6 +177,7 @@ def open_case(
         shared=shared,
     )
     hints += [_filtered_note(t, fitted=fitted or candidates) for t in trajectories]
+    left_out += [f"{t.name}: {t.left_out}" for t in trajectories if t.left_out]
     notes = [*left_out, *model.notes, *gain_notes, *filter(None, hints)]
     notes += [f"{t.name}: {note}" for t in trajectories for note in t.notes]
     notes += [*_still_notes(dataset), f"validated on {len(folds)} held-out folds"]
@@ -186,7 +188,8 @@ def open_case(
     ]
     fingerprints, said = tuple(measured[log.name] for log in matched), tuple(dict.fromkeys(notes))
     opened = Asked(tuple(matched), tuple(extra), bandwidth, blocks)
-    return Case(model, trajectories, folds, dataset, fingerprints, said, opened, shared=shared)
+    found = model, trajectories, folds, dataset, fingerprints, said, tuple(left_out), opened
+    return Case(*found, shared=shared)
 
 
 def checked_logs(

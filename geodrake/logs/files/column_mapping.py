@@ -94,6 +94,7 @@ class Columns:
         others: Joint -> further columns that could be taken for its efforts, or in their place.
         origin: Since when time is, ns since 1970, if that is known.
         floating: Names of columns of a free base and of contacts, which are among the sources.
+        left_out: Joints of the file that the model lacks.
     """
 
     path: Path
@@ -108,6 +109,7 @@ class Columns:
     others: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
     origin: int | None = None
     floating: tuple[str, ...] = ()
+    left_out: tuple[str, ...] = ()
 
     @property
     def kinds(self) -> dict[str, str]:
@@ -596,8 +598,6 @@ class _Understood:
                 floating.setdefault(known, Source(name))
         sources |= floating
         beside = [j for j in self._having("position") if j not in (*joints, *standing)]
-        if beside and model is not None:
-            notes.append(f"left out, as the model has no such joint: {listed(beside)}")
         notes += unit_words(sources, self.reading)
         kept = {
             c
@@ -620,6 +620,7 @@ class _Understood:
             self.others,
             self.origin,
             tuple(floating),
+            tuple(beside) if model is not None else (),
         )
 
     def _passive(self, joints: Sequence[str]) -> tuple[str, ...]:

@@ -128,6 +128,7 @@ class Recording:
             temperature=values.get("temperature"),
             origin=self.columns.origin,
             floating=floating,
+            left_out=self.columns.left_out,
         )
 
     def _signed(self, values: Mapping[str, Array]) -> tuple[dict[str, Array], list[str]]:
