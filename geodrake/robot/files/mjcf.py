@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from copy import deepcopy
 from typing import Any
 from xml.etree.ElementTree import Element, SubElement
 
@@ -16,7 +15,7 @@ from geodrake.robot.files.base import ModelText
 from geodrake.robot.files.checks import MJCF_NUMBERS, check_limits, check_numbers
 from geodrake.robot.files.includes import Includes
 from geodrake.robot.files.mjcf_source import CompiledMjcf, compiled, load_mujoco, unused
-from geodrake.robot.files.mjcf_terms import fixed_tendon, pose_of, terms_of
+from geodrake.robot.files.mjcf_terms import actuator_shares, pose_of, terms_of
 from geodrake.robot.files.motors import mjcf_motors
 from geodrake.robot.files.values import UPPER, inertial_parameters_of, numbers, symmetric, words
 from geodrake.robot.files.xml_text import LocatedElement
@@ -61,25 +60,15 @@ class MjcfText(ModelText):
         self.compiled: Any = source.model
         self.reference: Any = None if source.lost else terms.reference
         self.closing, self.terms = tuple(terms.closing), terms
-        self._motors = Element("mujoco")
-        self._motors.extend(deepcopy(e) for e in self.root if e.tag in ("actuator", "tendon"))
-        for tendon in self.root.findall("tendon"):
-            self.root.remove(tendon)
         for body in self.root.iter("body"):
             link = f"{scope}::{body.get('name')}"
             self._links[link] = body
             if body.attrib.pop("between", ""):
                 terms.between.add(link)
-        pulled = {
-            fixed.get("name"): {part.get("joint", "") for part in fixed}
-            for fixed in self._motors.iter("fixed")
-        }
-        for motor in self._motors.iter("motor"):
-            terms.driven |= pulled.get(motor.get("tendon"), {motor.get("joint", "")})
 
     def motors(self) -> tuple[Statement, ...]:
         """Gears of actuators, and fixed tendons."""
-        return mjcf_motors(self._motors, self.path)
+        return mjcf_motors(self.compiled, self.path)
 
     def _inertia(self, link: Element) -> Array | None:
         inertial = link.find("inertial")
@@ -103,7 +92,7 @@ def turns_in_degrees(root: Element) -> bool:
 
 
 def plain_tree(source: CompiledMjcf, name: str, damping: Mapping[str, float]) -> Element:
-    """Return the root element of bodies with inertias and joints, motors and fixed tendons.
+    """Return the root element of bodies with inertias and joints, and motors.
 
     Angles are in radians. Positions are MuJoCo's: a joint that the file draws at `ref` has the
     pose of its body turned back by that.
@@ -138,7 +127,11 @@ def plain_tree(source: CompiledMjcf, name: str, damping: Mapping[str, float]) ->
                 mass=words(m.body_mass[at]),
                 fullinertia=words(inertia[UPPER]),
             )
-    _write_motors(root, m)
+    motors = SubElement(root, "actuator")
+    for at in np.flatnonzero(np.asarray(m.actuator_trntype) != load_mujoco().mjtTrn.mjTRN_TENDON):
+        named = {"name": own} if (own := m.actuator(int(at)).name) else {}
+        for joint in actuator_shares(m, int(at)):
+            SubElement(motors, "motor", {**named, "joint": m.joint(joint).name})
     return root
 
 
@@ -182,24 +175,3 @@ def _back(m: Any, joint: int) -> RigidTransform:
         return RigidTransform(-ref * axis)
     turn = RotationMatrix(AngleAxis(-ref, axis))
     return RigidTransform(turn, point - turn.multiply(point))
-
-
-def _write_motors(root: Element, m: Any) -> None:
-    """Gears of motors at joints and of fixed tendons, as MuJoCo resolved their classes."""
-    on_what = load_mujoco().mjtTrn
-    motors, pulled = SubElement(root, "actuator"), list[int]()
-    for at in range(len(m.actuator_trntype)):
-        kind, on = int(m.actuator_trntype[at]), int(m.actuator_trnid[at][0])
-        own, gear = m.actuator(at).name, words(m.actuator_gear[at][0])
-        stated = {**({"name": own} if own else {}), "gear": gear}
-        if kind in (on_what.mjTRN_JOINT, on_what.mjTRN_JOINTINPARENT):
-            if _kind(m, on) in ("hinge", "slide"):
-                SubElement(motors, "motor", {**stated, "joint": m.joint(on).name})
-        elif kind == on_what.mjTRN_TENDON and (fixed := fixed_tendon(m, on)):
-            tendon = m.tendon(on).name or f"tendon_{on}"
-            SubElement(motors, "motor", {**stated, "tendon": tendon})
-            if on not in pulled:
-                pulled.append(on)
-                group = SubElement(SubElement(root, "tendon"), "fixed", name=tendon)
-                for joint, share in fixed.items():
-                    SubElement(group, "joint", joint=m.joint(joint).name, coef=words(share))

@@ -78,6 +78,17 @@ def fixed_tendon(m: Any, at: int) -> dict[int, float]:
     return found
 
 
+def actuator_shares(m: Any, at: int) -> dict[int, float]:
+    """Return joint of one degree of freedom -> gear of an actuator at it or its fixed tendon."""
+    kinds, on_what = load_mujoco().mjtJoint, load_mujoco().mjtTrn
+    kind, on = int(m.actuator_trntype[at]), int(m.actuator_trnid[at][0])
+    shares = fixed_tendon(m, on) if kind == on_what.mjTRN_TENDON else {}
+    if kind in (on_what.mjTRN_JOINT, on_what.mjTRN_JOINTINPARENT):
+        single = int(m.jnt_type[on]) in (kinds.mjJNT_HINGE, kinds.mjJNT_SLIDE)
+        shares = {on: 1.0} if single else {}
+    return {joint: float(m.actuator_gear[at][0]) * share for joint, share in shares.items()}
+
+
 class _Terms:
     def __init__(self, source: CompiledMjcf, scope: str) -> None:
         self.mujoco, self.m, self.scope = load_mujoco(), source.model, scope
@@ -264,24 +275,20 @@ class _Terms:
 
     def _take_actuators(self) -> None:
         """Limits of efforts, and the armature and damping that motors add to joints."""
-        m, on_what = self.m, self.mujoco.mjtTrn
+        m, on_tendon = self.m, self.mujoco.mjtTrn.mjTRN_TENDON
         for at in range(len(m.actuator_trntype)):
-            name, on = self._name("ACTUATOR", at), int(m.actuator_trnid[at][0])
-            kind, gear = int(m.actuator_trntype[at]), float(m.actuator_gear[at][0])
+            name, shares = self._name("ACTUATOR", at), actuator_shares(m, at)
             has = {
                 "armature": _row(m, "actuator_armature", at),
                 "damping": self.dampers * _row(m, "actuator_damping", at),
                 "dampingpoly": self.dampers * _row(m, "actuator_dampingpoly", at),
             }
-            shares = dict[int, float]()
-            at_joint = kind in (on_what.mjTRN_JOINT, on_what.mjTRN_JOINTINPARENT)
-            if at_joint and self._velocities(on) == 1:
+            self.found.driven |= {self._name("JOINT", joint) for joint in shares}
+            if shares and int(m.actuator_trntype[at]) != on_tendon:
+                ((on, gear),) = shares.items()
                 self._limit_of_motor(at, on, gear)
-                shares = {on: gear}
                 for power, value in zip((2, 3), _pop(has, "dampingpoly"), strict=True):
                     self._add(f"damping_{power}", on, gear**2 * value)  # not gear³, as of tendons
-            elif kind == on_what.mjTRN_TENDON:
-                shares = {joint: gear * share for joint, share in fixed_tendon(m, on).items()}
             self._take_along(name, shares, has, None)
             self._leave_rest(f"The actuator {name}", has, "actuator", at)
 

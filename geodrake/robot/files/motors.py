@@ -15,12 +15,15 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
+from typing import Any
 from xml.etree.ElementTree import Element
 
 import numpy as np
 
 from geodrake.errors import ModelError
 from geodrake.inertia import Array
+from geodrake.robot.files.mjcf_source import load_mujoco
+from geodrake.robot.files.mjcf_terms import actuator_shares
 from geodrake.robot.transmission.statements import Coupled, Gear, Statement
 
 _KINDS = ("SimpleTransmission", "DifferentialTransmission", "FourBarLinkageTransmission")
@@ -62,34 +65,21 @@ def _transmission(element: Element, path: Path) -> Iterator[Statement]:
     yield Coupled({j1: first, j2[0]: second}, dict(zip(names[0], shifts, strict=True)))
 
 
-def mjcf_motors(root: Element, path: Path) -> tuple[Statement, ...]:
-    """What actuators of an MJCF file state: gears at joints, and fixed tendons."""
-    motors = [e for group in root.findall("actuator") for e in group]
-    if any(e.get("gear") for default in root.iter("default") for e in default.iter()):
-        raise ModelError(
-            f"{path} has gears in default classes, which are not read.",
-            advice="Write a transmission file: --transmission FILE.yaml.",
-        )
-    what = f"{path}: an actuator"
-    gears = [
-        Gear(e.get("name", "") or e.get("joint", ""), e.get("joint", ""), _gear(e, what))
-        for e in motors
-        if e.get("joint")
-    ]
-    tendons = {
-        e.get("name", ""): {
-            j.get("joint", ""): _number(j.get("coef", ""), f"{path}: a tendon") for j in e
-        }
-        for group in root.findall("tendon")
-        for e in group.findall("fixed")
-    }
-    pulled = {
-        e.get("name", "") or e.get("tendon", ""): {
-            joint: _gear(e, what) * coef for joint, coef in tendons[e.get("tendon", "")].items()
-        }
-        for e in motors
-        if e.get("tendon", "") in tendons
-    }
+def mjcf_motors(m: Any, path: Path) -> tuple[Statement, ...]:
+    """What actuators of a compiled MJCF state: gears at joints, and fixed tendons."""
+    gears, pulled = list[Gear](), dict[str, dict[str, float]]()
+    for at in range(len(m.actuator_trntype)):
+        if not (shares := {m.joint(j).name: x for j, x in actuator_shares(m, at).items()}):
+            continue
+        if not m.actuator_gear[at][0]:
+            what = f"{path}: an actuator has a gear of 0."
+            raise ModelError(what, advice="Correct it there.")
+        name, on = m.actuator(at).name, int(m.actuator_trnid[at][0])
+        if int(m.actuator_trntype[at]) == load_mujoco().mjtTrn.mjTRN_TENDON:
+            pulled[name or m.tendon(on).name or f"tendon_{on}"] = shares
+        else:
+            ((joint, gear),) = shares.items()
+            gears.append(Gear(name or joint, joint, gear))
     return (*gears, *_coupled(pulled, path))
 
 
@@ -135,13 +125,6 @@ def _reduction(element: Element, what: str) -> float:
 def _value(element: Element, tags: Sequence[str], default: float, what: str) -> float:
     text = next((t for tag in tags if (t := element.findtext(tag)) is not None), None)
     return default if text is None else _number(text, what)
-
-
-def _gear(element: Element, what: str) -> float:
-    value = _number((element.get("gear") or "1").split()[0], what)
-    if not value:
-        raise ModelError(f"{what} has a gear of 0.", advice="Correct it there.")
-    return value
 
 
 def _number(text: str, what: str) -> float:
