@@ -30,7 +30,6 @@ from geodrake.effects.base import RobotEffect
 from geodrake.errors import ArgumentError
 from geodrake.inertia import Array
 from geodrake.model.simulation.force_law import EffectWithValues
-from geodrake.robot.driven_tree import DrivenTree
 from geodrake.robot.robot_instance import RobotInstance, RobotPorts
 
 
@@ -216,7 +215,7 @@ def check_base(robot: RobotInstance, controller: AdaptiveController) -> None:
     and is believed.
     """
     control = controller.control
-    if isinstance(control.tree, DrivenTree):
+    if control.tree.actuation is not None:
         raise ArgumentError(
             "The controller's model is behind a transmission; a plant has the state and the "
             "efforts of joints.",

@@ -26,7 +26,7 @@ from geodrake.errors import ArgumentError
 from geodrake.inertia import PARAMETERS_PER_BODY, Array
 from geodrake.logs.motion import Motion
 from geodrake.model.robot_model import RobotModel
-from geodrake.robot.driven_tree import RobotTree, inside
+from geodrake.robot.kinematics import KinematicTree
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -41,7 +41,7 @@ class ControlModel:
         measured_friction: Whether effects see the measured velocity q̇ instead of the reference v.
     """
 
-    tree: RobotTree
+    tree: KinematicTree
     effects: tuple[Effect, ...]
     bodies: tuple[str, ...]
     joints: tuple[str, ...]
@@ -182,7 +182,7 @@ def _trial(model: RobotModel, sign_width: Array) -> Trial:
 
     def seen(v: Array, vd: Array, load: Array) -> RobotMotion:
         q = np.random.default_rng(0).normal(size=(len(v), model.tree.num_positions))
-        q = inside(model.tree, q)
+        q = model.tree.inside(q)
         return model.motion(Motion(q, v, vd), sign_width=sign_width, load=load)
 
     return seen

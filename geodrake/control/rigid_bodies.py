@@ -13,7 +13,6 @@ import numpy as np
 
 from geodrake.compiling import compiled, inlined
 from geodrake.inertia import PARAMETERS_PER_BODY, Array
-from geodrake.robot.driven_tree import DrivenTree, RobotTree
 from geodrake.robot.kinematics import KinematicTree
 from geodrake.robot.recursion import (
     MOTION,
@@ -58,7 +57,7 @@ class RigidSample:
     jacobian: tuple[Array, Array] | None = None
 
     @classmethod
-    def at(cls, tree: RobotTree, q: Array, qd: Array, v: Array, a: Array) -> RigidSample:
+    def at(cls, tree: KinematicTree, q: Array, qd: Array, v: Array, a: Array) -> RigidSample:
         """Return the bodies at positions q (nq,), velocities q̇ and v, and accelerations a (nv,).
 
         The velocities v take the place of one q̇ in products of two.
@@ -66,12 +65,12 @@ class RigidSample:
         # (Copies: compiled code knows contiguous arrays that it may write to.)
         motion = (np.array(q, float, ndmin=2), np.array(qd, float, ndmin=2))
         reference = (np.array(v, float, ndmin=2), np.array(a, float, ndmin=2))
-        if not isinstance(tree, DrivenTree):
+        if (at := tree.actuation) is None:
             return cls(tree, (*motion, *reference))
-        at, (v, a) = tree.actuation, reference
+        v, a = reference
         J, rate = at.jacobian(motion[0])[0], at.jacobian_rate(*motion)[0]
         moved = motion[1] @ J.T, v @ J.T, a @ J.T + v @ rate.T
-        return cls(tree.joint_tree, (at.tree_positions(motion[0]), *moved), (J, rate))
+        return cls(tree.joints, (at.tree_positions(motion[0]), *moved), (J, rate))
 
     def effort(self, phi: Array) -> Array:
         """Return Y φ (nv,) for φ (nb, 10), in operations that grow with nb, not nb nv."""

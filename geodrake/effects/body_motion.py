@@ -11,16 +11,7 @@ from numpy.typing import NDArray
 
 from geodrake.compiling import contiguous
 from geodrake.errors import ArgumentError
-from geodrake.robot.driven_tree import (
-    DrivenTree,
-    RobotTree,
-    actuator_rows,
-    joint_positions,
-    joint_samples,
-    joint_tree,
-    moving_velocities,
-    through,
-)
+from geodrake.robot.kinematics import KinematicTree, actuator_rows
 from geodrake.robot.recursion import calc_inverse_dynamics, calc_kinematics
 
 Array = NDArray[np.float64]
@@ -59,7 +50,7 @@ class RobotBodies:
         phi: (nb, 10) inertial parameters of the bodies.
     """
 
-    tree: RobotTree
+    tree: KinematicTree
     q: Array
     phi: Array
 
@@ -71,7 +62,7 @@ class RobotBodies:
     @property
     def joints_behind(self) -> Mapping[str, tuple[int, int]]:
         """Joint behind a transmission, or in a loop -> its position and velocity in the tree's."""
-        return self.tree.actuation.behind if isinstance(self.tree, DrivenTree) else {}
+        return {} if self.tree.actuation is None else self.tree.actuation.behind
 
     def tree_samples(self, v: Array, vd: Array) -> tuple[Array, Array, Array, Array]:
         """Positions, velocities and accelerations of the joints of the tree, and J.
@@ -80,7 +71,7 @@ class RobotBodies:
             v: (N, nv) velocities.
             vd: (N, nv) accelerations.
         """
-        if isinstance(self.tree, DrivenTree):
+        if self.tree.actuation is not None:
             return self.tree.actuation.all_samples(self.q, v, vd)
         return self.q, v, vd, np.eye(self.tree.num_velocities)[None]
 
@@ -106,7 +97,7 @@ class RobotBodies:
         """
         still = np.zeros((len(self.q), self.tree.num_velocities))
         phi = np.where(self.phi[:, :1] > 0.0, self.phi, 0.0)
-        tree, samples, J = joint_samples(self.tree, self.q, still, still)
+        tree, samples, J = self.tree.joint_samples(self.q, still, still)
         held = np.zeros((gravities.shape[1], *samples[1].shape))
         for effort, gravity in zip(held, gravities.T, strict=True):
             calc_inverse_dynamics(replace(tree, gravity=gravity).records, samples, phi, effort)
@@ -114,18 +105,18 @@ class RobotBodies:
 
     @cached_property
     def _motions(self) -> dict[str, BodyMotion]:
-        tree, n = joint_tree(self.tree), len(self.q)
+        tree, n = self.tree.joints, len(self.q)
         poses = np.zeros((n, len(tree.bodies), 4, 4))
         angular, linear = np.zeros((2, n, len(tree.bodies), 3, tree.num_velocities))
-        q = contiguous(joint_positions(self.tree, self.q))
+        q = contiguous(self.tree.joint_positions(self.q))
         calc_kinematics(tree.records, q, poses, angular, linear)
         return {
             tree.bodies[mobilizer.body]: BodyMotion(
                 poses[:, mobilizer.body, :3, :3],
                 poses[:, mobilizer.body, :3, 3],
-                through(self.tree, self.q, angular[:, mobilizer.body]),
-                through(self.tree, self.q, linear[:, mobilizer.body]),
-                moving_velocities(self.tree, mobilizer.dofs),
+                self.tree.through(self.q, angular[:, mobilizer.body]),
+                self.tree.through(self.q, linear[:, mobilizer.body]),
+                self.tree.moving_velocities(mobilizer.dofs),
             )
             for mobilizer in tree.mobilizers
             if mobilizer.body >= 0

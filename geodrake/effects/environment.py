@@ -19,7 +19,6 @@ from geodrake.effects.base import (
 )
 from geodrake.effects.body_motion import BodyMotion, RobotBodies
 from geodrake.effects.episode import PointEpisode
-from geodrake.robot.driven_tree import joint_tree
 from geodrake.robot.vectors import add, column, cross, dot, scale, times, vector
 
 _LEAST_CHANGE = 1e-4  # of the weight
@@ -101,7 +100,7 @@ class GravityTilt(RobotEffect):
         bodies = motion.body_motions(self.name)
         change = self._change(bodies.gravity)
         columns: Array = np.zeros((len(motion.joints), 2))
-        for mobilizer in joint_tree(bodies.tree).mobilizers:
+        for mobilizer in bodies.tree.joints.mobilizers:
             m, *h = bodies.phi[mobilizer.body, :4].tolist() if mobilizer.body >= 0 else (0.0,)
             if m > 0.0 and mobilizer.gravity:
                 body = bodies.motion(bodies.tree.bodies[mobilizer.body])

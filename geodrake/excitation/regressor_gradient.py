@@ -30,8 +30,8 @@ from geodrake.identification.logs.dataset import is_payload
 from geodrake.inertia import PARAMETERS_PER_BODY, Array
 from geodrake.logs.motion import Motion
 from geodrake.model.robot_model import RobotModel
-from geodrake.robot.driven_tree import DrivenTree, RobotTree
 from geodrake.robot.floating_base import on_a_free_world, wrench_map
+from geodrake.robot.kinematics import KinematicTree
 from geodrake.robot.regressor import checked_samples, checked_tree, put_regressor
 from geodrake.robot.transmission.actuation import Actuation
 from geodrake.robot.transmission.base import times
@@ -40,7 +40,7 @@ _STEP = 1e-5  # of differences, of the largest value there is
 
 
 def inverse_dynamics_regressor_gradient(
-    plant: MultibodyPlant | RobotTree,
+    plant: MultibodyPlant | KinematicTree,
     q: ArrayLike,
     v: ArrayLike,
     vd: ArrayLike,
@@ -58,7 +58,7 @@ def inverse_dynamics_regressor_gradient(
     tree, samples, J = checked_samples(robot, q, v, vd)
     shape = (len(samples[0]), robot.num_velocities, PARAMETERS_PER_BODY * len(tree.bodies))
     weights = real_array(weights, "weights", shape)
-    if J is None or not isinstance(robot, DrivenTree):
+    if J is None or robot.actuation is None:
         return reverse_recursion(tree, samples, weights)
     inner = J @ weights  # Σ W ∘ (Jᵀ Y) = Σ (J W) ∘ Y
     motion = Motion(*(np.asarray(x, float) for x in (q, v, vd)))
@@ -72,7 +72,7 @@ def inverse_dynamics_regressor_gradient(
 
 
 def base_wrench_regressor_gradient(
-    plant: MultibodyPlant | RobotTree,
+    plant: MultibodyPlant | KinematicTree,
     q: ArrayLike,
     v: ArrayLike,
     vd: ArrayLike,
@@ -103,7 +103,7 @@ def base_wrench_regressor_gradient(
     rows = np.concatenate([np.zeros((len(theta), nv, weights.shape[-1])), weights], axis=1)
     gradient = reverse_recursion(on_a_free_world(tree), samples, rows)
     own = MotionGradient(gradient.q, gradient.v[:, :nv], gradient.vd[:, :nv])
-    if J is None or not isinstance(robot, DrivenTree):
+    if J is None or robot.actuation is None:
         return own
     motion = Motion(*(np.asarray(x, float) for x in (q, v, vd)))
     return _at_actuators(robot.actuation, J, motion, own)

@@ -22,7 +22,6 @@ from geodrake.logs.motion import Motion
 from geodrake.manifolds import PhysicalInertia
 from geodrake.model.robot_model import RobotModel
 from geodrake.robot.base_parameters import BaseParameters, base_parameters
-from geodrake.robot.driven_tree import inside
 from geodrake.robot.floating_base import base_wrench_regressor
 from geodrake.robot.regressor import inverse_dynamics, inverse_dynamics_regressor
 
@@ -164,7 +163,7 @@ class Target(Short):
         random, nv = np.random.default_rng(0), len(self.model.joints)
         count = max(_RANDOM_SAMPLES, 3 * self.size)
         q = random.uniform(*_ranges(self.model), (count, self.model.tree.num_positions))
-        q = inside(self.model.tree, q)
+        q = self.model.tree.inside(q)
         v, vd = random.uniform(-1.0, 1.0, (2, count, nv))
         still, phi = np.zeros_like(v), self.model.total_phi
         held = inverse_dynamics(self.model.tree, q, still, still, phi)

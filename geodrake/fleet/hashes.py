@@ -87,7 +87,9 @@ def _plain(value: Any) -> Any:
         array = np.ascontiguousarray(value)
         plain = [str(array.dtype), array.shape, hashlib.sha256(array.tobytes()).hexdigest()]
     elif dataclasses.is_dataclass(value):
-        own = {f.name: _plain(getattr(value, f.name)) for f in dataclasses.fields(value)}
+        own = {
+            f.name: _plain(getattr(value, f.name)) for f in dataclasses.fields(value) if f.compare
+        }
         plain = [type(value).__qualname__, own]
     elif isinstance(value, msgspec.Struct):
         plain = [type(value).__qualname__, _plain(msgspec.structs.asdict(value))]

@@ -17,7 +17,6 @@ from geodrake.boundary.arguments import instance, integer
 from geodrake.boundary.showing import Short
 from geodrake.model.robot_model import RobotModel
 from geodrake.model.second_opinion import second_opinion
-from geodrake.robot.driven_tree import plant_jacobians
 from geodrake.robot.holding import moving_joints
 from geodrake.robot.plant import set_inertial_parameters
 from geodrake.robot.regressor import inverse_dynamics, inverse_dynamics_regressor
@@ -138,7 +137,7 @@ def check_dynamics(model: RobotModel, *, samples: int = 100, seed: int = 0) -> D
 
 def _of_plant(model: RobotModel, states: States) -> tuple[States, Array, Array]:
     """States (N, ·) of the plant, rates of its positions by the model's, and J̇ v."""
-    jacobians, rates = plant_jacobians(model.tree, model.coordinates, *states[:2])
+    jacobians, rates = model.coordinates.jacobians(model.tree, *states[:2])
     along = times(rates, states[1])
     q, v = model.plant_positions(states[0]), model.plant_velocities(*states[:2])
     return (q, v, times(jacobians, states[2]) + along), jacobians, along

@@ -36,7 +36,6 @@ from geodrake.model.simulation.driven_robot import Driving, driving_of
 from geodrake.model.simulation.robot_in_diagram import RobotInDiagram, add_robot, make_act
 from geodrake.model.stated_terms import stated_effects
 from geodrake.robot.base_joints import base_joints
-from geodrake.robot.driven_tree import DrivenTree, RobotTree, joint_positions
 from geodrake.robot.files import Given
 from geodrake.robot.followers import Follower, OwnCoordinates, scoped
 from geodrake.robot.holding import moving_joints
@@ -127,9 +126,10 @@ class RobotModel(Short):
     left_out: tuple[str, ...] = ()
 
     @cached_property
-    def tree(self) -> RobotTree:
+    def tree(self) -> KinematicTree:
         """Return the plant's kinematics for the model's motion, read once."""
-        return DrivenTree(self.joint_tree, self.actuation) if self.transmission else self.joint_tree
+        tree = self.joint_tree
+        return tree.driven(self.actuation) if self.transmission else tree
 
     @cached_property
     def joint_tree(self) -> KinematicTree:
@@ -165,7 +165,7 @@ class RobotModel(Short):
 
     def plant_positions(self, q: Array) -> Array:
         """(N, nq of the plant) positions, of those of the model (N, nq)."""
-        return self.coordinates.plant_positions(joint_positions(self.tree, q))
+        return self.coordinates.plant_positions(self.tree.joint_positions(q))
 
     def plant_velocities(self, q: Array, v: Array) -> Array:
         """(N, nv of the plant) velocities, of positions (N, nq) and velocities (N, nv)."""

@@ -23,7 +23,7 @@ from geodrake.boundary.showing import Short
 from geodrake.errors import ArgumentError
 from geodrake.inertia import PARAMETER_NAMES, PARAMETERS_PER_BODY, Array
 from geodrake.manifolds import PhysicalInertia
-from geodrake.robot.driven_tree import RobotTree, inside
+from geodrake.robot.kinematics import KinematicTree
 from geodrake.robot.reduction import triangular_factor
 from geodrake.robot.regressor import checked_tree, inverse_dynamics_regressor
 
@@ -136,14 +136,14 @@ def base_parameters(
     return BaseParameters(matrix, independent, np.asarray(singular, float), tolerance)
 
 
-def structural_base_parameters(plant: MultibodyPlant | RobotTree) -> BaseParameters:
+def structural_base_parameters(plant: MultibodyPlant | KinematicTree) -> BaseParameters:
     """Base parameters that efforts identify with the best of motions, from random ones."""
     tree = checked_tree(plant)
     random, nv = np.random.default_rng(0), tree.num_velocities
     count = 3 * PARAMETERS_PER_BODY * len(tree.bodies) // max(nv, 1) + 10
     sizes = (tree.num_positions, nv, nv)
     q, v, vd = (random.uniform(-np.pi, np.pi, (count, size)) for size in sizes)
-    return base_parameters(inverse_dynamics_regressor(tree, inside(tree, q), v, vd))
+    return base_parameters(inverse_dynamics_regressor(tree, tree.inside(q), v, vd))
 
 
 def pushforward_metric(

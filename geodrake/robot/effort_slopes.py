@@ -28,7 +28,7 @@ from geodrake.compiling import compiled, contiguous, inlined
 from geodrake.errors import ArgumentError
 from geodrake.inertia import PARAMETERS_PER_BODY, Array
 from geodrake.logs.motion import Motion
-from geodrake.robot.driven_tree import DrivenTree, RobotTree
+from geodrake.robot.kinematics import KinematicTree
 from geodrake.robot.recursion import (
     MOTION,
     Record,
@@ -76,7 +76,7 @@ class EffortSlopes:
 
 
 def effort_slopes(
-    plant: MultibodyPlant | RobotTree,
+    plant: MultibodyPlant | KinematicTree,
     q: ArrayLike,
     v: ArrayLike,
     vd: ArrayLike,
@@ -100,7 +100,7 @@ def effort_slopes(
     found = EffortSlopes(*slopes)
     several = [m.velocities for m in tree.mobilizers if m.velocities.stop - m.velocities.start > 1]
     columns = [at for own in several for at in range(own.start, own.stop)]
-    if J is not None and isinstance(robot, DrivenTree):
+    if J is not None and robot.actuation is not None:
         efforts = np.zeros((count, nv))
         calc_inverse_dynamics(tree.records, samples, contiguous(phi), efforts)
         found = _at_actuators(

@@ -22,7 +22,6 @@ from geodrake.boundary.arguments import number, real_array
 from geodrake.compiling import contiguous
 from geodrake.errors import ArgumentError
 from geodrake.inertia import PARAMETERS_PER_BODY, Array
-from geodrake.robot.driven_tree import RobotTree, joint_positions, joint_tree
 from geodrake.robot.joints import Features, FrameMotion
 from geodrake.robot.kinematics import KinematicTree, Mobilizer
 from geodrake.robot.recursion import calc_kinematics, calc_regressor
@@ -33,7 +32,7 @@ _SKEWNESS = 1e-6  # of a rotation, beyond rounding
 
 
 def base_wrench_regressor(
-    plant: MultibodyPlant | RobotTree,
+    plant: MultibodyPlant | KinematicTree,
     q: ArrayLike,
     v: ArrayLike,
     vd: ArrayLike,
@@ -79,13 +78,13 @@ def zero_moment_point(wrench: ArrayLike, *, height: float = 0.0) -> Array:
     return np.stack([(height * fx - ny) / normal, (height * fy + nx) / normal], -1)
 
 
-def body_poses(plant: MultibodyPlant | RobotTree, q: ArrayLike) -> Array:
+def body_poses(plant: MultibodyPlant | KinematicTree, q: ArrayLike) -> Array:
     """Return poses X_WB (N, nb, 4, 4) of every lumped body at positions (N, nq)."""
     tree = checked_tree(plant)
     q = contiguous(real_array(q, "q", ("N", tree.num_positions)))
     poses = np.zeros((len(q), len(tree.bodies), 4, 4))
     none = np.empty((0, 0, 3, 0))
-    calc_kinematics(joint_tree(tree).records, joint_positions(tree, q), poses, none, none)
+    calc_kinematics(tree.joints.records, tree.joint_positions(q), poses, none, none)
     return poses
 
 

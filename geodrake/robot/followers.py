@@ -10,6 +10,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,6 +18,9 @@ from pydrake.multibody.plant import MultibodyPlant
 from pydrake.multibody.tree import Joint
 
 from geodrake.inertia import Array
+
+if TYPE_CHECKING:
+    from geodrake.robot.kinematics import KinematicTree
 
 Indices = NDArray[np.intp]
 
@@ -142,6 +146,14 @@ class OwnCoordinates:
         for to, of, ratio in self.followed:
             whole[:, to] = ratio * whole[:, of]
         return whole
+
+    def jacobians(self, tree: KinematicTree, q: Array, v: Array) -> tuple[Array, Array]:
+        """J and J̇ (N, nv of the plant, nv), with the plant's velocities J v, at q and v (N, ·)."""
+        F = self.plant_velocities(np.eye(len(self.own_velocities))).T
+        if tree.actuation is not None:
+            return F @ tree.actuation.jacobian(q), F @ tree.actuation.jacobian_rate(q, v)
+        J = np.repeat(F[None], len(q), axis=0)
+        return J, np.zeros_like(J)
 
     def robot_gradient(self, gradient: Array) -> Array:
         """(N, nq) gradient with the robot's positions, of that with the plant's (N, ·)."""

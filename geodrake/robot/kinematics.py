@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import cached_property
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,12 +14,16 @@ from pydrake.multibody.plant import MultibodyPlant
 from pydrake.multibody.tree import BodyIndex, Frame, Joint, WeldJoint
 
 from geodrake.boundary.showing import Short
+from geodrake.compiling import contiguous
 from geodrake.errors import ModelError
 from geodrake.inertia import PARAMETERS_PER_BODY, Array
 from geodrake.inertia.bodies import LumpedBody, is_base_frame, lumped_bodies
 from geodrake.robot.followers import Follower, OwnCoordinates, scoped
 from geodrake.robot.joints import FrameMotion, joint_motions
-from geodrake.robot.recursion import MOBILIZER, TreeRecords
+from geodrake.robot.recursion import MOBILIZER, Samples, TreeRecords
+
+if TYPE_CHECKING:
+    from geodrake.robot.transmission.actuation import Actuation
 
 _WORLD, _MASSLESS = -1, -2
 
@@ -52,14 +57,20 @@ class Mobilizer:
 class KinematicTree(Short):
     """A plant's mobilizers, every one after its parent, with the sizes and gravity.
 
-    Bodies are those of `lumped_bodies`, each in the frame of its representative.
+    Bodies are those of `lumped_bodies`, each in the frame of its representative. Behind a
+    transmission, all that is computed of them goes through `joint_samples` and `actuator_rows`,
+    once in and once out:
+
+        θ = T(q), θ̇ = J q̇, θ̈ = J q̈ + J̇ q̇, τ_q = Jᵀ τ_θ, Y_q = Jᵀ Y_θ    [Lee2019] Eq. (3.6.57)
 
     Attributes:
         mobilizers: The mobilizers, inboard before outboard.
         bodies: Names of the (nb) lumped bodies.
-        num_positions: nq, of the plant without the joints that follow others.
+        num_positions: nq, of the plant without the joints that follow others; of the actuators.
         num_velocities: nv, likewise.
         gravity: (3,) gravity in the world frame, m/s².
+        actuation: How the joints' positions and velocities follow from actuators'; None where they
+            are their own.
     """
 
     mobilizers: tuple[Mobilizer, ...]
@@ -67,6 +78,7 @@ class KinematicTree(Short):
     num_positions: int
     num_velocities: int
     gravity: Array
+    actuation: Actuation | None = field(default=None, compare=False)
 
     @classmethod
     def from_plant(cls, plant: MultibodyPlant, followers: Sequence[Follower] = ()) -> KinematicTree:
@@ -118,6 +130,52 @@ class KinematicTree(Short):
             gravity=np.array(plant.gravity_field().gravity_vector()),
         )
 
+    def driven(self, actuation: Actuation) -> KinematicTree:
+        """The same tree behind a transmission."""
+        sizes = actuation.num_positions, actuation.num_velocities
+        return replace(self, actuation=actuation, num_positions=sizes[0], num_velocities=sizes[1])
+
+    @cached_property
+    def joints(self) -> KinematicTree:
+        """The tree of the joints, without a transmission."""
+        if self.actuation is None:
+            return self
+        nq, nv = self.actuation.sizes
+        return replace(self, actuation=None, num_positions=nq, num_velocities=nv)
+
+    def joint_samples(
+        self, q: Array, v: Array, vd: Array
+    ) -> tuple[KinematicTree, Samples, Array | None]:
+        """The tree of the joints, their motion, and J if there is one; values are not checked.
+
+        Returns:
+            The tree; positions, velocities twice and accelerations of its joints; and, behind a
+            transmission, (N, nv of the tree, nv) J, with which `actuator_rows` leads back.
+        """
+        J = None
+        if self.actuation is not None:
+            q, v, vd, J = self.actuation.tree_samples(q, v, vd)
+        q, v, vd = contiguous(q), contiguous(v), contiguous(vd)
+        return self.joints, (q, v, v, vd), J
+
+    def joint_positions(self, q: Array) -> Array:
+        """(N, ·) positions of the tree's joints, of positions (N, nq)."""
+        return q if self.actuation is None else self.actuation.tree_positions(q)
+
+    def inside(self, q: Array) -> Array:
+        """Positions (N, nq), those of actuators moved to where their maps are known."""
+        return q if self.actuation is None else self.actuation.inside(q)
+
+    def moving_velocities(self, velocities: Sequence[int]) -> tuple[int, ...]:
+        """The robot's velocities that move some of the joints' velocities."""
+        if self.actuation is None:
+            return tuple(dict.fromkeys(velocities))  # a leader moves a body and its follower
+        return self.actuation.moved_by(velocities)
+
+    def through(self, q: Array, jacobian: Array) -> Array:
+        """Jacobians (N, m, nv) of what has the Jacobians (N, m, ·) with the joints' velocities."""
+        return jacobian if self.actuation is None else jacobian @ self.actuation.jacobian(q)
+
     def branch(self, body: int) -> KinematicTree:
         """The same tree with only the mobilizers between the world and a body."""
         index = next(i for i, mobilizer in enumerate(self.mobilizers) if mobilizer.body == body)
@@ -160,6 +218,11 @@ class KinematicTree(Short):
         moved = sorted(m.body for m in self.mobilizers if m.body >= 0 and dof in m.dofs)
         columns = np.arange(PARAMETERS_PER_BODY * len(self.bodies))
         return columns.reshape(-1, PARAMETERS_PER_BODY)[moved].ravel()
+
+
+def actuator_rows(J: Array | None, rows: Array) -> Array:
+    """Jᵀ Y (N, nv, p), of rows Y (N, nv of the tree, p) of the joints; Y itself without J."""
+    return rows if J is None else np.asarray(np.swapaxes(J, 1, 2) @ rows)
 
 
 _Edge = tuple[Joint, int, int, RigidTransform, RigidTransform, float]

@@ -18,15 +18,14 @@ from pydrake.multibody.plant import MultibodyPlant
 from geodrake.boundary.arguments import Sizes, integer, real_array
 from geodrake.compiling import contiguous
 from geodrake.inertia import PARAMETERS_PER_BODY, Array
-from geodrake.robot.driven_tree import RobotTree, actuator_rows, joint_samples
-from geodrake.robot.kinematics import KinematicTree
+from geodrake.robot.kinematics import KinematicTree, actuator_rows
 from geodrake.robot.recursion import Samples, calc_inverse_dynamics, calc_regressor
 
 _PIECE = 1 << 18  # numbers of a piece: two megabytes stay in a core's cache
 
 
 def inverse_dynamics_regressor(
-    plant: MultibodyPlant | RobotTree, q: ArrayLike, v: ArrayLike, vd: ArrayLike
+    plant: MultibodyPlant | KinematicTree, q: ArrayLike, v: ArrayLike, vd: ArrayLike
 ) -> Array:
     """Regressor of the effort that a motion needs, without friction and joint damping.
 
@@ -51,7 +50,7 @@ def inverse_dynamics_regressor(
 
 
 def body_regressor(
-    plant: MultibodyPlant | RobotTree, q: ArrayLike, v: ArrayLike, vd: ArrayLike, body: int
+    plant: MultibodyPlant | KinematicTree, q: ArrayLike, v: ArrayLike, vd: ArrayLike, body: int
 ) -> Array:
     """The columns (N, nv, 10) of `inverse_dynamics_regressor` for one body, by its index."""
     tree, samples, J = checked_samples(plant, q, v, vd)
@@ -63,7 +62,7 @@ def body_regressor(
 
 
 def inverse_dynamics(
-    plant: MultibodyPlant | RobotTree,
+    plant: MultibodyPlant | KinematicTree,
     q: ArrayLike,
     v: ArrayLike,
     vd: ArrayLike,
@@ -78,7 +77,7 @@ def inverse_dynamics(
 
 
 def regressor_pieces(
-    plant: MultibodyPlant | RobotTree, q: ArrayLike, v: ArrayLike, vd: ArrayLike
+    plant: MultibodyPlant | KinematicTree, q: ArrayLike, v: ArrayLike, vd: ArrayLike
 ) -> Iterator[tuple[slice, Array]]:
     """The regressor in pieces that a core's cache holds, for reductions over long logs.
 
@@ -105,17 +104,17 @@ def put_regressor(tree: KinematicTree, samples: Samples, out: Array) -> None:
 
 
 def checked_samples(
-    plant: MultibodyPlant | RobotTree, q: ArrayLike, v: ArrayLike, vd: ArrayLike
+    plant: MultibodyPlant | KinematicTree, q: ArrayLike, v: ArrayLike, vd: ArrayLike
 ) -> tuple[KinematicTree, Samples, Array | None]:
-    """Return what `joint_samples` does, of arrays that fit the plant."""
+    """Return what `KinematicTree.joint_samples` does, of arrays that fit the plant."""
     tree = checked_tree(plant)
     sizes: Sizes = {}
     nq, nv = tree.num_positions, tree.num_velocities
     q = real_array(q, "q", ("N", nq), sizes)
     v, vd = real_array(v, "v", ("N", nv), sizes), real_array(vd, "vd", ("N", nv), sizes)
-    return joint_samples(tree, q, v, vd)
+    return tree.joint_samples(q, v, vd)
 
 
-def checked_tree(plant: MultibodyPlant | RobotTree) -> RobotTree:
+def checked_tree(plant: MultibodyPlant | KinematicTree) -> KinematicTree:
     """The tree of a plant, or the tree that it is."""
-    return plant if isinstance(plant, RobotTree) else KinematicTree.from_plant(plant)
+    return plant if isinstance(plant, KinematicTree) else KinematicTree.from_plant(plant)

@@ -16,7 +16,6 @@ from geodrake.effects.body_motion import RobotBodies
 from geodrake.effects.episode import Episode
 from geodrake.identification.logs.log_slices import Layout
 from geodrake.logs.motion import Motion
-from geodrake.robot.driven_tree import with_gravity
 from geodrake.robot.effort_slopes import effort_slopes
 from geodrake.robot.regressor import inverse_dynamics_regressor
 
@@ -102,11 +101,11 @@ def _joint_columns(samples: ColumnSamples, layout: Layout, assignment: Assignmen
     """Return the columns of all joints for one motion, in all samples."""
     model, (q, v, vd) = layout.model, samples.motion(assignment)
     at, down = model.positions(q), np.array(assignment.gravity or model.tree.gravity)
-    tree = with_gravity(model.tree, down)
+    tree = replace(model.tree, gravity=down)
     width = layout.sign_width[assignment.position] * np.abs(assignment.scale) / assignment.time
     columns, held = _columns(samples, replace(layout, sign_width=width), (at, v, vd))
     if assignment.gravity is not None:  # weight beside that which the model's bodies have
-        still, more = np.zeros_like(v), with_gravity(model.tree, down - model.tree.gravity)
+        still, more = np.zeros_like(v), replace(model.tree, gravity=down - model.tree.gravity)
         weight = inverse_dynamics_regressor(more, at, still, still)
         for j, seen in enumerate(layout.columns):
             bodies = seen[seen < model.phi.size]

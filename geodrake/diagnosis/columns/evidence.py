@@ -29,7 +29,6 @@ from geodrake.identification.logs.log_slices import Layout
 from geodrake.identification.logs.noise import known_noise
 from geodrake.identification.logs.unknowns import payload_reference, pullback_information
 from geodrake.inertia import PARAMETERS_PER_BODY
-from geodrake.robot.driven_tree import with_gravity
 from geodrake.robot.regressor import inverse_dynamics
 
 Array = NDArray[np.float64]
@@ -154,7 +153,7 @@ class ColumnModel:
         robot, (q, v, vd) = self.samples.model, self.samples.motion(assignment, rows)
         tree = robot.tree
         if assignment.gravity is not None:
-            tree = with_gravity(tree, np.array(assignment.gravity))
+            tree = replace(tree, gravity=np.array(assignment.gravity))
         return inverse_dynamics(tree, robot.positions(q), v, vd, robot.total_phi)
 
     def nrms(self, fit: ColumnFit) -> float:

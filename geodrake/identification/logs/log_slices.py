@@ -22,7 +22,7 @@ from geodrake.logs.smoothing import SPLINE_REACH, Segment, Stretch
 from geodrake.model.carried_payloads import carried_phi, carrying
 from geodrake.model.robot_model import RobotModel
 from geodrake.robot.base_parameters import BaseParameters
-from geodrake.robot.driven_tree import RobotTree, inside, with_gravity
+from geodrake.robot.kinematics import KinematicTree
 from geodrake.robot.regressor import (
     inverse_dynamics,
     inverse_dynamics_regressor,
@@ -192,12 +192,12 @@ class Layout:
         return None if isinstance(part, Effect) else [c[c < width] for c in self.columns]
 
     @property
-    def tree(self) -> RobotTree:
+    def tree(self) -> KinematicTree:
         """The tree that columns of bodies are computed with, under the gravity that they feel."""
         return self._felt[0]
 
     @cached_property
-    def _felt(self) -> tuple[RobotTree, Effect | None]:
+    def _felt(self) -> tuple[KinematicTree, Effect | None]:
         return _felt(self.model, self.effects)
 
     def in_bodies(self, joint: int, blocks: Mapping[Effect, Blocks]) -> Array | float:
@@ -455,11 +455,11 @@ class LogSlice:
 def _probe(model: RobotModel, samples: int) -> Motion:
     """Random motion, to see which columns can be nonzero."""
     random, nv = np.random.default_rng(0), len(model.joints)
-    q = inside(model.tree, model.positions(random.normal(size=(samples, nv))))
+    q = model.tree.inside(model.positions(random.normal(size=(samples, nv))))
     return Motion(q, random.normal(size=(samples, nv)), random.normal(size=(samples, nv)))
 
 
-def _felt(model: RobotModel, effects: Sequence[Effect]) -> tuple[RobotTree, Effect | None]:
+def _felt(model: RobotModel, effects: Sequence[Effect]) -> tuple[KinematicTree, Effect | None]:
     """The tree under the gravity that bodies feel beside effects, and that which changes it.
 
     Where columns are exact about two places, they are so about the latter.
@@ -467,5 +467,5 @@ def _felt(model: RobotModel, effects: Sequence[Effect]) -> tuple[RobotTree, Effe
     for effect in reversed(effects):
         gravity = effect.gravity_of_bodies(model.tree.gravity)
         if gravity is not None:
-            return with_gravity(model.tree, gravity), effect
+            return replace(model.tree, gravity=gravity), effect
     return model.tree, None

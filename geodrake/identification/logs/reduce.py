@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections import defaultdict
 from collections.abc import Collection, Iterator, Sequence
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -23,7 +24,7 @@ from geodrake.logs.resting import resting
 from geodrake.logs.smoothing import CHUNK
 from geodrake.model.carried_payloads import joints_with_known_gain
 from geodrake.model.robot_model import LARGEST_REGRESSOR, RobotModel
-from geodrake.robot.driven_tree import RobotTree, with_gravity
+from geodrake.robot.kinematics import KinematicTree
 from geodrake.robot.reduction import triangular_factor
 from geodrake.robot.regressor import inverse_dynamics, inverse_dynamics_regressor
 
@@ -281,7 +282,7 @@ _POSES = 50  # of each segment, at which gravity is looked at
 
 def effort_scale(
     model: RobotModel,
-    tree: RobotTree,
+    tree: KinematicTree,
     trajectories: Sequence[Trajectory],
     data: Sequence[JointData],
     deviation: Array,
@@ -314,14 +315,14 @@ def _at_rest(model: RobotModel, data: Sequence[JointData]) -> NDArray[np.bool_]:
 
 
 def passive_inertia(
-    model: RobotModel, tree: RobotTree, trajectories: Sequence[Trajectory]
+    model: RobotModel, tree: KinematicTree, trajectories: Sequence[Trajectory]
 ) -> Array | None:
     """Return `Dataset.passive_inertia`, the mean over poses of the logs."""
     passive = {joint for trajectory in trajectories for joint in trajectory.passive}
     if not passive:
         return None
     q, found = _poses(model, trajectories), np.zeros((len(model.joints), model.phi.size))
-    still, weightless = np.zeros((len(q), len(model.joints))), with_gravity(tree, np.zeros(3))
+    still, weightless = np.zeros((len(q), len(model.joints))), replace(tree, gravity=np.zeros(3))
     for joint in passive:
         j, vd = model.joints.index(joint), still.copy()
         vd[:, j] = 1.0
@@ -340,13 +341,13 @@ def _poses(model: RobotModel, trajectories: Sequence[Trajectory]) -> Array:
 
 
 def _load_by_gravity(
-    model: RobotModel, tree: RobotTree, trajectories: Sequence[Trajectory]
+    model: RobotModel, tree: KinematicTree, trajectories: Sequence[Trajectory]
 ) -> Array:
     """(nv,) RMS of the loads by gravity from three sides, N·m or N."""
     q = _poses(model, trajectories)
     zero = np.zeros((len(q), len(model.joints)))
     power, g = np.zeros(len(model.joints)), float(np.linalg.norm(tree.gravity))
     for side in g * np.eye(3):
-        load = inverse_dynamics(with_gravity(tree, side), q, zero, zero, model.total_phi)
+        load = inverse_dynamics(replace(tree, gravity=side), q, zero, zero, model.total_phi)
         power += np.square(load).mean(axis=0)
     return np.sqrt(power)

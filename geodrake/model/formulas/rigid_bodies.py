@@ -16,18 +16,16 @@ from geodrake.effects.body_motion import BodyMotion, RobotBodies
 from geodrake.errors import ModelError
 from geodrake.inertia import Array
 from geodrake.model.formulas.symbols import Formulas, Symbols
-from geodrake.robot.driven_tree import DrivenTree, RobotTree, joint_tree
 from geodrake.robot.joints import Features
 from geodrake.robot.kinematics import KinematicTree, Mobilizer
 
 _DIGITS = 15  # of a rotation, whose zeros and ones come out with rounding errors
 
 
-def joint_formulas(tree: RobotTree, q: Formulas) -> Formulas:
+def joint_formulas(tree: KinematicTree, q: Formulas) -> Formulas:
     """Return positions (nq of the tree of joints) as formulas of the robot's (nq)."""
-    if not isinstance(tree, DrivenTree):
+    if (actuation := tree.actuation) is None:
         return q
-    actuation = tree.actuation
     if actuation.constant is None:
         raise ModelError(
             "Source code cannot have a closed loop, or a transmission whose ratios change with the "
@@ -45,13 +43,13 @@ def joint_formulas(tree: RobotTree, q: Formulas) -> Formulas:
 
 
 def inverse_dynamics_formula(
-    tree: RobotTree, q: Formulas, v: Formulas, vd: Formulas, phi: Array
+    tree: KinematicTree, q: Formulas, v: Formulas, vd: Formulas, phi: Array
 ) -> Formulas:
     """Return the effort (nv,) of the bodies φ (nb, 10), at the actuators if there are any."""
-    if not isinstance(tree, DrivenTree):
+    if tree.actuation is None:
         return _joint_efforts(tree, q, v, vd, phi)
     theta, J = joint_formulas(tree, q), tree.actuation.jacobian(np.zeros((1, len(q))))[0]
-    return Symbols.of(J.T @ _joint_efforts(tree.joint_tree, theta, J @ v, J @ vd, phi))
+    return Symbols.of(J.T @ _joint_efforts(tree.joints, theta, J @ v, J @ vd, phi))
 
 
 def _joint_efforts(
@@ -171,7 +169,7 @@ class BodyFormulas(RobotBodies):
         """Positions, velocities and accelerations (1, ·) of the joints of the tree, and J."""
         theta = joint_formulas(self.tree, Symbols.of(self.q)[0])
         J = np.eye(v.shape[1])
-        if isinstance(self.tree, DrivenTree):
+        if self.tree.actuation is not None:
             J = self.tree.actuation.jacobian(np.zeros(self.q.shape))[0]
         rates, accelerations = (Symbols.of([J @ x[0]]) for x in (v, vd))
         return theta[None], rates, accelerations, J[None]
@@ -180,7 +178,7 @@ class BodyFormulas(RobotBodies):
     def _motions(self) -> dict[str, BodyMotion]:
         """Poses and Jacobians from the world outwards."""
         found: list[BodyMotion] = []
-        tree, q = joint_tree(self.tree), joint_formulas(self.tree, Symbols.of(self.q)[0])
+        tree, q = self.tree.joints, joint_formulas(self.tree, Symbols.of(self.q)[0])
         for mobilizer in tree.mobilizers:
             inboard = found[mobilizer.parent] if mobilizer.parent >= 0 else self._world(tree)
             found.append(_carried(mobilizer, inboard, q))
@@ -189,7 +187,7 @@ class BodyFormulas(RobotBodies):
 
     def _driven(self, motion: BodyMotion) -> BodyMotion:
         """The Jacobians with the velocities of actuators."""
-        if not isinstance(self.tree, DrivenTree):
+        if self.tree.actuation is None:
             return motion
         J = self.tree.actuation.jacobian(np.zeros(self.q.shape))[0]
         return replace(

@@ -25,7 +25,6 @@ from geodrake.errors import ModelError
 from geodrake.inertia import Array
 from geodrake.logs.motion import Motion
 from geodrake.logs.temperatures import Temperatures
-from geodrake.robot.driven_tree import DrivenTree, RobotTree, joint_positions, plant_jacobians
 from geodrake.robot.followers import OwnCoordinates
 from geodrake.robot.kinematics import KinematicTree
 from geodrake.robot.regressor import inverse_dynamics
@@ -53,7 +52,7 @@ class Driving:
         gain: (nv,) measured effort over the one that acts.
     """
 
-    tree: RobotTree
+    tree: KinematicTree
     coordinates: OwnCoordinates
     phi: Array
     names: tuple[str, ...]
@@ -75,7 +74,7 @@ class Driving:
         """Return q (nq,) and v (nv,) of the model, of a state of the plant."""
         nq, ways = self.sizes[0], self.coordinates
         theta, rate = state[:nq][ways.own_positions], state[nq:][ways.own_velocities]
-        if not isinstance(self.tree, DrivenTree):
+        if self.tree.actuation is None:
             return theta, rate
         q = self.tree.actuation.nearest(theta[None])
         J = self.tree.actuation.jacobian(q)[0]
@@ -84,7 +83,7 @@ class Driving:
     def plant_state(self, q: Array, v: Array) -> tuple[Array, Array]:
         """Return positions and velocities of the plant, of those (nq,), (nv,) of the model."""
         J, _ = self._jacobians(q, v)
-        theta = joint_positions(self.tree, q[None])
+        theta = self.tree.joint_positions(q[None])
         return self.coordinates.plant_positions(theta)[0], J @ v
 
     def plant_force(self, state: Array, effort: Array, time: float) -> Array:
@@ -96,10 +95,8 @@ class Driving:
         """
         q, v = self.model_state(state)
         J, rate = self._jacobians(q, v)
-        whole, rates = (
-            self.coordinates.plant_positions(joint_positions(self.tree, q[None]))[0],
-            J @ v,
-        )
+        theta = self.tree.joint_positions(q[None])
+        whole, rates = self.coordinates.plant_positions(theta)[0], J @ v
         acceleration = J @ self.acceleration(q, v, effort / self.gain, time) + rate @ v
         nq, nv, _, own = self.sizes
         if own < nv:
@@ -135,7 +132,7 @@ class Driving:
 
     def _jacobians(self, q: Array, v: Array) -> tuple[Array, Array]:
         """Return J and J̇ (nv of the plant, nv)."""
-        J, rate = plant_jacobians(self.tree, self.coordinates, q[None], v[None])
+        J, rate = self.coordinates.jacobians(self.tree, q[None], v[None])
         return J[0], rate[0]
 
     @cached_property

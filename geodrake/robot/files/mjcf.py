@@ -128,9 +128,9 @@ def plain_tree(source: CompiledMjcf, name: str, damping: Mapping[str, float]) ->
                 fullinertia=words(inertia[UPPER]),
             )
     motors = SubElement(root, "actuator")
-    for at in np.flatnonzero(np.asarray(m.actuator_trntype) != load_mujoco().mjtTrn.mjTRN_TENDON):
-        named = {"name": own} if (own := m.actuator(int(at)).name) else {}
-        for joint in actuator_shares(m, int(at)):
+    for at, kind in enumerate(m.actuator_trntype):
+        named = {"name": own} if (own := m.actuator(at).name) else {}
+        for joint in actuator_shares(m, at) if kind != load_mujoco().mjtTrn.mjTRN_TENDON else ():
             SubElement(motors, "motor", {**named, "joint": m.joint(joint).name})
     return root
 
