@@ -137,7 +137,7 @@ def check_dynamics(model: RobotModel, *, samples: int = 100, seed: int = 0) -> D
 
 def _of_plant(model: RobotModel, states: States) -> tuple[States, Array, Array]:
     """States (N, ·) of the plant, rates of its positions by the model's, and J̇ v."""
-    jacobians, rates = model.coordinates.jacobians(model.tree, *states[:2])
+    jacobians, rates = model.coordinates.jacobians(model.tree.actuation, *states[:2])
     along = times(rates, states[1])
     q, v = model.plant_positions(states[0]), model.plant_velocities(*states[:2])
     return (q, v, times(jacobians, states[2]) + along), jacobians, along

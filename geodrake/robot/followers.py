@@ -10,7 +10,6 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,9 +17,7 @@ from pydrake.multibody.plant import MultibodyPlant
 from pydrake.multibody.tree import Joint
 
 from geodrake.inertia import Array
-
-if TYPE_CHECKING:
-    from geodrake.robot.kinematics import KinematicTree
+from geodrake.robot.transmission.actuation import Actuation
 
 Indices = NDArray[np.intp]
 
@@ -147,11 +144,11 @@ class OwnCoordinates:
             whole[:, to] = ratio * whole[:, of]
         return whole
 
-    def jacobians(self, tree: KinematicTree, q: Array, v: Array) -> tuple[Array, Array]:
+    def jacobians(self, actuation: Actuation | None, q: Array, v: Array) -> tuple[Array, Array]:
         """J and J̇ (N, nv of the plant, nv), with the plant's velocities J v, at q and v (N, ·)."""
         F = self.plant_velocities(np.eye(len(self.own_velocities))).T
-        if tree.actuation is not None:
-            return F @ tree.actuation.jacobian(q), F @ tree.actuation.jacobian_rate(q, v)
+        if actuation is not None:
+            return F @ actuation.jacobian(q), F @ actuation.jacobian_rate(q, v)
         J = np.repeat(F[None], len(q), axis=0)
         return J, np.zeros_like(J)
 

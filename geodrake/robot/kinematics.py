@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
-from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,9 +20,7 @@ from geodrake.inertia.bodies import LumpedBody, is_base_frame, lumped_bodies
 from geodrake.robot.followers import Follower, OwnCoordinates, scoped
 from geodrake.robot.joints import FrameMotion, joint_motions
 from geodrake.robot.recursion import MOBILIZER, Samples, TreeRecords
-
-if TYPE_CHECKING:
-    from geodrake.robot.transmission.actuation import Actuation
+from geodrake.robot.transmission.actuation import Actuation
 
 _WORLD, _MASSLESS = -1, -2
 

@@ -132,7 +132,7 @@ class Driving:
 
     def _jacobians(self, q: Array, v: Array) -> tuple[Array, Array]:
         """Return J and J̇ (nv of the plant, nv)."""
-        J, rate = self.coordinates.jacobians(self.tree, q[None], v[None])
+        J, rate = self.coordinates.jacobians(self.tree.actuation, q[None], v[None])
         return J[0], rate[0]
 
     @cached_property
