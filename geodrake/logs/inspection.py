@@ -19,7 +19,7 @@ from geodrake.logs.files.units import unit_of
 from geodrake.logs.motion import PASSIVE, JointLog
 from geodrake.logs.preparation import prepare_logs
 from geodrake.logs.sensor_faults import without_faults
-from geodrake.logs.unit_hints import effort_sign_hint, position_unit_hint, row_order_hint
+from geodrake.logs.unit_hints import effort_sign_hint, position_unit_hint
 
 Array = NDArray[np.float64]
 
@@ -55,9 +55,11 @@ class LogInspection:
         jitter: Standard deviation of the time between rows, gaps left out, s.
         gaps: Instant and length of every gap, s.
         rests: First and last instant of stretches in which no joint moves, s.
-        notes: What was noticed while reading, and what sensors did wrong.
+        notes: Doubts and what is left out, what was noticed while reading, and what sensors did
+            wrong.
         time_unit: Unit that time was in; "" where nobody said it.
-        left_out: What of the log is of no use at the bandwidth of its positions; "" for little.
+        first: Doubts about units, signs and order, and what of the log is of no use at the
+            bandwidth of its positions.
     """
 
     log: JointLog
@@ -69,7 +71,7 @@ class LogInspection:
     rests: tuple[tuple[float, float], ...]
     notes: tuple[str, ...]
     time_unit: str = ""
-    left_out: str = ""
+    first: tuple[str, ...] = ()
 
     @property
     def seconds(self) -> float:
@@ -112,8 +114,8 @@ def inspect_log(
     missing = [joint for joint in joints or () if joint not in (*log.joints, *log.standing)]
     notes += [f"nothing is measured of the model's {', '.join(missing)}"] if missing else []
     converted = any(s.unit for n, s in columns.sources.items() if n.endswith(".position"))
-    hints = [row_order_hint(log), effort_sign_hint(log)]
-    hints += [] if converted else [position_unit_hint(log)]
+    hints = [effort_sign_hint(log), None if converted else position_unit_hint(log), _unused(log)]
+    first = tuple(filter(None, hints))
     return LogInspection(
         log,
         columns.sources["time"].column if "time" in columns.sources else "",
@@ -122,19 +124,19 @@ def inspect_log(
         float(steps[~gap].std()) if (~gap).any() else 0.0,
         tuple((float(_known(log.time)[k]), float(steps[k])) for k in np.flatnonzero(gap).tolist()),
         tuple(_rests(log, period)),
-        (*log.notes, *notes, *filter(None, hints)),
+        (*first, *log.notes, *notes),
         unit.name if (unit := columns.sources.get("time", Source("")).unit) else "",
-        _left_out(log),
+        first,
     )
 
 
-def _left_out(log: JointLog) -> str:
+def _unused(log: JointLog) -> str:
     """Return what of a log cannot be used, or why nothing of it can."""
     told = np.isnan(log.effort).all(axis=0)  # by commands, in the place of efforts
     try:
         (trajectory,) = prepare_logs([replace(log, effort=np.where(told, 0.0, log.effort))])
     except LogError as error:
-        return f"nothing of it is of use: {error.problem}"
+        return f"cannot be used: {error.problem}"
     return trajectory.left_out
 
 

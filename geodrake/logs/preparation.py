@@ -31,6 +31,7 @@ _SHARPER = 3.0  # bandwidth of the smoothed motion over that of efforts and regr
 _SPEED_AGREEMENT = 0.05  # relative RMS of measured velocity − derivative of position
 _FREQUENCIES = 257  # at which the noise of accelerations is added up
 _NOTED_LOSS, _MUCH = 1e-3, 0.01  # of a log's time, that is said, and said before all else
+_ENDS, _MANY_ENDS = "where pieces begin and end", 0.1  # and how much of these is
 _NOTED_LAG = 0.1  # of the sampling period, between measured velocity and position
 
 
@@ -158,7 +159,7 @@ def _left_out(
         f"in {dropped} of {len(uniform.pieces)} pieces, still or short for the filter": (
             of_pieces - held
         ),
-        "where pieces begin and end": held - used - sum(standstill),
+        _ENDS: held - used - sum(standstill),
         "in gaps and empty cells": whole - of_pieces,
     }
     said = [f"{s:.3g} s {words}" for words, s in parts.items() if s > _NOTED_LOSS * whole]
@@ -168,7 +169,9 @@ def _left_out(
         lines = [f"{whole - used:.3g} of {whole:.4g} s ({share}) are left out: {', '.join(said)}"]
     if joints := uniform.log.left_out:
         lines.append(f"left out, as the model has no such joint: {', '.join(joints)}")
-    return whole - used > _MUCH * whole or bool(joints), "; ".join(lines)
+    ends = parts[_ENDS]  # of which every log has some
+    is_much = whole - used - ends > _MUCH * whole or ends > _MANY_ENDS * whole or bool(joints)
+    return is_much, "; ".join(lines)
 
 
 def _failed_sensors(log: JointLog, known: Temperatures | None) -> list[str]:

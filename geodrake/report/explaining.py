@@ -112,11 +112,11 @@ def comparison_page(comparison: Comparison, about: About) -> Page:
             failing_section({BEFORE: comparison}, effort_chart(comparison, units=units)),
             residuals_section({BEFORE: comparison}, units),
             method_section(comparison, refitted=False),
-            notes_section(comparison.notes, comparison.left_out),
+            notes_section(comparison.notes, comparison.first),
         ),
         footer(comparison),
         about.links,
-        (left_out_section(comparison.left_out),),
+        (first_section(comparison.first),),
     )
 
 
@@ -157,11 +157,11 @@ def diagnosis_page(diagnosis: Diagnosis, about: About) -> Page:
             failing_section({BEFORE: comparison}, effort_chart(comparison, units=units)),
             residuals_section({BEFORE: comparison}, units),
             method_section(comparison, refitted=True),
-            notes_section(diagnosis.notes, comparison.left_out),
+            notes_section(diagnosis.notes, comparison.first),
         ),
         footer(comparison),
         about.links,
-        (left_out_section(comparison.left_out),),
+        (first_section(comparison.first),),
     )
 
 
@@ -227,11 +227,11 @@ def explanation_page(found: Explained | Explanation, about: About) -> Page:
             limits_section(signals, units),
             residuals_section(models, units),
             method_section(explanation.after, refitted=True),
-            notes_section(explanation.notes, explanation.before.left_out),
+            notes_section(explanation.notes, explanation.before.first),
         ),
         footer(explanation.before),
         about.links,
-        (left_out_section(explanation.before.left_out),),
+        (first_section(explanation.before.first),),
     )
 
 
@@ -475,14 +475,14 @@ def method_section(comparison: Comparison, *, refitted: bool) -> Section:
     )
 
 
-def left_out_section(words: Sequence[str]) -> Section:
-    """Return what of the logs is not used, which comes before all else."""
-    return Section("Left out of the logs", items=tuple(words))
+def first_section(words: Sequence[str]) -> Section:
+    """Return what is doubted of the logs and left out of them, which comes before all else."""
+    return Section("First of all: the logs", items=tuple(words))
 
 
-def notes_section(notes: Sequence[str], left_out: Sequence[str] = ()) -> Section:
-    """Return what was done to the logs and noticed about the model, but for what is left out."""
-    return Section("Notes", items=tuple(note for note in notes if note not in left_out))
+def notes_section(notes: Sequence[str], first: Sequence[str] = ()) -> Section:
+    """Return what was done to the logs and noticed about the model, but for what is said first."""
+    return Section("Notes", items=tuple(note for note in notes if note not in first))
 
 
 def footer(comparison: Comparison) -> str:

@@ -18,7 +18,7 @@ from geodrake.logs.inspection import LogInspection
 from geodrake.model.dynamics_check import TOLERANCE, Agreement, DynamicsCheck
 from geodrake.model.exporting.joints import exported_joints
 from geodrake.report.charts import Chart, Panel, Plot, Shade, Stage
-from geodrake.report.explaining import effect_cell, left_out_section, notes_section
+from geodrake.report.explaining import effect_cell, first_section, notes_section
 from geodrake.report.json_output import NoNumber, number_or, picked
 from geodrake.report.numbers import Units, number, percent
 from geodrake.report.page import About, Cell, Page, Section, Table, Tile, cells
@@ -341,11 +341,10 @@ def logs_page(found: InspectedLogs, about: About) -> Page:
         sections += [
             Section(name, tables=(_columns_table(each),)),
             Section("Rows", items=_row_words(each)),
-            notes_section(each.notes),
+            notes_section(each.notes, each.first),
         ]
-    left_out = [f"{name}: {each.left_out}" for name, each in found.logs if each.left_out]
-    first = (left_out_section(left_out),)
-    return Page(about.title, "", "", "understood", "", (), (), tuple(sections), first=first)
+    first = first_section([f"{name}: {words}" for name, each in found.logs for words in each.first])
+    return Page(about.title, "", "", "understood", "", (), (), tuple(sections), first=(first,))
 
 
 def _columns_table(found: LogInspection) -> Table:
@@ -386,7 +385,7 @@ def _row_words(found: LogInspection) -> tuple[str, ...]:
         )
     gaps = [f"{number(length)} s at t = {instant:.2f} s" for instant, length in found.gaps]
     if gaps:
-        words.append(f"{len(gaps)} gaps: {_named(gaps)}")
+        words.append(f"{len(gaps)} gap{'s' if len(gaps) > 1 else ''}: {_named(gaps)}")
     rests = [f"t = {first:.2f} to {last:.2f} s" for first, last in found.rests]
     if rests:
         share = percent(found.rest / found.seconds)
@@ -545,7 +544,6 @@ def inspection_dict(found: LogInspection) -> dict[str, Any]:
         ],
         "gaps": [{"time": instant, "seconds": length} for instant, length in found.gaps],
         "rests": [{"from": first, "to": last} for first, last in found.rests],
-        "left_out": found.left_out,
         "notes": list(found.notes),
     }
 

@@ -69,7 +69,7 @@ def test_what_is_understood(tmp_path):
     assert result.exit_code == 0, result.output
     for words in (
         *("shoulder", "q1_deg", "deg × 0.01745", "2300 rows in 24.0 s", "time from t"),
-        *("1 gaps: 1.01 s at t = 9.99 s", "at rest for", "position is in deg", "jumps and comes"),
+        *("1 gap: 1.01 s at t = 9.99 s", "at rest for", "position is in deg", "jumps and comes"),
     ):
         assert words in result.output
     found = json.loads(saved["json"].read_text())["logs"][0]

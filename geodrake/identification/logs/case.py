@@ -72,7 +72,7 @@ class Case(Short):
     dataset: Dataset  # the reduced logs, with columns for the model's effects and the candidates
     fingerprints: tuple[str, ...]
     notes: tuple[str, ...]  # what was done to the logs and noticed about the model
-    left_out: tuple[str, ...]  # what of the logs is not used, which the notes have first
+    first: tuple[str, ...]  # of these, what is to be known first: doubts, and what is not used
     asked: Asked  # what it was opened with
     # The segments of all logs in memory, with the index of their log, once somebody looked.
     segments: list[tuple[int, Segment]] = field(default_factory=list, repr=False)
@@ -136,7 +136,7 @@ def open_case(
     def known_as(log: JointLog) -> tuple[str, str]:
         return measured[log.name], log.fingerprint  # the latter by models saved before
 
-    def prepare(logs: Sequence[JointLog]) -> tuple[tuple[Trajectory, ...], list[str]]:
+    def prepare(logs: Sequence[JointLog]) -> tuple[tuple[Trajectory, ...], list[str], list[str]]:
         uniform = [make_uniform(log) for log in logs]
         hints = [hint for each in uniform for hint in _hints(each.log, model)]
         seen = ([x for key in known_as(log) if (x := model.bandwidths.get(key))] for log in logs)
@@ -144,16 +144,17 @@ def open_case(
         with _naming_units(hints):
             if bandwidth is not None:
                 sharp = motion_bandwidth
-                return prepare_logs(uniform, bandwidth=bandwidth, motion_bandwidth=sharp), hints
+                prepared = prepare_logs(uniform, bandwidth=bandwidth, motion_bandwidth=sharp)
+                return prepared, hints, []
             if len(known) == 1 and (fit := known.pop()) is not None:
                 how = "as the model was fitted at"
                 prepared = prepare_logs(uniform, bandwidth=fit[0], motion_bandwidth=fit[1], how=how)
-                return prepared, hints
+                return prepared, hints, []
             trajectories, changed = prepare_for_model(model, uniform)
-            return trajectories, [*hints, *([changed] if changed else [])]
+            return trajectories, hints, [changed] if changed else []
 
-    (trajectories, hints), matched, left_out = _with_usable(matched, prepare)
-    hints += payload_notes(model, matched)
+    (trajectories, hints, changed), matched, unused = _with_usable(matched, prepare)
+    changed += payload_notes(model, matched)
     trained = [log for log in matched if not set(model.fitted_to).isdisjoint(known_as(log))]
     fitted = len(trained) == len(matched)
     with _naming_units(hints):
@@ -176,9 +177,10 @@ def open_case(
         fitted=fitted and not candidates,
         shared=shared,
     )
-    hints += [_filtered_note(t, fitted=fitted or candidates) for t in trajectories]
-    left_out += [f"{t.name}: {t.left_out}" for t in trajectories if t.left_out]
-    notes = [*left_out, *model.notes, *gain_notes, *filter(None, hints)]
+    changed += [_filtered_note(t, fitted=fitted or candidates) for t in trajectories]
+    left_out = [f"{t.name}: {t.left_out}" for t in trajectories if t.left_out]
+    first = tuple(dict.fromkeys([*hints, *unused, *left_out]))
+    notes = [*first, *model.notes, *gain_notes, *filter(None, changed)]
     notes += [f"{t.name}: {note}" for t in trajectories for note in t.notes]
     notes += [*_still_notes(dataset), f"validated on {len(folds)} held-out folds"]
     notes += [
@@ -188,7 +190,7 @@ def open_case(
     ]
     fingerprints, said = tuple(measured[log.name] for log in matched), tuple(dict.fromkeys(notes))
     opened = Asked(tuple(matched), tuple(extra), bandwidth, blocks)
-    found = model, trajectories, folds, dataset, fingerprints, said, tuple(left_out), opened
+    found = model, trajectories, folds, dataset, fingerprints, said, first, opened
     return Case(*found, shared=shared)
 
 
@@ -422,12 +424,10 @@ def _naming_units(hints: Sequence[str]) -> Iterator[None]:
 
 
 def _hints(log: JointLog, model: RobotModel) -> list[str]:
-    limits = model.position_limits
-    hints = [
-        effort_unit_hint(log, model.effort_limits),
-        effort_sign_hint(log),
-        position_unit_hint(log),
-    ]
-    if len(limits[0]) == len(log.joints):
-        hints.append(position_limit_hint(log, *limits))
+    limits, doubt = model.position_limits, position_unit_hint(log)
+    hints = [doubt, effort_sign_hint(log)]
+    if doubt is None:  # or limits are passed for that reason
+        hints.append(effort_unit_hint(log, model.effort_limits))
+        if len(limits[0]) == len(log.joints):
+            hints.append(position_limit_hint(log, *limits))
     return [hint for hint in hints if hint]

@@ -62,7 +62,7 @@ def comparison(
         where_it_fails(found, errors, sliding=case.model.sliding_joints),
         found,
         case.notes,
-        case.left_out,
+        case.first,
     )
 
 

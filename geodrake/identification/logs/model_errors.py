@@ -170,7 +170,7 @@ class Comparison(Shown):
     failing: tuple[Failing, ...]  # where the error is concentrated, worst first
     series: tuple[Series, ...]  # what was measured and predicted
     notes: tuple[str, ...]  # what was done to the logs and noticed about the model
-    left_out: tuple[str, ...] = ()  # what of the logs is not used, which the notes have first
+    first: tuple[str, ...] = ()  # of these, what is to be known first: doubts, and what is not used
 
 
 @dataclass(frozen=True)
