@@ -30,10 +30,10 @@ from geodrake.identification.logs.dataset import is_payload
 from geodrake.inertia import PARAMETERS_PER_BODY, Array
 from geodrake.logs.motion import Motion
 from geodrake.model.robot_model import RobotModel
+from geodrake.robot.coordinates import RobotCoordinates
 from geodrake.robot.floating_base import on_a_free_world, wrench_map
 from geodrake.robot.kinematics import KinematicTree
 from geodrake.robot.regressor import checked_samples, checked_tree, put_regressor
-from geodrake.robot.transmission.actuation import Actuation
 from geodrake.robot.transmission.base import times
 
 _STEP = 1e-5  # of differences, of the largest value there is
@@ -110,7 +110,7 @@ def base_wrench_regressor_gradient(
 
 
 def _at_actuators(
-    actuation: Actuation, J: Array, motion: Motion, gradient: MotionGradient
+    actuation: RobotCoordinates, J: Array, motion: Motion, gradient: MotionGradient
 ) -> MotionGradient:
     """Return the gradient with the motion of actuators, of that with the motion of joints.
 

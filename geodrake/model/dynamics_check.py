@@ -17,6 +17,7 @@ from geodrake.boundary.arguments import instance, integer
 from geodrake.boundary.showing import Short
 from geodrake.model.robot_model import RobotModel
 from geodrake.model.second_opinion import second_opinion
+from geodrake.robot.followers import scoped
 from geodrake.robot.holding import moving_joints
 from geodrake.robot.plant import set_inertial_parameters
 from geodrake.robot.regressor import inverse_dynamics, inverse_dynamics_regressor
@@ -137,7 +138,8 @@ def check_dynamics(model: RobotModel, *, samples: int = 100, seed: int = 0) -> D
 
 def _of_plant(model: RobotModel, states: States) -> tuple[States, Array, Array]:
     """States (N, ·) of the plant, rates of its positions by the model's, and J̇ v."""
-    jacobians, rates = model.coordinates.jacobians(model.tree.actuation, *states[:2])
+    jacobians = model.coordinates.jacobian(states[0])
+    rates = model.coordinates.jacobian_rate(*states[:2])
     along = times(rates, states[1])
     q, v = model.plant_positions(states[0]), model.plant_velocities(*states[:2])
     return (q, v, times(jacobians, states[2]) + along), jacobians, along
@@ -152,7 +154,7 @@ def _random_states(model: RobotModel, count: int, rng: np.random.Generator) -> S
     q = rng.uniform(low, high, (count, len(low)))
     for joint in moving_joints(model.plant):
         if joint.num_positions() > joint.num_velocities():  # a quaternion
-            start = model.coordinates.position_of(joint)
+            start = model.own.starts[scoped(joint)][0]
             q[:, start : start + 4] = rng.normal(size=(count, 4))
             q[:, start : start + 4] /= np.linalg.norm(q[:, start : start + 4], axis=1)[:, None]
     v, vd = rng.uniform(-1.0, 1.0, (2, count, len(model.joints)))

@@ -17,7 +17,8 @@ from geodrake.logs.resting import LARGEST, logged_ranges, readings, resting, tra
 from geodrake.model.base_logs import with_base
 from geodrake.model.holding import holding
 from geodrake.model.robot_model import RobotModel, is_of_file, read_again
-from geodrake.robot.plant import joint_names, motor_joints, scoped_joint_names
+from geodrake.robot.followers import joint_names
+from geodrake.robot.plant import motor_joints, scoped_joint_names
 from geodrake.robot.transmission.drive import Drive
 from geodrake.robot.transmission.loop import LoopTransmission
 

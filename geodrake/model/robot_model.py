@@ -36,27 +36,21 @@ from geodrake.model.simulation.driven_robot import Driving, driving_of
 from geodrake.model.simulation.robot_in_diagram import RobotInDiagram, add_robot, make_act
 from geodrake.model.stated_terms import stated_effects
 from geodrake.robot.base_joints import base_joints
+from geodrake.robot.coordinates import RobotCoordinates, plant_coordinates
 from geodrake.robot.files import Given
-from geodrake.robot.followers import Follower, OwnCoordinates, scoped
+from geodrake.robot.followers import Follower, OwnPlaces, followed, joint_names, scoped
 from geodrake.robot.holding import moving_joints
 from geodrake.robot.kinematics import KinematicTree
 from geodrake.robot.plant import (
     LoadedPlant,
     cannot_follow,
     effort_limits,
-    joint_names,
     load_plant,
     set_inertial_parameters,
     velocity_limits,
 )
 from geodrake.robot.regressor import body_regressor, inverse_dynamics
 from geodrake.robot.robot_instance import RobotInstance
-from geodrake.robot.transmission.actuation import (
-    Actuation,
-    actuator_effort_limits,
-    actuator_positions_between,
-    actuator_rates,
-)
 from geodrake.robot.transmission.base import times
 from geodrake.robot.transmission.drive import Drive
 from geodrake.robot.transmission.loop import LoopTransmission
@@ -137,21 +131,36 @@ class RobotModel(Short):
         return KinematicTree.from_plant(self.plant, self.followers)
 
     @cached_property
-    def coordinates(self) -> OwnCoordinates:
+    def own(self) -> OwnPlaces:
         """Return which positions and velocities of the plant are those of `joint_tree`."""
-        return OwnCoordinates(self.plant, self.followers)
+        return OwnPlaces.of(self.plant, self.followers)
 
     @cached_property
-    def actuation(self) -> Actuation:
-        """Return how those follow from the model's."""
-        count = len(self.coordinates.own_positions)
-        return Actuation.of(self.tree_joints, self._single_of_tree, count, self.transmission)
+    def actuation(self) -> RobotCoordinates:
+        """Return how the joints of `joint_tree` move, followers left out."""
+        joints = moving_joints(self.plant)
+        single = {
+            self.own.starts[scoped(j)][1]: self.own.starts[scoped(j)][0]
+            for j in joints
+            if j.num_velocities() == j.num_positions() == 1
+        }
+        return RobotCoordinates.of(
+            self.tree_joints, single, len(self.own.positions), self.transmission
+        )
+
+    @cached_property
+    def coordinates(self) -> RobotCoordinates:
+        """Return how all joints of the plant move."""
+        own = self.actuation  # which refuses drives that do not fit
+        if not self.followers:
+            return own
+        return plant_coordinates(self.plant, self.followers, self.transmission)
 
     @cached_property
     def tree_joints(self) -> tuple[str, ...]:
         """Names of the velocities of `joint_tree`."""
         names = joint_names(self.plant)
-        return tuple(names[k] for k in self.coordinates.own_velocities)
+        return tuple(names[k] for k in self.own.velocities)
 
     @cached_property
     def joints(self) -> tuple[str, ...]:
@@ -165,11 +174,11 @@ class RobotModel(Short):
 
     def plant_positions(self, q: Array) -> Array:
         """(N, nq of the plant) positions, of those of the model (N, nq)."""
-        return self.coordinates.plant_positions(self.tree.joint_positions(q))
+        return self.coordinates.tree_positions(q)
 
     def plant_velocities(self, q: Array, v: Array) -> Array:
         """(N, nv of the plant) velocities, of positions (N, nq) and velocities (N, nv)."""
-        return self.coordinates.plant_velocities(times(self.actuation.jacobian(q), v))
+        return times(self.coordinates.jacobian(q), v)
 
     def driving(
         self,
@@ -193,28 +202,28 @@ class RobotModel(Short):
 
     def robot_gradient(self, q: Array, gradient: Array) -> Array:
         """(N, nq) gradient with the positions q (N, nq), of that with the plant's (N, ·)."""
-        return self.actuation.robot_gradient(q, self.coordinates.robot_gradient(gradient))
+        return self.coordinates.robot_gradient(q, gradient)
 
     def place_of(self, joint: Joint) -> int | None:
         """Which velocity of the model a joint of the plant has; None if it has none of its own."""
-        if scoped(joint) in self.coordinates.leaders:
-            return None
-        return self.actuation.standing.get(self.coordinates.velocity_of(joint))
+        return self.coordinates.standing.get(int(joint.velocity_start()))
 
     @cached_property
     def led(self) -> Mapping[str, tuple[str, float]]:
         """Joint that follows another one -> its name, and how far it moves when that moves by 1."""
         names, driven = joint_names(self.plant), {j for d in self.transmission for j in d.joints}
         return {
-            names[to]: (names[of], ratio)
-            for to, of, ratio in self.coordinates.followed
+            names[to]: (names[of], follower.ratio)
+            for follower, to, of in followed(self.plant, self.followers)
             if names[of] not in driven
         }
 
     @cached_property
     def position_limits(self) -> tuple[Array, Array]:
         """Lower and upper limits (nq,) of the positions, rad or m."""
-        return actuator_positions_between(self.actuation, *self.coordinates.position_limits())
+        plant = self.plant
+        limits = plant.GetPositionLowerLimits(), plant.GetPositionUpperLimits()
+        return self.coordinates.positions_between(*limits)
 
     @cached_property
     def velocity_limits(self) -> Array:
@@ -228,14 +237,13 @@ class RobotModel(Short):
         return self._rates(np.minimum(upper(), -lower()))
 
     def _rates(self, limits: Array) -> Array:
-        limits = self.coordinates.rate_limits(limits)
-        return actuator_rates(self.actuation, limits, self.position_limits)
+        return self.coordinates.rates(limits, self.position_limits)
 
     @cached_property
     def effort_limits(self) -> Array:
         """Largest efforts (nv,) of the file, N·m or N; infinite where there is no limit."""
-        limits = effort_limits(self.plant)[self.coordinates.own_velocities]
-        return actuator_effort_limits(self.actuation, limits, self.position_limits)
+        limits = effort_limits(self.plant)[self.own.velocities]
+        return self.actuation.effort_limits(limits, self.position_limits)
 
     @property
     def known_effort_limits(self) -> Array:
@@ -402,7 +410,7 @@ class RobotModel(Short):
     def default_position(self, joint: str) -> float:
         """Return where the model file puts a joint of one degree of freedom, rad or m."""
         q = self.plant.GetPositions(self.plant.CreateDefaultContext())
-        own = self.actuation.nearest(q[None, self.coordinates.own_positions])
+        own = self.actuation.nearest(q[None, self.own.positions])
         return float(own[0, self._at(joint)])
 
     def limits_of(self, joint: str) -> tuple[float, float]:
@@ -436,17 +444,7 @@ class RobotModel(Short):
     @cached_property
     def single_places(self) -> tuple[list[int], list[int]]:
         """Return where the joints of one degree of freedom are in v and in q."""
-        return self.actuation.single_places(self._single_of_tree)
-
-    @cached_property
-    def _single_of_tree(self) -> dict[int, int]:
-        """Return velocity -> position, of joints of one degree of freedom of `joint_tree`."""
-        coordinates = self.coordinates
-        return {
-            coordinates.velocity_of(j): coordinates.position_of(j)
-            for j in moving_joints(self.plant)
-            if j.num_velocities() == j.num_positions() == 1 and scoped(j) not in coordinates.leaders
-        }
+        return self.actuation.single_places
 
     def create_context(self) -> Context:
         """A default Context of the plant with the model's inertial parameters, payloads included.
@@ -597,7 +595,7 @@ def from_loaded_plant(
         transmission=(*drives, *loops),
         known_joints=loaded.joints,
     )
-    stated = stated_effects(loaded, bare.tree_joints, bare.coordinates, bare.actuation)
+    stated = stated_effects(loaded, bare.coordinates)
     notes += stated.notes
     left_out += tuple(stated.left_out)
     if loaded.geared and not transmission:

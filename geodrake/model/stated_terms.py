@@ -33,9 +33,9 @@ from geodrake.model.file_terms import (
     StrutEffect,
 )
 from geodrake.robot import stated
-from geodrake.robot.followers import OwnCoordinates
+from geodrake.robot.coordinates import RobotCoordinates
+from geodrake.robot.followers import followed, joint_names
 from geodrake.robot.plant import LoadedPlant, scoped_joint_names
-from geodrake.robot.transmission.actuation import Actuation
 
 _LEAST = 1e-100  # SI units: less counts as zero, as its square has no inverse
 _DAMPING, _FRICTION, _ROTOR = "damping", "dry friction", "reflected rotor inertia"
@@ -89,33 +89,26 @@ class StatedEffects:
         return found
 
 
-def _rows(
-    joints: Sequence[str], coordinates: OwnCoordinates, actuation: Actuation
-) -> tuple[Rows, dict[int, float]]:
+def _rows(loaded: LoadedPlant, coordinates: RobotCoordinates) -> tuple[Rows, dict[int, float]]:
     """Return what each velocity of a plant follows, and its position where that is at zero.
 
     A joint that several actuators move, or by a ratio that changes, follows itself.
     """
-    rows, shifts, known = Rows(), dict[int, float](), actuation.ratios
-    for at, to in enumerate(coordinates.own_velocities.tolist()):
-        name, ratio, shifts[to] = known.get(at, (joints[at], 1.0, 0.0))
-        rows[to] = {name: ratio}
-    for follower, (to, of, ratio) in zip(coordinates.followers, coordinates.followed, strict=True):
-        rows[to] = {name: ratio * own for name, own in rows[of].items()}
-        shifts[to] = ratio * shifts[of] + follower.offset
+    rows, shifts = Rows(), dict[int, float]()
+    for at, joint in enumerate(joint_names(loaded.plant)):
+        name, ratio, shifts[at] = coordinates.ratios.get(at, (joint, 1.0, 0.0))
+        rows[at] = {name: ratio}
+    for follower, to, of in followed(loaded.plant, loaded.followers):
+        if to not in coordinates.ratios:
+            rows[to] = {name: follower.ratio * own for name, own in rows[of].items()}
+            shifts[to] = follower.ratio * shifts[of] + follower.offset
     return rows, shifts
 
 
-def stated_effects(
-    loaded: LoadedPlant, joints: Sequence[str], coordinates: OwnCoordinates, actuation: Actuation
-) -> StatedEffects:
-    """Return the effects that a model file states.
-
-    Args:
-        joints: Names of the velocities of the plant's tree, without followers.
-    """
-    found, built, terms = StatedEffects(actuation.names), loaded.stated, loaded.terms
-    rows, shifts = _rows(joints, coordinates, actuation)
+def stated_effects(loaded: LoadedPlant, coordinates: RobotCoordinates) -> StatedEffects:
+    """Return the effects that a model file states, by coordinates of all of the plant's joints."""
+    found, built, terms = StatedEffects(coordinates.names), loaded.stated, loaded.terms
+    rows, shifts = _rows(loaded, coordinates)
     values = {
         _DAMPING: found.by_name(built.damping, rows, 2.0),
         _FRICTION: found.by_name(built.friction, rows, 1.0),

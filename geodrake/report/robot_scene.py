@@ -18,7 +18,7 @@ from geodrake.inertia.ellipsoids import equivalent_ellipsoid
 from geodrake.model.robot_model import RobotModel
 from geodrake.report.ellipsoids import LEAST_THICKNESS
 from geodrake.report.posed_links import drawn_shapes, joint_axis, moved_body
-from geodrake.robot.plant import joint_names
+from geodrake.robot.followers import joint_names
 from geodrake.robot.shapes import LinkShape, RobotShapes
 
 FRAMES = 30.0

@@ -2,8 +2,9 @@
 
 from geodrake.robot.base_parameters import BaseParameters, base_parameters, pushforward_metric
 from geodrake.robot.floating_base import base_wrench_regressor, body_poses, zero_moment_point
+from geodrake.robot.followers import joint_names
 from geodrake.robot.kinematics import KinematicTree
-from geodrake.robot.plant import joint_names, load_plant, position_limits, velocity_limits
+from geodrake.robot.plant import load_plant, position_limits, velocity_limits
 from geodrake.robot.regressor import inverse_dynamics, inverse_dynamics_regressor
 from geodrake.robot.robot_instance import RobotInstance, RobotPorts, take_out_stated
 from geodrake.robot.transmission import (

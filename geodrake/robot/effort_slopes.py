@@ -28,6 +28,7 @@ from geodrake.compiling import compiled, contiguous, inlined
 from geodrake.errors import ArgumentError
 from geodrake.inertia import PARAMETERS_PER_BODY, Array
 from geodrake.logs.motion import Motion
+from geodrake.robot.coordinates import RobotCoordinates
 from geodrake.robot.kinematics import KinematicTree
 from geodrake.robot.recursion import (
     MOTION,
@@ -41,7 +42,6 @@ from geodrake.robot.recursion import (
     wrench_of,
 )
 from geodrake.robot.regressor import checked_samples, checked_tree
-from geodrake.robot.transmission.actuation import Actuation
 from geodrake.robot.transmission.base import times
 from geodrake.robot.vectors import (
     Vector,
@@ -114,7 +114,7 @@ def effort_slopes(
 
 def _at_actuators(
     slopes: EffortSlopes,
-    actuation: Actuation,
+    actuation: RobotCoordinates,
     J: Array,
     efforts: Array,
     motion: Motion,

@@ -9,15 +9,13 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
 from pydrake.multibody.plant import MultibodyPlant
 from pydrake.multibody.tree import Joint
 
-from geodrake.inertia import Array
-from geodrake.robot.transmission.actuation import Actuation
+from geodrake.boundary.arguments import typed
 
 Indices = NDArray[np.intp]
 
@@ -34,6 +32,22 @@ def scoped(joint: Joint) -> str:
 def joints_of(plant: MultibodyPlant) -> list[Joint]:
     """Return the joints of a plant, welds included."""
     return [plant.get_joint(index) for index in plant.GetJointIndices()]
+
+
+@typed
+def joint_names(plant: MultibodyPlant) -> tuple[str, ...]:
+    """Names of the velocities (nv): the joint's, with a suffix where it has several.
+
+    A name that several model instances use is preceded by its instance, `left_elbow`; also where
+    the joint is held in the others.
+    """
+    names = plant.GetVelocityNames(add_model_instance_prefix=False, always_add_suffix=False)
+    full = plant.GetVelocityNames(add_model_instance_prefix=True, always_add_suffix=False)
+    held = [joint.name() for joint in joints_of(plant) if not joint.num_velocities()]
+    return tuple(
+        long if names.count(short) > 1 or short in held else short
+        for short, long in zip(names, full, strict=True)
+    )
 
 
 @dataclass(frozen=True)
@@ -91,99 +105,44 @@ def leads_back(joint: str, leader: str, leaders: Mapping[str, str]) -> bool:
 
 
 @dataclass(frozen=True, eq=False)
-class OwnCoordinates:
-    """Which positions and velocities of a plant are a robot's own, and how the others follow."""
+class OwnPlaces:
+    """Where positions and velocities are that no joint has which follows another one.
 
-    plant: MultibodyPlant
-    followers: tuple[Follower, ...] = ()
+    Attributes:
+        positions: (nq,) where a robot's are in those of its plant.
+        velocities: (nv,) likewise.
+        starts: Scoped name of a joint -> where in q and v those begin that move it: its own, or its
+            leader's.
+    """
 
-    @cached_property
-    def leaders(self) -> Mapping[str, Follower]:
-        """Scoped name of a joint that follows -> how."""
-        return {follower.joint: follower for follower in self.followers}
+    positions: Indices
+    velocities: Indices
+    starts: Mapping[str, tuple[int, int]]
 
-    @cached_property
-    def own_positions(self) -> Indices:
-        """(nq,) where the robot's positions are in those of the plant."""
-        following = [to for to, _ in self._places]
-        return np.setdiff1d(np.arange(self.plant.num_positions()), following)
+    @classmethod
+    def of(cls, plant: MultibodyPlant, followers: Sequence[Follower]) -> OwnPlaces:
+        """Find them in a plant."""
+        joints = {scoped(joint): joint for joint in joints_of(plant)}
+        leaders = {follower.joint: follower.leader for follower in followers}
+        places = {
+            name: (int(joint.position_start()), int(joint.velocity_start()))
+            for name, joint in joints.items()
+        }
+        q, v = (
+            np.setdiff1d(np.arange(count), [places[name][k] for name in leaders])
+            for k, count in enumerate((plant.num_positions(), plant.num_velocities()))
+        )
+        movers = {name: places[leaders.get(name, name)] for name in joints}
+        starts = {
+            name: (int(np.searchsorted(q, at_q)), int(np.searchsorted(v, at_v)))
+            for name, (at_q, at_v) in movers.items()
+        }
+        return cls(q, v, starts)
 
-    @cached_property
-    def own_velocities(self) -> Indices:
-        """(nv,) where the robot's velocities are in those of the plant."""
-        following = [to for to, _, _ in self.followed]
-        return np.setdiff1d(np.arange(self.plant.num_velocities()), following)
 
-    @cached_property
-    def followed(self) -> tuple[tuple[int, int, float], ...]:
-        """Of each follower, its velocity and its leader's in the plant's, and its ratio."""
-        starts = {name: int(joint.velocity_start()) for name, joint in self._joints.items()}
-        return tuple((starts[f.joint], starts[f.leader], f.ratio) for f in self.followers)
-
-    def position_of(self, joint: Joint) -> int:
-        """Where in q the positions of a joint begin that moves it: its own, or its leader's."""
-        return int(np.searchsorted(self.own_positions, self._mover(joint).position_start()))
-
-    def velocity_of(self, joint: Joint) -> int:
-        """The same of its velocities in v."""
-        return int(np.searchsorted(self.own_velocities, self._mover(joint).velocity_start()))
-
-    def plant_positions(self, q: Array) -> Array:
-        """(N, nq of the plant) positions, of those of the robot (N, nq)."""
-        whole = np.zeros((len(q), self.plant.num_positions()))
-        whole[:, self.own_positions] = q
-        for follower, (to, of) in zip(self.followers, self._places, strict=True):
-            whole[:, to] = follower.ratio * whole[:, of] + follower.offset
-        return whole
-
-    def plant_velocities(self, v: Array) -> Array:
-        """(N, nv of the plant) velocities or accelerations, of those of the robot (N, nv)."""
-        whole = np.zeros((len(v), self.plant.num_velocities()))
-        whole[:, self.own_velocities] = v
-        for to, of, ratio in self.followed:
-            whole[:, to] = ratio * whole[:, of]
-        return whole
-
-    def jacobians(self, actuation: Actuation | None, q: Array, v: Array) -> tuple[Array, Array]:
-        """J and J̇ (N, nv of the plant, nv), with the plant's velocities J v, at q and v (N, ·)."""
-        F = self.plant_velocities(np.eye(len(self.own_velocities))).T
-        if actuation is not None:
-            return F @ actuation.jacobian(q), F @ actuation.jacobian_rate(q, v)
-        J = np.repeat(F[None], len(q), axis=0)
-        return J, np.zeros_like(J)
-
-    def robot_gradient(self, gradient: Array) -> Array:
-        """(N, nq) gradient with the robot's positions, of that with the plant's (N, ·)."""
-        found = np.array(gradient, float)
-        for follower, (to, of) in zip(self.followers, self._places, strict=True):
-            found[:, of] += follower.ratio * found[:, to]
-        return found[:, self.own_positions]
-
-    def position_limits(self) -> tuple[Array, Array]:
-        """Lower and upper limits (nq,) of the positions, those of followers included, rad or m."""
-        lower, upper = self.plant.GetPositionLowerLimits(), self.plant.GetPositionUpperLimits()
-        for follower, (to, of) in zip(self.followers, self._places, strict=True):
-            ends = (np.array([lower[to], upper[to]]) - follower.offset) / follower.ratio
-            lower[of], upper[of] = max(lower[of], ends.min()), min(upper[of], ends.max())
-        return lower[self.own_positions], upper[self.own_positions]
-
-    def rate_limits(self, limits: Array) -> Array:
-        """Largest speeds or accelerations (nv,), of those of all of the plant's velocities."""
-        limits = np.array(limits, float)
-        for to, of, ratio in self.followed:
-            limits[of] = min(limits[of], limits[to] / abs(ratio))
-        return limits[self.own_velocities]
-
-    @cached_property
-    def _places(self) -> tuple[tuple[int, int], ...]:
-        """Of each follower, its position and its leader's in the plant's."""
-        starts = {name: int(joint.position_start()) for name, joint in self._joints.items()}
-        return tuple((starts[f.joint], starts[f.leader]) for f in self.followers)
-
-    @cached_property
-    def _joints(self) -> dict[str, Joint]:
-        return {scoped(joint): joint for joint in joints_of(self.plant)}
-
-    def _mover(self, joint: Joint) -> Joint:
-        follower = self.leaders.get(scoped(joint))
-        return joint if follower is None else self._joints[follower.leader]
+def followed(
+    plant: MultibodyPlant, followers: Sequence[Follower]
+) -> tuple[tuple[Follower, int, int], ...]:
+    """Return followers, with their velocity and their leader's in those of a plant."""
+    starts = {scoped(joint): int(joint.velocity_start()) for joint in joints_of(plant)}
+    return tuple((f, starts[f.joint], starts[f.leader]) for f in followers)

@@ -17,10 +17,10 @@ from geodrake.compiling import contiguous
 from geodrake.errors import ModelError
 from geodrake.inertia import PARAMETERS_PER_BODY, Array
 from geodrake.inertia.bodies import LumpedBody, is_base_frame, lumped_bodies
-from geodrake.robot.followers import Follower, OwnCoordinates, scoped
+from geodrake.robot.coordinates import RobotCoordinates
+from geodrake.robot.followers import Follower, OwnPlaces, scoped
 from geodrake.robot.joints import FrameMotion, joint_motions
 from geodrake.robot.recursion import MOBILIZER, Samples, TreeRecords
-from geodrake.robot.transmission.actuation import Actuation
 
 _WORLD, _MASSLESS = -1, -2
 
@@ -75,7 +75,7 @@ class KinematicTree(Short):
     num_positions: int
     num_velocities: int
     gravity: Array
-    actuation: Actuation | None = field(default=None, compare=False)
+    actuation: RobotCoordinates | None = field(default=None, compare=False)
 
     @classmethod
     def from_plant(cls, plant: MultibodyPlant, followers: Sequence[Follower] = ()) -> KinematicTree:
@@ -87,16 +87,16 @@ class KinematicTree(Short):
         """
         bodies = lumped_bodies(plant)
         gravity = [_has_gravity(plant, body) for body in bodies]
-        coordinates = OwnCoordinates(plant, tuple(followers))
+        own, leaders = OwnPlaces.of(plant, followers), {f.joint: f for f in followers}
         last = {_WORLD: -1}  # every body reached so far: its mobilizer
         mobilizers: list[Mobilizer] = []
         for joint, inboard, outboard, X_PF, X_MB, sign in _edges(plant, bodies):
             is_frame = outboard <= _MASSLESS
             if inboard >= 0 and gravity[inboard] != gravity[outboard]:
                 raise _partial_gravity(bodies[outboard].name)
-            q, v = coordinates.position_of(joint), coordinates.velocity_of(joint)
+            q, v = own.starts[scoped(joint)]
             motions = joint_motions(joint, sign)
-            if (follower := coordinates.leaders.get(scoped(joint))) is not None:
+            if (follower := leaders.get(scoped(joint))) is not None:
                 motions = [motions[0].following(follower.ratio, follower.offset)]
             for step, motion in enumerate(motions, start=1):
                 parent = last[inboard] if step == 1 else len(mobilizers) - 1
@@ -122,12 +122,12 @@ class KinematicTree(Short):
         return cls(
             mobilizers=tuple(mobilizers),
             bodies=tuple(body.name for body in bodies),
-            num_positions=len(coordinates.own_positions),
-            num_velocities=len(coordinates.own_velocities),
+            num_positions=len(own.positions),
+            num_velocities=len(own.velocities),
             gravity=np.array(plant.gravity_field().gravity_vector()),
         )
 
-    def driven(self, actuation: Actuation) -> KinematicTree:
+    def driven(self, actuation: RobotCoordinates) -> KinematicTree:
         """The same tree behind a transmission."""
         sizes = actuation.num_positions, actuation.num_velocities
         return replace(self, actuation=actuation, num_positions=sizes[0], num_velocities=sizes[1])

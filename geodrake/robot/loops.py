@@ -27,7 +27,8 @@ from geodrake.compiling import contiguous
 from geodrake.errors import ModelError
 from geodrake.inertia import Array
 from geodrake.inertia.bodies import lumped_bodies
-from geodrake.robot.followers import Follower, OwnCoordinates
+from geodrake.robot.coordinates import plant_coordinates
+from geodrake.robot.followers import Follower, OwnPlaces, scoped
 from geodrake.robot.holding import moving_joints
 from geodrake.robot.joints import Features, axis_motion, slide_motion
 from geodrake.robot.kinematics import KinematicTree, Mobilizer
@@ -219,13 +220,14 @@ class _LoopFinder:
     ) -> None:
         self.plant, self.names, self.path, self.how = plant, names, path, how
         self.tree = KinematicTree.from_plant(plant, how.followers)
-        coordinates = OwnCoordinates(plant, how.followers)
-        q = plant.GetPositions(plant.CreateDefaultContext())[coordinates.own_positions]
-        lower, upper = coordinates.position_limits()
+        own = OwnPlaces.of(plant, how.followers)
+        q = plant.GetPositions(plant.CreateDefaultContext())[own.positions]
+        limits = plant.GetPositionLowerLimits(), plant.GetPositionUpperLimits()
+        lower, upper = plant_coordinates(plant, how.followers).positions_between(*limits)
         self.place, self.limits = dict[int, float](), dict[int, tuple[float, float]]()
         for joint in moving_joints(plant):
             if joint.num_velocities() == joint.num_positions() == 1:
-                v, at = coordinates.velocity_of(joint), coordinates.position_of(joint)
+                at, v = own.starts[scoped(joint)]
                 self.place[v] = how.start.get(names[v], float(q[at]))
                 self.limits[v] = float(lower[at]), float(upper[at])
         # Scoped name of a body -> its mobilizer, -1 for what stands still, and its pose there.

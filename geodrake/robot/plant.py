@@ -24,12 +24,20 @@ from geodrake.errors import ModelError
 from geodrake.inertia import PARAMETERS_PER_BODY, Array, inertial_parameters, to_spatial_inertia
 from geodrake.inertia.bodies import Member, lumped_bodies
 from geodrake.robot.base_joints import add_base_joints
+from geodrake.robot.coordinates import plant_coordinates
 from geodrake.robot.cut_joints import ends_of, open_loops
 from geodrake.robot.files import Given, ModelDescription
 from geodrake.robot.files.checks import check_poses
 from geodrake.robot.files.description import drake_errors, drake_messages, read_description
 from geodrake.robot.files.named_robots import robot_file
-from geodrake.robot.followers import Follower, OwnCoordinates, joints_of, resolved, scoped
+from geodrake.robot.followers import (
+    Follower,
+    OwnPlaces,
+    joint_names,
+    joints_of,
+    resolved,
+    scoped,
+)
 from geodrake.robot.holding import (
     Arrangement,
     checked_held,
@@ -43,6 +51,7 @@ from geodrake.robot.loops import ClosedLoop, LoopJoints, Loops, closed_loops
 from geodrake.robot.mujoco_check import check_against_mujoco, check_loops_against_mujoco
 from geodrake.robot.repairs import Repair, repair_inertias
 from geodrake.robot.stated import BuiltPlant, CutJoint, FileTerms, Spring
+from geodrake.robot.transmission.base import times
 from geodrake.robot.transmission.statements import Followers, Gear
 
 _WORLD = 0
@@ -239,7 +248,7 @@ def _loops(description: ModelDescription, built: BuiltPlant, how: LoopJoints) ->
     closures = [*terms.closures, *built.opened]
     if not closures:
         return Loops()
-    names, own = joint_names(plant), OwnCoordinates(plant, how.followers).own_velocities
+    names, own = joint_names(plant), OwnPlaces.of(plant, how.followers).velocities
     limited = (a.joint() for a in _actuators(plant) if np.isfinite(a.effort_limit()))
     driven = {names[joint.velocity_start()] for joint in limited} | terms.driven
     driven |= {each.cut.name for each in built.opened if each.cut and each.cut.driven}
@@ -264,7 +273,7 @@ def _closed_states(
     loops: Loops,
 ) -> tuple[Array, Array]:
     """Positions (N, nq) and velocities (N, nv) of a plant at which its loops are closed."""
-    context, ways = plant.CreateDefaultContext(), OwnCoordinates(plant, tuple(followers))
+    context, own = plant.CreateDefaultContext(), OwnPlaces.of(plant, followers)
     q = np.repeat(plant.GetPositions(context)[None], _STATES, axis=0)
     v = np.zeros((_STATES, plant.num_velocities()))
     rng = np.random.default_rng(0)
@@ -274,8 +283,8 @@ def _closed_states(
             if name in joints:
                 q[:, joints[name].position_start()] = places
                 v[:, joints[name].velocity_start()] = speeds
-    q, v = q[:, ways.own_positions], v[:, ways.own_velocities]
-    return ways.plant_positions(q), ways.plant_velocities(v)
+    q, v, ways = q[:, own.positions], v[:, own.velocities], plant_coordinates(plant, followers)
+    return ways.tree_positions(q), times(ways.jacobian(q), v)
 
 
 def _single_joints(plant: MultibodyPlant) -> dict[str, Joint]:
@@ -503,22 +512,6 @@ def set_lump_inertias(
         inertias = [to_spatial_inertia(parameters)] + [SpatialInertia.Zero()] * (len(members) - 1)
         for member, inertia in zip(members, inertias, strict=True):
             plant.get_body(member.index).SetSpatialInertiaInBodyFrame(context, inertia)
-
-
-@typed
-def joint_names(plant: MultibodyPlant) -> tuple[str, ...]:
-    """Names of the velocities (nv): the joint's, with a suffix where it has several.
-
-    A name that several model instances use is preceded by its instance, `left_elbow`; also where
-    the joint is held in the others.
-    """
-    names = plant.GetVelocityNames(add_model_instance_prefix=False, always_add_suffix=False)
-    full = plant.GetVelocityNames(add_model_instance_prefix=True, always_add_suffix=False)
-    held = [joint.name() for joint in joints_of(plant) if not joint.num_velocities()]
-    return tuple(
-        long if names.count(short) > 1 or short in held else short
-        for short, long in zip(names, full, strict=True)
-    )
 
 
 def scoped_joint_names(plant: MultibodyPlant) -> tuple[str, ...]:

@@ -177,7 +177,7 @@ def test_distances_of_public_robots_are_pinocchios(name):
     order = [joint_names(model.plant).index(joint) for joint in robot.names[1:]]
     data, found = robot.createData(), shapes.createData()
     expected = []
-    for one in model.coordinates.plant_positions(q):  # fingers that follow each other
+    for one in model.plant_positions(q):  # fingers that follow each other
         pin.computeDistances(robot, data, shapes, found, one[order])
         expected.append(min(result.min_distance for result in found.distanceResults))
     distances, _ = world.distances(q)

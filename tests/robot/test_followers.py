@@ -82,9 +82,8 @@ def test_efforts_are_those_of_pinocchios_mimic_joints(tmp_path):
 def test_efforts_regressors_and_gradients_are_those_through_the_jacobian(tmp_path):
     model, apart = loaded(tmp_path), loaded(tmp_path, gripper(follows=False), "apart.urdf")
     motion, tree = motion_of(), KinematicTree.from_plant(apart.plant)
-    ways, phi = model.coordinates, model.phi
-    samples = ways.plant_positions(motion.q), *map(ways.plant_velocities, (motion.v, motion.vd))
-    J = ways.plant_velocities(np.eye(2)).T
+    phi, J = model.phi, model.coordinates.constant
+    samples = model.plant_positions(motion.q), motion.v @ J.T, motion.vd @ J.T
     own = motion.q, motion.v, motion.vd
     Y = inverse_dynamics_regressor(model.tree, *own)
     expected = np.swapaxes(J[None], 1, 2) @ inverse_dynamics_regressor(tree, *samples)
@@ -184,10 +183,10 @@ def test_efforts_are_those_of_mujoco_with_equalities(tmp_path):
     mujoco = pytest.importorskip("mujoco")
     model = loaded(tmp_path, MJCF.format(""), "m.xml")
     assert model.joints == ("j",)
-    ways, motion = model.coordinates, motion_of(width=1)
+    motion, rates = motion_of(width=1), model.coordinates.constant.T
     theirs = mujoco.MjModel.from_xml_string(MJCF.format(""))
     data, efforts = mujoco.MjData(theirs), []
-    whole = [ways.plant_positions(motion.q), *map(ways.plant_velocities, (motion.v, motion.vd))]
+    whole = [model.plant_positions(motion.q), motion.v @ rates, motion.vd @ rates]
     names = [theirs.joint(k).name for k in range(3)]
     order = [["j", "k", "s"].index(name) for name in names]
     J = np.array([1.0, -0.5, 0.3])[order]

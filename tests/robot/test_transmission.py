@@ -16,10 +16,10 @@ from pydrake.systems.analysis import Simulator
 from geodrake.errors import ArgumentError
 from geodrake.inertia import inertial_parameters
 from geodrake.logs.motion import Motion
+from geodrake.robot.coordinates import RobotCoordinates
 from geodrake.robot.plant import joint_names
 from geodrake.robot.regressor import inverse_dynamics, inverse_dynamics_regressor
 from geodrake.robot.transmission import Drive, LinearTransmission
-from geodrake.robot.transmission.actuation import Actuation, actuator_effort_limits, actuator_rates
 from geodrake.robot.transmission.base import InSequence, SideBySide, gears, rolling_joint
 
 RATIO = 10.6
@@ -155,12 +155,12 @@ def test_a_rotor_on_a_fixed_base_is_drakes_reflected_inertia():
 def test_a_joint_that_an_actuator_does_not_move_does_not_limit_it():
     """Without a warning, although 0 · ∞ is no number."""
     idle = Drive(("m",), ("a", "b"), LinearTransmission.of([[2.0], [0.0]]))
-    robot = Actuation.of(("a", "b"), {0: 0, 1: 1}, 2, (idle,))
+    robot = RobotCoordinates.of(("a", "b"), {0: 0, 1: 1}, 2, (idle,))
     within = np.full(1, -1.0), np.full(1, 1.0)
     most = np.array([5.0, np.inf])
-    np.testing.assert_array_equal(actuator_effort_limits(robot, most, within), [10.0])
-    np.testing.assert_array_equal(actuator_rates(robot, most, within), [2.5])
-    np.testing.assert_array_equal(actuator_rates(robot, np.zeros(2), within), [0.0])
+    np.testing.assert_array_equal(robot.effort_limits(most, within), [10.0])
+    np.testing.assert_array_equal(robot.rates(most, within), [2.5])
+    np.testing.assert_array_equal(robot.rates(np.zeros(2), within), [0.0])
 
 
 def test_bad_input():

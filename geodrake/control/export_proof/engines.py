@@ -34,7 +34,8 @@ from geodrake.model.file_terms import Damping, DryFriction, Rotor
 from geodrake.model.robot_model import RobotModel
 from geodrake.robot.files.description import drake_errors, drake_messages
 from geodrake.robot.files.packages import add_packages, named_packages
-from geodrake.robot.plant import free_roots, joint_names
+from geodrake.robot.followers import joint_names
+from geodrake.robot.plant import free_roots
 
 Mask = NDArray[np.bool_]
 

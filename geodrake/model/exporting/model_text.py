@@ -39,9 +39,9 @@ from geodrake.robot.files.model_edits import (
 from geodrake.robot.files.source_text import comment_words
 from geodrake.robot.files.values import words
 from geodrake.robot.files.xacro_file import read_expanded
-from geodrake.robot.followers import scoped
+from geodrake.robot.followers import joint_names, scoped
 from geodrake.robot.holding import moving_joints
-from geodrake.robot.plant import joint_names, motor_joints, scoped_joint_names
+from geodrake.robot.plant import motor_joints, scoped_joint_names
 
 _DRAKE = "http://drake.mit.edu"
 _ALWAYS = ("damping", "friction")  # written where they are 0, too
@@ -105,7 +105,7 @@ def _links_of(model: RobotModel) -> tuple[Link, ...]:
             X_LR = X_WL[k].inverse() @ X_WR
             turns = joint.type_name() == "revolute"
             axis = joint.revolute_axis() if turns else joint.translation_axis()
-            shown, follows = joints[model.joints[model.coordinates.velocity_of(joint)]], None
+            shown, follows = joints[model.joints[model.own.starts[scoped(joint)][1]]], None
             if (follower := followers.get(scoped(joint))) is not None:
                 follows = shown.name, follower.ratio, follower.offset
                 shown = without_drive(joint.name(), follower.joint, turns=turns)

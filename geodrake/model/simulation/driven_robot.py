@@ -25,7 +25,8 @@ from geodrake.errors import ModelError
 from geodrake.inertia import Array
 from geodrake.logs.motion import Motion
 from geodrake.logs.temperatures import Temperatures
-from geodrake.robot.followers import OwnCoordinates
+from geodrake.robot.coordinates import RobotCoordinates
+from geodrake.robot.followers import OwnPlaces
 from geodrake.robot.kinematics import KinematicTree
 from geodrake.robot.regressor import inverse_dynamics
 
@@ -45,15 +46,18 @@ class Driving:
     """How a plant moves with a model.
 
     Attributes:
-        coordinates: Which positions and velocities of the plant are those of its joints.
+        coordinates: How all joints of the plant move.
+        own: Which positions and velocities of the plant are those of the tree's joints.
         phi: (nb, 10) inertial parameters, payloads included.
         names: Names of the model's velocities.
         needed: What effort a motion needs.
         gain: (nv,) measured effort over the one that acts.
     """
 
+    plant: MultibodyPlant
     tree: KinematicTree
-    coordinates: OwnCoordinates
+    coordinates: RobotCoordinates
+    own: OwnPlaces
     phi: Array
     names: tuple[str, ...]
     needed: Needed
@@ -62,18 +66,18 @@ class Driving:
     @property
     def sizes(self) -> tuple[int, int, int, int]:
         """Return nq and nv of the plant, then of the model."""
-        plant, tree = self.coordinates.plant, self.tree
+        plant, tree = self.plant, self.tree
         own = tree.num_positions, tree.num_velocities
         return plant.num_positions(), plant.num_velocities(), *own
 
     def in_plant(self, plant: MultibodyPlant) -> Driving:
         """Return the same with another plant of the same robot."""
-        return replace(self, coordinates=replace(self.coordinates, plant=plant))
+        return replace(self, plant=plant)
 
     def model_state(self, state: Array) -> tuple[Array, Array]:
         """Return q (nq,) and v (nv,) of the model, of a state of the plant."""
-        nq, ways = self.sizes[0], self.coordinates
-        theta, rate = state[:nq][ways.own_positions], state[nq:][ways.own_velocities]
+        nq, own = self.sizes[0], self.own
+        theta, rate = state[:nq][own.positions], state[nq:][own.velocities]
         if self.tree.actuation is None:
             return theta, rate
         q = self.tree.actuation.nearest(theta[None])
@@ -82,9 +86,8 @@ class Driving:
 
     def plant_state(self, q: Array, v: Array) -> tuple[Array, Array]:
         """Return positions and velocities of the plant, of those (nq,), (nv,) of the model."""
-        J, _ = self._jacobians(q, v)
-        theta = self.tree.joint_positions(q[None])
-        return self.coordinates.plant_positions(theta)[0], J @ v
+        J = self.coordinates.jacobian(q[None])[0]
+        return self.coordinates.tree_positions(q[None])[0], np.asarray(J @ v)
 
     def plant_force(self, state: Array, effort: Array, time: float) -> Array:
         """Return generalized forces (nv of the plant,) of the actuators' efforts and all effects.
@@ -94,13 +97,13 @@ class Driving:
             time: Time since the log began, s.
         """
         q, v = self.model_state(state)
-        J, rate = self._jacobians(q, v)
-        theta = self.tree.joint_positions(q[None])
-        whole, rates = self.coordinates.plant_positions(theta)[0], J @ v
+        ways = self.coordinates
+        J, rate = ways.jacobian(q[None])[0], ways.jacobian_rate(q[None], v[None])[0]
+        whole, rates = ways.tree_positions(q[None])[0], J @ v
         acceleration = J @ self.acceleration(q, v, effort / self.gain, time) + rate @ v
         nq, nv, _, own = self.sizes
         if own < nv:
-            off = self.coordinates.plant.MapQDotToVelocity(self._context, state[:nq] - whole)
+            off = self.plant.MapQDotToVelocity(self._context, state[:nq] - whole)
             acceleration -= 2.0 * _RETURN * (state[nq:] - rates) + _RETURN**2 * off
         sample = state[None, :nq], state[None, nq:], acceleration[None]
         return inverse_dynamics(self._plant_tree, *sample, self.phi)[0]
@@ -130,18 +133,13 @@ class Driving:
         efforts = self.needed(places, rates, np.eye(count + 1, count), time)
         return (efforts[:count] - efforts[count]).T, efforts[count]
 
-    def _jacobians(self, q: Array, v: Array) -> tuple[Array, Array]:
-        """Return J and J̇ (nv of the plant, nv)."""
-        J, rate = self.coordinates.jacobians(self.tree.actuation, q[None], v[None])
-        return J[0], rate[0]
-
     @cached_property
     def _plant_tree(self) -> KinematicTree:
-        return KinematicTree.from_plant(self.coordinates.plant)
+        return KinematicTree.from_plant(self.plant)
 
     @cached_property
     def _context(self) -> Context:
-        return self.coordinates.plant.CreateDefaultContext()
+        return self.plant.CreateDefaultContext()
 
 
 def driving_of(
@@ -167,7 +165,8 @@ def driving_of(
         seen = model.motion(Motion(q, v, vd, temperature=warmth), sign_width=sign_width)
         return model.unscaled_effort(replace(seen, time=instants, log=number))
 
-    return Driving(model.tree, model.coordinates, model.total_phi, model.joints, needed, gain)
+    ways = model.plant, model.tree, model.coordinates, model.own
+    return Driving(*ways, model.total_phi, model.joints, needed, gain)
 
 
 class DrivenPlant(LeafSystem):
@@ -201,7 +200,7 @@ class DrivenPlant(LeafSystem):
 
     def close_loop(self, builder: DiagramBuilder) -> None:
         """Connects it with its plant; both are in the builder."""
-        plant = self._driving.coordinates.plant
+        plant = self._driving.plant
         builder.Connect(plant.get_state_output_port(), self._state_port)
         port = plant.get_applied_generalized_force_input_port()
         builder.Connect(self.GetOutputPort("generalized_force"), port)

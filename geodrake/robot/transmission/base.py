@@ -340,10 +340,13 @@ class InSequence(Transmission):
         return J
 
     def jacobian_rate(self, q: Array, v: Array) -> Array:
-        """J̇ = J̇₂ J₁ + J₂ J̇₁, stage by stage."""
-        J, rate = self.stages[0].jacobian(q), self.stages[0].jacobian_rate(q, v)
-        for inner, outer in pairwise(self.stages):
-            v, q = times(inner.jacobian(q), v), inner.joint_positions(q)
-            J2 = outer.jacobian(q)
-            J, rate = J2 @ J, outer.jacobian_rate(q, v) @ J + J2 @ rate
-        return rate
+        """J̇."""
+        return self.along(q, v)[2]
+
+    def along(self, q: Array, v: Array) -> tuple[Array, Array, Array]:
+        """θ, J = J₂ J₁ and J̇ = J̇₂ J₁ + J₂ J̇₁, stage by stage."""
+        theta, J, rate = self.stages[0].along(q, v)
+        for stage in self.stages[1:]:
+            theta, own, own_rate = stage.along(theta, times(J, v))
+            J, rate = own @ J, own_rate @ J + own @ rate
+        return theta, J, rate

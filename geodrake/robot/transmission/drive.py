@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 
@@ -27,6 +27,7 @@ class Drive(Short):
             None for each as the joint in whose place it stands.
         range: Positions (n,) of the actuators between which the map holds, rad or m.
         statement: What it was made of, which is saved; None for one of functions of your own.
+        followers: How many of the joints, the last ones, only follow others by constant ratios.
     """
 
     actuators: tuple[str, ...]
@@ -35,6 +36,7 @@ class Drive(Short):
     slides: tuple[bool, ...] | None = None
     range: tuple[Array, Array] | None = None
     statement: Statement | None = None
+    followers: int = field(default=0, compare=False)
 
     def __post_init__(self) -> None:
         instance(self.map, "map", Transmission)

@@ -1,4 +1,6 @@
-"""How all positions and velocities of a tree follow from those of a robot with drives.
+"""Coordinates: how all positions and velocities of joints follow from those of a robot.
+
+The joints are those of a tree, or all of a plant's, among them such as follow others.
 
 Joints that a drive moves give their places to its actuators, the i-th joint to the i-th actuator,
 or a joint to the actuator of its name where all have such; other joints are their own actuators, a
@@ -12,20 +14,20 @@ box is one inside its limits, in which every actuator may go as far in proportio
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
+from pydrake.multibody.plant import MultibodyPlant
 
 from geodrake.compiling import contiguous
 from geodrake.errors import ModelError
 from geodrake.inertia import Array
-from geodrake.robot.transmission.base import times
+from geodrake.robot.followers import Follower, Indices, joint_names, joints_of, scoped
+from geodrake.robot.transmission.base import InSequence, LinearTransmission, times
 from geodrake.robot.transmission.drive import Drive
 from geodrake.robot.transmission.loop import LoopTransmission
-
-Indices = NDArray[np.intp]
 
 _STEP = 1e-4  # rad or m
 _FAR = 10.0  # rad or m, up to where limits are looked for where the map has none
@@ -44,8 +46,8 @@ class Places:
 
 
 @dataclass(frozen=True, eq=False)
-class Actuation:
-    """A map from a robot's q, v and v̇ to those of its tree.
+class RobotCoordinates:
+    """A map from a robot's q, v and v̇ to those of its tree, or of its plant.
 
     Attributes:
         names: Names of the robot's nv velocities.
@@ -54,6 +56,7 @@ class Actuation:
             tree's.
         kept_v: (2, ·) the same of velocities.
         sizes: Numbers of the tree's positions and velocities.
+        single: Velocity of each of the tree's joints of one degree of freedom -> its position.
     """
 
     names: tuple[str, ...]
@@ -61,6 +64,7 @@ class Actuation:
     kept_q: Indices
     kept_v: Indices
     sizes: tuple[int, int]
+    single: Mapping[int, int]
 
     @classmethod
     def of(
@@ -69,7 +73,7 @@ class Actuation:
         positions: Mapping[int, int],
         num_positions: int,
         drives: Sequence[Drive],
-    ) -> Actuation:
+    ) -> RobotCoordinates:
         """Find the places, by `positions`: velocity of a joint of one degree -> its position."""
         by_name = {joints[at]: at for at in positions}
         _check(drives, by_name)
@@ -97,6 +101,7 @@ class Actuation:
             np.array(kept_q, np.intp).reshape(-1, 2).T,
             np.array(kept_v, np.intp).reshape(-1, 2).T,
             (num_positions, len(joints)),
+            positions,
         )
 
     @property
@@ -239,14 +244,12 @@ class Actuation:
             found[:, place.actuator_q] = times(np.swapaxes(J, 1, 2), gradient[:, place.joint_q])
         return found
 
-    def single_places(self, tree: Mapping[int, int]) -> tuple[list[int], list[int]]:
-        """Where joints of one degree of freedom, and actuators, are in the robot's v and q.
-
-        `tree` has the velocity of each such joint of the tree -> its position.
-        """
+    @cached_property
+    def single_places(self) -> tuple[list[int], list[int]]:
+        """Where joints of one degree of freedom, and actuators, are in the robot's v and q."""
         kept_q = dict(zip(self.kept_q[1].tolist(), self.kept_q[0].tolist(), strict=True))
         kept = zip(*self.kept_v.tolist(), strict=True)
-        found = {own: kept_q[tree[at]] for own, at in kept if at in tree}
+        found = {own: kept_q[self.single[at]] for own, at in kept if at in self.single}
         for place in self.places:
             found |= dict(zip(place.actuator_v.tolist(), place.actuator_q.tolist(), strict=True))
         return sorted(found), [found[at] for at in sorted(found)]
@@ -300,6 +303,50 @@ class Actuation:
             found |= dict(zip(own, place.actuator_v.tolist(), strict=True))
         return found
 
+    def positions_between(self, lower: Array, upper: Array) -> tuple[Array, Array]:
+        """Least and greatest positions (nq,) of the robot, of those (nq of the tree,) of joints."""
+        low, high = np.full((2, self.num_positions), np.nan)
+        own, tree = self.kept_q
+        low[own], high[own] = lower[tree], upper[tree]
+        for place in self.places:
+            at, ends = place.actuator_q, (lower[place.joint_q], upper[place.joint_q])
+            low[at], high[at] = _positions(place.drive, *ends)
+        return low, high
+
+    def rates(self, limits: Array, within: tuple[Array, Array]) -> Array:
+        """Largest speeds or accelerations (nv,) of the robot, of those (nv of the tree,) of joints.
+
+        `within` are its least and greatest positions (nq,).
+        """
+        return self._each(limits, within, lambda J, most: _box(np.abs(J).max(axis=0), most))
+
+    def effort_limits(self, limits: Array, within: tuple[Array, Array]) -> Array:
+        """Largest efforts (nv,) of the robot's actuators, of those of joints; see `rates`.
+
+        Free joints of a closed loop have their own: a motor at another joint adds to what is
+        possible.
+        """
+        found = self._each(limits, within, _efforts)
+        for place in self.places:
+            if place.drive.is_loop:
+                found[place.actuator_v] = limits[seated_at(place.drive, place.joint_v.tolist())]
+        return found
+
+    def _each(
+        self, limits: Array, within: tuple[Array, Array], of: Callable[[Array, Array], Array]
+    ) -> Array:
+        """Limits (nv,) of the robot, of those (nv of the tree,) of its joints.
+
+        `of` makes those (n,) of a drive's actuators of its J (N, k, n) where they may be, and of
+        the limits (k,) of its joints.
+        """
+        found = np.full(self.num_velocities, np.inf)
+        own, tree = self.kept_v
+        found[own] = limits[tree]
+        for place in self.places:
+            found[place.actuator_v] = of(_jacobians(place, within), limits[place.joint_v])
+        return found
+
     @cached_property
     def _moves(self) -> NDArray[np.bool_]:
         """(nv of the tree, nv) which velocity of the robot can move which of the tree."""
@@ -331,12 +378,46 @@ class Actuation:
         return J
 
 
+def plant_coordinates(
+    plant: MultibodyPlant, followers: Sequence[Follower] = (), drives: Sequence[Drive] = ()
+) -> RobotCoordinates:
+    """Return those of all joints of a plant, of which some follow others, and drives move some."""
+    names = joint_names(plant)
+    single = [j for j in joints_of(plant) if j.num_velocities() == j.num_positions() == 1]
+    named = {scoped(joint): names[joint.velocity_start()] for joint in single}
+    led: dict[str, list[Follower]] = {}
+    for follower in followers:
+        led.setdefault(named[follower.leader], []).append(follower)
+    moved = {joint for drive in drives for joint in drive.joints}
+    alike = LinearTransmission.of([[1.0]])
+    leaders = (Drive((name,), (name,), alike) for name in led if name not in moved)
+    every = [_leading(drive, led, named) for drive in (*drives, *leaders)]
+    positions = {int(joint.velocity_start()): int(joint.position_start()) for joint in single}
+    return RobotCoordinates.of(names, positions, plant.num_positions(), every)
+
+
+def _leading(
+    drive: Drive, led: Mapping[str, Sequence[Follower]], named: Mapping[str, str]
+) -> Drive:
+    """The drive with what follows its joints, θ = r θ_leader + θ₀, as further joints."""
+    more = [(k, f) for k, joint in enumerate(drive.joints) for f in led.get(joint, ())]
+    if not more:
+        return drive
+    own = np.eye(len(drive.joints))
+    rows = np.vstack([own, *(f.ratio * own[k] for k, f in more)])
+    shifts = np.concatenate([np.zeros(len(own)), [f.offset for _, f in more]])
+    joints = (*drive.joints, *(named[f.joint] for _, f in more))
+    spread = InSequence((drive.map, LinearTransmission.of(rows, shifts)))
+    return replace(drive, joints=joints, map=spread, followers=len(more))
+
+
 def seated_at(drive: Drive, joints: Sequence[int]) -> list[int]:
     """Velocities of the tree, among those of a drive's joints, in whose place its actuators are."""
     at = dict(zip(drive.joints, joints, strict=True))
     if set(drive.actuators) <= set(drive.joints):
         return [at[name] for name in drive.actuators]
-    return sorted(joints)[: len(drive.actuators)]
+    own = joints[: len(joints) - drive.followers]
+    return sorted(own)[: len(drive.actuators)]
 
 
 def _check(drives: Sequence[Drive], by_name: Mapping[str, int]) -> None:
@@ -370,60 +451,6 @@ def middle(low: Array, high: Array) -> Array:
     """(n,) positions in the middle of a range; 0 where there is none."""
     bounded = np.isfinite(low) & np.isfinite(high)
     return np.asarray(0.5 * (np.where(bounded, low, 0.0) + np.where(bounded, high, 0.0)))
-
-
-def actuator_positions_between(
-    actuation: Actuation, lower: Array, upper: Array
-) -> tuple[Array, Array]:
-    """Least and greatest positions (nq,) of a robot, of those (nq of the tree,) of its joints."""
-    low, high = np.full((2, actuation.num_positions), np.nan)
-    own, tree = actuation.kept_q
-    low[own], high[own] = lower[tree], upper[tree]
-    for place in actuation.places:
-        at, ends = place.actuator_q, (lower[place.joint_q], upper[place.joint_q])
-        low[at], high[at] = _positions(place.drive, *ends)
-    return low, high
-
-
-def actuator_rates(actuation: Actuation, limits: Array, within: tuple[Array, Array]) -> Array:
-    """Largest speeds or accelerations (nv,) of a robot, of those (nv of the tree,) of its joints.
-
-    `within` are its least and greatest positions (nq,).
-    """
-    return _each(actuation, limits, within, lambda J, most: _box(np.abs(J).max(axis=0), most))
-
-
-def actuator_effort_limits(
-    actuation: Actuation, limits: Array, within: tuple[Array, Array]
-) -> Array:
-    """Largest efforts (nv,) of a robot's actuators, of those of its joints; see `actuator_rates`.
-
-    Free joints of a closed loop have their own: a motor at another joint adds to what is possible.
-    """
-    found = _each(actuation, limits, within, _efforts)
-    for place in actuation.places:
-        if place.drive.is_loop:
-            found[place.actuator_v] = limits[seated_at(place.drive, place.joint_v.tolist())]
-    return found
-
-
-def _each(
-    actuation: Actuation,
-    limits: Array,
-    within: tuple[Array, Array],
-    of: Callable[[Array, Array], Array],
-) -> Array:
-    """Limits (nv,) of a robot, of those (nv of the tree,) of its joints.
-
-    `of` makes those (n,) of a drive's actuators of its J (N, k, n) where they may be, and of the
-    limits (k,) of its joints.
-    """
-    found = np.full(actuation.num_velocities, np.inf)
-    own, tree = actuation.kept_v
-    found[own] = limits[tree]
-    for place in actuation.places:
-        found[place.actuator_v] = of(_jacobians(place, within), limits[place.joint_v])
-    return found
 
 
 def _efforts(J: Array, most: Array) -> Array:
