@@ -15,7 +15,7 @@ from contextlib import contextmanager, suppress
 from functools import cache
 from hashlib import sha256
 from pathlib import Path
-from types import CodeType
+from types import CodeType, FunctionType
 from typing import Any, BinaryIO, TypeVar, cast
 
 import numpy as np
@@ -63,6 +63,19 @@ def compiled(function: F) -> F:
 def inlined(function: F) -> F:
     """Return the same, as a part of what calls it."""
     return _compiled(function, forceinline=True)
+
+
+def interpreted(function: F, **others: object) -> F:
+    """Return a compiled function as Python runs it, and all that it calls.
+
+    Args:
+        others: What stands for names in it, such as those of types of arrays.
+    """
+    own = getattr(function, "py_func", function)
+    scope = {**own.__globals__, **others}
+    called: dict[str, Any] = {name: scope.get(name) for name in _names(own.__code__)}
+    inner = {n: interpreted(x, **others) for n, x in called.items() if hasattr(x, "py_func")}
+    return cast(F, FunctionType(own.__code__, {**scope, **inner}, own.__name__))
 
 
 def contiguous(x: ArrayLike) -> NDArray[np.float64]:

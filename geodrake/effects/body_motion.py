@@ -103,13 +103,18 @@ class RobotBodies:
             calc_inverse_dynamics(replace(tree, gravity=gravity).records, samples, phi, effort)
         return actuator_rows(J, np.moveaxis(held, 0, -1))
 
-    @cached_property
-    def _motions(self) -> dict[str, BodyMotion]:
+    def kinematics(self) -> tuple[Array, Array, Array]:
+        """Poses X_WB (N, nb, 4, 4) of all bodies, and Jacobians (N, nb, 3, ·) with the joints."""
         tree, n = self.tree.joints, len(self.q)
         poses = np.zeros((n, len(tree.bodies), 4, 4))
         angular, linear = np.zeros((2, n, len(tree.bodies), 3, tree.num_velocities))
         q = contiguous(self.tree.joint_positions(self.q))
         calc_kinematics(tree.records, q, poses, angular, linear)
+        return poses, angular, linear
+
+    @cached_property
+    def _motions(self) -> dict[str, BodyMotion]:
+        tree, (poses, angular, linear) = self.tree.joints, self.kinematics()
         return {
             tree.bodies[mobilizer.body]: BodyMotion(
                 poses[:, mobilizer.body, :3, :3],

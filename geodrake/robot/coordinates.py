@@ -36,9 +36,14 @@ _POINTS = 4001
 
 @dataclass(frozen=True, eq=False)
 class Places:
-    """Where a drive's actuators are in the robot's q and v, and its joints in those of the tree."""
+    """Where a drive's actuators are in the robot's q and v, and its joints in those of the tree.
+
+    Attributes:
+        seats: Velocities of the tree in whose place the actuators are.
+    """
 
     drive: Drive
+    seats: Indices
     actuator_q: Indices
     actuator_v: Indices
     joint_q: Indices
@@ -79,27 +84,24 @@ class RobotCoordinates:
         _check(drives, by_name)
         moved = [[by_name[joint] for joint in drive.joints] for drive in drives]
         seated = [seated_at(drive, own) for drive, own in zip(drives, moved, strict=True)]
-        names, gone, driven = dict(enumerate(joints)), set[int](), set[int]()
-        for drive, own, seats in zip(drives, moved, seated, strict=True):
-            names |= dict(zip(seats, drive.actuators, strict=True))
-            gone |= set(own).difference(seats)  # joints that have no actuator of their own
-            driven |= set(own)
-        at_position = {place: at for at, place in positions.items()}
-        in_v = [at for at in range(len(joints)) if at not in gone]
-        in_q = [place for place in range(num_positions) if at_position.get(place) not in gone]
-        of_v, of_q = ({at: k for k, at in enumerate(each)} for each in (in_v, in_q))
-        kept_v = [(k, at) for k, at in enumerate(in_v) if at not in driven]
-        kept_q = [(k, at) for k, at in enumerate(in_q) if at_position.get(at) not in driven]
+        driven = {at for own in moved for at in own}
+        gone = driven.difference(*seated)  # joints that have no actuator of their own
+        names, every = dict(enumerate(joints)), (np.arange(len(joints)), np.arange(num_positions))
+        in_v = np.setdiff1d(every[0], [*gone])
+        in_q = np.setdiff1d(every[1], [positions[at] for at in gone])
+        kept_v = np.setdiff1d(in_v, [*driven])
+        kept_q = np.setdiff1d(in_q, [positions[at] for at in driven])
         places = []
         for drive, own, seats in zip(drives, moved, seated, strict=True):
-            own_q, joint_q = ([positions[at] for at in each] for each in (seats, own))
-            indices = [of_q[at] for at in own_q], [of_v[at] for at in seats], joint_q, own
-            places.append(Places(drive, *(np.array(x, np.intp) for x in indices)))
+            names |= dict(zip(seats, drive.actuators, strict=True))
+            seats_q, joint_q = (np.array([positions[at] for at in x]) for x in (seats, own))
+            own_q, own_v = np.searchsorted(in_q, seats_q), np.searchsorted(in_v, seats)
+            places.append(Places(drive, np.array(seats), own_q, own_v, joint_q, np.array(own)))
         return cls(
-            tuple(names[at] for at in in_v),
+            tuple(names[at] for at in in_v.tolist()),
             tuple(places),
-            np.array(kept_q, np.intp).reshape(-1, 2).T,
-            np.array(kept_v, np.intp).reshape(-1, 2).T,
+            np.array([np.searchsorted(in_q, kept_q), kept_q]),
+            np.array([np.searchsorted(in_v, kept_v), kept_v]),
             (num_positions, len(joints)),
             positions,
         )
@@ -299,8 +301,7 @@ class RobotCoordinates:
         """Velocity of the tree -> that of the robot in its place."""
         found = dict(zip(self.kept_v[1].tolist(), self.kept_v[0].tolist(), strict=True))
         for place in self.places:
-            own = seated_at(place.drive, place.joint_v.tolist())
-            found |= dict(zip(own, place.actuator_v.tolist(), strict=True))
+            found |= dict(zip(place.seats.tolist(), place.actuator_v.tolist(), strict=True))
         return found
 
     def positions_between(self, lower: Array, upper: Array) -> tuple[Array, Array]:
@@ -329,7 +330,7 @@ class RobotCoordinates:
         found = self._each(limits, within, _efforts)
         for place in self.places:
             if place.drive.is_loop:
-                found[place.actuator_v] = limits[seated_at(place.drive, place.joint_v.tolist())]
+                found[place.actuator_v] = limits[place.seats]
         return found
 
     def _each(

@@ -9,6 +9,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
+from weakref import WeakValueDictionary
 
 import numpy as np
 from numpy.typing import NDArray
@@ -44,6 +45,7 @@ _BINARY = (
     *("maximum", "minimum", "greater", "greater_equal", "less", "less_equal", "equal"),
     *("not_equal", "logical_and", "logical_or"),
 )
+_COMMUTING = ("add", "multiply", "maximum", "minimum", "equal", "not_equal")
 OPERATIONS = frozenset((*_UNARY, *_BINARY, "where"))
 """What can be recorded; `where` takes a condition and both values."""
 
@@ -63,6 +65,11 @@ _MADE_OF: dict[str, Callable[..., Operand]] = {  # what is written by other oper
     ),
 }
 
+_OF_TWO_ALIKE: dict[str, Callable[[Operand], Operand]] = {
+    "add": lambda x: record("multiply", 2.0, x),
+    "subtract": lambda x: 0.0,
+}
+
 
 def record(name: str, *operands: Operand) -> Operand:
     """Return an operation, by NumPy's name; a number where no operand is a symbol."""
@@ -77,8 +84,10 @@ def record(name: str, *operands: Operand) -> Operand:
     if not any(isinstance(x, Symbol) for x in operands):
         return getattr(np, name)(*operands).item()
     operands = tuple(x if isinstance(x, Symbol) else float(x) for x in operands)
+    if name in _OF_TWO_ALIKE and operands[0] is operands[1]:
+        return _OF_TWO_ALIKE[name](operands[0])
     found = _simplified(name, operands)
-    return Symbol(name, operands) if found is None else found
+    return Symbol.known(name, operands) if found is None else found
 
 
 def _simplified(name: str, operands: tuple[Operand, ...]) -> Operand | None:
@@ -104,6 +113,8 @@ def _simplified(name: str, operands: tuple[Operand, ...]) -> Operand | None:
             found = operands[1] if first else last
         case ("negative", Symbol(operation="negative")):
             found = first.operands[0]
+        case ("multiply", float(), Symbol(operation="multiply", operands=(float() as own, other))):
+            found = record("multiply", first * own, other)
         case ("add" | "subtract", _, Symbol(operation="negative")):
             found = record("subtract" if name == "add" else "add", first, last.operands[0])
     return found
@@ -122,6 +133,18 @@ class Symbol:
     operands: tuple[Operand, ...]
 
     __hash__ = object.__hash__
+
+    @classmethod
+    def known(cls, operation: str, operands: tuple[Operand, ...]) -> Symbol:
+        """Return the one symbol of an operation on operands, while anybody has it."""
+        own = [x if isinstance(x, Symbol) else str(x) for x in operands]
+        if operation in _COMMUTING:
+            own.sort(key=lambda x: (isinstance(x, str), id(x)))
+        key = (operation, *own)
+        found = _KNOWN.get(key)
+        if found is None:
+            found = _KNOWN[key] = cls(operation, operands)
+        return found
 
     def __array_ufunc__(
         self, ufunc: np.ufunc, method: str, *inputs: Operand, **options: Any
@@ -171,6 +194,10 @@ class Symbol:
     def __gt__(self, x: Operand) -> Operand: return record("greater", self, x)
     def __ge__(self, x: Operand) -> Operand: return record("greater_equal", self, x)
     # fmt: on
+
+
+_KNOWN: WeakValueDictionary[tuple[Any, ...], Symbol] = WeakValueDictionary()
+"""Operation and operands -> its symbol."""
 
 
 def in_order(formulas: Iterable[Operand]) -> Iterator[Symbol]:
