@@ -32,6 +32,7 @@ Indices = NDArray[np.int64]
 _LONGEST, _SHORTEST = 0.25, 1e-6  # steps on the way to a posture, rad or shares of the size
 _MOST_STEPS, _MOST_ITERATIONS = 400, 15
 _STILL = 1e-12  # rad or share of the size, by which the last iteration moves
+_STEP = 2e-3  # rad or share of the size: differences err by about 1e-12
 _SLACK = 1e-3  # the same, by which a step may miss beside half of itself
 
 CLOSURE = np.dtype(
@@ -148,57 +149,20 @@ def _add_couplings(couplings: Array, x: Array, first: int, c: Array, J: Array) -
 
 
 @compiled
-def _find_rates(loop: Any, motion: Any, room: Any, rate: Array) -> None:
-    """Writes J̇ (m, k) at x (1, k) and ẋ (k,), once `_find_misses` has found the poses there."""
-    (mobilizers, _), closures, sides, couplings = loop[0], loop[1], loop[2], loop[3]
-    (x, xd), size = motion, loop[7][-1]
-    motions, world, _, R, p = room
-    shape = len(mobilizers), 3
-    turning, moving, hinges = np.empty(shape), np.empty(shape), np.empty(shape)
+def _find_rates(loop: Any, motion: Any, rooms: Any, rate: Array) -> None:
+    """Writes J̇ (m, k) at x (k,) and ẋ (k,), by differences of J of the fourth order."""
+    (at, xd), (room, _, c, J, x), speed = motion, rooms, 0.0
     rate[:] = 0.0
-    for i in range(len(mobilizers)):
-        mobilizer, speed = mobilizers[i], xd[mobilizers[i].velocities[0]]
-        z, t, place = _axis(mobilizer, motions[i], world)
-        w, v, parent = (0.0, 0.0, 0.0), (0.0, 0.0, 0.0), mobilizer.parent
-        if parent >= 0:
-            w = vector(turning[parent])
-            arm = subtract(place, vector(world[parent].p_WoBo_W))
-            v = add(vector(moving[parent]), cross(w, arm))
-        v, w = add(v, scale(speed, t)), add(w, scale(speed, z))
-        put(hinges[i], v)
-        put(turning[i], w)
-        put(moving[i], add(v, cross(w, subtract(vector(world[i].p_WoBo_W), place))))
-    first = 0
-    for e in range(len(closures)):
-        closure = closures[e]
-        for side in range(2):
-            _frame(closure, side, world, R, p)
-        for i in range(len(mobilizers)):
-            side = sides[e, i]
-            if side != 0:
-                at, parent = mobilizers[i].velocities[0], mobilizers[i].parent
-                z, t, place = _axis(mobilizers[i], motions[i], world)
-                end = vector(p[(side + 1) // 2])
-                body = closure.mobilizers[(side + 1) // 2]
-                arm = subtract(end, vector(world[body].p_WoBo_W))
-                v = add(vector(moving[body]), cross(vector(turning[body]), arm))
-                w = (0.0, 0.0, 0.0)
-                if parent >= 0:
-                    w = vector(turning[parent])
-                zd, td = cross(w, z), cross(w, t)
-                own = add(td, cross(zd, subtract(end, place)))
-                own = add(own, cross(z, subtract(v, vector(hinges[i]))))
-                _put(rate, first, at, side / size, own)
-                if closure.turns:
-                    _put(rate, first + 3, at, float(side), zd)
-        first += 6 if closure.turns else 3
-    for row in range(len(couplings)):
-        for k in range(rate.shape[1]):
-            power, slope, bend = 1.0, 0.0, 0.0
-            for n in range(couplings.shape[2]):
-                rate[first + row, k] += couplings[row, k, n] * bend * xd[k]
-                bend, slope = (n + 1) * slope, (n + 1) * power
-                power *= x[0, k]
+    for j in range(len(xd)):
+        speed = max(speed, abs(xd[j]) / loop[7][j])
+    for weight, steps in ((8.0, 1.0), (-8.0, -1.0), (-1.0, 2.0), (1.0, -2.0)):
+        if speed > 0.0:
+            for j in range(len(xd)):
+                x[0, j] = at[j] + steps * _STEP / speed * xd[j]
+            _find_misses(loop, x, room, c, J)
+            for i in range(len(c)):
+                for j in range(len(xd)):
+                    rate[i, j] += weight * speed / (12.0 * _STEP) * J[i, j]
 
 
 @inlined
@@ -372,17 +336,18 @@ def calc_loop(loop: LoopRecords, wanted: Array, theta: Array, G: Array, reached:
 @compiled
 def calc_loop_rates(loop: LoopRecords, theta: Array, G: Array, v: Array, out: Array) -> None:
     """Writes Ġ into zeros (N, k, n), at positions θ (N, k) with G, of velocities v (N, n)."""
-    room, solving, c, J, x = _rooms(loop)
+    rooms = _rooms(loop)
+    room, solving, c, J, x = rooms
     (m, k), n = J.shape, v.shape[1]
     rate, xd, B = np.empty((m, k)), np.empty(k), np.empty((m, n))
     for i in range(len(theta)):
-        _copy(theta[i], x[0])
         for j in range(k):
             xd[j] = 0.0
             for f in range(n):
                 xd[j] += G[i, j, f] * v[i, f]
+        _find_rates(loop, (theta[i], xd), rooms, rate)
+        _copy(theta[i], x[0])
         _find_misses(loop, x, room, c, J)
-        _find_rates(loop, (x, xd), room, rate)
         for j in range(m):
             for f in range(n):
                 B[j, f] = 0.0
