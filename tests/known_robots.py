@@ -27,7 +27,6 @@ HUMANOIDS = (
     "robots/talos_data/robots/talos_reduced.urdf",
     "robots/g1_description/urdf/g1_29dof_rev_1_0.urdf",
 )
-TIAGO = "robots/tiago_description/robots/tiago.urdf"
 PINOCCHIO_ORDER = [0, 1, 2, 3, 4, 6, 9, 5, 8, 7]  # its [m, h, Ixx, Ixy, Iyy, Ixz, Iyz, Izz]
 
 

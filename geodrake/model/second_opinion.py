@@ -188,7 +188,9 @@ def _joined_by_pinocchio(
         scope = text.links[0].rpartition("::")[0]
         data = read_expanded(text.path, model.given)
         name, own = _root_of(parse_xml_bytes(data, text.path), text).rsplit("::", 1)
-        root = plant.GetBodyByName(own, plant.GetModelInstanceByName(name))
+        root = plant.world_body()
+        if own != "world" or text.kind == "sdf":
+            root = plant.GetBodyByName(own, plant.GetModelInstanceByName(name))
         floats = any(base[-1].child_body().index() == root.index() for base in base_joints(plant))
         free = {"root_joint": pinocchio.JointModelFreeFlyer()} if floats else {}
         if text.kind == "sdf":

@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 import pinocchio
 import pytest
+from known_robots import robots
 from typer.testing import CliRunner
 
 from geodrake import load_model
@@ -21,6 +22,13 @@ from geodrake.model.robot_model import load_description
 
 MODELS = Path(__file__).parents[2] / "models"
 ARM = MODELS / "arm6.urdf"
+ROBOTS = (
+    "ur_description/urdf/ur5_robot.urdf",
+    "kinova_description/robots/kinova.urdf",
+    "xarm_description/urdf/xarm7.urdf",
+    "talos_data/robots/talos_reduced.urdf",
+    "g1_description/urdf/g1_29dof_rev_1_0.urdf",
+)
 
 
 def off_by(share, name="inverse_dynamics"):
@@ -41,10 +49,12 @@ def arm():
 
 
 @pytest.mark.parametrize("floating", [False, True])
-@pytest.mark.parametrize("name", ["arm7.urdf", "cheetah.dmd.yaml"])
+@pytest.mark.parametrize("name", [*ROBOTS, "models/arm7.urdf", "models/cheetah.dmd.yaml"])
 def test_robots_agree(name, floating):
-    found = check_dynamics(load_model(MODELS / name, floating=floating), samples=10)
+    path = MODELS.parent / name if name.startswith("models/") else robots() / name
+    found = check_dynamics(load_model(path, floating=floating), samples=5)
     assert found.holds and found.worst.relative < 1e-12
+    assert found.second is not None and found.second.relative < 1e-12
     assert tuple(each.quantity for each in found.agreements) == QUANTITIES
     assert all(each.size > 0 for each in found.agreements)
 

@@ -49,10 +49,6 @@ def fitted(effect, *values):
     return FittedEffect(effect, np.array(values, float))
 
 
-def test_rigid_bodies_need_what_drake_says(arm, motion):
-    np.testing.assert_allclose(arm.effort(motion), drake_effort(arm, motion), rtol=0, atol=1e-10)
-
-
 def test_payload_is_a_heavier_link(arm, motion):
     phi = from_mass_com_inertia(2.5, [0.05, -0.02, 0.1], 0.01 * np.eye(3))
     loaded = replace(arm, effects=(fitted(Payload(arm.bodies[-1]), *phi),))
@@ -110,15 +106,6 @@ def test_a_floating_base_is_six_joints():
     names = [f"base_link_{each}" for each in ("x", "y", "z", "yaw", "pitch", "roll")]
     assert set(floating.single_joints) == {"shoulder", "elbow", *names}
     assert list(floating.base_joints) == names
-
-
-def test_floating_base_needs_what_drake_says():
-    model = load_model(MODELS / "double_pendulum.urdf", floating=True)
-    rng = np.random.default_rng(2)
-    q = rng.normal(size=(8, model.plant.num_positions()))
-    n = len(model.joints)
-    motion = Motion(q, rng.normal(size=(8, n)), rng.normal(size=(8, n)))
-    np.testing.assert_allclose(model.effort(motion), drake_effort(model, motion), atol=1e-10)
 
 
 def test_motion_with_a_load_that_is_known(arm, motion):

@@ -6,6 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from chain_logs import inverse_dynamics as drakes_efforts
+from closed_loops import gripper
 from coupled_arm import CURVED, WRIST, arm, log_of, motion_of, text
 from hypothesis import given, settings
 from hypothesis import strategies as st
@@ -46,6 +47,13 @@ def curved(tmp_path_factory):
     return arm(tmp_path_factory.mktemp("curved"), CURVED)
 
 
+@pytest.fixture(scope="module")
+def loop(tmp_path_factory):
+    path = tmp_path_factory.mktemp("loop") / "gripper.xml"
+    path.write_text(gripper())
+    return load_model(path)
+
+
 def slopes_of(function, x):
     """Central differences [..., j] of a function of x (N, n)."""
     units = STEP * np.eye(x.shape[1])
@@ -83,7 +91,7 @@ def test_efforts_of_curved_maps_are_those_of_drake_along_the_same_path(curved):
     assert curved.sliding_joints == ("screw",)
 
 
-@pytest.mark.parametrize("name", ["wrist", "curved"])
+@pytest.mark.parametrize("name", ["wrist", "curved", "loop"])
 def test_slopes_and_jacobians_are_differences(name, request):
     model = request.getfixturevalue(name)
     q, v, vd = (x for x in (motion_of(model).q, motion_of(model).v, motion_of(model).vd))
@@ -95,10 +103,11 @@ def test_slopes_and_jacobians_are_differences(name, request):
         (slopes.acceleration, lambda x: inverse_dynamics(tree, q, v, x, phi), vd),
     ):
         np.testing.assert_allclose(found, slopes_of(function, x), rtol=1e-5, atol=1e-5)
-    place = lambda x: model.motion(Motion(x, v, vd)).bodies.motion("tool").position  # noqa: E731
-    tool = model.motion(Motion(q, v, vd)).bodies.motion("tool")
+    name = "left_tip" if name == "loop" else "tool"
+    place = lambda x: model.motion(Motion(x, v, vd)).bodies.motion(name).position  # noqa: E731
+    tool = model.motion(Motion(q, v, vd)).bodies.motion(name)
     np.testing.assert_allclose(tool.linear, slopes_of(place, q), atol=1e-8)
-    assert tool.dofs == (0, 1, 2)
+    assert tool.dofs == tuple(range(len(model.joints)))
 
 
 def test_mujoco_moves_so_under_motors_on_tendons(wrist):
@@ -122,17 +131,17 @@ def test_mujoco_moves_so_under_motors_on_tendons(wrist):
         np.testing.assert_allclose(data.qacc, J @ motion.vd[k], rtol=1e-8, atol=1e-8)
 
 
-@pytest.mark.parametrize("name", ["wrist", "curved"])
+@pytest.mark.parametrize("name", ["wrist", "curved", "loop"])
 def test_a_controllers_regressor_is_skew_and_conserves_momentum(name, request):
-    model = request.getfixturevalue(name)
-    control, h = ControlModel.of(model), 1e-5
+    model, h = request.getfixturevalue(name), 1e-5
     q, v, a = (x[0] for x in (motion_of(model).q, motion_of(model).v, motion_of(model).vd))
-    p, zero = control.prior, np.zeros(3)
-    own = control.at(q, v, v, a)
-    assert_close(own.effort(p), model.effort(Motion(q[None], v[None], a[None]))[0])
+    whole, control = ControlModel.of(model), ControlModel.of(replace(model, effects=()))
+    effort = whole.at(q, v, v, a).effort(whole.prior)
+    assert_close(effort, model.effort(Motion(q[None], v[None], a[None]))[0])
+    p, zero, own = control.prior, np.zeros(len(q)), control.at(q, v, v, a)
     M = lambda t: control.at(q + t * v, v, v, zero).mass_matrix(p)  # noqa: E731
     gravity = control.at(q, zero, zero, zero).effort(p)
-    C = np.array([control.at(q, v, u, zero).effort(p) - gravity for u in np.eye(3)]).T
+    C = np.array([control.at(q, v, u, zero).effort(p) - gravity for u in np.eye(len(q))]).T
     rate = (M(h) - M(-h)) / (2 * h)
     np.testing.assert_allclose(rate - 2 * C, -(rate - 2 * C).T, atol=1e-6)
     momentum, drift = own.momentum_regressors
@@ -342,12 +351,12 @@ def test_source_code_has_the_transmission(wrist, curved):
         python_source(curved)
 
 
-@pytest.mark.parametrize("name", ["wrist", "curved"])
+@pytest.mark.parametrize("name", ["wrist", "curved", "loop"])
 def test_gradients_for_excitation_are_differences(name, request):
     model = request.getfixturevalue(name)
     motion, tree = motion_of(model), model.tree
-    W = np.random.default_rng(1).normal(size=(6, 3, 30))
-    V = np.random.default_rng(2).normal(size=(6, 6, 30))
+    W = np.random.default_rng(1).normal(size=(6, len(model.joints), model.phi.size))
+    V = np.random.default_rng(2).normal(size=(6, 6, model.phi.size))
     for gradient, regressor, weights in (
         (inverse_dynamics_regressor_gradient, inverse_dynamics_regressor, W),
         (base_wrench_regressor_gradient, base_wrench_regressor, V),

@@ -1,10 +1,9 @@
-"""Slopes of efforts: against Drake's AutoDiff on random trees, and Pinocchio on real robots."""
+"""Slopes of efforts: against Drake's AutoDiff on random trees."""
 
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from known_robots import ARMS, assert_close, description, moving_joints, plant_of
 from pydrake.autodiffutils import AutoDiffXd, ExtractGradient, InitializeAutoDiff
 from pydrake.multibody.tree import MultibodyForces_
 from random_plants import JOINTS, random_motion, random_plant, random_tree
@@ -63,25 +62,3 @@ def test_every_joint_type_alone_and_inside_a_chain(kind):
 def test_random_trees(kinds, seed):
     rng = np.random.default_rng(seed)
     assert_equals_drake(random_tree(rng, kinds), rng)
-
-
-@pytest.mark.parametrize("name", ARMS)
-def test_pinocchio(name):
-    pinocchio = pytest.importorskip("pinocchio")
-    text = description(name)
-    plant, model = plant_of(text), pinocchio.buildModelFromXML(text)
-    data = model.createData()
-    motion = random_motion(plant, np.random.default_rng(1), 5)
-    joints = moving_joints(plant)
-    ours = np.array([joint.velocity_start() for joint in joints])
-    pins = np.array([model.joints[model.getJointId(joint.name())].idx_v for joint in joints])
-    found = effort_slopes(plant, *motion, inertial_parameters(plant))
-    for i in range(5):
-        state = tuple(np.zeros(model.nv) for _ in range(3))
-        for theirs, sample in zip(state, motion, strict=True):
-            theirs[pins] = sample[i, ours]
-        dq, dv, M = pinocchio.computeRNEADerivatives(model, data, *state)
-        M = np.triu(M) + np.triu(M, 1).T
-        for name_, theirs in zip(NAMES, (dq, dv, M), strict=True):
-            own = getattr(found, name_)[i][np.ix_(ours, ours)]
-            assert_close(own, theirs[np.ix_(pins, pins)])

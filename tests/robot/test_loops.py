@@ -20,15 +20,10 @@ from pydrake.systems.analysis import Simulator
 from pydrake.systems.framework import DiagramBuilder
 
 from geodrake import load_model, save_model
-from geodrake.control.regressor import ControlModel
 from geodrake.errors import ArgumentError, ModelError
-from geodrake.excitation.regressor_gradient import inverse_dynamics_regressor_gradient
 from geodrake.logs import Motion
 from geodrake.model import holding
 from geodrake.model.dynamics_check import check_dynamics
-from geodrake.robot import inverse_dynamics_regressor
-from geodrake.robot.effort_slopes import effort_slopes
-from geodrake.robot.regressor import inverse_dynamics
 
 mujoco = pytest.importorskip("mujoco")
 
@@ -626,52 +621,3 @@ def test_what_the_file_states_of_the_joint_that_closes_a_loop_counts(tmp_path):
     )
     assert {f.effect.place for f in model.effects} == {"coupler", "rocker", "pin"}
     assert_twins(model, constrained)
-
-
-def slopes_of(function, x, step=1e-5):
-    """∂function/∂x of functions of N samples (N, ·), sample by sample."""
-    columns = [
-        (function(x + step * unit) - function(x - step * unit)) / (2 * step)
-        for unit in np.eye(x.shape[1])
-    ]
-    return np.stack(columns, axis=-1)
-
-
-def test_slopes_and_gradients_through_a_loop_are_differences(tmp_path):
-    model = load(tmp_path, gripper())
-    q, v, vd = states(model)
-    tree, phi = model.tree, model.total_phi
-    slopes = effort_slopes(tree, q, v, vd, phi)
-    for found, function, x in (
-        (slopes.position, lambda x: inverse_dynamics(tree, x, v, vd, phi), q),
-        (slopes.velocity, lambda x: inverse_dynamics(tree, q, x, vd, phi), v),
-        (slopes.acceleration, lambda x: inverse_dynamics(tree, q, v, x, phi), vd),
-    ):
-        np.testing.assert_allclose(found, slopes_of(function, x), rtol=1e-5, atol=1e-5)
-    place = lambda x: model.motion(Motion(x, v, vd)).bodies.motion("left_tip").position  # noqa: E731
-    tip = model.motion(Motion(q, v, vd)).bodies.motion("left_tip")
-    np.testing.assert_allclose(tip.linear, slopes_of(place, q), atol=1e-8)
-    W = np.random.default_rng(1).normal(size=(len(q), 2, phi.size))
-    found = inverse_dynamics_regressor_gradient(tree, q, v, vd, W)
-    at = {"q": q, "v": v, "vd": vd}
-    for key, x in at.items():
-        value = lambda x, key=key: np.einsum(  # noqa: E731
-            "nij,nij->n", W, inverse_dynamics_regressor(tree, *(at | {key: x}).values())
-        )
-        np.testing.assert_allclose(getattr(found, key), slopes_of(value, x), rtol=1e-5, atol=1e-5)
-
-
-def test_controllers_have_what_acts_in_a_loop(tmp_path):
-    model = load(tmp_path, gripper())
-    control, h = ControlModel.of(model), 1e-5
-    q, v, a = (x[0] for x in states(model))
-    p, zero = control.prior, np.zeros(2)
-    expected = model.effort(Motion(q[None], v[None], a[None]))[0]
-    np.testing.assert_allclose(control.at(q, v, v, a).effort(p), expected, rtol=1e-10)
-    bodies = ControlModel.of(replace(model, effects=()))
-    p = bodies.prior
-    M = lambda t: bodies.at(q + t * v, v, v, zero).mass_matrix(p)  # noqa: E731
-    gravity = bodies.at(q, zero, zero, zero).effort(p)
-    C = np.array([bodies.at(q, v, u, zero).effort(p) - gravity for u in np.eye(2)]).T
-    rate = (M(h) - M(-h)) / (2 * h)
-    np.testing.assert_allclose(rate - 2 * C, -(rate - 2 * C).T, atol=1e-6)

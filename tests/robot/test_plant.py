@@ -16,7 +16,6 @@ from geodrake.inertia import (
 )
 from geodrake.inertia.bodies import lumped_bodies
 from geodrake.model.robot_model import from_loaded_plant
-from geodrake.robot.base_joints import base_joints
 from geodrake.robot.plant import (
     effort_limits,
     joint_names,
@@ -390,21 +389,3 @@ def test_reference_models(name, nv, repaired, capfd):
     assert {repair.body for repair in loaded.repairs} == repaired
     assert is_physical(inertial_parameters(loaded.plant), tolerance=1e-6).all()
     assert np.isfinite(effort_limits(loaded.plant)).all()
-
-
-@pytest.mark.parametrize("floating", [False, True])
-@pytest.mark.parametrize("name", ["ur5_robot", "xarm7", "talos_reduced", "kinova"])
-def test_mass_agrees_with_pinocchio(name, floating, capfd):
-    pin = pytest.importorskip("pinocchio")
-    folder = Path(pin.__file__).parents[4] / "share" / "example-robot-data" / "robots"
-    path = next(folder.rglob(f"{name}.urdf"), None)
-    if path is None:
-        pytest.skip("example-robot-data is not installed")
-    loaded = load_plant(path, floating=floating)
-    assert capfd.readouterr() == ("", "")
-    floats = bool(base_joints(loaded.plant))
-    base = (pin.JointModelFreeFlyer(),) if floats else ()
-    model = pin.buildModelFromUrdf(str(path), *base)
-    added = sum(repair.after[0] - repair.before[0] for repair in loaded.repairs)
-    mass = inertial_parameters(loaded.plant)[:, 0].sum() - added
-    assert mass == pytest.approx(sum(body.mass for body in model.inertias[1:]), rel=1e-6)

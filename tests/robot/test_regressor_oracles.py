@@ -1,15 +1,11 @@
-"""The regressor against Pinocchio, MuJoCo and Drake on robots that people have."""
-
-from xml.etree import ElementTree
+"""The regressor against Pinocchio and MuJoCo on robots that people have."""
 
 import numpy as np
 import pytest
-from chain_logs import inverse_dynamics as drakes_efforts
 from known_robots import (
     ARMS,
     HUMANOIDS,
     PINOCCHIO_ORDER,
-    TIAGO,
     assert_close,
     cases,
     description,
@@ -18,9 +14,6 @@ from known_robots import (
     plant_of,
     random_motion,
 )
-from measurements import REFERENCE
-from pydrake.multibody.parsing import Parser
-from pydrake.multibody.plant import MultibodyPlant
 
 from geodrake.inertia import inertial_parameters
 from geodrake.robot.regressor import inverse_dynamics, inverse_dynamics_regressor
@@ -79,28 +72,3 @@ def test_efforts_of_arms_are_mujocos(name):
         )
         mujoco.mj_inverse(model, data)
         assert_close(efforts[i, ours], data.qfrc_inverse[theirs])
-
-
-@pytest.mark.parametrize("floating", [False, True])
-@pytest.mark.parametrize("name", cases(*ARMS, *HUMANOIDS, TIAGO))
-def test_efforts_are_drakes(name, floating):
-    assert_efforts_are_drakes(plant_of(description(name), floating=floating))
-
-
-@pytest.mark.measurements("reference/iiwa14.sdf")
-def test_efforts_of_an_sdf_arm_are_drakes():
-    robot = ElementTree.parse(REFERENCE / "iiwa14.sdf").getroot()
-    for link in robot.iter("link"):
-        for shape in [*link.findall("visual"), *link.findall("collision")]:
-            link.remove(shape)
-    plant = MultibodyPlant(0.0)
-    Parser(plant).AddModelsFromString(ElementTree.tostring(robot, encoding="unicode"), "sdf")
-    plant.Finalize()
-    assert_efforts_are_drakes(plant)
-
-
-def assert_efforts_are_drakes(plant):
-    motion = random_motion(plant, 3)
-    efforts = inverse_dynamics_regressor(plant, *motion) @ inertial_parameters(plant).ravel()
-    for ours, theirs in zip(efforts, drakes_efforts(plant, *motion), strict=True):
-        assert_close(ours, theirs)
