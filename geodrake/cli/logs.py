@@ -15,7 +15,7 @@ from geodrake.errors import ArgumentError, GeodrakeError
 from geodrake.fleet.digest_folder import FAILED, DigestRun, digest_logs
 from geodrake.fleet.digest_log import Wanted
 from geodrake.fleet.log_places import date_seconds
-from geodrake.logs.files import log_content
+from geodrake.logs.files import file_names, log_content
 from geodrake.logs.inspection import inspect_log, mapping_text
 from geodrake.logs.motion import JointLog
 from geodrake.logs.unit_hints import position_limit_hint
@@ -80,7 +80,7 @@ def _inspected(options: LogCommandOptions, given: Input) -> InspectedLogs:
         joints = tuple(j for j in model.known_joints if j not in model.base_joints)
     reading = options.reading if model is None else reading_for(model, options.reading)
     found = [inspect_log(log, joints=joints, partial=True, reading=reading) for log in options.logs]
-    named = tuple(zip((path.name for path in options.logs), found, strict=True))
+    named = tuple(zip(map(file_names, options.logs), found, strict=True))
     if model is None:
         return InspectedLogs(named)
     columns, unchecked = _columns(model, [each.log for each in found])

@@ -32,7 +32,7 @@ from geodrake.effects import load_effect_file
 from geodrake.effects.base import Effect
 from geodrake.errors import ArgumentError, LogError
 from geodrake.identification.logs.model_errors import Comparison
-from geodrake.logs.files import Reading, check_log, parts_of, read_log
+from geodrake.logs.files import Reading, check_log, file_names, parts_of, read_log
 from geodrake.logs.motion import JointLog
 from geodrake.model.logged_joints import holding_resting, model_of_logs, reading_for
 from geodrake.model.robot_model import RobotModel
@@ -201,7 +201,7 @@ def _about(
             links[words] = quote(Path(os.path.relpath(path.resolve(), folder)).as_posix())
     return About(
         models[0].name if models else "",
-        tuple(path.name for path in getattr(options, "logs", None) or ()),
+        tuple(file_names(path) for path in getattr(options, "logs", None) or ()),
         command.name,
         Units() if model is None else Units.of(model, extra),
         str(save or (models[0] if models else "MODEL")),

@@ -17,7 +17,14 @@ from pathlib import Path
 from geodrake.boundary.arguments import file_path, instance, instances, typed
 from geodrake.errors import LogError
 from geodrake.logs.files.column_mapping import Columns, columns_of, is_used, listed, without_use
-from geodrake.logs.files.formats import check_log, joined_table, parts_of, read_table, table_of
+from geodrake.logs.files.formats import (
+    check_log,
+    file_names,
+    joined_table,
+    parts_of,
+    read_table,
+    table_of,
+)
 from geodrake.logs.files.joined_tables import meanings_of, reshaped
 from geodrake.logs.files.mapping_file import read_mapping
 from geodrake.logs.files.name_rules import is_time, meaning_of
@@ -30,6 +37,7 @@ from geodrake.logs.motion import JointLog
 __all__ = [
     "Reading",
     "check_log",
+    "file_names",
     "log_content",
     "log_of",
     "parts_of",

@@ -24,7 +24,7 @@ from geodrake.logs.files.name_rules import (
     meaning_of,
     words_of,
 )
-from geodrake.logs.files.packed_files import unpacked
+from geodrake.logs.files.packed_files import log_name
 from geodrake.logs.files.reading import ColumnMapping, Reading
 from geodrake.logs.files.table import date_words
 from geodrake.logs.files.units import Unit, find_unit, unit_of
@@ -548,7 +548,7 @@ class _Understood:
         own = tuple(joint for joint in moved if joint in heard)
         if wanted is None:
             return own, standing
-        check_joints(unpacked(self.path).stem, [*own, *standing], wanted, partial=partial)
+        check_joints(log_name(self.path), [*own, *standing], wanted, partial=partial)
         return tuple(joint for joint in wanted if joint in own), standing
 
     def _of_model(self, joints: Sequence[str], wanted: Sequence[str] | None) -> tuple[str, ...]:

@@ -167,6 +167,11 @@ def parts_of(path: Path) -> tuple[Path, ...]:
     return tuple(Path(part) for part in str(path).split("+") if part)
 
 
+def file_names(path: Path) -> str:
+    """Return the names of a log's files, without folders."""
+    return "+".join(part.name for part in parts_of(path))
+
+
 def joined_table(paths: Sequence[Path], reading: Reading) -> LogTable:
     """Return the columns of several files, at the time stamps of the one with the fewest a second.
 

@@ -34,6 +34,11 @@ def unpacked(path: Path) -> Path:
     return path.with_suffix("") if path.suffix.lower() in PACKED else path
 
 
+def log_name(path: Path) -> str:
+    """Return what messages call the log of a file, or of several that are joined by `+`."""
+    return "+".join(unpacked(Path(part)).stem for part in path.name.split("+") if part)
+
+
 @contextmanager
 def open_log(path: Path) -> Iterator[BinaryIO]:
     """Open a regular file for its bytes, unpacked if it is packed."""

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from geodrake.errors import LogError
 from geodrake.logs.files.column_mapping import Columns, Source
-from geodrake.logs.files.packed_files import unpacked
+from geodrake.logs.files.packed_files import log_name
 from geodrake.logs.files.registers import are_whole, signed_register
 from geodrake.logs.files.table import TornRows, check_room
 from geodrake.logs.motion import PASSIVE, JointLog
@@ -112,7 +112,7 @@ class Recording:
             alone = {joint: numbers[kept] for joint, numbers in alone.items()}
             floating = {name: numbers[kept] for name, numbers in floating.items()}
         return JointLog(
-            unpacked(path).stem,
+            log_name(path),
             self.columns.joints,
             time,
             values["position"],

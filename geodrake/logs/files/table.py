@@ -23,7 +23,7 @@ from numpy.typing import NDArray
 from geodrake.boundary.memory import machine_memory
 from geodrake.errors import GeodrakeError, LogError
 from geodrake.logs.files.name_rules import is_time, names_joints
-from geodrake.logs.files.packed_files import unpacked
+from geodrake.logs.files.packed_files import log_name
 from geodrake.logs.time_stamps import check_time
 
 
@@ -185,7 +185,7 @@ class TornRows:
         if self.skip and few:
             return
         try:
-            check_time(unpacked(self.path).stem, time)
+            check_time(log_name(self.path), time)
         except LogError as error:
             advice = error.advice
             if few:
