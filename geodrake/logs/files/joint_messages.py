@@ -4,22 +4,23 @@ from __future__ import annotations
 
 from array import array
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from geodrake.errors import LogError
-from geodrake.logs.files.joined_tables import at_instants
+from geodrake.logs.files.joined_tables import joined_tables
+from geodrake.logs.files.reading import Reading
+from geodrake.logs.files.table import LogTable
 from geodrake.logs.motion import EFFORT_KINDS
 
 Array = NDArray[np.float64]
 Stamps = NDArray[np.int64]
 JointKey = str | int
 """The name of a joint, or its number from 0 on in messages without names."""
-
-_LARGEST_RATIO = 2.0  # of two rates that can be brought together
 
 
 @dataclass(frozen=True, eq=False)
@@ -42,38 +43,14 @@ def is_complete(quantities: Iterable[str]) -> bool:
     return "position" in known and not known.isdisjoint((*EFFORT_KINDS, "command"))
 
 
-@dataclass(frozen=True, eq=False)
-class _Track:
-    """What is known of one joint."""
-
-    stamps: Stamps
-    values: Mapping[str, Array]
-
-    @property
-    def period(self) -> float:
-        """Time between two samples, s."""
-        return float(np.median(np.diff(self.stamps))) / 1e9 if len(self.stamps) > 1 else np.inf
-
-    def at(self, stamps: Stamps) -> _Track:
-        """Interpolated at other instants; nothing where its samples are far apart."""
-        if np.array_equal(stamps, self.stamps):
-            return self
-        since, instants = 1e-9 * (self.stamps - stamps[0]), 1e-9 * (stamps - stamps[0])
-        values = {q: at_instants(instants, since, numbers) for q, numbers in self.values.items()}
-        return _Track(stamps, values)
-
-
-def joint_columns(
-    series: Sequence[JointSeries], topic: str, *, part: bool = False
-) -> tuple[dict[str, Array], tuple[str, ...], int]:
+def joint_table(series: Sequence[JointSeries], topic: str, *, part: bool = False) -> LogTable:
     """Return one table of what several series say: `time` and `<joint>.<quantity>`.
+
+    Joints without names are `position[0]`, …. Of joints that come in messages of their own each has
+    its instants, at which tables are joined.
 
     Args:
         part: Whether it is a part of a log, of which nothing is left out.
-
-    Returns:
-        The columns, what was noticed, in words, and when time is zero, ns since 1970. Joints
-        without names are `position[0]`, ….
     """
     complete = [each for each in series if (each.values if part else is_complete(each.values))]
     notes = _order_notes(complete, topic)
@@ -82,25 +59,19 @@ def joint_columns(
     if silent:
         notes.append(f"joints without effort left out: {', '.join(map(str, silent))}")
     once = [_without_repeats(each, topic, notes) for each in complete]
-    tracks = _tracks(once)
-    base_joint, base = max(tracks.items(), key=lambda item: len(item[1].stamps))
-    others = [
-        joint for joint, track in tracks.items() if not np.array_equal(track.stamps, base.stamps)
-    ]
-    for joint in others:
-        _check_rates(topic, (joint, tracks[joint]), (base_joint, base))
-    if others:
-        notes.append(
-            f"{', '.join(map(str, others))} interpolated to the instants of {base_joint}, as they "
-            "come in messages of their own"
-        )
-    columns = {"time": (base.stamps - base.stamps[0]) / 1e9}
-    for joint, track in tracks.items():
-        for quantity, numbers in track.at(base.stamps).values.items():
+    tables: dict[bytes, LogTable] = {}
+    for joint in dict.fromkeys(joint for each in once for joint in each.joints):
+        stamps, values = _joined([each for each in once if joint in each.joints], joint)
+        time = {"time": (stamps - stamps[0]) / 1e9}
+        new = LogTable(Path(str(joint)), time, origins={"time": int(stamps[0])})
+        columns = tables.setdefault(stamps.tobytes(), new).columns
+        for quantity, numbers in values.items():
             name = f"{quantity}[{joint}]" if isinstance(joint, int) else f"{joint}.{quantity}"
-            columns[name] = numbers
-    columns, before = _trimmed(columns) if others else (columns, 0.0)
-    return columns, tuple(notes), int(base.stamps[0]) + round(1e9 * before)
+            columns[name] = numbers  # type: ignore[index]
+    table = next(iter(tables.values()))
+    if len(tables) > 1:
+        table = joined_tables(Path(topic), list(tables.values()), Reading())
+    return replace(table, notes=(*notes, *table.notes))
 
 
 def _order_notes(series: Sequence[JointSeries], topic: str) -> list[str]:
@@ -132,47 +103,19 @@ def _without_repeats(series: JointSeries, topic: str, notes: list[str]) -> Joint
     return JointSeries(series.joints, series.stamps[kept], values)
 
 
-def _tracks(series: Sequence[JointSeries]) -> dict[JointKey, _Track]:
-    """Every joint by itself, from all series that it is in, in time."""
-    parts: dict[JointKey, list[_Track]] = {}
-    for each in series:
-        for k, joint in enumerate(each.joints):
-            values = {quantity: numbers[:, k] for quantity, numbers in each.values.items()}
-            parts.setdefault(joint, []).append(_Track(each.stamps, values))
-    return {joint: _joined(found) for joint, found in parts.items()}
-
-
-def _joined(parts: Sequence[_Track]) -> _Track:
-    if len(parts) == 1:
-        return parts[0]
-    stamps, first = np.unique(np.concatenate([p.stamps for p in parts]), return_index=True)
+def _joined(series: Sequence[JointSeries], joint: JointKey) -> tuple[Stamps, dict[str, Array]]:
+    """Return stamps (N,) and values (N,) of a joint, from all series that it is in, in time."""
+    stamps, first = np.unique(np.concatenate([s.stamps for s in series]), return_index=True)
     values = {}
-    for quantity in dict.fromkeys(q for part in parts for q in part.values):
-        there = [p.values.get(quantity, np.full(len(p.stamps), np.nan)) for p in parts]
+    for quantity in dict.fromkeys(q for each in series for q in each.values):
+        there = [
+            s.values[quantity][:, s.joints.index(joint)]
+            if quantity in s.values
+            else np.full(len(s.stamps), np.nan)
+            for s in series
+        ]
         values[quantity] = np.concatenate(there)[first]
-    return _Track(stamps, values)
-
-
-def _check_rates(topic: str, one: tuple[JointKey, _Track], other: tuple[JointKey, _Track]) -> None:
-    """Refuse rates of which one is much lower."""
-    if one[1].period <= _LARGEST_RATIO * other[1].period:
-        return
-    rates = [f"{joint} at {1 / track.period:.4g} Hz" for joint, track in (one, other)]
-    raise LogError(
-        f"Joints come at rates that do not go together in {topic}: {' and '.join(rates)}.",
-        advice="Record all joints at one rate, or those of interest on a topic of their own.",
-    )
-
-
-def _trimmed(columns: Mapping[str, Array]) -> tuple[dict[str, Array], float]:
-    """The rows from the first to the last in which every joint is known, and when they begin."""
-    known = np.logical_and.reduce([np.isfinite(numbers) for numbers in columns.values()])
-    if not known.any():
-        return dict(columns), 0.0
-    rows = slice(int(np.argmax(known)), len(known) - int(np.argmax(known[::-1])))
-    trimmed = {name: numbers[rows] for name, numbers in columns.items()}
-    before = float(trimmed["time"][0])
-    return {**trimmed, "time": trimmed["time"] - before}, before
+    return stamps, values
 
 
 _LATEST = 1 << 62

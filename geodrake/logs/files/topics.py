@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from geodrake.errors import LogError
 from geodrake.logs.files.joined_tables import joined_tables
-from geodrake.logs.files.joint_messages import NUMBERS, MessageRows, is_complete, joint_columns
+from geodrake.logs.files.joint_messages import NUMBERS, MessageRows, is_complete, joint_table
 from geodrake.logs.files.name_rules import meaning_of
 from geodrake.logs.files.reading import Reading
 from geodrake.logs.files.table import LogTable
@@ -130,7 +130,7 @@ def topic_table(path: Path, topic: Topic, others: Sequence[Topic]) -> LogTable:
     rows = topic.rows
     if rows is None or not topic.fits:  # the first messages had efforts, and none has both
         raise LogError(f"Topic {topic} of log {str(path)!r} has no positions with efforts.")
-    columns, notes, origin = joint_columns(rows.series(), topic.name)
+    table = joint_table(rows.series(), topic.name)
     said = [f"read from {topic.name} ({topic.kind})"]
     fitting = [o for o in others if o.fits and o.has_efforts >= topic.has_efforts]
     also = [other.name for other in fitting if other.name != topic.name]
@@ -140,7 +140,7 @@ def topic_table(path: Path, topic: Topic, others: Sequence[Topic]) -> LogTable:
         said.append("messages have no stamps: the time is that of receipt")
     if rows.from_controller:
         said.append("efforts are the output of the controller, as no measured ones are there")
-    return LogTable(path, columns, notes=(*said, *notes), origins={"time": origin})
+    return replace(table, path=path).noting(*said)
 
 
 def _named(path: Path, topics: Sequence[Topic], name: str, *, alone: bool) -> Topic:
@@ -208,13 +208,14 @@ def joined_topics(path: Path, topics: Sequence[Topic], reading: Reading) -> LogT
 
 def _part_table(topic: Topic, rows: MessageRows) -> LogTable:
     """Return the columns of one topic, and what was noticed."""
-    columns, notes, origin = joint_columns(rows.series(), topic.name, part=True)
+    table = joint_table(rows.series(), topic.name, part=True)
+    columns = table.columns
     if "command" in topic.part and topic.is_wanted:
         columns = _commands(columns)
     columns = {f"{topic.name}/{n}" if n.startswith(NUMBERS) else n: c for n, c in columns.items()}
-    if not rows.all_stamped:
-        notes = (*notes, f"messages of {topic.name} have no stamps: their time is that of receipt")
-    return LogTable(Path(topic.name), columns, notes=notes, origins={"time": origin})
+    unstamped = f"messages of {topic.name} have no stamps: their time is that of receipt"
+    notes = table.notes if rows.all_stamped else (*table.notes, unstamped)
+    return replace(table, path=Path(topic.name), columns=columns, notes=notes)
 
 
 def _commands(columns: Mapping[str, Array]) -> dict[str, Array]:
