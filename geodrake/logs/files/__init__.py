@@ -165,11 +165,7 @@ def _understood(
         origins=table.origins,
         partial=partial,
     )
-    recording, rows = Recording(columns, table.rows(columns.files)), 0
-    for part, numbers in table.parts(columns.groups, recording.torn):
-        recording.put(part, numbers)
-        rows = part.stop
-    log = recording.log(rows)
+    log = Recording(columns, *table.read(columns.files, skip=reading.skip_bad_rows)).log()
     motors = reading.motors_of(log.joints)
     return replace(log, notes=(*table.notes, *log.notes), motors=motors), columns
 

@@ -14,6 +14,7 @@ from typing import Any
 
 import numpy as np
 from numpy.lib import format as npy
+from numpy.typing import NDArray
 from scipy.io import loadmat
 
 from geodrake.boundary.input_files import open_regular, regular_file
@@ -24,9 +25,7 @@ from geodrake.logs.files.name_rules import meaning_of, numbers_joints
 from geodrake.logs.files.packed_files import open_log, unpacked
 from geodrake.logs.files.reading import Reading
 from geodrake.logs.files.table import (
-    Groups,
     LogTable,
-    Part,
     TornRows,
     check_room,
     numeric_table,
@@ -35,6 +34,8 @@ from geodrake.logs.files.table import (
     spread,
 )
 from geodrake.logs.files.text_file import names_of_numbers
+
+Array = NDArray[np.float64]
 
 _LINES = (".jsonl", ".ndjson")
 _JSON_ADVICE = (
@@ -210,18 +211,19 @@ class ParquetTable(LogTable):
         """Names of the columns."""
         return list(self._file.schema_arrow.names)
 
-    def rows(self, names: Sequence[str]) -> int:
-        """Return how many rows there are."""
-        return int(self._file.metadata.num_rows)
-
-    def parts(self, groups: Groups, torn: TornRows) -> Iterator[Part]:
-        """Yield rows, and the numbers of some columns in them; see `LogTable`."""
-        names, row = list(dict.fromkeys(name for group in groups for name in group)), 0
+    def read(
+        self, names: Sequence[str], *, skip: bool = False
+    ) -> tuple[dict[str, Array], TornRows]:
+        """Return some columns (N,); see `LogTable`."""
+        rows, row = self._file.metadata.num_rows, 0
+        found = {name: np.empty(rows) for name in names}
         with readable(self.path, "Parquet file"):
-            for batch in self._file.iter_batches(_ROWS, columns=names):
-                arrays = {n: batch[n].to_numpy(zero_copy_only=False) for n in names}
-                rows, row = slice(row, row + len(batch)), row + len(batch)
-                yield rows, {n: np.asarray(values, float) for n, values in arrays.items()}
+            for batch in self._file.iter_batches(_ROWS, columns=list(found)):
+                for name, values in found.items():
+                    part = batch[name].to_numpy(zero_copy_only=False)
+                    values[row : row + len(batch)] = part
+                row += len(batch)
+        return found, TornRows(self.path, rows, skip)
 
     def loaded(self) -> LogTable:
         """Return the table with all its columns read."""

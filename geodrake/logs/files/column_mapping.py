@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from geodrake.errors import LogError
+from geodrake.errors import ArgumentError, LogError
 from geodrake.logs.files.mapping_file import proposed_mapping, with_proposal
 from geodrake.logs.files.name_rules import (
     DESIRED,
@@ -74,6 +74,15 @@ class Source:
         """What is added to its numbers after the factor."""
         return self.unit.offset if self.unit else 0.0
 
+    def read(self, numbers: dict[str, Array]) -> Array:
+        """Take the numbers (N,) of its columns out of those of a file, in SI units."""
+        values = numbers.pop(self.column)
+        if self.nanoseconds is not None:  # from the first second on, so that no digits are lost
+            start = float(values[np.isfinite(values)][:1].sum())
+            values = (values - start) + 1e-9 * numbers.pop(self.nanoseconds)
+        values = values if self.factor == 1.0 else self.factor * values
+        return values + self.offset if self.offset else values
+
     def written(self, numbers: Array) -> Array:
         """Return numbers (N,) as they stand in the file."""
         return (numbers - self.offset) / self.factor
@@ -133,14 +142,10 @@ class Columns:
         )
 
     @property
-    def groups(self) -> tuple[tuple[str, ...], ...]:
-        """Columns of the file that are needed together, for one column of the log each."""
-        return tuple(self.sources[n].columns for n in self.names if n in self.sources)
-
-    @property
     def files(self) -> tuple[str, ...]:
         """Columns of the file that are read."""
-        return tuple(dict.fromkeys(column for group in self.groups for column in group))
+        used = (self.sources[name].columns for name in self.names if name in self.sources)
+        return tuple(dict.fromkeys(column for columns in used for column in columns))
 
 
 def check_text(path: Path, names: Sequence[str]) -> None:
@@ -393,6 +398,8 @@ def columns_of(
         origins: Columns of seconds since an instant -> this, ns since 1970; see `LogTable`.
         partial: Whether the log may lack some of the model's joints, or their efforts.
     """
+    if joints is not None and len(set(joints)) < len(joints):
+        raise ArgumentError(f"Log {str(path)!r} is to have a joint twice: {listed(joints)}.")
     reading = reading or Reading()
     check_text(path, names)
     if reading.mapping is not None:

@@ -8,10 +8,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from geodrake.errors import LogError
-from geodrake.logs.files.column_mapping import Columns, Source
+from geodrake.logs.files.column_mapping import Columns
 from geodrake.logs.files.packed_files import log_name
 from geodrake.logs.files.registers import are_whole, signed_register
-from geodrake.logs.files.table import TornRows, check_room
+from geodrake.logs.files.table import TornRows
 from geodrake.logs.motion import PASSIVE, JointLog
 from geodrake.logs.time_stamps import evened, repeats, time_unit, with_clock_set_back
 
@@ -24,74 +24,40 @@ _STILL = 2e-3  # rad or m, by which a joint may move and still stand
 
 
 class Recording:
-    """Arrays of a log while its file is read, block by block or at once.
+    """Numbers of a log's file on their way to a log.
 
-    Every number is held once: ten million rows of seven joints fill more than a gigabyte.
+    Every number is held once, but for those of a quantity: ten million rows of seven joints fill
+    more than a gigabyte.
     """
 
-    def __init__(self, columns: Columns, rows: int) -> None:
-        """Room for so many rows."""
-        self.columns = columns
-        width = len(columns.names)
-        check_room(columns.path, rows * width, f"{rows} rows of {width} numbers")
-        self.torn = TornRows(columns.path, rows, columns.reading.skip_bad_rows)
-        self.time = np.empty(rows)
-        self._start: float | None = None
-        self._places = {joint: place for place, joint in enumerate(columns.joints)}
-        shape = (rows, len(columns.joints))
-        self._standing = {joint: np.empty(rows) for joint in columns.standing}
-        self._floating = {name: np.empty(rows) for name in columns.floating}
-        self.values = {quantity: np.empty(shape) for quantity in columns.quantities}
-        for quantity, numbers in self.values.items():
-            for place, joint in enumerate(columns.joints):
-                if not columns.has(joint, quantity):
-                    numbers[:, place] = np.nan
-
-    def put(self, rows: slice, numbers: Mapping[str, Array]) -> None:
-        """Put numbers into some rows.
-
-        Args:
-            numbers: Column of the file -> (n,) its numbers in these rows; those of
-                `Columns.files`, or some of them.
-        """
-        for name in self.columns.names:
-            source = self.columns.sources.get(name)
-            if source is not None and numbers.keys() >= set(source.columns):
-                self._target(name)[rows] = self._converted(source, numbers)
-
-    def _target(self, name: str) -> Array:
-        """(N,) where the numbers of a column go."""
-        if name == "time":
-            return self.time
-        if name in self._floating:
-            return self._floating[name]
-        joint, quantity = name.rsplit(".", 1)
-        if joint in self._standing:
-            return self._standing[joint]
-        return self.values[quantity][:, self._places[joint]]
-
-    def _converted(self, source: Source, numbers: Mapping[str, Array]) -> Array:
-        values = numbers[source.column]
-        if source.nanoseconds is not None:  # from the first second on, so that no digits are lost
-            if self._start is None:
-                self._start = float(values[np.isfinite(values)][:1].sum())
-            values = (values - self._start) + 1e-9 * numbers[source.nanoseconds]
-        values = values if source.factor == 1.0 else source.factor * values
-        return values + source.offset if source.offset else values
-
-    def log(self, rows: int) -> JointLog:
-        """Return the log of the first so many rows."""
-        path = self.columns.path
+    def __init__(self, columns: Columns, numbers: dict[str, Array], torn: TornRows) -> None:
+        """Take numbers (N,) by the columns of the file, which are taken out, and bad rows."""
+        rows = len(next(iter(numbers.values())))
         if rows < LEAST_ROWS:
             raise LogError(
-                f"Log {str(path)!r} has {rows} rows; at least {LEAST_ROWS} are needed.",
+                f"Log {str(columns.path)!r} has {rows} rows; at least {LEAST_ROWS} are needed.",
                 advice="Record several seconds of motion.",
             )
-        if self.columns.rate is not None:
-            self.time[:rows] = np.arange(rows) / self.columns.rate
-        time, notes = self._seconds(self.time[:rows])
+        self.columns, self.torn = columns, torn
+
+        def column(name: str) -> Array:
+            source = columns.sources.get(name)
+            return np.full(rows, np.nan) if source is None else source.read(numbers)
+
+        rate = columns.rate
+        self.time = np.arange(rows) / rate if rate is not None else column("time")
+        self._standing = {joint: column(f"{joint}.position") for joint in columns.standing}
+        self._floating = {name: column(name) for name in columns.floating}
+        self.values = {name: np.empty((rows, len(columns.joints))) for name in columns.quantities}
+        for quantity, values in self.values.items():
+            for place, joint in enumerate(columns.joints):
+                values[:, place] = column(f"{joint}.{quantity}")
+
+    def log(self) -> JointLog:
+        """Return the log."""
+        time, notes = self._seconds(self.time)
         time, more = with_clock_set_back(time)
-        time, even = evened(time, self.values["position"][:rows])
+        time, even = evened(time, self.values["position"])
         more += even
         again = repeats(time)
         if again.any():
@@ -100,10 +66,8 @@ class Recording:
         kept, torn = self.torn.settle(time)
         if again.any():
             kept = ~again if kept is None else kept & ~again
-        values = {quantity: numbers[:rows] for quantity, numbers in self.values.items()}
-        alone = {joint: numbers[:rows] for joint, numbers in self._standing.items()}
-        floating = {name: numbers[:rows] for name, numbers in self._floating.items()}
-        values, signed = self._signed(values)
+        alone, floating = self._standing, self._floating
+        values, signed = self._signed(self.values)
         values, ticks = self._in_radians(values)
         values["effort"], kinds, more_notes = self._without_motors(values["effort"])
         if kept is not None:
@@ -112,7 +76,7 @@ class Recording:
             alone = {joint: numbers[kept] for joint, numbers in alone.items()}
             floating = {name: numbers[kept] for name, numbers in floating.items()}
         return JointLog(
-            log_name(path),
+            log_name(self.columns.path),
             self.columns.joints,
             time,
             values["position"],
@@ -121,7 +85,7 @@ class Recording:
             values.get("acceleration"),
             (*self.columns.notes, *notes, *more, *signed, *ticks, *more_notes, *torn),
             effort_uncertainty=self._uncertainty(kinds),
-            standing={joint: self._place(joint, rows) for joint in self._standing},
+            standing={joint: self._place(joint) for joint in self._standing},
             alone=alone,
             command=values.get("command"),
             effort_kinds=kinds,
@@ -206,9 +170,9 @@ class Recording:
         passive = np.array([kinds.get(joint) == PASSIVE for joint in joints])
         return np.where(passive, 0.0, found) if passive.any() else found
 
-    def _place(self, joint: str, rows: int) -> float:
+    def _place(self, joint: str) -> float:
         """Return where a joint stands whose effort is not there; NaN if it moves."""
-        numbers = self._standing[joint][:rows]
+        numbers = self._standing[joint]
         numbers = numbers[np.isfinite(numbers)]
         if not len(numbers) or numbers.max() - _STILL > numbers.min():
             return np.nan

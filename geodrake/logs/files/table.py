@@ -246,10 +246,6 @@ def _runs(rows: Sequence[int]) -> str:
     return ", ".join(words) + (" …" if len(runs) > _NAMED else "")
 
 
-Groups = Sequence[tuple[str, ...]]
-Part = tuple[slice, Mapping[str, Array]]
-
-
 @dataclass(eq=False)
 class LogTable:
     """What a file of any format holds, as columns of numbers.
@@ -287,29 +283,27 @@ class LogTable:
         """Names of the columns."""
         return list(self.columns)
 
-    def rows(self, names: Sequence[str]) -> int:
-        """Return how many rows some columns have at most, before they are read.
+    def read(
+        self, names: Sequence[str], *, skip: bool = False
+    ) -> tuple[dict[str, Array], TornRows]:
+        """Return some columns (N,), and rows that cannot be read, which are NaN.
+
+        Args:
+            skip: Whether such rows are to be left out.
 
         Raises:
-            LogError: They are not equally long.
+            LogError: The columns are not equally long.
         """
-        lengths = {name: len(self.columns[name]) for name in names}
-        first, rows = next(iter(lengths.items()), ("", 0))
-        for name, length in lengths.items():
-            if length != rows:
+        found = {name: self.columns[name] for name in names}
+        first, values = next(iter(found.items()), ("", np.empty(0)))
+        for name, others in found.items():
+            if len(others) != len(values):
                 raise LogError(
                     f"The arrays of log {str(self.path)!r} are not of one length: {first!r} has "
-                    f"{rows} numbers and {name!r} has {length}.",
+                    f"{len(values)} numbers and {name!r} has {len(others)}.",
                     advice="Store columns that are all equally long.",
                 )
-        return rows
-
-    def parts(self, groups: Groups, torn: TornRows) -> Iterator[Part]:
-        """Yield rows, and the numbers of some columns in them; those of a group come together.
-
-        Rows that cannot be read are `torn`, and NaN.
-        """
-        yield slice(0, len(self)), self.columns
+        return found, TornRows(self.path, len(values), skip)
 
     def loaded(self) -> LogTable:
         """Return the table with all its columns read."""

@@ -29,9 +29,7 @@ from geodrake.logs.files.packed_files import open_log, unpacked
 from geodrake.logs.files.reading import Reading
 from geodrake.logs.files.table import (
     NOTHING,
-    Groups,
     LogTable,
-    Part,
     TornRows,
     check_room,
     date_of,
@@ -384,23 +382,29 @@ class TextTable(LogTable):
         """Names of the columns."""
         return self._read[0].columns
 
-    def rows(self, names: Sequence[str]) -> int:
-        """Return how many rows there are at most."""
-        return 1 + sum(self._read[1])
-
-    def parts(self, groups: Groups, torn: TornRows) -> Iterator[Part]:
-        """Yield rows, and the numbers of some columns in them; see `LogTable`."""
-        names = list(dict.fromkeys(name for group in groups for name in group))
+    def read(
+        self, names: Sequence[str], *, skip: bool = False
+    ) -> tuple[dict[str, Array], TornRows]:
+        """Return some columns (N,), filled block by block; see `LogTable`."""
         layout, lines, _ = self._read
-        places, row, quick = [layout.places[name] for name in names], 0, sum(lines) > _MANY
+        most, names = 1 + sum(lines), list(dict.fromkeys(names))
+        check_room(self.path, most * len(names), f"{most} rows of {len(names)} numbers")
+        found, torn, row = (
+            {name: np.empty(most) for name in names},
+            TornRows(self.path, most, skip),
+            0,
+        )
+        places, quick = [layout.places[name] for name in names], sum(lines) > _MANY
         before = np.maximum(np.cumsum([0, *lines]), layout.lines).tolist()
         for block, line in zip(self._blocks(), before, strict=False):
             table = _numbers(layout, block, places, quick=quick)
             if table is None:
                 own = _lines(block)
                 table = _cells(self.path, layout, names, own, before=(row, line), torn=torn)
-            yield slice(row, row + len(table)), dict(zip(names, table.T, strict=True))
+            for values, column in zip(found.values(), table.T, strict=True):
+                values[row : row + len(table)] = column
             row += len(table)
+        return {name: values[:row] for name, values in found.items()}, torn
 
     def _blocks(self) -> Iterator[bytes]:
         """Yield the lines of rows, many at once."""
@@ -409,17 +413,13 @@ class TextTable(LogTable):
     def loaded(self) -> LogTable:
         """Return the table with all its columns read, those of words as texts."""
         layout, _, reading = self._read
-        torn = TornRows(self.path, self.rows(()), reading.skip_bad_rows)
-        names = [name for name in layout.columns if name not in layout.texts]
-        blocks = list[Part]()
-        for part in self.parts([tuple(names)], torn):
-            blocks.append(part)
-        rows = blocks[-1][0].stop if blocks else 0
+        columns, torn = self.read(
+            [name for name in layout.columns if name not in layout.texts],
+            skip=reading.skip_bad_rows,
+        )
+        rows = len(next(iter(columns.values()), ()))
         kept, notes = torn.settle(np.arange(float(rows)))
-        columns = {
-            name: np.concatenate([numbers[name] for _, numbers in blocks])[_all(kept)]
-            for name in (names if blocks else ())
-        }
+        columns = {name: values[_all(kept)] for name, values in columns.items()}
         words = {name: texts[_all(kept)] for name, texts in self._texts(rows)}
         silent = {name: f"holds {texts[:1]}" for name, texts in words.items()}
         return LogTable(self.path, columns, layout.units, notes, layout.origins, silent, words)
