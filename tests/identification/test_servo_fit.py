@@ -135,8 +135,8 @@ def test_a_joint_that_falls_over_is_far_off_and_no_servo():
     rows[:, 0], rows[:, 7] = 5.0 * rows[:, 4], rows[:, 4]
     motions = JointMotions((rows,), (rows[:, 4],), (period,))
     at = motions.servo([5.0, 0.0, 0.1])
-    found = motions.simulated(at, coarse=True)
-    slopes = motions.slopes(at, np.ones(len(at)), np.arange(len(at)) < 6, coarse=True)
+    found = motions.simulated(at)
+    slopes = motions.slopes(at, np.ones(len(at)), np.arange(len(at)) < 6)
     assert np.isfinite(found @ found) and np.isfinite(slopes.T @ slopes).all()
     assert np.abs(found - rows[:, 4]).max() == pytest.approx(1e3)
     few = rows[:200] * np.where(np.arange(8) == 2, 125.0, 1.0)

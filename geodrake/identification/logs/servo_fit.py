@@ -28,7 +28,7 @@ servo's own, within: only a servo at its limit tells them apart.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import pairwise
@@ -36,7 +36,8 @@ from typing import TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.optimize import least_squares
+from scipy.linalg import solve_triangular
+from scipy.optimize import lsq_linear
 
 from geodrake.compiling import compiled, contiguous
 from geodrake.identification.logs.criteria import PENALTY, WORTH
@@ -77,15 +78,16 @@ LONGEST_DELAY = 0.06
 
 _RATE, _DELAY, _OFFSET, _LOAD, _INTEGRAL = 1, 5, 6, 7, 8
 _LIMIT, _SHARE, _BEGUN = 9, 10, 11
-# Steps of simulations, s: a share of the time between rows, from and up to so much; of all, and of
-# first searches.
-_STEPS, _COARSE_STEPS = (0.05, 2.5e-4, 1e-3), (0.2, 1e-3, 4e-3)
+_STEPS, _LONGEST_STEP = 4, 5e-3  # of simulations between two rows at least, and at most so long, s
+_THETA = 0.55  # how far within a step forces are as they are there
 _WINDOWS = 8  # of all logs, two of a stretch at least; every other one is left out for a test
 _SOUGHT, _PIECE = 40.0, 10.0  # s of all stretches that searches see, in pieces of so many
 _MOST_EVALUATIONS, _FIRST_EVALUATIONS = 60, 20
+_SETTLED = 1e-5  # share of its sum of squares that the last step of a search takes off
+_FIRST_DAMPING = 1e-3  # of steps, over squares of slopes
 _LIMIT_STEP = 1e-3  # of a limit's size, for differences
 _FARTHEST = 3.0  # deviations of a stiffness from what is expected
-_INSIDE = 0.01  # of parameters' sizes from their bounds, where searches begin
+_LEAST_LIMIT = 0.01  # of its size
 _USUAL_LOAD, _MOST_LOAD = 0.2, 1.0  # of the load, that friction in proportion to it is
 _RESETS = (1.0, 5.0)  # ki / kp, 1/s, that searches begin from
 _NOTHING = float(np.finfo(float).tiny)  # rad² or m², of a joint that stands exactly still
@@ -121,16 +123,16 @@ class JointMotions:
         numbers[: len(parameters)], numbers[_LIMIT] = parameters, limit
         return numbers
 
-    def simulated(self, servo: Array, *, coarse: bool = False) -> Array:
-        """Return positions (N,) under the commands, rad or m; `coarse` with long steps."""
-        return np.concatenate([x for x, _ in self._stretches(servo, coarse, 0)])
+    def simulated(self, servo: Array) -> Array:
+        """Return positions (N,) under the commands, rad or m."""
+        return np.concatenate([x for x, _ in self._stretches(servo, 0)])
 
-    def slopes(self, servo: Array, scale: Array, free: Mask, *, coarse: bool = False) -> Array:
+    def slopes(self, servo: Array, scale: Array, free: Mask) -> Array:
         """Return slopes (N, f) of positions with those numbers (11 + S,) that are free, in sizes.
 
         That with the limit is a difference.
         """
-        parts = self._stretches(servo, coarse, 10 if free[[_INTEGRAL, _BEGUN]].any() else _INTEGRAL)
+        parts = self._stretches(servo, 10 if free[[_INTEGRAL, _BEGUN]].any() else _INTEGRAL)
         J, at = np.zeros((sum(map(len, self.rows)), len(servo))), 0
         for k, (x, own) in enumerate(parts):
             J[at : at + len(x), : min(own.shape[1], _LIMIT)] = own[:, :_LIMIT]
@@ -142,15 +144,14 @@ class JointMotions:
             beyond = servo.copy()
             beyond[_LIMIT] += _LIMIT_STEP * scale[_LIMIT]
             found = np.concatenate([x for x, _ in parts])
-            J[:, _LIMIT] = (self.simulated(beyond, coarse=coarse) - found) / _LIMIT_STEP
+            J[:, _LIMIT] = (self.simulated(beyond) - found) / _LIMIT_STEP
         return J[:, free]
 
-    def _stretches(self, servo: Array, coarse: bool, count: int) -> list[tuple[Array, Array]]:
+    def _stretches(self, servo: Array, count: int) -> list[tuple[Array, Array]]:
         """Return positions (N,) of each stretch, and slopes (N, count) with parameters and w."""
-        share, least, most = _COARSE_STEPS if coarse else _STEPS
         found = []
         for k, (rows, period) in enumerate(zip(self.rows, self.periods, strict=True)):
-            steps = max(1, int(np.ceil(period / min(max(share * period, least), most))))
+            steps = max(_STEPS, int(np.ceil(period / _LONGEST_STEP)))
             out = np.empty(len(rows)), np.empty((len(rows) if count else 0, count))
             numbers = np.append(servo[:_BEGUN], servo[_BEGUN + k])
             calc_servo_motion(rows, period, steps, numbers, out)
@@ -440,7 +441,7 @@ class _Search:
         starts += [_Servo(motions.with_integral(start, each), scale, True) for each in integrals]
         for own in (0.0, 1.0):
             starts = [each.limited(scale[_LIMIT], own) for each in starts]
-            found = self._best(starts, seen=True, limit=True, coarse=True, most=_FIRST_EVALUATIONS)
+            found = self._best(starts, seen=True, limit=True, most=_FIRST_EVALUATIONS)
             starts = [found]
             if gain(found) >= PENALTY:
                 told = float(found.numbers[_INTEGRAL]) if found.summed else self.told
@@ -464,7 +465,7 @@ class _Search:
         """Return a servo by the windows that a test does not need."""
         scale = self._scale(start)
         starts = [_Servo(each, scale) for each in _starts(start)]
-        plain = self._best([self._best(starts, seen=True, coarse=True)], seen=True)
+        plain = self._best([self._best(starts, seen=True)], seen=True)
         return self._integral(start, plain) or plain
 
     def _integral(self, start: Array, plain: _Servo) -> _Servo | None:
@@ -481,7 +482,7 @@ class _Search:
             gain = plain.numbers[0]
             begins = [motions.with_integral(plain.numbers, ratio * gain) for ratio in _RESETS]
         starts = [replace(constant, numbers=each) for each in begins]
-        best = self._best([self._best(starts, seen=True, coarse=True)], seen=True)
+        best = self._best([self._best(starts, seen=True)], seen=True)
         constants = [constant, best.at_zero(_INTEGRAL)]
         constant = self._best(constants, seen=True, free=best.free(without=[_INTEGRAL]))
         worth = motions.gain(constant.numbers, best.numbers, motions.tested)
@@ -491,7 +492,7 @@ class _Search:
         """Return what an integral would gain beside a constant effort, by linear motions."""
         left = self.motions.residual(constant.numbers)
         both = [
-            self.motions.slopes(constant.numbers, constant.scale, free, coarse=True)
+            self.motions.slopes(constant.numbers, constant.scale, free)
             for free in (constant.free(without=[_INTEGRAL]), constant.free())
         ]
         before, after = (left - A @ np.linalg.lstsq(A, left, rcond=None)[0] for A in both)
@@ -504,14 +505,12 @@ class _Search:
         free: Mask | None = None,
         seen: bool = False,
         limit: bool = False,
-        coarse: bool = False,
         most: int = _MOST_EVALUATIONS,
     ) -> _Servo:
         """Return the least squares over all rows, or those that a fit sees, from several starts on.
 
         All numbers that a servo has move, its limit only if asked for, unless `free` (11 + S,) says
-        which. Simulations may take long steps (`coarse`). What is expected of the stiffness bounds
-        it in searches, and counts over all rows.
+        which. What is expected of the stiffness bounds it in searches, and counts over all rows.
         """
         motions = self.motions
         rows = ~motions.tested if seen else np.ones(len(motions.measured), bool)
@@ -524,7 +523,7 @@ class _Search:
             moving, scale = start.free(limit=limit) if free is None else free, start.scale
             upper, lower = np.full((2, len(scale)), np.inf)
             upper[[_DELAY, _LOAD]] = LONGEST_DELAY / scale[_DELAY], _MOST_LOAD / scale[_LOAD]
-            lower[:_LIMIT], lower[_LIMIT], lower[_SHARE:] = 0.0, _INSIDE, -np.inf
+            lower[:_LIMIT], lower[_LIMIT], lower[_SHARE:] = 0.0, _LEAST_LIMIT, -np.inf
             lower[_OFFSET] = -np.inf
             lower[0], upper[0] = usual / scale[0] * np.exp(_FARTHEST * spread * np.array([-1, 1]))
 
@@ -535,22 +534,17 @@ class _Search:
 
             def residual(x: Array) -> Array:
                 at = numbers(x)
-                left = motions.simulated(at, coarse=coarse) - motions.measured
+                left = motions.simulated(at) - motions.measured
                 return np.append(left[rows], weight * np.log(at[0] / usual))
 
             def slopes(x: Array) -> Array:
                 at = numbers(x)
-                J = motions.slopes(at, scale, moving, coarse=coarse)[rows]
+                J = motions.slopes(at, scale, moving)[rows]
                 return np.vstack([J, weight * scale[0] / at[0] * (np.flatnonzero(moving) == 0)])
 
-            fit = least_squares(
-                residual,
-                np.clip(start.numbers / scale, lower + _INSIDE, upper - _INSIDE)[moving],
-                slopes,
-                bounds=(lower[moving], upper[moving]),
-                max_nfev=most,
-            )
-            return float(fit.cost), replace(start, numbers=numbers(fit.x))
+            begin = np.clip(start.numbers / scale, lower, upper)[moving]
+            x, cost = _descend((residual, slopes), begin, (lower[moving], upper[moving]), most)
+            return cost, replace(start, numbers=numbers(x))
 
         return min(map(search, starts), key=lambda each: each[0])[1]
 
@@ -574,6 +568,40 @@ class _Search:
         return found[:_LIMIT]
 
 
+def _descend(
+    functions: tuple[Callable[[Array], Array], Callable[[Array], Array]],
+    x: Array,
+    bounds: tuple[Array, Array],
+    most: int,
+) -> tuple[Array, float]:
+    """Return the least squares of residuals by their slopes, from x on within bounds, and the sum.
+
+    Steps are those of Levenberg and Marquardt, each the best within the bounds: numbers may lie on
+    them, such as dry friction that is not there, where SciPy's `least_squares` goes on and on.
+    """
+    residual, slopes = functions
+    left, damping = residual(x), _FIRST_DAMPING
+    cost = float(left @ left)
+    for _ in range(most):
+        J = slopes(x)
+        H, pull = J.T @ J, J.T @ left
+        gain = 0.0
+        while gain <= 0.0:
+            size = np.maximum(np.diag(H), np.finfo(float).eps * np.trace(H) + _NOTHING)
+            root = np.linalg.cholesky(H + np.diag(damping * size))
+            aim = solve_triangular(root, -pull, lower=True)
+            step = lsq_linear(root.T, aim, (bounds[0] - x, bounds[1] - x), method="bvls").x
+            promised = -float(step @ (2.0 * pull + H @ step))
+            if promised <= _SETTLED * cost:
+                return x, cost
+            ahead = np.clip(x + step, *bounds)
+            left_there = residual(ahead)
+            gain = cost - float(left_there @ left_there)
+            damping *= 0.1 if gain > 0.5 * promised else 1.0 if gain > 0.0 else 10.0
+        x, left, cost = ahead, left_there, cost - gain
+    return x, cost
+
+
 def _starts(start: Array) -> list[Array]:
     """Return where searches begin: with several delays, and damping known to the command or not."""
     begins = [start]
@@ -587,11 +615,13 @@ def _starts(start: Array) -> list[Array]:
 def calc_servo_motion(
     rows: Array, period: float, steps: int, servo: Array, out: tuple[Array, Array]
 ) -> None:
-    """Write the positions (N,) of a joint under its commands, by implicit Euler steps.
+    """Write the positions (N,) of a joint under its commands, by steps of the theta method.
 
-    Dry friction is a set at rest: a joint sticks until more than F + k |b| pulls at it. Slopes are
-    those of the steps themselves, while a joint that sticks goes on doing so. One that a weak servo
-    lets run away is held where it is far from the measured motion.
+    Forces are those between both ends of a step, where the error is of second order but for what
+    damps stiff joints. Dry friction is that of the velocity afterwards, and a set at rest: a joint
+    sticks until more than F + k |b| pulls at it. Slopes are those of the steps themselves, while a
+    joint that sticks goes on doing so. One that a weak servo lets run away is held where it is far
+    from the measured motion.
 
     Args:
         rows: (N, 8) b, M, K, D, q, q̇, q̈ and the command.
@@ -603,57 +633,92 @@ def calc_servo_motion(
     """
     positions, slopes = out
     kp, kr, d, F, armature, delay, offset, load, ki, limit, own, w = servo
-    dt = period / steps
-    x, v, z, before, rise_before = rows[0, 4], rows[0, 5], 0.0, rows[0, 7], 0.0
-    (X, V, Z, change), now_at = np.zeros((4, 10)), np.zeros(7)
+    dt, late = period / steps, delay / period
+    x, v, z = rows[0, 4], rows[0, 5], 0.0
+    c, rise = calc_command_before(rows, -late, period)
+    at_numbers, now_at = np.zeros((3, 10)), np.zeros(7)
     count = slopes.shape[1] if len(slopes) > 0 else 0
+    ahead = _THETA * dt
+    reach = kp + ki * ahead
+    soft = reach * ahead * _THETA + (kr + own * d) * _THETA
     positions[0] = x
     slopes[:1] = 0.0
     for k in range(len(rows) - 1):
         for s in range(steps):
-            f = (s + 1.0) / steps
+            f = (s + _THETA) / steps
             for i in range(7):
                 now_at[i] = (1.0 - f) * rows[k, i] + f * rows[k + 1, i]
             b, M, K, D, q, qd, qdd = now_at
-            c, rise = calc_command_before(rows, k + f - delay / period, period)
-            drive = kp * (c - x) + kr * (c - before) / dt + ki * (z + (c - x) * dt) + w
-            rest = (M + armature) * v / dt - b - offset - K * (x - q) + D * qd + M * qdd
-            heavy, reach = (M + armature) / dt + K * dt + D + (1.0 - own) * d, kp + ki * dt
-            soft, gives = reach * dt + kr + own * d, 1.0
+            before, rise_before = c, rise
+            c, rise = calc_command_before(rows, k + (s + 1.0) / steps - late, period)
+            told = (1.0 - _THETA) * before + _THETA * c
+            inertia, free, old = (M + armature) / dt, D + (1.0 - own) * d, (1.0 - _THETA) * v
+            at = x + ahead * old
+            drive = kp * (told - at) + kr * ((c - before) / dt - old) - own * d * old
+            drive += ki * (z + ahead * (told - at)) + w
+            rest = inertia * v - b - offset - K * (at - q) + D * qd - free * old + M * qdd
+            heavy, gives = inertia + K * ahead * _THETA + free * _THETA, 1.0
             dry = F + load * abs(b)
             now, way = calc_velocity_after(drive + rest, heavy + soft, dry)
             effort = drive - soft * now
             if effort > limit or effort < -limit:
                 gives, bound = 0.0, limit if effort > 0.0 else -limit
                 now, way = calc_velocity_after(bound + rest, heavy, dry)
-            stiff = heavy + gives * soft
-            grows = gives > 0.0 or effort * (c - x - now * dt) < 0.0
+            mean = old + _THETA * now
+            error = told - x - ahead * mean
+            grows = gives > 0.0 or effort * error < 0.0
             if count > 0:
-                change[0] = gives * (c - x - now * dt)
-                change[1] = gives * ((c - before) / dt - now)
-                change[2] = -(1.0 - own + own * gives) * now
-                change[3] = -way
-                change[4] = (v - now) / dt
-                change[5] = -gives * (reach * rise + kr * (rise - rise_before) / dt)
-                change[6] = -1.0
-                change[7] = -way * abs(b)
-                change[8] = gives * (z + (c - x - now * dt) * dt)
-                change[9] = gives
-                for i in range(count):
-                    change[i] += (M + armature) / dt * V[i] - (K + gives * reach) * X[i]
-                    change[i] += gives * ki * Z[i]
-                    V[i] = change[i] / stiff if way != 0.0 else 0.0
-                    X[i] += dt * V[i]
-                    Z[i] -= dt * X[i] if grows else 0.0
-                Z[5] -= dt * rise if grows else 0.0
-            v, before, rise_before, x = now, c, rise, x + dt * now
-            z += dt * (c - x) if grows else 0.0
+                later = (1.0 - _THETA) * rise_before + _THETA * rise
+                direct = (
+                    gives * error,
+                    gives * ((c - before) / dt - mean),
+                    -(1.0 - own + own * gives) * mean,
+                    -way,
+                    (v - now) / dt,
+                    -gives * (reach * later + kr * (rise - rise_before) / dt),
+                    -1.0,
+                    -way * abs(b),
+                    gives * (z + ahead * error),
+                    gives,
+                )
+                damps, pulls = free + gives * (kr + own * d), K + gives * reach
+                stiff = heavy + gives * soft if way != 0.0 else np.inf
+                step = inertia, damps, pulls, gives * ki, stiff, grows, dt
+                move_slopes(at_numbers[:, :count], direct, step)
+                at_numbers[2, 5] -= dt * later if grows else 0.0
+            z += dt * error if grows else 0.0
+            v, x = now, x + dt * mean
         if abs(x - rows[k + 1, 4]) > _FAR:
             x, v = rows[k + 1, 4] + np.copysign(_FAR, x - rows[k + 1, 4]), 0.0
-            X[:], V[:] = 0.0, 0.0
+            at_numbers[:2] = 0.0
         positions[k + 1] = x
         if count > 0:
-            slopes[k + 1] = X[:count]
+            slopes[k + 1] = at_numbers[0, :count]
+
+
+@compiled
+def move_slopes(
+    slopes: Array,
+    direct: tuple[float, ...],
+    step: tuple[float, float, float, float, float, bool, float],
+) -> None:
+    """Take a step of slopes (3, p) of position, velocity and integral with numbers of a servo.
+
+    Args:
+        direct: Forces by which these numbers, and others after them, act by themselves.
+        step: What a velocity before takes away per force, what damps, what holds, what an integral
+            gives, what a velocity afterwards takes away (infinite where the joint sticks), whether
+            the integral grows, and the time, s.
+    """
+    inertia, damps, holds, gives, stiff, grows, dt = step
+    for i in range(slopes.shape[1]):
+        x, v, z = slopes[:, i]
+        old = (1.0 - _THETA) * v
+        force = direct[i] + inertia * v - damps * old - holds * (x + _THETA * dt * old)
+        slopes[1, i] = (force + gives * z) / stiff
+        mean = old + _THETA * slopes[1, i]
+        slopes[2, i] -= dt * (x + _THETA * dt * mean) if grows else 0.0
+        slopes[0, i] += dt * mean
 
 
 @compiled

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property, partial
 
@@ -317,26 +317,36 @@ def calibrated(
         return tuple(plain.signals(gains).values())
     sharp = sharp_trajectories(known, trajectories)
 
-    def by_motion(found: _Calibration, gains: SignalGains) -> tuple[EffortSignal, ...]:
-        # Bodies are those of the model that is saved, not as the linear fit moves them.
-        bodies, signals = replace(model, effects=()), found.signals(gains)
+    # Bodies are those of the model that is saved, not as the linear fit moves them.
+    motions = motions_of(replace(model, effects=()), logs, sharp, tuple(commanded))
+
+    def by_motion(
+        found: _Calibration, gains: SignalGains, joints: Iterable[int]
+    ) -> dict[int, EffortSignal]:
+        signals = found.signals(gains)
         usual = {
             kind: float(np.median([s.gain for j, s in signals.items() if alike[j] == kind]))
             for kind in {alike[j] for j in commanded}
         }
-        for j, motions in motions_of(bodies, logs, sharp, tuple(commanded)).items():
+        servos = dict[int, EffortSignal]()
+        for j in joints:
             limit, known = float(model.effort_limits[j]), float(gains.bodies[j])
             share, published = float(priors.deviations[j]), float(priors.expected[j])
             expected = (published, share) if np.isfinite(share) else (usual[alike[j]], ALIKE)
-            signals[j] = _by_motion(motions, signals[j], limit, known, expected)
-        return tuple(signals.values())
+            servo = _by_motion(motions[j], signals[j], limit, known, expected)
+            servos |= {} if servo is None else {j: servo}
+        return servos
 
     summed, other = replace(first, integral=True).found()
+    servos, rest = dict[int, EffortSignal](), tuple(commanded)
     if summed.cost(other) + PENALTY * len(commanded) < plain.cost(gains):
-        found = by_motion(summed, other)
-        if any(signal.integral for signal in found):
-            return found
-    return by_motion(plain, gains)
+        servos = by_motion(summed, other, rest)
+        if any(servo.integral for servo in servos.values()):
+            plain, gains, rest = summed, other, ()
+    servos |= by_motion(plain, gains, [j for j in rest if j not in servos])
+    linear = plain.signals(gains).items()
+    found = {j: replace(signal, integral=0.0, integral_deviation=0.0) for j, signal in linear}
+    return tuple((found | servos).values())
 
 
 def _gain_priors(model: RobotModel, logs: Sequence[JointLog], kinds: Sequence[str]) -> GainPriors:
@@ -381,17 +391,15 @@ def sharp_trajectories(
 
 def _by_motion(
     motions: JointMotions, signal: EffortSignal, limit: float, known: float, expected: Expected
-) -> EffortSignal:
-    """Return the servo of a joint by how it moves, if that is predicted better for it.
+) -> EffortSignal | None:
+    """Return the servo of a joint by how it moves, if that is predicted better for it, or None.
 
     An integral counts only where windows of the motion ask for it, and so does the limit of the
     joint's effort, N·m or N. `signal` is the servo by a linear fit; bodies are `known` to a share.
     """
     bodies, most = min(signal.uncertainty, known), limit if limit > 0.0 else np.inf
     fit = fit_servo(motions, signal, most, expected=expected, bodies=bodies)
-    if fit is None:
-        return replace(signal, integral=0.0, integral_deviation=0.0)
-    return signal_by_motion(signal, fit)
+    return None if fit is None else signal_by_motion(signal, fit)
 
 
 def signal_by_motion(signal: EffortSignal, fit: ServoFit) -> EffortSignal:
