@@ -13,11 +13,6 @@ from geodrake.effects import load_effect_file
 from geodrake.errors import GeodrakeError, LogError
 from geodrake.logs.files import read_log, table
 
-MISSED = {
-    "bad.urdf: joints of several degrees": "Drake leaves the joint out, and a note says that its "
-    "body is welded to the world"
-}
-"""What is read and should be refused -> why."""
 DAMAGED = [
     Row(f"{file}: {kind}", f"compare {file} log.csv", says, {file: content}, apart=apart)
     for file, says, apart, kinds in (
@@ -28,13 +23,8 @@ DAMAGED = [
 ]
 
 
-def with_marks(row):
-    known = [pytest.mark.xfail(strict=True, reason=MISSED[row.name])] if row.name in MISSED else ()
-    return pytest.param(row, marks=known, id=row.name)
-
-
 @pytest.mark.sampled(3)
-@pytest.mark.parametrize("row", [*map(with_marks, [*read_rows(), *DAMAGED])])
+@pytest.mark.parametrize("row", [*read_rows(), *DAMAGED], ids=lambda row: row.name)
 def test_row(row, tmp_path):
     row.check(tmp_path)
     assert not (tmp_path / "PWNED").exists()

@@ -48,6 +48,7 @@ class UrdfText(ModelText):
         root.set("name", root.get("name") or scope)
         self._links = {f"{scope}::{e.get('name')}": e for e in root.findall("link")}
         joints = [*root.findall("joint"), *root.findall("drake:joint")]
+        self._check_floating(joints)
         every = {e.get("name") for tag in ("joint", "drake:joint") for e in root.iter(tag)}
         self._take_gazebo(scope, gazebo, every)
         for joint in joints:
@@ -57,6 +58,22 @@ class UrdfText(ModelText):
             terms.effort[name] = number(joint, "limit", "effort")
             if (limit := joint.find("limit")) is not None and terms.effort[name] == 0.0:
                 limit.attrib.pop("effort", None)  # with 0, Drake ignores the rotor, too
+
+    def _check_floating(self, joints: list[Element]) -> None:
+        """Refuse links that float beside one that moves, whose joints Drake leaves out."""
+        ends = {
+            tag: {j: getattr(j.find(tag), "attrib", {}).get("link") for j in joints}
+            for tag in ("parent", "child")
+        }
+        holding = {child: joint for joint, child in ends["child"].items()}
+        for joint in (each for each in joints if each.get("type") == "floating"):
+            inner, seen = holding.get(ends["parent"][joint]), {joint}
+            while inner is not None and inner not in seen and inner.get("type") == "fixed":
+                seen.add(inner)
+                inner = holding.get(ends["parent"][inner])
+            if inner is not None and inner.get("type") != "floating":
+                what = f"the joint {joint.get('name')!r} is floating, and what it hangs on moves."
+                raise wrong_at(joint, self.path, what)
 
     def _take_gazebo(self, scope: str, elements: list[Element], joints: set[str | None]) -> None:
         """Take springs of joints, and links without gravity."""
