@@ -35,6 +35,7 @@ from geodrake.logs.motion import Motion
 from geodrake.model.exporting.formats import FORMATS, export_format
 from geodrake.model.exporting.held import held_by
 from geodrake.model.saved_model import load_model
+from geodrake.robot import joint_names
 
 MODELS = Path(__file__).parents[2] / "models"
 
@@ -235,13 +236,35 @@ def test_joints_that_follow_others_follow_them_in_all_formats(tmp_path):
         model = load_model(path)
         assert [(f.ratio, f.offset) for f in model.followers] == [(-0.5, 0.1)]
         np.testing.assert_allclose(model.effort(moved), first.effort(moved), atol=1e-9)
+        theirs = first.effort(moved)
+        if to == "mjcf":
+            theirs = followed_in_mujoco(path, model, moved)
+        elif to == "urdf":
+            read = pinocchio.buildModelFromXML(path.read_text(), True)
+            order = [read.joints[read.getJointId(joint)].idx_v for joint in model.joints]
+            rows = np.stack([moved.q, moved.v, moved.vd], axis=1)[:, :, np.argsort(order)]
+            data, model = read.createData(), replace(model, effects=())
+            theirs = np.array([pinocchio.rnea(read, data, *row)[order] for row in rows])
+        np.testing.assert_allclose(theirs, model.effort(moved), rtol=1e-6, atol=1e-8)
         plant = MultibodyPlant(time_step=0.001)
         plant.set_discrete_contact_approximation(DiscreteContactApproximation.kSap)
         if to != "mjcf":
             Parser(plant).AddModels(str(path))
             assert plant.num_constraints() == 1
-        else:
-            assert mujoco.MjModel.from_xml_path(str(path)).neq == 1
+
+
+def followed_in_mujoco(path, model, moved):
+    """Efforts (N, n) at the leaders, along whose motion the equalities do no work."""
+    theirs, J = mujoco.MjModel.from_xml_path(str(path)), model.coordinates.constant
+    theirs.opt.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_LIMIT)
+    data, at = mujoco.MjData(theirs), [theirs.joint(name).id for name in joint_names(model.plant)]
+    found = []
+    for q, v, vd in zip(model.plant_positions(moved.q), moved.v @ J.T, moved.vd @ J.T, strict=True):
+        data.qpos[at], data.qvel[at], data.qacc[at] = q, v, vd
+        mujoco.mj_inverse(theirs, data)
+        assert theirs.neq == 1 and np.abs(data.efc_pos).max() < 1e-9
+        found.append(J.T @ (data.qfrc_inverse + data.qfrc_constraint)[at])
+    return np.array(found)
 
 
 def test_several_files_become_one(tmp_path):
