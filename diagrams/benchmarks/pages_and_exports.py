@@ -33,7 +33,7 @@ from diagrams.harness import (
 from diagrams.public_data import add_folder_option, require
 from geodrake import load_model
 from geodrake.control.export_proof import export_to
-from geodrake.model.exporting.formats import FORMATS
+from geodrake.control.export_proof.formats import FORMATS
 
 UR10E = ("reference/ur10e.urdf", "data/ur10e_free_a.csv", "data/ur10e_free_b.csv")
 _BROWSERS = ("chromium", "chromium-browser", "google-chrome")

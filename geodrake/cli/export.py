@@ -14,8 +14,8 @@ from geodrake.control.export_proof.export import (
     export_with_proof,
     write_files,
 )
+from geodrake.control.export_proof.formats import export_format
 from geodrake.model.dynamics_check import check_dynamics
-from geodrake.model.exporting.formats import export_format
 from geodrake.model.robot_model import RobotModel
 from geodrake.report.exports import CheckedModel, check_dict, check_page, export_dict, export_page
 

@@ -13,7 +13,7 @@ from pydrake.multibody.tree import BodyIndex
 
 from geodrake.boundary.arguments import file_path, instance
 from geodrake.boundary.whole_files import write_whole
-from geodrake.effects import Role
+from geodrake.effects import FittedEffect, Role
 from geodrake.errors import ModelError, OutputError
 from geodrake.inertia import (
     Array,
@@ -24,7 +24,6 @@ from geodrake.inertia import (
     pseudo_inertia,
 )
 from geodrake.inertia.bodies import LumpedBody, lumped_bodies
-from geodrake.model.exporting.held import reasons
 from geodrake.model.robot_model import RobotModel
 from geodrake.robot.files.description import drake_messages, model_text_of, read_description
 from geodrake.robot.files.model_edits import link_names, with_inertias, without_mass_settings
@@ -145,6 +144,20 @@ def export_bodies(model: RobotModel) -> Export:
             "file, which states all inertias"
         )
     return Export(content, links, tuple(notes))
+
+
+def reasons(effects: Sequence[FittedEffect]) -> list[str]:
+    """Return why no model file can hold effects of a drive, or of a part of a log."""
+    pushing, passing = dict[str, list[str]](), list[str]()
+    for effect in (fitted.effect for fitted in effects):
+        if effect.by_drive:
+            pushing.setdefault(effect.name, []).append(effect.place)
+        if effect.role is Role.EPISODE:
+            passing.append(f"{effect.name} of {effect.place}")
+    why = "it is what the drive does, which pushes and does not resist"
+    found = {f"{name} of {', '.join(places)}": why for name, places in pushing.items()}
+    found |= dict.fromkeys(passing, "it belongs to one log, and is no part of the robot")
+    return [f"{what} is not in the files: {why}" for what, why in found.items()]
 
 
 def repair_comments(model: RobotModel) -> list[str]:

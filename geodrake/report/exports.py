@@ -10,13 +10,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from geodrake.control.export_proof.export import ProvenExport
+from geodrake.control.export_proof.joints import exported_joints
 from geodrake.diagnosis.columns import ColumnFinding
 from geodrake.fleet.digest_folder import FAILED, MADE, THERE, DigestRow, DigestRun
 from geodrake.fleet.log_places import date_text
 from geodrake.fleet.settings import SETTINGS_FILE, DigestSettings
 from geodrake.logs.inspection import LogInspection
 from geodrake.model.dynamics_check import TOLERANCE, Agreement, DynamicsCheck
-from geodrake.model.exporting.joints import exported_joints
 from geodrake.report.charts import Chart, Panel, Plot, Shade, Stage
 from geodrake.report.explaining import effect_cell, first_section, notes_section
 from geodrake.report.json_output import NoNumber, number_or, picked

@@ -12,6 +12,8 @@ from typer.testing import CliRunner
 
 from geodrake.cli.app import app
 from geodrake.control.export_proof import export as proof
+from geodrake.control.export_proof.formats import FORMATS
+from geodrake.control.export_proof.held import Exported, ExportFormat
 from geodrake.effects import (
     CoulombFriction,
     EffortDelay,
@@ -23,8 +25,6 @@ from geodrake.effects import (
 )
 from geodrake.logs.files import write_log
 from geodrake.logs.motion import JointLog
-from geodrake.model.exporting.formats import FORMATS
-from geodrake.model.exporting.held import Exported, ExportFormat
 from geodrake.model.saved_model import load_model, save_model
 
 PERIOD, DELAY = 0.01, 0.02

@@ -13,6 +13,8 @@ from pydrake.systems.primitives import Adder, ConstantVectorSource
 from geodrake.control import EffectForce
 from geodrake.control.export_proof import export_to
 from geodrake.control.export_proof.engines import MujocoEngine
+from geodrake.control.export_proof.formats import FORMATS
+from geodrake.control.export_proof.held import held_by
 from geodrake.control.export_proof.reference import STEP, Start, random_motion, roll_out_all
 from geodrake.effects import (
     CoulombFriction,
@@ -24,8 +26,6 @@ from geodrake.effects import (
 )
 from geodrake.errors import OutputError
 from geodrake.inertia import from_mass_com_inertia
-from geodrake.model.exporting.formats import FORMATS
-from geodrake.model.exporting.held import held_by
 from geodrake.model.saved_model import load_model
 from geodrake.robot.plant import position_limits, set_inertial_parameters, velocity_limits
 

@@ -9,6 +9,7 @@ import pytest
 from diagrams.benchmarks.column_errors import WrongLog, make_log
 from diagrams.benchmarks.hidden.robots import robot_file
 from geodrake import load_model
+from geodrake.control.export_proof.joints import exported_joints
 from geodrake.diagnosis import (
     ColumnFinding,
     check_columns,
@@ -22,7 +23,6 @@ from geodrake.diagnosis.columns.limits import likely_limits, spread
 from geodrake.errors import ArgumentError
 from geodrake.logs.motion import JointLog
 from geodrake.model.effort_signal import EffortSignal, MotorLimit
-from geodrake.model.exporting.joints import exported_joints
 from geodrake.model.saved_model import save_model
 from geodrake.model.signal_efforts import in_efforts
 from geodrake.report.explaining import gains_section, limits_section

@@ -23,12 +23,13 @@ import pinocchio as pin
 from pinocchio_logs import MODELS, effort_log
 
 from geodrake import load_model, save_model
+from geodrake.control.export_proof.held import held_by
 from geodrake.diagnosis import add, diagnose, explain
 from geodrake.effects import JointEffect, Parameter, Proposer
 from geodrake.errors import ArgumentError
 from geodrake.identification.logs.noise import prepare_for_model
 from geodrake.logs.motion import Motion
-from geodrake.model.exporting.held import held_by, reasons
+from geodrake.model.export import reasons
 from geodrake.model.file_terms import Damping
 
 MARGIN = 1.15

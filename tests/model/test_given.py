@@ -8,11 +8,11 @@ import numpy as np
 import pytest
 
 from geodrake import load_model, save_model
+from geodrake.control.export_proof.model_text import model_file
 from geodrake.effects import FittedEffect, ViscousFriction
 from geodrake.errors import ArgumentError, ModelError
 from geodrake.logs import Motion
 from geodrake.model import Given, save_export
-from geodrake.model.exporting.model_text import model_file
 from geodrake.robot.shapes import robot_shapes
 
 MODELS = Path(__file__).parents[2] / "models"

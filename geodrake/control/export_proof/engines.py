@@ -25,11 +25,11 @@ from pydrake.systems.analysis import ResetIntegratorFromFlags, Simulator
 from pydrake.systems.framework import DiagramBuilder
 
 from geodrake.boundary.input_files import read_regular
+from geodrake.control.export_proof.joints import ExportedJoint, exported_joints
 from geodrake.control.export_proof.reference import Drives
 from geodrake.effects import Effect
 from geodrake.errors import ModelError
 from geodrake.inertia import Array
-from geodrake.model.exporting.joints import ExportedJoint, exported_joints
 from geodrake.model.file_terms import Damping, DryFriction, Rotor
 from geodrake.model.robot_model import RobotModel
 from geodrake.robot.files.description import drake_errors, drake_messages

@@ -14,6 +14,14 @@ import numpy as np
 from geodrake.boundary.arguments import file_path, instances, number, positive, typed
 from geodrake.boundary.whole_files import Content, made_folder, write_together
 from geodrake.control.export_proof.engines import Engine, engine
+from geodrake.control.export_proof.formats import export_format
+from geodrake.control.export_proof.held import (
+    Exported,
+    ExportFormat,
+    HeldModel,
+    Lost,
+    held_by,
+)
 from geodrake.control.export_proof.reference import (
     STEP,
     Start,
@@ -33,15 +41,7 @@ from geodrake.identification.logs.case import Case, open_case, reopen
 from geodrake.identification.logs.compare import comparison
 from geodrake.inertia import Array
 from geodrake.logs.motion import JointLog, Motion
-from geodrake.model.exporting.formats import export_format
-from geodrake.model.exporting.held import (
-    Exported,
-    ExportFormat,
-    HeldModel,
-    Lost,
-    held_by,
-    reasons,
-)
+from geodrake.model.export import reasons
 from geodrake.model.file_terms import DryFriction
 from geodrake.model.robot_model import RobotModel
 from geodrake.model.servos import servos_of

@@ -11,11 +11,11 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from geodrake.control.export_proof.joints import exported_joints
 from geodrake.effects import Effect
 from geodrake.inertia import Array
 from geodrake.logs.motion import MEMORY, Motion, Trajectory
 from geodrake.logs.smoothing import Segment, Stretch
-from geodrake.model.exporting.joints import exported_joints
 from geodrake.model.file_terms import DryFriction
 from geodrake.model.robot_model import RobotModel
 

@@ -10,8 +10,8 @@ import jinja2
 import numpy as np
 
 from geodrake.boundary.escaping import printable
+from geodrake.control.export_proof.held import Exported, HeldModel
 from geodrake.errors import ModelError
-from geodrake.model.exporting.held import Exported, HeldModel
 from geodrake.model.robot_model import RobotModel
 from geodrake.model.source import effort_source
 
@@ -60,7 +60,7 @@ def ros2_files(model: RobotModel, held: HeldModel, folder: Path) -> Exported:
         "sign_width": SIGN_WIDTH,
     }
     templates = jinja2.Environment(
-        loader=jinja2.PackageLoader("geodrake.model.exporting", "ros2_package"),
+        loader=jinja2.PackageLoader("geodrake.control.export_proof", "ros2_package"),
         undefined=jinja2.StrictUndefined,
         keep_trailing_newline=True,
     )

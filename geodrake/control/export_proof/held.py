@@ -88,20 +88,6 @@ def held_by(
     return HeldModel(replace(model, effects=effects, information=None), _named(lost, into))
 
 
-def reasons(effects: Sequence[FittedEffect]) -> list[str]:
-    """Return why no model file can hold effects of a drive, or of a part of a log."""
-    pushing, passing = dict[str, list[str]](), list[str]()
-    for effect in (fitted.effect for fitted in effects):
-        if effect.by_drive:
-            pushing.setdefault(effect.name, []).append(effect.place)
-        if effect.role is Role.EPISODE:
-            passing.append(f"{effect.name} of {effect.place}")
-    why = "it is what the drive does, which pushes and does not resist"
-    found = {f"{name} of {', '.join(places)}": why for name, places in pushing.items()}
-    found |= dict.fromkeys(passing, "it belongs to one log, and is no part of the robot")
-    return [f"{what} is not in the files: {why}" for what, why in found.items()]
-
-
 def _folded(effects: Sequence[FittedEffect], holds: Holds, keep: Holds) -> list[FittedEffect]:
     """Effects, in which an offset at a joint with a spring that is held is a part of the spring."""
     springs = {

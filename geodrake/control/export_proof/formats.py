@@ -13,25 +13,25 @@ from pydrake.math import RigidTransform, RollPitchYaw, RotationMatrix
 from pydrake.multibody.tree import BodyIndex, RigidBody
 
 from geodrake.boundary.escaping import printable
-from geodrake.effects import Effect
-from geodrake.errors import ArgumentError
-from geodrake.model.export import repair_comments
-from geodrake.model.exporting.held import (
+from geodrake.control.export_proof.held import (
     Exported,
     ExportFormat,
     HeldModel,
     Holding,
     Write,
 )
-from geodrake.model.exporting.joints import exported_joints
-from geodrake.model.exporting.model_text import (
+from geodrake.control.export_proof.joints import exported_joints
+from geodrake.control.export_proof.model_text import (
     model_file,
     own_kind,
     stands_as_it_is,
     tilt_rotation,
     written_kind,
 )
-from geodrake.model.exporting.ros2 import ros2_files
+from geodrake.control.export_proof.ros2 import ros2_files
+from geodrake.effects import Effect
+from geodrake.errors import ArgumentError
+from geodrake.model.export import repair_comments
 from geodrake.model.file_terms import (
     Damping,
     Delay,

@@ -12,18 +12,17 @@ from pydrake.common.eigen_geometry import AngleAxis, Quaternion
 from pydrake.math import RigidTransform, RollPitchYaw
 from pydrake.multibody.tree import Joint
 
-from geodrake.errors import ModelError
-from geodrake.inertia import Array, change_frame
-from geodrake.inertia.bodies import lumped_bodies
-from geodrake.model.export import export_bodies, file_kind, repair_comments
-from geodrake.model.exporting.joints import (
+from geodrake.control.export_proof.joints import (
     ExportedJoint,
     all_numbers,
     changed_numbers,
     exported_joints,
     with_actuators,
-    without_drive,
 )
+from geodrake.errors import ModelError
+from geodrake.inertia import Array, change_frame
+from geodrake.inertia.bodies import lumped_bodies
+from geodrake.model.export import export_bodies, file_kind, repair_comments
 from geodrake.model.file_terms import Tilt
 from geodrake.model.robot_model import RobotModel, is_of_file
 from geodrake.robot.files.description import model_text_of
@@ -108,7 +107,7 @@ def _links_of(model: RobotModel) -> tuple[Link, ...]:
             shown, follows = joints[model.joints[model.own.starts[scoped(joint)][1]]], None
             if (follower := followers.get(scoped(joint))) is not None:
                 follows = shown.name, follower.ratio, follower.offset
-                shown = without_drive(joint.name(), follower.joint, turns=turns)
+                shown = ExportedJoint(joint.name(), follower.joint, turns)
             found[k] = Link(
                 names[k],
                 None if above is None else names[above],

@@ -13,6 +13,8 @@ from chain_logs import inverse_dynamics
 from pydrake.multibody.parsing import Parser
 from pydrake.multibody.plant import DiscreteContactApproximation, MultibodyPlant
 
+from geodrake.control.export_proof.formats import FORMATS, export_format
+from geodrake.control.export_proof.held import held_by
 from geodrake.effects import (
     AsymmetricFriction,
     CoulombFriction,
@@ -32,8 +34,6 @@ from geodrake.effects import (
 from geodrake.errors import ArgumentError, ModelError
 from geodrake.inertia import from_mass_com_inertia
 from geodrake.logs.motion import Motion
-from geodrake.model.exporting.formats import FORMATS, export_format
-from geodrake.model.exporting.held import held_by
 from geodrake.model.saved_model import load_model
 from geodrake.robot import joint_names
 

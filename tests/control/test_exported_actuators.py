@@ -9,12 +9,12 @@ import pytest
 
 from geodrake.control.export_proof import export_to
 from geodrake.control.export_proof.export import prove
+from geodrake.control.export_proof.formats import export_format
+from geodrake.control.export_proof.held import held_by
 from geodrake.control.export_proof.reference import compared, random_motion, random_starts
 from geodrake.effects import CoulombFriction, EffortDelay, FittedEffect
 from geodrake.errors import ModelError
 from geodrake.model import EffortSignal, holding, save_model
-from geodrake.model.exporting.formats import export_format
-from geodrake.model.exporting.held import held_by
 from geodrake.model.logged_joints import reading_for
 from geodrake.model.saved_model import load_model
 from geodrake.robot.plant import load_plant

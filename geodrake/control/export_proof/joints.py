@@ -51,13 +51,13 @@ class ExportedJoint:
     name: str
     scoped: str
     turns: bool
-    driven: bool
-    velocity: float
-    effort: float
-    kp: float
-    kd: float
-    delay: float
-    measured_late: float
+    driven: bool = False
+    velocity: float = np.inf
+    effort: float = 0.0
+    kp: float = 0.0
+    kd: float = 0.0
+    delay: float = 0.0
+    measured_late: float = 0.0
     damping: float = 0.0
     friction: float = 0.0
     armature: float = 0.0
@@ -116,22 +116,6 @@ def exported_joints(model: RobotModel) -> dict[str, ExportedJoint]:
                 **values[joint],
             )
     return found
-
-
-def without_drive(name: str, scoped: str, *, turns: bool) -> ExportedJoint:
-    """Return a joint that nothing drives or slows, as one that follows another."""
-    return ExportedJoint(
-        name,
-        scoped,
-        turns=turns,
-        driven=False,
-        velocity=np.inf,
-        effort=0.0,
-        kp=0.0,
-        kd=0.0,
-        delay=0.0,
-        measured_late=0.0,
-    )
 
 
 def all_numbers(model: RobotModel) -> dict[str, dict[str, float]]:
