@@ -16,15 +16,13 @@ from pydrake.multibody.tree import MultibodyForces
 from geodrake.boundary.arguments import instance, integer
 from geodrake.boundary.showing import Short
 from geodrake.model.robot_model import RobotModel
-from geodrake.model.second_opinion import second_opinion
+from geodrake.model.second_opinion import States, of_plant, second_opinion
 from geodrake.robot.followers import scoped
 from geodrake.robot.holding import moving_joints
 from geodrake.robot.plant import set_inertial_parameters
 from geodrake.robot.regressor import inverse_dynamics, inverse_dynamics_regressor
-from geodrake.robot.transmission.base import times
 
 Array = NDArray[np.float64]
-States = tuple[Array, Array, Array]
 Quantities = dict[str, Array]
 
 QUANTITIES = ("inverse dynamics", "regressor", "gravity", "bias", "mass matrix")
@@ -128,21 +126,12 @@ def check_dynamics(model: RobotModel, *, samples: int = 100, seed: int = 0) -> D
         for name in ours
     )
     of_model = model.joints, len(model.bodies), samples, seed, model.repairs, model.left_out
-    second, by = None, second_opinion(model, states, *_of_plant(model, states)[:2])
+    second, by = None, second_opinion(model, states)
     if not isinstance(by, str):
         by, efforts, own = by
         size = float(np.abs(efforts).max(initial=0.0))
         second = _agreement(f"efforts by {by}", own - efforts, size, model.joints)
     return DynamicsCheck(agreements, *of_model, second, by)
-
-
-def _of_plant(model: RobotModel, states: States) -> tuple[States, Array, Array]:
-    """States (N, ·) of the plant, rates of its positions by the model's, and J̇ v."""
-    jacobians = model.coordinates.jacobian(states[0])
-    rates = model.coordinates.jacobian_rate(*states[:2])
-    along = times(rates, states[1])
-    q, v = model.plant_positions(states[0]), model.plant_velocities(*states[:2])
-    return (q, v, times(jacobians, states[2]) + along), jacobians, along
 
 
 def _random_states(model: RobotModel, count: int, rng: np.random.Generator) -> States:
@@ -191,7 +180,7 @@ def _by_recursion(model: RobotModel, states: States, phi: Array, others: Array) 
 def _by_drake(model: RobotModel, states: States, others: Array) -> Quantities:
     """Return the same by MultibodyPlant, whose joints move with their leaders and actuators."""
     plant = model.plant
-    (q, v, vd), jacobians, along = _of_plant(model, states)
+    (q, v, vd), jacobians, along = of_plant(model, states)
     context, other = model.create_context(), plant.CreateDefaultContext()
     none = MultibodyForces(plant)
     found: dict[str, list[Array]] = {name: [] for name in QUANTITIES}

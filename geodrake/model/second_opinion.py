@@ -37,20 +37,15 @@ from geodrake.robot.regressor import inverse_dynamics
 from geodrake.robot.transmission.base import times
 
 Array = NDArray[np.float64]
+States = tuple[Array, Array, Array]
 _ENDS = ("parent", "child")
 
 
-def second_opinion(
-    model: RobotModel,
-    states: tuple[Array, Array, Array],
-    plant_states: tuple[Array, Array, Array],
-    jacobians: Array,
-) -> tuple[str, Array, Array] | str:
+def second_opinion(model: RobotModel, states: States) -> tuple[str, Array, Array] | str:
     """Return what MuJoCo or Pinocchio makes of the file of a model; otherwise why there is none.
 
     Args:
         states: (N, nq), (N, nv), (N, nv) positions, velocities and accelerations of the model.
-        jacobians: (N, nv of the plant, nv) rates of the plant's positions by the model's.
 
     Returns:
         The program, efforts (N, nv) by it, and by geodrake, of what it takes: all of the file for
@@ -81,8 +76,18 @@ def second_opinion(
         found = _by_pinocchio(model, texts, held, joints)
     if isinstance(found, str):
         return found
+    plant_states, jacobians, _ = of_plant(model, states)
     efforts = found.efforts(joints, *plant_states)
     return found.by, times(np.swapaxes(jacobians, 1, 2), efforts), ours
+
+
+def of_plant(model: RobotModel, states: States) -> tuple[States, Array, Array]:
+    """States (N, ·) of the plant, rates of its positions by the model's, and J̇ v."""
+    jacobians = model.coordinates.jacobian(states[0])
+    rates = model.coordinates.jacobian_rate(*states[:2])
+    along = times(rates, states[1])
+    q, v = model.plant_positions(states[0]), model.plant_velocities(*states[:2])
+    return (q, v, times(jacobians, states[2]) + along), jacobians, along
 
 
 def _units(plant: MultibodyPlant) -> list[tuple[Joint, ...]]:

@@ -31,7 +31,8 @@ from geodrake.effects import Effect
 from geodrake.errors import ModelError
 from geodrake.inertia import Array
 from geodrake.model.file_terms import Damping, DryFriction, Rotor
-from geodrake.model.robot_model import RobotModel
+from geodrake.model.robot_model import RobotModel, load_description
+from geodrake.model.second_opinion import second_opinion
 from geodrake.robot.files.description import drake_errors, drake_messages
 from geodrake.robot.files.packages import add_packages, named_packages
 from geodrake.robot.followers import joint_names
@@ -328,44 +329,28 @@ class MujocoEngine(Engine):
 
 
 class PinocchioEngine(Engine):
-    """A model of Pinocchio: the rigid bodies alone."""
+    """A model of Pinocchio: the rigid bodies alone, as `geodrake check` has its opinion on them."""
 
     ignores: ClassVar[tuple[type[Effect], ...]] = (DryFriction, Rotor, Damping)
 
     def __init__(self, file: Path, model: RobotModel) -> None:
-        self._pin = pinocchio = import_module("pinocchio")
-        self.name = f"Pinocchio {pinocchio.__version__}"
-        try:
-            self._model = pinocchio.buildModelFromUrdf(str(file))
-        except (ValueError, RuntimeError) as error:
-            line = " ".join(str(error).split())[:300]
-            raise ModelError(f"Pinocchio cannot read {file.name}: {line}") from error
-        for values in ("armature", "damping", "friction"):  # whether a version reads them or not
-            if hasattr(self._model, values):
-                getattr(self._model, values)[:] = 0.0
-        names = {name: k for k, name in enumerate(self._model.names)}
-        self._joints = order_of(model, names, file, self.name)
-        self._held = {names[n]: place for n, place in model.held.items() if n in names}
+        self._again = load_description(file, held=model.held)
+        places = {joint: k for k, joint in enumerate(self._again.joints)}
+        self._order = np.array(order_of(model, places, file, "Pinocchio"))
+        still = np.zeros((1, len(places)))
+        self.name = self._efforts(still, still, still)[0]
 
     def effort(self, q: Array, v: Array, vd: Array) -> tuple[Array, Mask]:
         """Inverse dynamics of the bodies; see `Engine.effort`."""
-        model = self._model
-        data, found = model.createData(), np.empty_like(v)
-        positions, velocities = self._pin.neutral(model), np.zeros(model.nv)
-        accelerations = np.zeros(model.nv)
-        at = [model.joints[joint].idx_v for joint in self._joints]
-        for joint, place in self._held.items():
-            positions[model.joints[joint].idx_q] = place
-        for k in range(len(v)):
-            for joint, angle in zip(self._joints, q[k], strict=True):
-                start = model.joints[joint].idx_q
-                if model.joints[joint].nq == 2:  # without limits
-                    positions[start : start + 2] = np.cos(angle), np.sin(angle)
-                else:
-                    positions[start] = angle
-            velocities[at], accelerations[at] = v[k], vd[k]
-            found[k] = self._pin.rnea(model, data, positions, velocities, accelerations)[at]
-        return found, np.full(v.shape, True)
+        back = np.argsort(self._order)
+        found = self._efforts(*(x[:, back] for x in (q, v, vd)))[1]
+        return found[:, self._order], np.full(v.shape, True)
+
+    def _efforts(self, q: Array, v: Array, vd: Array) -> tuple[str, Array]:
+        found = second_opinion(self._again, (q, v, vd))
+        if isinstance(found, str):
+            raise ModelError(found)
+        return found[:2]
 
 
 class PythonEngine(Engine):
