@@ -24,7 +24,6 @@ from geodrake.effects import (
     RotorInertia,
     ViscousFriction,
 )
-from geodrake.errors import OutputError
 from geodrake.inertia import from_mass_com_inertia
 from geodrake.model.saved_model import load_model
 from geodrake.robot.plant import position_limits, set_inertial_parameters, velocity_limits
@@ -134,14 +133,6 @@ def test_a_motion_for_want_of_logs_is_within_the_limits(chain):
     np.testing.assert_allclose(slope, moved.v[1:-1], atol=2e-3)
     slope = np.gradient(moved.v, period, axis=0)[1:-1]
     np.testing.assert_allclose(slope, moved.vd[1:-1], atol=2e-2)
-
-
-def test_files_are_not_replaced_unasked(chain, tmp_path):
-    found = export_to("urdf", chain, tmp_path / "out")
-    assert (tmp_path / "out" / "chain.urdf").read_bytes() == found.exported.files["chain.urdf"]
-    with pytest.raises(OutputError, match="there already"):
-        export_to("urdf", chain, tmp_path / "out")
-    export_to("urdf", chain, tmp_path / "out", force=True)
 
 
 def test_every_format_says_which_simulators_try_it():

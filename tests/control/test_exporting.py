@@ -31,7 +31,7 @@ from geodrake.effects import (
     TorqueRipple,
     ViscousFriction,
 )
-from geodrake.errors import ArgumentError, ModelError
+from geodrake.errors import ModelError
 from geodrake.inertia import from_mass_com_inertia
 from geodrake.logs.motion import Motion
 from geodrake.model.saved_model import load_model
@@ -439,8 +439,3 @@ def test_joints_of_included_files_are_refused(tmp_path):
     model = load_model(path)
     with pytest.raises(ModelError, match="is not in"):
         exported(fitted(model, springs=False), "mjcf", tmp_path / "out")
-
-
-def test_unknown_formats_are_listed():
-    with pytest.raises(ArgumentError, match="urdf, sdf, mjcf, drake, isaac, python, cpp, ros2"):
-        export_format("usd")

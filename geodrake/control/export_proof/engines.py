@@ -8,7 +8,7 @@ from __future__ import annotations
 import abc
 import platform
 import runpy
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from importlib import import_module
 from importlib.metadata import version
@@ -44,14 +44,16 @@ Mask = NDArray[np.bool_]
 class Engine(abc.ABC):
     """A simulator with a robot that it read from a file.
 
-    Joints are those of the model, one position and one velocity each.
+    Joints are those of the model, one position and one velocity each; or those of its plant.
 
     Attributes:
         ignores: Effects that may be in the file, but which the simulator does not act upon.
+        of_plant: Whether joints are those of the plant, among them such as follow others.
         drives: Actuators of the file that efforts of rollouts pass through; None for none.
     """
 
     name: str
+    of_plant: ClassVar[bool] = False
     drives: Drives | None = None
     messages: tuple[str, ...] = ()
     ignores: ClassVar[tuple[type[Effect], ...]] = ()
@@ -84,16 +86,17 @@ class Engine(abc.ABC):
         return None
 
 
-def order_of(model: RobotModel, places: Mapping[str, int], file: Path, name: str) -> list[int]:
-    """Return where a simulator has each joint of a model, of all the places that it has."""
-    if lacking := [joint for joint in model.joints if joint not in places]:
+def order_of(joints: Sequence[str], places: Mapping[str, int], file: Path, name: str) -> list[int]:
+    """Return where a simulator has each of some joints, of all the places that it has."""
+    if lacking := [joint for joint in joints if joint not in places]:
         raise ModelError(f"{name} finds no joint {lacking[0]!r} in {file.name}.")
-    return [places[joint] for joint in model.joints]
+    return [places[joint] for joint in joints]
 
 
 class DrakeEngine(Engine):
     """A plant, continuous in time; it does not act upon dry friction of its joints."""
 
+    of_plant = True
     ignores: ClassVar[tuple[type[Effect], ...]] = (DryFriction,)
 
     def __init__(self, file: Path, model: RobotModel) -> None:
@@ -114,7 +117,8 @@ class DrakeEngine(Engine):
         said = (message.partition("\n")[0].rpartition("warning: ")[2] for message in messages)
         self.messages = tuple(dict.fromkeys(said))
         plant, names = self._plant, joint_names(self._plant)
-        self._at = order_of(model, {n: k for k, n in enumerate(names)}, file, self.name)
+        places = {name: k for k, name in enumerate(names)}
+        self._at = order_of(joint_names(model.plant), places, file, self.name)
         joints = (plant.get_joint(index) for index in plant.GetJointIndices())
         starts = {j.velocity_start(): j.position_start() for j in joints if j.num_velocities() == 1}
         self._positions = [starts[at] for at in self._at]
@@ -182,6 +186,8 @@ class MujocoEngine(Engine):
     actuators are without force.
     """
 
+    of_plant = True
+
     def __init__(self, file: Path, model: RobotModel) -> None:
         self._mj = mujoco = import_module("mujoco")
         self.name = f"MuJoCo {mujoco.__version__}"
@@ -201,7 +207,8 @@ class MujocoEngine(Engine):
         ):
             self._model.opt.disableflags |= int(bit)
         places = self._places()
-        self._at = order_of(model, places, file, self.name)
+        joints = joint_names(model.plant)
+        self._at = order_of(joints, places, file, self.name)
         self._positions = [self._qpos(at) for at in self._at]
         self._held = {places[n]: value for n, value in model.held.items() if n in places}
         self._friction = self._model.dof_frictionloss[self._at].copy()
@@ -209,8 +216,8 @@ class MujocoEngine(Engine):
         count = self._model.nu
         self._delays = getattr(self._model, "actuator_delay", np.zeros(count))
         self._signals = getattr(self._model, "actuator_ctrladr", np.arange(count))
-        self._through = self._take_actuators(model)
-        through = zip(model.joints, self._at, strict=True)
+        self._through = self._take_actuators(model, joints)
+        through = zip(joints, self._at, strict=True)
         self.drives = Drives.of(model, [joint for joint, at in through if at in self._through])
 
     def effort(self, q: Array, v: Array, vd: Array) -> tuple[Array, Mask]:
@@ -277,7 +284,7 @@ class MujocoEngine(Engine):
                     self._model, data, actuator, None, np.full(count, value)
                 )
 
-    def _take_actuators(self, model: RobotModel) -> dict[int, int]:
+    def _take_actuators(self, model: RobotModel, joints: Sequence[str]) -> dict[int, int]:
         """Return degree of freedom -> its actuator, like the model's; others do nothing."""
         own, found = self._model, dict[int, int]()
         joint_of = {int(own.jnt_dofadr[j]): j for j in range(own.njnt)}
@@ -287,8 +294,8 @@ class MujocoEngine(Engine):
             if own.actuator_trntype[actuator] in kinds:
                 by_joint.setdefault(int(own.actuator_trnid[actuator][0]), []).append(actuator)
         wanted = exported_joints(model)
-        for joint, at in zip(model.joints, self._at, strict=True):
-            actuators = by_joint.get(joint_of[at], [])
+        for joint, at in zip(joints, self._at, strict=True):
+            actuators = by_joint.get(joint_of[at], []) if joint in wanted else []
             if len(actuators) == 1 and self._is_like(actuators[0], wanted[joint]):
                 found[at] = actuators[0]
         for actuator in set(range(own.nu)).difference(found.values()):
@@ -336,7 +343,7 @@ class PinocchioEngine(Engine):
     def __init__(self, file: Path, model: RobotModel) -> None:
         self._again = load_description(file, held=model.held)
         places = {joint: k for k, joint in enumerate(self._again.joints)}
-        self._order = np.array(order_of(model, places, file, "Pinocchio"))
+        self._order = np.array(order_of(model.joints, places, file, "Pinocchio"))
         still = np.zeros((1, len(places)))
         self.name = self._efforts(still, still, still)[0]
 
@@ -363,7 +370,7 @@ class PythonEngine(Engine):
         names = runpy.run_path(str(file))
         self._effort = names["effort"]
         places = {joint: k for k, joint in enumerate(names["JOINTS"])}
-        self._order = order_of(model, places, file, self.name)
+        self._order = order_of(model.joints, places, file, self.name)
         self._positions = model.single_places[1]
 
     def effort(self, q: Array, v: Array, vd: Array) -> tuple[Array, Mask]:

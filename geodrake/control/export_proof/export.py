@@ -377,8 +377,6 @@ def prove(
 ) -> Proof:
     """Compare simulators that load an export with the model in it."""
     differences, ignored, notes = list[Difference](), None, list[str]()
-    if engines and held.followers:
-        return Proof((), (), ("joints follow others, so the export was not tried in simulators",))
     for name in engines:
         make = engine(name)
         if make is None:
@@ -397,7 +395,7 @@ def prove(
         ignored = names if ignored is None else ignored
         found = [_of_efforts(held, loaded, motion, names)]
         try:
-            rolled = _of_rollouts(held, loaded, starts, names)
+            rolled = None if held.followers else _of_rollouts(held, loaded, starts, names)
             found += [rolled] if rolled else []
         except (RuntimeError, np.linalg.LinAlgError) as error:
             reason = " ".join(str(error).split()).partition(". ")[0][:200].rstrip(".")
@@ -413,8 +411,14 @@ def _of_efforts(
 ) -> Difference:
     model = without(held, loaded.ignores)
     ours = model.effort(motion)
-    q = motion.q[:, position_order(held)]
-    theirs, meant = loaded.effort(q, motion.v, motion.vd)
+    if held.followers and loaded.of_plant:
+        J, single = np.asarray(held.coordinates.constant), held.coordinates.single
+        q = held.plant_positions(motion.q)[:, [single[k] for k in range(len(J))]]
+        theirs, meant = loaded.effort(q, motion.v @ J.T, motion.vd @ J.T)
+        theirs, meant = theirs @ J, (meant[:, :, None] | (J == 0.0)).all(axis=1)
+    else:
+        q = motion.q[:, position_order(held)]
+        theirs, meant = loaded.effort(q, motion.v, motion.vd)
     off, share = np.where(meant, np.abs(theirs - ours), 0.0), float(meant.mean())
     return Difference(loaded.name, "effort", *_largest(off, ours, held), share, names)
 
