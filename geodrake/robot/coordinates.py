@@ -86,12 +86,11 @@ class RobotCoordinates:
         seated = [seated_at(drive, own) for drive, own in zip(drives, moved, strict=True)]
         driven = {at for own in moved for at in own}
         gone = driven.difference(*seated)  # joints that have no actuator of their own
-        names, every = dict(enumerate(joints)), (np.arange(len(joints)), np.arange(num_positions))
-        in_v = np.setdiff1d(every[0], [*gone])
-        in_q = np.setdiff1d(every[1], [positions[at] for at in gone])
+        in_v = np.setdiff1d(np.arange(len(joints)), [*gone])
+        in_q = np.setdiff1d(np.arange(num_positions), [positions[at] for at in gone])
         kept_v = np.setdiff1d(in_v, [*driven])
         kept_q = np.setdiff1d(in_q, [positions[at] for at in driven])
-        places = []
+        names, places = dict(enumerate(joints)), []
         for drive, own, seats in zip(drives, moved, seated, strict=True):
             names |= dict(zip(seats, drive.actuators, strict=True))
             seats_q, joint_q = (np.array([positions[at] for at in x]) for x in (seats, own))
