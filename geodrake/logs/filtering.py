@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
-from functools import cached_property, lru_cache
+from functools import cached_property
 from itertools import pairwise
 
 import numpy as np
@@ -17,8 +17,6 @@ from numpy.lib.stride_tricks import as_strided, sliding_window_view
 from numpy.typing import ArrayLike, NDArray
 from scipy.fft import irfft, next_fast_len, rfft
 from scipy.interpolate import BSpline, CubicSpline, make_interp_spline
-from scipy.linalg.lapack import dgbtrf, dgbtrs
-from scipy.sparse import csr_array, diags_array
 from scipy.special import gammaincinv
 
 from geodrake.errors import ArgumentError, LogError
@@ -162,9 +160,7 @@ _LARGEST_EXCESS = 1.04  # output rate over 2·bandwidth; above it the filtered n
 _DYNAMIC_RANGE = 1e-8  # of the acceleration's spectrum; a motion below this share is no matter
 _LEAST_MARGIN, _LARGEST_MARGIN = 4.0, 10.0  # bandwidth over that of the velocity
 _WELCH_SECONDS = 20.0
-_DEGREE = 5  # of splines
-_LEAST_SAMPLES = 6  # of such a spline
-_SIDE = _DEGREE  # diagonals on either side of the matrix of its samples, at its ends
+_LEAST_SAMPLES = 6  # of a quintic spline
 _SAME_INSTANT = 1e-4  # of the time between samples
 
 
@@ -327,31 +323,8 @@ def differentiate(signal: ArrayLike, period: float) -> Array:
             f"A derivative needs {_LEAST_SAMPLES} samples; got {len(signal)}.",
             advice="Give a longer piece of the signal.",
         )
-    factor, pivots, slopes = _uniform_spline(len(signal))
-    flat = signal.reshape(len(signal), -1)
-    coefficients, _ = dgbtrs(factor, _SIDE, _SIDE, flat, pivots)
-    return np.asarray(slopes @ coefficients / period).reshape(signal.shape)
-
-
-@lru_cache(maxsize=12)
-def _uniform_spline(count: int) -> tuple[Array, NDArray[np.intc], csr_array]:
-    """Return what all quintic splines through n uniform samples share, one unit apart.
-
-    Returns:
-        The LU factors of the matrix from coefficients to samples, with their pivots, and the
-        matrix (n, n) from coefficients to slopes at the samples.
-    """
-    samples = np.arange(count, dtype=float)
-    knots = make_interp_spline(samples, samples, k=_DEGREE).t
-    at_samples = BSpline.design_matrix(samples, knots, _DEGREE).tocoo()
-    banded = np.zeros((3 * _SIDE + 1, count), order="F")
-    banded[2 * _SIDE + at_samples.row - at_samples.col, at_samples.col] = at_samples.data
-    factor, pivots, _ = dgbtrf(banded, _SIDE, _SIDE)
-    # The derivative's coefficients are differences of the spline's.
-    gaps = _DEGREE / (knots[_DEGREE + 1 : -1] - knots[1 : -_DEGREE - 1])
-    differences = diags_array([-gaps, gaps], offsets=[0, 1], shape=(count - 1, count))
-    slopes = BSpline.design_matrix(samples, knots[1:-1], _DEGREE - 1) @ differences
-    return factor, pivots, csr_array(slopes)
+    slopes = spline_through(signal).derivative()(np.arange(float(len(signal))))
+    return np.asarray(slopes / period)
 
 
 def spline_through(signal: Array) -> BSpline:
