@@ -19,11 +19,11 @@ from geodrake.logs.files.units import unit_of
 from geodrake.logs.motion import PASSIVE, JointLog
 from geodrake.logs.preparation import prepare_logs
 from geodrake.logs.sensor_faults import without_faults
+from geodrake.logs.time_stamps import longest_step
 from geodrake.logs.unit_hints import effort_sign_hint, position_unit_hint
 
 Array = NDArray[np.float64]
 
-_GAP_STEPS, _GAP_SECONDS = 5.0, 0.02  # a longer step is a gap, as for UniformLog
 _WINDOW, _STILL = 0.25, 2e-3  # s, and rad or m by which a joint at rest may move in them
 _SHORTEST_REST = 0.5  # s
 _LEAST_STEP = 1e-7  # s, to which stamps since 1970 are exact
@@ -110,7 +110,7 @@ def inspect_log(
         log, notes = raw, [error.problem]
     steps = np.diff(_known(log.time))
     period = float(np.median(steps))
-    gap = steps > max(_GAP_STEPS * period, _GAP_SECONDS)
+    gap = steps > longest_step(period)
     missing = [joint for joint in joints or () if joint not in (*log.joints, *log.standing)]
     notes += [f"nothing is measured of the model's {', '.join(missing)}"] if missing else []
     converted = any(s.unit for n, s in columns.sources.items() if n.endswith(".position"))

@@ -23,9 +23,15 @@ _EVEN = 0.02  # share of the rows before and after, at least, and ten of them
 _REPEATED = 0.05  # share of rows that may have the stamp of the row before
 _FEWEST, _BEGIN = 50, 20_000  # rows that tell bursts, and among which these are looked for
 _SHORT, _BURSTS = 0.25, 0.05  # of the mean step, and the share of steps that are shorter
-_GAP_STEPS, _BURSTS_TOGETHER = 5.0, 10.0  # longest usual steps of a gap, and of what is averaged
+_GAP_STEPS, _GAP_SECONDS = 5.0, 0.02  # a longer step is a gap, a shorter one is jitter
+_BURSTS_TOGETHER = 10.0  # longest usual steps of what is averaged
 _INSTANT = 1e-9  # s
 _GAP = 1.0  # s that are taken to lie between rows before and after a clock was set back
+
+
+def longest_step(period: float) -> float:
+    """Return the time between rows, s, beyond which there is a gap, from that which is usual."""
+    return max(_GAP_STEPS * period, _GAP_SECONDS)
 
 
 def time_unit(name: str, time: Array) -> tuple[float, str] | None:

@@ -14,6 +14,7 @@ from geodrake.errors import LogError
 from geodrake.logs.motion import JointLog
 from geodrake.logs.sensor_faults import without_faults
 from geodrake.logs.smoothing import Piece
+from geodrake.logs.time_stamps import longest_step
 from geodrake.logs.unit_hints import row_order_hint
 
 Array = NDArray[np.float64]
@@ -73,7 +74,6 @@ def _makes_the_noise(step: float, readings: Array) -> bool:
     return bool(step**2 / 12.0 >= _LEAST_SHARE * noise**2)
 
 
-_GAP_STEPS, _GAP_SECONDS = 5.0, 0.02  # a longer time step is a gap, a shorter one is jitter
 # Where gaps of that length leave more than this share of the time in pieces shorter than this,
 # s, stamps are uneven, and steps of up to so many seconds are bridged.
 _MOST_SCRAPS, _SCRAP, _LONGEST_BRIDGE = 0.2, 2.0, 0.2
@@ -255,25 +255,22 @@ def _runs(time: Array, complete: NDArray[np.bool_]) -> tuple[list[slice], float,
         rows = np.flatnonzero(complete)
         steps, holes = np.diff(time[rows]), np.diff(rows) > 1
     period = float(np.median(steps))
-    longest_step = max(_GAP_STEPS * period, _GAP_SECONDS)
-    while longest_step < _LONGEST_BRIDGE and _in_scraps(steps, longest_step) > _MOST_SCRAPS:
-        longest_step = min(1.3 * longest_step, _LONGEST_BRIDGE)
-    last = np.flatnonzero((steps > longest_step) | holes).tolist()
+    longest = longest_step(period)
+    while longest < _LONGEST_BRIDGE and _in_scraps(steps, longest) > _MOST_SCRAPS:
+        longest = min(1.3 * longest, _LONGEST_BRIDGE)
+    last = np.flatnonzero((steps > longest) | holes).tolist()
     runs = [
         slice(int(rows[before + 1]), int(rows[end]) + 1)
         for before, end in pairwise([-1, *last, len(rows) - 1])
     ]
     if not last:
         return runs, period, None
-    longest = max(last, key=steps.__getitem__)
-    return (
-        runs,
-        period,
-        (
-            f"split into {len(runs)} pieces at gaps and empty cells, the longest of "
-            f"{steps[longest]:.3g} s at t = {time[rows[longest]]:.2f} s"
-        ),
+    at = max(last, key=steps.__getitem__)
+    note = (
+        f"split into {len(runs)} pieces at gaps and empty cells, the longest of {steps[at]:.3g} s "
+        f"at t = {time[rows[at]]:.2f} s"
     )
+    return runs, period, note
 
 
 def _in_scraps(steps: Array, gap: float) -> float:

@@ -26,7 +26,7 @@ from geodrake.logs.files.name_rules import (
 from geodrake.logs.files.reading import Reading
 from geodrake.logs.files.table import LogTable
 from geodrake.logs.files.units import unit_of
-from geodrake.logs.time_stamps import time_unit
+from geodrake.logs.time_stamps import longest_step, time_unit
 
 Array = NDArray[np.float64]
 
@@ -35,7 +35,6 @@ _ROUNDING = 1e-6  # s, by which stamps of different clocks' forms may differ
 _ROWS_APART = 2.0  # by which the ends of parts that begin together may differ
 _MIXED = 10.0  # times by which the rates of parts may differ
 _ALIKE = 0.9  # of the longest period, from which on parts are as slow, and the first is taken
-_GAP_STEPS, _GAP_SECONDS = 5.0, 0.02  # a longer time step is a gap, as in logs
 
 
 def joined_tables(log: Path, tables: Sequence[LogTable], reading: Reading) -> LogTable:
@@ -195,7 +194,7 @@ def at_instants(instants: Array, time: Array, values: Array, *, holds: bool = Fa
     instants = np.where(np.abs(inside - instants) < _ROUNDING, inside, instants)
     after = np.clip(np.searchsorted(time, instants), 1, len(time) - 1)
     steps, since, until = np.diff(time), instants - time[after - 1], time[after] - instants
-    gap = steps[after - 1] > max(_GAP_STEPS * np.median(steps), _GAP_SECONDS)
+    gap = steps[after - 1] > longest_step(float(np.median(steps)))
     gap &= (since > _ROUNDING) & (until > _ROUNDING)
     found = np.interp(instants, time, values, left=np.nan, right=np.nan)
     return np.where(gap, values[after - 1] if holds else np.nan, found)

@@ -603,6 +603,8 @@ def _cells(
     """
     values: list[list[float]] = []
     places = [layout.places[name] for name in used]
+    is_plain = not {*layout.lists, *layout.origins}.intersection(used)
+    is_plain &= not any("_" in line for line in lines)  # which Python takes in its own numbers
     try:
         for line, cells in layout.cells(lines):
             row = before[0] + len(values)
@@ -614,6 +616,10 @@ def _cells(
                         advice="Was the recording cut off? Remove or repair that line.",
                         row=row + 1,
                     )
+                if is_plain:
+                    with suppress(ValueError):  # of words for nothing, or of what is wrong
+                        values.append([float(cells[k] or "nan") for k, _ in places])
+                        continue
                 found = {k: _numbers_of(cells[k], path, row + 1, layout, k) for k, _ in places}
                 values.append([found[cell][item or 0] for cell, item in places])
             except LogError as error:
