@@ -88,66 +88,6 @@ class Source:
         return (numbers - self.offset) / self.factor
 
 
-@dataclass(frozen=True)
-class Columns:
-    """What is read from a file.
-
-    Attributes:
-        joints: Names of the n joints, in the order of the log to be.
-        quantities: Quantities that every joint has; and efforts and commands, which some may lack.
-        sources: `time` and `<joint>.<quantity>` -> where its numbers come from; no time where a
-            rate says it.
-        rate: Rows a second, Hz, where there is no column of time.
-        reading: How the user said that the file is to be read.
-        passive: Joints among them without a motor, which need no column of efforts.
-        others: Joint -> further columns that could be taken for its efforts, or in their place.
-        origin: Since when time is, ns since 1970, if that is known.
-        floating: Names of columns of a free base and of contacts, which are among the sources.
-        left_out: Joints of the file that the model lacks.
-    """
-
-    path: Path
-    joints: tuple[str, ...]
-    quantities: tuple[str, ...]
-    notes: tuple[str, ...]
-    sources: Mapping[str, Source]
-    rate: float | None = None
-    reading: Reading = field(default_factory=Reading)
-    standing: tuple[str, ...] = ()
-    passive: tuple[str, ...] = ()
-    others: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
-    origin: int | None = None
-    floating: tuple[str, ...] = ()
-    left_out: tuple[str, ...] = ()
-
-    @property
-    def kinds(self) -> dict[str, str]:
-        """Joint -> what is in the place of its efforts, where it has none."""
-        found = {j: self.sources[f"{j}.effort"].kind for j in self.joints if self.has(j, "effort")}
-        found |= dict.fromkeys(self.passive, PASSIVE)
-        return {joint: kind for joint, kind in found.items() if kind != "effort"}
-
-    def has(self, joint: str, quantity: str) -> bool:
-        """Return whether there is a column of a quantity of a joint."""
-        return f"{joint}.{quantity}" in self.sources
-
-    @property
-    def names(self) -> tuple[str, ...]:
-        """Names of the columns of the log to be, time first."""
-        return (
-            "time",
-            *(f"{joint}.{quantity}" for quantity in self.quantities for joint in self.joints),
-            *(f"{joint}.position" for joint in self.standing),
-            *self.floating,
-        )
-
-    @property
-    def files(self) -> tuple[str, ...]:
-        """Columns of the file that are read."""
-        used = (self.sources[name].columns for name in self.names if name in self.sources)
-        return tuple(dict.fromkeys(column for columns in used for column in columns))
-
-
 def check_text(path: Path, names: Sequence[str]) -> None:
     """Refuse names that no text has, and those of the format that come twice."""
     if len(names) > _MOST_COLUMNS:
@@ -296,7 +236,7 @@ def without_use(log: JointLog, columns: Columns) -> frozenset[str]:
     """
     found = set()
     for at, joint in enumerate(log.joints):
-        if not columns.others.get(joint) or not columns.has(joint, "effort"):
+        if not columns.others.get(joint) or f"{joint}.effort" not in columns.sources:
             continue
         values = log.effort[:, at]
         values = values[np.isfinite(values)]
@@ -403,29 +343,36 @@ def columns_of(
     reading = reading or Reading()
     check_text(path, names)
     if reading.mapping is not None:
-        understood = _Understood.by_mapping(path, names, reading, reading.mapping)
-        understood = understood.dated(origins or {})
-        return understood.columns(*understood.joints(joints, partial=partial), joints)
-    understood = _Understood.by_names(path, names, joints, reading, units or {})
-    understood = understood.dated(origins or {})
+        found = Columns.by_mapping(path, names, reading, reading.mapping).dated(origins or {})
+        return found.chosen(joints, partial=partial).read(joints)
+    found = Columns.by_names(path, names, joints, reading, units or {}).dated(origins or {})
     try:
-        own, standing = understood.joints(joints, partial=partial)
+        chosen = found.chosen(joints, partial=partial)
     except LogError as error:
         proposal = proposed_mapping(path, names, joints, motorless=reading.motorless)
         raise with_proposal(error, path, proposal) from error
-    return understood.columns(own, standing, joints)
+    return chosen.read(joints)
 
 
 @dataclass(frozen=True)
-class _Understood:
-    """Which column of a file is which quantity of which joint, before that is checked.
+class Columns:
+    """Which column of a file is which quantity of which joint, and what is read of them.
 
     Attributes:
+        names: Names of the columns of the file.
+        reading: How the user said that the file is to be read.
         places: (joint, quantity) -> source, in the order of the file; `("", "time")` is time.
-        rate: Rows a second, Hz.
-        own: Whether joints are those of geodrake's own names, of which none is left out unasked.
+        rate: Rows a second, Hz, where there is no column of time.
+        own: Joints by geodrake's own names, of which none is left out unasked.
         others: Joint -> further columns that could be taken for its efforts, or in their place.
         origin: Since when time is, ns since 1970, if that is known.
+        joints: Names of the n joints, in the order of the log to be.
+        standing: Joints of which there is the position alone.
+        quantities: Quantities that every joint has; and efforts and commands, which some may lack.
+        sources: `time` and `<joint>.<quantity>` -> where its numbers come from.
+        passive: Joints without a motor, which need no column of efforts.
+        floating: Names of columns of a free base and of contacts, which are among the sources.
+        left_out: Joints of the file that the model lacks.
     """
 
     path: Path
@@ -437,6 +384,30 @@ class _Understood:
     own: frozenset[str]
     others: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
     origin: int | None = None
+    joints: tuple[str, ...] = ()
+    standing: tuple[str, ...] = ()
+    quantities: tuple[str, ...] = ()
+    sources: Mapping[str, Source] = field(default_factory=dict)
+    passive: tuple[str, ...] = ()
+    floating: tuple[str, ...] = ()
+    left_out: tuple[str, ...] = ()
+
+    @property
+    def kinds(self) -> dict[str, str]:
+        """Joint -> what is in the place of its efforts, where it has none."""
+        found = {
+            joint: self.sources[name].kind
+            for joint in self.joints
+            if (name := f"{joint}.effort") in self.sources
+        }
+        found |= dict.fromkeys(self.passive, PASSIVE)
+        return {joint: kind for joint, kind in found.items() if kind != "effort"}
+
+    @property
+    def files(self) -> tuple[str, ...]:
+        """Columns of the file that are read."""
+        used = (source.columns for source in self.sources.values())
+        return tuple(dict.fromkeys(column for columns in used for column in columns))
 
     @classmethod
     def by_names(
@@ -446,7 +417,7 @@ class _Understood:
         joints: Sequence[str] | None,
         reading: Reading,
         units: Mapping[str, str],
-    ) -> _Understood:
+    ) -> Columns:
         """Return what the names of the columns say."""
         beside = [name for name in names if floating_name(name) is None]
         meanings = [meaning for name in beside if (meaning := meaning_of(name)) is not None]
@@ -463,7 +434,7 @@ class _Understood:
             places[joint, quantity] = Source(same[0].column, unit.factor if unit else 1.0, unit)
         places = _with_commands_as_positions(places)
         if reading.rate is None:
-            places |= _time(path, names, meanings, reading, units)
+            places = _time(path, names, meanings, reading, units) | places
         own = frozenset(m.joint for m in of_joints if m.style[0] == "own")
         notes = (*notes, *choice_words(best))
         return cls(path, names, reading, places, notes, reading.rate, own, others)
@@ -471,7 +442,7 @@ class _Understood:
     @classmethod
     def by_mapping(
         cls, path: Path, names: Sequence[str], reading: Reading, mapping: ColumnMapping
-    ) -> _Understood:
+    ) -> Columns:
         """Return what a mapping says."""
         places = {}
         for name, mapped in mapping:
@@ -506,7 +477,7 @@ class _Understood:
             places.pop(("", "time"), None)
         return cls(path, names, reading, places, (), rate, frozenset(mapping.joints))
 
-    def dated(self, origins: Mapping[str, int]) -> _Understood:
+    def dated(self, origins: Mapping[str, int]) -> Columns:
         """Return it with time in seconds, whatever its name says, if since a known instant."""
         for (joint, quantity), source in self.places.items():
             if quantity != "time" and source.column in origins:
@@ -523,10 +494,8 @@ class _Understood:
         note = f"time is in s since {date_words(origin)}"
         return replace(self, places=places, notes=(*self.notes, note), origin=origin)
 
-    def joints(
-        self, wanted: Sequence[str] | None, *, partial: bool
-    ) -> tuple[tuple[str, ...], tuple[str, ...]]:
-        """Return joints of the log, in order, and those of which there is the position alone."""
+    def chosen(self, wanted: Sequence[str] | None, *, partial: bool) -> Columns:
+        """Return it with the joints of the log, and those of which there is the position alone."""
         if self.rate is None and ("", "time") not in self.places:
             close = difflib.get_close_matches("time", [n.lower() for n in self.names[:100]], 1)
             raise LogError(
@@ -553,10 +522,10 @@ class _Understood:
                 joints=standing,
             )
         own = tuple(joint for joint in moved if joint in heard)
-        if wanted is None:
-            return own, standing
-        check_joints(log_name(self.path), [*own, *standing], wanted, partial=partial)
-        return tuple(joint for joint in wanted if joint in own), standing
+        if wanted is not None:
+            check_joints(log_name(self.path), [*own, *standing], wanted, partial=partial)
+            own = tuple(joint for joint in wanted if joint in own)
+        return replace(self, joints=own, standing=standing)
 
     def _of_model(self, joints: Sequence[str], wanted: Sequence[str] | None) -> tuple[str, ...]:
         """Return joints without those that the model lacks, if it has some of the log's.
@@ -574,10 +543,9 @@ class _Understood:
             if joint in wanted or difflib.get_close_matches(names[joint], missing, 1)
         )
 
-    def columns(
-        self, joints: Sequence[str], standing: Sequence[str], model: Sequence[str] | None
-    ) -> Columns:
-        """Return what is read for these joints."""
+    def read(self, model: Sequence[str] | None) -> Columns:
+        """Return it with what is read for the joints."""
+        joints, standing = self.joints, self.standing
         used = {c for source in self.places.values() for c in source.columns}
         check_twice(self.path, self.names, used)
         self._check_said(joints)
@@ -614,20 +582,14 @@ class _Understood:
         }.union(source.column for source in floating.values())
         others = [name for name in self.names if name not in kept]
         notes += [f"columns ignored: {listed(others)}"] if others else []
-        return Columns(
-            self.path,
-            tuple(joints),
-            tuple(quantities),
-            tuple(notes),
-            sources,
-            self.rate,
-            self.reading,
-            tuple(standing),
-            self._passive(joints),
-            self.others,
-            self.origin,
-            tuple(floating),
-            tuple(beside) if model is not None else (),
+        return replace(
+            self,
+            quantities=tuple(quantities),
+            notes=tuple(notes),
+            sources=sources,
+            passive=passive,
+            floating=tuple(floating),
+            left_out=tuple(beside) if model is not None else (),
         )
 
     def _passive(self, joints: Sequence[str]) -> tuple[str, ...]:
