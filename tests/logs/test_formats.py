@@ -347,8 +347,9 @@ def test_actions_of_a_dataset_stand_for_efforts(tmp_path, log):
         read = read_log(path, joints=JOINTS)
         assert np.allclose(read.command, told.command, atol=1e-6)
         assert np.isnan(read.effort).all()
-    with_efforts = lerobot(tmp_path, told, episodes=2)
-    assert read_log(with_efforts, joints=JOINTS).command is None
+    both = read_log(lerobot(tmp_path, told, episodes=2), joints=JOINTS)
+    assert np.allclose(both.command, told.command, atol=1e-6)
+    assert np.allclose(both.effort, told.effort, atol=1e-5)
 
 
 def test_positions_currents_and_commands_in_three_files(tmp_path, log):

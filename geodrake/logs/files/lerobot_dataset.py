@@ -49,7 +49,7 @@ def read_lerobot(path: Path, reading: Reading) -> LogTable:
     with readable(path, "LeRobot dataset"):
         told = read_regular(path / INFO, "description", LogError, largest=_LARGEST_INFO)
         features = json.loads(told)["features"]
-        meaning = _without_spare_actions(dict(_meaning(features)))
+        meaning = dict(_meaning(features))
         _check_efforts(path, features, meaning)
         wanted = ["timestamp", "episode_index", *dict.fromkeys(f for f, _ in meaning)]
         episode = reading.episode
@@ -95,17 +95,6 @@ def _meaning(features: Mapping[str, Any]) -> Iterator[tuple[tuple[str, str], str
             column = feature if size == 1 else f"{feature}[{k}]"
             name = f"{joint}.{own or quantity}" if joint else f"{quantity}[{k}]"
             yield (feature, column), name
-
-
-def _without_spare_actions(
-    meaning: Mapping[tuple[str, str], str],
-) -> dict[tuple[str, str], str]:
-    """Actions are left out where efforts, or what else stands for them, are observed."""
-    kinds = "|".join(EFFORT_KINDS)
-    observed = any(re.search(rf"\b({kinds})(\[\d+\])?$", name) for name in meaning.values())
-    return {
-        place: name for place, name in meaning.items() if not (observed and place[0] == _ACTION)
-    }
 
 
 def _quantity(word: str) -> str | None:
