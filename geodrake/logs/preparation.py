@@ -168,7 +168,8 @@ def _left_out(
         share = f"{100 * (whole - used) / whole:.2g} %"
         lines = [f"{whole - used:.3g} of {whole:.4g} s ({share}) are left out: {', '.join(said)}"]
     if joints := uniform.log.left_out:
-        lines.append(f"left out, as the model has no such joint: {', '.join(joints)}")
+        named = ", ".join(joint or "''" for joint in joints)
+        lines.append(f"left out, as the model has no such joint: {named}")
     ends = parts[_ENDS]  # of which every log has some
     is_much = whole - used - ends > _MUCH * whole or ends > _MANY_ENDS * whole or bool(joints)
     return is_much, "; ".join(lines)

@@ -426,9 +426,7 @@ def test_matrices_in_archives(tmp_path):
     np.savez(tmp_path / "log.npz", t=time, q=q, dq=v, tau=tau, O_T_EE=np.zeros((3, 4, 4)))
     check(read_log(tmp_path / "log.npz", joints=PANDA), PANDA, q, v, tau)
     np.savez(tmp_path / "log.npz", t=time, q=q[:50], dq=v, tau=tau)
-    with pytest.raises(
-        LogError, match=r"not of one length: 't' has 200 numbers and 'q\[0\]' has 50"
-    ):
+    with pytest.raises(LogError, match=r"'q' of log .* has 50 rows, and others have 200"):
         read_log(tmp_path / "log.npz", joints=PANDA)
 
 

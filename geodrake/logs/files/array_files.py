@@ -21,7 +21,7 @@ from geodrake.boundary.input_files import open_regular, regular_file
 from geodrake.boundary.optional_packages import optional_package
 from geodrake.errors import LogError
 from geodrake.logs.files.column_mapping import check_once, is_used
-from geodrake.logs.files.name_rules import meaning_of, numbers_joints
+from geodrake.logs.files.name_rules import numbers_joints
 from geodrake.logs.files.packed_files import open_log, unpacked
 from geodrake.logs.files.reading import Reading
 from geodrake.logs.files.table import (
@@ -31,7 +31,6 @@ from geodrake.logs.files.table import (
     numeric_table,
     readable,
     rows_of,
-    spread,
 )
 from geodrake.logs.files.text_file import names_of_numbers
 
@@ -291,6 +290,7 @@ def read_npz(path: Path, reading: Reading) -> LogTable:
         open_regular(path, "log", LogError) as file,
         zipfile.ZipFile(file) as archive,
     ):
+        check_once(path, [_member(entry) for entry in archive.infolist()])
         declared = {entry: _declared(path, archive, entry) for entry in archive.infolist()}
         declared = {entry: said for entry, said in declared.items() if len(said[0]) <= 2}
         size = sum(math.prod(shape) for shape, _ in declared.values())
@@ -307,18 +307,9 @@ def read_npz(path: Path, reading: Reading) -> LogTable:
                     arrays[name] = npy.read_array(member, allow_pickle=False)
                     if dtype.kind in "fiu":
                         arrays[name] = np.asarray(arrays[name], float)
-    numeric = {n: values for n, values in arrays.items() if values.dtype.kind in "fiubmM"}
-    rows = rows_of(numeric)
-    odd = {n: values for n, values in numeric.items() if rows not in values.shape}
-    table = numeric_table(path, {n: v for n, v in arrays.items() if n not in odd}, rows)
-    silent = {n: f"holds {arrays[n].dtype}, not real numbers" for n in table.silent}
+    table = numeric_table(path, arrays, rows_of(arrays))
     objects = [_member(entry) for entry, (_, dtype) in declared.items() if dtype.hasobject]
-    silent |= dict.fromkeys(objects, "holds objects, not real numbers")
-    columns = dict(table.columns)
-    for name, values in odd.items():  # of which those without a meaning are ignored by name
-        known = meaning_of(name) is not None
-        columns |= spread(name, np.asarray(values if known else values.ravel(), float))
-    return replace(table, columns=columns, silent=silent)
+    return replace(table, silent={**table.silent, **dict.fromkeys(objects, "holds objects")})
 
 
 def _member(entry: zipfile.ZipInfo) -> str:

@@ -290,20 +290,8 @@ class LogTable:
 
         Args:
             skip: Whether such rows are to be left out.
-
-        Raises:
-            LogError: The columns are not equally long.
         """
-        found = {name: self.columns[name] for name in names}
-        first, values = next(iter(found.items()), ("", np.empty(0)))
-        for name, others in found.items():
-            if len(others) != len(values):
-                raise LogError(
-                    f"The arrays of log {str(self.path)!r} are not of one length: {first!r} has "
-                    f"{len(values)} numbers and {name!r} has {len(others)}.",
-                    advice="Store columns that are all equally long.",
-                )
-        return found, TornRows(self.path, len(values), skip)
+        return {name: self.columns[name] for name in names}, TornRows(self.path, len(self), skip)
 
     def loaded(self) -> LogTable:
         """Return the table with all its columns read."""
@@ -349,7 +337,7 @@ def numeric_table(path: Path, arrays: Mapping[str, Any], rows: int) -> LogTable:
         if origin is not None:
             origins[name] = origin
     more = " …" if len(silent) > _MOST_NAMES else ""
-    note = f"columns without numbers: {', '.join([*silent][:_MOST_NAMES])}{more}"
+    note = f"columns without a number for each row: {', '.join([*silent][:_MOST_NAMES])}{more}"
     notes = (note,) if silent else ()
     return LogTable(path, columns, notes=notes, origins=origins, silent=silent, words=words)
 
@@ -406,7 +394,8 @@ def _what_else(values: Any, rows: int) -> str:
         return f"has lists of {first} numbers, and one of {lists[row]} in row {row}"
     if bad:
         return f"holds {bad[:_LONGEST_TEXT]!r}, which is neither a number nor a date"
-    return "holds no numbers"
+    kind = getattr(values, "dtype", np.dtype(object))
+    return "holds no numbers" if kind.hasobject else f"holds {kind}, not real numbers"
 
 
 def spread(name: str, values: Array) -> Iterator[tuple[str, Array]]:
