@@ -13,7 +13,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from geodrake.diagnosis.log_model import Delay, Fit, LogModel
-from geodrake.diagnosis.normal_kernels import add_normal, calc_squares, packed_of
+from geodrake.diagnosis.normal_kernels import (
+    add_normal,
+    calc_gains,
+    calc_squares,
+    packed_of,
+)
 from geodrake.diagnosis.terms import Term, Terms
 from geodrake.model.servos import servos_of
 
@@ -96,28 +101,18 @@ class Neighbourhood:
         No term of a package is in the fit, or only in `dropped`, which is left out first. Gains are
         without `dropped.loss`, and −∞ where something is negative that cannot be.
         """
-        found, widths = np.full(len(packages), -np.inf), dict[int, list[int]]()
-        for k, package in enumerate(packages):
-            widths.setdefault(sum(len(term.columns) for term in package), []).append(k)
-        for chosen in widths.values():
-            alike = [packages[k] for k in chosen]
-            own = [[self._model.at[t] for t in p] for p in alike]
-            at = np.array([p[0] if len(p) == 1 else np.concatenate(p) for p in own])
-            schur, pull = self._schur[at[:, :, None], at[:, None]], self._pull[at]
-            if dropped is not None:
-                rows = np.moveaxis(dropped.rows[:, at], 1, 0)
-                turned = np.swapaxes(rows, 1, 2)
-                schur = schur + turned @ (dropped.inverse @ rows)
-                pull = pull + turned @ (dropped.inverse @ dropped.x)
-            x = np.linalg.solve(schur, pull[..., None])[..., 0]
-            gain = (
-                (pull * x).sum(axis=1)
-                - np.linalg.slogdet(schur)[1]
-                + self._model.prior_scores[at].sum(axis=1)
-            )
-            owner, positive = self._model.owner[at], self._model.positive[at]
-            alone = owner[:, :, None] == owner[:, None]  # a term goes if all its values are below
-            above = (alone & (positive & (x > 0.0))[:, None]).any(axis=2)
-            below = (positive & ~above).any(axis=1)
-            found[chosen] = np.where(below, -np.inf, gain)
-        return found
+        model = self._model
+        if not packages:
+            return np.zeros(0)
+        own = [[model.at[term] for term in package] for package in packages]
+        columns = np.concatenate([at for each in own for at in each])
+        counts = [sum(map(len, each)) for each in own]
+        gone = (self._turned[:0], np.zeros((0, 0)), np.zeros(0))
+        if dropped is not None:
+            gone = (dropped.rows, dropped.inverse, dropped.x)
+        return calc_gains(
+            (self._schur, self._pull, model.prior_scores),
+            (model.owner, model.positive),
+            gone,
+            (columns, np.cumsum([0, *counts])),
+        )

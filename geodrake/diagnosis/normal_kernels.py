@@ -9,7 +9,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from geodrake.compiling import compiled
+from geodrake.compiling import compiled, inlined
 from geodrake.identification.logs.dataset import LEAST_INERTIA
 from geodrake.identification.normal_equations import calc_solution
 
@@ -136,3 +136,74 @@ def calc_most_probable(
         if settled:
             break
     return x, variance, (weights, inertia, gram, logarithm)
+
+
+@inlined
+def _solve_positive(gram: Array, x: Array) -> tuple[float, float]:
+    """Replace x (n,) by G⁻¹x, and the lower triangle of G (n, n) by its Cholesky factor.
+
+    Return xᵀG⁻¹x and log |G|; a determinant that is not positive has none.
+    """
+    n, square, logarithm = len(x), 0.0, 0.0
+    for a in range(n):
+        for b in range(a + 1):
+            for k in range(b):
+                gram[a, b] -= gram[a, k] * gram[b, k]
+            if b < a:
+                gram[a, b] /= gram[b, b]
+        if gram[a, a] <= 0.0:
+            return square, np.nan
+        gram[a, a] = np.sqrt(gram[a, a])
+        for k in range(a):
+            x[a] -= gram[a, k] * x[k]
+        x[a] /= gram[a, a]
+        square, logarithm = square + x[a] * x[a], logarithm + 2.0 * np.log(gram[a, a])
+    for a in range(n - 1, -1, -1):
+        for k in range(a + 1, n):
+            x[a] -= gram[k, a] * x[k]
+        x[a] /= gram[a, a]
+    return square, logarithm
+
+
+@inlined
+def _has_nothing(x: Array, owner: Indices, positive: NDArray[np.bool_]) -> bool:
+    """Return whether all that must be positive of some term is not."""
+    for a in range(len(x)):
+        left = not positive[a]
+        for b in range(len(x)):
+            left = left or (positive[b] and owner[b] == owner[a] and x[b] > 0.0)
+        if not left:
+            return True
+    return False
+
+
+@compiled
+def calc_gains(
+    around: tuple[Array, Array, Array],  # (P, P) Schur complement, its pull and prior scores (P,)
+    owners: tuple[Indices, NDArray[np.bool_]],  # (P,) term of each column; what must be positive
+    dropped: tuple[Array, Array, Array],  # (i, P) rows, (i, i) inverse, (i,) values; i may be 0
+    packages: tuple[Indices, Indices],  # columns of all packages, and where those of each end
+) -> Array:
+    """Return what each package of columns adds to the score of a fit, without prior odds.
+
+    It is −∞ where a term has nothing left that is positive as it must be.
+    """
+    (schur, pull, scores), (owner, positive), (rows, inverse, values) = around, owners, dropped
+    (columns, ends), gone = packages, len(values)
+    turned, shift = inverse @ rows, inverse @ values
+    gains = np.full(len(ends) - 1, -np.inf)
+    for p in range(len(gains)):
+        at = columns[ends[p] : ends[p + 1]]
+        gram, x, prior = np.empty((len(at), len(at))), pull[at], 0.0
+        for a in range(len(at)):
+            prior += scores[at[a]]
+            for i in range(gone):
+                x[a] += rows[i, at[a]] * shift[i]
+            for b in range(a + 1):
+                gram[a, b] = schur[at[a], at[b]]
+                for i in range(gone):
+                    gram[a, b] += rows[i, at[a]] * turned[i, at[b]]
+        square, logarithm = _solve_positive(gram, x)
+        if not np.isnan(logarithm) and not _has_nothing(x, owner[at], positive[at]):
+            gains[p] = square - logarithm + prior
+    return gains
