@@ -56,8 +56,9 @@ class Neighbourhood:
     def delays(self) -> list[tuple[Delay, float]]:
         """Return the best other delay of all joints, and of each joint alone, with their gains.
 
-        Joints of a free base have no motor that could be late alone. A servo has a delay of its
-        own, found with it: its effort is not late once more.
+        Joints of a free base have no motor that could be late alone, and rows that have efforts of
+        several joints tell of none alone. A servo has a delay of its own, found with it: its effort
+        is not late once more.
         """
         model, was = self._model, self.fit.choice.delay
         columns, fit, joints = self.fit.columns, self.fit, [*range(len(was))]
@@ -72,7 +73,7 @@ class Neighbourhood:
         free = [
             [j]
             for j, joint in enumerate(model.model.joints)
-            if joint not in base and servos[j] is None
+            if joint not in base and servos[j] is None and not model.dataset.is_mixed
         ]
         for moved in free if any(servos) else (joints, *free):
             tried, alone = [], packed if len(moved) > 1 else packed_of(packed, moved[0])

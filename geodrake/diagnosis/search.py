@@ -27,7 +27,7 @@ from geodrake.diagnosis.refinements import (
     fitted_loads,
 )
 from geodrake.diagnosis.search_progress import FoundStep, Progress, progress_of
-from geodrake.diagnosis.terms import Key, Term, Terms
+from geodrake.diagnosis.terms import Term, Terms
 from geodrake.diagnosis.unknown_efforts import is_resolved, reversals, unknown_functions
 from geodrake.effects import Effect
 from geodrake.effects.declarations import Proposer, Role
@@ -45,7 +45,7 @@ _MOST_ROUNDS = 12
 _FIRST_SHARE = 0.05
 _FORCED_SHARE = 0.3
 _MOST_FADINGS = 3
-_OTHER_DELAY = 3.0  # deviations
+_OTHER_DELAY, _ALIKE = 3.0, 0.125  # deviations, and steps, within which delays are alike
 
 
 @dataclass(frozen=True, eq=False)
@@ -86,7 +86,7 @@ class Search:
         self._on_time: Delay = (0,) * len(case.model.joints)
         self._zooms = dict[tuple[str, tuple[str, ...]], int]()
         self._timed: Terms | None = None
-        self._times = set[tuple[frozenset[Key], tuple[int, ...]]]()
+        self._tried = [self._origin]  # delays (nv,) that have columns: the file's come first
         self._faded, self._crowded = list[Terms](), set[Terms]()
         self._looked = self._doubted = False
         self._is_stopped = False
@@ -245,10 +245,7 @@ class Search:
 
         A delay or a slope about another place leaves an error that looks like further effects.
         """
-        grid = self.case.dataset.delays
-        late = any(abs(grid[k, j]) > 1e-9 for j, k in enumerate(fit.choice.delay))
-        returned = self._timed is not None and fit.choice.delay == self._on_time
-        if late and not returned and self._timing(fit) not in self._times:
+        if self._is_between(fit) and self._has_other_delays(fit):
             return True
         if expansions(self.case, self.model, fit):
             return True
@@ -275,7 +272,11 @@ class Search:
         """
         self.model, was = self._made(), self.fit
         terms = self.model.alike(was.terms, moved)
-        delay = (0,) * len(self._on_time) if retimed else was.choice.delay
+        delay = was.choice.delay
+        if retimed:
+            delay = tuple(
+                np.where(self.case.model.delays == self._origin, self._on_time, 0).tolist()
+            )
         shares = np.full(len(self.model.rows), _FORCED_SHARE)
         for kept in (terms, [term for term in terms if not len(term.positive)]):
             choice = self.model.choice(was.choice, kept, delay=delay)
@@ -324,7 +325,8 @@ class Search:
         effects = [term.effect for term in self.fit.terms]
         felt = [self.case.dataset.felt(e) for e in effects if e is not None and e.at_motor]
         joints = np.logical_or.reduce([left, *felt])
-        return {self.case.model.joints[j] for j in np.flatnonzero(joints)}
+        model = self.case.model  # nothing acts in the joints of a free base
+        return {model.joints[j] for j in np.flatnonzero(joints)} - set(model.base_joints)
 
     def _refined(self) -> bool:
         """Return whether delays, shapes, slopes or loads were made anew."""
@@ -381,35 +383,36 @@ class Search:
         self._anew()
         return True
 
-    def _timing(self, fit: Fit) -> tuple[frozenset[Key], tuple[int, ...]]:
-        """Return what an explanation has, and its delays in quarters of a step."""
-        seconds = self.case.model.delays + delays_of(self.model, fit)[0]
-        delays = np.rint(seconds / (0.25 * self._step)).astype(int)
-        return frozenset(term.key for term in fit.terms), tuple(delays.tolist())
+    def _is_between(self, fit: Fit) -> bool:
+        """Return whether a joint has a delay of the grid, about which it was not made exact."""
+        return max(fit.choice.delay) >= len(self._tried)
+
+    def _has_other_delays(self, fit: Fit) -> bool:
+        """Return whether a joint has another delay than those that have columns."""
+        seconds, deviations = delays_of(self.model, fit)
+        apart = np.abs(self.case.model.delays + seconds - np.array(self._tried)).min(axis=0)
+        known = np.where(np.isfinite(deviations), deviations, 0.0)
+        return bool(np.any(apart > np.maximum(_OTHER_DELAY * known, _ALIKE * self._step)))
 
     def _retimed(self) -> bool:
         """Advance the efforts by the delay that was found, if it is another one than before."""
-        delay = self.fit.choice.delay
-        late = any(abs(self.case.dataset.delays[k, j]) > 1e-9 for j, k in enumerate(delay))
+        delay, model = self.fit.choice.delay, self.case.model
         if self._timed is None and delay == self._on_time:
             return False
-        if self._timed is not None and self.fit.terms == self._timed and not late:
+        if self._timed == self.fit.terms and not self._is_between(self.fit):
             return False
-        (seconds, deviations), model = delays_of(self.model, self.fit), self.case.model
-        far = np.abs(seconds) > _OTHER_DELAY * deviations
-        if self._timed is not None and not late and not far.any():
+        if not self._has_other_delays(self.fit):
             return False
-        timing = self._timing(self.fit)
-        if timing in self._times:  # which led back to here
-            return False
-        self._times.add(timing)
+        seconds, _ = delays_of(self.model, self.fit)
         lags = fitted_delays(model.delays + seconds, model.joints)
         kept = [each for each in model.effects if each.effect.parameters]
         self.case = replace(self.case, model=replace(model, effects=(*kept, *lags)))
         half = 0.5 * self._step if self._timed is None else 0.25 * self._step
         grid = np.unique(np.concatenate([self._step * np.arange(-3, 4), [half, -half]]))
         others = [x for x in grid.tolist() if abs(x) > 1e-12]
-        self._delays = [0.0, self._origin - self.case.model.delays, *others]
+        known = [delays - self.case.model.delays for delays in self._tried]
+        self._delays = [0.0, *known, *others]
+        self._tried.append(self.case.model.delays)
         self._on_time = (1,) * len(delay)
         self._timed = self.fit.terms
         return True

@@ -145,6 +145,7 @@ class Dataset(Short):
     # (nv, 10·nb) what each inertial parameter adds to the inertia that a joint without a motor
     # feels, over that of the model's bodies; zeros at others. None if all have motors.
     passive_inertia: Array | None = None
+    is_mixed: bool = False  # whether rows have efforts of several joints, as contacts are unknown
 
     def passive_shares(self, columns: Indices) -> Array:
         """Return (nv, p) `passive_inertia` in global columns (p,), zeros where one is −1."""

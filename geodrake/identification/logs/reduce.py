@@ -103,6 +103,7 @@ def reduce_logs(
         ),
         known,
         passive_inertia(model, layout.tree, trajectories),
+        is_mixed=coupling is not None,
     )
 
 
