@@ -339,12 +339,6 @@ class Trajectory:
         return None if courses is None else courses.at(time - self.began, self.joints)
 
 
-def match_joints(log: JointLog, model_joints: Sequence[str]) -> JointLog:
-    """Return the log with its joints in the model's order."""
-    check_joints(log.name, log.joints, model_joints)
-    return log.select(model_joints)
-
-
 def check_joints(
     name: str, joints: Sequence[str], model_joints: Sequence[str], *, partial: bool = False
 ) -> None:

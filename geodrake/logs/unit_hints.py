@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from geodrake.logs.files.registers import are_whole
 from geodrake.logs.motion import JointLog
 
 Array = NDArray[np.float64]
@@ -56,7 +57,7 @@ def position_unit_hint(log: JointLog) -> str | None:
     """Return a sentence for the user if positions look like degrees or ticks; else None."""
     peaks = _peaks(log.position)
     worst = int(np.argmax(peaks))
-    if peaks[worst] >= _LEAST_TICKS and _are_whole(log.position):
+    if peaks[worst] >= _LEAST_TICKS and are_whole(log.position[:_ROWS]):
         return (
             f"Positions are whole numbers, of up to {peaks[worst]:.5g} at {log.joints[worst]}: "
             "ticks of encoders? --units position=ticks converts those of servos with 4,096 a turn; "
@@ -167,12 +168,6 @@ def row_order_hint(log: JointLog) -> str | None:
         f"{np.median(steps[:, most]):.3g} rad (m) from row to row, within a range of "
         f"{reach[most]:.3g}."
     )
-
-
-def _are_whole(values: Array) -> bool:
-    """Return whether all readings of some rows are whole numbers."""
-    known = values[:_ROWS][np.isfinite(values[:_ROWS])]
-    return bool(len(known) and np.all(known == np.round(known)))
 
 
 def _peaks(values: Array) -> Array:

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from geodrake.boundary.arguments import instance, instances
 from geodrake.errors import ArgumentError, LogError
 from geodrake.logs.files import Reading
-from geodrake.logs.motion import JointLog, match_joints
+from geodrake.logs.motion import JointLog, check_joints
 from geodrake.logs.motors import motor_of_robot
 from geodrake.logs.resting import LARGEST, logged_ranges, readings, resting, travels
 from geodrake.model.base_logs import with_base
@@ -162,7 +162,8 @@ def log_of_model(log: JointLog, model: RobotModel) -> JointLog:
                 f"--passive {joint}.",
                 joint=joint,
             )
-    return match_joints(_with_followers(log, model).select(moving), model.joints)
+    check_joints(log.name, moving, model.joints)
+    return _with_followers(log, model).select(model.joints)
 
 
 def _with_followers(log: JointLog, model: RobotModel) -> JointLog:

@@ -262,7 +262,7 @@ BY_NAME = {
 """Name of an argument -> its value, whatever function has it."""
 
 IN_FOLDER = {
-    "read_table": "log.mat", "read_mapping": "mapping.yaml", "save_export": "new.urdf",
+    "read_mapping": "mapping.yaml", "save_export": "new.urdf",
     "save_model": "saved.yaml", "write_log": "written.csv", "write_trajectory": "new.csv",
     "read_drake_trajectory": "motion.yaml", "load_effect_file": "effect.py",
     "read_fleet": "fleet.yaml", "read_digest": "digest.npz", "load_description": PENDULUM,

@@ -12,7 +12,7 @@ from geodrake.errors import ArgumentError, LogError
 from geodrake.logs.files import read_log
 from geodrake.logs.filtering import design_filter
 from geodrake.logs.folds import validation_blocks
-from geodrake.logs.motion import JointLog, Motion, Trajectory, match_joints
+from geodrake.logs.motion import JointLog, Motion, Trajectory, check_joints
 from geodrake.logs.preparation import prepare_logs
 from geodrake.logs.smoothing import Piece, Stretch, smooth_pieces
 from geodrake.logs.unit_hints import effort_unit_hint, position_unit_hint
@@ -66,7 +66,7 @@ def test_any_joint_order():
     log = _make_log(_uniform())
     turned = log.select(("elbow", "shoulder"))
     assert np.array_equal(turned.position, log.position[:, ::-1])
-    back = match_joints(turned, JOINTS)
+    back = turned.select(JOINTS)
     assert back.joints == JOINTS
     assert np.array_equal(back.velocity, log.velocity)
 
@@ -74,9 +74,9 @@ def test_any_joint_order():
 def test_joints_that_do_not_match():
     log = _make_log(_uniform())
     with pytest.raises(LogError, match=r"model has no joint 'elbow'.*nearest: 'elbow_joint'"):
-        match_joints(log, ("shoulder", "elbow_joint"))
+        check_joints(log.name, JOINTS, ("shoulder", "elbow_joint"))
     with pytest.raises(LogError, match=r"no joint 'wrist'"):
-        match_joints(log, (*JOINTS, "wrist"))
+        check_joints(log.name, JOINTS, (*JOINTS, "wrist"))
     with pytest.raises(ArgumentError, match="same joints"):
         prepare_logs([log, log.select(("elbow",))])
 

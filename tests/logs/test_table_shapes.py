@@ -9,8 +9,7 @@ import pandas
 import pytest
 
 from geodrake.errors import LogError
-from geodrake.logs.files import Reading, read_log, read_table, text_file
-from geodrake.logs.motion import JointLog
+from geodrake.logs.files import Reading, read_log, text_file
 
 JOINTS = ("base", "elbow")
 ROWS = 60
@@ -498,19 +497,6 @@ def test_many_lines_are_read_by_arrow_as_without_it(tmp_path, monkeypatch, odd):
     else:
         np.testing.assert_array_equal(again.position, random[:, :1])
         np.testing.assert_array_equal(again.effort, plain.effort)
-
-
-def test_every_format_is_a_table(tmp_path):
-    table = read_table(_lists(tmp_path))
-    assert list(table.columns) == [
-        "time",
-        "positions[0]",
-        "positions[1]",
-        "torques[0]",
-        "torques[1]",
-    ]
-    assert set(table.words["type"]) == {"STATE"}
-    assert isinstance(read_log(_object(tmp_path)), JointLog)
 
 
 @pytest.mark.parametrize(

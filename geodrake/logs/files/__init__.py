@@ -22,7 +22,6 @@ from geodrake.logs.files.formats import (
     file_names,
     joined_table,
     parts_of,
-    read_table,
     table_of,
 )
 from geodrake.logs.files.joined_tables import meanings_of, reshaped
@@ -43,7 +42,6 @@ __all__ = [
     "parts_of",
     "read_log",
     "read_mapping",
-    "read_table",
     "understand",
     "write_log",
 ]
@@ -152,9 +150,6 @@ def _understood(
     table: LogTable, joints: Sequence[str] | None, reading: Reading, *, partial: bool
 ) -> tuple[JointLog, Columns]:
     table = reshaped(table, reading)
-    if table.in_seconds:
-        units = {name: unit for name, unit in reading.units.items() if name != "time"}
-        reading = replace(reading, units=units)
     _check_silent(table, reading)
     columns = columns_of(
         table.path,

@@ -266,13 +266,10 @@ def choice_words(best: Mapping[tuple[str, str], Sequence[Meaning]]) -> Iterator[
             why |= {m.quantity for m in others} - {m.quantity for m in chosen}
             words = f" ({', '.join(sorted(why))})" if why else ""
             yield (f"{quantity}: {_span(chosen)} taken, and not {_span(others)}{words}")
-        if quantity not in PARTIAL and chosen and all(map(_is_doubtful, chosen)):
+        measured = dict.fromkeys(SIGNAL_KINDS, MOTOR)  # currents are of motors anyway
+        doubtful = [m.role > measured.get(m.quantity, PLAIN) for m in chosen]
+        if quantity not in PARTIAL and chosen and all(doubtful):
             yield f"{quantity}: {_span(chosen)} may not be measured at the joints, by the name"
-
-
-def _is_doubtful(meaning: Meaning) -> bool:
-    """Return whether a column may not be measured at the joint; currents are of motors anyway."""
-    return meaning.role > (MOTOR if meaning.quantity in SIGNAL_KINDS else PLAIN)
 
 
 def unit_words(sources: Mapping[str, Source], reading: Reading) -> Iterator[str]:
@@ -327,7 +324,7 @@ def columns_of(
     reading: Reading | None = None,
     units: Mapping[str, str] | None = None,
     *,
-    origins: Mapping[str, int] | None = None,
+    origins: Mapping[str, int | None] | None = None,
     partial: bool = False,
 ) -> Columns:
     """Return the columns of a file with these names, joints in the order given if any is.
@@ -477,7 +474,7 @@ class Columns:
             places.pop(("", "time"), None)
         return cls(path, names, reading, places, (), rate, frozenset(mapping.joints))
 
-    def dated(self, origins: Mapping[str, int]) -> Columns:
+    def dated(self, origins: Mapping[str, int | None]) -> Columns:
         """Return it with time in seconds, whatever its name says, if since a known instant."""
         for (joint, quantity), source in self.places.items():
             if quantity != "time" and source.column in origins:
@@ -491,8 +488,8 @@ class Columns:
             return self
         places = {**self.places, ("", "time"): Source(time.column, 1.0, unit_of("s", "time"))}
         origin = origins[time.column]
-        note = f"time is in s since {date_words(origin)}"
-        return replace(self, places=places, notes=(*self.notes, note), origin=origin)
+        notes = () if origin is None else (f"time is in s since {date_words(origin)}",)
+        return replace(self, places=places, notes=(*self.notes, *notes), origin=origin)
 
     def chosen(self, wanted: Sequence[str] | None, *, partial: bool) -> Columns:
         """Return it with the joints of the log, and those of which there is the position alone."""

@@ -7,7 +7,7 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 
-from geodrake.boundary.arguments import file_path, typed
+from geodrake.boundary.arguments import typed
 from geodrake.boundary.input_files import open_regular, regular_file
 from geodrake.errors import LogError
 from geodrake.logs.files.array_files import (
@@ -105,26 +105,6 @@ def table_of(
         if value is not None
     ]
     return table.noting(*notes)
-
-
-@typed
-def read_table(path: str | Path, reading: Reading | None = None) -> LogTable:
-    """Read the columns of a log of any format.
-
-    Args:
-        path: The file, or the folder of a rosbag2 or a LeRobot dataset.
-        reading: Which topic or episode of it is the log, where it has several.
-
-    Returns:
-        Its columns. Where the format says what they are: `time`, s from the first sample, and
-        `<joint>.position`, `<joint>.velocity`, `<joint>.effort`, or `position[0]`, … where it does
-        not name joints. Else by the names in the file, `name[0]`, … where it has lists.
-
-    Raises:
-        LogError: There is no such format or it cannot be read, a package for it is not installed,
-            or it has no joints, or several topics with some.
-    """
-    return table_of(check_log(file_path(path)), reading or Reading(), numbered=True).loaded()
 
 
 def reader_of(path: Path) -> Reader | None:

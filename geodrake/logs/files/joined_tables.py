@@ -80,7 +80,7 @@ def joined_tables(log: Path, tables: Sequence[LogTable], reading: Reading) -> Lo
     rate = 1.0 / periods[base]
     note = f"joined by time, at the {rate:.4g} rows a second of {tables[base].path}"
     notes = (note, *clock_notes, *noted)
-    return LogTable(log, columns, units, notes, origins, in_seconds=True)
+    return LogTable(log, columns, units, notes, origins)
 
 
 def meanings_of(table: LogTable) -> list[Meaning]:
@@ -94,7 +94,7 @@ def _time(table: LogTable, reading: Reading) -> tuple[Array | None, str]:
     if not times:
         return None, ""
     best = min(times, key=lambda meaning: meaning.role)
-    if best.column in table.origins or table.in_seconds:
+    if best.column in table.origins:
         return table.columns[best.column], ""
     unit = unit_of(reading.units["time"], "time") if "time" in reading.units else best.unit
     time = table.columns[best.column]
@@ -104,7 +104,7 @@ def _time(table: LogTable, reading: Reading) -> tuple[Array | None, str]:
 
 def _one_clock(
     log: Path, tables: Sequence[LogTable], reading: Reading
-) -> tuple[list[Array | None], dict[str, int], tuple[str, ...]]:
+) -> tuple[list[Array | None], dict[str, int | None], tuple[str, ...]]:
     """Return time stamps of each table, s, since when they are if known, and notes of them."""
     stamps = [_time(table, reading) for table in tables]
     times = [time for time, _ in stamps]
@@ -117,10 +117,10 @@ def _one_clock(
     notes = tuple(dict.fromkeys(note for _, note in stamps if note))
     stamped = [k for k, time in enumerate(times) if time is not None]
     if len(stamped) < 2:
-        return times, {}, notes
+        return times, {"time": None}, notes
     zeros = [next((o for c, o in t.origins.items() if is_time(c)), None) for t in tables]
     if not any(zero is not None for zero in zeros):
-        return times, {}, notes
+        return times, {"time": None}, notes
     first = min(zero for zero in zeros if zero is not None)
     own = []  # tables of which nobody knows when their time is zero
     for k in stamped:

@@ -258,21 +258,19 @@ class LogTable:
             measured. `time`, if the format has stamps of its own: s from the first sample.
         units: Units of columns, where the file states them.
         notes: What was noticed while reading, in words.
-        origins: Columns of time that are in seconds, whatever their names say -> when they are
-            zero, ns since 1970.
+        origins: Columns of time that are in seconds, whatever anybody says -> when they are zero,
+            ns since 1970; None if that is not known.
         silent: Columns that were left out -> why, in words.
         words: (N,) texts of columns without numbers.
-        in_seconds: Whether the column `time` is in seconds, whatever the user says of the file's.
     """
 
     path: Path
     columns: Mapping[str, Array]
     units: Mapping[str, str] = field(default_factory=dict)
     notes: tuple[str, ...] = ()
-    origins: Mapping[str, int] = field(default_factory=dict)
+    origins: Mapping[str, int | None] = field(default_factory=dict)
     silent: Mapping[str, str] = field(default_factory=dict)
     words: Mapping[str, NDArray[np.object_]] = field(default_factory=dict)
-    in_seconds: bool = False
 
     def __len__(self) -> int:
         """Number of rows."""

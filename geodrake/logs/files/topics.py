@@ -56,11 +56,6 @@ class Topic:
         """Whether efforts, or what is measured in their place, are among these."""
         return not self.part.isdisjoint(EFFORT_KINDS)
 
-    @property
-    def has_names(self) -> bool:
-        """Whether it says which joints it is about."""
-        return self.rows is not None and any(isinstance(j, str) for j in self.rows.joints)
-
     def __str__(self) -> str:
         if self.rows is None or not self.part:
             return f"{self.name} ({self.kind})"
@@ -103,7 +98,8 @@ def _best(topics: Sequence[Topic]) -> Sequence[Topic]:
 
 def _parts(path: Path, topics: Sequence[Topic]) -> tuple[Topic, Topic]:
     """The topic of positions, and that of efforts or commands, which no topic has both of."""
-    moved = _best([topic for topic in topics if "position" in topic.part and topic.has_names])
+    named = [t for t in topics if t.rows and any(isinstance(j, str) for j in t.rows.joints)]
+    moved = _best([topic for topic in named if "position" in topic.part])
     heard = _best([t for t in topics if is_complete(("position", *t.part)) and t not in moved])
     if len(moved) == len(heard) == 1:
         return moved[0], heard[0]
@@ -235,7 +231,7 @@ def _on_clock(table: LogTable, clock: MessageRows) -> LogTable:
         return table
     since = 1e-9 * (received - received[0])
     line = np.polyfit(since, 1e-9 * (stamps - stamps[0]), 1)
-    time = table.columns["time"] + 1e-9 * (table.origins["time"] - int(received[0]))
+    time = table.columns["time"] + 1e-9 * ((table.origins["time"] or 0) - int(received[0]))
     columns = {**table.columns, "time": np.asarray(np.polyval(line, time), float)}
     return replace(table, columns=columns, origins={"time": int(stamps[0])})
 
