@@ -37,7 +37,7 @@ _FIELDS = {
     "torque": "torque",
     "moment": "torque",
 }
-_BASE = re.compile(r"odom|base|pose|mocap|floating|root|trunk|torso|pelvis", re.IGNORECASE)
+IS_BASE = re.compile(r"odom|base|pose|mocap|floating|root|trunk|torso|pelvis", re.IGNORECASE)
 _IMU = re.compile(r"imu", re.IGNORECASE)
 _VECTOR = re.compile(
     rf"(?P<head>.*?)[./]?(?P<field>{'|'.join(map(re.escape, _FIELDS))})\.(?P<axis>[wxyz])",
@@ -60,7 +60,7 @@ def floating_name(column: str) -> str | None:
         return f"{head}.{what}.{axis}" if head and axis != "w" else None
     if what == "angular_velocity":
         what = f"imu.{what}" if _IMU.search(head) else f"base.{what}"
-    is_its = _IMU.search(head) if what.startswith("imu.") else _BASE.search(column)
+    is_its = _IMU.search(head) if what.startswith("imu.") else IS_BASE.search(column)
     if is_its is None or (axis == "w") > (what == "base.orientation"):
         return None
     if what == "base.orientation" and _IMU.search(head):

@@ -30,7 +30,7 @@ _STILL = 2e-3  # rad or m, by which a joint may move and still stand
 
 
 def reading_for(model: RobotModel, reading: Reading | None = None) -> Reading:
-    """Return how logs of a model are read, which knows of joints without a motor.
+    """Return how logs of a model are read, which knows of a free base and joints without a motor.
 
     Those are the joints without an actuator or a transmission in the model file, where others
     have one, and those that had none in other logs; they are passive in logs without an effort of
@@ -46,7 +46,9 @@ def reading_for(model: RobotModel, reading: Reading | None = None) -> Reading:
     usual = motor_of_robot(model.path.stem)
     of_all = {} if usual is None else {"": usual}
     motorless = frozenset({*none, *model.motorless})
-    return replace(reading, motorless=motorless, motors={**of_all, **reading.motors})
+    motors_of = {**of_all, **reading.motors}
+    of_base = bool(model.base_joints)
+    return replace(reading, motorless=motorless, motors=motors_of, of_base=of_base)
 
 
 def model_of_logs(

@@ -4,6 +4,14 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from foreign_logs import (
+    EPOCH,
+    joint_states,
+    nanoseconds,
+    ros2_header,
+    ros2_store,
+    write_rosbag2,
+)
 from pydrake.multibody.parsing import Parser
 from pydrake.multibody.plant import MultibodyPlant
 from pydrake.multibody.tree import JacobianWrtVariable
@@ -17,10 +25,12 @@ from geodrake.effects.body_motion import RobotBodies
 from geodrake.errors import LogError
 from geodrake.identification.logs.compare import compare
 from geodrake.identification.logs.contact_rows import rows_without
+from geodrake.logs import read_log
 from geodrake.logs.motion import JointLog
 from geodrake.logs.preparation import prepare_logs
 from geodrake.model.base_logs import with_base
 from geodrake.model.ground_contacts import contact_frames
+from geodrake.model.logged_joints import reading_for
 from geodrake.model.robot_model import load_description
 
 LEGS = ("fl", "fr", "hl", "hr")
@@ -246,6 +256,66 @@ def test_a_payload_on_the_trunk_is_named(model, wrenches):
     mass, deviation, systematic = (each["trunk"]["mass"] for each in values)
     assert abs(mass - 0.9) < 2.0 * np.hypot(deviation, systematic) < 0.4
     assert not wrenches or mass == pytest.approx(0.9, rel=0.05)
+
+
+def ros_topics(log, store):
+    """Return the topics of a log as a robot publishes them, the IMU with another sign each time."""
+    types, header = store.types, ros2_header(store)
+    Vector, Quaternion, Point = (
+        types[f"geometry_msgs/msg/{name}"] for name in ("Vector3", "Quaternion", "Point")
+    )
+
+    def of(name, k, make=Vector, axes="xyz", sign=1.0):
+        return make(**{axis: sign * float(log.floating[f"{name}.{axis}"][k]) for axis in axes})
+
+    def at(ns, frame):
+        return type(header(ns))(header(ns).stamp, frame)
+
+    def odometry(k, ns):
+        Pose, Twist = types["geometry_msgs/msg/Pose"], types["geometry_msgs/msg/Twist"]
+        unsure, zero = np.zeros(36), Vector(0.0, 0.0, 0.0)
+        turned = of("base.orientation", k, Quaternion, "xyzw", sign=(-1.0) ** k)
+        pose = types["geometry_msgs/msg/PoseWithCovariance"](
+            Pose(of("base.position", k, Point), turned), unsure
+        )
+        twist = types["geometry_msgs/msg/TwistWithCovariance"](Twist(zero, zero), unsure)
+        return types["nav_msgs/msg/Odometry"](at(ns, "odom"), "base_link", pose, twist)
+
+    def imu(k, ns):
+        none, level = np.zeros(9), Quaternion(0.0, 0.0, 0.0, 1.0)
+        measured = (of(f"imu.{name}", k) for name in ("angular_velocity", "linear_acceleration"))
+        spin, acceleration = measured
+        return types["sensor_msgs/msg/Imu"](
+            at(ns, "imu_link"), level, none, spin, none, acceleration, none
+        )
+
+    def wrench(foot, k, ns):
+        made = types["geometry_msgs/msg/Wrench"](of(f"{foot}.force", k), Vector(0.0, 0.0, 0.0))
+        return types["geometry_msgs/msg/WrenchStamped"](at(ns, f"dog/{foot}"), made)
+
+    stamps = [EPOCH + ns for ns in nanoseconds(log)]
+    topics = {"/joint_states": joint_states(store, replace(log, velocity=0 * log.position), header)}
+    topics |= {f"/{f.__name__}": [(ns, f(k, ns)) for k, ns in enumerate(stamps)] for f in (imu,)}
+    topics["/odom"] = [(ns, odometry(k, ns)) for k, ns in enumerate(stamps)]
+    for foot in FEET:
+        topics[f"/{foot}/wrench"] = [(ns, wrench(foot, k, ns)) for k, ns in enumerate(stamps)]
+    return topics
+
+
+def test_topics_of_a_bag_are_the_columns_of_base_and_feet(tmp_path, model, maker):
+    pytest.importorskip("rosbags")
+    log, store = maker.log(wrenches=True), ros2_store()
+    bag = write_rosbag2(tmp_path / "walk", ros_topics(log, store), store)
+    read = read_log(bag, joints=JOINTS, reading=reading_for(model))
+    assert any("base and feet are read from /odom, /imu" in note for note in read.notes)
+    names = [name for name in log.floating if not name.endswith(".contact")]
+    first = np.sign(log.floating["base.orientation.w"][0] * read.floating["base.orientation.w"][0])
+    for name in names:
+        sign = first if name.startswith("base.orientation") else 1.0
+        np.testing.assert_allclose(sign * read.floating[name], log.floating[name], atol=1e-9)
+    theirs, ours = (compare(model, each).errors.nrms for each in (read, log))
+    assert theirs == pytest.approx(ours, rel=1e-6)
+    assert not read_log(bag, joints=JOINTS).floating  # a fixed robot has no base
 
 
 def test_bad_poses_are_refused(model, maker):

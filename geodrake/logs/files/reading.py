@@ -100,6 +100,7 @@ class Reading:
         ignored: Columns that are not used.
         motorless: Joints that are passive where a log has no effort of them, or zeros alone.
         motors: Joint -> its motor; by the name "", that of all others.
+        of_base: Whether a recording is read for what it has of a free base and its feet.
 
     Raises:
         ArgumentError: A rate, gain or deviation is no such number, or a unit or kind is not known.
@@ -118,6 +119,7 @@ class Reading:
     ignored: frozenset[str] = frozenset()
     motorless: frozenset[str] = frozenset()
     motors: Mapping[str, Motor] = field(default_factory=dict)
+    of_base: bool = False
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "columns", instances(self.columns, "columns", str))

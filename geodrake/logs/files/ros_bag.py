@@ -13,6 +13,8 @@ from typing import Any
 from geodrake.boundary.input_files import regular_files
 from geodrake.boundary.optional_packages import optional_package
 from geodrake.errors import LogError
+from geodrake.logs.files.base_messages import base_tables, chosen_sources
+from geodrake.logs.files.joined_tables import joined_tables
 from geodrake.logs.files.joint_messages import JointFields, MessageRows
 from geodrake.logs.files.reading import Reading
 from geodrake.logs.files.table import LogTable, readable
@@ -72,9 +74,36 @@ def read_bag(path: Path, reading: Reading) -> LogTable:
             _probed(reader, [*each], method) for _, each in groupby(spoken, key=lambda c: c.topic)
         ]
         topics = [source.topic for source in found]
+        base, reading = _base(reader, spoken, method, reading)
         chosen = chosen_topics(path, topics, reading)
         whole = [found[topics.index(each)].read(reader) for each in chosen]
-    return joined_topics(path, whole, reading) if whole[1:] else topic_table(path, whole[0], topics)
+    joints = (
+        joined_topics(path, whole, reading) if whole[1:] else topic_table(path, whole[0], topics)
+    )
+    return joined_tables(path, [joints, *base], reading) if base else joints
+
+
+def _base(
+    reader: Any, connections: Sequence[Any], method: str, reading: Reading
+) -> tuple[list[LogTable], Reading]:
+    """Return tables of a free base and its feet, and how to read what there is of joints."""
+    if not reading.of_base:
+        return [], reading
+    kinds = {c.topic: c.msgtype for c in connections if not _WANTED.search(c.topic)}
+    taken, others = chosen_sources([*kinds.items()], reading.topics)
+    tables = list[LogTable]()
+    for name in taken:
+        own = [connection for connection in connections if connection.topic == name]
+        kind, definition = kinds[name], own[0].msgdef
+        decode = getattr(_store(kind, definition.data, definition.format.name), method)
+        messages = reader.messages(connections=own)
+        tables += base_tables(name, ((decode(data, kind), at) for _, at, data in messages))
+    notes = [f"base and feet are read from {', '.join(taken)}"] if taken else []
+    notes += [f"{', '.join(others)} would tell of them too (--topic)"] if others else []
+    if tables:
+        tables[0] = tables[0].noting(*notes)
+    joints = [name for name in reading.topics if f"/{name.strip('/')}" not in taken]
+    return tables, replace(reading, topic=joints or None)
 
 
 def _storage(path: Path) -> Path:

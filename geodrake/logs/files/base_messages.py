@@ -1,0 +1,115 @@
+"""Messages of ROS about a free base, its IMU, and forces at its feet, as columns of a log."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from geodrake.logs.files.table import LogTable
+from geodrake.logs.floating import AXES, IS_BASE, QUATERNION
+
+ODOMETRY, TF = "nav_msgs/msg/Odometry", "tf2_msgs/msg/TFMessage"
+POSES = (
+    ODOMETRY,
+    "geometry_msgs/msg/PoseStamped",
+    "geometry_msgs/msg/PoseWithCovarianceStamped",
+    TF,
+)
+"""What says where the base is, the best first."""
+IMU, WRENCH = "sensor_msgs/msg/Imu", "geometry_msgs/msg/WrenchStamped"
+KINDS = (*POSES, IMU, WRENCH)
+
+_WORLDS = ("world", "map", "odom")
+_PATHS = {
+    "base.position": ("pose.pose.position", "pose.position", "translation"),
+    "base.orientation": ("pose.pose.orientation", "pose.orientation", "rotation"),
+    "base.linear_velocity": ("twist.twist.linear",),
+    "base.angular_velocity": ("twist.twist.angular",),
+    "imu.angular_velocity": ("angular_velocity",),
+    "imu.linear_acceleration": ("linear_acceleration",),
+    ".force": ("wrench.force",),
+    ".torque": ("wrench.torque",),
+}
+"""Column, after the frame of a wrench -> where messages may have it."""
+
+
+def chosen_sources(
+    kinds: Sequence[tuple[str, str]], named: Sequence[str]
+) -> tuple[list[str], list[str]]:
+    """Return the topics that tell of base and feet, and others that would as well.
+
+    One tells where the base is, and one what its IMU measures; all wrenches are taken. `kinds` are
+    names and types of topics, and `named` those that were asked for, which go before others.
+    """
+    asked = {name.strip("/") for name in named}
+    known = [(name, kind) for name, kind in kinds if kind in KINDS]
+    first = [each for each in known if each[0].strip("/") in asked]
+    taken, others = list[str](), list[str]()
+    for group in (POSES, (IMU,), (WRENCH,)):
+        able = [
+            name
+            for kind in group
+            for name, own in first or known
+            if own == kind and (first or own in (ODOMETRY, TF, IMU, WRENCH) or IS_BASE.search(name))
+        ]
+        able.sort(key=lambda name: group is not POSES and IS_BASE.search(name) is None)
+        most = len(able) if group == (WRENCH,) else 1
+        taken += able[:most]
+        others += able[most:]
+    return taken, others
+
+
+def base_tables(topic: str, messages: Iterable[tuple[Any, int]]) -> list[LogTable]:
+    """Return the tables of a topic, from its messages and when they were received, ns.
+
+    Wrenches of several frames in one topic make several tables.
+    """
+    rows: dict[tuple[str, ...], list[tuple[int, list[float]]]] = {}
+    for message, received in messages:
+        for part, frame in _parts(message):
+            told = dict(_numbers(part, frame or topic.strip("/").rpartition("/")[0]))
+            stamp = part.header.stamp
+            when = stamp.sec * 1_000_000_000 + stamp.nanosec or received
+            if told:
+                rows.setdefault(tuple(told), []).append((when, [*told.values()]))
+    tables = list[LogTable]()
+    for names, found in rows.items():
+        stamps, first = np.unique([stamp for stamp, _ in found], return_index=True)
+        values = np.array([numbers for _, numbers in found])[first]
+        turned = [k for k, name in enumerate(names) if name.startswith("base.orientation")]
+        q = values[:, turned]  # and its negative are the same orientation: the nearer one is taken
+        back = np.einsum("ni,ni->n", q[1:], q[:-1]) < 0.0
+        values[1:, turned] *= np.where(np.cumsum(back) % 2, -1.0, 1.0)[:, None]
+        columns = {"time": 1e-9 * (stamps - stamps[0])}
+        columns |= {name: values[:, k].copy() for k, name in enumerate(names)}
+        tables.append(LogTable(Path(topic), columns, origins={"time": int(stamps[0])}))
+    return tables
+
+
+def _parts(message: Any) -> Iterator[tuple[Any, str]]:
+    """Return what of a message tells of a frame, and the name of that frame."""
+    if not hasattr(message, "transforms"):
+        yield message, message.header.frame_id.strip("/").rpartition("/")[2]
+    for each in getattr(message, "transforms", ()):
+        parent = each.header.frame_id.strip("/").rpartition("/")[2]
+        child = each.child_frame_id.strip("/").rpartition("/")[2]
+        if parent in _WORLDS and child not in _WORLDS and IS_BASE.search(child):
+            yield each, child
+
+
+def _numbers(message: Any, frame: str) -> Iterator[tuple[str, float]]:
+    """Return the columns of a message, and their numbers."""
+    told = getattr(message, "transform", message)
+    for name, paths in _PATHS.items():
+        for path in paths:
+            values = told
+            for word in path.split("."):
+                values = getattr(values, word, None)
+            if values is not None:
+                axes = QUATERNION if name.endswith("orientation") else AXES
+                column = f"{frame}{name}" if name.startswith(".") else name
+                yield from ((f"{column}.{axis}", float(getattr(values, axis))) for axis in axes)
+                break
