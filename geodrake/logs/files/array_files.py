@@ -8,7 +8,6 @@ import re
 import zipfile
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
-from io import TextIOWrapper
 from pathlib import Path
 from typing import Any
 
@@ -18,6 +17,7 @@ from numpy.typing import NDArray
 from scipy.io import loadmat
 
 from geodrake.boundary.input_files import open_regular, regular_file
+from geodrake.boundary.memory import machine_memory
 from geodrake.boundary.optional_packages import optional_package
 from geodrake.errors import LogError
 from geodrake.logs.files.column_mapping import check_once, is_used
@@ -37,6 +37,7 @@ from geodrake.logs.files.text_file import names_of_numbers
 Array = NDArray[np.float64]
 
 _LINES = (".jsonl", ".ndjson")
+_JSON_SHARE = 0.05  # of the memory, for its text: what it becomes takes many times as much
 _JSON_ADVICE = (
     'Write {"time": [...], "joint.position": [...], ...}, or a record of these in each line.'
 )
@@ -44,15 +45,14 @@ _JSON_ADVICE = (
 
 def read_json(path: Path, reading: Reading) -> LogTable:
     """Return the columns of a JSON file: fields of records by their paths, as in `state.q[0]`."""
-    with (
-        readable(path, "JSON file", _JSON_ADVICE),
-        open_log(path) as data,
-        TextIOWrapper(data, "utf-8-sig") as file,
-    ):
+    with readable(path, "JSON file", _JSON_ADVICE), open_log(path) as file:
+        text = file.read(1 + int(_JSON_SHARE * machine_memory()))  # of what may be packed well
+        check_room(path, int(len(text) / (8.0 * _JSON_SHARE)), f"{len(text) / 1e9:.3g} GB of JSON")
         if unpacked(path).suffix.lower() in _LINES:
-            content: Any = [json.loads(line) for line in file if line.strip()]
+            lines = text.decode("utf-8-sig").splitlines()
+            content: Any = [json.loads(line) for line in lines if line.strip()]
         else:
-            content = json.load(file)
+            content = json.loads(text.decode("utf-8-sig"))
     content = _of_pandas(content)
     if isinstance(content, Mapping):
         lists = {n: x for n, x in _fields(content) if isinstance(x, list) and len(x) > 1}

@@ -122,15 +122,6 @@ def since_first(stamps: NDArray[np.int64]) -> tuple[Array, int]:
     return seconds, origin
 
 
-def dates(array: NDArray[Any]) -> tuple[Array, int]:
-    """Return seconds of dates of NumPy; see `since_first`.
-
-    Args:
-        array: (N,) of a type `datetime64`.
-    """
-    return since_first(array.astype("datetime64[ns]").astype(np.int64))
-
-
 Mask = NDArray[np.bool_]
 
 MOST = 0.01
@@ -380,7 +371,9 @@ def _what_else(values: Any, rows: int) -> str:
         return f"is {str(values)[:_LONGEST_TEXT]!r} alone"
     if len(values) != rows:
         return f"has {len(values)} rows, and others have {rows}"
-    bad = next((value for value in values if isinstance(value, str) and not _is_number(value)), "")
+    bad = next(
+        (value for value in values if isinstance(value, str) and number_in(value) is None), ""
+    )
     lists = {
         k: len(value)
         for k, value in enumerate(values, 1)
@@ -421,7 +414,7 @@ def numbers(values: Any) -> tuple[Array | None, int | None]:
     try:
         array = _array(values)
         if array.dtype.kind == "M":
-            return dates(array)
+            return since_first(array.astype("datetime64[ns]").astype(np.int64))
         if array.dtype.kind == "m":
             return np.asarray(array / _ONE_SECOND), None
         if array.dtype.kind in "OUT":
@@ -470,16 +463,17 @@ def _date(value: Any) -> int | None:
 
 def _number(value: Any) -> float:
     """Return a number, NaN for None and other words for nothing."""
-    if _is_nothing(value):
-        return np.nan
-    if isinstance(value, str) and "_" in value:  # which Python takes in its own numbers
+    found = number_in(value) if isinstance(value, str) else np.nan if _is_nothing(value) else value
+    if found is None:
         raise ValueError(value)
-    return float(value)
+    return float(found)
 
 
-def _is_number(text: str) -> bool:
+def number_in(text: str) -> float | None:
+    """Return the number that a text is, NaN for nothing; None for others."""
     try:
-        float(text)
+        if "_" in text:  # which Python takes in its own numbers
+            return None
+        return np.nan if text in NOTHING else float(text)
     except ValueError:
-        return text in NOTHING
-    return True
+        return None

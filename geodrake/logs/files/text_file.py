@@ -33,6 +33,7 @@ from geodrake.logs.files.table import (
     TornRows,
     check_room,
     date_of,
+    number_in,
     readable,
 )
 from geodrake.logs.files.units import UNITS, find_unit
@@ -648,7 +649,7 @@ def _numbers_of(cell: str, path: Path, row: int, layout: TextLayout, place: int)
         is_none = "no date as above it"
         advice = "Write dates as 2026-05-01T12:00:00.25Z, or leave the cell empty."
     else:
-        number = _number(text)
+        number = number_in(text)
         numbers, wrong = [0.0 if number is None else number], number is None
         is_none = "not a number"
         dates = " A column of dates has them from its first row on." if is_time(column) else ""
@@ -662,13 +663,3 @@ def _numbers_of(cell: str, path: Path, row: int, layout: TextLayout, place: int)
             column=column,
         )
     return numbers
-
-
-def _number(text: str) -> float | None:
-    """Return the number that a text is, NaN for nothing; None for others."""
-    try:
-        if "_" in text:  # which Python takes in its own numbers
-            return None
-        return np.nan if text in NOTHING else float(text)
-    except ValueError:
-        return None
