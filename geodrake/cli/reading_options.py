@@ -168,7 +168,9 @@ def proposing(logs: Sequence[Path]) -> Iterator[None]:
 def _beside(path: Path, logs: Sequence[Path]) -> Path:
     """Where the proposal for a log goes: the working folder; files that were joined share one."""
     first = Path(str(next((log for log in logs if log.name == path.name), path)).split("+")[0])
-    return Path(f"{first.stem}.mapping.yaml")
+    from geodrake.logs.files.packed_files import log_name
+
+    return Path(f"{log_name(first)}.mapping.yaml")
 
 
 def _written(target: Path, proposal: str) -> str:
