@@ -1,14 +1,15 @@
 """A second opinion on a model's file: MuJoCo or Pinocchio, which read the file itself.
 
 MultibodyPlant computes with the bodies that geodrake made of a file, and so cannot see what was
-lost on the way. MuJoCo compiles an MJCF whole, with what no model takes; Pinocchio reads a URDF,
-and an SDF where it is built with SDFormat.
+lost on the way. MuJoCo compiles an MJCF whole, with what no model takes; Pinocchio reads a URDF.
+Others, SDF and directives that put them together, Drake reads once more as they stand.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
+from importlib.metadata import version
 from types import ModuleType
 from typing import Any
 from xml.etree.ElementTree import Element
@@ -16,8 +17,9 @@ from xml.etree.ElementTree import Element
 import numpy as np
 from numpy.typing import NDArray
 from pydrake.math import RigidTransform, RotationMatrix
+from pydrake.multibody.parsing import Parser
 from pydrake.multibody.plant import MultibodyPlant
-from pydrake.multibody.tree import Joint
+from pydrake.multibody.tree import Joint, MultibodyForces
 
 from geodrake.errors import ModelError
 from geodrake.inertia import inertial_parameters
@@ -25,14 +27,17 @@ from geodrake.logs.motion import Motion
 from geodrake.model.file_terms import DryFriction
 from geodrake.model.robot_model import RobotModel, is_of_file
 from geodrake.robot.base_joints import base_joints
+from geodrake.robot.cut_joints import open_loops
 from geodrake.robot.files import read_description
 from geodrake.robot.files.base import ModelText
-from geodrake.robot.files.description import drake_messages
+from geodrake.robot.files.description import drake_errors, drake_messages
 from geodrake.robot.files.mjcf import MjcfText
 from geodrake.robot.files.xacro_file import read_expanded
 from geodrake.robot.files.xml_text import parse_xml_bytes
+from geodrake.robot.followers import scoped
 from geodrake.robot.holding import moving_joints
-from geodrake.robot.mujoco_check import OtherProgram, Places, Units, by_mujoco
+from geodrake.robot.mujoco_check import OtherProgram, Places, Units, by_mujoco, part
+from geodrake.robot.plant import free_roots
 from geodrake.robot.regressor import inverse_dynamics
 from geodrake.robot.transmission.base import times
 
@@ -72,8 +77,10 @@ def second_opinion(model: RobotModel, states: States) -> tuple[str, Array, Array
         motion = Motion(*states)
         still = [f for f in model.effects if not isinstance(f.effect, DryFriction)]
         ours = replace(model, effects=tuple(still)).effort(motion)
-    else:
+    elif all(text.kind == "urdf" for text in texts):
         found = _by_pinocchio(model, texts, held, joints)
+    else:
+        found = _by_drake(model, held, joints)
     if isinstance(found, str):
         return found
     plant_states, jacobians, _ = of_plant(model, states)
@@ -124,13 +131,8 @@ def _by_pinocchio(
     model: RobotModel, texts: Sequence[ModelText], held: Places, units: Units
 ) -> OtherProgram | str:
     pinocchio = pinocchio_or_none()
-    kinds = {{"xml": "MJCF"}.get(text.kind, text.kind.upper()) for text in texts}
     if pinocchio is None:
         return 'Pinocchio, which reads URDF, is not installed: pip install "geodrake[export]"'
-    if kinds == {"SDF"} and not pinocchio.WITH_SDFORMAT:
-        return "no second program reads SDF here (Pinocchio does if built with SDFormat)"
-    if kinds != {"URDF"} and len(texts) > 1:
-        return f"no second program reads directives with {' and '.join(sorted(kinds - {'URDF'}))}"
     try:
         theirs = _joined_by_pinocchio(pinocchio, model, texts)
     except ModelError:
@@ -174,6 +176,62 @@ def _by_pinocchio(
     )
 
 
+def _by_drake(model: RobotModel, held: Places, units: Units) -> OtherProgram | str:
+    """Return Drake with the file as it stands, which geodrake simplifies before Drake reads it."""
+    plant, own = MultibodyPlant(time_step=0.0), model.plant
+    parser = Parser(plant)
+    floating = {base[-1].child_body().scoped_name().get_full() for base in base_joints(own)}
+    try:
+        with drake_messages(), drake_errors(model.path):
+            description = read_description(model.path, model.given)
+            description.add_every_package(parser.package_map())
+            parser.AddModels(str(model.path))
+            open_loops(plant)
+            for body in free_roots(plant):
+                if body.scoped_name().get_full() not in floating:
+                    X_WB = plant.GetDefaultFloatingBaseBodyPose(body)
+                    plant.WeldFrames(plant.world_frame(), body.body_frame(), X_WB)
+            for index in plant.GetJointActuatorIndices():
+                plant.get_mutable_joint_actuator(index).set_default_rotor_inertia(0.0)
+            plant.mutable_gravity_field().set_gravity_vector(model.tree.gravity)
+            plant.Finalize()
+    except ModelError as error:
+        return f"Drake does not read the file as it stands: {error.problem.rstrip('.')}"
+    context, places = plant.CreateDefaultContext(), list[tuple[slice, slice]]()
+    joints = {scoped(joint): joint for joint in moving_joints(plant)}
+    for unit in units:
+        if len(unit) > 1:
+            child = unit[-1].child_body()
+            instance = plant.GetModelInstanceByName(
+                own.GetModelInstanceName(child.model_instance())
+            )
+            body = plant.GetBodyByName(child.name(), instance)
+            q, v = body.floating_positions_start(), body.floating_velocities_start_in_v()
+            places.append((slice(q, q + 7), slice(v, v + 6)))
+        elif (joint := joints.get(scoped(unit[0]))) is None:
+            return "Drake has other joints in the file as it stands"
+        else:
+            places.append(part((joint,)))
+    rest = plant.GetPositions(context)
+    for joint in joints.values():
+        if joint.name() in held:
+            rest[joint.position_start()] = held[joint.name()]
+
+    def free(R: RotationMatrix, p: Array, v: Array) -> tuple[Array, Array, Array]:
+        return np.concatenate([R.ToQuaternion().wxyz(), p]), np.eye(6), np.zeros(len(v))
+
+    def inverse_dynamics(q: Array, v: Array, vd: Array) -> Array:
+        plant.SetPositions(context, q)
+        plant.SetVelocities(context, v)
+        effort = plant.CalcInverseDynamics(context, vd, MultibodyForces(plant))
+        return np.asarray(effort - plant.CalcGravityGeneralizedForces(context))
+
+    by = f"Drake {version('drake')} of the file as it stands"
+    return OtherProgram(
+        by, (rest, *np.zeros((2, plant.num_velocities()))), places, free, inverse_dynamics
+    )
+
+
 def _named(unit: tuple[Joint, ...]) -> str:
     """Return the name of a joint, or of a free base, in `_joined_by_pinocchio`."""
     model = unit[-1].child_body().scoped_name().get_namespace()
@@ -194,14 +252,11 @@ def _joined_by_pinocchio(
         data = read_expanded(text.path, model.given)
         name, own = _root_of(parse_xml_bytes(data, text.path), text).rsplit("::", 1)
         root = plant.world_body()
-        if own != "world" or text.kind == "sdf":
+        if own != "world":
             root = plant.GetBodyByName(own, plant.GetModelInstanceByName(name))
         floats = any(base[-1].child_body().index() == root.index() for base in base_joints(plant))
         free = {"root_joint": pinocchio.JointModelFreeFlyer()} if floats else {}
-        if text.kind == "sdf":
-            part, *_ = pinocchio.buildModelsFromSdf(str(text.path), geometry_types=[], **free)
-        else:
-            part = pinocchio.buildModelFromXML(data.decode(errors="replace"), *free.values())
+        part = pinocchio.buildModelFromXML(data.decode(errors="replace"), *free.values())
         for at in range(1, part.njoints):
             part.names[at] = f"{scope}::{part.names[at]}"
         for frame in part.frames:
@@ -212,7 +267,7 @@ def _joined_by_pinocchio(
         if there:
             parent = welded[there[0]].body_frame()
             frame, X = whole.getFrameId(there[0]), root.body_frame().CalcPose(context, parent)
-        elif not free and text.kind == "urdf":  # as its root has no place of its own
+        elif not free:  # as its root has no place of its own
             X = root.body_frame().CalcPoseInWorld(context)
         pose = pinocchio.SE3(X.rotation().matrix(), X.translation())
         whole = pinocchio.appendModel(whole, part, frame, pose)
@@ -223,8 +278,7 @@ def _root_of(xml: Element, text: ModelText) -> str:
     """Return the scoped name of the link of a file that no joint moves."""
     links = [link.get("name", "") for link in xml.iter("link")]
     ends = {kind: [e.get("link", "") for e in xml.iter(kind)] for kind in _ENDS}
-    if xml.tag == "robot" and not set(links).issuperset(e for own in ends.values() for e in own):
+    if not set(links).issuperset(e for own in ends.values() for e in own):
         raise ValueError("it has joints whose links it lacks")
-    moved = set(ends["child"]) | {(e.text or "").strip() for e in xml.iter("child")}
-    name = next((link for link in links if link not in moved), links[0])
+    name = next((link for link in links if link not in ends["child"]), links[0])
     return f"{text.links[0].rpartition('::')[0]}::{name}"

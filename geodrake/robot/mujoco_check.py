@@ -82,12 +82,13 @@ class OtherProgram:
             bias[:3] = -spin @ unaccelerated
             placed, T, rest = self.free(rpy.ToRotationMatrix(), q[:3], B @ v)
             return placed, T @ B, T @ bias + rest
+        if size == len(q):
+            return q, np.eye(size), np.zeros(size)
         if len(q) == 3:
             rpy = RollPitchYaw(q)
             turned = rpy.ToQuaternion().wxyz()
             return turned, rpy.ToRotationMatrix().matrix().T, np.zeros(3)
-        placed = np.array([np.cos(q[0]), np.sin(q[0])]) if size == 2 else q
-        return placed, np.eye(1), np.zeros(1)
+        return np.array([np.cos(q[0]), np.sin(q[0])]), np.eye(1), np.zeros(1)
 
     def efforts(self, units: Units, q: Array, v: Array, vd: Array) -> Array:
         """Return efforts (N, nv of the plant) of the plant's motion (N, ·)."""
