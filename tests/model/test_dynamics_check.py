@@ -151,6 +151,19 @@ def test_an_sdf_is_read_once_more_as_it_stands(tmp_path, mass):
     assert found.by.startswith("Drake") and found.second is not None
 
 
+@pytest.mark.parametrize("floating", [False, True])
+def test_an_sdf_with_a_free_base_and_a_ball_has_drakes_opinion(tmp_path, floating):
+    weld = SDF[SDF.index('<joint name="w"') : SDF.index('<link name="a">')]
+    inertial = SDF[SDF.index("<inertial>") : SDF.index("</link>\n<joint name")]
+    ball = f"""<link name="b"><pose>0 0 .4 0 0 0</pose>{inertial}</link><joint name="k" type="ball">
+<parent>a</parent><child>b</child></joint></model>"""
+    text = SDF.replace(weld, "").replace('"base"/>', f'"base">{inertial}</link>')
+    (tmp_path / "r.sdf").write_text(text.replace("</model>", ball))
+    found = check_dynamics(load_description(tmp_path / "r.sdf", floating=floating), samples=5)
+    assert found.holds and len(found.joints) == (10 if floating else 4)
+    assert found.second is not None and found.second.relative < 1e-12
+
+
 FREE = """<mujoco model="m"><option density="100" viscosity="1" gravity="1 2 -7"/><worldbody>
 <body name="a" pos="0 0 1" quat="1 .2 .3 .1"><freejoint name="root"/>
 <geom type="box" size=".1 .2 .3" pos=".1 0 0"/><body name="b" pos=".3 0 0" euler="10 20 30">
