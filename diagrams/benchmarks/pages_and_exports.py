@@ -84,7 +84,7 @@ def measured(
                 {"name": d.engine, "what": d.what, "largest": d.largest, "of": d.typical}
                 for d in found.proof.differences
             ],
-            "lacks": [cost.lost.effect for cost in found.lacks],
+            "lacks": [lost.effect for lost in found.lacks],
             "nrms": None if found.costs is None else [found.costs.whole, found.costs.held],
         }
     return {

@@ -89,7 +89,7 @@ def export_page(found: ProvenExport, about: About) -> Page:
 
 def _export_words(found: ProvenExport) -> str:
     """Return what an export holds, and what that means, in a sentence or more."""
-    names = [cost.lost.effect for cost in found.lacks]
+    names = [lost.effect for lost in found.lacks]
     lacks = ", ".join(names) if len(names) <= _NAMED else f"{len(names)} effects"
     words = f"the files hold the model but for {lacks}" if lacks else "the files hold the model"
     if found.costs is not None:
@@ -132,15 +132,15 @@ def _holds_table(found: ProvenExport, units: Units) -> Table:
 def _lacks_table(found: ProvenExport, units: Units) -> Table:
     """Return the effects that the files cannot hold, and what each costs."""
     rows = []
-    for cost in found.lacks:
-        where, into = cost.lost.where, " and ".join(cost.lost.into)
+    for lost in found.lacks:
+        where, into = lost.where, " and ".join(lost.into)
         everywhere = not where or set(where) == set(found.held.joints)
         rows.append(
             cells(
-                effect_cell(cost.lost.effect, units),
+                effect_cell(lost.effect, units),
                 "all" if everywhere else ", ".join(where),
                 f"fitted into {into}" if into else "left out",
-                *([] if cost.nrms is None else [number(cost.nrms)]),
+                *([] if lost.nrms is None else [number(lost.nrms)]),
             )
         )
     head = ("effect", "where", "in the files", *(() if found.costs is None else ("nrms",)))
@@ -460,12 +460,12 @@ def export_dict(found: ProvenExport) -> dict[str, Any]:
         ],
         "lacks": [
             {
-                "effect": cost.lost.effect,
-                "where": list(cost.lost.where),
-                "into": list(cost.lost.into),
-                **({} if cost.nrms is None else {"nrms": cost.nrms}),
+                "effect": lost.effect,
+                "where": list(lost.where),
+                "into": list(lost.into),
+                **({} if lost.nrms is None else {"nrms": lost.nrms}),
             }
-            for cost in found.lacks
+            for lost in found.lacks
         ],
         "error": {}
         if costs is None

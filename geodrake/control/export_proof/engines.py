@@ -34,6 +34,7 @@ from geodrake.model.file_terms import Damping, DryFriction, Rotor
 from geodrake.model.robot_model import RobotModel, load_description
 from geodrake.model.second_opinion import second_opinion
 from geodrake.robot.files.description import drake_errors, drake_messages
+from geodrake.robot.files.mjcf_source import quiet_mujoco
 from geodrake.robot.files.packages import add_packages, named_packages
 from geodrake.robot.followers import joint_names
 from geodrake.robot.plant import free_roots
@@ -263,16 +264,11 @@ class MujocoEngine(Engine):
 
     @contextmanager
     def _warning_here(self) -> Iterator[None]:
-        """Take MuJoCo's warnings, which it would print, and write into a file where it runs."""
-        before = self._mj.get_mju_user_warning()
-        self._mj.set_mju_user_warning(self._take_warning)
-        try:
+        """Take MuJoCo's warnings as messages."""
+        with quiet_mujoco() as said:
             yield
-        finally:
-            self._mj.set_mju_user_warning(before)
-
-    def _take_warning(self, words: str) -> None:
-        self.messages = tuple(dict.fromkeys((*self.messages, words.partition(" Time =")[0])))
+        words = (each.partition(" Time =")[0] for each in said)
+        self.messages = tuple(dict.fromkeys((*self.messages, *words)))
 
     def _start_history(self, data: Any, controls: Array) -> None:
         """Have late actuators be told the first signals all the time before."""

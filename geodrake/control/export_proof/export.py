@@ -61,31 +61,16 @@ Progress = Callable[[str], object]
 
 
 @dataclass(frozen=True)
-class Cost:
-    """An effect that an export lacks, and what that costs.
-
-    Attributes:
-        lost: The effect, and what stands in its place.
-        nrms: nrms with it approximated or left out, and all else as it is; None without logs.
-    """
-
-    lost: Lost
-    nrms: float | None
-
-
-@dataclass(frozen=True)
 class Costs:
     """Errors of a model and of its export on logs.
 
     Attributes:
-        effects: What each effect costs that the export lacks, alone; the largest first.
         ignored: nrms of what the export holds less what the simulator does not act upon; None
             where it acts upon all.
     """
 
     whole: float
     held: float
-    effects: tuple[Cost, ...]
     ignored: float | None
 
 
@@ -94,6 +79,7 @@ class ProvenExport:
     """An export, and what is known about it.
 
     Attributes:
+        lacks: The effects that it cannot hold; with logs, those that cost most first.
         costs: Errors on the logs; None without logs.
         notes: What was done to the logs, and what is worth knowing about the files.
     """
@@ -101,7 +87,7 @@ class ProvenExport:
     form: ExportFormat
     exported: Exported
     held: RobotModel
-    lacks: tuple[Cost, ...]
+    lacks: tuple[Lost, ...]
     costs: Costs | None
     proof: Proof
     notes: tuple[str, ...]
@@ -192,11 +178,10 @@ def export_with_proof(
                 path.write_bytes(content)
             first = Path(scratch) / next(iter(again.files))
             proof = prove(held.model, first, form.engines, compared(motions), starts)
-    costs = None
+    costs, lacks = None, held.lost
     if case is not None:
         progress("Comparing it with the logs")
-        costs = costs_of(case, held, form, motions, proof.ignored)
-    lacks = costs.effects if costs else tuple(Cost(lost, None) for lost in held.lost)
+        costs, lacks = costs_of(case, held, form, motions, proof.ignored)
     notes = [*(model.notes if case is None else case.notes), *exported.notes, *proof.notes]
     if told := [servo.joint for servo in servos_of(model) if servo and not form.servos]:
         notes.append(
@@ -273,8 +258,8 @@ def costs_of(
     form: ExportFormat,
     motions: Sequence[Motion],
     ignored: Sequence[str],
-) -> Costs:
-    """Return the errors with and without what an export lacks.
+) -> tuple[Costs, tuple[Lost, ...]]:
+    """Return the errors with and without what an export lacks, and that with what each costs.
 
     Args:
         ignored: Names of effects upon which the simulator does not act.
@@ -289,13 +274,10 @@ def costs_of(
 
     acting = tuple(f for f in held.model.effects if f.effect.name not in ignored)
     acted = replace(held.model, effects=acting)
-    found = [Cost(lost, nrms(without(lost.effect))) for lost in held.lost]
-    return Costs(
-        whole=comparison(case).errors.nrms,
-        held=nrms(held.model),
-        effects=tuple(sorted(found, key=lambda cost: -(cost.nrms or 0.0))),
-        ignored=nrms(acted) if len(acting) < len(held.model.effects) else None,
-    )
+    lacks = [replace(lost, nrms=nrms(without(lost.effect))) for lost in held.lost]
+    ignored_too = nrms(acted) if len(acting) < len(held.model.effects) else None
+    costs = Costs(comparison(case).errors.nrms, nrms(held.model), ignored_too)
+    return costs, tuple(sorted(lacks, key=lambda lost: -(lost.nrms or 0.0)))
 
 
 def lost_integrals(model: RobotModel, form: ExportFormat, case: Case | None) -> tuple[str, ...]:

@@ -32,11 +32,13 @@ class Lost:
     Attributes:
         where: The joints or bodies where the model has it.
         into: Names of the effects that stand in its place, fitted to it; none if it is left out.
+        nrms: That of logs with it approximated or left out, and all else as it is; None if unknown.
     """
 
     effect: str
     where: tuple[str, ...]
     into: tuple[str, ...]
+    nrms: float | None = None
 
 
 @dataclass(frozen=True, eq=False)
