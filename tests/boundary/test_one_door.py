@@ -56,6 +56,7 @@ CHECKED = {
     "logs/files/lcm_log.py": {"EventLog"},
     "logs/files/lerobot_dataset.py": {"read_table"},
     "logs/files/ros_bag.py": {"Reader"},
+    "model/second_opinion.py": {"AddModels"},
     "robot/files/description.py": {"ProcessModelDirectives"},
     "robot/shapes.py": {"AddModels"},
 }
