@@ -96,20 +96,6 @@ def test_wrench_is_the_rate_of_momentum_less_gravity(kinds, seed):
     np.testing.assert_allclose(ours, expected, atol=2e-6 * np.abs(expected).max())
 
 
-@settings(max_examples=30)
-@given(st.lists(st.sampled_from(sorted(JOINTS)), min_size=1, max_size=7), st.integers(0, 2**32 - 1))
-def test_poses_are_drakes(kinds, seed):
-    rng = np.random.default_rng(seed)
-    plant = random_plant(rng, kinds)
-    q = rng.uniform(-2, 2, (2, plant.num_positions()))
-    poses, context = body_poses(plant, q), plant.CreateDefaultContext()
-    for i, positions in enumerate(q):
-        plant.SetPositions(context, positions)
-        for b, body in enumerate(lumped_bodies(plant)):
-            X_WB = plant.EvalBodyPoseInWorld(context, plant.get_body(body.body_index))
-            np.testing.assert_allclose(poses[i, b], X_WB.GetAsMatrix4(), atol=1e-12)
-
-
 @settings(max_examples=50)
 @given(st.integers(0, 2**32 - 1), st.floats(-1, 1))
 def test_zero_moment_point_is_the_centre_of_pressure(seed, height):

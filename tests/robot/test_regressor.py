@@ -1,4 +1,4 @@
-"""The regressor against Drake on random trees of every joint type, and its other forms."""
+"""Regressors, slopes of efforts and poses against Drake on random trees of every joint type."""
 
 import weakref
 
@@ -7,12 +7,16 @@ import pytest
 from chain_logs import inverse_dynamics as drakes_efforts
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from pydrake.autodiffutils import AutoDiffXd, ExtractGradient, InitializeAutoDiff
 from pydrake.multibody.plant import MultibodyPlant
-from pydrake.multibody.tree import RevoluteJoint
+from pydrake.multibody.tree import MultibodyForces_, RevoluteJoint
 from random_plants import JOINTS, random_body, random_motion, random_plant, random_tree
 
 from geodrake.errors import ArgumentError, ModelError
 from geodrake.inertia import inertial_parameters
+from geodrake.inertia.bodies import lumped_bodies
+from geodrake.robot.effort_slopes import effort_slopes
+from geodrake.robot.floating_base import body_poses
 from geodrake.robot.joints import joint_motions
 from geodrake.robot.kinematics import KinematicTree
 from geodrake.robot.regressor import (
@@ -23,12 +27,51 @@ from geodrake.robot.regressor import (
 )
 
 
+def drake_slopes(plant, q, v, vd):
+    """(N, nv, nq + 2 nv) derivatives of the effort."""
+    smooth = plant.ToAutoDiffXd()
+    context, forces = smooth.CreateDefaultContext(), MultibodyForces_[AutoDiffXd](smooth)
+    nq, nv = q.shape[1], v.shape[1]
+    slopes = np.empty((len(q), nv, nq + 2 * nv))
+    for i in range(len(q)):
+        x = InitializeAutoDiff(np.concatenate([q[i], v[i], vd[i]])).ravel()
+        smooth.SetPositions(context, x[:nq])
+        smooth.SetVelocities(context, x[nq : nq + nv])
+        effort = smooth.CalcInverseDynamics(context, x[nq + nv :], forces)
+        slopes[i] = ExtractGradient(effort - smooth.CalcGravityGeneralizedForces(context))
+    return slopes
+
+
+def assert_slopes_are_drakes(plant, motion):
+    found, expected = (
+        effort_slopes(plant, *motion, inertial_parameters(plant)),
+        drake_slopes(plant, *motion),
+    )
+    (nq, nv), scale = (x.shape[1] for x in motion[:2]), np.abs(expected).max(initial=0.0)
+    for mobilizer in KinematicTree.from_plant(plant).mobilizers:
+        at, own = mobilizer.positions.start, mobilizer.velocities
+        for name, first in (("position", 0), ("velocity", nq), ("acceleration", nq + nv)):
+            ours = getattr(found, name)[:, :, own]
+            if own.stop - own.start > 1:
+                assert np.isnan(ours).all()
+            else:
+                theirs = expected[:, :, [first + (own.start if first else at)]]
+                np.testing.assert_allclose(ours, theirs, atol=1e-11 * scale)
+
+
 def assert_equals_drake(plant, rng):
     motion = random_motion(plant, rng, 4)
     efforts = inverse_dynamics_regressor(plant, *motion) @ inertial_parameters(plant).ravel()
     expected = drakes_efforts(plant, *motion)
     scale = np.abs(expected).max(initial=0.0)
     np.testing.assert_allclose(efforts, expected, rtol=1e-10, atol=1e-10 * scale)
+    assert_slopes_are_drakes(plant, [x[:3] for x in motion])
+    poses, context = body_poses(plant, motion[0]), plant.CreateDefaultContext()
+    for own, q in zip(poses, motion[0], strict=True):
+        plant.SetPositions(context, q)
+        for pose, body in zip(own, lumped_bodies(plant), strict=True):
+            X_WB = plant.EvalBodyPoseInWorld(context, plant.get_body(body.body_index))
+            np.testing.assert_allclose(pose, X_WB.GetAsMatrix4(), atol=1e-12)
 
 
 @pytest.fixture(scope="module")
@@ -42,7 +85,8 @@ def test_every_joint_type_alone_and_inside_a_chain(kind):
     rng = np.random.default_rng(0)
     assert_equals_drake(random_plant(rng, [kind]), rng)
     if kind != "none":
-        assert_equals_drake(random_plant(rng, ["revolute", kind, "revolute"], chain=True), rng)
+        kinds = ["revolute", kind, "prismatic", "revolute"]
+        assert_equals_drake(random_plant(rng, kinds, chain=True), rng)
 
 
 @settings(max_examples=60)
