@@ -4,12 +4,12 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from chain_logs import inverse_dynamics as drakes_efforts
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from known_robots import (
     HUMANOIDS,
     assert_close,
+    cases,
     description,
     efforts_on_a_free_base,
     plant_of,
@@ -31,6 +31,7 @@ from geodrake.robot.floating_base import (
     zero_moment_point,
 )
 from geodrake.robot.plant import load_plant
+from geodrake.robot.regressor import inverse_dynamics
 
 MODELS = Path(__file__).parents[2] / "models"
 
@@ -41,21 +42,8 @@ def wrench(plant, q, v, vd, **frame):
     return base_wrench_regressor(plant, q, v, vd, **frame) @ inertial_parameters(plant).ravel()
 
 
-@pytest.mark.parametrize("name", [*HUMANOIDS, "robots/tiago_description/robots/tiago.urdf"])
-def test_wrench_on_a_floating_base_is_drakes(name):
-    plant = plant_of(description(name), floating=True)
-    rng = np.random.default_rng(0)
-    q, v, vd = random_motion(plant, rng, 3)
-    q[:, :4] /= np.linalg.norm(q[:, :4], axis=1, keepdims=True)
-    X_WP = np.broadcast_to(np.eye(4), (3, 4, 4)).copy()
-    X_WP[:, :3, 3] = q[:, 4:7]  # about the base's origin, expressed in the world
-    efforts = drakes_efforts(plant, q, v, vd)
-    for ours, theirs in zip(wrench(plant, q, v, vd, X_WP=X_WP), efforts[:, :6], strict=True):
-        assert_close(ours, theirs)
-
-
-@pytest.mark.parametrize("name", HUMANOIDS)
-def test_wrench_in_the_base_is_pinocchios(name):
+@pytest.mark.parametrize("name", cases(*HUMANOIDS))
+def test_efforts_and_wrench_of_a_free_base_are_pinocchios(name):
     text = description(name)
     plant = plant_of(text, floating=True)
     q, v, vd = random_motion(plant, np.random.default_rng(1), 3)
@@ -63,8 +51,11 @@ def test_wrench_in_the_base_is_pinocchios(name):
     (root,) = plant.GetFloatingBaseBodies()
     base = [body.body_index for body in lumped_bodies(plant)].index(root)
     ours = wrench(plant, q, v, vd, X_WP=body_poses(plant, q)[:, base])
-    for i, (_, theirs, _, _) in enumerate(efforts_on_a_free_base(text, plant, q, v, vd)):
+    efforts = inverse_dynamics(plant, q, v, vd, inertial_parameters(plant))
+    for i, (R, theirs, tau, at) in enumerate(efforts_on_a_free_base(text, plant, q, v, vd)):
         assert_close(ours[i], theirs)
+        assert_close(efforts[i, at], tau)
+        assert_close(efforts[i, :6], np.concatenate([R @ theirs[:3], R @ theirs[3:]]))
 
 
 @settings(max_examples=30)

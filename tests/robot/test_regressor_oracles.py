@@ -9,7 +9,6 @@ from known_robots import (
     assert_close,
     cases,
     description,
-    efforts_on_a_free_base,
     moving_joints,
     plant_of,
     random_motion,
@@ -38,18 +37,6 @@ def test_every_entry_is_pinocchios(name):
             theirs[pins] = sample[i, drake]
         expected = pinocchio.computeJointTorqueRegressor(model, data, *state)[np.ix_(pins, columns)]
         assert_close(ours[i][drake][:, bodies].reshape(len(joints), -1), expected)
-
-
-@pytest.mark.parametrize("name", cases(*HUMANOIDS))
-def test_efforts_on_a_floating_base_are_pinocchios(name):
-    text = description(name)
-    plant = plant_of(text, floating=True)
-    q, v, vd = random_motion(plant, 3)
-    q[:, :4] /= np.linalg.norm(q[:, :4], axis=1, keepdims=True)
-    efforts = inverse_dynamics(plant, q, v, vd, inertial_parameters(plant))
-    for i, (R, wrench, tau, ours) in enumerate(efforts_on_a_free_base(text, plant, q, v, vd)):
-        assert_close(efforts[i, ours], tau)
-        assert_close(efforts[i, :6], np.concatenate([R @ wrench[:3], R @ wrench[3:]]))
 
 
 # MuJoCo refuses the last link of tx40, which has no mass.
