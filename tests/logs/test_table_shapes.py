@@ -512,3 +512,17 @@ def test_files_that_are_none_of_their_kind(tmp_path, name, text, words):
     (tmp_path / name).write_text(text)
     with pytest.raises(LogError, match=words):
         read_log(tmp_path / name)
+
+
+def test_rows_with_some_of_the_columns_are_brought_together(tmp_path):
+    """Positions and efforts of two tables that an outer join made one."""
+    pandas = pytest.importorskip("pandas")
+    early, late = np.arange(400) * 0.01, np.arange(200) * 0.02 + 0.003
+    moved = pandas.DataFrame({"time": early, "a.position": np.sin(2.0 * early)})
+    heard = pandas.DataFrame({"time": late, "a.effort": np.cos(late)})
+    moved.merge(heard, on="time", how="outer").to_csv(tmp_path / "log.csv", index=False)
+    log = read_log(tmp_path / "log.csv")
+    np.testing.assert_array_equal(log.time, late)
+    np.testing.assert_array_equal(log.effort[:, 0], np.cos(late))
+    np.testing.assert_allclose(log.position[:, 0], np.sin(2.0 * late), atol=1e-4)
+    assert "all are brought to the instants of the rarest, 200 of 600 rows" in log.notes[-1]

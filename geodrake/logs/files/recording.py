@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 from geodrake.errors import LogError
 from geodrake.logs.files.column_mapping import Columns
+from geodrake.logs.files.joined_tables import at_instants
 from geodrake.logs.files.packed_files import log_name
 from geodrake.logs.files.registers import are_whole, signed_register
 from geodrake.logs.files.table import TornRows
@@ -20,6 +21,7 @@ Array = NDArray[np.float64]
 LEAST_ROWS = 10
 TICKS = 4096  # of a turn, of servos with twelve bits
 _FIRST = 1000  # rows that mostly tell that numbers are no whole ones
+_RUN, _ENOUGH_ROWS = 20, 100  # rows without an empty cell that are of use, and of a column
 _STILL = 2e-3  # rad or m, by which a joint may move and still stand
 
 
@@ -75,6 +77,18 @@ class Recording:
             values = {quantity: numbers[kept] for quantity, numbers in values.items()}
             alone = {joint: numbers[kept] for joint, numbers in alone.items()}
             floating = {name: numbers[kept] for name, numbers in floating.items()}
+        if (rows := _rows_of_the_rarest(time, values)) is not None:
+
+            def known(quantity: str, numbers: Array) -> Array:
+                there, holds = np.isfinite(numbers) & np.isfinite(time), quantity == "command"
+                return at_instants(time[rows], time[there], numbers[there], holds=holds)
+
+            values = {q: np.stack([known(q, c) for c in x.T], 1) for q, x in values.items()}
+            alone = {joint: known("position", numbers) for joint, numbers in alone.items()}
+            floating = {name: known("command", numbers) for name, numbers in floating.items()}
+            count, time = len(time), time[rows]
+            words = "rows have some columns each: all are brought to the instants of the rarest"
+            more += (f"{words}, {len(time)} of {count} rows",)
         return JointLog(
             log_name(self.columns.path),
             self.columns.joints,
@@ -185,6 +199,26 @@ class Recording:
             return time, ()
         found = time_unit(source.column, time)
         return (time, ()) if found is None else (found[0] * time, (found[1],))
+
+
+def _rows_of_the_rarest(time: Array, values: Mapping[str, Array]) -> NDArray[np.bool_] | None:
+    """Return rows (N,) that have the column which fewest have; None of a log with whole rows.
+
+    It has whole rows if half of them come in runs that are long enough to be of use.
+    """
+    quantities = [values[q] for q in ("position", "effort", "command") if q in values]
+    if all(np.isfinite(numbers).all() for numbers in quantities):
+        return None
+    known = [np.isfinite(column) for numbers in quantities for column in numbers.T]
+    known = [each for each in known if each.any()]
+    rarest = min(known, key=np.count_nonzero, default=np.zeros(0, bool))
+    if np.count_nonzero(rarest) < _ENOUGH_ROWS:
+        return None
+    whole = np.logical_and.reduce(known)
+    edges = np.flatnonzero(np.diff(np.concatenate([[False], whole, [False]]).astype(np.int8)))
+    lengths = edges[1::2] - edges[::2]
+    has_whole = 2 * lengths[lengths >= _RUN].sum() >= np.count_nonzero(rarest)
+    return None if has_whole else rarest & np.isfinite(time)
 
 
 def _with_column(numbers: Array, at: int, column: Array | float) -> Array:
