@@ -8,8 +8,21 @@ import pytest
 
 from geodrake.control import roll_out
 from geodrake.control.rollout import commanded_motions
-from geodrake.effects import EffortDelay, FittedEffect, RotorInertia, ViscousFriction
+from geodrake.control.rollout.passages import chosen_passages
+from geodrake.control.rollout.simulation import simulations
+from geodrake.control.rollout.stepping import stepping
+from geodrake.effects import (
+    CoulombFriction,
+    EffortDelay,
+    EffortScale,
+    FittedEffect,
+    Hysteresis,
+    LoadDependentFriction,
+    RotorInertia,
+    ViscousFriction,
+)
 from geodrake.errors import ArgumentError, LogError
+from geodrake.identification.logs.case import open_case
 from geodrake.logs.motion import JointLog
 from geodrake.model import EffortSignal
 from geodrake.model.saved_model import load_model
@@ -188,3 +201,37 @@ def test_logs_without_commands_are_refused(arm):
         roll_out(model, [replace(log, command=None)], commands=True)
     with pytest.raises(ArgumentError, match="horizon"):
         roll_out(model, [log], horizon=0.0, commands=True)
+
+
+@pytest.mark.parametrize("integral", [0.0, 60.0])
+def test_steps_move_a_rigid_robot_as_drake_does(arm, integral):
+    """With dry friction that grows with the load, bristles, a wrong gain, integrals and a limit."""
+    log, model = arm
+    kinds = (
+        (LoadDependentFriction("a"), 0.2),
+        (CoulombFriction("b"), 0.4),
+        (Hysteresis("a", 0.02), 0.5),
+        (EffortScale("b"), 0.1),
+    )
+    more = tuple(FittedEffect(effect, np.array([value])) for effect, value in kinds)
+    servos = tuple(replace(servo, integral=integral) for servo in model.effort_signals)
+    robot = replace(model, effects=(*model.effects, *more), effort_signals=servos)
+    case = open_case(robot, [log], candidates=False)
+    passages = chosen_passages(case, 0.5, 3)
+    found = stepping(case, passages, commands=True).positions()
+    drake = simulations(case, passages, commands=True)(log.name)
+    for passage, steps in zip(passages, found, strict=True):
+        exact = drake.positions(passage)
+        assert np.ptp(exact, axis=0).min() > 0.05
+        assert np.abs(steps - exact).max() < 2e-3
+
+
+def test_a_robot_that_flies_apart_has_no_positions(arm):
+    """From where it is too fast on."""
+    log, model = arm
+    case = open_case(model, [log], candidates=False)
+    whole = stepping(case, chosen_passages(case, 0.5, 4), commands=True)
+    slow = replace(whole, fastest=5e-7 * whole.fastest).positions()
+    gone = np.array([np.isnan(positions).all(axis=1) for positions in slow])
+    assert 0.1 < gone.mean() < 0.9 and (np.diff(gone.astype(int)) >= 0).all()
+    assert np.isfinite(whole.positions()).all()

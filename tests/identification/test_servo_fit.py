@@ -450,3 +450,17 @@ def test_a_limit_that_the_servo_does_not_keep_is_none(tmp_path):
     fit = fit_servo(motions, EffortSignal("hinge", "command", 50.0), 5.0)
     assert fit.limit == np.inf
     assert fit.parameters[0] == pytest.approx(TRUTH[0], rel=0.03)
+
+
+def test_a_joint_without_damping_at_an_unknown_limit():
+    rows, time = np.zeros((3000, 8)), 0.004 * np.arange(3000)
+    rows[:, 1], rows[:, 7] = 0.5, np.sin(2.0 * time) + 0.5 * np.sin(5.1 * time)
+    motions = JointMotions((rows,), (rows[:, 4],), (0.004,))
+    true = [40.0, 3.0, 0.0, 0.3, 0.05, 0.01, 0.0, 0.0, 0.0]
+    moved = motions.simulated(motions.servo(true, limit=6.0))
+    rows[:, 4], rows[:, 5] = moved, np.gradient(moved, time)
+    rows[:, 6] = np.gradient(rows[:, 5], time)
+    rows[:, 0] = 0.5 * rows[:, 6]
+    fit = fit_servo(JointMotions((rows,), (moved,), (0.004,)), EffortSignal("a", "command", 40.0))
+    assert fit.limit / fit.parameters[0] == pytest.approx(6.0 / 40.0, rel=0.02)
+    assert fit.error < 1e-2 * fit.moved

@@ -58,7 +58,7 @@ class Acting:
         gains = servo_gains(model) if self._servoed else np.zeros((4, count))
         kp, kd, self._ki = (np.where(self._told, gain, 0.0) for gain in gains[:3])
         limits = np.where(self._told, gains[3], np.inf)
-        self._gains = ServoGains(kp, kd, self._ki, limits, np.zeros(count))
+        self.gains = ServoGains(kp, kd, self._ki, limits, np.zeros(count))
 
     def add(self, builder: DiagramBuilder, state: OutputPort) -> OutputPort:
         """Add the systems that make the efforts (n), N·m or N, and return their output.
@@ -66,7 +66,7 @@ class Acting:
         Args:
             state: Positions and velocities (2n) as they are measured, in the model's order.
         """
-        zero, gains = PiecewisePolynomial(np.zeros(len(self._told))), self._gains
+        zero, gains = PiecewisePolynomial(np.zeros(len(self._told))), self.gains
         names = ("feedforward", *(_COMMANDS if self._servoed else ()))
         self._sources = {name: builder.AddSystem(TrajectorySource(zero)) for name in names}
         if not self._servoed:
@@ -93,22 +93,28 @@ class Acting:
         """Set integrals to what they have grown to in the log, by its efforts."""
         if self._ki.any():
             context = self._servo.GetMyMutableContextFromRoot(root)
-            context.SetContinuousState(self._begun(passage))
+            context.SetContinuousState(self.begun(passage))
 
     def along(self, passage: Passage) -> EffortAlong:
         """Return what acts in a passage whose motors move as they were measured."""
         segment, beside = passage.segment, self._beside(passage)
         if not self._servoed:
             none = np.zeros(len(self._ki))
-            return EffortAlong(beside, np.zeros_like(beside), self._gains, none)
+            return EffortAlong(beside, np.zeros_like(beside), self.gains, none)
         command, rate = self._commands(passage, passage.time)
         behind = np.where(self._told, command - segment.position, 0.0)
         error = ServoError(behind, rate - segment.velocity, np.zeros_like(behind), beside)
-        unlimited = self._gains._replace(limit=np.full(len(self._ki), np.inf))
+        unlimited = self.gains._replace(limit=np.full(len(self._ki), np.inf))
         effort = servo_effort(unlimited, error)
-        return EffortAlong(effort, behind, self._gains, self._begun(passage))
+        return EffortAlong(effort, behind, self.gains, self.begun(passage))
 
-    def _begun(self, passage: Passage) -> Array:
+    def told(self, passage: Passage, time: Array) -> Array:
+        """Return commands, their rates, and efforts beside servos (3, K, n) at instants (K,)."""
+        beside = self._beside(passage)
+        efforts = [np.interp(time, passage.time, column) for column in beside.T]
+        return np.array([*self._commands(passage, time), np.transpose(efforts)])
+
+    def begun(self, passage: Passage) -> Array:
         """Return the integrals (n,) when a passage begins, rad·s or m·s."""
         begun, instants = np.zeros(len(self._ki)), self._log.time - passage.began
         known = np.isfinite(instants)

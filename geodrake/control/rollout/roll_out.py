@@ -10,13 +10,15 @@ import numpy as np
 
 from geodrake.boundary.arguments import function, instance, instances, integer, number, typed
 from geodrake.control.rollout.acting import told_joints
-from geodrake.control.rollout.passages import Span, chosen_passages
+from geodrake.control.rollout.passages import Passage, Span, chosen_passages
 from geodrake.control.rollout.results import Rollout, Window
 from geodrake.control.rollout.simulation import simulations
+from geodrake.control.rollout.stepping import stepping, steps_alone
 from geodrake.effects import Role
 from geodrake.effects.lookup import effect_of
 from geodrake.errors import LogError
 from geodrake.identification.logs.case import Case, checked_logs, open_case
+from geodrake.inertia import Array
 from geodrake.logs.motion import JointLog
 from geodrake.model.robot_model import RobotModel
 from geodrake.model.servos import servos_of
@@ -44,8 +46,9 @@ def roll_out(
 ) -> Rollout:
     """Simulate a model under the efforts of logs, or under their commands, window by window.
 
-    The simulation is a Drake diagram: the plant with the model's inertias, `EffectForce` with its
-    effects, and the measured efforts, advanced by the model's delays. It runs in the time of the
+    What acts are the measured efforts, advanced by the model's delays. A rigid robot is simulated
+    in all windows at a time, by implicit steps (`rollout.stepping`); any other one by a Drake
+    diagram of the plant with the model's inertias and `EffectForce`. Either is in the time of the
     log, so that friction that drifts has drifted, and contacts act in their log when they did.
     Hidden states, such as the bend of bristles, start as the measured motion before the window
     leaves them. Soft joints and play are motors and links with a spring or a dead band between
@@ -136,16 +139,33 @@ def case_rollout(
             advice="Roll out under efforts, or give logs with columns <joint>.command.",
         )
     chosen = chosen_passages(case, horizon, most, within)
+    notes = dict.fromkeys(_unheard(case) if commands else ())
     simulation = simulations(case, chosen, commands=commands)
-    windows, notes = list[Window](), dict.fromkeys(_unheard(case) if commands else ())
-    for done, passage in enumerate(chosen):
-        log, segment = passage.log, passage.segment
+    together = steps_alone(model)
+    groups = dict[str | Passage, list[Passage]]()
+    for passage in chosen:
+        groups.setdefault(_alike(case, passage.log) if together else passage, []).append(passage)
+    found, done = dict[Passage, Array](), 0
+    for group in groups.values():
         if progress is not None:
-            progress(f"{log} {segment.time[0]:.1f} s", done / len(chosen))
-        simulated = simulation(log).positions(passage)
-        windows.append(Window(log, segment.time, segment.position, simulated))
-        notes |= dict.fromkeys(simulation(log).notes)
+            first = group[0]
+            progress(f"{first.log} {first.segment.time[0]:.1f} s", done / len(chosen))
+        done += len(group)
+        if together:
+            found |= zip(group, stepping(case, group, commands=commands).positions(), strict=True)
+            continue
+        (passage,) = group
+        found[passage] = simulation(passage.log).positions(passage)
+        notes |= dict.fromkeys(simulation(passage.log).notes)
+    windows = [Window(p.log, p.segment.time, p.segment.position, found[p]) for p in chosen]
     return Rollout.of(model.joints, windows, horizon, (*case.notes, *notes), commands)
+
+
+def _alike(case: Case, log: str) -> str:
+    """Return the name of a log whose passages are simulated by themselves, or no name."""
+    episodes = any(fitted.effect.role is Role.EPISODE for fitted in case.model.effects)
+    carries = any(trajectory.payloads for trajectory in case.trajectories)
+    return log if episodes or carries else ""
 
 
 def _unheard(case: Case) -> list[str]:

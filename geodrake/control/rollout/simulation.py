@@ -11,7 +11,7 @@ from pydrake.systems.framework import Context, DiagramBuilder, EventStatus
 
 from geodrake.control.rollout.acting import Acting
 from geodrake.control.rollout.passages import Passage
-from geodrake.effects import FittedEffect, RobotMotion
+from geodrake.effects import Effect, FittedEffect, RobotMotion
 from geodrake.effects.deflection import DeflectionEffect
 from geodrake.errors import LogError
 from geodrake.identification.logs.case import Case
@@ -34,9 +34,10 @@ AT_START = 9
 LARGEST_STEP = 5e-3  # of the integrator, s
 _ACCURACY = 1e-3
 _STEPS, _TIMES = 60_000, 20  # that a rollout may take in all, and times those without a care
-_FASTEST = 1e6  # peak speeds of the log, beyond which no robot is simulated any more
+FASTEST = 1e6  # peak speeds of the log, beyond which no robot is simulated any more
+LEAST_SPEED = 1e-3  # rad/s or m/s, that counts as a peak
 _STIFF = 4e3  # rate of decay from which on an implicit integrator is the faster one, 1/s
-_SIGN_WIDTH = 5e-3  # share of a joint's peak speed below which dry friction fades
+SIGN_WIDTH = 5e-3  # share of a joint's peak speed below which dry friction fades
 _BEFORE = 0.5  # s before a passage, from which on links are followed through dead bands
 _CHANGE = 1e-6  # of velocities, for rates of decay
 
@@ -65,8 +66,8 @@ def simulations(
                 f"{', '.join(trajectory.contacts.frames)}, without which the robot falls.",
                 advice="Log what feet measure: <link>.force.x, .y and .z; or use geodrake compare.",
             )
-    fastest = np.maximum(peak_speeds(case.trajectories), 1e-3)
-    sign_width = case.model.sign_widths(_SIGN_WIDTH * fastest)
+    fastest = np.maximum(peak_speeds(case.trajectories), LEAST_SPEED)
+    sign_width = case.model.sign_widths(SIGN_WIDTH * fastest)
     calm = sum(max(len(p.time), (p.time[-1] - p.time[0]) / LARGEST_STEP) for p in passages)
     steps = iter(range(_STEPS + round(_TIMES * calm)))
 
@@ -237,29 +238,14 @@ class Simulation:
         if self._driving is not None:
             state = self._plant.GetPositionsAndVelocities(context)
             velocity = self._driving.model_state(state)[1]
-        inside = bool((np.abs(velocity) < _FASTEST * self._fastest).all())
+        inside = bool((np.abs(velocity) < FASTEST * self._fastest).all())
         if inside and next(self._steps, None) is not None:
             return EventStatus.DidNothing()
         return EventStatus.ReachedTermination(self._diagram, "beyond all reason")
 
     def _remember(self, passage: Passage, root: Context) -> None:
         """Leave the hidden states of effects as the measured motion before a passage does."""
-        effects = [effect for effect in self._force.effects if effect.state_count]
-        if not effects:
-            return
-        first = passage.segment[:2]  # the direction in which a log begins takes two samples
-        positions = self.model.positions
-        seen = self.model.motion(
-            Motion(
-                positions(first.position),
-                first.velocity,
-                first.acceleration,
-                passage.time[:2],
-                positions(passage.before),
-            ),
-            sign_width=self.sign_width,
-        )
-        states = {effect: effect.states_along(seen)[0] for effect in effects}
+        states = hidden_states(self.model, passage, self.sign_width)
         self._force.set_hidden_states(self._force.GetMyMutableContextFromRoot(root), states)
 
     def _decay(self, root: Context) -> float:
@@ -282,6 +268,23 @@ class Simulation:
 def _fastest_decay(slope: Array) -> float:
     """Return the fastest rate, 1/s, of rates that change by (n, n) with small velocities."""
     return float(np.abs(np.linalg.eigvals(slope / _CHANGE)).max())
+
+
+def hidden_states(model: RobotModel, passage: Passage, sign_width: Array) -> dict[Effect, Array]:
+    """Return hidden states (s,) of effects as the measured motion before a passage leaves them."""
+    effects = [fitted.effect for fitted in model.effects if fitted.effect.state_count]
+    if not effects:
+        return {}
+    first = passage.segment[:2]  # the direction in which a log begins takes two samples
+    motion = Motion(
+        model.positions(first.position),
+        first.velocity,
+        first.acceleration,
+        passage.time[:2],
+        model.positions(passage.before),
+    )
+    seen = model.motion(motion, sign_width=sign_width)
+    return {effect: effect.states_along(seen)[0] for effect in effects}
 
 
 # Where links of soft joints are when a passage begins, and how they move: springs bend as their

@@ -455,7 +455,7 @@ class _Search:
         """Return (11 + S,) sizes of the numbers of a servo, about that by a linear fit."""
         needed = self.motions.needed
         scale = np.full(len(start), float(np.std(needed)) or 1.0)  # of no effort, any size
-        least = [0.0, 0.02 * start[0], 0.0, 1e-3, 1e-4, 0.01]
+        least = [0.0, 0.02 * start[0], 0.01 * start[0], 1e-3, 1e-4, 0.01]
         scale[:_OFFSET] = np.maximum(start[:_OFFSET], least)
         scale[_LOAD], scale[_INTEGRAL] = _USUAL_LOAD, max(self.told, start[0])
         scale[[_LIMIT, _SHARE]] = float(np.abs(needed).max()) or 1.0, 1.0
