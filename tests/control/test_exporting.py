@@ -10,6 +10,7 @@ import numpy as np
 import pinocchio
 import pytest
 from chain_logs import inverse_dynamics
+from mujoco_efforts import mujoco_efforts
 from pydrake.multibody.parsing import Parser
 from pydrake.multibody.plant import DiscreteContactApproximation, MultibodyPlant
 
@@ -196,13 +197,8 @@ def test_mujoco_computes_the_same_from_the_file(tmp_path):
         assert compiled.dof_frictionloss == pytest.approx([0.4, 0.0])
         assert compiled.dof_damping.ravel()[:2] == pytest.approx([0.7, 1.1])
         assert compiled.dof_armature == pytest.approx([0.06, 0.3])
-        compiled.opt.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_FRICTIONLOSS)
-        data, moved = mujoco.MjData(compiled), motion(model)
-        found = []
-        for q, v, vd in zip(moved.q, moved.v, moved.vd, strict=True):
-            data.qpos[:], data.qvel[:], data.qacc[:] = q, v, vd
-            mujoco.mj_inverse(compiled, data)
-            found.append(data.qfrc_inverse.copy())
+        moved = motion(model)
+        found = mujoco_efforts(compiled, range(2), moved.q, moved.v, moved.vd)
         ours = model.effort(moved)
         np.testing.assert_allclose(found, ours - dry(model, moved), atol=1e-9)
         np.testing.assert_allclose(load_model(path).effort(moved), ours, atol=1e-9)
@@ -256,15 +252,9 @@ def test_joints_that_follow_others_follow_them_in_all_formats(tmp_path):
 def followed_in_mujoco(path, model, moved):
     """Efforts (N, n) at the leaders, along whose motion the equalities do no work."""
     theirs, J = mujoco.MjModel.from_xml_path(str(path)), model.coordinates.constant
-    theirs.opt.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_LIMIT)
-    data, at = mujoco.MjData(theirs), [theirs.joint(name).id for name in joint_names(model.plant)]
-    found = []
-    for q, v, vd in zip(model.plant_positions(moved.q), moved.v @ J.T, moved.vd @ J.T, strict=True):
-        data.qpos[at], data.qvel[at], data.qacc[at] = q, v, vd
-        mujoco.mj_inverse(theirs, data)
-        assert theirs.neq == 1 and np.abs(data.efc_pos).max() < 1e-9
-        found.append(J.T @ (data.qfrc_inverse + data.qfrc_constraint)[at])
-    return np.array(found)
+    assert theirs.neq == 1
+    whole = model.plant_positions(moved.q), moved.v @ J.T, moved.vd @ J.T
+    return mujoco_efforts(theirs, joint_names(model.plant), *whole) @ J
 
 
 def test_several_files_become_one(tmp_path):

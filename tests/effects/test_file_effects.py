@@ -5,6 +5,7 @@ import dataclasses
 import mujoco
 import numpy as np
 import pytest
+from mujoco_efforts import mujoco_efforts
 from pydrake.systems.framework import DiagramBuilder
 
 from geodrake import load_model, save_model
@@ -39,15 +40,9 @@ def arm(tmp_path):
     return path
 
 
-def theirs(path, q, v, vd):
+def theirs(path, *motion):
     """MuJoCo's efforts (N, nv) of its own coordinates."""
-    model = mujoco.MjModel.from_xml_path(str(path))
-    model.opt.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_CONSTRAINT)
-    data, found = mujoco.MjData(model), []
-    for data.qpos[:], data.qvel[:], data.qacc[:] in zip(q, v, vd, strict=True):
-        mujoco.mj_inverse(model, data)
-        found.append(np.array(data.qfrc_inverse))
-    return np.array(found)
+    return mujoco_efforts(mujoco.MjModel.from_xml_path(str(path)), "abc", *motion)
 
 
 def random(count):

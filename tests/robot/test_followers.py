@@ -5,6 +5,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from known_robots import assert_close, robots
+from mujoco_efforts import mujoco_efforts
 
 from geodrake import load_model, save_model
 from geodrake.errors import ModelError
@@ -185,18 +186,8 @@ def test_efforts_are_those_of_mujoco_with_equalities(tmp_path):
     assert model.joints == ("j",)
     motion, rates = motion_of(width=1), model.coordinates.constant.T
     theirs = mujoco.MjModel.from_xml_string(MJCF.format(""))
-    data, efforts = mujoco.MjData(theirs), []
     whole = [model.plant_positions(motion.q), motion.v @ rates, motion.vd @ rates]
-    names = [theirs.joint(k).name for k in range(3)]
-    order = [["j", "k", "s"].index(name) for name in names]
-    J = np.array([1.0, -0.5, 0.3])[order]
-    for q, v, vd in zip(*whole, strict=True):
-        data.qpos[:], data.qvel[:], data.qacc[:] = q, v, vd
-        mujoco.mj_fwdPosition(theirs, data)
-        assert np.abs(data.efc_pos).max() < 1e-12  # the equalities hold
-        mujoco.mj_inverse(theirs, data)
-        # Forces of the constraint do no work: they vanish along J.
-        efforts.append(J @ (data.qfrc_inverse + data.qfrc_constraint))
+    efforts = mujoco_efforts(theirs, "jks", *whole) @ [1.0, -0.5, 0.3]
     np.testing.assert_allclose(model.motion(motion).load[:, 0], efforts, rtol=1e-9, atol=1e-9)
 
 

@@ -5,6 +5,7 @@ import threading
 import mujoco
 import numpy as np
 import pytest
+from mujoco_efforts import mujoco_efforts
 from pydrake.geometry import Box, Capsule, Mesh
 
 from geodrake import load_model
@@ -55,18 +56,14 @@ def efforts(model, path, change=lambda theirs: None):
     """Efforts (N, n) at the joints of one degree of freedom, the model's and MuJoCo's."""
     theirs = mujoco.MjModel.from_xml_path(str(path))
     change(theirs)
-    theirs.opt.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_CONSTRAINT)
-    data, (q, v, vd) = mujoco.MjData(theirs), np.random.default_rng(0).uniform(-1, 1, (3, 4, 9))
-    q, v, vd = (x[:, : len(model.joints)] for x in (q, v, vd))
-    at = [theirs.joint(joint).id for joint in model.joints]
-    found = []
-    for k in range(len(q)):
-        data.qpos[theirs.jnt_qposadr[at]] = q[k]
-        data.qvel[theirs.jnt_dofadr[at]], data.qacc[theirs.jnt_dofadr[at]] = v[k], vd[k]
-        mujoco.mj_inverse(theirs, data)
-        dry = theirs.dof_frictionloss * np.sign(data.qvel)
-        found.append((data.qfrc_inverse + dry)[theirs.jnt_dofadr[at]])
-    return model.effort(Motion(q, v, vd)), np.array(found)
+    motion = np.random.default_rng(0).uniform(-1, 1, (3, 4, 9))[..., : len(model.joints)]
+    return model.effort(Motion(*motion)), with_dry(theirs, model.joints, *motion, closed=False)
+
+
+def with_dry(theirs, joints, q, v, vd, closed=True):
+    """MuJoCo's efforts (N, n), its dry friction included."""
+    dry = [theirs.dof_frictionloss[theirs.joint(joint).dofadr[0]] for joint in joints]
+    return mujoco_efforts(theirs, joints, q, v, vd, closed=closed) + dry * np.sign(v)
 
 
 def assert_as_mujoco(folder, text, joints, change=lambda theirs: None):
@@ -528,14 +525,11 @@ def test_springs_of_a_finger_that_follows_are_at_its_leader(tmp_path):
     ).replace('pos=".02 0 0"/>', 'pos=".02 0 0" stiffness="1" springref="10"/>')
     model = load_model(write(tmp_path, text))
     theirs = mujoco.MjModel.from_xml_path(str(tmp_path / "robot.xml"))
-    theirs.opt.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_CONSTRAINT)
-    data = mujoco.MjData(theirs)
-    for q, v, vd in np.random.default_rng(0).uniform(-1, 1, (5, 3)):
-        data.qpos[:], data.qvel[:], data.qacc[:] = (q, 0.1 - 2 * q), (v, -2 * v), (vd, -2 * vd)
-        mujoco.mj_inverse(theirs, data)
-        effort = data.qfrc_inverse + theirs.dof_frictionloss * np.sign(data.qvel)
-        ours = model.effort(Motion(np.array([[q]]), np.array([[v]]), np.array([[vd]])))
-        assert ours[0, 0] == pytest.approx(effort[0] - 2 * effort[1], rel=1e-9)
+    motion, J = np.random.default_rng(0).uniform(-1, 1, (3, 5, 1)), np.array([1.0, -2.0])
+    expected = (
+        with_dry(theirs, "at", *(motion * J + np.multiply.outer([1, 0, 0], [[0.0, 0.1]]))) @ J
+    )
+    np.testing.assert_allclose(model.effort(Motion(*motion))[:, 0], expected, rtol=1e-9)
     assert model.joints == ("a",) and not model.left_out
 
 

@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 from coupled_arm import text
 from known_robots import assert_close
+from mujoco_efforts import mujoco_efforts
 
 from geodrake import load_model, save_model
 from geodrake.errors import ModelError
@@ -113,24 +114,13 @@ def test_joints_that_follow_polynomials_are_those_of_mujoco(tmp_path):
     model = loaded(tmp_path, "", "m.xml", MJCF.format(BENT))
     assert model.joints == ("j", "s")
     theirs = mujoco.MjModel.from_xml_string(MJCF.format(BENT))
-    data = mujoco.MjData(theirs)
-    q, v, vd = np.random.default_rng(0).uniform(-0.8, 0.8, (3, 5, 2))
-    load = model.motion(Motion(q, v, vd)).load
-    for k in range(5):
-        x, w, a = q[k, 0], v[k, 0], vd[k, 0]
-        y = 0.1 + x + 0.4 * x**2 - 0.3 * x**3 + 0.2 * x**4
-        slope, bend = 1 + 0.8 * x - 0.9 * x**2 + 0.8 * x**3, 0.8 - 1.8 * x + 2.4 * x**2
-        for joint, motion in (
-            ("j", (x, w, a)),
-            ("k", (y, slope * w, slope * a + bend * w**2)),
-            ("s", (q[k, 1], v[k, 1], vd[k, 1])),
-        ):
-            data.joint(joint).qpos[:], data.joint(joint).qvel[:] = motion[:2]
-            data.joint(joint).qacc[:] = motion[2]
-        mujoco.mj_inverse(theirs, data)
-        forces = data.qfrc_inverse + data.qfrc_constraint
-        at = {n: int(theirs.joint(n).dofadr[0]) for n in ("j", "k", "s")}
-        assert_close(load[k], [forces[at["j"]] + slope * forces[at["k"]], forces[at["s"]]])
+    motion = np.random.default_rng(0).uniform(-0.8, 0.8, (3, 5, 2))
+    x, w, a = motion[..., 0]
+    y = 0.1 + x + 0.4 * x**2 - 0.3 * x**3 + 0.2 * x**4
+    slope, bend = 1 + 0.8 * x - 0.9 * x**2 + 0.8 * x**3, 0.8 - 1.8 * x + 2.4 * x**2
+    follower = np.stack([y, slope * w, slope * a + bend * w**2])[..., None]
+    j, s, k = mujoco_efforts(theirs, "jsk", *np.concatenate([motion, follower], axis=-1)).T
+    assert_close(model.motion(Motion(*motion)).load, np.stack([j + slope * k, s], axis=1))
 
 
 def test_a_leader_of_a_polynomial_holds_its_follower(tmp_path):

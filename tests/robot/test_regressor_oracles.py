@@ -13,6 +13,7 @@ from known_robots import (
     plant_of,
     random_motion,
 )
+from mujoco_efforts import mujoco_efforts
 
 from geodrake.inertia import inertial_parameters
 from geodrake.robot.regressor import inverse_dynamics, inverse_dynamics_regressor
@@ -45,17 +46,8 @@ def test_efforts_of_arms_are_mujocos(name):
     mujoco = pytest.importorskip("mujoco")
     text = description(name)
     plant, model = plant_of(text), mujoco.MjModel.from_xml_string(text)
-    model.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_CONSTRAINT
-    data, (q, v, vd) = mujoco.MjData(model), random_motion(plant, 5)
-    efforts = inverse_dynamics(plant, q, v, vd, inertial_parameters(plant))
-    joints = moving_joints(plant)
+    motion, joints = random_motion(plant, 5), moving_joints(plant)
+    efforts = inverse_dynamics(plant, *motion, inertial_parameters(plant))
     ours = [joint.velocity_start() for joint in joints]
-    theirs = [model.joint(joint.name()).dofadr[0] for joint in joints]
-    for i in range(5):
-        data.qpos[theirs], data.qvel[theirs], data.qacc[theirs] = (
-            q[i, ours],
-            v[i, ours],
-            vd[i, ours],
-        )
-        mujoco.mj_inverse(model, data)
-        assert_close(efforts[i, ours], data.qfrc_inverse[theirs])
+    names = [joint.name() for joint in joints]
+    assert_close(efforts[:, ours], mujoco_efforts(model, names, *(x[:, ours] for x in motion)))
