@@ -2,6 +2,7 @@
 
 from dataclasses import dataclass
 
+import mujoco
 import numpy as np
 
 JOINT = '<joint name="{0}" type="hinge" axis="0 1 0" {1}/>'
@@ -108,30 +109,28 @@ class Constrained:
     """MuJoCo's model of a text, with its constraints as equations.
 
     Attributes:
-        mujoco: The package.
         m: The compiled model.
         free: (n,) velocities that are given; the others follow.
     """
 
-    mujoco: object
     m: object
     free: np.ndarray
 
     @classmethod
-    def of(cls, mujoco, text, free):
+    def of(cls, text, free):
         m = mujoco.MjModel.from_xml_string(text)
-        return cls(mujoco, m, np.array([m.joint(name).dofadr[0] for name in free]))
+        return cls(m, np.array([m.joint(name).dofadr[0] for name in free]))
 
     def closed(self, qpos):
         """The positions near some others at which all equalities hold, and G (nv, n)."""
-        data, m = self.mujoco.MjData(self.m), self.m
+        data, m = mujoco.MjData(self.m), self.m
         data.qpos[:] = qpos
         others = [k for k in range(m.nv) if k not in self.free]
         for _ in range(20):
             J, c = self.equations(data)
             step = np.zeros(m.nv)
             step[others] = -np.linalg.lstsq(J[:, others], c, rcond=None)[0]
-            self.mujoco.mj_integratePos(m, data.qpos, step, 1.0)
+            mujoco.mj_integratePos(m, data.qpos, step, 1.0)
         J, c = self.equations(data)
         assert np.abs(c).max() < 1e-12
         G = np.zeros((m.nv, len(self.free)))
@@ -141,8 +140,8 @@ class Constrained:
 
     def equations(self, data):
         """J and c of the equalities."""
-        self.mujoco.mj_fwdPosition(self.m, data)
-        own = data.efc_type == int(self.mujoco.mjtConstraint.mjCNSTR_EQUALITY)
+        mujoco.mj_fwdPosition(self.m, data)
+        own = data.efc_type == int(mujoco.mjtConstraint.mjCNSTR_EQUALITY)
         J = np.array(data.efc_J).reshape(-1, self.m.nv)[own]
         return J, np.array(data.efc_pos)[own]
 
@@ -151,30 +150,30 @@ class Constrained:
         there = []
         for sign in (1.0, -1.0):
             moved = np.array(qpos)
-            self.mujoco.mj_integratePos(self.m, moved, G @ v, sign * step)
+            mujoco.mj_integratePos(self.m, moved, G @ v, sign * step)
             there.append(self.closed(moved)[1])
         return (there[0] - there[1]) @ v / (2.0 * step)
 
     def inverse(self, qpos, qvel, qacc):
         """The efforts (nv,) of the open tree, springs, damping and armature included."""
-        data, flags = self.mujoco.MjData(self.m), self.m.opt.disableflags
+        data, flags = mujoco.MjData(self.m), self.m.opt.disableflags
         data.qpos[:], data.qvel[:], data.qacc[:] = qpos, qvel, qacc
-        self.m.opt.disableflags |= int(self.mujoco.mjtDisableBit.mjDSBL_CONSTRAINT)
-        self.mujoco.mj_inverse(self.m, data)
+        self.m.opt.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_CONSTRAINT)
+        mujoco.mj_inverse(self.m, data)
         self.m.opt.disableflags = flags
         return np.array(data.qfrc_inverse)
 
     def acceleration(self, qpos, qvel, effort):
         """q̈ (nv,) under efforts (nv,), of M q̈ + Jᵀ λ = τ − h and J q̈ = −J̇ q̇."""
         m, h = self.m, 1e-6
-        data = self.mujoco.MjData(m)
+        data = mujoco.MjData(m)
         data.qpos[:] = qpos
         J, _ = self.equations(data)
         rates = []
         for sign in (1.0, -1.0):
-            near = self.mujoco.MjData(m)
+            near = mujoco.MjData(m)
             near.qpos[:] = qpos
-            self.mujoco.mj_integratePos(m, near.qpos, qvel, sign * h)
+            mujoco.mj_integratePos(m, near.qpos, qvel, sign * h)
             rates.append(self.equations(near)[0] @ qvel)
         still = np.zeros(m.nv)
         drift = self.inverse(qpos, qvel, still)

@@ -3,6 +3,7 @@
 from dataclasses import replace
 from functools import cache
 
+import mujoco
 import numpy as np
 import pytest
 from closed_loops import four_bar, four_bar_sdf, gripper, leg
@@ -14,8 +15,6 @@ from geodrake.errors import LogError
 from geodrake.identification.logs.compare import compare
 from geodrake.logs import JointLog, read_log
 from geodrake.model.logged_joints import log_of_model, model_of_logs, reading_for
-
-mujoco = pytest.importorskip("mujoco")
 
 STEP, RATE, GAIN, DAMPING = 2e-4, 200.0, 60.0, 3.0
 WAVES = 2 * np.pi * np.array([0.21, 0.33, 0.5, 0.81, 1.1, 1.6])

@@ -4,7 +4,6 @@ import numpy as np
 import pytest
 
 pytest.importorskip("pinocchio")
-pytest.importorskip("mujoco")
 
 from diagrams.benchmarks.hidden import bars, logs, robots, scoring
 from diagrams.benchmarks.hidden.robots import (

@@ -3,6 +3,7 @@
 import re
 from dataclasses import replace
 
+import mujoco
 import numpy as np
 import pytest
 from chain_logs import inverse_dynamics as drakes_efforts
@@ -112,7 +113,6 @@ def test_slopes_and_jacobians_are_differences(name, request):
 
 def test_mujoco_moves_so_under_motors_on_tendons(wrist):
     """MuJoCo's fixed tendons have the length J⁻¹ θ of the motors; their forces are our efforts."""
-    mujoco = pytest.importorskip("mujoco")
     spec = mujoco.MjSpec.from_string(text())
     for motor, row in zip(wrist.joints, np.linalg.inv(J), strict=True):
         tendon = spec.add_tendon(name=motor)

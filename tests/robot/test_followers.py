@@ -2,6 +2,7 @@
 
 from pathlib import Path
 
+import mujoco
 import numpy as np
 import pytest
 from known_robots import assert_close, robots
@@ -181,7 +182,6 @@ MJCF = """<mujoco model="m"><option gravity="0 0 -9.81"/><worldbody>
 
 
 def test_efforts_are_those_of_mujoco_with_equalities(tmp_path):
-    mujoco = pytest.importorskip("mujoco")
     model = loaded(tmp_path, MJCF.format(""), "m.xml")
     assert model.joints == ("j",)
     motion, rates = motion_of(width=1), model.coordinates.constant.T

@@ -2,6 +2,7 @@
 
 from dataclasses import replace
 
+import mujoco
 import numpy as np
 import pytest
 from closed_loops import (
@@ -24,8 +25,6 @@ from geodrake.errors import ArgumentError, ModelError
 from geodrake.logs import Motion
 from geodrake.model import holding
 from geodrake.model.dynamics_check import check_dynamics
-
-mujoco = pytest.importorskip("mujoco")
 
 COUPLER, ROCKER = 'diaginertia=".003 .004 .0025"/>', 'diaginertia=".005 .004 .0035"/>'
 
@@ -98,7 +97,7 @@ def test_efforts_are_those_of_mujoco_through_its_own_constraints(tmp_path, name)
     text, free = ROBOTS[name]
     model = load(tmp_path, text)
     assert model.joints == tuple(free.split()) and not model.left_out
-    assert_as_mujoco(model, Constrained.of(mujoco, text, free.split()), states(model))
+    assert_as_mujoco(model, Constrained.of(text, free.split()), states(model))
 
 
 def rod_motion(angles, rates, accelerations, axes):
@@ -116,7 +115,7 @@ def rod_motion(angles, rates, accelerations, axes):
 
 def test_a_leg_with_a_rod_between_balls_is_mujocos(tmp_path):
     model = load(tmp_path, leg())
-    constrained = Constrained.of(mujoco, leg(), ())
+    constrained = Constrained.of(leg(), ())
     m = constrained.m
     free = ("hip", "knee", "shin", "heel", "crank", "rod_spin")
     assert set(model.joints) == set(free)
@@ -213,7 +212,7 @@ def test_a_loop_that_reaches_its_end_says_where(tmp_path):
 @pytest.mark.parametrize("name", ROBOTS)
 def test_forward_dynamics_are_those_with_mujocos_constraint_forces(tmp_path, name):
     text, free = ROBOTS[name]
-    model, constrained = load(tmp_path, text), Constrained.of(mujoco, text, free.split())
+    model, constrained = load(tmp_path, text), Constrained.of(text, free.split())
     driving = model.driving(np.full(len(model.joints), 1e-9))
     for q, v, effort in zip(*states(model, 3), strict=True):
         qpos, G = constrained.closed(in_mujoco(model, constrained, q))
@@ -270,7 +269,7 @@ def test_a_saved_model_has_its_loop_and_terms_again(tmp_path):
 
 
 def test_a_held_joint_holds_all_of_its_loop(tmp_path):
-    model, constrained = load(tmp_path, gripper()), Constrained.of(mujoco, gripper(), ["left"])
+    model, constrained = load(tmp_path, gripper()), Constrained.of(gripper(), ["left"])
     q, v, vd = states(model, 3)
     for held in (holding(model, {"left": 0.3}), load(tmp_path, gripper(), lock={"left": 0.3})):
         assert held.joints == ("arm",)
@@ -383,7 +382,7 @@ def twins(folder, text, tail="", **options):
     """A model of an SDF, and the one of the four-bar of its names in MJCF."""
     (folder / "robot.sdf").write_text(text)
     other = four_bar(rocker='damping=".1"').replace("</mujoco>", f"{tail}</mujoco>")
-    return load_model(folder / "robot.sdf", **options), Constrained.of(mujoco, other, ["crank"])
+    return load_model(folder / "robot.sdf", **options), Constrained.of(other, ["crank"])
 
 
 def assert_twins(model, constrained):
@@ -426,7 +425,7 @@ def test_a_prismatic_joint_may_close_a_loop(tmp_path):
     assert model.joints == other.joints == ("crank",) and "slide" in model.sliding_joints
     motion = Motion(*states(model))
     np.testing.assert_allclose(model.effort(motion), other.effort(motion), rtol=1e-9)
-    constrained = Constrained.of(mujoco, plain, ["crank"])
+    constrained = Constrained.of(plain, ["crank"])
     assert_as_mujoco(other, constrained, states(model))
 
 
@@ -586,7 +585,7 @@ def random_robot(seed):
 def test_random_loops_in_space_are_mujocos(tmp_path, seed):
     text = random_robot(seed)
     model = load(tmp_path, text)
-    constrained = Constrained.of(mujoco, text, model.joints)
+    constrained = Constrained.of(text, model.joints)
     assert len(model.joints) == 1 + (2 if "<weld" in text else 3) and not model.left_out
     (drive,) = model.transmission
     q, v, vd = states(model, 4, seed, spread=0.2)
@@ -599,7 +598,7 @@ def test_a_loop_begins_where_the_file_draws_it(tmp_path):
     text = four_bar()
     for joint, ref in (("crank", 0.7), ("coupler", -0.4), ("rocker", 1.1)):
         text = text.replace(f'<joint name="{joint}"', f'<joint name="{joint}" ref="{ref}"')
-    model, constrained = load(tmp_path, text), Constrained.of(mujoco, text, ["crank"])
+    model, constrained = load(tmp_path, text), Constrained.of(text, ["crank"])
     plain = load(tmp_path, four_bar())
     assert model.default_position("crank") == pytest.approx(0.7)
     there = model.plant_positions(np.array([[0.7]]))[0]

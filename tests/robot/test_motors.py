@@ -1,5 +1,6 @@
 """What model files state of motors: ros_control's formulas, MuJoCo's tendons and polynomials."""
 
+import mujoco
 import numpy as np
 import pytest
 from coupled_arm import text
@@ -87,7 +88,6 @@ BENT = '<equality><joint joint1="k" joint2="j" polycoef="0.1 1 0.4 -0.3 0.2"/></
 
 
 def test_tendons_of_mujoco_are_coupled_motors(tmp_path):
-    mujoco = pytest.importorskip("mujoco")
     model = loaded(tmp_path, "", "m.xml", MJCF.format(TENDONS), transmission="file")
     assert set(model.joints) == {"m1", "m2", "m3"}
     theirs = mujoco.MjModel.from_xml_string(MJCF.format(TENDONS))
@@ -110,7 +110,6 @@ def test_tendons_of_mujoco_are_coupled_motors(tmp_path):
 
 def test_joints_that_follow_polynomials_are_those_of_mujoco(tmp_path):
     """Forces of the constraint do no work along J(q), which changes with q."""
-    mujoco = pytest.importorskip("mujoco")
     model = loaded(tmp_path, "", "m.xml", MJCF.format(BENT))
     assert model.joints == ("j", "s")
     theirs = mujoco.MjModel.from_xml_string(MJCF.format(BENT))

@@ -1,5 +1,6 @@
 """The regressor against Pinocchio and MuJoCo on robots that people have."""
 
+import mujoco
 import numpy as np
 import pytest
 from known_robots import (
@@ -43,7 +44,6 @@ def test_every_entry_is_pinocchios(name):
 # MuJoCo refuses the last link of tx40, which has no mass.
 @pytest.mark.parametrize("name", cases(*sorted({*ARMS} - {"reference/tx40.urdf"})))
 def test_efforts_of_arms_are_mujocos(name):
-    mujoco = pytest.importorskip("mujoco")
     text = description(name)
     plant, model = plant_of(text), mujoco.MjModel.from_xml_string(text)
     motion, joints = random_motion(plant, 5), moving_joints(plant)
