@@ -19,6 +19,7 @@ _RATES = 5.0, 5000.0  # rows a second of a log
 _ROWS = 100_000  # that tell the unit
 _SLOWEST = 2.0  # s between rows: no log has more
 _MOST_SETS = 5  # of a clock, in a log
+_SMOOTHER = 0.5  # times as much as before positions bend in the order of time
 _EVEN = 0.02  # share of the rows before and after, at least, and ten of them
 _REPEATED = 0.05  # share of rows that may have the stamp of the row before
 _FEWEST, _BEGIN = 50, 20_000  # rows that tell bursts, and among which these are looked for
@@ -81,6 +82,26 @@ def with_clock_set_back(time: Array) -> tuple[Array, tuple[str, ...]]:
         )
         found[rows[k + 1] :] += gap - steps[k]
     return found, tuple(notes)
+
+
+def order_of_time(time: Array, position: Array) -> NDArray[np.intp] | None:
+    """Return the order of rows by time, where many are in none; None where they are in order.
+
+    Positions must be smooth in that order, and not as they are: those of two recordings are not,
+    nor those of rows whose time is damaged.
+
+    Args:
+        time: (N,) time stamps, s.
+        position: (N, n) positions, rad or m.
+    """
+    rows = np.flatnonzero(np.isfinite(time))
+    backwards = np.count_nonzero(np.diff(time[rows]) < 0.0)
+    if len(rows) < _FEWEST or backwards <= _EVEN * len(rows):
+        return None
+    order = rows[np.argsort(time[rows], kind="stable")]
+    repeated = np.count_nonzero(np.diff(time[order]) == 0.0)
+    bends = [np.nanmean(np.abs(np.diff(position[each], 2, axis=0))) for each in (order, rows)]
+    return order if repeated == 0 and bends[0] < _SMOOTHER * bends[1] else None
 
 
 def evened(time: Array, position: Array) -> tuple[Array, tuple[str, ...]]:

@@ -526,3 +526,21 @@ def test_rows_with_some_of_the_columns_are_brought_together(tmp_path):
     np.testing.assert_array_equal(log.effort[:, 0], np.cos(late))
     np.testing.assert_allclose(log.position[:, 0], np.sin(2.0 * late), atol=1e-4)
     assert "all are brought to the instants of the rarest, 200 of 600 rows" in log.notes[-1]
+
+
+@pytest.mark.parametrize("late", [0.1, 1.0])
+def test_rows_out_of_order_are_sorted_where_that_makes_positions_smooth(tmp_path, late):
+    """A tenth of them came one row late, or all in any order."""
+    rng, time = np.random.default_rng(3), np.arange(400) * 0.01
+    rows = np.stack([time, np.sin(3.0 * time), np.cos(time)], 1)
+    late_by = 1.5 if late < 1.0 else rng.random(400) * 400.0
+    order = np.argsort(np.arange(400) + late_by * (rng.random(400) < late), kind="stable")
+    path, header = tmp_path / "log.csv", ["time", "a.position", "a.effort"]
+    _write(path, header, rows[order])
+    log = read_log(path)
+    np.testing.assert_allclose(log.position[:, 0], rows[:, 1], atol=1e-9)
+    assert "rows were not in the order of time: sorted by it" in log.notes
+    rows[:, 0] = time[order]  # time alone is damaged
+    _write(path, header, rows)
+    with pytest.raises(LogError, match="backwards"):
+        read_log(path)

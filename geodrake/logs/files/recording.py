@@ -14,7 +14,7 @@ from geodrake.logs.files.packed_files import log_name
 from geodrake.logs.files.registers import are_whole, signed_register
 from geodrake.logs.files.table import TornRows
 from geodrake.logs.motion import PASSIVE, JointLog
-from geodrake.logs.time_stamps import evened, repeats, time_unit, with_clock_set_back
+from geodrake.logs.time_stamps import evened, order_of_time, repeats, time_unit, with_clock_set_back
 
 Array = NDArray[np.float64]
 
@@ -59,6 +59,11 @@ class Recording:
         """Return the log."""
         time, notes = self._seconds(self.time)
         time, more = with_clock_set_back(time)
+        if (order := order_of_time(time, self.values["position"])) is not None:
+            time, more = time[order], (*more, "rows were not in the order of time: sorted by it")
+            self.values = {quantity: numbers[order] for quantity, numbers in self.values.items()}
+            self._standing = {joint: numbers[order] for joint, numbers in self._standing.items()}
+            self._floating = {name: numbers[order] for name, numbers in self._floating.items()}
         time, even = evened(time, self.values["position"])
         more += even
         again = repeats(time)
