@@ -229,7 +229,12 @@ def demo(given: options.DemoOptions) -> None:
     folder = files("geodrake") / "demo"
     with as_file(folder / DEMO_MODEL) as model, as_file(folder / DEMO_LOG) as data:
         told = Options(
-            model=model, logs=[data], json=given.json, report=given.report, quiet=given.quiet
+            model=model,
+            logs=[data],
+            json=given.json,
+            report=given.report,
+            quiet=given.quiet,
+            details=given.details,
         )
         run_explain(told, DEMO_TIME)
 

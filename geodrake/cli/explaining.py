@@ -126,7 +126,7 @@ def _explained(given: Input) -> Explained:
     motions = _motions(given, explanation)
     if explanation.verdict != "unexplained":
         return Explained(explanation, (), motions)
-    given.progress("Looking what the rest goes with")
+    given.progress("Looking for what the remaining error varies with")
     return Explained(explanation, rest_correlates(found), motions)
 
 

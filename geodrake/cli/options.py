@@ -223,6 +223,7 @@ class DemoOptions(CommonOptions):
     """
 
     report: Path = Path("geodrake_demo.html")
+    details: bool = False
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -150,7 +150,7 @@ def _run(command: Command[R], options: Any) -> R:
         )
         page = command.page(result, _about(command, options, fitted, given.extra))
         said = (*column_words(columns or (), corrected=corrects), *unchecked)
-        mistakes = Section("First of all: columns of the logs", items=said)
+        mistakes = Section("Check first: the columns of the logs", items=said)
         page = replace(page, first=(mistakes, *page.first))
         makers: dict[str, Maker] = {
             "json": lambda: numbers,
@@ -166,7 +166,7 @@ def _run(command: Command[R], options: Any) -> R:
         if options.json == STDOUT:
             print_whole(numbers)
         console = make_console(stderr=options.json == STDOUT)
-        show_page(console, page)
+        show_page(console, page, details=getattr(options, "details", True))
         show_saved(console, written, {**SAVED, **command.saved}, others)
         if command.last:
             console.print(f"\n{command.last}", soft_wrap=True)

@@ -36,6 +36,10 @@ _SHARED = {
         "FILE.csv|.parquet",
         "Write the samples: time, log, and of every joint measured, predicted and residual.",
     ),
+    "details": (
+        None,
+        "Show all: parameters, what is left, where the model fails, bodies; so does --report.",
+    ),
     "quiet": (None, "Show results and errors only, no progress."),
     "debug": (None, "Show tracebacks; GEODRAKE_DEBUG=1 does too."),
     "effects": ("FILE.py", "Know the effects of this file too; repeatable."),
@@ -116,6 +120,7 @@ class Options(ValidationOptions):
     series: Path | None = None
     correct_columns: bool = False
     no_auto_lock: bool = False
+    details: bool = False
 
     @property
     def settings(self) -> dict[str, Any]:
@@ -133,7 +138,7 @@ T = TypeVar("T", bound="DataclassInstance")
 _FIRST = ("save", "report", "json")
 _RARE = {"bandwidth", "blocks", "debug", "draft_effect", "effort_uncertainty", "known_payload"}
 _RARE |= {"no_auto_lock", "series", "horizon", "windows", "live", "speed", "seconds", "quiet"}
-_RARE |= {"ellipsoids", "scheduler", "workers"}
+_RARE |= {"ellipsoids", "scheduler", "workers", "details"}
 _ARGUMENTS = {"model", "logs", "folder", "fleet", "effect"}
 _ENTRY = re.compile(r"(?P<name>\w+)(?: \((?P<metavar>[^)]*)\))?: (?P<help>.*)")
 

@@ -41,7 +41,7 @@ class Beliefs:
         odd_joint: Odds of efforts at some joint that have nothing to do with its motion, or have
             something unknown in them.
         discrepancy: What is more than sensor noise in a residual is worth so many samples, however
-            long logs are: it goes with the motion in a way that no effect describes.
+            long logs are: it varies with the motion in a way that no effect describes.
         part: Beside an error that nothing explains, an effect that takes so many times as much of
             the squared error away is as likely itself as it is a part of something unknown.
         sharpness: With so many times the logarithm of that number, its odds grow.

@@ -26,7 +26,7 @@ _OWN = 4
 
 @dataclass(frozen=True, eq=False)
 class _Sharing:
-    """How the residual of a joint goes with what it may share with m others.
+    """How the residual of a joint varies with what it may share with m others.
 
     What friction and a rotor of its own explain is taken out of residual and columns, and both are
     scaled so that the residual is of length one.
@@ -89,7 +89,7 @@ def _look(
     motion: Sequence[tuple[int, Segment]],
     effect: type[SharedActuatorEffect],
 ) -> _Sharing:
-    """How the residual of a joint goes with what it may share with its partners."""
+    """How the residual of a joint varies with what it may share with its partners."""
     own = case.model.joints.index(joint.joint)
     others = [case.model.joints.index(name) for name in partners]
 

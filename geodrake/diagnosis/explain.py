@@ -44,7 +44,7 @@ class Investigation(Short):
     explanation: Explanation
     case: Case  # the case, with the columns of what was found
     found: Found  # what was found, without what no effect describes
-    correlates: tuple[Correlate, ...] = ()  # what that goes with
+    correlates: tuple[Correlate, ...] = ()  # what that varies with
 
 
 def explain(

@@ -105,7 +105,7 @@ def _refitted(found: Found, choice: Choice) -> Found:
 class Unnamed:
     """What no finding has."""
 
-    motion: tuple[Correlate, ...]  # what no effect describes goes with
+    motion: tuple[Correlate, ...]  # what no effect describes varies with
     loads: Mapping[str, float]  # body -> how probable a payload is that bodies take in
     gains: Mapping[str, tuple[float, float]]  # as `LogModel.usual_gains`
 

@@ -433,7 +433,7 @@ class LogModel:
             blocks = [self._residuals(fit, j) for j in range(len(self.rows))]
             found = effective_of_rows(blocks, self.rows)
             worth = np.minimum(found, self.beliefs.discrepancy)
-            # What is more than sensor noise goes with the motion, however often that repeats.
+            # What is more than sensor noise varies with the motion, however often that repeats.
             noise = np.square(NOISE_MARGIN * self.dataset.noise_floor) / fit.variance
             more = np.clip(1.0 - noise, 0.0, 1.0)
             samples = 1.0 / ((1.0 - more) / found + more / worth)

@@ -41,8 +41,8 @@ def notes_of(found: Found, case: Case, fit: ModelFit, bodies: Sequence[BodyChang
 def unnamed_notes(rest: Unnamed) -> list[str]:
     """Describe what no finding has."""
     unknown = [
-        f"what is left at {each.joint} goes with {each.words} in a way that no effect describes; "
-        "`--draft-effect FILE` looks for a formula"
+        f"the remaining error at {each.joint} varies with {each.words} in a way that no effect "
+        "describes; `--draft-effect FILE` looks for a formula"
         for each in rest.motion
     ]
     loads = [

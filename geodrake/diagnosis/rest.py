@@ -1,4 +1,4 @@
-"""What is left of an error, and how much of it goes with the motion: that no noise does."""
+"""What is left of an error, and how much of it varies with the motion: that no noise does."""
 
 from __future__ import annotations
 

@@ -17,11 +17,11 @@ Verdict = Literal["adequate", "explained", "unexplained", "undecided"]
 
 @dataclass(frozen=True)
 class Correlate:
-    """What the error that is left at a joint goes with.
+    """What the error that is left at a joint varies with.
 
     Attributes:
         words: Such as "its direction of motion times the position of wrist_1_joint".
-        share: Share of the joint's squared held-out error that goes with it.
+        share: Share of the joint's squared held-out error that varies with it.
     """
 
     joint: str
@@ -167,7 +167,7 @@ class Explanation(Shown):
         notes: What was done to the logs and noticed about the model.
         bodies: What the final fit made of the model's bodies, the farthest change first; none
             where the model stays as it is.
-        of_motion: Joint -> share of its squared error that goes with the motion: that a smooth
+        of_motion: Joint -> share of its squared error that varies with the motion: that a smooth
             function of positions and velocities predicts on held-out data. Of the final model;
             without a step, of the model refitted within its prior.
         is_interrupted: Whether the search was stopped before its end.

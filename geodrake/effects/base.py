@@ -103,7 +103,7 @@ class Effect(CheckedFields, abc.ABC):
         contains: Effects of the same place that it replaces.
         companion: The effect that is offered beside it as a pair, and fitted beside it at the end.
         jumps: Whether it jumps where a joint reverses, as dry friction does.
-        of_motor: Whether it is of a motor, its gear or its sensor of efforts, or goes with the
+        of_motor: Whether it is of a motor, its gear or its sensor of efforts, or varies with the
             effort of one: passive joints have none.
         by_drive: Whether it is the drive that does it, so that nothing in a robot's file can.
         taken_out_as: What drives that take it out of the efforts that they report call it.
@@ -271,7 +271,7 @@ class Effect(CheckedFields, abc.ABC):
         return np.zeros(len(self.parameters))
 
     def course(self, along: Array) -> Array:
-        """How it goes with time or along a way, for the proposers that try that on a residual.
+        """How it varies with time or along a way, for the proposers that try that on a residual.
 
         Args:
             along: (N,) instants since the log began, s, or positions of the joint, by `proposer`.

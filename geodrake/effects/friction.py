@@ -482,7 +482,7 @@ class ThermalFriction(JointEffect):
 
     It goes on top of `coulomb_friction` and `viscous_friction`, which have the values at T₀. F and
     c are negative where grease gets thinner, but need not be. Where the temperature is not known
-    it is T₀. `friction_drift` goes with the time instead, for logs without temperatures.
+    it is T₀. `friction_drift` varies with the time instead, for logs without temperatures.
 
     Attributes:
         reference: T₀, °C; a diagnosis takes the mean of the logs.
@@ -498,7 +498,7 @@ class ThermalFriction(JointEffect):
         Parameter("coulomb_slope", "N·m/°C"),
         Parameter("viscous_slope", "N·m·s/(rad·°C)"),
     )
-    signature = "friction that goes with the logged temperature of the joint"
+    signature = "friction that varies with the logged temperature of the joint"
     depends_on = frozenset({"v", "temperature"})
 
     @property

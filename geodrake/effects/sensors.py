@@ -72,7 +72,7 @@ class ThermalOffset(JointEffect):
     contains = (EffortOffset,)
     shapes = (Shape("reference", "°C", grid=(1.0,), scale="temperature", usual=25.0),)
     parameters = (Parameter("offset", "N·m"), Parameter("slope", "N·m/°C"))
-    signature = "an offset that goes with the logged temperature of the joint"
+    signature = "an offset that varies with the logged temperature of the joint"
     depends_on = frozenset({"temperature"})
 
     @property

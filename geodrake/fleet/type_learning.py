@@ -87,7 +87,7 @@ class _RobotTells:
         own: (p,) its own parameters.
         seen: (p, p) what it knows of μ.
         side: (p,) by which μ should be larger, times that.
-        links: (n, p) how its θ goes with μ.
+        links: (n, p) how its θ varies with μ.
         spread: (2, K + 1) squares of θ for each spread and the response, and their expectations
             for a known μ.
         scattered: (3, K) squares of its logs' scores along each spread, their expectations, and

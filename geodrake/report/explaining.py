@@ -46,8 +46,8 @@ from geodrake.report.numbers import (
 from geodrake.report.page import About, Cell, ColoredList, Page, Section, Table, Tile, cells
 from geodrake.report.rollouts import departures_table
 
-REST = "What is left goes with"
-_EVEN = "No joint errs much more under some circumstance than elsewhere."
+REST = "What the remaining error varies with"
+_EVEN = "No joint has a much larger error in some circumstance than elsewhere."
 _LEFT = Stage("left", "left without it", "measured", look="wide")
 _FORMULA = Stage("formula", "formula on held-out data", "after")
 _AGAINST = Stage("against", "one against the other", "after", look="dots")
@@ -68,7 +68,7 @@ class Explained:
     """An explanation, and what its command adds.
 
     Attributes:
-        correlates: What the error goes with that is left.
+        correlates: What the error varies with that is left.
         motions: Rollouts under commands before, after the steps, and after the last, if any.
         draft: Formulas for the rest, where they were asked for.
         added: Whether the effect was asked for, and not found.
@@ -208,6 +208,7 @@ def explanation_page(found: Explained | Explanation, about: About) -> Page:
                 REST,
                 more=("Shares of the error left at a joint on held-out data.",),
                 items=tuple(map(words.correlate_words, found.correlates)),
+                deep=True,
             ),
             *(_draft_sections(found.draft, units) if found.draft else ()),
             _motions_section(found.motions, units),
@@ -222,6 +223,7 @@ def explanation_page(found: Explained | Explanation, about: About) -> Page:
                     "payload stands among the parameters.",
                 ),
                 tables=(bodies_table(explanation.bodies),) if explanation.bodies else (),
+                deep=True,
             ),
             gains_section(signals, units),
             limits_section(signals, units),
@@ -271,6 +273,7 @@ def _parameters_section(explanation: Explanation, units: Units) -> Section:
         "Value ± standard deviation, where the fit knows one.",
         noticed if any(map(_has_noticed, explanation.steps)) else (),
         tables=tuple(parameters_table(s, units) for s in explanation.steps if s.parameters),
+        deep=True,
     )
 
 
@@ -416,13 +419,13 @@ def failing_section(models: Mapping[Stage, Comparison], chart: Chart) -> Section
         for stage, comparison in models.items()
         for said in [words.failing_list(comparison) or (_EVEN,)]
     )
-    return Section("Where it fails", lists=lists, charts=(chart,))
+    return Section("Where it fails", lists=lists, charts=(chart,), deep=True)
 
 
 def residuals_section(models: Mapping[Stage, Comparison], units: Units) -> Section:
     """Return residuals of models against velocity, position and load."""
     chart = residual_chart(models, units)
-    return Section("What the error goes with", charts=(chart,), detailed=True)
+    return Section("What the error varies with", charts=(chart,), detailed=True)
 
 
 def gains_section(signals: Sequence[EffortSignal], units: Units) -> Section:
@@ -477,7 +480,7 @@ def method_section(comparison: Comparison, *, refitted: bool) -> Section:
 
 def first_section(words: Sequence[str]) -> Section:
     """Return what is doubted of the logs and left out of them, which comes before all else."""
-    return Section("First of all: the logs", items=tuple(words))
+    return Section("Check first: the logs", items=tuple(words))
 
 
 def notes_section(notes: Sequence[str], first: Sequence[str] = ()) -> Section:

@@ -158,7 +158,7 @@ def draft_dict(draft: Draft) -> dict[str, Any]:
 
 
 def correlates_list(correlates: Iterable[Correlate]) -> list[dict[str, Any]]:
-    """What the error left goes with: joint, words, share of its squared error."""
+    """What the error left varies with: joint, words, share of its squared error."""
     return [asdict(correlate) for correlate in correlates]
 
 

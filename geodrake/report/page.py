@@ -99,6 +99,7 @@ class Section:
         more: How to read it, in paragraphs that HTML pages show when asked.
         commands: Commands to copy.
         detailed: Whether HTML pages alone have it.
+        deep: Whether terminals show it only where details are asked for.
     """
 
     title: str
@@ -111,6 +112,7 @@ class Section:
     commands: tuple[str, ...] = ()
     charts: tuple[Chart, ...] = ()
     detailed: bool = False
+    deep: bool = False
 
     @property
     def shown_tables(self) -> tuple[Table, ...]:

@@ -29,11 +29,15 @@ class ResultsConsole(Console):
         raise BrokenPipeError
 
 
-def show_page(console: Console, page: Page) -> None:
-    """Print a page: its subject, the first sections, the answer, and the rest."""
+def show_page(console: Console, page: Page, *, details: bool = True) -> None:
+    """Print a page: its subject, the first sections, the answer, and the rest.
+
+    Without details, the titles of deep sections stand for them.
+    """
     if page.subject:
         console.print(page.subject, soft_wrap=True)
-    sections = [s for s in page.shown_sections if not s.detailed and _is_printed(s)]
+    printed = [s for s in page.shown_sections if not s.detailed and _is_printed(s)]
+    sections = [s for s in printed if details or not s.deep]
     for section in filter(_is_printed, page.first):
         show_section(console, section)
     for section in sections[:1]:
@@ -42,6 +46,8 @@ def show_page(console: Console, page: Page) -> None:
         show_paragraph(console, "Verdict", page.sentence)
     for section in sections[1:]:
         show_section(console, section)
+    if hidden := [s.title for s in printed if s not in sections]:
+        show_paragraph(console, "With --details", ", ".join(hidden).lower())
 
 
 def _is_printed(section: Section) -> bool:

@@ -25,7 +25,7 @@ _MOST_NAMED = 4
 _MOST_VALUES = 2  # places whose values are listed one by one
 _LIKELY = 0.01  # probability from which on a rival is named
 _NEARLY_ALL = 0.9995
-_NOTABLE = 0.05  # share of what is left at a joint that goes with the motion
+_NOTABLE = 0.05  # share of what is left at a joint that varies with the motion
 _MOST_PLACES = 3
 _PRACTICAL = 1.5  # times the noise, up to which an error is noise for all practical purposes
 _PROPER_NAMES = {"coulomb": "Coulomb", "stribeck": "Stribeck", "com": "CoM"}
@@ -193,9 +193,9 @@ def worst_joint(errors: ErrorTable) -> JointError:
 def failing_words(case: Failing) -> str:
     """Return where a joint errs most, in a sentence."""
     return (
-        f"{case.joint} errs most {case.circumstance}: RMS {number(case.rms)} {case.unit} "
-        f"there, {number(case.elsewhere)} otherwise ({in_words(case.share)} of its squared error "
-        f"in {in_words(case.time)} of the samples)."
+        f"The error of {case.joint} is largest {case.circumstance}: "
+        f"RMS {number(case.rms)} {case.unit} there, {number(case.elsewhere)} elsewhere "
+        f"({in_words(case.share)} of its squared error in {in_words(case.time)} of the samples)."
     )
 
 
@@ -206,15 +206,15 @@ def failing_list(comparison: Comparison) -> tuple[str, ...]:
     named = {case.joint for case in comparison.failing}
     if len(comparison.errors.joints) < 2 or worst.is_noise or worst.joint in named:
         return words
-    even = (
-        f"{worst.joint} errs most of all joints (nrms {number(worst.nrms)}), and does throughout."
-    )
-    return (even, *words)
+    nrms = number(worst.nrms)
+    return (f"The error of {worst.joint} is the largest of all (nrms {nrms}), throughout.", *words)
 
 
 def correlate_words(found: Correlate) -> str:
-    """Return what the error that is left at a joint goes with, in a sentence."""
-    return f"{found.joint}: {in_words(found.share)} of what is left goes with {found.words}."
+    """Return what the error that is left at a joint varies with, in a sentence."""
+    return (
+        f"{found.joint}: {in_words(found.share)} of the remaining error varies with {found.words}."
+    )
 
 
 def explained_share(before: float, after: float) -> float:
@@ -278,13 +278,13 @@ def explanation_lead(explanation: Explanation) -> tuple[str, ...]:
     """Return what an explanation means, in paragraphs."""
     start, end = explanation.start, explanation.end
     if not explanation.steps:
-        first = f"As it stands, the model errs by {_size(start)}."
+        first = f"The error of the model as it stands is {_size(start)}."
     else:
         gone = explained_share(start.nrms, end.nrms)
         share = in_words(gone) if gone > 0 else "none"
         first = (
             f"The error on held-out data goes from nrms {number(start.nrms)} to "
-            f"{number(end.nrms)}: {share} of the squared error is gone."
+            f"{number(end.nrms)}: {share} of the squared error is removed."
         )
         worse = [step for step in explanation.steps if not lowers_error(step)]
         if worse:
@@ -304,16 +304,16 @@ def _rest(explanation: Explanation) -> str:
 
 def _left(end: ErrorTable) -> tuple[str, ...]:
     if not end.shows_noise:
-        return (f"What is left, nrms {number(end.nrms)}, cannot be compared with noise: none is "
-                "seen.",)  # fmt: skip
+        left = f"The remaining error, nrms {number(end.nrms)}, cannot be compared with noise"
+        return (f"{left}: the logs show none.",)
     return (
-        f"What is left is {_times(end)}; a better model could remove "
+        f"The remaining error is {_times(end)}; a better model could remove "
         f"{_at_most(removable_share(end))} of its square.",
     )
 
 
 def _of_motion(explanation: Explanation) -> tuple[str, ...]:
-    """Return how much of what is left goes with the motion."""
+    """Return how much of what is left varies with the motion."""
     shares = sorted(explanation.of_motion.items(), key=lambda joint: -joint[1])
     if not shares:
         return ()
@@ -325,7 +325,7 @@ def _of_motion(explanation: Explanation) -> tuple[str, ...]:
         )
     shown, more = notable[:_MOST_NAMED], len(notable) - _MOST_NAMED
     shown += [f"less at {more} more"] if more > 0 else []
-    return (f"Of its square, positions and velocities predict {listed(shown)}.",)
+    return (f"Positions and velocities predict some of its square: {listed(shown)}.",)
 
 
 def draft_advice(explanation: Explanation) -> str:
@@ -333,8 +333,8 @@ def draft_advice(explanation: Explanation) -> str:
     if explanation.verdict != "unexplained":
         return ""
     return (
-        "For a formula of what is left, run geodrake explain with --draft-effect my_effect.py: "
-        "that searches what it goes with, and writes the formula as an effect."
+        "For a formula of the remaining error, run geodrake explain with "
+        "--draft-effect my_effect.py, which writes what it finds as an effect."
     )
 
 
@@ -350,27 +350,27 @@ def diagnosis_headline(diagnosis: Diagnosis, units: Units) -> str:
 def diagnosis_lead(diagnosis: Diagnosis) -> tuple[str, ...]:
     """Return what a diagnosis means, in paragraphs."""
     if not diagnosis.candidates:
-        first = f"As it stands, the model errs by {_size(diagnosis.start)}."
+        first = f"The error of the model as it stands is {_size(diagnosis.start)}."
         if diagnosis.verdict != "unexplained":
             return first, f"{capitalized(noise_alone(diagnosis.refitted))}."
         return (first, *_left(diagnosis.refitted))
     best, *others = diagnosis.candidates
     gone = explained_share(best.error_before, best.error_after)
     first = (
-        f"Adding it and refitting takes the error on held-out data from nrms "
+        f"Adding it and refitting lowers the error on held-out data from nrms "
         f"{number(best.error_before)} to {number(best.error_after)}: {in_words(gone)} of the "
-        "squared error goes."
+        "squared error is removed."
     )
     tied = [effect_label(e) for e in dict.fromkeys(o.effect for o in others if o.tied)]
     tied = [effect for effect in tied if effect != effect_label(best.effect)]
     if tied:
-        return first, f"In its place there may be {listed(tied, 'or')}."
+        return first, f"It may be {listed(tied, 'or')} instead."
     return first, f"No other candidate {'does as well' if others else 'convinces'}."
 
 
 def comparison_headline(comparison: Comparison) -> str:
     """Return the answer of a comparison in a sentence."""
-    return f"The model errs by {_size(comparison.errors)}."
+    return f"The error is {_size(comparison.errors)}."
 
 
 def comparison_lead(comparison: Comparison) -> tuple[str, ...]:
@@ -394,7 +394,9 @@ def _size(errors: ErrorTable) -> str:
         f"{in_words(errors.nrms)} of the standard deviation of the measured efforts "
         f"(nrms {number(errors.nrms)})"
     )
-    return f"{words}, {_times(errors)}" if errors.shows_noise else f"{words}; no noise is seen"
+    return (
+        f"{words}, {_times(errors)}" if errors.shows_noise else f"{words}; the logs show no noise"
+    )
 
 
 def _times(errors: ErrorTable) -> str:
@@ -424,9 +426,8 @@ def noise_alone(errors: ErrorTable) -> str:
             f"{number(errors.nrms)}), so that more may be missing: efforts were filtered before, "
             "or their noise is not white"
         )
-    return (
-        f"what is left, nrms {number(errors.nrms)}, is sensor noise ({number(errors.floor_nrms)})"
-    )
+    nrms, floor = number(errors.nrms), number(errors.floor_nrms)
+    return f"the remaining error, nrms {nrms}, is sensor noise ({floor})"
 
 
 def _at_most(share: float) -> str:

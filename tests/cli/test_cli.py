@@ -81,7 +81,7 @@ def test_explain_tells_saves_and_writes_the_schema(log, tmp_path):
     compared = json.loads(again.stdout)  # the tables go to stderr
     assert compared["error"]["nrms"] == pytest.approx(error["end_nrms"], rel=0.3)
     assert set(compared["joints"]["elbow"]) == {"rms", "std", "nrms", "floor", "removable"}
-    assert "Verdict: The model errs by" in again.stderr
+    assert "Verdict: The error is" in again.stderr
 
 
 def test_diagnose_ranks_and_saves_the_model_as_loaded(log, tmp_path):
@@ -206,7 +206,7 @@ def test_demo_explains_the_log_that_ships(tmp_path, monkeypatch):
     page = (tmp_path / "geodrake_demo.html").read_text(encoding="utf-8")
     assert len(page) < 500_000
     assert all(f'data-stage="{key}"' in page for key in ("before", "step1", "step2", "after"))
-    assert "Where it fails: as it stands" in result.output
+    assert "With --details: " in result.output
 
 
 def test_a_joint_at_rest_is_held_unless_it_is_to_be_kept(tmp_path):

@@ -364,7 +364,7 @@ def test_what_a_format_lacks_is_fitted_into_what_it_holds(missed, tmp_path):
         return np.sum((other.effort(moved) - truth) ** 2)
 
     left_out = error(model)
-    if extra.effect.name == "coupled_rotor_inertia":  # goes with v̇ of the other joint alone
+    if extra.effect.name == "coupled_rotor_inertia":  # varies with v̇ of the other joint alone
         assert lost.into == ()
         assert error(held.model) == left_out
         return

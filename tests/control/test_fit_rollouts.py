@@ -144,7 +144,7 @@ def test_windows_count_alike_in_any_order():
 
 
 def test_what_is_known_of_other_parameters_stays(pendulum):
-    """As for a compliance that is given: nothing of it goes with the others any more."""
+    """As for a compliance that is given: nothing of it varies with the others any more."""
     model = springy(pendulum, 0.8)
     rng = np.random.default_rng(0)
     root = rng.standard_normal((13, 13))

@@ -125,7 +125,7 @@ def test_compare_names_where_it_fails(model):
     assert worst.joint == "elbow"
     assert worst.circumstance == "while it moves forwards"
     assert worst.share > 0.9
-    assert "elbow errs most while it moves forwards" in failing_words(worst)
+    assert "error of elbow is largest while it moves forwards" in failing_words(worst)
 
 
 def test_explain_finds_the_planted_friction(explained):
@@ -344,7 +344,7 @@ def test_add_puts_an_effect_where_it_is_told(model, logs):
 
 
 def test_uncertain_gains_of_efforts_are_a_second_deviation(model, logs):
-    """Friction goes with the efforts; a shape does not. Of gains the logs say something, too."""
+    """Friction varies with the efforts; a shape does not. Of gains the logs say something, too."""
     shares = (0.0, 0.05, 0.1)
     none, once, twice = (
         add(

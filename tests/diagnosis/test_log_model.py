@@ -336,7 +336,7 @@ def test_bodies_are_as_far_from_the_file_as_they_are(distance):
 
 
 def test_gains_of_efforts_that_are_wrong_make_no_sample_dependent():
-    """What they leave goes with the motion, and is known to."""
+    """What they leave varies with the motion, and is known to."""
     log = effort_log("double_pendulum", 2, lambda seen: 0.03 * seen.load, share=0.01).log
     case = open_case(PENDULUM, [log], candidates=True)
     model = searched(case).model

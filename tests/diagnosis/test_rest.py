@@ -1,4 +1,4 @@
-"""Where nothing explains the rest, `explain` says what it goes with and what to do."""
+"""Where nothing explains the rest, `explain` says what it varies with and what to do."""
 
 import json
 
@@ -81,14 +81,14 @@ def file_of(hidden, path):
 def test_command_report_and_numbers_tell_it_and_what_to_do(tmp_path):
     page, numbers = tmp_path / "log.html", tmp_path / "log.json"
     path = file_of(tightened, tmp_path / "log.csv")
-    output = run("explain", PENDULUM, path, "--report", page, "--json", numbers)
+    output = run("explain", PENDULUM, path, "--report", page, "--json", numbers, "--details")
     (verdict,) = [line for line in output.splitlines() if line.startswith("Verdict: ")]
-    assert verdict.endswith("writes the formula as an effect.")
+    assert verdict.endswith("writes what it finds as an effect.")
     assert OPTION in verdict
     lines = output.splitlines()
-    told = lines[lines.index("What is left goes with") + 1]
+    told = lines[lines.index("What the remaining error varies with") + 1]
     assert told.startswith("- elbow: 9")
-    assert told.endswith(f" % of what is left goes with {WORDS}shoulder.")
+    assert told.endswith(f" % of the remaining error varies with {WORDS}shoulder.")
     shown = " ".join(page.read_text().replace("\N{NO-BREAK SPACE}", " ").split())
     assert told.removeprefix("- ") in shown
     assert OPTION in shown

@@ -45,4 +45,4 @@ def test_signal_is_told_and_no_name(hidden, signal):
     explanation = explain(ARM, [effort_log("arm6", 1, hidden, share=0.01).log])
     assert not [step.effect for step in explanation.steps if step.probability > 0.9]
     assert explanation.verdict == "unexplained"
-    assert [note for note in explanation.notes if f"at {OWN} goes with {signal} in a" in note]
+    assert [note for note in explanation.notes if f"at {OWN} varies with {signal} in a" in note]

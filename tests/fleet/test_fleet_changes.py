@@ -60,7 +60,7 @@ def test_a_season_is_of_all_and_of_no_single_robot(found):
 
 
 def test_temperatures_tell_halls_apart():
-    """Friction goes with each hall's own temperature, which no common course could say."""
+    """Friction varies with each hall's own temperature, which no common course could say."""
     rng, histories = np.random.default_rng(7), []
     for r in range(12):
         wave = (1.0 if r % 2 else -1.0) * SEASON

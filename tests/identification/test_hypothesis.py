@@ -289,7 +289,7 @@ def test_a_gain_that_is_fitted_moves_nothing_else(model):
 
 @pytest.mark.parametrize("joint", [0, 1])
 def test_what_is_unexplained_moves_a_parameter_by_two_deviations_at_most(dataset, model, joint):
-    """By a second fit, to efforts with an error that goes with the parameter as no other does."""
+    """By a second fit, to efforts with an error that varies with the parameter as no other does."""
     unknowns = with_effects(dataset, model_unknowns(dataset, model), *EFFECTS[:4])
     worth, mse = np.zeros(2), 1e-4
     worth[joint] = WEIGHTS[joint] * mse * dataset.data[joint].samples.sum()

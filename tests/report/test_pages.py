@@ -91,7 +91,7 @@ def test_pages_hold_all_joints(count):
         text = check_self_contained(html)
         assert all(re.search(rf"\b{joint}\b", text) for joint in joints)
         assert "arm.urdf against a.csv, b.csv" in text
-        assert "errs most at speeds below 0.05 rad/s" in text
+        assert "is largest at speeds below 0.05 rad/s" in text
         assert "geodrake" in text
         assert "How errors were measured" in text
 
@@ -174,7 +174,7 @@ def test_a_diagnosis_tells_ties_and_silence():
     joints = joint_names(3)
     text = check_self_contained(page(diagnosis(joints)))
     assert "Missing: Coulomb friction + viscous friction (all 3 joints)." in text
-    assert "In its place there may be asymmetric friction." in text
+    assert "It may be asymmetric friction instead." in text
     command = "geodrake excite MODEL --tell-apart coulomb_friction,asymmetric_friction"
     assert f"{command} --save motion_1.csv" in text
     silent = diagnosis(joints, candidates=False)
@@ -298,7 +298,7 @@ def test_an_added_effect_that_makes_things_worse_is_said_to():
     assert "Joint spring does not lower it (nrms 0.565 -> 0.569)." in sentence
     assert "Added: joint spring (all 3 joints)." in sentence
     text = page(added)
-    assert "none of the squared error is gone" in text
+    assert "none of the squared error is removed" in text
     assert "explained in part" not in text
 
 
@@ -307,14 +307,14 @@ def test_the_worst_joint_is_named_where_it_errs_throughout():
     one = comparison(joint_names(5), 1.0)
     even = dataclasses.replace(one, errors=errors(joint_names(5)[::-1], 1.0))
     first, second = failing_list(even)
-    assert first == "joint_4 errs most of all joints (nrms 0.200), and does throughout."
-    assert second.startswith("joint_0 errs most at speeds below")
+    assert first == "The error of joint_4 is the largest of all (nrms 0.200), throughout."
+    assert second.startswith("The error of joint_0 is largest at speeds below")
     assert first in check_self_contained(page(even))
 
 
 def test_where_a_joint_fails_has_its_unit_and_three_digits():
     case = Failing("slide", "at speeds below 0.05 m/s", 1.67, 1.0, 0.6, 0.2, "N")
-    assert "RMS 1.67 N there, 1.00 otherwise" in failing_words(case)
+    assert "RMS 1.67 N there, 1.00 elsewhere" in failing_words(case)
     assert "RMS 167 N·m there" in failing_words(dataclasses.replace(case, rms=167.0, unit="N·m"))
 
 
@@ -327,7 +327,10 @@ def test_noise_that_is_nearly_reached_is_told():
 
 def test_one_sentence_says_what_motion_predicts():
     found = explanation(joint_names(2))
-    for share, words in ((0.3, "predict 30 % at joint_0"), (0.01, "predict less than 5.0 % of it")):
+    for share, words in (
+        (0.3, "predict some of its square: 30 % at joint_0"),
+        (0.01, "predict less than 5.0 % of it"),
+    ):
         told = dataclasses.replace(found, of_motion={"joint_0": share})
         assert words in page_of(told).sentence
 

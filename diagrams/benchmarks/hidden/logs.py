@@ -225,7 +225,7 @@ class Secret:
         where: Joints or body that are to be named; none for one of the whole robot.
         share: Its RMS as a share of the deviation of the effort, as in `Draw.shares`.
         values: Parameters that geodrake should find.
-        follows: For an effect of no catalogue, joints and signals that it goes with.
+        follows: For an effect of no catalogue, joints and signals that it varies with.
     """
 
     name: str

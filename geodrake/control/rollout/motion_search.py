@@ -191,7 +191,7 @@ def blinds(slopes: Sequence[Array], departures: Sequence[Array]) -> list[Blind]:
     """Windows that are blind to their starts, over how well they know what joints depart by.
 
     A window is worth all its samples where departures are noise of a sensor, which differs from
-    sample to sample. What else is left goes with the motion, and is worth one.
+    sample to sample. What else is left varies with the motion, and is worth one.
 
     Args:
         slopes: Of each window (N, nv, k) departures that other states at its start make.

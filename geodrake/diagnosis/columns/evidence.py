@@ -138,7 +138,7 @@ class ColumnModel:
         rows = [joint.design.rows for joint in joints]
         found = np.zeros(len(left))
         found[fit.assignment.effort] = self.samples.effective(left, rows)
-        # What is more than sensor noise goes with the motion, however often that repeats.
+        # What is more than sensor noise varies with the motion, however often that repeats.
         noise = np.square(NOISE_MARGIN * self.noise) / np.maximum(fit.mse, 1e-300)
         more = np.clip(1.0 - noise, 0.0, 1.0)
         repeated = np.minimum(found, self.beliefs.discrepancy)

@@ -3,7 +3,7 @@
 `draft_effects` explains as `geodrake.diagnosis.explain` does, and then searches sums of products of
 simple functions of positions, velocities, accelerations and loads for what takes the rest away.
 `source_of` writes what it found as effect classes of the user's own. `rest_correlates` says only
-what the rest goes with, in a fraction of the time.
+what the rest varies with, in a fraction of the time.
 """
 
 from geodrake.diagnosis.drafting.draft import draft_effects, rest_correlates

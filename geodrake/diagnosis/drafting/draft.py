@@ -42,7 +42,7 @@ from geodrake.logs.smoothing import Segment
 from geodrake.model.carried_payloads import carrying
 from geodrake.model.robot_model import RobotModel
 
-_MOST_JOINTS = 3  # of which it is reported what their error goes with
+_MOST_JOINTS = 3  # of which it is reported what their error varies with
 _MOST_CORRELATES, _TRIED = 3, 12  # of a joint, and sets of signals of which each is fitted
 _NOTABLE = 0.1  # share of the squared error that is reported
 _NO_FURTHER = 0.05  # share more than a simpler correlate has, to be reported beside it
@@ -106,7 +106,7 @@ def draft_effects(
 
 @typed
 def rest_correlates(investigation: Investigation) -> tuple[Correlate, ...]:
-    """Return what the error that an investigation left goes with, without a search for formulas.
+    """Return what the error that an investigation left varies with, without a search for formulas.
 
     Returns:
         Signals and products of two of them, for the joints that err most beyond noise.
@@ -161,8 +161,8 @@ def draft_rest(investigation: Investigation, *, progress: Progress | None = None
 def _where_fewest_joints_err(found: Found) -> tuple[Found, Hypothesis]:
     """Return what was found, or the same with bodies as the model has them if fewer joints err.
 
-    Bodies that follow what is unknown at one joint, as a hose on the sum of two angles goes with a
-    pendulum's weight, spread it over the joints further in.
+    Bodies that follow what is unknown at one joint, as a hose on the sum of two angles varies with
+    a pendulum's weight, spread it over the joints further in.
     """
     model, was, kinds = found.model, found.fit.choice, []
     for width in dict.fromkeys((was.width, model.widths[0])):
@@ -271,7 +271,7 @@ def _rivals(found: Found, joint: str) -> list[str]:
 
 
 def _correlates(found: Found, joint: str, words: Sequence[FormulaTerm]) -> list[Correlate]:
-    """Return what the error at a joint goes with, each set of signals once.
+    """Return what the error at a joint varies with, each set of signals once.
 
     Shares are of fits whose bodies need not exist, as none of them is kept.
     """

@@ -54,7 +54,7 @@ class Draft(Short):
 
     Attributes:
         effects: One for each joint where a formula convinces, in the order found.
-        correlates: What the error left goes with, joint by joint, most first.
+        correlates: What the error left varies with, joint by joint, most first.
         needless: Effects that the explanation had, and that the formulas make needless.
         before: Held-out errors without the formulas, everything that may move refitted.
     """

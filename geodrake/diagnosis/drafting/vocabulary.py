@@ -45,7 +45,7 @@ def vocabulary(
 
     Args:
         reach: Joint -> least and greatest position in the logs, rad or m. Without it, only the
-            commonest of all terms: enough to see what an error goes with, and quickly so.
+            commonest of all terms: enough to see what an error varies with, and quickly so.
 
     Returns:
         Terms, a constant first; none twice.

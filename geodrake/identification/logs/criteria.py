@@ -48,8 +48,8 @@ LARGEST = 10.0
 """An effect is thought to need at most so many times the deviation of its joint's effort."""
 
 WORTH = 4.0
-"""What goes with the motion and stays unexplained is worth so many samples, however long logs are.
+"""What varies with the motion and stays unexplained is worth so many samples, in any log.
 
-It is the same whenever the motion repeats: part of it, half of its size in the mean, goes with any
-one column of a fit.
+It is the same whenever the motion repeats: part of it, half of its size in the mean, varies with
+any one column of a fit.
 """

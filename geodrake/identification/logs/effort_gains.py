@@ -206,7 +206,7 @@ def signal_gains(
             method="trust-exact",
             options=options,
         ).x
-    # What stays unexplained goes with the motion, as in `fit_model`: it is worth few samples.
+    # What stays unexplained varies with the motion, as in `fit_model`: it is worth few samples.
     _, _, information, grams = system(z)
     inverse = np.linalg.inv(information)
     covariance = inverse + inverse @ np.tensordot(worth / WORTH, grams, 1) @ inverse

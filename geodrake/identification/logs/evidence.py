@@ -94,7 +94,7 @@ def fold_agreement(before: Array, after: Array) -> float:
 def tie_probability(loss_a: Array, loss_b: Array) -> float:
     """Return the chance that b is truly no worse than a, from the paired losses of the folds.
 
-    Folds differ by orders of magnitude, as those of slow and fast motion do, and what goes with
+    Folds differ by orders of magnitude, as those of slow and fast motion do, and what varies with
     time shows in few of them: the ranks of the differences tell more than their mean. It is the
     one-sided p-value of Wilcoxon's signed-rank test among the folds that differ by more than
     hardly, of the paired t-test where these are too few for ranks; one half where none does.

@@ -289,7 +289,7 @@ def most_likely(settled: Hypothesis) -> tuple[Unknowns, Array]:
     """Return unknowns and weights (nv,) of maximum likelihood, for fits with their information.
 
     Weights are those of the residuals of a settled hypothesis, each joint by its own; the pull of
-    joints without motors is what goes with them.
+    joints without motors is what varies with them.
     """
     dataset, unknowns, held_out = settled.dataset, settled.unknowns, settled.held_out
 

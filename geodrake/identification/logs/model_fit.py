@@ -60,7 +60,7 @@ class ModelFit:
     unknowns: Unknowns  # what was fitted
     gain_shifts: Array  # (nv, p) change of the parameters with the gain of each joint's efforts
     unexplained_covariance: Array  # (p, p) by what stays unexplained
-    of_motion: Array  # (nv,) share of each joint's squared error that goes with the motion
+    of_motion: Array  # (nv,) share of each joint's squared error that varies with the motion
 
 
 def fit_model(
@@ -76,7 +76,7 @@ def fit_model(
     """Fit, hold out, and put the result into the model.
 
     Efforts of the dataset are advanced by the model's `delays` already. The residuals are worth
-    `effective` samples (nv,); a share `of_motion` (nv,) of their square goes with the motion.
+    `effective` samples (nv,); a share `of_motion` (nv,) of their square varies with the motion.
     """
     problem = fit_problem(dataset, unknowns, weights)
     result = certified(problem, solve_with_fallback(problem))
@@ -143,7 +143,7 @@ def _unexplained_covariance(
     With A the information of the fit and G_j the weighted normal matrix of joint j, noise gives
     Σ_j A⁻¹ G_j A⁻¹, if samples are counted by what they are worth. Of the part of the residual that
     is no noise, all n_j of them are worth no more than `WORTH`. `samples` (nv,) are n_j times the
-    share of the squared residual that goes with the motion.
+    share of the squared residual that varies with the motion.
     """
     gram = np.zeros((len(unknowns.columns),) * 2)
     for data, weight, worth in zip(dataset.data, weights, samples, strict=True):

@@ -551,7 +551,7 @@ class _Search:
     def _deviations(self, best: _Servo, free: Mask) -> Array:
         """Return (9,) standard deviations of parameters that are free (11 + S,).
 
-        What is left goes with the motion: it is worth few samples, however long logs are.
+        What is left varies with the motion: it is worth few samples, however long logs are.
         """
         size = np.maximum(np.abs(best.numbers), best.scale)
         residual, J = (

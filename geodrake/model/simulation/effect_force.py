@@ -77,8 +77,8 @@ class EffectForce(LeafSystem):
     spring as it was when the step began, and need steps far below 1 / ω.
 
     Effects of the time since a log began (`FrictionDrift`, `Contact`) take the Context's, and
-    contacts that were found in a log act only where that log is simulated. Friction that goes with
-    the temperature takes that of `temperatures`.
+    contacts that were found in a log act only where that log is simulated. Friction that varies
+    with the temperature takes that of `temperatures`.
 
     Numeric parameters of the Context are all μ (`set_effect_parameters`), and the inertial
     parameters that the plant is taken to have (`set_inertial_parameters`), which matter to effects
