@@ -38,6 +38,8 @@ NAMES = [
     ("present_position_2", "position", "", 2),
     ("motor_current_2", "current", "", 2),
     ("acc_2", "acceleration", "", 2),
+    ("qfrc_actuator_2", "effort", "", 2),
+    ("qfrc_actuator[elbow]", "effort", "elbow", None),
     ("q2d_3", "acceleration", "", 3),
     ("qd2[1]", "acceleration", "", 1),
     ("qd2", "velocity", "", 2),

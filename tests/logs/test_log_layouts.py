@@ -434,6 +434,8 @@ DATES = {
     "Z": "{:%Y-%m-%dT%H:%M:%S.%f}Z",
     "no zone, nanoseconds": "{:%Y-%m-%d %H:%M:%S.%f}000",
     "another zone": "{:%Y-%m-%dT%H:%M:%S.%f}+02:00",
+    "day first": "{:%d.%m.%Y %H:%M:%S.%f}",
+    "month first": "{:%m/%d/%Y %H:%M:%S.%f}",
 }
 
 

@@ -32,7 +32,7 @@ QUANTITY_WORDS: Mapping[str, str] = {
         ["acceleration", "accelerations", "acc", "qdd", "ddq", "qddot"], "acceleration"
     ),
     **dict.fromkeys(["effort", "efforts", "eff", "torque", "torques", "tau", "moment"], "effort"),
-    **dict.fromkeys(["trq", "tq", "force", "load"], "effort"),
+    **dict.fromkeys(["trq", "tq", "force", "load", "qfrc"], "effort"),
     **dict.fromkeys(["current", "currents", "cur", "curr", "i", "iq"], "current"),
     **dict.fromkeys(["voltage", "voltages", "volt", "volts"], "voltage"),
     **dict.fromkeys(["pwm", "pwms", "duty"], "pwm"),
@@ -65,6 +65,7 @@ ROLE_WORDS: Mapping[str, int] = {
     **dict.fromkeys(["tcp", "tool", "ee", "cartesian", "cart", "wrench", "imu", "base"], OTHER),
     **dict.fromkeys(["external", "ext", "error", "err", "errors", "limit", "min", "max"], OTHER),
     **dict.fromkeys(["gravity", "coriolis", "friction", "model", "disturbance"], OTHER),
+    **dict.fromkeys(["bias", "passive", "constraint", "inverse"], OTHER),
     **dict.fromkeys(["fraction", "scaling", "contact"], OTHER),
 }
 """Words that say whether numbers were measured at the joint, and so which of several are taken."""
@@ -231,6 +232,7 @@ def _time(name: str) -> Meaning | None:
 def _joint(column: str) -> Meaning | None:
     """Read a name of a quantity of a joint, its words in whatever order."""
     name = _INDEX.sub(r"_\1", _SECOND.sub("qdd", column)).replace(*_OBSERVED)
+    name = name.replace("qfrc_actuator", "qfrc")  # of MuJoCo: of motors, at joints
     brackets = _BRACKETS.search(name)
     cut = brackets.start() if brackets else len(name)
     parts = [part for part in name[:cut].split("/") if part] or [name]

@@ -65,6 +65,7 @@ _DATE = re.compile(
     r"(\d{4}[-/]\d\d[-/]\d\d[Tt ]\d\d:\d\d(?::\d\d)?)"
     r"(?:[.,](\d{1,9})\d*)?\s*([Zz]|UTC|[+-]\d\d(?::?\d\d)?)?"
 )
+_BY_DAY = re.compile(r"(\d\d?)([./])(\d\d?)\2(\d{4})(?=[Tt ])")  # 01.05.2026, or 05/01/2026
 _TIME = re.compile(r"(?:(\d+) days? )?(\d\d?):(\d\d):(\d\d)(?:[.,](\d{1,9})\d*)?")
 _EPOCH = datetime(1970, 1, 1, tzinfo=UTC)
 _SECOND, _DAY = 1_000_000_000, 86_400  # ns, s
@@ -76,14 +77,15 @@ def date_of(text: str) -> int | None:
     """Return the nanoseconds since 1970 of a date with its time of day; None if the text is none.
 
     Args:
-        text: In ISO 8601, with a blank for the T or strokes if need be. Without a time zone it is
-            in UTC. A time of day alone, or days and a time, are those since 1970.
+        text: In ISO 8601, with a blank for the T or strokes if need be; or day, month and year with
+            points, or month, day and year with strokes. Without a time zone it is in UTC. A time of
+            day alone, or days and a time, are those since 1970.
     """
     if (found := _TIME.fullmatch(text.strip())) is not None:
         days, hours, minutes, seconds = (int(number or 0) for number in found.groups()[:4])
         seconds += _DAY * days + 3600 * hours + 60 * minutes
         return seconds * _SECOND + int((found[5] or "").ljust(9, "0"))
-    found = _DATE.fullmatch(text.strip())
+    found = _DATE.fullmatch(_BY_DAY.sub(_year_first, text.strip(), count=1))
     if found is None:
         return None
     head, fraction, zone = found.groups()
@@ -93,6 +95,13 @@ def date_of(text: str) -> int | None:
         return None
     since = instant - _EPOCH
     return (since.days * _DAY + since.seconds) * _SECOND + int((fraction or "").ljust(9, "0"))
+
+
+def _year_first(date: re.Match[str]) -> str:
+    """Return a date as ISO 8601 has it; the first of two numbers with strokes is the month."""
+    first, mark, second, year = date.groups()
+    month, day = (second, first) if mark == "." or int(first) > 12 else (first, second)
+    return f"{year}-{month:0>2}-{day:0>2}"
 
 
 def _offset(zone: str | None) -> str:
