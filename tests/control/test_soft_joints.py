@@ -1,7 +1,6 @@
 """Soft joints and play in simulations: against closed forms, explicit motor bodies and scipy."""
 
 import dataclasses
-from functools import cache
 
 import numpy as np
 import pytest
@@ -18,7 +17,7 @@ from pydrake.systems.analysis import ResetIntegratorFromFlags, Simulator
 from pydrake.systems.framework import DiagramBuilder
 from pydrake.systems.primitives import FirstOrderTaylorApproximation, LogVectorOutput, Sine
 from scipy.integrate import solve_ivp
-from two_masses import FRICTION, INERTIA, WEIGHT
+from two_masses import FRICTION, INERTIA, WEIGHT, having, swung
 from two_masses import ROTOR as MOTOR
 
 from geodrake import effects, load_model
@@ -26,7 +25,6 @@ from geodrake.control.rollout import roll_out
 from geodrake.control.systems import EffectForce
 from geodrake.effects.deflection import Deflection, DeflectionEffect
 from geodrake.errors import ArgumentError
-from geodrake.logs.motion import JointLog
 from geodrake.model.simulation.soft_joints import Coupling
 from geodrake.robot.robot_instance import add_generalized_force
 
@@ -134,39 +132,6 @@ def test_sides_of_play_push_and_do_not_pull():
     assert side.lag(1.0) == pytest.approx(1.1e-3)
 
 
-def with_effects(model, *pairs):
-    fitted = (effects.FittedEffect(effect, np.array(values)) for effect, values in pairs)
-    return dataclasses.replace(model, effects=tuple(fitted))
-
-
-MOTORS = ((effects.RotorInertia("hinge"), [MOTOR]), (effects.ViscousFriction("hinge"), [FRICTION]))
-
-
-@cache
-def swung(stiffness, gap):
-    """A log of motor position and effort, of two masses with a spring beyond a gap, by scipy."""
-
-    def effort(t):
-        return 2.0 * np.sin(2.1 * t) + 2.0 * np.sin(5.3 * t + 1.0)
-
-    def rates(t, x):
-        motor, speed, link, v = x
-        lag = motor - link
-        over = lag - np.clip(lag, -gap, gap)
-        torque = stiffness * over + (1.5 * (speed - v) if over or not gap else 0.0)
-        return [
-            speed,
-            (effort(t) - FRICTION * speed - torque) / MOTOR,
-            v,
-            (torque - WEIGHT * np.sin(link)) / INERTIA,
-        ]
-
-    time = np.arange(0.0, 18.0, 4e-3)
-    x = solve_ivp(rates, time[[0, -1]], [0.5, 0.0, 0.5 - gap, 0.0], "LSODA", time, rtol=1e-8).y
-    x, u = x[:, 750:, None], effort(time)[750:, None]  # once it has swung in
-    return JointLog("swung", ("hinge",), time[750:], x[0], u, x[1])
-
-
 def window_departures(model, log, most=3):
     windows = roll_out(model, [log], most=most, bandwidth=30.0, horizon=0.4).windows
     return [np.sqrt(np.mean(window.departure**2)) for window in windows]
@@ -174,26 +139,26 @@ def window_departures(model, log, most=3):
 
 def test_rollouts_have_springs(pendulum):
     """A soft joint follows a log that is not geodrake's far more closely than a stiff one."""
-    log = swung(120.0, 0.0)
-    spring = (effects.JointElasticity("hinge"), [1.0 / 120.0])
-    found = window_departures(with_effects(pendulum, *MOTORS, spring), log)
+    log = swung(0, stiffness=120.0)
+    spring = effects.JointElasticity("hinge"), 1.0 / 120.0
+    found = window_departures(having(pendulum, MOTOR, FRICTION, spring), log)
     assert max(found) < 1e-3
-    assert np.mean(window_departures(with_effects(pendulum, *MOTORS), log)) > 8 * np.mean(found)
+    assert np.mean(window_departures(having(pendulum, MOTOR, FRICTION), log)) > 4 * np.mean(found)
 
 
 @pytest.mark.thorough
 def test_rollouts_have_play(pendulum):
     """Sides are not those of the log, and a link on its way between them is a guess: the median."""
-    log = swung(2e3, 0.05)
-    play = (effects.Backlash("hinge", 0.1), [0.5])
-    found = window_departures(with_effects(pendulum, *MOTORS, play), log, most=6)
-    rigid = window_departures(with_effects(pendulum, *MOTORS), log, most=6)
+    log = swung(0, stiffness=2e3, gap=0.05)
+    play = effects.Backlash("hinge", 0.1), 0.5
+    found = window_departures(having(pendulum, MOTOR, FRICTION, play), log, most=6)
+    rigid = window_departures(having(pendulum, MOTOR, FRICTION), log, most=6)
     assert np.median(found) < 0.4 * np.median(rigid)
 
 
 def test_starts_where_its_load_has_it(pendulum):
     """With the effort that holds it, nothing moves; encoders say what they were told to."""
-    model = with_effects(pendulum, *MOTORS, (effects.JointElasticity("hinge"), [0.02]))
+    model = having(pendulum, MOTOR, FRICTION, (effects.JointElasticity("hinge"), 0.02))
     builder = DiagramBuilder()
     robot = model.add_to_builder(builder)
     builder.ExportInput(robot.effort, "effort")
@@ -210,13 +175,16 @@ def test_starts_where_its_load_has_it(pendulum):
 
 
 def test_a_motor_without_inertia_gets_some_and_says_so(pendulum):
-    model = with_effects(pendulum, (effects.JointElasticity("hinge"), [1e-3]))
+    model = dataclasses.replace(
+        pendulum,
+        effects=(effects.FittedEffect(effects.JointElasticity("hinge"), np.array([1e-3])),),
+    )
     robot = model.add_to_builder(DiagramBuilder())
     assert robot.effect_force.law.soft.motor_inertia == pytest.approx([0.01 * INERTIA])
     (note,) = robot.notes
     assert "motor of hinge" in note
     assert "0.0028 kg·m²" in note
-    assert roll_out(model, [swung(120.0, 0.0)], most=1).notes[-1] == note
+    assert roll_out(model, [swung(0, stiffness=120.0)], most=1).notes[-1] == note
 
 
 def test_an_effect_that_does_not_say_how_is_refused(pendulum):
@@ -236,7 +204,7 @@ def test_an_effect_that_does_not_say_how_is_refused(pendulum):
 def test_a_link_is_thrown_from_side_to_side(pendulum):
     """The same sides and motors, written out for scipy."""
     gap, size, rate = 0.02, 3.0, 14.0
-    terms = [*MOTORS, (effects.Backlash("hinge", gap), [1.0])]
+    terms = having(pendulum, MOTOR, FRICTION, (effects.Backlash("hinge", gap), 1.0)).effects
     builder = DiagramBuilder()
     plant = builder.AddSystem(load_model(pendulum.path).plant)
     force = EffectForce.AddToBuilder(builder, plant, terms)
