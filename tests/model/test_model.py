@@ -91,21 +91,12 @@ def test_effects_add_to_the_effort_needed(arm, motion):
     np.testing.assert_array_equal(model.delays, 0.004)
 
 
-def test_numbers_of_the_file_become_effects(tmp_path):
-    text = (MODELS / "double_pendulum.urdf").read_text()
-    shoulder = '<limit lower="-6.2832" upper="6.2832" effort="6" velocity="20"/>'
-    text = text.replace(shoulder, shoulder + '<dynamics damping="0.3" friction="0.2"/>', 1)
-    path = tmp_path / "pendulum.urdf"
-    path.write_text(text)
-    stated = {f.effect: f.parameters.tolist() for f in load_model(path).effects}
-    assert stated == {ViscousFriction("shoulder"): [0.3], CoulombFriction("shoulder"): [0.2]}
-
-
 def test_a_floating_base_is_six_joints():
     floating = load_model(MODELS / "double_pendulum.urdf", floating=True)
     names = [f"base_link_{each}" for each in ("x", "y", "z", "yaw", "pitch", "roll")]
     assert set(floating.single_joints) == {"shoulder", "elbow", *names}
     assert list(floating.base_joints) == names
+    assert floating.bodies[0] == "base_link"
 
 
 def test_motion_with_a_load_that_is_known(arm, motion):

@@ -7,6 +7,7 @@ import pytest
 from measurements import REFERENCE
 from pydrake.multibody.tree import MultibodyForces
 
+from geodrake.effects import CoulombFriction, ViscousFriction
 from geodrake.errors import ArgumentError, ModelError
 from geodrake.inertia import (
     from_mass_com_inertia,
@@ -120,9 +121,11 @@ def test_urdf_reads_limits_damping_and_friction(load):
     assert velocity_limits(plant) == pytest.approx([3.0])
     assert np.ravel(position_limits(plant)) == pytest.approx([-1.0, 2.0])
     assert plant.GetJointByName("j1").default_damping() == 0.0
-    notes = from_loaded_plant(loaded, floating=False).notes
-    assert any("viscous_friction" in note and "j1 0.5" in note for note in notes)
-    assert any("coulomb_friction" in note for note in notes)
+    model = from_loaded_plant(loaded, floating=False)
+    stated = {f.effect: f.parameters.tolist() for f in model.effects}
+    assert stated == {ViscousFriction("j1"): [0.5], CoulombFriction("j1"): [0.3]}
+    assert any("viscous_friction" in note and "j1 0.5" in note for note in model.notes)
+    assert any("coulomb_friction" in note for note in model.notes)
 
 
 def test_rotor_inertia_is_read_out_and_removed(load):
@@ -225,14 +228,6 @@ def test_directives_with_two_instances(load, tmp_path):
 
 
 # Roots
-
-
-def test_floating_base(load):
-    text = urdf(inertial()).replace('<link name="base"/>', f'<link name="base">{inertial()}</link>')
-    fixed, free = load(text).plant, load(text, floating=True).plant
-    assert (fixed.num_velocities(), free.num_velocities()) == (1, 7)
-    assert [body.name for body in lumped_bodies(fixed)] == ["l1"]
-    assert [body.name for body in lumped_bodies(free)] == ["base", "l1"]
 
 
 def test_world_link_stays_the_world(load):
