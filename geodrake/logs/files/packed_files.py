@@ -36,7 +36,9 @@ def unpacked(path: Path) -> Path:
 
 def log_name(path: Path) -> str:
     """Return what messages call the log of a file, or of several that are joined by `+`."""
-    return "+".join(unpacked(Path(part)).stem for part in path.name.split("+") if part)
+    parts = [Path(part) for part in path.name.split("+")]
+    are_files = all(part.suffix[1:].isalnum() for part in parts)
+    return "+".join(unpacked(part).stem for part in (parts if are_files else [path]))
 
 
 @contextmanager
