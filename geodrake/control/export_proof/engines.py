@@ -209,15 +209,16 @@ class MujocoEngine(Engine):
             self._model.opt.disableflags |= int(bit)
         places = self._places()
         joints = joint_names(model.plant)
-        self._at = order_of(joints, places, file, self.name)
-        self._positions = [self._qpos(at) for at in self._at]
-        self._held = {places[n]: value for n, value in model.held.items() if n in places}
+        ids = order_of(joints, places, file, self.name)
+        in_q = self._model.jnt_qposadr
+        self._at, self._positions = self._model.jnt_dofadr[ids].tolist(), in_q[ids].tolist()
+        self._held = {int(in_q[places[n]]): x for n, x in model.held.items() if n in places}
         self._friction = self._model.dof_frictionloss[self._at].copy()
         # Older versions have no delays, and one signal for each actuator.
         count = self._model.nu
         self._delays = getattr(self._model, "actuator_delay", np.zeros(count))
         self._signals = getattr(self._model, "actuator_ctrladr", np.arange(count))
-        self._through = self._take_actuators(model, joints)
+        self._through = self._take_actuators(model, joints, ids)
         through = zip(joints, self._at, strict=True)
         self.drives = Drives.of(model, [joint for joint, at in through if at in self._through])
 
@@ -225,8 +226,7 @@ class MujocoEngine(Engine):
         """Inverse dynamics; where dry friction, a soft constraint, is not in full, it is masked."""
         data, found = self._mj.MjData(self._model), np.empty_like(v)
         meant = np.full(v.shape, True)
-        for at, value in self._held.items():
-            data.qpos[self._qpos(at)] = value
+        data.qpos[[*self._held]] = [*self._held.values()]
         for k in range(len(v)):
             data.qpos[self._positions], data.qvel[self._at], data.qacc[self._at] = q[k], v[k], vd[k]
             with self._warning_here():
@@ -280,18 +280,19 @@ class MujocoEngine(Engine):
                     self._model, data, actuator, None, np.full(count, value)
                 )
 
-    def _take_actuators(self, model: RobotModel, joints: Sequence[str]) -> dict[int, int]:
+    def _take_actuators(
+        self, model: RobotModel, joints: Sequence[str], ids: Sequence[int]
+    ) -> dict[int, int]:
         """Return degree of freedom -> its actuator, like the model's; others do nothing."""
         own, found = self._model, dict[int, int]()
-        joint_of = {int(own.jnt_dofadr[j]): j for j in range(own.njnt)}
         kinds = (int(self._mj.mjtTrn.mjTRN_JOINT), int(self._mj.mjtTrn.mjTRN_JOINTINPARENT))
         by_joint: dict[int, list[int]] = {}
         for actuator in range(own.nu):
             if own.actuator_trntype[actuator] in kinds:
                 by_joint.setdefault(int(own.actuator_trnid[actuator][0]), []).append(actuator)
         wanted = exported_joints(model)
-        for joint, at in zip(joints, self._at, strict=True):
-            actuators = by_joint.get(joint_of[at], []) if joint in wanted else []
+        for joint, j, at in zip(joints, ids, self._at, strict=True):
+            actuators = by_joint.get(j, []) if joint in wanted else []
             if len(actuators) == 1 and self._is_like(actuators[0], wanted[joint]):
                 found[at] = actuators[0]
         for actuator in set(range(own.nu)).difference(found.values()):
@@ -313,11 +314,6 @@ class MujocoEngine(Engine):
         late = bool(self._delays[actuator]) == bool(wanted.delay)
         return bool(plain and servo == wanted.is_servo and not unlike and late)
 
-    def _qpos(self, dof: int) -> int:
-        """Return where the position of a joint is, whose only velocity is there."""
-        joint = [int(each) for each in self._model.jnt_dofadr].index(dof)
-        return int(self._model.jnt_qposadr[joint])
-
     def _places(self) -> dict[str, int]:
         """Return joints of one degree of freedom by name, nameless ones as geodrake calls them."""
         model, found = self._model, {}
@@ -327,7 +323,7 @@ class MujocoEngine(Engine):
                 body = int(model.jnt_bodyid[j])
                 own = model.body(body).name or f"body_{body - 1}"
                 name = model.joint(j).name or f"{own}_joint_{j - int(model.body_jntadr[body])}"
-                found[name] = int(model.jnt_dofadr[j])
+                found[name] = j
         return found
 
 
