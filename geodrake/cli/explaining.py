@@ -11,7 +11,7 @@ from geodrake.cli.options import AddOptions, ExplainOptions, Options
 from geodrake.cli.progress import step_teller
 from geodrake.cli.session import Command, Input, Maker, run
 from geodrake.control.rollout import Rollout, commanded_motions
-from geodrake.diagnosis.add import add
+from geodrake.diagnosis.add import add, check_places
 from geodrake.diagnosis.diagnose import diagnose
 from geodrake.diagnosis.drafting import draft_effects, rest_correlates, source_of
 from geodrake.diagnosis.explain import investigate
@@ -85,6 +85,7 @@ def run_add(options: AddOptions) -> None:
         explanation_page,
         drawn=_drawn,
         check_effects=lambda extra: effect_class(effect, extra),
+        check=lambda model: check_places(model, where or ()),
     )
     run(command, options)
 

@@ -76,12 +76,16 @@ def _refuse_what_cannot_be(
         shown = kind.role is Role.EPISODE
         whose = "where the residual shows it" if shown else "one of the whole robot"
         raise ArgumentError(f"{kind.name} is {whose} and takes no place.")
-    late = kind.role is Role.DELAY
-    known = model.joints if late else (*model.joints, *model.bodies)
-    for name in where or ():
+    check_places(model, where or (), of_joints=kind.role is Role.DELAY)
+
+
+def check_places(model: RobotModel, where: Sequence[str], *, of_joints: bool = False) -> None:
+    """Raise an ArgumentError unless a model has all joints, and bodies, of some names."""
+    known = model.joints if of_joints else (*model.joints, *model.bodies)
+    for name in where:
         if name not in known:
             raise ArgumentError(
-                f"There is no joint {'' if late else 'or body '}{name!r}.",
+                f"There is no joint {'' if of_joints else 'or body '}{name!r}.",
                 advice=f"{why_no_place(model, name)}There are: {', '.join(known)}.",
             )
 

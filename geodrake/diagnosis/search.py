@@ -312,10 +312,13 @@ class Search:
             joints = self._doubtful()
             if not joints:
                 return False
-            self._effects += unknown_functions(self.case, self.model.hypothesis(self.fit), joints)
+            functions = unknown_functions(self.case, self.model.hypothesis(self.fit), joints)
+            self._effects += functions
             self._anew()
             before = self.fit.choice.key
             self._climb(hopeful=False)
+            found = {term.effect for term in self.fit.terms}  # others have no columns from now on
+            self._effects = [e for e in self._effects if e in found or e not in functions]
             return self.fit.choice.key != before
         return False
 

@@ -252,7 +252,8 @@ def _measured_lag(
     if abs(lag[latest]) < _NOTED_LAG * uniform.period:
         return lag, None
     return lag, (
-        f"measured velocities moved onto the positions; that of {uniform.log.joints[latest]} is "
+        f"measured velocities are shifted in time to match the positions: that of "
+        f"{uniform.log.joints[latest]} is "
         f"{1e3 * abs(lag[latest]):.2g} ms {'late' if lag[latest] > 0 else 'early'}"
     )
 

@@ -40,13 +40,13 @@ def effort_unit_hint(log: JointLog, effort_limits: ArrayLike) -> str | None:
     worst = int(np.nanargmax(ratio))
     if ratio[worst] > 3.0:
         return (
-            f"Efforts are in other units by the look of it: {log.joints[worst]} peaks at "
+            f"Efforts seem to be in other units: {log.joints[worst]} peaks at "
             f"{peaks[worst]:.4g}, {ratio[worst]:.0f} times the model's limit of "
             f"{limits[worst]:.4g} N·m or N. N·mm, motor torque or ticks?"
         )
     if ratio[worst] < 0.01:
         return (
-            f"Efforts are in other units by the look of it: no joint goes beyond 1 % of the "
+            f"Efforts seem to be in other units: no joint goes beyond 1 % of the "
             f"model's limit; {log.joints[worst]} comes nearest with {peaks[worst]:.3g} of "
             f"{limits[worst]:.4g} N·m or N. Motor current, a share of the limit, or kN·m?"
         )
@@ -65,7 +65,7 @@ def position_unit_hint(log: JointLog) -> str | None:
         )
     if peaks[worst] > _LEAST_DEGREES and np.mean(peaks > 10.0) > 0.5:
         return (
-            f"Positions are in degrees by the look of it: {log.joints[worst]} reaches "
+            f"Positions seem to be in degrees: {log.joints[worst]} reaches "
             f"{peaks[worst]:.4g}, and most joints go beyond 10. Positions are rad or m: "
             "--units position=deg converts them."
         )
@@ -99,8 +99,8 @@ def effort_sign_hint(log: JointLog) -> str | None:
         return None
     return (
         f"The efforts of {', '.join(found)} are never negative, and come down to zero again and "
-        "again while the joint turns both ways: magnitudes, by the look of it. Log them with their "
-        "sign; or, where servos' commands are logged too, use these: --kind command."
+        "again while the joint turns both ways, so that they seem to be magnitudes. Log them with "
+        "their sign; or, where servos' commands are logged too, use these: --kind command."
     )
 
 

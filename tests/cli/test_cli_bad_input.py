@@ -190,7 +190,7 @@ def test_zero_masses_and_odd_units_are_told_of_and_not_fatal(tmp_path):
     result = CliRunner().invoke(app, ["compare", str(robot), str(log)])
     assert result.exit_code == 0, result.output
     assert "lower_link has a mass of 0 kg" in result.output
-    assert "other units by the look of it" in result.output
+    assert "Efforts seem to be in other units" in result.output
 
 
 def test_a_bug_is_told_in_one_line_and_traced_on_demand(log, monkeypatch):

@@ -101,7 +101,7 @@ def test_degrees_are_named_where_a_log_is_too_short(model):
         effort=log.effort[part],
         velocity=None,
     )
-    with pytest.raises(LogError, match=r"too short.* Positions are in degrees by the look of it"):
+    with pytest.raises(LogError, match=r"too short.* Positions seem to be in degrees"):
         compare(model, degrees)
 
 

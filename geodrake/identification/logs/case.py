@@ -356,9 +356,8 @@ def _still_notes(dataset: Dataset) -> list[str]:
     if dataset.still[most] == 0.0:
         return []
     return [
-        "left out of fit and errors: samples at which a joint stands still, where dry friction "
-        f"may be anything ({100 * dataset.still[most]:.0f} % of {dataset.joints[most]}'s, the most "
-        "of all joints)"
+        "samples of a joint at rest are left out of fit and errors, as its dry friction is unknown "
+        f"there: {100 * dataset.still[most]:.0f} % at {dataset.joints[most]}, the most of any joint"
     ]
 
 
@@ -368,8 +367,8 @@ def _filtered_note(trajectory: Trajectory, *, fitted: bool) -> str:
     if not np.isfinite(end):
         return ""
     return (
-        f"{trajectory.name}: its efforts hold hardly anything above {end:.2g} Hz, as if they had "
-        "been filtered before"
+        f"{trajectory.name}: its efforts hold hardly anything above {end:.2g} Hz and seem to "
+        "have been filtered before"
         + ("; the quietest part of what a fitted model leaves is taken for noise" if fitted else "")
     )
 
