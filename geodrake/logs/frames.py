@@ -53,7 +53,7 @@ def log_of_frame(
     if index is not None and "time" not in {*table.columns, *table.silent}:
         origins = table.origins if origin is None else {**table.origins, "time": origin}
         table = replace(table, columns={**table.columns, "time": index}, origins=origins)
-    return log_of(table, joints=joints, reading=reading)
+    return log_of(table, joints, reading or Reading())[0]
 
 
 def _arrays(frame: Any, called: str) -> dict[str, Any]:

@@ -10,11 +10,11 @@ understood as well, by `recognition`, or by what the user says of them, a `Readi
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 
-from geodrake.boundary.arguments import file_path, instance, instances, typed
+from geodrake.boundary.arguments import file_path, instance, instances
 from geodrake.errors import LogError
 from geodrake.logs.files.column_mapping import Columns, columns_of, is_used, listed, without_use
 from geodrake.logs.files.formats import (
@@ -38,7 +38,6 @@ __all__ = [
     "check_log",
     "file_names",
     "log_content",
-    "log_of",
     "parts_of",
     "read_log",
     "read_mapping",
@@ -94,56 +93,36 @@ def understand(
     for part in parts:
         check_log(part)
 
-    def read(how: Reading) -> tuple[JointLog, Columns]:
-        try:
-            table = joined_table(parts, how) if len(parts) > 1 else table_of(path, how, joints)
-            return _understood(table, joints, how, partial=partial)
-        except UnicodeDecodeError as error:
-            raise LogError(
-                f"Log {str(path)!r} is no text in UTF-8: {error.reason} at byte {error.start}.",
-                advice="Save it as CSV in UTF-8, or as .npz.",
-            ) from error
-        except (OSError, MemoryError) as error:
-            raise LogError(
-                f"Log {str(path)!r} cannot be read: {error}.",
-                advice="Check the file's permissions, and that there is memory for it.",
-            ) from error
-
-    return _of_use(read, reading)
+    try:
+        joined = len(parts) > 1
+        table = joined_table(parts, reading) if joined else table_of(path, reading, joints)
+        return log_of(table, joints, reading, partial=partial)
+    except UnicodeDecodeError as error:
+        raise LogError(
+            f"Log {str(path)!r} is no text in UTF-8: {error.reason} at byte {error.start}.",
+            advice="Save it as CSV in UTF-8, or as .npz.",
+        ) from error
+    except (OSError, MemoryError) as error:
+        raise LogError(
+            f"Log {str(path)!r} cannot be read: {error}.",
+            advice="Check the file's permissions, and that there is memory for it.",
+        ) from error
 
 
-def _of_use(
-    read: Callable[[Reading], tuple[JointLog, Columns]], reading: Reading
+def log_of(
+    table: LogTable, joints: Sequence[str] | None, reading: Reading, *, partial: bool = False
 ) -> tuple[JointLog, Columns]:
-    """Read a log, and once more without columns of efforts that say nothing of them."""
-    log, columns = read(reading)
+    """Return the log that a table is, and what its columns were taken for; see `read_log`.
+
+    Columns of efforts that say nothing of them are not used, if others may stand for them.
+    """
+    log, columns = _understood(table, joints, reading, partial=partial)
     if not (useless := without_use(log, columns)):
         return log, columns
-    log, columns = read(replace(reading, ignored=reading.ignored | useless))
+    reading = replace(reading, ignored=reading.ignored | useless)
+    log, columns = _understood(table, joints, reading, partial=partial)
     words = f"columns {listed(sorted(useless))} say nothing of efforts, and are not used"
     return replace(log, notes=(*log.notes, words)), columns
-
-
-@typed
-def log_of(
-    table: LogTable,
-    *,
-    joints: Sequence[str] | None = None,
-    partial: bool = False,
-    reading: Reading | None = None,
-) -> JointLog:
-    """Return the log that a table of columns is, whatever they are called; see `read_log`.
-
-    Args:
-        joints: Names of a model's joints, if the log must have the same and in their order.
-        partial: Whether it may lack some of these joints, or their efforts alone: joints that stand
-            still then are `JointLog.standing`.
-
-    Raises:
-        LogError: A needed column or joint is missing or there twice, or time does not increase.
-    """
-    how = reading or Reading()
-    return _of_use(lambda each: _understood(table, joints, each, partial=partial), how)[0]
 
 
 def _understood(
