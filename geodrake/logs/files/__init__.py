@@ -130,15 +130,7 @@ def _understood(
 ) -> tuple[JointLog, Columns]:
     table = reshaped(table, reading)
     _check_silent(table, reading)
-    columns = columns_of(
-        table.path,
-        table.names,
-        joints,
-        reading,
-        table.units,
-        origins=table.origins,
-        partial=partial,
-    )
+    columns = columns_of(table, joints, reading, partial=partial)
     log = Recording(columns, *table.read(columns.files, skip=reading.skip_bad_rows)).log()
     motors = reading.motors_of(log.joints)
     return replace(log, notes=(*table.notes, *log.notes), motors=motors), columns

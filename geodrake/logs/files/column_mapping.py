@@ -26,7 +26,7 @@ from geodrake.logs.files.name_rules import (
 )
 from geodrake.logs.files.packed_files import log_name
 from geodrake.logs.files.reading import ColumnMapping, Reading
-from geodrake.logs.files.table import date_words
+from geodrake.logs.files.table import LogTable, date_words
 from geodrake.logs.files.units import Unit, find_unit, unit_of
 from geodrake.logs.floating import floating_name
 from geodrake.logs.motion import (
@@ -318,31 +318,23 @@ _MAPPING_ADVICE = "Or say which column is what by --mapping."
 
 
 def columns_of(
-    path: Path,
-    names: Sequence[str],
-    joints: Sequence[str] | None,
-    reading: Reading | None = None,
-    units: Mapping[str, str] | None = None,
-    *,
-    origins: Mapping[str, int | None] | None = None,
-    partial: bool = False,
+    table: LogTable, joints: Sequence[str] | None, reading: Reading, *, partial: bool = False
 ) -> Columns:
-    """Return the columns of a file with these names, joints in the order given if any is.
+    """Return what the columns of a table are, joints in the order given if any is.
 
     Args:
         joints: Names of the model's joints, which the log must have, in the order that it shall
             have them in; None for the order of the file.
-        origins: Columns of seconds since an instant -> this, ns since 1970; see `LogTable`.
         partial: Whether the log may lack some of the model's joints, or their efforts.
     """
+    path, names = table.path, table.names
     if joints is not None and len(set(joints)) < len(joints):
         raise ArgumentError(f"Log {str(path)!r} is to have a joint twice: {listed(joints)}.")
-    reading = reading or Reading()
     check_text(path, names)
     if reading.mapping is not None:
-        found = Columns.by_mapping(path, names, reading, reading.mapping).dated(origins or {})
+        found = Columns.by_mapping(path, names, reading, reading.mapping).dated(table.origins)
         return found.chosen(joints, partial=partial).read(joints)
-    found = Columns.by_names(path, names, joints, reading, units or {}).dated(origins or {})
+    found = Columns.by_names(table, joints, reading).dated(table.origins)
     try:
         chosen = found.chosen(joints, partial=partial)
     except LogError as error:
@@ -407,15 +399,9 @@ class Columns:
         return tuple(dict.fromkeys(column for columns in used for column in columns))
 
     @classmethod
-    def by_names(
-        cls,
-        path: Path,
-        names: Sequence[str],
-        joints: Sequence[str] | None,
-        reading: Reading,
-        units: Mapping[str, str],
-    ) -> Columns:
+    def by_names(cls, table: LogTable, joints: Sequence[str] | None, reading: Reading) -> Columns:
         """Return what the names of the columns say."""
+        path, names, units = table.path, table.names, table.units
         beside = [name for name in names if floating_name(name) is None]
         meanings = [meaning for name in beside if (meaning := meaning_of(name)) is not None]
         of_joints = [meaning for meaning in meanings if meaning.quantity in OF_JOINTS]
@@ -431,7 +417,7 @@ class Columns:
             places[joint, quantity] = Source(same[0].column, unit.factor if unit else 1.0, unit)
         places = _with_commands_as_positions(places)
         if reading.rate is None:
-            places = _time(path, names, meanings, reading, units) | places
+            places = _time(meanings, reading, units) | places
         own = frozenset(m.joint for m in of_joints if m.style[0] == "own")
         notes = (*notes, *choice_words(best))
         return cls(path, names, reading, places, notes, reading.rate, own, others)
@@ -679,11 +665,7 @@ def _unit(
 
 
 def _time(
-    path: Path,
-    names: Sequence[str],
-    meanings: Sequence[Meaning],
-    reading: Reading,
-    units: Mapping[str, str],
+    meanings: Sequence[Meaning], reading: Reading, units: Mapping[str, str]
 ) -> dict[tuple[str, str], Source]:
     """Return the column of time, the likeliest of several; with one of nanoseconds beside it."""
     times = sorted((m for m in meanings if m.quantity == "time"), key=lambda m: m.role)
