@@ -95,7 +95,7 @@ def understand(
 
     try:
         joined = len(parts) > 1
-        table = joined_table(parts, reading) if joined else table_of(path, reading, joints)
+        table = joined_table(parts, reading) if joined else table_of(path, reading)
         return log_of(table, joints, reading, partial=partial)
     except UnicodeDecodeError as error:
         raise LogError(

@@ -28,11 +28,12 @@ from geodrake.logs.files.table import (
     LogTable,
     TornRows,
     check_room,
+    numbered,
     numeric_table,
     readable,
     rows_of,
 )
-from geodrake.logs.files.text_file import names_of_numbers
+from geodrake.logs.files.text_file import renamed
 
 Array = NDArray[np.float64]
 
@@ -258,10 +259,8 @@ def arrow_numbers(column: Any) -> Any:
     return np.asarray(flat.to_numpy(zero_copy_only=False)).reshape(rows, -1)
 
 
-def read_npy(
-    path: Path, reading: Reading, joints: Sequence[str] | None = None, *, numbered: bool = False
-) -> LogTable:
-    """Return the columns of an NPY file: fields of records, or a matrix; see `names_of_numbers`."""
+def read_npy(path: Path, reading: Reading) -> LogTable:
+    """Return the columns of an NPY file: fields of records, or those of a matrix."""
     with readable(path, "NPY file", "Write it by numpy.save: records, or a row for each sample."):
         array = npy.open_memmap(regular_file(path, "log", LogError), mode="r")
     check_room(path, array.size, f"{array.size} numbers")
@@ -272,9 +271,10 @@ def read_npy(
             f"The array of log {str(path)!r} is not 2-D: its shape is {array.shape}.",
             advice="Save a row for each sample, or records with a field for each column.",
         )
-    first = [str(value) for value in array[:1].ravel().tolist()]
-    names = names_of_numbers(path, first, reading, joints, numbered=numbered)
-    return numeric_table(path, dict(zip(names, array.T, strict=True)), len(array))
+    first = tuple(str(value) for value in array[:1].ravel().tolist())
+    names = renamed(path, reading, first) if reading.columns else numbered(first)
+    table = numeric_table(path, dict(zip(names, array.T, strict=True)), len(array))
+    return table if reading.columns else replace(table, unnamed=first)
 
 
 _NPZ_ADVICE = "Store one 1-D array for each column, all equally long."

@@ -103,6 +103,14 @@ def check_text(path: Path, names: Sequence[str]) -> None:
     check_twice(path, names, [name for name in names if is_used(name)])
 
 
+def no_header(path: Path, first: Sequence[str]) -> LogError:
+    """Return what is said of a table whose columns nobody names, by the cells of its first row."""
+    return LogError(
+        f"Log {str(path)!r} has no header: its first line is {','.join(first)[:60]!r}.",
+        advice=f"{HEADER_ADVICE} Or name its columns by --columns, or by --mapping.",
+    )
+
+
 def check_twice(path: Path, names: Sequence[str], used: Collection[str]) -> None:
     """Refuse columns that are needed and there twice."""
     counts = Counter(names)
@@ -334,6 +342,9 @@ def columns_of(
     if reading.mapping is not None:
         found = Columns.by_mapping(path, names, reading, reading.mapping).dated(table.origins)
         return found.chosen(joints, partial=partial).read(joints)
+    if first := table.unnamed:
+        proposal = proposed_mapping(path, first, joints, headed=False, motorless=reading.motorless)
+        raise with_proposal(no_header(path, first), path, proposal)
     found = Columns.by_names(table, joints, reading).dated(table.origins)
     try:
         chosen = found.chosen(joints, partial=partial)

@@ -34,14 +34,9 @@ Reader = Callable[[Path, Reading], LogTable]
 _TEXT, _JSON = (".csv", ".txt", ".dat", ".tsv", ".log"), (".json", ".jsonl", ".ndjson")
 _SHEETS = (".xlsx", ".xlsm")
 
-TABLES = {
-    **dict.fromkeys(_TEXT, read_text),
-    **dict.fromkeys(_SHEETS, read_sheet),
-    ".npy": read_npy,
-}
-"""Reader of files that may have no names of their columns, by their suffix."""
-
 SUFFIXES: Mapping[str, Reader] = {
+    **dict.fromkeys(_TEXT, read_text),
+    ".npy": read_npy,
     ".npz": read_npz,
     ".bag": read_bag,
     ".mcap": read_bag,
@@ -56,8 +51,9 @@ SUFFIXES: Mapping[str, Reader] = {
     ".h5": read_hdf5,
     ".hdf5": read_hdf5,
     **dict.fromkeys(_JSON, read_json),
+    **dict.fromkeys(_SHEETS, read_sheet),
 }
-"""Reader of files beside these, by their suffix."""
+"""Reader of files by their suffix."""
 
 FOLDERS: Mapping[str, Reader] = {
     "metadata.yaml": read_bag,
@@ -71,32 +67,22 @@ BEGINNINGS: Mapping[bytes, Reader] = {MAGIC: read_lcm}
 """Reader of files by their first bytes: lcm-logger's names end in a date."""
 
 
-def table_of(
-    path: Path, reading: Reading, joints: Sequence[str] | None = None, *, numbered: bool = False
-) -> LogTable:
-    """Return the columns of a file of any format, which may be yet to be read.
-
-    Args:
-        joints: Names of the model's joints, if there is a model, for a proposed mapping.
-    """
+def table_of(path: Path, reading: Reading) -> LogTable:
+    """Return the columns of a file of any format, which may be yet to be read."""
     kind = unpacked(path).suffix.lower()
     if unpacked(path) != path and kind not in (*_TEXT, *_JSON):
         raise LogError(
             f"Log {str(path)!r} is packed, and no table of text or JSON by its name.",
             advice=f"Unpack it first, or name it as what is in it: log.csv{path.suffix}.",
         )
-    if kind in TABLES:
-        table = TABLES[kind](path, reading, joints, numbered=numbered)
-    else:
-        reader = reader_of(check_log(path))
-        if reader is None:
-            raise LogError(
-                f"Log {str(path)!r} ends in {path.suffix!r}, which geodrake does not read.",
-                advice=f"Convert it to .csv or one of {', '.join([*TABLES, *SUFFIXES][1:])}.",
-            )
-        table = reader(path, reading)
-        if kind != ".npz":
-            return table
+    if (reader := reader_of(check_log(path))) is None:
+        raise LogError(
+            f"Log {str(path)!r} ends in {path.suffix!r}, which geodrake does not read.",
+            advice=f"Convert it to one of {', '.join(SUFFIXES)}.",
+        )
+    table = reader(path, reading)
+    if kind not in (*_TEXT, *_SHEETS, ".npy", ".npz"):
+        return table
     topics = ", ".join(reading.topics) if kind not in _SHEETS else ""
     said = {"topic": topics or None, "episode": reading.episode}
     notes = [
@@ -165,7 +151,7 @@ def joined_table(paths: Sequence[Path], reading: Reading) -> LogTable:
 
 def _named_table(path: Path, reading: Reading) -> LogTable:
     """Return the columns of one file; bare names of joints get the quantity of the file's name."""
-    table = reshaped(table_of(path, reading, numbered=True).loaded(), reading)
+    table = reshaped(table_of(path, reading).loaded(), reading)
     stem = unpacked(path).stem
     quantity = quantity_of(stem)
     if quantity is None and _TOLD.search(stem.lower()):

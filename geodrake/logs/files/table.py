@@ -262,6 +262,8 @@ class LogTable:
             ns since 1970; None if that is not known.
         silent: Columns that were left out -> why, in words.
         words: (N,) texts of columns without numbers.
+        unnamed: Cells of the first row, where nobody names the columns: they are called by their
+            numbers from 1 on.
     """
 
     path: Path
@@ -271,6 +273,7 @@ class LogTable:
     origins: Mapping[str, int | None] = field(default_factory=dict)
     silent: Mapping[str, str] = field(default_factory=dict)
     words: Mapping[str, NDArray[np.object_]] = field(default_factory=dict)
+    unnamed: tuple[str, ...] = ()
 
     def __len__(self) -> int:
         """Number of rows."""
@@ -300,6 +303,11 @@ class LogTable:
         noted = copy(self)
         noted.notes = (*notes, *self.notes)
         return noted
+
+
+def numbered(cells: Sequence[str]) -> list[str]:
+    """Return numbers of columns from 1 on, as their names."""
+    return [str(k) for k in range(1, len(cells) + 1)]
 
 
 _ONE_SECOND = np.timedelta64(1, "s")

@@ -22,8 +22,7 @@ from numpy.typing import NDArray
 from geodrake.boundary.input_files import regular_file
 from geodrake.boundary.optional_packages import optional_package
 from geodrake.errors import LogError
-from geodrake.logs.files.column_mapping import HEADER_ADVICE, check_text, listed
-from geodrake.logs.files.mapping_file import proposed_mapping, with_proposal
+from geodrake.logs.files.column_mapping import HEADER_ADVICE, check_text, listed, no_header
 from geodrake.logs.files.name_rules import is_time, names_joints, numbers_joints
 from geodrake.logs.files.packed_files import open_log, unpacked
 from geodrake.logs.files.reading import Reading
@@ -34,6 +33,7 @@ from geodrake.logs.files.table import (
     check_room,
     date_of,
     number_in,
+    numbered,
     readable,
 )
 from geodrake.logs.files.units import UNITS, find_unit
@@ -56,6 +56,7 @@ class TextLayout:
         units: Units of columns, where the line after the header has them.
         origins: Columns of dates -> the first, ns since 1970.
         lists: Columns whose cells are lists of numbers -> how many each has.
+        unnamed: Cells of the first row, where nobody names the columns; see `LogTable`.
     """
 
     names: tuple[str, ...]
@@ -66,6 +67,7 @@ class TextLayout:
     origins: Mapping[str, int] = field(default_factory=dict)
     lists: Mapping[str, int] = field(default_factory=dict)
     texts: tuple[str, ...] = ()
+    unnamed: tuple[str, ...] = ()
 
     @property
     def places(self) -> dict[str, tuple[int, int | None]]:
@@ -108,9 +110,6 @@ def text_layout(
     path: Path,
     file: Iterator[str],
     reading: Reading,
-    joints: Sequence[str] | None,
-    *,
-    numbered: bool = False,
 ) -> tuple[TextLayout, Iterator[str]]:
     """Return the layout of a table, and its lines from the first row on."""
     comment, first, count, file = _first_line(file)
@@ -120,10 +119,10 @@ def text_layout(
         if not reading.columns and (named := _joint_state(cells)):
             layout = TextLayout(named, separator, ".", count)
             return _with_contents(layout, chain([first], rest))
-        header = _renamed(path, reading, cells) if reading.columns else cells
+        header = renamed(path, reading, cells) if reading.columns else cells
         check_text(path, header)
         if not any(header):
-            raise _no_header(path, header)
+            raise no_header(path, header)
         following = next(rest, "")
         below = _cells_of(following, separator)
         if _completes(header, below):
@@ -139,35 +138,10 @@ def text_layout(
         layout = TextLayout(tuple(header), separator, decimal, count + used, units)
         return _with_contents(layout, chain([following], rest))
     decimal = _decimal(separator, first)
-    stated = _names_in_comment(cells, comment)
-    names = names_of_numbers(path, cells, reading, joints, stated=stated, numbered=numbered)
-    return _with_contents(TextLayout(tuple(names), separator, decimal, count), chain([first], rest))
-
-
-def names_of_numbers(
-    path: Path,
-    cells: Sequence[str],
-    reading: Reading,
-    joints: Sequence[str] | None,
-    *,
-    stated: Sequence[str] | None = None,
-    numbered: bool = False,
-) -> Sequence[str]:
-    """Return names of columns whose file has none: the user's, those stated, or numbers from 1.
-
-    Args:
-        cells: The first row, as texts.
-        joints: Names of the model's joints, if there is a model, for a proposed mapping.
-        numbered: Whether numbers will do though no mapping speaks of them.
-
-    Raises:
-        LogError: Nobody says what the columns are.
-    """
-    names = _renamed(path, reading, cells) if reading.columns else stated
-    if names is None and not (numbered or reading.mapping):
-        proposal = proposed_mapping(path, cells, joints, headed=False, motorless=reading.motorless)
-        raise with_proposal(_no_header(path, cells), path, proposal)
-    return names or [str(k) for k in range(1, len(cells) + 1)]
+    names = (reading.columns and renamed(path, reading, cells)) or _names_in_comment(cells, comment)
+    unnamed = () if names else tuple(cells)
+    layout = TextLayout(tuple(names or numbered(cells)), separator, decimal, count)
+    return _with_contents(replace(layout, unnamed=unnamed), chain([first], rest))
 
 
 def _first_line(file: Iterator[str]) -> tuple[str, str, int, Iterator[str]]:
@@ -325,14 +299,7 @@ def _are_numbers(cells: Sequence[str]) -> bool:
     return any(cells) and all(is_number(cell) or date_of(cell) is not None for cell in cells)
 
 
-def _no_header(path: Path, cells: Sequence[str]) -> LogError:
-    return LogError(
-        f"Log {str(path)!r} has no header: its first line is {','.join(cells)[:60]!r}.",
-        advice=f"{HEADER_ADVICE} Or name its columns by --columns, or by --mapping.",
-    )
-
-
-def _renamed(path: Path, reading: Reading, cells: Sequence[str]) -> Sequence[str]:
+def renamed(path: Path, reading: Reading, cells: Sequence[str]) -> Sequence[str]:
     """Return the names that the user gave, as many as there are columns."""
     if len(reading.columns) != len(cells):
         raise LogError(
@@ -374,7 +341,7 @@ class TextTable(LogTable):
         opened: Opener,
     ) -> None:
         """Take how many lines each block of the file has."""
-        super().__init__(path, {}, layout.units, (), layout.origins)
+        super().__init__(path, {}, layout.units, (), layout.origins, unnamed=layout.unnamed)
         self._read = layout, lines, reading
         self._opened = opened
 
@@ -442,21 +409,13 @@ def _all(kept: NDArray[np.bool_] | None) -> NDArray[np.bool_] | slice:
     return slice(None) if kept is None else kept
 
 
-def read_text(
-    path: Path, reading: Reading, joints: Sequence[str] | None = None, *, numbered: bool = False
-) -> LogTable:
-    """Return the columns of a table of text, which may be packed.
-
-    Args:
-        joints: Names of the model's joints, if there is a model, for a proposed mapping.
-    """
+def read_text(path: Path, reading: Reading) -> LogTable:
+    """Return the columns of a table of text, which may be packed."""
     regular_file(path, "log", LogError)
-    return _text_table(path, reading, joints, numbered=numbered, opened=lambda: open_log(path))
+    return _text_table(path, reading, lambda: open_log(path))
 
 
-def read_sheet(
-    path: Path, reading: Reading, joints: Sequence[str] | None = None, *, numbered: bool = False
-) -> LogTable:
+def read_sheet(path: Path, reading: Reading) -> LogTable:
     """Return the columns of a sheet of Excel, as those of a table of text; see `read_text`."""
     openpyxl = optional_package("openpyxl", "logs", "sheets of Excel", LogError)
     text = StringIO()
@@ -477,27 +436,19 @@ def read_sheet(
     others = [each for each in sheets if each != name]
     note = [f"sheet {name!r} is read, and not {listed(others)} (--topic)"] if others else []
     content = text.getvalue().encode()
-    opened = partial(BytesIO, content)
-    return _text_table(path, reading, joints, numbered=numbered, opened=opened).noting(*note)
+    return _text_table(path, reading, partial(BytesIO, content)).noting(*note)
 
 
 def _size(sheet: Any) -> int:
     return (sheet.max_row or 0) * (sheet.max_column or 0)
 
 
-def _text_table(
-    path: Path,
-    reading: Reading,
-    joints: Sequence[str] | None,
-    *,
-    numbered: bool,
-    opened: Opener,
-) -> LogTable:
+def _text_table(path: Path, reading: Reading, opened: Opener) -> LogTable:
     is_packed = unpacked(path) != path
     with readable(path, f"{path.suffix} file") if is_packed else nullcontext():
         lines = list(map(_count, _blocks(path, opened)))
     with opened() as file, TextIOWrapper(file, "utf-8-sig", newline="") as text:
-        layout, _ = text_layout(path, text, reading, joints, numbered=numbered)
+        layout, _ = text_layout(path, text, reading)
     table = TextTable(path, layout, lines, reading, opened)
     names_rows = any(map(names_joints, layout.texts)) or any(map(numbers_joints, layout.names))
     return table.loaded() if names_rows and reading.mapping is None else table
