@@ -251,6 +251,16 @@ def test_joined_files_without_a_common_clock(tmp_path):
     assert np.allclose(log.time, time)
 
 
+def test_joined_files_with_nanoseconds_of_their_own(tmp_path):
+    time, q, _, tau = motion(("a",))
+    stamps = [1_777_000_000 + np.floor(time), np.rint(1e9 * (time % 1.0))]
+    first = write(tmp_path / "positions.csv", ["sec", "nanosec", "a"], [*stamps, q])
+    second = write(tmp_path / "efforts.csv", ["sec", "nanosec", "a"], [*stamps, tau])
+    log = read_log(f"{first}+{second}")
+    assert np.allclose(log.time - log.time[0], time - time[0], atol=1e-6)
+    assert np.allclose(log.effort, tau)
+
+
 def test_two_files_that_do_not_fit(tmp_path):
     time, q, _, tau = motion(("a",))
     first = write(tmp_path / "positions.csv", ["time", "a"], [time, q])

@@ -38,6 +38,7 @@ from geodrake.logs.motion import (
     JointLog,
     check_joints,
 )
+from geodrake.logs.time_stamps import time_unit
 
 Array = NDArray[np.float64]
 
@@ -74,14 +75,25 @@ class Source:
         """What is added to its numbers after the factor."""
         return self.unit.offset if self.unit else 0.0
 
-    def read(self, numbers: dict[str, Array]) -> Array:
-        """Take the numbers (N,) of its columns out of those of a file, in SI units."""
+    def read(self, numbers: dict[str, Array], *, since_first: bool = True) -> Array:
+        """Take the numbers (N,) of its columns out of those of a file, in SI units.
+
+        Args:
+            since_first: Whether seconds with nanoseconds beside them are from the first second on,
+                so that no digits are lost.
+        """
         values = numbers.pop(self.column)
-        if self.nanoseconds is not None:  # from the first second on, so that no digits are lost
-            start = float(values[np.isfinite(values)][:1].sum())
+        if self.nanoseconds is not None:
+            start = float(values[np.isfinite(values)][:1].sum()) if since_first else 0.0
             values = (values - start) + 1e-9 * numbers.pop(self.nanoseconds)
         values = values if self.factor == 1.0 else self.factor * values
         return values + self.offset if self.offset else values
+
+    def seconds(self, time: Array) -> tuple[Array, tuple[str, ...]]:
+        """Return time stamps (N,) in s, where nobody said their unit, and a note of it."""
+        said = self.unit is not None or self.nanoseconds is not None
+        found = None if said else time_unit(self.column, time)
+        return (time, ()) if found is None else (found[0] * time, (found[1],))
 
     def written(self, numbers: Array) -> Array:
         """Return numbers (N,) as they stand in the file."""
@@ -428,7 +440,8 @@ class Columns:
             places[joint, quantity] = Source(same[0].column, unit.factor if unit else 1.0, unit)
         places = _with_commands_as_positions(places)
         if reading.rate is None:
-            places = _time(meanings, reading, units) | places
+            time = time_source(meanings, reading, units)
+            places = ({} if time is None else {("", "time"): time}) | places
         own = frozenset(m.joint for m in of_joints if m.style[0] == "own")
         notes = (*notes, *choice_words(best))
         return cls(path, names, reading, places, notes, reading.rate, own, others)
@@ -675,18 +688,18 @@ def _unit(
     return meaning.unit or find_unit(units.get(meaning.column, ""), quantity)
 
 
-def _time(
+def time_source(
     meanings: Sequence[Meaning], reading: Reading, units: Mapping[str, str]
-) -> dict[tuple[str, str], Source]:
+) -> Source | None:
     """Return the column of time, the likeliest of several; with one of nanoseconds beside it."""
     times = sorted((m for m in meanings if m.quantity == "time"), key=lambda m: m.role)
     if not times:
-        return {}
+        return None
     time = times[0]
     beside = [m for m in meanings if m.quantity == "nanoseconds" and m.style == time.style]
     unit = _unit(time, "time", reading, units)
     nanoseconds = beside[0].column if beside else None
-    return {("", "time"): Source(time.column, unit.factor if unit else 1.0, unit, nanoseconds)}
+    return Source(time.column, unit.factor if unit else 1.0, unit, nanoseconds)
 
 
 def _check_joints_of(what: str, named: Iterable[str], joints: Sequence[str]) -> None:

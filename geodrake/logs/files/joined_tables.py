@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from geodrake.errors import LogError
-from geodrake.logs.files.column_mapping import listed
+from geodrake.logs.files.column_mapping import listed, time_source
 from geodrake.logs.files.name_rules import (
     OF_JOINTS,
     PLAIN,
@@ -25,8 +25,7 @@ from geodrake.logs.files.name_rules import (
 )
 from geodrake.logs.files.reading import Reading
 from geodrake.logs.files.table import LogTable
-from geodrake.logs.files.units import unit_of
-from geodrake.logs.time_stamps import longest_step, time_unit
+from geodrake.logs.time_stamps import longest_step
 
 Array = NDArray[np.float64]
 
@@ -88,18 +87,14 @@ def meanings_of(table: LogTable) -> list[Meaning]:
     return [meaning for name in table.columns if (meaning := meaning_of(name)) is not None]
 
 
-def _time(table: LogTable, reading: Reading) -> tuple[Array | None, str]:
+def _time(table: LogTable, reading: Reading) -> tuple[Array | None, tuple[str, ...]]:
     """Return time stamps of a table, s, and a note of a unit that nobody said."""
-    times = [m for m in meanings_of(table) if m.quantity == "time"]
-    if not times:
-        return None, ""
-    best = min(times, key=lambda meaning: meaning.role)
-    if best.column in table.origins:
-        return table.columns[best.column], ""
-    unit = unit_of(reading.units["time"], "time") if "time" in reading.units else best.unit
-    time = table.columns[best.column]
-    factor, note = (unit.factor, "") if unit else time_unit(best.column, time) or (1.0, "")
-    return factor * time, note
+    source = time_source(meanings_of(table), reading, table.units)
+    if source is None:
+        return None, ()
+    if source.column in table.origins:
+        return table.columns[source.column], ()
+    return source.seconds(source.read(dict(table.columns), since_first=False))
 
 
 def _one_clock(
@@ -114,7 +109,7 @@ def _one_clock(
                 f"A part of log {str(log)!r}, {table.path}, has no number in its column of time.",
                 advice="Give each row its time.",
             )
-    notes = tuple(dict.fromkeys(note for _, note in stamps if note))
+    notes = tuple(dict.fromkeys(note for _, said in stamps for note in said))
     stamped = [k for k, time in enumerate(times) if time is not None]
     if len(stamped) < 2:
         return times, {"time": None}, notes

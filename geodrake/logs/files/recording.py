@@ -14,7 +14,7 @@ from geodrake.logs.files.packed_files import log_name
 from geodrake.logs.files.registers import are_whole, signed_register
 from geodrake.logs.files.table import TornRows
 from geodrake.logs.motion import PASSIVE, JointLog
-from geodrake.logs.time_stamps import evened, order_of_time, repeats, time_unit, with_clock_set_back
+from geodrake.logs.time_stamps import evened, order_of_time, repeats, with_clock_set_back
 
 Array = NDArray[np.float64]
 
@@ -57,7 +57,8 @@ class Recording:
 
     def log(self) -> JointLog:
         """Return the log."""
-        time, notes = self._seconds(self.time)
+        source = self.columns.sources.get("time")
+        time, notes = (self.time, ()) if source is None else source.seconds(self.time)
         time, more = with_clock_set_back(time)
         if (order := order_of_time(time, self.values["position"])) is not None:
             time, more = time[order], (*more, "rows were not in the order of time: sorted by it")
@@ -196,14 +197,6 @@ class Recording:
         if not len(numbers) or numbers.max() - _STILL > numbers.min():
             return np.nan
         return float(numbers[0] + (numbers - numbers[0]).mean())
-
-    def _seconds(self, time: Array) -> tuple[Array, tuple[str, ...]]:
-        """Return time stamps in s, where nobody said their unit, and a note of it."""
-        source = self.columns.sources.get("time")
-        if source is None or source.unit is not None or source.nanoseconds is not None:
-            return time, ()
-        found = time_unit(source.column, time)
-        return (time, ()) if found is None else (found[0] * time, (found[1],))
 
 
 def _rows_of_the_rarest(time: Array, values: Mapping[str, Array]) -> NDArray[np.bool_] | None:
