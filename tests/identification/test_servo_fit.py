@@ -464,3 +464,16 @@ def test_a_joint_without_damping_at_an_unknown_limit():
     fit = fit_servo(JointMotions((rows,), (moved,), (0.004,)), EffortSignal("a", "command", 40.0))
     assert fit.limit / fit.parameters[0] == pytest.approx(6.0 / 40.0, rel=0.02)
     assert fit.error < 1e-2 * fit.moved
+
+
+def test_an_integral_that_makes_a_joint_swing_up_ends_its_search():
+    """Its slopes grow beyond numbers."""
+    rows, time = np.zeros((6000, 8)), 0.005 * np.arange(6000)
+    rows[:, 7], rows[:, 4] = np.sin(2.0 * time), 0.9 * np.sin(2.0 * time - 0.2)
+    rows[:, 5] = np.gradient(rows[:, 4], time)
+    rows[:, 6] = np.gradient(rows[:, 5], time)
+    rows[:, 0], rows[:, 1] = 0.005 * rows[:, 6], 0.005
+    noise = 1e-3 * np.random.default_rng(0).normal(size=len(rows))
+    motions = JointMotions((rows,), (rows[:, 4] + noise,), (0.005,))
+    fit = fit_servo(motions, EffortSignal("a", "command", 40.0, integral=3e4), 5.0)
+    assert fit is None or fit.error < 0.1 * fit.moved

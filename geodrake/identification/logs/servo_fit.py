@@ -28,7 +28,7 @@ servo's own, within: only a servo at its limit tells them apart.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import pairwise
@@ -73,8 +73,8 @@ Numbers of a servo are these, its limit (infinite for none), the share of d with
 the efforts w that an integral begins with, one for each stretch.
 """
 
-LONGEST_DELAY = 0.06
-"""Commands are late by no more, s."""
+LONGEST_DELAY, USUAL_DELAY = 0.06, 0.01
+"""Commands are late by no more, and in the mean, s."""
 
 _RATE, _DELAY, _OFFSET, _LOAD, _INTEGRAL = 1, 5, 6, 7, 8
 _LIMIT, _SHARE, _BEGUN = 9, 10, 11
@@ -86,7 +86,7 @@ _MOST_EVALUATIONS, _FIRST_EVALUATIONS = 60, 20
 _SETTLED = 1e-5  # share of its sum of squares that the last step of a search takes off
 _FIRST_DAMPING = 1e-3  # of steps, over squares of slopes
 _LIMIT_STEP = 1e-3  # of a limit's size, for differences
-_FARTHEST = 3.0  # deviations of a stiffness from what is expected
+_FARTHEST = 3.0  # deviations of a number from what is expected
 _LEAST_LIMIT = 0.01  # of its size
 _USUAL_LOAD, _MOST_LOAD = 0.2, 1.0  # of the load, that friction in proportion to it is
 _RESETS = (1.0, 5.0)  # ki / kp, 1/s, that searches begin from
@@ -343,8 +343,8 @@ class _Servo:
         return replace(self, numbers=numbers)
 
 
-Expected = tuple[float, float]
-"""What is expected of a number above 0, and the deviation of its logarithm."""
+Expected = Mapping[str, tuple[float, float]]
+"""Name of a parameter above 0 -> what is expected of it, and the deviation of its logarithm."""
 
 
 def fit_servo(
@@ -358,9 +358,10 @@ def fit_servo(
     """Return the servo that moves a joint as it was measured to, from that by a linear fit on.
 
     The `limit` is the largest effort of the joint, N·m or N, by the model: the servo may keep it,
-    or another one, or none. Of the stiffness a value may be `expected`, by default about that by
-    the linear fit; `bodies` are known to a share. None if windows that the fit did not see are
-    predicted no better than from where it began, or than by a joint that stands still.
+    or another one, or none. Of the stiffness and other parameters values may be `expected`, by
+    default of the stiffness about that by the linear fit; `bodies` are known to a share. None if
+    windows that the fit did not see are predicted no better than from where it began, or than by a
+    joint that stands still.
     """
     inertia, some = np.concatenate(motions.rows)[:, 1], motions.pieces()
     begin = [
@@ -371,7 +372,7 @@ def fit_servo(
         0.2 * float(np.mean(inertia)),
         signal.delay,
     ]
-    expected = expected or (signal.gain, ALIKE)
+    expected = {"stiffness": (signal.gain, ALIKE), **(expected or {})}
     first = _Search(some, signal.integral, expected)
     found = first.at_its_limit(some.servo(begin), limit).along(motions)
     search, start = replace(first, motions=motions), motions.servo(begin)
@@ -387,7 +388,7 @@ class _Search:
 
     motions: JointMotions
     told: float  # the integral gain by a linear fit; 0 if it has none
-    expected: Expected  # stiffness
+    expected: Expected
 
     def fitted(self, half: _Servo, start: Array, bodies: float) -> ServoFit | None:
         """Return the fit to all rows, from that to half of the windows on; see `fit_servo`."""
@@ -412,7 +413,7 @@ class _Search:
         deviations = self._deviations(best, best.free(without=unused))
         # Bodies that are heavier move as these do with a stiffness that is larger by as much.
         whole = np.hypot(deviations[0], bodies * parameters[0])
-        deviations[0] = min(whole, self.expected[1] * parameters[0])
+        deviations[0] = min(whole, self.expected["stiffness"][1] * parameters[0])
         return ServoFit(parameters, deviations, error, first, moved, float(limit[0]), bool(own[0]))
 
     def at_its_limit(self, start: Array, limit: float) -> _Servo:
@@ -510,14 +511,17 @@ class _Search:
         """Return the least squares over all rows, or those that a fit sees, from several starts on.
 
         All numbers that a servo has move, its limit only if asked for, unless `free` (11 + S,) says
-        which. What is expected of the stiffness bounds it in searches, and counts over all rows.
+        which. What is expected of numbers bounds them in searches, and counts over all rows.
         """
         motions = self.motions
         rows = ~motions.tested if seen else np.ones(len(motions.measured), bool)
-        weight, (usual, spread) = 0.0, self.expected
+        places = [PARAMETERS.index(name) for name in self.expected]
+        usual, spread = np.transpose(list(self.expected.values()))
+        weights, late = 0.0 * spread, 0.0
         if not seen:  # on the scale of what is left of positions
             left = motions.residual(starts[0].numbers)
-            weight = float(np.sqrt(left @ left / WORTH)) / spread
+            noise = np.sqrt(left @ left / WORTH)
+            weights, late = noise / spread, noise / USUAL_DELAY * np.sqrt(2.0 / np.pi)
 
         def search(start: _Servo) -> tuple[float, _Servo]:
             moving, scale = start.free(limit=limit) if free is None else free, start.scale
@@ -525,7 +529,8 @@ class _Search:
             upper[[_DELAY, _LOAD]] = LONGEST_DELAY / scale[_DELAY], _MOST_LOAD / scale[_LOAD]
             lower[:_LIMIT], lower[_LIMIT], lower[_SHARE:] = 0.0, _LEAST_LIMIT, -np.inf
             lower[_OFFSET] = -np.inf
-            lower[0], upper[0] = usual / scale[0] * np.exp(_FARTHEST * spread * np.array([-1, 1]))
+            farthest = usual / scale[places], np.exp(_FARTHEST * spread)
+            lower[places], upper[places] = farthest[0] / farthest[1], farthest[0] * farthest[1]
 
             def numbers(x: Array) -> Array:
                 found = start.numbers.copy()
@@ -535,12 +540,16 @@ class _Search:
             def residual(x: Array) -> Array:
                 at = numbers(x)
                 left = motions.simulated(at) - motions.measured
-                return np.append(left[rows], weight * np.log(at[0] / usual))
+                return np.hstack(
+                    [left[rows], weights * np.log(at[places] / usual), late * at[_DELAY]]
+                )
 
             def slopes(x: Array) -> Array:
                 at = numbers(x)
-                J = motions.slopes(at, scale, moving)[rows]
-                return np.vstack([J, weight * scale[0] / at[0] * (np.flatnonzero(moving) == 0)])
+                own = np.zeros((len(places) + 1, len(at)))
+                own[range(len(places)), places] = weights * scale[places] / at[places]
+                own[-1, _DELAY] = late * scale[_DELAY]
+                return np.vstack([motions.slopes(at, scale, moving)[rows], own[:, moving]])
 
             begin = np.clip(start.numbers / scale, lower, upper)[moving]
             x, cost = _descend((residual, slopes), begin, (lower[moving], upper[moving]), most)
@@ -561,7 +570,8 @@ class _Search:
         noise = residual @ residual / WORTH
         # What the motion does not show is known to its own size.
         known = np.ones(J.shape[1])
-        known[0] = self.expected[1] ** -2.0
+        for name, (_, spread) in self.expected.items():
+            known[np.flatnonzero(free) == PARAMETERS.index(name)] = spread**-2.0
         covariance = np.linalg.inv(J.T @ J / noise + np.diag(known))
         found = np.zeros(len(free))
         found[free] = size[free] * np.sqrt(np.diag(covariance))
@@ -584,7 +594,10 @@ def _descend(
     cost = float(left @ left)
     for _ in range(most):
         J = slopes(x)
-        H, pull = J.T @ J, J.T @ left
+        with np.errstate(over="ignore", invalid="ignore"):
+            H, pull = J.T @ J, J.T @ left
+        if not np.isfinite(H).all():  # of a servo that makes its joint swing up
+            break
         gain = 0.0
         while gain <= 0.0:
             size = np.maximum(np.diag(H), np.finfo(float).eps * np.trace(H) + _NOTHING)

@@ -9,10 +9,9 @@ import numpy as np
 
 from geodrake.effects import FittedEffect
 from geodrake.effects.base import JointEffect
-from geodrake.identification.logs.effort_gains import ALIKE
 from geodrake.identification.logs.servo_fit import PARAMETERS, ServoFit, fit_servo, motions_of
 from geodrake.identification.logs.signal_calibration import (
-    published_gain,
+    expected_servo,
     sharp_trajectories,
     signal_by_motion,
     signals_as_efforts,
@@ -59,8 +58,8 @@ def with_servo_motions(
     fits = dict[str, ServoFit]()
     for j, motions in motions_of(replace(model, effects=()), logs, sharp, moved).items():
         joint, most = model.joints[j], float(model.effort_limits[j])
-        signal, told = signals[joint], published_gain(logs, joint, COMMAND)
-        expected = (signal.gain, ALIKE) if told is None else (told[0], told[1] / told[0])
+        signal = signals[joint]
+        expected = expected_servo(logs, joint, signal.gain)
         fit = fit_servo(motions, signal, most if most > 0.0 else np.inf, expected=expected)
         if fit is not None:
             fits[joint] = fit

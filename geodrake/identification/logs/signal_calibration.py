@@ -27,6 +27,7 @@ from geodrake.identification.logs.model_fit import effects_of
 from geodrake.identification.logs.reduce import reduce_logs
 from geodrake.identification.logs.servo_fit import (
     LONGEST_DELAY,
+    USUAL_DELAY,
     Expected,
     JointMotions,
     ServoFit,
@@ -185,7 +186,6 @@ class CarriedColumn(RobotEffect):
 _SHARP = 20.0  # Hz
 _ROUNDS = 2  # of choosing how servos take commands, and of bodies and gains with that
 _DELAYS = tuple(np.linspace(0.0, LONGEST_DELAY, 16).tolist())  # that are tried, s
-_USUAL_DELAY = 0.01  # s, mean of how late servos are
 
 
 def with_efforts(
@@ -331,8 +331,7 @@ def calibrated(
         servos = dict[int, EffortSignal]()
         for j in joints:
             limit, known = float(model.effort_limits[j]), float(gains.bodies[j])
-            share, published = float(priors.deviations[j]), float(priors.expected[j])
-            expected = (published, share) if np.isfinite(share) else (usual[alike[j]], ALIKE)
+            expected = expected_servo(logs, model.joints[j], usual[alike[j]])
             servo = _by_motion(motions[j], signals[j], limit, known, expected)
             servos |= {} if servo is None else {j: servo}
         return servos
@@ -358,7 +357,7 @@ def _gain_priors(model: RobotModel, logs: Sequence[JointLog], kinds: Sequence[st
         published = published_gain(logs, joint, kind)
         if published is not None:
             expected[j] = published[0]
-            known[j] = np.sqrt(np.log1p((published[1] / published[0]) ** 2))
+            known[j] = _log_deviation(*published[:2])
     return GainPriors(expected, known)
 
 
@@ -372,6 +371,22 @@ def published_gain(
         if motor is not None and told is not None:
             return (*told, motor.name)
     return None
+
+
+def expected_servo(logs: Sequence[JointLog], joint: str, stiffness: float) -> Expected:
+    """Return what data sheets say of a joint's servo, or else about which stiffness is usual."""
+    found = {"stiffness": (stiffness, ALIKE)}
+    motors = [log.motors[joint] for log in logs if joint in log.motors]
+    for motor in motors[:1]:
+        for name, told in (("stiffness", motor.gain(COMMAND)), ("armature", motor.armature)):
+            if told is not None:
+                found[name] = told[0], _log_deviation(*told[:2])
+    return found
+
+
+def _log_deviation(value: float, deviation: float) -> float:
+    """Return the deviation of the logarithm of a value."""
+    return float(np.sqrt(np.log1p((deviation / value) ** 2)))
 
 
 def _by_body(model: RobotModel, phi: Array) -> dict[str, Array]:
@@ -506,7 +521,7 @@ class _Calibration:
 
     def cost(self, gains: SignalGains) -> float:
         """Return twice the negative log-likelihood with some bodies and gains."""
-        phi, total = gains.phi.ravel(), 2.0 * _DELAYS[self.delay] / _USUAL_DELAY
+        phi, total = gains.phi.ravel(), 2.0 * _DELAYS[self.delay] / USUAL_DELAY
         for j in self.commanded:
             rows = self.joint(j)
             a = rows.least_squares_gain(phi)
