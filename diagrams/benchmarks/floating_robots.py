@@ -45,6 +45,8 @@ from diagrams.benchmarks.ordinary_robots import (
     step_words,
 )
 from diagrams.harness import cpu_clock, positive_number, run_draws, script_parser, write
+from geodrake.model.ground_contacts import contact_frames
+from geodrake.model.robot_model import load_description
 
 Truth = Mapping[str, Sequence[str]]
 _DRIVES = ("coulomb_friction", "viscous_friction", "rotor_inertia")
@@ -114,7 +116,8 @@ def truth_of(draw: Draw, recording: Recording) -> Truth:
         case s if s == GAIN and secret.gain is not None:
             return {"effort_scale": (secret.gain[0],)}
         case s if s == FOOT and secret.offset is not None:
-            return {"wrench_offset": (secret.offset[0],)}
+            model = load_description(recording.model, floating=True)
+            return {"wrench_offset": (contact_frames(model, secret.offset[:1])[0].body,)}
     return {}
 
 

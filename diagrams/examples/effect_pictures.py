@@ -26,6 +26,7 @@ from diagrams.harness import script_parser
 from geodrake import effects, load_model
 from geodrake.boundary.whole_files import write_whole
 from geodrake.effects import Effect, RobotMotion, catalogue
+from geodrake.effects.lookup import table_rows
 from geodrake.logs.motion import Motion
 from geodrake.model import RobotModel
 from geodrake.report import style
@@ -39,12 +40,17 @@ SHOULDER, ELBOW, ROLL, PITCH = "shoulder_pitch", "elbow_pitch", "wrist_roll", "w
 PUSH = (10.0, 0.0, -25.0, 0.0, 0.0, 0.0)  # N, N·m
 INTRODUCTION = """# Effects
 
-What each effect of the catalogue does to the efforts, and what it looks like in a residual: the
-effort that a model without it leaves unexplained. An arm moves for 20 s; the residual of one joint
-is shown over time, over the joint's speed and over its position. Which of the three shows a curve,
-and not a cloud, mostly tells the effect.
+This page shows each effect of the catalogue: the effort that it needs, and the residual that a
+model without it leaves. An arm moves for 20 s; the pictures show the residual of one joint over
+time, over the joint's speed and over its position. Mostly the one that shows a curve, not a cloud,
+tells the effect.
 
-Made by `python -m diagrams.examples.effect_pictures`.
+Made by `python -m diagrams.examples.effect_pictures --figures docs/figures/effects --page
+docs/effects.md`. An effect of your own takes ten lines:
+see [how to write one](how_to.md#write-an-effect-of-your-own).
+
+| effect | needed effort | place |
+|---|---|---|
 """
 
 
@@ -90,6 +96,7 @@ def examples() -> list[Example]:
         Example(effects.ThermalFriction(ELBOW, 30.0), (-0.5, -0.2)),
         Example(effects.Hysteresis(ELBOW, 0.2), (6.0,)),
         Example(effects.EffortOffset(ELBOW), (3.0,)),
+        Example(effects.WrenchOffset("flange"), (4.0, 0.0, -8.0, 0.0, 0.0, 0.0)),
         Example(effects.ThermalOffset(ELBOW, 30.0), (0.0, 0.5)),
         Example(effects.EffortScale(ELBOW), (0.1,)),
         Example(effects.JointSpring(ELBOW, 1, 0.0), (8.0, 0.0)),
@@ -165,7 +172,8 @@ def draw(residual: Array, motion: RobotMotion, joint: str, path: Path) -> None:
 
 def page(drawn: dict[type[Effect], Path], folder: Path) -> str:
     """The page of all effects, pictures named relative to a folder."""
-    parts = [INTRODUCTION]
+    rows = [(f"`{name}`", law.replace("|", "\\|"), place) for name, law, place in table_rows()]
+    parts = [INTRODUCTION + "".join(f"| {' | '.join(row)} |\n" for row in rows)]
     for effect, path in drawn.items():
         parameters = ", ".join(f"{p.name} ({p.unit})" for p in effect.parameters)
         lines = [f"## `{effect.name}`", f"Needed effort: {effect.law}."]

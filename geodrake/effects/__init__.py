@@ -66,7 +66,13 @@ from geodrake.effects.motor_and_transmission import (
     RotorInertia,
     TorqueRipple,
 )
-from geodrake.effects.sensors import EffortDelay, EffortOffset, EffortScale, ThermalOffset
+from geodrake.effects.sensors import (
+    EffortDelay,
+    EffortOffset,
+    EffortScale,
+    ThermalOffset,
+    WrenchOffset,
+)
 from geodrake.effects.user_effects import load_effect_file
 
 __all__ = [
@@ -110,6 +116,7 @@ __all__ = [
     "ThermalOffset",
     "TorqueRipple",
     "ViscousFriction",
+    "WrenchOffset",
     "WrongInertia",
     "catalogue",
     "effect_class",

@@ -98,6 +98,7 @@ class Effect(CheckedFields, abc.ABC):
             for what any joint may have: unknown gains of efforts are found beside it.
         turning_only: Whether the effect makes sense at joints that turn only.
         needs_known_inertia: Whether only inertias or payloads known from elsewhere can tell it.
+        of_force_sensor: Whether it is tried only at bodies whose contact forces a log has.
         proposer: What in a residual proposes it, instead of trying all `candidates`; effects of
             pairs of joints that follow each other are tried all the same.
         contains: Effects of the same place that it replaces.
@@ -124,6 +125,7 @@ class Effect(CheckedFields, abc.ABC):
     complexity: ClassVar[int] = 2
     turning_only: ClassVar[bool] = False
     needs_known_inertia: ClassVar[bool] = False
+    of_force_sensor: ClassVar[bool] = False
     proposer: ClassVar[Proposer | None] = None
     contains: ClassVar[tuple[type[Effect], ...]] = ()
     companion: ClassVar[type[Effect] | None] = None

@@ -1,4 +1,4 @@
-"""What sensors of effort make of it: offsets, gains and delays."""
+"""What sensors of effort and of forces make of them: offsets, gains and delays."""
 
 from __future__ import annotations
 
@@ -13,6 +13,7 @@ from scipy.interpolate import BSpline
 from geodrake.boundary.arguments import positive, real_array
 from geodrake.effects.base import (
     Array,
+    BodyEffect,
     Effect,
     JointEffect,
     JointMotion,
@@ -50,6 +51,46 @@ class EffortOffset(JointEffect):
         """None."""
         del joint
         return [{}]
+
+
+@dataclass(frozen=True)
+class WrenchOffset(BodyEffect):
+    """Offset of a force sensor, as of a foot: a constant wrench in the axes of its body.
+
+    effort = Jᵀ w₀, with the force in N and the moment about the sensor's origin in N·m. Where the
+    logged forces of a foot count as efforts of the base and the joints, an error of them does, too.
+
+    Attributes:
+        x: Position of the sensor's origin from Bo along x of the body's frame, m.
+    """
+
+    x: float = 0.0
+    y: float = 0.0
+    z: float = 0.0
+
+    name = "wrench_offset"
+    law = "Jᵀ w₀ of a constant wrench on a body, where a log has a force measured there"
+    shapes = tuple(Shape(axis, "m") for axis in "xyz")
+    parameters = (
+        *(Parameter(f"force_{axis}", "N") for axis in "xyz"),
+        *(Parameter(f"moment_{axis}", "N·m") for axis in "xyz"),
+    )
+    signature = "a constant wrench that turns with a body, at the base and all joints up to it"
+    depends_on = frozenset({"q", "bodies"})
+    complexity = 2
+    of_force_sensor = True
+
+    @property
+    def free_shapes(self) -> int:
+        """None: the sensor's place is known."""
+        return 0
+
+    def rows(self, motion: RobotMotion) -> Rows:
+        """[Jᵀ R_WB] of the force and of the moment, at the joints that move the body."""
+        body = motion.body_motions(self.name).motion(self.body)
+        J = np.stack([body.jacobian_at(np.array([self.x, self.y, self.z])), body.angular], 1)
+        columns = np.einsum("nkij,nia->njka", J, body.rotation).reshape(*motion.v.shape, 6)
+        return {motion.joints[dof]: columns[:, dof] for dof in body.dofs}
 
 
 @dataclass(frozen=True)

@@ -305,6 +305,7 @@ class Trajectory:
         temperatures: Courses of the joints' temperatures, if there are any.
         contacts: Where a free base may be in contact, unless its wrenches were measured.
         left_out: What of the log is not used, in one line; "" if it is next to nothing.
+        force_sensors: Frames at which forces were measured that count as efforts.
     """
 
     name: str
@@ -322,6 +323,7 @@ class Trajectory:
     passive: tuple[str, ...] = ()
     contacts: ContactFlags | None = None
     left_out: str = ""
+    force_sensors: tuple[str, ...] = ()
 
     @property
     def output_counts(self) -> tuple[int, ...]:

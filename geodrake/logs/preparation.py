@@ -17,6 +17,7 @@ from geodrake.logs.filtering import (
     differentiate,
     quiet_density,
 )
+from geodrake.logs.floating import FORCE, frames_of
 from geodrake.logs.motion import JointLog, Trajectory
 from geodrake.logs.smoothing import Segment, Stretch, smooth_pieces
 from geodrake.logs.temperatures import Temperatures
@@ -133,6 +134,7 @@ def _prepare(
         log.passive,
         log.contacts,
         left_out if is_much else "",
+        () if log.ground is None else frames_of(log.floating, FORCE),
     )
     _check_outputs(uniform, low_pass, sum(trajectory.output_counts))
     return trajectory

@@ -65,6 +65,7 @@ _EFFECTS = (
     ("joint_elasticity", "elbow", "", "0.001"),
     ("backlash", "elbow", "half_width: 0.01", "0.1"),
     ("aerodynamic_drag", "lower_link", "", "0.1, 0, 0, 0"),
+    ("wrench_offset", "lower_link", "x: 0.1", "1, 0, 0, 0, 0, 0"),
     ("contact", "lower_link", "start: 1.0, end: 2.0, rise: 0.1, x: 0.0", "1, 0, 0, 0, 0, 0"),
 )
 _FORM = "- {{name: {}, where: [{}], shape: {{{}}}, parameters: [{}], deviations: []}}\n"

@@ -21,6 +21,7 @@ from typer.testing import CliRunner
 from geodrake.cli.app import app
 from geodrake.control.rollout import roll_out
 from geodrake.diagnosis import explain
+from geodrake.effects import RobotMotion, WrenchOffset
 from geodrake.effects.body_motion import RobotBodies
 from geodrake.errors import LogError
 from geodrake.identification.logs.compare import compare
@@ -316,6 +317,40 @@ def test_topics_of_a_bag_are_the_columns_of_base_and_feet(tmp_path, model, maker
     theirs, ours = (compare(model, each).errors.nrms for each in (read, log))
     assert theirs == pytest.approx(ours, rel=1e-6)
     assert not read_log(bag, joints=JOINTS).floating  # a fixed robot has no base
+
+
+def test_wrenches_of_an_offset_are_those_by_multibody_plant(model, maker):
+    log = with_base(maker.log(wrenches=True), model)
+    order = [log.joints.index(joint) for joint in model.joints]
+    q = log.position[:400:40, order]
+    (foot,) = contact_frames(model, ["hl_foot"])
+    effect = WrenchOffset(foot.body, *foot.origin.tolist())
+    bodies = RobotBodies(model.tree, model.positions(q), model.total_phi)
+    still = 0.0 * q
+    motion = RobotMotion(
+        model.joints, q, still, still, still, np.full(18, 0.01), lambda name: still, bodies
+    )
+    force = np.array([1.0, -2.0, 3.0])
+    found = effect.effort(motion, np.append(force, np.zeros(3)))
+    for k, at in enumerate(model.positions(q)):
+        J = plant_jacobians(model, at)[6:9]
+        context = model.plant.CreateDefaultContext()
+        model.plant.SetPositions(context, at)
+        R = model.plant.GetFrameByName("hl_foot").CalcPoseInWorld(context).rotation().matrix()
+        np.testing.assert_allclose(found[k], J.T @ R @ force, atol=1e-9)
+
+
+def test_an_offset_of_a_foot_sensor_is_named_and_placed(model, maker):
+    log = maker.log(wrenches=True, noise=1.0)
+    offset = np.array([3.0, -2.0, 6.0])
+    names = [f"hl_foot.force.{axis}" for axis in "xyz"]
+    columns = {name: log.floating[name] + o for name, o in zip(names, offset, strict=True)}
+    found = explain(model, maker.log(wrenches=True, noise=1.0, **columns))
+    (step,) = found.steps
+    assert (step.effect, step.where) == ("wrench_offset", ("hl_calf",)) and step.probability > 0.9
+    values = [step.parameters["hl_calf"][f"force_{axis}"] for axis in "xyz"]
+    deviations = [step.deviations["hl_calf"][f"force_{axis}"] for axis in "xyz"]
+    assert np.all(np.abs(values - offset) < 3.0 * np.array(deviations) + 0.02 * np.abs(offset))
 
 
 def test_bad_poses_are_refused(model, maker):

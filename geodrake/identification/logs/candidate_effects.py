@@ -15,6 +15,7 @@ from geodrake.effects.user_effects import candidates_of
 from geodrake.identification.logs.reduce import peak_speeds
 from geodrake.logs.motion import Trajectory
 from geodrake.logs.smoothing import Segment
+from geodrake.model.ground_contacts import contact_frames
 from geodrake.model.robot_model import RobotModel
 
 Array = NDArray[np.float64]
@@ -58,6 +59,8 @@ def candidate_effects(
     reach = dict(zip(model.joints, spans.tolist(), strict=True))
     duration = max(float(t.segments[-1][-1:].time[0] - t.began) for t in trajectories)
     passive = {joint for trajectory in trajectories for joint in trajectory.passive}
+    frames = dict.fromkeys(frame for t in trajectories for frame in t.force_sensors)
+    sensors = [(f.body, *f.origin.tolist()) for f in contact_frames(model, [*frames])]
 
     def has_none(effect: type[Effect], joint: str) -> bool:
         slides = effect.turning_only and joint in model.sliding_joints
@@ -79,8 +82,9 @@ def candidate_effects(
             for pair in (p for p in pairs if not any(has_none(effect, j) for j in p)):
                 found.extend(candidates_of(effect, pair))
         elif effect.places == "body":
-            for body in model.bodies:
+            for body in () if effect.of_force_sensor else model.bodies:
                 found.extend(candidates_of(effect, body))
+            found += [effect(*place) for place in sensors if effect.of_force_sensor]
         elif effect.places == "robot":
             found.extend(candidates_of(effect))
     return (*found, *_effects_behind(model, segments))
