@@ -112,7 +112,7 @@ def check_text(path: Path, names: Sequence[str]) -> None:
             f"The first line of log {str(path)!r} has null characters: it is no text in UTF-8.",
             advice="Is it UTF-16, or binary? Save it as CSV in UTF-8, or as .npz.",
         )
-    check_twice(path, names, [name for name in names if is_used(name)])
+    check_once(path, names, [name for name in names if is_used(name)])
 
 
 def no_header(path: Path, first: Sequence[str]) -> LogError:
@@ -123,21 +123,16 @@ def no_header(path: Path, first: Sequence[str]) -> LogError:
     )
 
 
-def check_twice(path: Path, names: Sequence[str], used: Collection[str]) -> None:
-    """Refuse columns that are needed and there twice."""
+def check_once(path: Path, names: Sequence[str], used: Collection[str] | None = None) -> None:
+    """Refuse columns that are needed and there twice; by default all are needed."""
     counts = Counter(names)
-    twice = sorted(name for name in set(used) if counts[name] > 1)
+    twice = sorted(name for name in set(names if used is None else used) if counts[name] > 1)
     if twice:
         raise LogError(
             f"Log {str(path)!r} has these columns more than once: {', '.join(twice)}.",
             advice="Remove or rename one of each.",
             columns=twice,
         )
-
-
-def check_once(path: Path, names: Sequence[str]) -> None:
-    """Refuse columns that are there twice, where only their names tell them apart."""
-    check_twice(path, names, names)
 
 
 def is_used(name: str) -> bool:
@@ -554,7 +549,7 @@ class Columns:
         """Return it with what is read for the joints."""
         joints, standing = self.joints, self.standing
         used = {c for source in self.places.values() for c in source.columns}
-        check_twice(self.path, self.names, used)
+        check_once(self.path, self.names, used)
         self._check_said(joints)
         quantities, notes = [], list(self.notes)
         for quantity in QUANTITIES:
