@@ -555,6 +555,7 @@ def _cells(
     """
     values: list[list[float]] = []
     places = [layout.places[name] for name in used]
+    read = dict.fromkeys(cell for cell, _ in places)  # a list once, not for each of its items
     is_plain = not {*layout.lists, *layout.origins}.intersection(used)
     is_plain &= not any("_" in line for line in lines)  # which Python takes in its own numbers
     try:
@@ -572,7 +573,7 @@ def _cells(
                     with suppress(ValueError):  # of words for nothing, or of what is wrong
                         values.append([float(cells[k] or "nan") for k, _ in places])
                         continue
-                found = {k: _numbers_of(cells[k], path, row + 1, layout, k) for k, _ in places}
+                found = {k: _numbers_of(cells[k], path, row + 1, layout, k) for k in read}
                 values.append([found[cell][item or 0] for cell, item in places])
             except LogError as error:
                 torn.add(row, error)
