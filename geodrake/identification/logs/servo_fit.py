@@ -400,7 +400,7 @@ class _Search:
         if not motions.rms(half.numbers, tested) < min(motions.rms(began, tested), moved):
             return None
         best, unused = self._best([half]), list[int]()
-        for which in (_OFFSET, _LOAD, _RATE):
+        for which in (_OFFSET, _LOAD, _RATE, _DELAY):
             free = best.free(without=[*unused, which])
             bare = self._best([best.at_zero(which)], free=free)
             if motions.gain(bare.numbers, best.numbers) < PENALTY:
