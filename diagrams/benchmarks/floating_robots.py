@@ -61,11 +61,11 @@ def score_draw(draw: Draw) -> dict[str, Any]:
             "secret": asdict(recording.secret),
             "inverse_error": recording.inverse_error,
         }
+        truth = truth_of(draw, recording)
         compared, row["compare_seconds"], _ = _said("compare", recording, Path(folder))
         told, row["explain_seconds"], error = _said("explain", recording, Path(folder))
     if told is None:
         return {**row, "failed": error, "steps": [], "missing": [draw.hidden], "wrong": []}
-    truth = truth_of(draw, recording)
     steps = [_step_row(step, truth) for step in told["steps"]]
     return {
         **row,
