@@ -60,11 +60,8 @@ def _shown_text(value: Any) -> Any:
     """Printable text whose numbers stay on one line with their per cent signs and deviations."""
     if not isinstance(value, str) or hasattr(value, "__html__"):  # a macro's: done
         return value
-    return (
-        printable(value)
-        .replace(" %", "\N{NO-BREAK SPACE}%")
-        .replace(" ± ", "\N{NO-BREAK SPACE}±\N{NO-BREAK SPACE}")
-    )
+    text = re.sub(r"(?<=\d) %", "\N{NO-BREAK SPACE}%", printable(value))
+    return text.replace(" ± ", "\N{NO-BREAK SPACE}±\N{NO-BREAK SPACE}")
 
 
 def _breakable(text: str) -> Markup:
