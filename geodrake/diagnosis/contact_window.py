@@ -88,15 +88,19 @@ class WrenchColumns:
         rows = np.isfinite(window.residual[:, dofs])
         return cls(near, window.time, low_pass, rows)
 
-    def columns(self, contact: PointEpisode) -> Array:
-        """The known rows of `columns` at the joints that move the body."""
-        edges = ((self.time - edge) / contact.rise for edge in (contact.start, contact.end))
+    def columns(self, shape: Array) -> Array:
+        """The known rows of `columns` at the joints that move the body.
+
+        Args:
+            shape: (6,) start, end and rise, s, and the point, m.
+        """
+        edges = ((self.time - edge) / shape[2] for edge in shape[:2])
         after, before = map(np.tanh, edges)
         kernel, step = self.filter.kernel, self.filter.decimation
         weights = sliding_window_view(0.5 * (after - before), len(kernel))[::step] * kernel
         count, joints = self.rows.shape
         parts = (weights[:, None] @ self.near).reshape(count, 5, joints, 3)
-        force = parts[:, 0] + np.tensordot(contact.point, parts[:, 1:4], (0, 1))
+        force = parts[:, 0] + np.tensordot(shape[3:], parts[:, 1:4], (0, 1))
         return np.concatenate([force, parts[:, 4]], -1)[self.rows]
 
 
@@ -109,30 +113,34 @@ def refined(window: ResidualWindow, contact: PointEpisode, *, tries: int = ENOUG
     # A moment makes up for any point where it turns with the force.
     steps: Array = _STEPS[:_STEPS_IN_TIME] if contact.turning else _STEPS
 
-    def moved(step: Array) -> PointEpisode | None:
-        start, end, rise, x, y, z = np.pad(step, (0, len(_STEPS) - len(step))).tolist()
-        start, end, rise = contact.start + start, contact.end + end, contact.rise * np.exp(rise)
-        point = [contact.x + x, contact.y + y, contact.z + z]
-        if end - start < 0.5 * SHORTEST or rise > 0.25 * (end - start):
+    names = ("start", "end", "rise", "x", "y", "z")
+    begin = np.array([getattr(contact, name) for name in names])
+
+    def moved(step: Array) -> Array | None:
+        shape = begin.copy()
+        shape[: len(step)] += step
+        shape[2] = begin[2] * np.exp(step[2])
+        span = shape[1] - shape[0]
+        if span < 0.5 * SHORTEST or not _SHARPEST <= shape[2] <= 0.25 * span:
             return None
-        if max(map(abs, point)) > _FARTHEST or rise < _SHARPEST:
-            return None
-        x, y, z = point
-        return replace(contact, start=start, end=end, rise=rise, x=x, y=y, z=z)
+        return shape if np.abs(shape[3:]).max() <= _FARTHEST else None
 
     def explained(step: Array) -> float:
         """By the wrench of least squares, less the directions that the joints hardly feel."""
-        other = moved(step)
-        if other is None:
+        shape = moved(step)
+        if shape is None:
             return 0.0
-        A = felt.columns(other)
+        A = felt.columns(shape)
         A /= _sizes(A)
         values, vectors = np.linalg.eigh(A.T @ A)
         clear = values > max(cut**2 * values[-1], np.finfo(float).tiny)
         return float(np.sum(np.square((A.T @ b) @ vectors[:, clear]) / values[clear]))
 
     best = least_step(lambda x: -explained(x), steps, tries, xatol=1e-3, fatol=1e-2)
-    return moved(best) or contact
+    shape = moved(best)
+    if shape is None:
+        return contact
+    return replace(contact, **dict(zip(names, shape.tolist(), strict=True)))
 
 
 def least_step(loss: Callable[[Array], float], steps: Array, tries: int, **close: float) -> Array:

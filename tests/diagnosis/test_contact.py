@@ -178,7 +178,8 @@ def test_columns_of_a_search():
         contact = Contact(body, 1.3, 2.6, 0.03, 0, 0.1, -0.2, 0.3, turning)
         dofs = list(bodies.motion(body).dofs)
         expected = columns(window, contact)[:, dofs][np.isfinite(residual[:, dofs])]
-        found = WrenchColumns.of(window, contact).columns(contact)
+        shape = np.array([contact.start, contact.end, contact.rise, *contact.point])
+        found = WrenchColumns.of(window, contact).columns(shape)
         np.testing.assert_allclose(found, expected, atol=1e-13 * np.abs(expected).max())
 
 

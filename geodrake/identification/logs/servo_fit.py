@@ -695,8 +695,8 @@ def calc_servo_motion(
                     gives,
                 )
                 damps, pulls = free + gives * (kr + own * d), K + gives * reach
-                stiff = heavy + gives * soft if way != 0.0 else np.inf
-                step = inertia, damps, pulls, gives * ki, stiff, grows, dt
+                moves = 1.0 / (heavy + gives * soft) if way != 0.0 else 0.0
+                step = inertia, damps, pulls, gives * ki, moves, dt if grows else 0.0, dt
                 move_slopes(at_numbers[:, :count], direct, step)
                 at_numbers[2, 5] -= dt * later if grows else 0.0
             z += dt * error if grows else 0.0
@@ -713,24 +713,24 @@ def calc_servo_motion(
 def move_slopes(
     slopes: Array,
     direct: tuple[float, ...],
-    step: tuple[float, float, float, float, float, bool, float],
+    step: tuple[float, float, float, float, float, float, float],
 ) -> None:
     """Take a step of slopes (3, p) of position, velocity and integral with numbers of a servo.
 
     Args:
         direct: Forces by which these numbers, and others after them, act by themselves.
-        step: What a velocity before takes away per force, what damps, what holds, what an integral
-            gives, what a velocity afterwards takes away (infinite where the joint sticks), whether
-            the integral grows, and the time, s.
+        step: How much force a velocity before adds, what damps, what holds, what an integral gives,
+            how much a force moves the joint (0 where it sticks), how long the integral grows, s,
+            and the time, s.
     """
-    inertia, damps, holds, gives, stiff, grows, dt = step
+    inertia, damps, holds, gives, moves, grows, dt = step
     for i in range(slopes.shape[1]):
-        x, v, z = slopes[:, i]
+        x, v, z = slopes[0, i], slopes[1, i], slopes[2, i]
         old = (1.0 - _THETA) * v
         force = direct[i] + inertia * v - damps * old - holds * (x + _THETA * dt * old)
-        slopes[1, i] = (force + gives * z) / stiff
+        slopes[1, i] = moves * (force + gives * z)
         mean = old + _THETA * slopes[1, i]
-        slopes[2, i] -= dt * (x + _THETA * dt * mean) if grows else 0.0
+        slopes[2, i] -= grows * (x + _THETA * dt * mean)
         slopes[0, i] += dt * mean
 
 
