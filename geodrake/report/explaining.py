@@ -44,7 +44,7 @@ from geodrake.report.numbers import (
     with_deviation,
 )
 from geodrake.report.page import About, Cell, ColoredList, Page, Section, Table, Tile, cells
-from geodrake.report.rollouts import departures_table
+from geodrake.report.rollouts import departures_table, stages_table
 
 REST = "What the remaining error varies with"
 _EVEN = "No joint has a much larger error in some circumstance than elsewhere."
@@ -291,7 +291,7 @@ def _motions_section(motions: Sequence[Rollout] | None, units: Units) -> Section
     title = "Departure from the motion under the commands"
     if motions is None:
         return Section(title)
-    before, *between, after = motions
+    before, after = motions[0], motions[-1]
     return Section(
         title,
         f"RMS in windows of {after.horizon:g} s that start at the measured state.",
@@ -300,7 +300,10 @@ def _motions_section(motions: Sequence[Rollout] | None, units: Units) -> Section
             "measured one; before with the model as it was and the same servos, and after each "
             "step.",
         ),
-        tables=(departures_table(after, before, units, between),),
+        tables=(
+            departures_table(after, before, units),
+            *([stages_table(motions, units)] if len(motions) > 2 else []),
+        ),
     )
 
 

@@ -135,11 +135,8 @@ def _footer(after: Rollout) -> str:
     )
 
 
-def departures_table(
-    after: Rollout, before: Rollout | None, units: Units, between: Sequence[Rollout] = ()
-) -> Table:
+def departures_table(after: Rollout, before: Rollout | None, units: Units) -> Table:
     """Return how far every joint departs from its measured motion."""
-    others = (before, *between) if before else ()
     rows = []
     for j, joint in enumerate(after.joints):
         log, instant = joint.worst
@@ -147,15 +144,27 @@ def departures_table(
             cells(
                 f"{joint.joint}, {units.at(joint.joint, 'rad')}",
                 number(joint.moved),
-                *(number(other.joints[j].rms) for other in others),
+                *([number(before.joints[j].rms)] if before else []),
                 number(joint.rms),
                 departure(joint.relative),
                 f"{log} {instant:.1f} s",
             )
         )
-    steps = [f"after step {k + 1}" for k in range(len(between))]
-    ends = ("before", *steps, "after") if before else ("departure",)
+    ends = ("before", "after") if before else ("departure",)
     return Table(("joint", "moved", *ends, "share of motion", "worst at"), tuple(rows))
+
+
+def stages_table(stages: Sequence[Rollout], units: Units) -> Table:
+    """Return how far every joint departs before any step, and after each."""
+    steps = [f"after step {k}" for k in range(1, len(stages))]
+    rows = [
+        cells(
+            f"{joint.joint}, {units.at(joint.joint, 'rad')}",
+            *(number(stage.joints[j].rms) for stage in stages),
+        )
+        for j, joint in enumerate(stages[0].joints)
+    ]
+    return Table(("joint", "before", *steps), tuple(rows), title="Step by step", detailed=True)
 
 
 def _values_table(found: RolloutFit, units: Units) -> Table:
