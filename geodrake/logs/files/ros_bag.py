@@ -102,7 +102,8 @@ def _base(
     notes += [f"{', '.join(others)} would tell of them too (--topic)"] if others else []
     if tables:
         tables[0] = tables[0].noting(*notes)
-    joints = [name for name in reading.topics if f"/{name.strip('/')}" not in taken]
+    used = {name.strip("/") for name in taken}
+    joints = [name for name in reading.topics if name.strip("/") not in used]
     return tables, replace(reading, topic=joints or None)
 
 
