@@ -275,7 +275,9 @@ class Search:
         delay = was.choice.delay
         if retimed:
             delay = tuple(
-                np.where(self.case.model.delays == self._origin, self._on_time, 0).tolist()
+                np.where(
+                    np.abs(self.case.model.delays - self._origin) < 1e-9, self._on_time, 0
+                ).tolist()
             )
         shares = np.full(len(self.model.rows), _FORCED_SHARE)
         for kept in (terms, [term for term in terms if not len(term.positive)]):

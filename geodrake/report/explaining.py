@@ -6,7 +6,7 @@ import hashlib
 import importlib.metadata
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -109,7 +109,10 @@ def comparison_page(comparison: Comparison, about: About) -> Page:
         ),
         (
             joints_section({"RMS": errors}, units, joint_bars(errors)),
-            failing_section({BEFORE: comparison}, effort_chart(comparison, units=units)),
+            replace(
+                failing_section({BEFORE: comparison}, effort_chart(comparison, units=units)),
+                deep=False,
+            ),
             residuals_section({BEFORE: comparison}, units),
             method_section(comparison, refitted=False),
             notes_section(comparison.notes, comparison.first),

@@ -139,7 +139,9 @@ class Stepping:
             found.append(np.full((len(passage.time), q.shape[2]), np.nan))
             if kept.sum() > 1:
                 curve = CubicHermiteSpline(own[kept], q[kept, i], v[kept, i], extrapolate=False)
-                found[-1] = curve(np.minimum(passage.time, passage.time[-1]))
+                # The last node may be less than the last instant by rounding.
+                end = own[-1] if kept.all() else passage.time[-1]
+                found[-1] = curve(np.minimum(passage.time, end))
         return found
 
     def _step(self, state: State) -> float:

@@ -84,7 +84,7 @@ _WINDOWS = 8  # of all logs, two of a stretch at least; every other one is left 
 _SOUGHT, _PIECE = 40.0, 10.0  # s of all stretches that searches see, in pieces of so many
 _MOST_EVALUATIONS, _FIRST_EVALUATIONS = 60, 20
 _SETTLED = 1e-5  # share of its sum of squares that the last step of a search takes off
-_FIRST_DAMPING = 1e-3  # of steps, over squares of slopes
+_FIRST_DAMPING, _LEAST_DAMPING = 1e-3, 1e-9  # of steps, over squares of slopes
 _LIMIT_STEP = 1e-3  # of a limit's size, for differences
 _FARTHEST = 3.0  # deviations of a number from what is expected
 _LEAST_LIMIT = 0.01  # of its size
@@ -599,7 +599,7 @@ def _descend(
         if not np.isfinite(H).all():  # of a servo that makes its joint swing up
             break
         gain = 0.0
-        while gain <= 0.0:
+        while not gain > 0.0:  # nor if it is no number
             size = np.maximum(np.diag(H), np.finfo(float).eps * np.trace(H) + _NOTHING)
             root = np.linalg.cholesky(H + np.diag(damping * size))
             aim = solve_triangular(root, -pull, lower=True)
@@ -611,6 +611,7 @@ def _descend(
             left_there = residual(ahead)
             gain = cost - float(left_there @ left_there)
             damping *= 0.1 if gain > 0.5 * promised else 1.0 if gain > 0.0 else 10.0
+            damping = max(damping, _LEAST_DAMPING)
         x, left, cost = ahead, left_there, cost - gain
     return x, cost
 

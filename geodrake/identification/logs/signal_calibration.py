@@ -385,8 +385,8 @@ def expected_servo(logs: Sequence[JointLog], joint: str, stiffness: float) -> Ex
 
 
 def _log_deviation(value: float, deviation: float) -> float:
-    """Return the deviation of the logarithm of a value."""
-    return float(np.sqrt(np.log1p((deviation / value) ** 2)))
+    """Return the deviation of the logarithm of a value; what is exact is known to a thousandth."""
+    return max(float(np.sqrt(np.log1p((deviation / value) ** 2))), 1e-3)
 
 
 def _by_body(model: RobotModel, phi: Array) -> dict[str, Array]:

@@ -47,13 +47,15 @@ def chosen_sources(
     asked = {name.strip("/") for name in named}
     known = [(name, kind) for name, kind in kinds if kind in KINDS]
     first = [each for each in known if each[0].strip("/") in asked]
+    taken_first = {name for name, _ in first}
     taken, others = list[str](), list[str]()
     for group in (POSES, (IMU,), (WRENCH,)):
         able = [
             name
             for kind in group
-            for name, own in first or known
-            if own == kind and (first or own in (ODOMETRY, TF, IMU, WRENCH) or IS_BASE.search(name))
+            for name, own in [each for each in first if each[1] in group] or known
+            if own == kind
+            and (name in taken_first or own in (ODOMETRY, TF, IMU, WRENCH) or IS_BASE.search(name))
         ]
         able.sort(key=lambda name: group is not POSES and IS_BASE.search(name) is None)
         most = len(able) if group == (WRENCH,) else 1

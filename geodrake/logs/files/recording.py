@@ -60,7 +60,8 @@ class Recording:
         source = self.columns.sources.get("time")
         time, notes = (self.time, ()) if source is None else source.seconds(self.time)
         time, more = with_clock_set_back(time)
-        if (order := order_of_time(time, self.values["position"])) is not None:
+        order = None if self.torn.rows else order_of_time(time, self.values["position"])
+        if order is not None:  # rows that are torn are known by their place in the file
             time, more = time[order], (*more, "rows were not in the order of time: sorted by it")
             self.values = {quantity: numbers[order] for quantity, numbers in self.values.items()}
             self._standing = {joint: numbers[order] for joint, numbers in self._standing.items()}

@@ -98,6 +98,12 @@ def _base(
         decode = getattr(_store(kind, definition.data, definition.format.name), method)
         messages = reader.messages(connections=own)
         tables += base_tables(name, ((decode(data, kind), at) for _, at, data in messages))
+    known = set[str]()
+    for k, table in enumerate(tables):  # of a column that two have, that of the first is taken
+        new = {name: column for name, column in table.columns.items() if name not in known}
+        known |= new.keys() - {"time"}
+        tables[k] = replace(table, columns=new)
+    tables = [table for table in tables if len(table.columns) > 1]
     notes = [f"base and feet are read from {', '.join(taken)}"] if taken else []
     notes += [f"{', '.join(others)} would tell of them too (--topic)"] if others else []
     if tables:
