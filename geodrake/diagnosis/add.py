@@ -142,6 +142,11 @@ def _places(
             "or the model has it already.",
             advice="Log it as <joint>.temperature, in °C, while the robot warms up or cools down.",
         )
+    if kind.of_force_sensor and not options:
+        raise ArgumentError(
+            f"{kind.name} can be added nowhere: no log has contact forces, or the model has it.",
+            advice="Log them as <link>.force.x, y and z, in N, and free the base by --floating.",
+        )
     if not options:
         raise ArgumentError(
             f"{kind.name} can be added nowhere: the model has it already, or no joint that "

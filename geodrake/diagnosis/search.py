@@ -319,7 +319,7 @@ class Search:
             self._anew()
             before = self.fit.choice.key
             self._climb(hopeful=False)
-            found = {term.effect for term in self.fit.terms}  # others have no columns from now on
+            found = {term.effect for term in self.fit.terms}  # others get no columns anew
             self._effects = [e for e in self._effects if e in found or e not in functions]
             return self.fit.choice.key != before
         return False

@@ -80,6 +80,11 @@ class WrenchOffset(BodyEffect):
     complexity = 2
     of_force_sensor = True
 
+    @classmethod
+    def candidates(cls, body: str, *origin: float) -> tuple[WrenchOffset, ...]:
+        """About the origin of the sensor, m, in the body's frame."""
+        return (cls(body, *origin),)
+
     @property
     def free_shapes(self) -> int:
         """None: the sensor's place is known."""

@@ -46,8 +46,8 @@ def show_page(console: Console, page: Page, *, details: bool = True) -> None:
         show_paragraph(console, "Verdict", page.sentence)
     for section in sections[1:]:
         show_section(console, section)
-    if hidden := [s.title for s in printed if s not in sections]:
-        show_paragraph(console, "With --details", ", ".join(hidden).lower())
+    if hidden := [s.title[:1].lower() + s.title[1:] for s in printed if s.deep and not details]:
+        show_paragraph(console, "With --details", ", ".join(hidden))
 
 
 def _is_printed(section: Section) -> bool:

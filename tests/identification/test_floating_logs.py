@@ -1,6 +1,7 @@
 """Logs of a robot on its feet, made by MultibodyPlant with a quaternion for its base."""
 
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -27,6 +28,7 @@ from geodrake.errors import LogError
 from geodrake.identification.logs.compare import compare
 from geodrake.identification.logs.contact_rows import rows_without
 from geodrake.logs import read_log
+from geodrake.logs.files.base_messages import base_sources, base_tables
 from geodrake.logs.motion import JointLog
 from geodrake.logs.preparation import prepare_logs
 from geodrake.model.base_logs import with_base
@@ -317,6 +319,35 @@ def test_topics_of_a_bag_are_the_columns_of_base_and_feet(tmp_path, model, maker
     theirs, ours = (compare(model, each).errors.nrms for each in (read, log))
     assert theirs == pytest.approx(ours, rel=1e-6)
     assert not read_log(bag, joints=JOINTS).floating  # a fixed robot has no base
+
+
+def test_a_topic_that_is_asked_for_leaves_those_of_other_sources():
+    kinds = {
+        "/imu": "sensor_msgs/msg/Imu",
+        "/l_foot/wrench": "geometry_msgs/msg/WrenchStamped",
+        "/mocap/pose": "geometry_msgs/msg/PoseStamped",
+        "/odom": "nav_msgs/msg/Odometry",
+        "/tf_static": "tf2_msgs/msg/TFMessage",
+    }
+    rest = ["/imu"], ["/l_foot/wrench"]
+    assert base_sources(kinds, ()) == (["/odom", "/mocap/pose"], *rest)
+    assert base_sources(kinds, ["mocap/pose"]) == (["/mocap/pose"], *rest)
+
+
+def test_transforms_of_two_robots_are_two_tables():
+    def transform(child, x, ns):
+        stamp = SimpleNamespace(sec=0, nanosec=ns)
+        turn = SimpleNamespace(w=1.0, x=0.0, y=0.0, z=0.0)
+        moved = SimpleNamespace(translation=SimpleNamespace(x=x, y=0.0, z=0.0), rotation=turn)
+        header = SimpleNamespace(frame_id="world", stamp=stamp)
+        return SimpleNamespace(header=header, child_frame_id=child, transform=moved)
+
+    messages = [
+        (SimpleNamespace(transforms=[transform(f"{n}/base_link", n, k) for n in (1.0, 2.0)]), k)
+        for k in range(1, 4)
+    ]
+    tables = base_tables("/tf", messages)
+    assert [table.columns["base.position.x"].tolist() for table in tables] == [[1.0] * 3, [2.0] * 3]
 
 
 def test_wrenches_of_an_offset_are_those_by_multibody_plant(model, maker):

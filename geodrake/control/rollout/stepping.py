@@ -205,7 +205,7 @@ class Stepping:
             diagonal = by_a + step * (by_v + servo[1]) + step**2 * (by_q + servo[0])
             J[:, range(len(width)), range(len(width))] += diagonal
             ahead = v + step * np.linalg.solve(J, (given - needed)[:, :, None])[:, :, 0]
-            ahead = np.clip(np.nan_to_num(ahead), -self._most, self._most)
+            ahead = np.clip(np.nan_to_num(ahead, nan=np.inf), -self._most, self._most)
             if round_ < _CROSSING_ROUNDS:  # from rest on, Newton's steps reach no other side
                 ahead[(v * ahead < 0.0) & (np.abs(v) > _SETTLED * width)] = 0.0
             a = (ahead - base.velocity) / step

@@ -60,7 +60,7 @@ def candidate_effects(
     duration = max(float(t.segments[-1][-1:].time[0] - t.began) for t in trajectories)
     passive = {joint for trajectory in trajectories for joint in trajectory.passive}
     frames = dict.fromkeys(frame for t in trajectories for frame in t.force_sensors)
-    sensors = [(f.body, *f.origin.tolist()) for f in contact_frames(model, [*frames])]
+    sensors = {f.body: f.origin.tolist() for f in contact_frames(model, [*frames])}
 
     def has_none(effect: type[Effect], joint: str) -> bool:
         slides = effect.turning_only and joint in model.sliding_joints
@@ -84,7 +84,8 @@ def candidate_effects(
         elif effect.places == "body":
             for body in () if effect.of_force_sensor else model.bodies:
                 found.extend(candidates_of(effect, body))
-            found += [effect(*place) for place in sensors if effect.of_force_sensor]
+            for body, origin in sensors.items() if effect.of_force_sensor else ():
+                found.extend(candidates_of(effect, body, *origin))
         elif effect.places == "robot":
             found.extend(candidates_of(effect))
     return (*found, *_effects_behind(model, segments))

@@ -12,8 +12,10 @@ with slopes of the recursion, and the joint's motion x follows from
     … + o + I ẍ + d ẋ + (F + k |b|) sgn ẋ
         = kp (c(t − δ) − x) + kr (dc/dt(t − δ) − ẋ) + w + ki ∫(c(t − δ) − x) dt.
 
-Its parameters are those of least squares of x − q, by SciPy, from a linear fit on. They count
-only if windows of the log that the fit did not see are predicted better than from where it began.
+Its parameters are those of least squares of x − q by Levenberg and Marquardt's method, from a
+linear fit on; what a data sheet says of them, and a usual delay, count like further samples. They
+count only if windows of the log that the fit did not see are predicted better than from where it
+began.
 
 An integral that goes on since before the log has left an effort w where a stretch begins, of which
 nobody knows; without an integral w would be a constant effort. A servo therefore has an integral

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -11,16 +11,13 @@ import numpy as np
 from geodrake.logs.files.table import LogTable
 from geodrake.logs.floating import AXES, IS_BASE, QUATERNION
 
-ODOMETRY, TF = "nav_msgs/msg/Odometry", "tf2_msgs/msg/TFMessage"
-POSES = (
-    ODOMETRY,
-    "geometry_msgs/msg/PoseStamped",
-    "geometry_msgs/msg/PoseWithCovarianceStamped",
-    TF,
+_POSES = ("geometry_msgs/msg/PoseStamped", "geometry_msgs/msg/PoseWithCovarianceStamped")
+_SOURCES = (
+    ("nav_msgs/msg/Odometry", *_POSES, "tf2_msgs/msg/TFMessage"),
+    ("sensor_msgs/msg/Imu",),
+    ("geometry_msgs/msg/WrenchStamped",),
 )
-"""What says where the base is, the best first."""
-IMU, WRENCH = "sensor_msgs/msg/Imu", "geometry_msgs/msg/WrenchStamped"
-KINDS = (*POSES, IMU, WRENCH)
+"""Types of messages about the pose of a base, its IMU and its feet, the best first."""
 
 _WORLDS = ("world", "map", "odom")
 _PATHS = {
@@ -36,38 +33,33 @@ _PATHS = {
 """Column, after the frame of a wrench -> where messages may have it."""
 
 
-def chosen_sources(
-    kinds: Sequence[tuple[str, str]], named: Sequence[str]
-) -> tuple[list[str], list[str]]:
-    """Return the topics that tell of base and feet, and others that would as well.
+def base_sources(
+    kinds: Mapping[str, str], named: Sequence[str]
+) -> tuple[list[str], list[str], list[str]]:
+    """Return the topics of poses, of IMUs and of wrenches, the best first.
 
-    One tells where the base is, and one what its IMU measures; all wrenches are taken. `kinds` are
-    names and types of topics, and `named` those that were asked for, which go before others.
+    `kinds` are the types of topics; those that are `named` are the only ones of their source.
     """
     asked = {name.strip("/") for name in named}
-    known = [(name, kind) for name, kind in kinds if kind in KINDS]
-    first = [each for each in known if each[0].strip("/") in asked]
-    taken_first = {name for name, _ in first}
-    taken, others = list[str](), list[str]()
-    for group in (POSES, (IMU,), (WRENCH,)):
-        able = [
+
+    def of(source: tuple[str, ...]) -> list[str]:
+        able = [name for name, kind in kinds.items() if kind in source]
+        able = [name for name in able if name.strip("/") in asked] or [
             name
-            for kind in group
-            for name, own in [each for each in first if each[1] in group] or known
-            if own == kind
-            and (name in taken_first or own in (ODOMETRY, TF, IMU, WRENCH) or IS_BASE.search(name))
+            for name in able
+            if not name.endswith("tf_static")
+            and (kinds[name] not in _POSES or IS_BASE.search(name))
         ]
-        able.sort(key=lambda name: group is not POSES and IS_BASE.search(name) is None)
-        most = len(able) if group == (WRENCH,) else 1
-        taken += able[:most]
-        others += able[most:]
-    return taken, others
+        return sorted(able, key=lambda n: (source.index(kinds[n]), IS_BASE.search(n) is None))
+
+    poses, imus, wrenches = map(of, _SOURCES)
+    return poses, imus, wrenches
 
 
 def base_tables(topic: str, messages: Iterable[tuple[Any, int]]) -> list[LogTable]:
     """Return the tables of a topic, from its messages and when they were received, ns.
 
-    Wrenches of several frames in one topic make several tables.
+    What is said of several frames in one topic makes several tables.
     """
     rows: dict[tuple[str, ...], list[tuple[int, list[float]]]] = {}
     for message, received in messages:
@@ -76,9 +68,9 @@ def base_tables(topic: str, messages: Iterable[tuple[Any, int]]) -> list[LogTabl
             stamp = part.header.stamp
             when = stamp.sec * 1_000_000_000 + stamp.nanosec or received
             if told:
-                rows.setdefault(tuple(told), []).append((when, [*told.values()]))
+                rows.setdefault((frame, *told), []).append((when, [*told.values()]))
     tables = list[LogTable]()
-    for names, found in rows.items():
+    for (_, *names), found in rows.items():
         stamps, first = np.unique([stamp for stamp, _ in found], return_index=True)
         values = np.array([numbers for _, numbers in found])[first]
         turned = [k for k, name in enumerate(names) if name.startswith("base.orientation")]
@@ -99,7 +91,7 @@ def _parts(message: Any) -> Iterator[tuple[Any, str]]:
         parent = each.header.frame_id.strip("/").rpartition("/")[2]
         child = each.child_frame_id.strip("/").rpartition("/")[2]
         if parent in _WORLDS and child not in _WORLDS and IS_BASE.search(child):
-            yield each, child
+            yield each, f"{each.header.frame_id} {each.child_frame_id}"
 
 
 def _numbers(message: Any, frame: str) -> Iterator[tuple[str, float]]:

@@ -13,7 +13,7 @@ from typing import Any
 from geodrake.boundary.input_files import regular_files
 from geodrake.boundary.optional_packages import optional_package
 from geodrake.errors import LogError
-from geodrake.logs.files.base_messages import base_tables, chosen_sources
+from geodrake.logs.files.base_messages import base_sources, base_tables
 from geodrake.logs.files.joined_tables import joined_tables
 from geodrake.logs.files.joint_messages import JointFields, MessageRows
 from geodrake.logs.files.reading import Reading
@@ -86,30 +86,42 @@ def read_bag(path: Path, reading: Reading) -> LogTable:
 def _base(
     reader: Any, connections: Sequence[Any], method: str, reading: Reading
 ) -> tuple[list[LogTable], Reading]:
-    """Return tables of a free base and its feet, and how to read what there is of joints."""
+    """Return tables of a free base and its feet, and how to read the joints."""
     if not reading.of_base:
         return [], reading
-    kinds = {c.topic: c.msgtype for c in connections if not _WANTED.search(c.topic)}
-    taken, others = chosen_sources([*kinds.items()], reading.topics)
-    tables = list[LogTable]()
-    for name in taken:
+    asked = {name.strip("/") for name in reading.topics}
+    kinds = {
+        c.topic: c.msgtype
+        for c in connections
+        if c.topic.strip("/") in asked or not _WANTED.search(c.topic)
+    }
+
+    def tables_of(name: str) -> list[LogTable]:
         own = [connection for connection in connections if connection.topic == name]
-        kind, definition = kinds[name], own[0].msgdef
-        decode = getattr(_store(kind, definition.data, definition.format.name), method)
-        messages = reader.messages(connections=own)
-        tables += base_tables(name, ((decode(data, kind), at) for _, at, data in messages))
-    known = set[str]()
-    for k, table in enumerate(tables):  # of a column that two have, that of the first is taken
-        new = {name: column for name, column in table.columns.items() if name not in known}
-        known |= new.keys() - {"time"}
-        tables[k] = replace(table, columns=new)
-    tables = [table for table in tables if len(table.columns) > 1]
-    notes = [f"base and feet are read from {', '.join(taken)}"] if taken else []
-    notes += [f"{', '.join(others)} would tell of them too (--topic)"] if others else []
+        definition = own[0].msgdef
+        store = _store(kinds[name], definition.data, definition.format.name)
+        decode, messages = getattr(store, method), reader.messages(connections=own)
+        return base_tables(name, ((decode(data, kinds[name]), at) for _, at, data in messages))
+
+    *single, wrenches = base_sources(kinds, reading.topics)
+    tables, known, others = list[LogTable](), set[str](), list[str]()
+    for names in (*single, *([name] for name in wrenches)):
+        for k, name in enumerate(names):
+            made = tables_of(name)
+            for table in made:  # of a column that two have, that of the first is taken
+                new = {n: column for n, column in table.columns.items() if n not in known}
+                known |= new.keys() - {"time"}
+                tables += [replace(table, columns=new)] if len(new) > 1 else []
+            if made:
+                others += names[k + 1 :]
+                break
     if tables:
+        read = dict.fromkeys(str(table.path) for table in tables)
+        notes = [f"base and feet are read from {', '.join(read)}"]
+        notes += [f"{', '.join(others)} would say the same (--topic)"] if others else []
         tables[0] = tables[0].noting(*notes)
-    used = {name.strip("/") for name in taken}
-    joints = [name for name in reading.topics if name.strip("/") not in used]
+    of_base = {name.strip("/") for names in (*single, wrenches) for name in names}
+    joints = [name for name in reading.topics if name.strip("/") not in of_base]
     return tables, replace(reading, topic=joints or None)
 
 
