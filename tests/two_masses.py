@@ -44,14 +44,11 @@ def loose(model, share):
 
 
 @cache
-def swung(seed, *, stiffness=STIFFNESS, gap=0.0, noise=0.0, seconds=18.0):
+def swung(seed, *, stiffness=STIFFNESS, gap=0.0, noise=0.0, seconds=18.0, effort=None):
     """A log of motor position and effort, of two masses with a spring beyond a gap, by scipy."""
     rng = np.random.default_rng(seed)
     angles = _angles(rng)
-
-    def effort(t):
-        return np.sin(angles(t)) @ [2.0, 2.0, 1.0]
-
+    effort = effort or (lambda t: np.sin(angles(t)) @ [2.0, 2.0, 1.0])
     t, position = _moved(lambda t, *_: (effort(t), 0.0), (stiffness, gap), seconds)
     position += noise * rng.standard_normal(position.shape)
     return JointLog(f"swung{seed}", ("hinge",), t, position, effort(t)[:, None])
