@@ -48,8 +48,9 @@ class SharedRows:
 
     The columns of an effect do not depend on what else is tried, so that only those have to be
     evaluated that no reduction had before. When there is no more room for so many numbers, what no
-    reduction has used for longest makes room; what the present one used stays. Of `signals` at the
-    full rate, which only further columns need, no more is kept then.
+    reduction has used for longest makes room; what this one or the last one used stays, as the next
+    one most often needs the same. Of `signals` at the full rate, which only further columns need,
+    no more is kept then.
     """
 
     def __init__(self, room: int = ROOM, *, signals: int = SIGNALS_ROOM) -> None:
@@ -84,7 +85,7 @@ class SharedRows:
         if (size := _size(blocks)) == 0 or key in self._kept:
             return
         while size > self._room and self._stale and not signals:
-            if self._used[old := self._stale.pop()] < self._turn:
+            if self._used[old := self._stale.pop()] < self._turn - 1:
                 self._room += _size(self._kept.pop(old))
                 del self._used[old]
         if size <= (min(self._room, self._signals) if signals else self._room):
