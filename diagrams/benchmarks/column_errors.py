@@ -101,13 +101,9 @@ RATE, DURATION = 125.0, 20.0  # 1/s, s
 
 @dataclass(frozen=True)
 class WrongLog:
-    """What is drawn.
+    """What is drawn."""
 
-    Attributes:
-        mistake: Name of the mistake, of `MISTAKES`, or of what is right, of `RIGHT`.
-    """
-
-    mistake: str
+    mistake: str  # name of the mistake, of `MISTAKES`, or of what is right, of `RIGHT`
     robot: str
     engine: str
     motion: str
@@ -118,29 +114,22 @@ class WrongLog:
 
 @dataclass(frozen=True, eq=False)
 class Motion:
-    """A robot's motion, and what its joints' efforts are made of, (N, n) each.
+    """A robot's motion, and what its joints' efforts are made of, (N, n) each."""
 
-    Attributes:
-        time: (N,) instants, s.
-        weight: Those that hold them against gravity.
-        ratios: (n,) gear ratios.
-        dry, viscous: (n,) coefficients of the friction.
-        inertia: (n,) of the rotors.
-    """
-
-    time: Array
+    time: Array  # (N,) instants, s
     q: Array
     v: Array
     a: Array
     bodies: Array
-    weight: Array
+    weight: Array  # those that hold them against gravity
     friction: Array
     rotors: Array
-    ratios: Array
+    ratios: Array  # (n,) gear ratios
     engine: Engine
+    # dry, viscous: (n,) coefficients of the friction.
     dry: Array
     viscous: Array
-    inertia: Array
+    inertia: Array  # (n,) of the rotors
 
     @property
     def effort(self) -> Array:

@@ -51,30 +51,22 @@ _FAR = 0.2  # m, beyond which distances do not matter here
 
 @dataclass(frozen=True)
 class Checked:
-    """What Pinocchio says of a motion, and geodrake of its search.
-
-    Attributes:
-        gain: By what factor the worst variance is better than by the best random motion.
-        distance: Least distance of links from each other, m; at most 0.2.
-        height: Least distance of a moving link from the floor, m; at most 0.2.
-        position, velocity, effort: Largest shares of the file's limits.
-        acceleration: Largest, rad/s².
-        slope: Largest difference of saved speeds and slopes of saved positions, rad/s.
-    """
+    """What Pinocchio says of a motion, and geodrake of its search."""
 
     arm: str
     joints: int
     cpu: float
     statuses: tuple[str, ...]
-    gain: float
+    gain: float  # by what factor the worst variance is better than by the best random motion
     length: float
-    distance: float
-    height: float
+    distance: float  # least distance of links from each other, m; at most 0.2
+    height: float  # least distance of a moving link from the floor, m; at most 0.2
+    # position, velocity, effort: Largest shares of the file's limits.
     position: float
     velocity: float
-    acceleration: float
+    acceleration: float  # largest, rad/s²
     effort: float
-    slope: float
+    slope: float  # largest difference of saved speeds and slopes of saved positions, rad/s
 
     @property
     def is_safe(self) -> bool:

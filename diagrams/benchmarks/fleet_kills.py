@@ -32,29 +32,20 @@ WORKER, RUN = "a worker", "the run"
 
 @dataclass(frozen=True)
 class KilledRun:
-    """What came of a run in which something was killed.
-
-    Attributes:
-        there: Digests that were there at that moment.
-        again: How many digests were made that had been made before.
-        same: Whether the results are those of the undisturbed run, letter by letter.
-    """
+    """What came of a run in which something was killed."""
 
     killed: str
-    there: int
-    again: int
-    same: bool
+    there: int  # digests that were there at that moment
+    again: int  # how many digests were made that had been made before
+    same: bool  # whether the results are those of the undisturbed run, letter by letter
 
 
 @dataclass
 class Digests:
-    """The digests of a run, looked at again and again.
-
-    Attributes:
-        seen: File -> what changes if it is written again.
-    """
+    """The digests of a run, looked at again and again."""
 
     folder: Path
+    # File -> what changes if it is written again.
     seen: dict[str, tuple[int, int]] = field(default_factory=dict)
     again: int = 0
 

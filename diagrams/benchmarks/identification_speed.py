@@ -46,27 +46,17 @@ GAMMA = 0.03
 
 @dataclass(frozen=True, kw_only=True)
 class Case:
-    """What is fitted: arguments of `identify`.
-
-    Attributes:
-        A: (m, p) regressor.
-        b: (m,) measurements.
-        prior: (nb, 10) prior.
-        gamma: Weight of the prior.
-        ellipsoids: (nb, 4, 4) bounding ellipsoids.
-        extra_bounds: Bounds of the parameters after the inertial ones.
-        truth: (p,) true parameters, if they are known.
-    """
+    """What is fitted: arguments of `identify`."""
 
     name: str
-    A: np.ndarray
-    b: np.ndarray
-    prior: np.ndarray
-    gamma: float
+    A: np.ndarray  # (m, p) regressor
+    b: np.ndarray  # (m,) measurements
+    prior: np.ndarray  # (nb, 10) prior
+    gamma: float  # weight of the prior
     sigma: np.ndarray | float
-    ellipsoids: np.ndarray
-    extra_bounds: np.ndarray | None = None
-    truth: np.ndarray | None = None
+    ellipsoids: np.ndarray  # (nb, 4, 4) bounding ellipsoids
+    extra_bounds: np.ndarray | None = None  # bounds of the parameters after the inertial ones
+    truth: np.ndarray | None = None  # (p,) true parameters, if they are known
 
     def identified(self, regularizer: str, solver: str) -> Any:
         """The result of `identify`, from the regressors."""

@@ -59,19 +59,12 @@ STANDING = 0.02  # rad/s, below which a joint's friction is not known
 
 @dataclass(frozen=True, eq=False)
 class Streamed:
-    """What an estimator made of a log, sample by sample.
+    """What an estimator made of a log, sample by sample."""
 
-    Attributes:
-        time: (N,) s since the log's first sample.
-        parameters: (N, p) the estimate.
-        residual: (N, nv) filtered efforts − their prediction, N·m, before each update.
-        used: (N,) whether the robot moved in all joints.
-    """
-
-    time: Array
-    parameters: Array
-    residual: Array
-    used: NDArray[np.bool_]
+    time: Array  # (N,) s since the log's first sample
+    parameters: Array  # (N, p) the estimate
+    residual: Array  # (N, nv) filtered efforts − their prediction, N·m, before each update
+    used: NDArray[np.bool_]  # (N,) whether the robot moved in all joints
     seconds: float
 
     def rms(self, start: float = 0.0) -> Array:
@@ -148,32 +141,22 @@ LARGE = 1e9  # N·m
 
 @dataclass(frozen=True)
 class Draw:
-    """One way to learn the arm.
-
-    Attributes:
-        end: How much of every log, s; None for all.
-    """
+    """One way to learn the arm."""
 
     way: str
     shared: str
-    end: float | None
+    end: float | None  # how much of every log, s; None for all
 
 
 @dataclass(frozen=True, eq=False)
 class Arm:
-    """The learned arm.
-
-    Attributes:
-        start: (p,) its parameters, with the guess of the payload.
-        error: (nv,) RMS error of filtered efforts on the log it was learned from, N·m.
-        share: That over the standard deviation of the effort, pooled.
-    """
+    """The learned arm."""
 
     model: RobotModel
     control: ControlModel
-    start: Array
-    error: Array
-    share: float
+    start: Array  # (p,) its parameters, with the guess of the payload
+    error: Array  # (nv,) RMS error of filtered efforts on the log it was learned from, N·m
+    share: float  # that over the standard deviation of the effort, pooled
 
 
 def run_draw(draw: Draw) -> list[dict[str, Any]]:

@@ -33,18 +33,12 @@ ROOT = Path(__file__).parents[2]
 
 @dataclass(frozen=True)
 class Study:
-    """One call of `explain`.
+    """One call of `explain`."""
 
-    Attributes:
-        name: Name of the study, and of the model it saves for later ones.
-        model: Model file below `reference` or the checkout's `models`; or the name of a study.
-        blocks: Blocks into which a log is cut, None for the default.
-    """
-
-    name: str
-    model: str
+    name: str  # name of the study, and of the model it saves for later ones
+    model: str  # model file below `reference` or the checkout's `models`; or the name of a study
     logs: tuple[str, ...]
-    blocks: int | None = None
+    blocks: int | None = None  # blocks into which a log is cut, None for the default
     mapping: ColumnMapping | None = None
 
     def read(self, model: RobotModel, shared: Path) -> list[JointLog]:

@@ -59,29 +59,19 @@ _FADING = 0.002  # rad/s below which dry friction fades
 
 @dataclass(frozen=True)
 class Servos:
-    """What moves the joints of an arm, and what hinders them; (n,) each.
+    """What moves the joints of an arm, and what hinders them; (n,) each."""
 
-    Attributes:
-        stiffness: kp, N·m/rad.
-        damping: kd, N·m·s/rad.
-        knows_rate: Whether the damping acts on the rate of the command less the velocity, and not
-            on the velocity alone.
-        delay: How late commands act, s, a whole number of steps.
-        viscous: N·m·s/rad.
-        coulomb: N·m.
-        armature: kg·m².
-        limit: Largest torque, N·m.
-        integral: ki, N·m/(rad·s); it stays where the torque is at its limit and would go beyond.
-    """
-
-    stiffness: Array
-    damping: Array
+    stiffness: Array  # kp, N·m/rad
+    damping: Array  # kd, N·m·s/rad
+    # Whether the damping acts on the rate of the command less the velocity, and not on the velocity
+    # alone.
     knows_rate: bool
-    delay: float
-    viscous: Array
-    coulomb: Array
-    armature: Array
-    limit: Array
+    delay: float  # how late commands act, s, a whole number of steps
+    viscous: Array  # n·m·s/rad
+    coulomb: Array  # n·m
+    armature: Array  # kg·m²
+    limit: Array  # largest torque, N·m
+    # ki, N·m/(rad·s); it stays where the torque is at its limit and would go beyond.
     integral: Array
 
 
@@ -203,34 +193,25 @@ _SHAKES = 3  # sines of each joint's command that are faster than its motion
 
 @dataclass(frozen=True)
 class ServoDraw:
-    """One log.
-
-    Attributes:
-        knows_rate: Whether the servos' damping acts on the command's rate less the velocity.
-        limited: Whether their torques have limits, which the model file states.
-    """
+    """One log."""
 
     robot: str
     engine: str
-    knows_rate: bool
+    knows_rate: bool  # whether the servos' damping acts on the command's rate less the velocity
     number: int
     seed: int
     duration: float = 40.0
     integral: bool = False
-    limited: bool = False
+    limited: bool = False  # whether their torques have limits, which the model file states
 
 
 @dataclass(frozen=True)
 class ServoLog:
-    """A log, and what was hidden.
-
-    Attributes:
-        torques: (N, n) what the servos gave, N·m.
-    """
+    """A log, and what was hidden."""
 
     servos: Servos
     log: JointLog
-    torques: Array
+    torques: Array  # (N, n) what the servos gave, N·m
 
 
 def servo_draws(logs: int, seed: int, **fixed: object) -> list[ServoDraw]:

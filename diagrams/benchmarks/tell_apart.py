@@ -72,27 +72,16 @@ ENCODER = 1e-5  # rad
 
 @dataclass(frozen=True)
 class Hidden:
-    """What the robot has and the model file lacks; (n,) by joint, SI units.
+    """What the robot has and the model file lacks; (n,) by joint, SI units."""
 
-    Attributes:
-        coulomb: Dry friction.
-        load_factor: Share of the gear's load that dry friction takes.
-        viscous: Viscous friction, forwards and backwards alike.
-        one_way: Further viscous friction forwards.
-        quadratic: Friction that grows with the square of the speed.
-        offset: Constant effort.
-        stiffness: Of springs at rest at q = 0.
-        tilt: (2,) angles by which the base is turned about x and y, rad.
-    """
-
-    coulomb: Array
-    load_factor: Array
-    viscous: Array
-    one_way: Array
-    quadratic: Array
-    offset: Array
-    stiffness: Array
-    tilt: Array
+    coulomb: Array  # dry friction
+    load_factor: Array  # share of the gear's load that dry friction takes
+    viscous: Array  # viscous friction, forwards and backwards alike
+    one_way: Array  # further viscous friction forwards
+    quadratic: Array  # friction that grows with the square of the speed
+    offset: Array  # constant effort
+    stiffness: Array  # of springs at rest at q = 0
+    tilt: Array  # (2,) angles by which the base is turned about x and y, rad
 
     @classmethod
     def of(cls, joints: int, **effects: dict[int, float] | tuple[float, float]) -> Hidden:
@@ -439,18 +428,12 @@ LEAST_SHOWN = 0.01  # deviations
 
 @dataclass(frozen=True)
 class Plan:
-    """What a run is made of.
-
-    Attributes:
-        wanted: Robots of each case whose first log is ambiguous.
-        most: Robots of each case that are tried at most.
-        iterations: Most iterations of the solver, in each of its two stages.
-    """
+    """What a run is made of."""
 
     cases: tuple[int, ...] = tuple(range(len(CASES)))
-    wanted: int = 10
-    most: int = 30
-    iterations: int = 20
+    wanted: int = 10  # robots of each case whose first log is ambiguous
+    most: int = 30  # robots of each case that are tried at most
+    iterations: int = 20  # most iterations of the solver, in each of its two stages
     seed: int = 0
 
 

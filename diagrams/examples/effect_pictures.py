@@ -56,14 +56,10 @@ see [how to write one](how_to.md#write-an-effect-of-your-own).
 
 @dataclass(frozen=True)
 class Example:
-    """An effect of usual size.
-
-    Attributes:
-        values: Its parameters, SI.
-    """
+    """An effect of usual size."""
 
     effect: Effect
-    values: tuple[float, ...]
+    values: tuple[float, ...]  # its parameters, SI
     joint: str = ELBOW
 
     def residual(self, motion: RobotMotion) -> Array:

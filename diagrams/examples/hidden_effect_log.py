@@ -58,16 +58,12 @@ PLANT_EFFECTS = ("payload", "rotor_inertia")  # those that Drake's plant has its
 
 @dataclass(frozen=True)
 class HiddenEffect:
-    """An effect of the simulated robot.
-
-    Attributes:
-        where: Joints or body it acts at; nothing for a delay of all efforts.
-        size: Its linear parameters in SI units; the delay in s for `effort_delay`; mass and centre
-            (m, x, y, z) for a `payload`, which is then a ball.
-    """
+    """An effect of the simulated robot."""
 
     name: str
-    where: tuple[str, ...]
+    where: tuple[str, ...]  # joints or body it acts at; nothing for a delay of all efforts
+    # Its linear parameters in SI units; the delay in s for `effort_delay`; mass and centre (m, x,
+    # y, z) for a `payload`, which is then a ball.
     size: tuple[float, ...]
 
     def law(self) -> tuple[Effect, Array]:
@@ -83,17 +79,13 @@ class HiddenEffect:
 
 @dataclass(frozen=True)
 class Scenario:
-    """What is simulated and logged.
-
-    Attributes:
-        effort_noise: Deviation of the efforts' white noise, as a share of their own.
-    """
+    """What is simulated and logged."""
 
     robot: str = "arm6"
     hidden: tuple[HiddenEffect, ...] = ()
     duration: float = 24.0
     rate: float = 250.0
-    effort_noise: float = 0.03
+    effort_noise: float = 0.03  # deviation of the efforts' white noise, as a share of their own
     seed: int = 0
 
     def laws(self) -> list[tuple[Effect, Array]]:

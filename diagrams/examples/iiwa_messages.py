@@ -32,27 +32,19 @@ from geodrake.robot import RobotPorts
 
 @dataclass
 class IiwaMessages:
-    """LCM channels between a robot and its controller, as those of Drake's `IiwaDriver`.
+    """LCM channels between a robot and its controller, as those of Drake's `IiwaDriver`."""
 
-    Attributes:
-        lcm_bus: One of the scenario's `lcm_buses`.
-        status_channel: Channel of `lcmt_iiwa_status`, which the robot sends.
-        command_channel: Channel of `lcmt_iiwa_command`, whose torques the controller sends.
-        status_period: Time between status messages, s.
-        command_period: Time between commands, s.
-        gravity_model: File of the model whose gravity the robot's driver compensates on its own, so
-            that commands are what is beside it; empty for a driver that does not. Drake's
-            `IiwaDriver`, and the controller of a real iiwa, do.
-        patience: For how long a controller waits for the first status of a robot that is not
-            simulated here, s.
-    """
-
-    lcm_bus: str = "default"
-    status_channel: str = "IIWA_STATUS"
+    lcm_bus: str = "default"  # one of the scenario's `lcm_buses`
+    status_channel: str = "IIWA_STATUS"  # channel of `lcmt_iiwa_status`, which the robot sends
+    # Channel of `lcmt_iiwa_command`, whose torques the controller sends.
     command_channel: str = "IIWA_COMMAND"
-    status_period: float = 0.005
-    command_period: float = 0.005
+    status_period: float = 0.005  # time between status messages, s
+    command_period: float = 0.005  # time between commands, s
+    # File of the model whose gravity the robot's driver compensates on its own, so that commands
+    # are what is beside it; empty for a driver that does not. Drake's `IiwaDriver`, and the
+    # controller of a real iiwa, do.
     gravity_model: str = ""
+    # For how long a controller waits for the first status of a robot that is not simulated here, s.
     patience: float = 10.0
 
 

@@ -85,80 +85,55 @@ ADVICE = "Correct the scenario."
 
 @dataclass
 class Motion:
-    """A spline through positions, at rest at both ends.
+    """A spline through positions, at rest at both ends."""
 
-    Attributes:
-        times: When, s, increasing.
-        positions: Joint -> its position at each time, rad or m; joints that are left out stay where
-            the model file has them.
-    """
-
-    times: list[float] = field(default_factory=list)
+    times: list[float] = field(default_factory=list)  # when, s, increasing
+    # Joint -> its position at each time, rad or m; joints that are left out stay where the model
+    # file has them.
     positions: dict[str, list[float]] = field(default_factory=dict)
 
 
 @dataclass
 class Control:
-    """An adaptive controller.
+    """An adaptive controller."""
 
-    Attributes:
-        model: File of the model that it begins with; that of the robot if empty.
-        law: "natural", "pullback", "euclidean" or "none".
-        rate: λ of the tracking errors, 1/s.
-        damping: K of `FixedGains`, N·m·s/rad or N·s/m, one a joint; `VaryingGains` if empty.
-        computed_torque: Whether it is an `AdaptiveComputedTorqueController`, which adapts by the
-            error of prediction alone, instead of a `PassivityBasedAdaptiveController`.
-        prediction: Weight of the error of prediction, rad/s/(N·m) or m/s/N; 0 to leave it out.
-        time_step: Period of control, s; zero for continuous time.
-        factor: First estimate over the parameters of the model.
-        mass_uncertainty: δ of `geodrake.inertia.perturb`, by which bodies of the first estimate are
-            changed at random; zero for none.
-    """
-
-    model: str = ""
-    law: str = "natural"
+    model: str = ""  # file of the model that it begins with; that of the robot if empty
+    law: str = "natural"  # "natural", "pullback", "euclidean" or "none"
     gamma: float = 1.0
-    rate: float = 10.0
+    rate: float = 10.0  # λ of the tracking errors, 1/s
+    # K of `FixedGains`, N·m·s/rad or N·s/m, one a joint; `VaryingGains` if empty.
     damping: list[float] = field(default_factory=list)
+    # Whether it is an `AdaptiveComputedTorqueController`, which adapts by the error of prediction
+    # alone, instead of a `PassivityBasedAdaptiveController`.
     computed_torque: bool = False
+    # Weight of the error of prediction, rad/s/(N·m) or m/s/N; 0 to leave it out.
     prediction: float = 0.0
-    time_step: float = 1e-3
-    factor: float = 1.0
+    time_step: float = 1e-3  # period of control, s; zero for continuous time
+    factor: float = 1.0  # first estimate over the parameters of the model
+    # δ of `geodrake.inertia.perturb`, by which bodies of the first estimate are changed at random;
+    # zero for none.
     mass_uncertainty: float = 0.0
 
 
 @dataclass
 class Robot:
-    """A robot: how it moves, and what controls it.
+    """A robot: how it moves, and what controls it."""
 
-    Attributes:
-        model: File of a geodrake model, fitted or not, that the robot of the directives moves as,
-            with its inertias, effects and delays; empty for the robot as the directives have it.
-        control: Its controller, which follows `motion`; null for none here.
-        messages: How state and efforts travel; null for straight lines in the diagram.
-        log: File for positions, velocities and efforts (`.csv`, `.npz`); empty for none.
-    """
-
+    # File of a geodrake model, fitted or not, that the robot of the directives moves as, with its
+    # inertias, effects and delays; empty for the robot as the directives have it.
     model: str = ""
-    control: Control | None = None
+    control: Control | None = None  # its controller, which follows `motion`; null for none here
     motion: Motion = field(default_factory=Motion)
+    # How state and efforts travel; null for straight lines in the diagram.
     messages: IiwaMessages | None = None
-    log: str = ""
+    log: str = ""  # file for positions, velocities and efforts (`.csv`, `.npz`); empty for none
 
 
 @dataclass
 class Scenario:
-    """A scene and what happens in it; names are those of Drake's hardware_sim where it has them.
+    """A scene and what happens in it; names are those of Drake's hardware_sim where it has them."""
 
-    Attributes:
-        random_seed: Of first estimates.
-        packages: Package -> its folder. All paths are those from the folder of the file.
-        robots: Model instance -> robot; one that the directives do not have is controlled by
-            messages alone.
-        log_period: Period of logs, s.
-    """
-
-    random_seed: int = 0
+    random_seed: int = 0  # of first estimates
     simulation_duration: float = 1.0
     simulator_config: SimulatorConfig = field(
         default_factory=lambda: SimulatorConfig(
@@ -166,11 +141,13 @@ class Scenario:
         )
     )
     plant_config: MultibodyPlantConfig = field(default_factory=MultibodyPlantConfig)
+    # Package -> its folder. All paths are those from the folder of the file.
     packages: dict[str, str] = field(default_factory=dict)
     directives: list[ModelDirective] = field(default_factory=list)
     lcm_buses: dict[str, DrakeLcmParams] = field(default_factory=dict)
+    # Model instance -> robot; one that the directives do not have is controlled by messages alone.
     robots: dict[str, Robot] = field(default_factory=dict)
-    log_period: float = 0.01
+    log_period: float = 0.01  # period of logs, s
 
 
 def load_scenario(path: Path, name: str | None) -> Scenario:
@@ -244,22 +221,14 @@ def controller_of(spec: Control, model: RobotModel, rng: np.random.Generator) ->
 
 @dataclass(frozen=True, eq=False)
 class Placed:
-    """A robot in the diagram.
+    """A robot in the diagram."""
 
-    Attributes:
-        joints: Names of its n joints, in the order of its controller.
-        instance: It in the plant; None if it is elsewhere.
-        model: The model that it moves as; None for the robot of the directives.
-        logs: Sinks of "state" and "effort" of a robot in the plant.
-        kept: What must live as long as the diagram.
-    """
-
-    joints: tuple[str, ...]
-    instance: RobotInstance | None
-    model: RobotInDiagram | None
+    joints: tuple[str, ...]  # names of its n joints, in the order of its controller
+    instance: RobotInstance | None  # it in the plant; None if it is elsewhere
+    model: RobotInDiagram | None  # the model that it moves as; None for the robot of the directives
     loop: AdaptiveLoop | None
-    logs: Mapping[str, VectorLogSink]
-    kept: RobotModel | None
+    logs: Mapping[str, VectorLogSink]  # sinks of "state" and "effort" of a robot in the plant
+    kept: RobotModel | None  # what must live as long as the diagram
 
     def start(self, root: Context) -> None:
         """Put the robot where its motion starts, with the model's inertias."""

@@ -71,19 +71,13 @@ NAMES = (
 
 @dataclass(frozen=True)
 class Plan:
-    """What is to be done.
-
-    Attributes:
-        gamma: γ of the entropic divergence, (N·m)²; the other regularizers get its residual.
-        delta: Share δ of its mass by which a prior is off, at most.
-        hull: Semi-axes of hulls over those of the equivalent uniform ellipsoids.
-    """
+    """What is to be done."""
 
     draws: int
     counts: tuple[int, ...]
-    gamma: float
-    delta: float
-    hull: float
+    gamma: float  # γ of the entropic divergence, (N·m)²; the other regularizers get its residual
+    delta: float  # share δ of its mass by which a prior is off, at most
+    hull: float  # semi-axes of hulls over those of the equivalent uniform ellipsoids
     seed: int
 
 

@@ -116,14 +116,10 @@ def joint_map() -> Array:
 
 @dataclass(frozen=True, eq=False)
 class CoupledSample:
-    """The regressor of the turns at one sample.
-
-    Attributes:
-        J: (10, 7) joints of turns.
-    """
+    """The regressor of the turns at one sample."""
 
     joints: ControlSample
-    J: Array
+    J: Array  # (10, 7) joints of turns
 
     @property
     def regressor(self) -> Array:
@@ -145,15 +141,10 @@ class CoupledSample:
 
 @dataclass(frozen=True, eq=False)
 class CoupledControl:
-    """What a controller knows of the arm, in its seven turns; stands in for a ControlModel.
+    """What a controller knows of the arm, in its seven turns; stands in for a ControlModel."""
 
-    Attributes:
-        own: The arm of ten joints.
-        J: (10, 7) joints of turns.
-    """
-
-    own: ControlModel
-    J: Array
+    own: ControlModel  # the arm of ten joints
+    J: Array  # (10, 7) joints of turns
 
     @property
     def joints(self) -> tuple[str, ...]:
@@ -182,17 +173,11 @@ class CoupledControl:
 
 @dataclass(frozen=True, eq=False)
 class Known:
-    """Parameters of the arm as they were identified, or as they are.
+    """Parameters of the arm as they were identified, or as they are."""
 
-    Attributes:
-        phi: (17, 10) of links and then rotors.
-        coulomb: (7,) of the motors, N·m.
-        viscous: (7,) of the motors, N·m·s/rad.
-    """
-
-    phi: Array
-    coulomb: Array
-    viscous: Array
+    phi: Array  # (17, 10) of links and then rotors
+    coulomb: Array  # (7,) of the motors, N·m
+    viscous: Array  # (7,) of the motors, N·m·s/rad
 
     @classmethod
     def true(cls, phi: Array) -> Known:
@@ -233,13 +218,9 @@ def _fitted(effect: Effect, *parameters: float) -> FittedEffect:
 
 @dataclass(frozen=True, eq=False)
 class CoupledArm:
-    """The arm for one experiment.
+    """The arm for one experiment."""
 
-    Attributes:
-        control: What the controller knows; the rotors' inertias come last, and stay.
-    """
-
-    control: CoupledControl
+    control: CoupledControl  # what the controller knows; the rotors' inertias come last, and stay
     manifold: Product
 
     @classmethod
@@ -403,17 +384,13 @@ SHOWN = 5  # logged samples between those of the time series
 
 @dataclass(frozen=True)
 class Draw:
-    """One closed loop.
-
-    Attributes:
-        end: When to stop, s; None for the end of the last motion.
-    """
+    """One closed loop."""
 
     case: str
     law: str
     speed: float
     motions: int = MOTIONS
-    end: float | None = None
+    end: float | None = None  # when to stop, s; None for the end of the last motion
 
 
 @cache

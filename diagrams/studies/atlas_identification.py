@@ -236,19 +236,13 @@ RATE = 300  # samples a second
 
 @dataclass(frozen=True)
 class Plan:
-    """What a run is made of.
+    """What a run is made of."""
 
-    Attributes:
-        shared: Folder with the description of Atlas; None for the small robot.
-        threshold: ε_λ.
-        uncertainty: How wrong the masses of the prior's links are, at most.
-    """
-
-    shared: str | None
+    shared: str | None  # folder with the description of Atlas; None for the small robot
     motions: int = 20
     rate: int = RATE
-    threshold: float = 1e-2
-    uncertainty: float = 0.8
+    threshold: float = 1e-2  # ε_λ
+    uncertainty: float = 0.8  # how wrong the masses of the prior's links are, at most
     seed: int = 0
 
 

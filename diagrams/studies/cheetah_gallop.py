@@ -61,15 +61,10 @@ STRIDE = 2.5  # Hz
 
 @dataclass(frozen=True, eq=False)
 class Quantity:
-    """A part of the inverse dynamics as a function of one leg's parameters, all legs being equal.
+    """A part of the inverse dynamics as a function of a leg's parameters, all legs being equal."""
 
-    Attributes:
-        rows: (m, 60) regressor, over samples and components.
-        components: Number of components that a sample has.
-    """
-
-    rows: Array
-    components: int
+    rows: Array  # (m, 60) regressor, over samples and components
+    components: int  # number of components that a sample has
 
     def rms(self, error: Array) -> float:
         """RMS over samples of the size of the error that errors (6, 10) of the parameters make."""

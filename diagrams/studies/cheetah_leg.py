@@ -47,15 +47,12 @@ POINTS = 300
 
 @dataclass(frozen=True, eq=False)
 class Study:
-    """What the study found.
-
-    Attributes:
-        rows: One a size of the training set and regularizer; the last ones for all samples.
-        example: Regularizer -> parameters from the first stretch of 30 samples.
-    """
+    """What the study found."""
 
     leg: Leg
+    # One a size of the training set and regularizer; the last ones for all samples.
     rows: list[dict[str, Any]]
+    # Regularizer -> parameters from the first stretch of 30 samples.
     example: dict[str, IdentificationResult]
 
 

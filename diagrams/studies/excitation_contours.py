@@ -35,15 +35,11 @@ A_OPTIMALITY = Criterion("a_optimality")
 
 @dataclass(frozen=True)
 class Coordinates:
-    """What the link is described in.
-
-    Attributes:
-        metre: How many units of length a metre is.
-    """
+    """What the link is described in."""
 
     name: str
     joint: float
-    metre: float = 1.0
+    metre: float = 1.0  # how many units of length a metre is
 
 
 COORDINATES = (

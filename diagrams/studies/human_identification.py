@@ -54,21 +54,15 @@ NAMES = (*_LIMBS, "pelvis", *_ARMS, "abdomen", "chest", "upper arm A", "upper ar
 
 @dataclass(frozen=True, eq=False)
 class Human:
-    """The measurements.
+    """The measurements."""
 
-    Attributes:
-        A: (3 T, 160) regressor; b: (3 T,) measurements; sigma: (3 T,) their standard deviations.
-        prior: (16, 10) inertial parameters of the mesh with uniform density.
-        ellipsoids: (16, 4, 4) outer ellipsoids, positive inside.
-        X_WB: (16, 4, 4) poses of the bodies, for pictures.
-    """
-
+    # (3 T, 160) regressor; b: (3 T,) measurements; sigma: (3 T,) their standard deviations.
     A: Array
     b: Array
     sigma: Array
-    prior: Array
-    ellipsoids: Array
-    X_WB: Array
+    prior: Array  # (16, 10) inertial parameters of the mesh with uniform density
+    ellipsoids: Array  # (16, 4, 4) outer ellipsoids, positive inside
+    X_WB: Array  # (16, 4, 4) poses of the bodies, for pictures
 
     @classmethod
     def read(cls, path: Path) -> Human:

@@ -142,13 +142,9 @@ _ACCELERATION = 10.0  # rad/s², of validation, where the model file limits none
 
 @dataclass(frozen=True, eq=False)
 class RepresentedTarget(Target):
-    """A target whose base parameters are written down in another way.
+    """A target whose base parameters are written down in another way."""
 
-    Attributes:
-        change: (n_B, n_B) S, nonsingular; the base parameters are S φ_B.
-    """
-
-    change: Array | None = None
+    change: Array | None = None  # (n_B, n_B) S, nonsingular; the base parameters are S φ_B
 
     @cached_property
     def base(self) -> BaseParameters:
@@ -189,16 +185,11 @@ def limits(model: RobotModel) -> MotionLimits:
 
 @dataclass(frozen=True, eq=False)
 class Validation:
-    """Random samples within limits, at which efforts are predicted.
-
-    Attributes:
-        regressor: (N, nv, p).
-        mass: (N, nv, nv) mass matrices.
-    """
+    """Random samples within limits, at which efforts are predicted."""
 
     model: RobotModel
-    regressor: Array
-    mass: Array
+    regressor: Array  # (N, nv, p)
+    mass: Array  # (N, nv, nv) mass matrices
 
     @classmethod
     def of(cls, model: RobotModel, count: int, seed: int) -> Validation:
@@ -239,20 +230,14 @@ REFINEMENT = 400
 
 @dataclass(frozen=True)
 class Plan:
-    """What every design has in common.
+    """What every design has in common."""
 
-    Attributes:
-        shared: Folder with the iiwa; None for our own arm.
-        iterations: Most iterations of the solver, in each of its two stages.
-        validation: Number of random samples at which efforts are predicted.
-    """
-
-    shared: str | None
+    shared: str | None  # folder with the iiwa; None for our own arm
     modes: int = 5
     samples: int = 300
-    iterations: int = 150
+    iterations: int = 150  # most iterations of the solver, in each of its two stages
     seeds: int = 1
-    validation: int = 2000
+    validation: int = 2000  # number of random samples at which efforts are predicted
     seed: int = 0
 
     @property
@@ -263,15 +248,10 @@ class Plan:
 
 @dataclass(frozen=True)
 class Cell:
-    """A line of the table.
+    """A line of the table."""
 
-    Attributes:
-        normalization: One of `NORMALIZATIONS`, `RANDOM` or `REFINED`.
-        base: Number of the base representation, from one.
-    """
-
-    normalization: str
-    base: int = 1
+    normalization: str  # one of `NORMALIZATIONS`, `RANDOM` or `REFINED`
+    base: int = 1  # number of the base representation, from one
     criterion: str = "e_optimality"
 
 

@@ -140,27 +140,19 @@ COLUMNS = {"m": "m, kg", "px": "p^x, mm", "py": "p^y, mm", "rz": "r^z, mm", "err
 
 @dataclass(frozen=True)
 class Plan:
-    """What every design has in common.
-
-    Attributes:
-        iterations: Most iterations of the solver, in each of its two stages.
-    """
+    """What every design has in common."""
 
     criterion: str = "condition_number"
-    iterations: int = 100
+    iterations: int = 100  # most iterations of the solver, in each of its two stages
     seeds: int = 1
     seed: int = 0
 
 
 @dataclass(frozen=True)
 class Cell:
-    """A line of the table.
+    """A line of the table."""
 
-    Attributes:
-        normalization: One of `NORMALIZATIONS`.
-    """
-
-    normalization: str
+    normalization: str  # one of `NORMALIZATIONS`
     frame: str
 
 

@@ -62,23 +62,17 @@ NOISE, ROUNDS, STEP, TOO_FAST, GRID_PART = "noise", "rounds", "steps", "too_fast
 
 @dataclass(frozen=True)
 class Draw:
-    """One closed loop.
+    """One closed loop."""
 
-    Attributes:
-        part: Of the study.
-        amplitudes: Of the rounds, rad.
-        end: When to stop, s; None for the end of the last round.
-    """
-
-    part: str
+    part: str  # of the study
     law: str
     speed: float
     sigma: float
     number: int
     step: float = 1e-3
-    amplitudes: tuple[float, ...] = (AMPLITUDE, AMPLITUDE)
+    amplitudes: tuple[float, ...] = (AMPLITUDE, AMPLITUDE)  # of the rounds, rad
     period: float = PERIOD
-    end: float | None = None
+    end: float | None = None  # when to stop, s; None for the end of the last round
 
 
 def run_draw(draw: Draw, *, seed: int) -> dict[str, Any]:

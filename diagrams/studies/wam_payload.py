@@ -51,19 +51,13 @@ SHOWN = 5  # logged samples between those of the time series
 
 @dataclass(frozen=True)
 class Draw:
-    """One closed loop.
+    """One closed loop."""
 
-    Attributes:
-        load: Name of the load; a number is that of one for the choice of speeds.
-        rounds: Number of rounds.
-        end: When to stop, s; None for the end of the last round.
-    """
-
-    load: str
+    load: str  # name of the load; a number is that of one for the choice of speeds
     law: str
     speed: float
-    rounds: int = ROUNDS
-    end: float | None = None
+    rounds: int = ROUNDS  # number of rounds
+    end: float | None = None  # when to stop, s; None for the end of the last round
 
 
 def run_draw(draw: Draw, *, seed: int) -> dict[str, Any]:

@@ -45,15 +45,11 @@ class RigidSample:
 
     Behind a transmission the four are those of the actuators, and the joints have θ̇ = J q̇, J v and
     J a + J̇ v, so that C = Jᵀ (C_θ J + M_θ J̇) and Ṁ − 2 C stays skew symmetric.
-
-    Attributes:
-        tree: What is constant: the tree of the joints.
-        motion: The sample of the joints, with one row in each array.
-        jacobian: (nv of the tree, nv) J and J̇ of a transmission; None without.
     """
 
-    tree: KinematicTree
-    motion: Samples
+    tree: KinematicTree  # what is constant: the tree of the joints
+    motion: Samples  # the sample of the joints, with one row in each array
+    # (nv of the tree, nv) J and J̇ of a transmission; None without.
     jacobian: tuple[Array, Array] | None = None
 
     @classmethod

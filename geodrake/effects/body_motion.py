@@ -19,21 +19,13 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True, eq=False)
 class BodyMotion:
-    """Where a body B is, and how velocities move it, over N samples.
+    """Where a body B is, and how velocities move it, over N samples."""
 
-    Attributes:
-        rotation: (N, 3, 3) R_WB.
-        position: (N, 3) p_WoBo_W, m.
-        angular: (N, 3, nv) Jacobian of the angular velocity, in W.
-        linear: (N, 3, nv) Jacobian of the velocity of Bo, in W.
-        dofs: Indices of the velocities that move B.
-    """
-
-    rotation: Array
-    position: Array
-    angular: Array
-    linear: Array
-    dofs: tuple[int, ...]
+    rotation: Array  # (N, 3, 3) R_WB
+    position: Array  # (N, 3) p_WoBo_W, m
+    angular: Array  # (N, 3, nv) Jacobian of the angular velocity, in W
+    linear: Array  # (N, 3, nv) Jacobian of the velocity of Bo, in W
+    dofs: tuple[int, ...]  # indices of the velocities that move B
 
     def jacobian_at(self, p_BoP_B: Array) -> Array:
         """(N, 3, nv) Jacobian, in W, of the velocity of the point P of B at p_BoP_B (3,), m."""
@@ -43,16 +35,11 @@ class BodyMotion:
 
 @dataclass(frozen=True, eq=False)
 class RobotBodies:
-    """The bodies of a robot in N configurations; nothing is computed before it is asked for.
-
-    Attributes:
-        q: (N, nq) positions in Drake's order.
-        phi: (nb, 10) inertial parameters of the bodies.
-    """
+    """The bodies of a robot in N configurations; nothing is computed before it is asked for."""
 
     tree: KinematicTree
-    q: Array
-    phi: Array
+    q: Array  # (N, nq) positions in Drake's order
+    phi: Array  # (nb, 10) inertial parameters of the bodies
 
     @property
     def gravity(self) -> Array:

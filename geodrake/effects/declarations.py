@@ -56,18 +56,12 @@ class Proposer(Enum):
 
 
 class Place(NamedTuple):
-    """A kind of place that effects are bound to.
+    """A kind of place that effects are bound to."""
 
-    Attributes:
-        field: The field of the effect that says where it is; empty if none does.
-        counts: How many names that may be.
-        words: The kind of place in words.
-    """
-
-    field: str
-    counts: tuple[int, ...]
+    field: str  # the field of the effect that says where it is; empty if none does
+    counts: tuple[int, ...]  # how many names that may be
     wanted: str
-    words: str
+    words: str  # the kind of place in words
 
 
 PLACES = {

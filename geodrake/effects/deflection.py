@@ -31,17 +31,11 @@ _LEAST_SECONDS = 8.0  # of a lag that says what is noise in it
 
 @dataclass(frozen=True, eq=False)
 class Deflection:
-    """How far a link lags behind its motor, over N samples.
+    """How far a link lags behind its motor, over N samples."""
 
-    Attributes:
-        lag: (N,) s, position of the motor less that of the link, rad or m.
-        rate: (N,) ṡ.
-        acceleration: (N,) s̈.
-    """
-
-    lag: Array
-    rate: Array
-    acceleration: Array
+    lag: Array  # (N,) s, position of the motor less that of the link, rad or m
+    rate: Array  # (N,) ṡ
+    acceleration: Array  # (N,) s̈
 
     @classmethod
     def along(cls, lag: Array, time: Array | None) -> Deflection:
@@ -73,16 +67,12 @@ class Deflection:
 
 @dataclass(frozen=True)
 class Give:
-    """How far a link moves against its motor under a torque: a dead band, and a spring.
+    """How far a link moves against its motor under a torque: a dead band, and a spring."""
 
-    Attributes:
-        compliance: Of the spring beyond the dead band, rad/(N·m) or m/N; 0 for a rigid one.
-        play: Half width of the dead band, rad or m.
-        damping: Of the spring, as a share of the critical one; None for the usual one.
-    """
-
+    # Of the spring beyond the dead band, rad/(N·m) or m/N; 0 for a rigid one.
     compliance: float = 0.0
-    play: float = 0.0
+    play: float = 0.0  # half width of the dead band, rad or m
+    # Of the spring, as a share of the critical one; None for the usual one.
     damping: float | None = None
 
     def __add__(self, other: Give) -> Give:

@@ -41,17 +41,12 @@ Seen = Callable[[JointMotion], RobotMotion]
 
 @dataclass(frozen=True, eq=False)
 class EffectColumns:
-    """Effects of a robot, ready to be evaluated.
+    """Effects of a robot, ready to be evaluated."""
 
-    Attributes:
-        joints: Names of the nv velocities.
-        effects: The effects, in the order of their k parameters.
-        trial: Gives motions to try users' effects that do not declare what they depend on; without
-            it they depend on all that their base class may see, and are evaluated one by one.
-    """
-
-    joints: tuple[str, ...]
-    effects: tuple[Effect, ...]
+    joints: tuple[str, ...]  # names of the nv velocities
+    effects: tuple[Effect, ...]  # the effects, in the order of their k parameters
+    # Gives motions to try users' effects that do not declare what they depend on; without it they
+    # depend on all that their base class may see, and are evaluated one by one.
     trial: Trial | None = None
 
     @cached_property
@@ -200,16 +195,11 @@ class EffectColumns:
 
 @dataclass(frozen=True, eq=False)
 class _Together:
-    """Joint effects that differ in nothing but their joint.
+    """Joint effects that differ in nothing but their joint."""
 
-    Attributes:
-        members: They, with the places of their parameters.
-        joints: (k,) their velocities; None for all velocities in order.
-        places: (m, k) where their values are in the columns (nv, k) of all effects, flattened.
-    """
-
-    members: tuple[tuple[JointEffect, slice], ...]
-    joints: Indices | None
+    members: tuple[tuple[JointEffect, slice], ...]  # they, with the places of their parameters
+    joints: Indices | None  # (k,) their velocities; None for all velocities in order
+    # (m, k) where their values are in the columns (nv, k) of all effects, flattened.
     places: Indices
 
     @classmethod

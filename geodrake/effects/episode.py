@@ -80,24 +80,16 @@ class Episode(BodyEffect):
 
 @dataclass(frozen=True)
 class PointEpisode(Episode):
-    """What acts at a point P of a body during an episode. Subclasses define `columns`.
+    """What acts at a point P of a body during an episode. Subclasses define `columns`."""
 
-    Attributes:
-        start: t₀, s since the log began.
-        end: t₁, s since the log began.
-        rise: r, s.
-        log: Number of the log, from `log_number`; 0 for any.
-        x: Position of P from the body's origin Bo along x of the body's frame, m.
-        turning: 1 where what acts turns with the body, 0 where it keeps its direction in the world.
-    """
-
-    start: float
-    end: float
-    rise: float = 0.01
-    log: int = 0
-    x: float = 0.0
+    start: float  # t₀, s since the log began
+    end: float  # t₁, s since the log began
+    rise: float = 0.01  # r, s
+    log: int = 0  # number of the log, from `log_number`; 0 for any
+    x: float = 0.0  # position of P from the body's origin Bo along x of the body's frame, m
     y: float = 0.0
     z: float = 0.0
+    # 1 where what acts turns with the body, 0 where it keeps its direction in the world.
     turning: int = 0
 
     proposer = Proposer.EPISODE

@@ -18,20 +18,13 @@ _STEP = 1e-5  # of differences, of the largest value there is: rounding and curv
 
 @dataclass(frozen=True, eq=False)
 class RobotGradient:
-    """Gradient of a number with respect to a `RobotMotion` of N samples.
+    """Gradient of a number with respect to a `RobotMotion` of N samples."""
 
-    Attributes:
-        q: (N, nv) with respect to the position belonging to each velocity.
-        v: (N, nv) with respect to the velocities.
-        vd: (N, nv) with respect to the accelerations.
-        load: (N, nv) with respect to the efforts that the rigid bodies need.
-        bodies: Body name -> (N, nv, 10) with respect to its inertial regressor.
-    """
-
-    q: Array
-    v: Array
-    vd: Array
-    load: Array
+    q: Array  # (N, nv) with respect to the position belonging to each velocity
+    v: Array  # (N, nv) with respect to the velocities
+    vd: Array  # (N, nv) with respect to the accelerations
+    load: Array  # (N, nv) with respect to the efforts that the rigid bodies need
+    # Body name -> (N, nv, 10) with respect to its inertial regressor.
     bodies: Mapping[str, Array] = field(default_factory=dict)
 
     @classmethod

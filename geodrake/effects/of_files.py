@@ -38,12 +38,9 @@ class PolynomialSpring(_Stated, JointEffect):
     """Spring across a joint as MuJoCo states it: effort = p + k₁ x + k₂ x² + k₃ x³, x = q − q_c.
 
     No coefficient has a sign of its own, unlike those of `joint_spring`.
-
-    Attributes:
-        center: q_c, rad or m.
     """
 
-    center: float = 0.0
+    center: float = 0.0  # q_c, rad or m
 
     name = "polynomial_spring"
     law = "p + k₁ x + k₂ x² + k₃ x³, x = q − q_c"
@@ -108,12 +105,9 @@ class CarriedWeight(_Stated, BodyEffect):
 
     effort = m J_Pᵀ g, with the mass m in kg at the point P of the body and gravity g, against the
     weight −m J_Pᵀ g that the body has in the model.
-
-    Attributes:
-        x: Position of P from Bo along x of the body's frame, m; y and z follow.
     """
 
-    x: float = 0.0
+    x: float = 0.0  # position of P from Bo along x of the body's frame, m; y and z follow
     y: float = 0.0
     z: float = 0.0
 
@@ -145,26 +139,20 @@ class MediumDrag(_Stated, BodyEffect):
         gᵢ = −ρ bᵢ (bⱼ⁴ + bₖ⁴)/64 |ωᵢ| ωᵢ − π β d³ ωᵢ
 
     and effort = −J_Pᵀ f − J_ωᵀ g.
-
-    Attributes:
-        size_x: b₁, m; b₂ and b₃ follow.
-        x: Position of P from Bo along x of the body's frame, m; y and z follow.
-        turn_w: Real part of the quaternion of the box's axes in the body's frame; its vector
-            follows.
-        wind_x: Velocity of the medium along x of the world, m/s; y and z follow.
     """
 
-    size_x: float = 1.0
+    size_x: float = 1.0  # b₁, m; b₂ and b₃ follow
     size_y: float = 1.0
     size_z: float = 1.0
-    x: float = 0.0
+    x: float = 0.0  # position of P from Bo along x of the body's frame, m; y and z follow
     y: float = 0.0
     z: float = 0.0
+    # Real part of the quaternion of the box's axes in the body's frame; its vector follows.
     turn_w: float = 1.0
     turn_x: float = 0.0
     turn_y: float = 0.0
     turn_z: float = 0.0
-    wind_x: float = 0.0
+    wind_x: float = 0.0  # velocity of the medium along x of the world, m/s; y and z follow
     wind_y: float = 0.0
     wind_z: float = 0.0
 
@@ -218,18 +206,13 @@ class Strut(_Stated, Effect):
 
     With L the distance of the two, effort = (k L + p + d L̇) ∂L/∂q: a counterbalance or a gas spring
     of stiffness k in N/m, preload p = −k L₀ in N and damping d in N·s/m.
-
-    Attributes:
-        bodies: Names of the two bodies; "world" for what stands still.
-        x: Position of P from Bo along x of the first body's frame, m; y and z follow.
-        other_x: The same of Q in the frame of the second body.
     """
 
-    bodies: tuple[str, str]
-    x: float = 0.0
+    bodies: tuple[str, str]  # names of the two bodies; "world" for what stands still
+    x: float = 0.0  # position of P from Bo along x of the first body's frame, m; y and z follow
     y: float = 0.0
     z: float = 0.0
-    other_x: float = 0.0
+    other_x: float = 0.0  # the same of Q in the frame of the second body
     other_y: float = 0.0
     other_z: float = 0.0
 

@@ -67,35 +67,23 @@ _NEAREST_POSTURES = 50  # to the middle, out of which seeds take theirs
 
 @dataclass(frozen=True)
 class DesignProgress:
-    """Where a design is.
+    """Where a design is."""
 
-    Attributes:
-        seed: Number of the start, from zero.
-        evaluations: Evaluations of the criterion since the design began.
-        value: What is minimized, now: the criterion's logarithm; limits may not yet be kept.
-        is_stopped: Whether the design was stopped, and only the best motion is looked at.
-    """
-
-    seed: int
+    seed: int  # number of the start, from zero
     seeds: int
-    evaluations: int
-    value: float
+    evaluations: int  # evaluations of the criterion since the design began
+    value: float  # what is minimized, now: the criterion's logarithm; limits may not yet be kept
+    # Whether the design was stopped, and only the best motion is looked at.
     is_stopped: bool = False
 
 
 @dataclass(frozen=True)
 class SeedOutcome:
-    """What one start came to.
+    """What one start came to."""
 
-    Attributes:
-        seed: Of the random motion that it began with; None for a given motion.
-        random_value: Criterion of the motion that it began with, which keeps the limits.
-        value: Criterion of the motion that it ended with, which keeps them too.
-    """
-
-    seed: int | None
-    random_value: float
-    value: float
+    seed: int | None  # of the random motion that it began with; None for a given motion
+    random_value: float  # criterion of the motion that it began with, which keeps the limits
+    value: float  # criterion of the motion that it ended with, which keeps them too
     evaluations: int
     seconds: float
     status: str

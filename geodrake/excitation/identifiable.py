@@ -251,30 +251,22 @@ def _seen(singular: Array) -> int:
 
 @dataclass(frozen=True)
 class IdentifiableBlock:
-    """How much of a body or of an effect is identifiable.
+    """How much of a body or of an effect is identifiable."""
 
-    Attributes:
-        name: Of the body, or of the effect: "<parameter> of <effect>" if it has several.
-        where: Joints or body of the effect; () for a body.
-        count: How many of its parameters are identifiable, 0 to 10 for a body and 0 to 1 for an
-            effect; part of one can be.
-        possible: How many are from the best of motions.
-        value: Of an effect's parameter, its value in the model, or that of a fit to the logs; NaN
-            for a body.
-        deviation: Of an effect's parameter, the deviation of an estimate from these logs alone, in
-            its own unit; infinite where they say nothing, NaN for a body.
-        effect: Name of the effect; "" for a body.
-        parameter: Name of the effect's parameter; "" for a body.
-    """
-
-    name: str
-    where: tuple[str, ...]
+    name: str  # of the body, or of the effect: "<parameter> of <effect>" if it has several
+    where: tuple[str, ...]  # joints or body of the effect; () for a body
+    # How many of its parameters are identifiable, 0 to 10 for a body and 0 to 1 for an effect; part
+    # of one can be.
     count: float
-    possible: float
+    possible: float  # how many are from the best of motions
+    # Of an effect's parameter, its value in the model, or that of a fit to the logs; NaN for a
+    # body.
     value: float = np.nan
+    # Of an effect's parameter, the deviation of an estimate from these logs alone, in its own unit;
+    # infinite where they say nothing, NaN for a body.
     deviation: float = np.nan
-    effect: str = ""
-    parameter: str = ""
+    effect: str = ""  # name of the effect; "" for a body
+    parameter: str = ""  # name of the effect's parameter; "" for a body
 
     @property
     def label(self) -> str:
@@ -295,19 +287,14 @@ class IdentifiableBlock:
 
 @dataclass(frozen=True)
 class ParameterCombination:
-    """A base parameter.
+    """A base parameter."""
 
-    Attributes:
-        words: The combination, such as "Izz of column + Iyy of arm".
-        value: Its value in the model, SI units.
-        deviation: Deviation of an estimate from the logs alone; infinite where they say nothing.
-        relative: The deviation over the size that such a parameter has, which is geometric: it
-            depends neither on frames nor on units.
-    """
-
-    words: str
-    value: float
+    words: str  # the combination, such as "Izz of column + Iyy of arm"
+    value: float  # its value in the model, SI units
+    # Deviation of an estimate from the logs alone; infinite where they say nothing.
     deviation: float
+    # The deviation over the size that such a parameter has, which is geometric: it depends neither
+    # on frames nor on units.
     relative: float
 
 

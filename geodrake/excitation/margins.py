@@ -26,26 +26,22 @@ SHARES = ("position", "velocity", "acceleration", "jerk", "effort")
 
 @dataclass(frozen=True, eq=False)
 class LimitUse:
-    """Largest shares of the limits that a motion uses, each (nv,); more than one is too much.
+    """Largest shares of the limits that a motion uses, each (nv,); more than one is too much."""
 
-    Attributes:
-        position: Of the range's half, from its middle.
-        clearances: "itself" or an obstacle's name -> least distance, m, and between what it is,
-            of all that ever came near.
-        clearance: The distance to be kept, m; infinite distances without collision geometry.
-        stride: Every how many of the instants that were to be looked at the distances are of; more
-            than one if time was up.
-        peaks: "velocity", "acceleration", "jerk" or "effort" -> (nv,) largest sizes, SI units.
-    """
-
-    position: Array
+    position: Array  # of the range's half, from its middle
     velocity: Array
     acceleration: Array
     effort: Array
     jerk: Array
+    # "itself" or an obstacle's name -> least distance, m, and between what it is, of all that ever
+    # came near.
     clearances: Mapping[str, tuple[float, str]] = field(default_factory=dict)
+    # The distance to be kept, m; infinite distances without collision geometry.
     clearance: float = 0.0
+    # Every how many of the instants that were to be looked at the distances are of; more than one
+    # if time was up.
     stride: int = 1
+    # "velocity", "acceleration", "jerk" or "effort" -> (nv,) largest sizes, SI units.
     peaks: Mapping[str, Array] = field(default_factory=dict)
 
     @property

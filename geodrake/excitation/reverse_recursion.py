@@ -53,17 +53,11 @@ _IMAGINARY_STEP = 1e-30  # so small that its square is nothing: the derivative i
 
 @dataclass(frozen=True, eq=False)
 class MotionGradient:
-    """Gradient of a number with respect to the motion, sample by sample.
+    """Gradient of a number with respect to the motion, sample by sample."""
 
-    Attributes:
-        q: (N, nq) with respect to the positions.
-        v: (N, nv) with respect to the velocities.
-        vd: (N, nv) with respect to the accelerations.
-    """
-
-    q: Array
-    v: Array
-    vd: Array
+    q: Array  # (N, nq) with respect to the positions
+    v: Array  # (N, nv) with respect to the velocities
+    vd: Array  # (N, nv) with respect to the accelerations
 
 
 def reverse_recursion(tree: KinematicTree, samples: Samples, weights: Array) -> MotionGradient:

@@ -61,15 +61,10 @@ UNLIMITED = Budget(float("inf"))
 
 @dataclass(frozen=True, eq=False)
 class SolverEnd:
-    """What a solver made of a motion.
+    """What a solver made of a motion."""
 
-    Attributes:
-        variables: (f nv,) the last that it saw, whether or not limits are kept.
-        seen: Values and variables of all that it saw, the best first.
-    """
-
-    variables: Array
-    seen: tuple[tuple[float, Array], ...]
+    variables: Array  # (f nv,) the last that it saw, whether or not limits are kept
+    seen: tuple[tuple[float, Array], ...]  # values and variables of all that it saw, the best first
     status: str
 
 

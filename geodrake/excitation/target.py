@@ -39,17 +39,11 @@ _LEAST_SHARE = 0.02  # of the limit of effort
 
 @dataclass(frozen=True, eq=False)
 class Measurement:
-    """A motion as a target's measurements see it.
+    """A motion as a target's measurements see it."""
 
-    Attributes:
-        motion: (N, ·) motion.
-        regressor: (N, m, p) regressor X of the measurements, not weighted by the noise.
-        seen: The motion as effects see it; None where no effect is unknown.
-    """
-
-    motion: Motion
-    regressor: Array
-    seen: RobotMotion | None
+    motion: Motion  # (N, ·) motion
+    regressor: Array  # (N, m, p) regressor X of the measurements, not weighted by the noise
+    seen: RobotMotion | None  # the motion as effects see it; None where no effect is unknown
 
 
 @dataclass(frozen=True, eq=False)

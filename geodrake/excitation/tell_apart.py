@@ -66,13 +66,10 @@ _SAME = 1e-8  # share of an effect's squared effort that is rounding alone
 
 @dataclass(frozen=True)
 class Rival(Short):
-    """One of two effects that are to be distinguished.
-
-    Attributes:
-        alternatives: For each shape that it may have, the effect at each of its places.
-    """
+    """One of two effects that are to be distinguished."""
 
     name: str
+    # For each shape that it may have, the effect at each of its places.
     alternatives: tuple[tuple[Effect, ...], ...]
 
     @property
@@ -152,21 +149,15 @@ def _places(cls: type[Effect], model: RobotModel) -> list[tuple[str, ...]]:
 
 @dataclass(frozen=True, eq=False)
 class Pair(Short):
-    """A robot with one effect at a place, explained by another one.
+    """A robot with one effect at a place, explained by another one."""
 
-    Attributes:
-        truth: Name of the effect that the robot has.
-        rival: Name of the effect that is to explain it.
-        effects: (r, p) columns' coefficients of r robots, whose separations are added: one if the
-            parameters are known, and one for each parameter if not.
-        columns: (c,) columns that an explanation may use: what may move, and the rival.
-    """
-
-    truth: str
-    rival: str
+    truth: str  # name of the effect that the robot has
+    rival: str  # name of the effect that is to explain it
     where: tuple[str, ...]
+    # (r, p) columns' coefficients of r robots, whose separations are added: one if the parameters
+    # are known, and one for each parameter if not.
     effects: Array
-    columns: Indices
+    columns: Indices  # (c,) columns that an explanation may use: what may move, and the rival
 
 
 @dataclass(frozen=True, eq=False)
@@ -477,15 +468,11 @@ def _imitations(target: Target, truth: Effect, size: Array, rival: Effect) -> Ar
 
 @dataclass(frozen=True)
 class DistinguishedPair:
-    """A pair of effects on a designed motion.
-
-    Attributes:
-        deviations: √Δ, by how many standard deviations of the noise of all samples together.
-        effort: RMS of what the rival does not explain, at the joint where that is most, N·m or N.
-    """
+    """A pair of effects on a designed motion."""
 
     pair: Pair
-    deviations: float
+    deviations: float  # √Δ, by how many standard deviations of the noise of all samples together
+    # RMS of what the rival does not explain, at the joint where that is most, N·m or N.
     effort: float
 
 

@@ -35,15 +35,10 @@ _RAMP_STEPS = 400  # its intervals in a ramp
 
 
 class ExecutableMotion(Short, abc.ABC):
-    """Positions of all joints over time; each joint has one degree of freedom.
+    """Positions of all joints over time; each joint has one degree of freedom."""
 
-    Attributes:
-        joints: Names of the nv joints, in the order of velocities.
-        order: (nv,) joint of each position in Drake's order.
-    """
-
-    joints: tuple[str, ...]
-    order: NDArray[np.intp]
+    joints: tuple[str, ...]  # names of the nv joints, in the order of velocities
+    order: NDArray[np.intp]  # (nv,) joint of each position in Drake's order
 
     @property
     @abc.abstractmethod
@@ -159,15 +154,10 @@ class ExcitationTrajectory(ExecutableMotion):
 
 @dataclass(frozen=True, eq=False)
 class Ramp(ExecutableMotion):
-    """A way through postures with a rest at each, of polynomials 10 x³ − 15 x⁴ + 6 x⁵ of time.
+    """A way through postures with a rest at each, of polynomials 10 x³ − 15 x⁴ + 6 x⁵ of time."""
 
-    Attributes:
-        postures: (k + 1, nv) by joint, rad or m.
-        durations: (k,) of the ways between them, s.
-    """
-
-    postures: Array
-    durations: Array
+    postures: Array  # (k + 1, nv) by joint, rad or m
+    durations: Array  # (k,) of the ways between them, s
     joints: tuple[str, ...]
     order: NDArray[np.intp]
 

@@ -47,15 +47,11 @@ class Profiles(Short):
 
     A step is 0 before the log and 1 from it on, or 1 until the log and 0 from it on. A ramp is 0 up
     to the log and then rises in proportion to the days, to 1 at the last log.
-
-    Attributes:
-        first: (K,) log at which each begins.
-        days: (T,) days of the logs.
     """
 
     form: str
-    first: Indices
-    days: Array
+    first: Indices  # (K,) log at which each begins
+    days: Array  # (T,) days of the logs
 
     @classmethod
     def of(cls, form: str, days: Array) -> Profiles:
@@ -127,17 +123,13 @@ class ChangePlace:
 
 @dataclass(frozen=True, eq=False)
 class ChangeEvidence(Short):
-    """What logs of a robot say for a change.
-
-    Attributes:
-        ratio: For each of them, (h, K) logarithms of ratios of each hypothesis and day, means over
-            sizes; −∞ for a hypothesis that is not of its kind.
-        prior: (h, K) logarithms of their prior probabilities, which sum to 1.
-    """
+    """What logs of a robot say for a change."""
 
     profiles: tuple[Profiles, ...]
+    # For each of them, (h, K) logarithms of ratios of each hypothesis and day, means over sizes; −∞
+    # for a hypothesis that is not of its kind.
     ratio: tuple[Array, ...]
-    prior: tuple[Array, ...]
+    prior: tuple[Array, ...]  # (h, K) logarithms of their prior probabilities, which sum to 1
 
     @property
     def total(self) -> float:

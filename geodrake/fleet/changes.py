@@ -51,38 +51,24 @@ _REFITS = 2  # of a robot, until its gains and odd logs are settled
 
 @dataclass(frozen=True, eq=False)
 class RobotChange(Short):
-    """A change of a robot.
+    """A change of a robot."""
 
-    Attributes:
-        finding: What is told of it, without the parameters that changed.
-        hypothesis: Which of the hypotheses it is.
-        coordinates: (d,) the change z in the coordinates of its hypothesis; of a ramp up to the
-            last log.
-        covariance: (d, d) its covariance.
-        size: (p,) change of the robot's parameters; of a ramp up to the last log.
-        deviation: (p,) its standard deviation.
-        share: (p,) the size in shares of the robot's own values, for relative columns.
-    """
-
-    finding: FleetFinding
-    hypothesis: int
+    finding: FleetFinding  # what is told of it, without the parameters that changed
+    hypothesis: int  # which of the hypotheses it is
+    # (d,) the change z in the coordinates of its hypothesis; of a ramp up to the last log.
     coordinates: Array
-    covariance: Array
-    size: Array
-    deviation: Array
-    share: Array
+    covariance: Array  # (d, d) its covariance
+    size: Array  # (p,) change of the robot's parameters; of a ramp up to the last log
+    deviation: Array  # (p,) its standard deviation
+    share: Array  # (p,) the size in shares of the robot's own values, for relative columns
 
 
 @dataclass(frozen=True, eq=False)
 class SearchState(Short):
-    """A robot's logs, as they look with some changes.
-
-    Attributes:
-        odd: (T, K) how odd they are.
-    """
+    """A robot's logs, as they look with some changes."""
 
     logs: LogEquations
-    odd: Array
+    odd: Array  # (T, K) how odd they are
     cost: float
     fit: RobotFit
 
@@ -92,13 +78,10 @@ class RobotSearch(Short):
     """One robot's logs, and what may have changed in it.
 
     The last few states are kept while changes are sought or told, and no longer: they are large.
-
-    Attributes:
-        source: Its logs, with the parameters that gains refer to at first.
     """
 
     model: TypeModel
-    source: History
+    source: History  # its logs, with the parameters that gains refer to at first
     hypotheses: Sequence[ChangeHypothesis]
     level: float = 0.01
     _states: dict[tuple[ChangePlace, ...], SearchState] = field(default_factory=dict, init=False)

@@ -50,21 +50,14 @@ _NAME = 40  # letters of a robot's name in that of its folder
 
 @dataclass(frozen=True)
 class LogRecord:
-    """What became of a log of a robot.
-
-    Attributes:
-        stamp: Its size and when it was changed; empty if it is to be digested again.
-        said: Hash of what the fleet file says of it: how it is dated, and what the robot carried.
-        digest: Name of its digest's file; empty if there is none.
-        date: When it began, s since 1970; 0 if nobody knows.
-    """
+    """What became of a log of a robot."""
 
     robot: str
     address: str
-    stamp: str
-    said: str
-    digest: str = ""
-    date: float = 0.0
+    stamp: str  # its size and when it was changed; empty if it is to be digested again
+    said: str  # hash of what the fleet file says of it: how it is dated, and what the robot carried
+    digest: str = ""  # name of its digest's file; empty if there is none
+    date: float = 0.0  # when it began, s since 1970; 0 if nobody knows
     reason: str = ""
 
 
@@ -132,15 +125,12 @@ class LogTask(Short):
 
 @dataclass(frozen=True, eq=False)
 class FleetDigests(Short):
-    """What is known of the logs of a fleet.
+    """What is known of the logs of a fleet."""
 
-    Attributes:
-        records: Robot -> records of its logs that have digests, by date.
-        settings: Type -> settings of its digests; None if none of its logs can be used.
-    """
-
+    # Robot -> records of its logs that have digests, by date.
     records: dict[str, tuple[LogRecord, ...]]
     failed: tuple[LogRecord, ...]
+    # Type -> settings of its digests; None if none of its logs can be used.
     settings: dict[str, DigestSettings | None]
     made: int
     repairs: tuple[str, ...] = ()

@@ -190,16 +190,12 @@ _NEAR = 2.0 * DAY  # by which the interval of a finding may move with further lo
 
 @dataclass(frozen=True)
 class ToldFinding:
-    """What was told of a finding.
-
-    Attributes:
-        earliest: Beginning of its interval, s since 1970.
-    """
+    """What was told of a finding."""
 
     robot: str
     effect: str
     where: str
-    earliest: float
+    earliest: float  # beginning of its interval, s since 1970
     latest: float
 
     @classmethod

@@ -42,15 +42,10 @@ _NEGLIGIBLE = 1e-9  # share of the largest eigenvalue
 
 @dataclass(frozen=True, eq=False)
 class JointGrams(Short):
-    """Weighted normal matrices of a joint, over the columns that its rows may have.
+    """Weighted normal matrices of a joint, over the columns that its rows may have."""
 
-    Attributes:
-        columns: (m,) which of a type's columns these are, ascending.
-        grams: (T, m + 1, m + 1) matrices [A | b]ᵀ W [A | b] of each log or time.
-    """
-
-    columns: Indices
-    grams: Array
+    columns: Indices  # (m,) which of a type's columns these are, ascending
+    grams: Array  # (T, m + 1, m + 1) matrices [A | b]ᵀ W [A | b] of each log or time
 
     def over(self, columns: Indices, times: int) -> JointGrams:
         """Return the same over more columns (M,) and of more times."""
@@ -62,21 +57,15 @@ class JointGrams(Short):
 
 @dataclass(frozen=True, eq=False)
 class RobotHistory(Short):
-    """What a robot's logs say, in the order of time.
-
-    Attributes:
-        days: (T,) when each log was recorded, days, ascending.
-        joints: (n,) what they say of each joint, over some of the p columns.
-        temperature: (T,) mean temperature of each log, °C; NaN where it is not known.
-        reference: (p,) or (T, p) parameters of the robot, as far as they are known, that
-            gains of its joints refer to; None without gains.
-    """
+    """What a robot's logs say, in the order of time."""
 
     robot: str
-    days: Array
-    joints: tuple[JointGrams, ...]
+    days: Array  # (T,) when each log was recorded, days, ascending
+    joints: tuple[JointGrams, ...]  # (n,) what they say of each joint, over some of the p columns
     columns: int
-    temperature: Array
+    temperature: Array  # (T,) mean temperature of each log, °C; NaN where it is not known
+    # (p,) or (T, p) parameters of the robot, as far as they are known, that gains of its joints
+    # refer to; None without gains.
     reference: Array | None = None
 
     def read(self) -> RobotHistory:
@@ -108,18 +97,12 @@ class RobotHistory(Short):
 
 @dataclass(frozen=True, eq=False)
 class LogEquations(Short):
-    """Normal equations of a robot's logs.
-
-    Attributes:
-        information: (T, p, p) weighted normal matrices Aᵀ W A.
-        right: (T, p) right sides Aᵀ W b.
-        temperature: (T,) mean temperature of each log, °C; NaN where it is not known.
-    """
+    """Normal equations of a robot's logs."""
 
     days: Array
-    information: Array
-    right: Array
-    temperature: Array
+    information: Array  # (T, p, p) weighted normal matrices Aᵀ W A
+    right: Array  # (T, p) right sides Aᵀ W b
+    temperature: Array  # (T,) mean temperature of each log, °C; NaN where it is not known
 
     def equations(self) -> LogEquations:
         """Return these, which are in memory."""
@@ -128,17 +111,13 @@ class LogEquations(Short):
 
 @dataclass(frozen=True, eq=False)
 class HistoryTask(Short):
-    """A robot whose digests are to be read.
-
-    Attributes:
-        kept: (p,) which of the settings' columns count, ascending.
-    """
+    """A robot whose digests are to be read."""
 
     robot: str
     records: Sequence[LogRecord]
     folder: Path
     settings: DigestSettings
-    kept: Indices
+    kept: Indices  # (p,) which of the settings' columns count, ascending
 
     @property
     def file(self) -> Path:
@@ -153,23 +132,15 @@ class HistoryTask(Short):
 
 @dataclass(frozen=True, eq=False)
 class KeptHistory(Short):
-    """A robot's history, which is read from its file by whoever needs it: it is large.
-
-    Attributes:
-        days: (T,) when each log was recorded, days, ascending.
-        temperature: (T,) mean temperature of each log, °C; NaN where it is not known.
-        effort: (n,) root of the mean square of the robot's efforts, N·m or N.
-        logs: How many logs are in it, of which those of a time count as one.
-        reference: As that of `RobotHistory`.
-    """
+    """A robot's history, which is read from its file by whoever needs it: it is large."""
 
     task: HistoryTask
     stamps: str
-    days: Array
-    temperature: Array
-    effort: Array
-    logs: int
-    reference: Array | None = None
+    days: Array  # (T,) when each log was recorded, days, ascending
+    temperature: Array  # (T,) mean temperature of each log, °C; NaN where it is not known
+    effort: Array  # (n,) root of the mean square of the robot's efforts, N·m or N
+    logs: int  # how many logs are in it, of which those of a time count as one
+    reference: Array | None = None  # as that of `RobotHistory`
 
     @property
     def robot(self) -> str:
@@ -213,18 +184,12 @@ def read_history(task: HistoryTask) -> tuple[KeptHistory | None, list[tuple[LogR
 
 @dataclass(eq=False)
 class _HistorySums:
-    """Sums of what a robot's logs say, in C times.
+    """Sums of what a robot's logs say, in C times."""
 
-    Attributes:
-        stamps: What says which logs these are of, in their order.
-        joints: (C, m + 1, m + 1) sums of each joint's matrices.
-        times: (4, C) sums of days and of temperatures, and how many logs these are of.
-        efforts: (2, n) sums of squares of efforts, (N·m)² or N², and how many samples these are of.
-    """
-
-    stamps: list[str]
-    joints: list[JointGrams]
-    times: Array
+    stamps: list[str]  # what says which logs these are of, in their order
+    joints: list[JointGrams]  # (C, m + 1, m + 1) sums of each joint's matrices
+    times: Array  # (4, C) sums of days and of temperatures, and how many logs these are of
+    # (2, n) sums of squares of efforts, (N·m)² or N², and how many samples these are of.
     efforts: Array
 
     def add(self, stamp: str, time: int, day: float, digest: Digest, kept: Indices) -> None:

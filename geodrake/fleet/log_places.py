@@ -31,16 +31,11 @@ class UnreachableLogError(LogError):
 
 @dataclass(frozen=True)
 class LogPlace:
-    """A log of which nothing is read yet.
-
-    Attributes:
-        stamp: Its size and when it, or who may read it, was changed: another one is another log.
-        changed: When it was changed, s since 1970; None where nobody knows.
-    """
+    """A log of which nothing is read yet."""
 
     address: str
-    stamp: str
-    changed: float | None
+    stamp: str  # its size and when it, or who may read it, was changed: another one is another log
+    changed: float | None  # when it was changed, s since 1970; None where nobody knows
 
     @property
     def name(self) -> str:

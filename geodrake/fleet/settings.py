@@ -55,39 +55,30 @@ _UNITS = ("kg", *("kg·m",) * 3, *("kg·m²",) * 6)
 
 @dataclass(frozen=True)
 class DigestColumn:
-    """What a column of a digest is of.
-
-    Attributes:
-        name: Of a body, a combination of inertial parameters, such as `Izz of arm + 0.1 m of hand`;
-            the name of the effect otherwise.
-        where: The body whose parameter names the combination; joints or bodies of the effect.
-        parameter: `Izz`, for example; the parameter's name.
-    """
+    """What a column of a digest is of."""
 
     kind: str
+    # Of a body, a combination of inertial parameters, such as `Izz of arm + 0.1 m of hand`; the
+    # name of the effect otherwise.
     name: str
+    # The body whose parameter names the combination; joints or bodies of the effect.
     where: tuple[str, ...]
-    parameter: str
+    parameter: str  # `Izz`, for example; the parameter's name
     unit: str
     shape: Mapping[str, float] = field(default_factory=dict)
 
 
 @dataclass(frozen=True)
 class DigestEffect:
-    """An effect that digests have columns for.
-
-    Attributes:
-        in_bodies: Whether its columns are those of the bodies, as a payload's are.
-        source: SHA-256 of the source of an effect of the user's own.
-    """
+    """An effect that digests have columns for."""
 
     name: str
     where: tuple[str, ...]
     shape: Mapping[str, float]
     parameters: tuple[str, ...]
     units: tuple[str, ...]
-    in_bodies: bool
-    source: str = ""
+    in_bodies: bool  # whether its columns are those of the bodies, as a payload's are
+    source: str = ""  # SHA-256 of the source of an effect of the user's own
 
     @classmethod
     def of(cls, effect: Effect) -> DigestEffect:

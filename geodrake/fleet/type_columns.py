@@ -19,52 +19,39 @@ KINDS = (STEP, RAMP)
 
 @dataclass(frozen=True, eq=False)
 class Spread(Short):
-    """A way in which parameters differ: F w, with w ~ N(0, s² 𝟙) and a scale s that is learnt.
-
-    Attributes:
-        factor: (p, r) F; rows of relative columns are shares of the parameters' own values.
-    """
+    """A way in which parameters differ: F w, with w ~ N(0, s² 𝟙) and a scale s that is learnt."""
 
     name: str
-    factor: Array
+    factor: Array  # (p, r) F; rows of relative columns are shares of the parameters' own values
 
 
 @dataclass(frozen=True, eq=False)
 class ChangeHypothesis(Short):
-    """A change of parameters D z, with z ~ N(0, s² 𝟙) for several s.
+    """A change of parameters D z, with z ~ N(0, s² 𝟙) for several s."""
 
-    Attributes:
-        effect: Name of the effect, or of several in one word.
-        factor: (p, d) D; rows of relative columns are shares of the robot's own values.
-    """
-
-    effect: str
+    effect: str  # name of the effect, or of several in one word
     where: str
-    factor: Array
+    factor: Array  # (p, d) D; rows of relative columns are shares of the robot's own values
     kinds: tuple[str, ...] = KINDS
 
 
 @dataclass(frozen=True, eq=False)
 class TypeColumns(Short):
-    """The p columns of all robots of a type.
+    """The p columns of all robots of a type."""
 
-    Attributes:
-        prior: (p,) parameters before any log: those of the model file; 0 for gains and for effects
-            that it does not have.
-        relative: (p,) whether differences are shares of the value itself, as those of friction are.
-        course: (p,) whether all robots may change together from day to day, as friction does with
-            the season; such columns are relative.
-        gains: Number of the last columns, which are gains of the joints' efforts.
-        spreads: How robots differ from each other, and logs of one robot from each other.
-        units: (p,) unit of each column; empty if all have the same. Sizes of columns are compared
-            with those of the same unit alone.
-    """
-
+    # (p,) parameters before any log: those of the model file; 0 for gains and for effects that it
+    # does not have.
     prior: Array
+    # (p,) whether differences are shares of the value itself, as those of friction are.
     relative: Mask
+    # (p,) whether all robots may change together from day to day, as friction does with the season;
+    # such columns are relative.
     course: Mask
-    gains: int
+    gains: int  # number of the last columns, which are gains of the joints' efforts
+    # How robots differ from each other, and logs of one robot from each other.
     spreads: tuple[Spread, ...]
+    # (p,) unit of each column; empty if all have the same. Sizes of columns are compared with those
+    # of the same unit alone.
     units: tuple[str, ...] = ()
 
     @property

@@ -163,13 +163,9 @@ _LOAD, _GAIN = (effect_of(role).name for role in (Role.BODY, Role.SCALE))
 
 @dataclass(frozen=True)
 class FleetParameter:
-    """What a column of a type is of.
+    """What a column of a type is of."""
 
-    Attributes:
-        effect: Name of the effect; `BODIES` for combinations of inertial parameters.
-    """
-
-    effect: str
+    effect: str  # name of the effect; `BODIES` for combinations of inertial parameters
     where: str
     name: str
     unit: str
@@ -177,18 +173,13 @@ class FleetParameter:
 
 @dataclass(frozen=True, eq=False)
 class TypeLayout(Short):
-    """The p columns of a type: those of digests that count, then a gain for each joint.
+    """The p columns of a type: those of digests that count, then a gain for each joint."""
 
-    Attributes:
-        kept: (p − n,) which of the settings' columns they are.
-        parameters: (p,) what they are of.
-        payload_roots: Hypothesis of a payload -> (10, 10) inertial parameters of its coordinates.
-    """
-
-    kept: Indices
-    parameters: tuple[FleetParameter, ...]
+    kept: Indices  # (p − n,) which of the settings' columns they are
+    parameters: tuple[FleetParameter, ...]  # (p,) what they are of
     columns: TypeColumns
     hypotheses: tuple[ChangeHypothesis, ...]
+    # Hypothesis of a payload -> (10, 10) inertial parameters of its coordinates.
     payload_roots: dict[int, Array]
 
 

@@ -81,31 +81,21 @@ def _begun(team: Workers, logs: Sequence[Logs], columns: TypeColumns) -> TypeMod
 
 @dataclass(frozen=True, eq=False)
 class _RobotTells:
-    """What one robot tells of all that is learnt.
+    """What one robot tells of all that is learnt."""
 
-    Attributes:
-        own: (p,) its own parameters.
-        seen: (p, p) what it knows of μ.
-        side: (p,) by which μ should be larger, times that.
-        links: (n, p) how its θ varies with μ.
-        spread: (2, K + 1) squares of θ for each spread and the response, and their expectations
-            for a known μ.
-        scattered: (3, K) squares of its logs' scores along each spread, their expectations, and
-            what share of these a robot in the middle has.
-        course: (T, q, q) and (T, q): what it says of shares of the course.
-        response: (q,) by how much it follows the course more.
-        odd: (T, K) how odd its logs are.
-    """
-
-    own: Array
-    seen: Array
-    side: Array
-    links: Array
+    own: Array  # (p,) its own parameters
+    seen: Array  # (p, p) what it knows of μ
+    side: Array  # (p,) by which μ should be larger, times that
+    links: Array  # (n, p) how its θ varies with μ
+    # (2, K + 1) squares of θ for each spread and the response, and their expectations for a known
+    # μ.
     spread: Array
+    # (3, K) squares of its logs' scores along each spread, their expectations, and what share of
+    # these a robot in the middle has.
     scattered: Array
-    course: tuple[Array, Array]
-    response: Array
-    odd: Array
+    course: tuple[Array, Array]  # (T, q, q) and (T, q): what it says of shares of the course
+    response: Array  # (q,) by how much it follows the course more
+    odd: Array  # (T, K) how odd its logs are
 
 
 def _told(piece: tuple[TypeModel, Logs, Array | None]) -> _RobotTells:

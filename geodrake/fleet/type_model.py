@@ -61,19 +61,12 @@ G is the covariance of these scores where parameters are known.
 
 @dataclass(frozen=True, eq=False)
 class RobotFit(Short):
-    """Parameters x_t = x̄_t + L_t θ of logs t, with θ ~ N(0, 𝟙) and L_t = [A, B_t].
+    """Parameters x_t = x̄_t + L_t θ of logs t, with θ ~ N(0, 𝟙) and L_t = [A, B_t]."""
 
-    Attributes:
-        information: (T, p, p) normal matrices M_t of the logs' means.
-        rest: (T, p) right sides less what x̄_t explains, m_t − M_t x̄_t.
-        common: (p, a) map A, which all logs have.
-        own: (T, p, b) maps B_t.
-    """
-
-    information: Array
-    rest: Array
-    common: Array
-    own: Array
+    information: Array  # (T, p, p) normal matrices M_t of the logs' means
+    rest: Array  # (T, p) right sides less what x̄_t explains, m_t − M_t x̄_t
+    common: Array  # (p, a) map A, which all logs have
+    own: Array  # (T, p, b) maps B_t
 
     @property
     def size(self) -> int:
@@ -173,17 +166,11 @@ _FLAT = 1e-12  # share of information that is none
 
 @dataclass(frozen=True, eq=False)
 class Course(Short):
-    """Shares by which columns of all robots are larger.
+    """Shares by which columns of all robots are larger."""
 
-    Attributes:
-        days: (D,) whole days on which enough robots have logs, ascending.
-        values: (D, q) shares on each day, of mean 0.
-        slope: (q,) what a degree adds, 1/°C, where logs have temperatures.
-    """
-
-    days: Array
-    values: Array
-    slope: Array
+    days: Array  # (D,) whole days on which enough robots have logs, ascending
+    values: Array  # (D, q) shares on each day, of mean 0
+    slope: Array  # (q,) what a degree adds, 1/°C, where logs have temperatures
     reference: float
 
     @classmethod
@@ -273,26 +260,17 @@ _USUAL = 4.0  # squared deviation, in its expectation, up to which a log is none
 
 @dataclass(frozen=True, eq=False)
 class TypeModel(Short):
-    """What is known of a type of robots.
-
-    Attributes:
-        mean: (p,) parameters μ that all share.
-        covariance: (p, p) covariance of μ.
-        deviations: (K,) scale s of each spread, from robot to robot.
-        scatter: (K,) scale τ of each spread, from log to log of one robot.
-        response: Scale of a, by which robots follow the common course more or less.
-        own: (R, p) parameters of every robot, without the course and changes.
-        odd: (T, K) of every robot: what τ² of each of its logs has beyond that of the type.
-    """
+    """What is known of a type of robots."""
 
     columns: TypeColumns
-    mean: Array
-    covariance: Array
-    deviations: Array
-    scatter: Array
-    response: float
+    mean: Array  # (p,) parameters μ that all share
+    covariance: Array  # (p, p) covariance of μ
+    deviations: Array  # (K,) scale s of each spread, from robot to robot
+    scatter: Array  # (K,) scale τ of each spread, from log to log of one robot
+    response: float  # scale of a, by which robots follow the common course more or less
     course: Course
-    own: Array
+    own: Array  # (R, p) parameters of every robot, without the course and changes
+    # (T, K) of every robot: what τ² of each of its logs has beyond that of the type.
     odd: tuple[Array, ...]
 
     @cached_property

@@ -24,31 +24,20 @@ BASE_FRAMES = "base_coordinates_of_"
 
 @dataclass(frozen=True)
 class Member:
-    """One link of a lumped body.
+    """One link of a lumped body."""
 
-    Attributes:
-        index: The link's index in the plant.
-        X_RB: Pose of the link B in the frame R of the lumped body's representative.
-    """
-
-    index: BodyIndex
+    index: BodyIndex  # the link's index in the plant
     name: str
-    X_RB: RigidTransform
+    X_RB: RigidTransform  # pose of the link B in the frame R of the lumped body's representative
 
 
 @dataclass(frozen=True)
 class LumpedBody:
-    """Links that are welded together and move as one.
+    """Links that are welded together and move as one."""
 
-    Attributes:
-        name: Name of the representative, the link whose inboard joint moves.
-        body_index: Index of the representative; parameters are expressed in its frame.
-        members: All links of the body, the representative first.
-    """
-
-    name: str
-    body_index: BodyIndex
-    members: tuple[Member, ...]
+    name: str  # name of the representative, the link whose inboard joint moves
+    body_index: BodyIndex  # index of the representative; parameters are expressed in its frame
+    members: tuple[Member, ...]  # all links of the body, the representative first
 
 
 def check_plant(plant: MultibodyPlant) -> None:

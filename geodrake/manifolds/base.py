@@ -223,23 +223,14 @@ def excess(step: Array) -> Array:
 
 @dataclass(frozen=True, eq=False)
 class Lift:
-    """A manifold as the points u = matrix x + offset of another one, with the same barrier.
+    """A manifold as the points u = matrix x + offset of another one, with the same barrier."""
 
-    Attributes:
-        manifold: The other one, of dimension N.
-        matrix: (N, n).
-        offset: (N,).
-        places: (n,) where the coordinates of x are among those of u.
-        rows: (c, N) equations rows u = values of the points that are meant.
-        values: (c,).
-    """
-
-    manifold: Manifold
-    matrix: Array
-    offset: Array
-    places: NDArray[np.intp]
-    rows: Array
-    values: Array
+    manifold: Manifold  # the other one, of dimension N
+    matrix: Array  # (N, n)
+    offset: Array  # (N,)
+    places: NDArray[np.intp]  # (n,) where the coordinates of x are among those of u
+    rows: Array  # (c, N) equations rows u = values of the points that are meant
+    values: Array  # (c,)
 
     @classmethod
     def nothing(cls, manifold: Manifold) -> Lift:

@@ -26,19 +26,12 @@ _MOST_BISECTIONS = 60
 
 @dataclass(frozen=True, eq=False)
 class MirrorLine:
-    """The mirror line from a point x along a covector b.
+    """The mirror line from a point x along a covector b."""
 
-    Attributes:
-        point: Maps a time t ≥ 0 to y(t), of the shape of x.
-        value: Maps a time to bᵀ y(t), which rises with t.
-        longest: Time at which the line ends at infinity; inf for never.
-        scale: A time in which the line goes a length of about one in the metric.
-    """
-
-    point: Callable[[float], Array]
-    value: Callable[[float], float]
-    longest: float
-    scale: float
+    point: Callable[[float], Array]  # maps a time t ≥ 0 to y(t), of the shape of x
+    value: Callable[[float], float]  # maps a time to bᵀ y(t), which rises with t
+    longest: float  # time at which the line ends at infinity; inf for never
+    scale: float  # a time in which the line goes a length of about one in the metric
 
     def time_of(
         self, target: float, *, most: float = np.inf, enough: tuple[float, float] | None = None
@@ -74,15 +67,12 @@ class MirrorLine:
 
 
 class MirrorSpan(NamedTuple):
-    """The mirror lines from a point x (n,) along all combinations of covectors A (k, n).
+    """The mirror lines from a point x (n,) along all combinations of covectors A (k, n)."""
 
-    Attributes:
-        halves: Pairs of matrices L, R (k, m) with A g(x)⁻¹ Aᵀ = Σ L Rᵀ, one a kind of factors.
-        point: Maps multipliers λ (k,) to y(λ) (n,), which is outside of the manifold, or not a
-            number, where there is no such point.
-    """
-
+    # Pairs of matrices L, R (k, m) with A g(x)⁻¹ Aᵀ = Σ L Rᵀ, one a kind of factors.
     halves: tuple[tuple[Array, Array], ...]
+    # Maps multipliers λ (k,) to y(λ) (n,), which is outside of the manifold, or not a number, where
+    # there is no such point.
     point: Callable[[Array], Array]
 
     @property

@@ -28,15 +28,10 @@ from geodrake.manifolds.robot_kernels import (
 
 @dataclass(frozen=True, eq=False)
 class _FactorGroup:
-    """Factors of one kind and weight.
+    """Factors of one kind and weight."""
 
-    Attributes:
-        manifold: What they all are.
-        places: (k, n) their coordinates.
-    """
-
-    manifold: Manifold
-    places: NDArray[np.intp]
+    manifold: Manifold  # what they all are
+    places: NDArray[np.intp]  # (k, n) their coordinates
     weight: float
 
     @cached_property

@@ -20,19 +20,14 @@ _MOST_STEPS = 40
 
 
 class SlabProjection(NamedTuple):
-    """A projection onto slabs, with its certificate.
+    """A projection onto slabs, with its certificate."""
 
-    Attributes:
-        point: (n,) the projection.
-        error: Greatest error of the conditions of optimality at it, in lengths of the metric: how
-            far it is outside of a slab, or of one whose multiplier is not zero inside of its edge,
-            and the length of what multipliers leave of ∇h(y) − ∇h(x). Infinite if none was found.
-        steps: Newton steps that were taken; −1 if that is not known.
-    """
-
-    point: Array
+    point: Array  # (n,) the projection
+    # Greatest error of the conditions of optimality at it, in lengths of the metric: how far it is
+    # outside of a slab, or of one whose multiplier is not zero inside of its edge, and the length
+    # of what multipliers leave of ∇h(y) − ∇h(x). Infinite if none was found.
     error: float
-    steps: int
+    steps: int  # Newton steps that were taken; −1 if that is not known
 
     @property
     def certified(self) -> bool:

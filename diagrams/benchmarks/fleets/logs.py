@@ -85,18 +85,13 @@ class FleetDraw:
 
 @dataclass(frozen=True)
 class HiddenChange:
-    """What changes in a robot.
-
-    Attributes:
-        size: Share of friction (for wear, at the last day), mass in kg, or share of the gain.
-        taken_off: Whether the payload was there before, and is not from that day on.
-    """
+    """What changes in a robot."""
 
     what: str
     joint: int
     day: int
-    size: float
-    taken_off: bool
+    size: float  # share of friction (for wear, at the last day), mass in kg, or share of the gain
+    taken_off: bool  # whether the payload was there before, and is not from that day on
 
     def at(self, day: float, last: float) -> float:
         """How much of it there is on a day."""
@@ -108,24 +103,16 @@ class HiddenChange:
 
 @dataclass(frozen=True, eq=False)
 class OwnRobot:
-    """What a robot is by itself, the same on all days.
+    """What a robot is by itself, the same on all days."""
 
-    Attributes:
-        bodies: (n, 4, 4) pseudo-inertias.
-        payload: (4, 4) pseudo-inertia of a payload of 1 kg in the frame of the last body.
-        dry, viscous: (n,) friction at 20 °C, N·m and N·m·s/rad.
-        gain: (n,) logged over true effort.
-        offset: (n,) of the logged effort, N·m.
-        warmth: How much its friction follows the temperature, over the usual.
-    """
-
-    bodies: Array
-    payload: Array
+    bodies: Array  # (n, 4, 4) pseudo-inertias
+    payload: Array  # (4, 4) pseudo-inertia of a payload of 1 kg in the frame of the last body
+    # dry, viscous: (n,) friction at 20 °C, N·m and N·m·s/rad.
     dry: Array
     viscous: Array
-    gain: Array
-    offset: Array
-    warmth: float
+    gain: Array  # (n,) logged over true effort
+    offset: Array  # (n,) of the logged effort, N·m
+    warmth: float  # how much its friction follows the temperature, over the usual
 
 
 def own_robot(draw: FleetDraw) -> OwnRobot:

@@ -175,47 +175,35 @@ _XYZ = "xyz"
 
 @dataclass(frozen=True, eq=False)
 class Motion:
-    """What happened, exactly.
-
-    Attributes:
-        joints, feet: Their names.
-        time: (N,) s.
-        q, v, a: Positions, rates and accelerations of MuJoCo.
-        effort: (N, n) efforts of the motors.
-        touching: (N, F) whether a foot touches the ground.
-        wrench: (N, F, 6) of the ground on it.
-    """
+    """What happened, exactly."""
 
     model: mujoco.MjModel
+    # joints, feet: Their names.
     joints: tuple[str, ...]
     feet: tuple[str, ...]
-    time: Array
+    time: Array  # (N,) s
+    # q, v, a: Positions, rates and accelerations of MuJoCo.
     q: Array
     v: Array
     a: Array
-    effort: Array
-    touching: Array
-    wrench: Array
+    effort: Array  # (N, n) efforts of the motors
+    touching: Array  # (N, F) whether a foot touches the ground
+    wrench: Array  # (N, F, 6) of the ground on it
 
 
 @dataclass(frozen=True, eq=False)
 class Recording:
-    """Files of a draw, and what is true of them.
+    """Files of a draw, and what is true of them."""
 
-    Attributes:
-        model, logs: Paths of the URDF and of the tables.
-        secret: What the file has not.
-        deviations: Deviation of each joint's logged effort in all logs, N·m; empty without.
-        same: Links that are welded to the trunk.
-        inverse_error: How far MuJoCo's inverse dynamics are from the logged efforts before noise,
-            with the feet's wrenches, as a share of the largest effort.
-    """
-
+    # model, logs: Paths of the URDF and of the tables.
     model: Path
     logs: tuple[Path, ...]
-    secret: Secret
+    secret: Secret  # what the file has not
+    # Deviation of each joint's logged effort in all logs, N·m; empty without.
     deviations: Mapping[str, float]
-    same: tuple[str, ...]
+    same: tuple[str, ...]  # links that are welded to the trunk
+    # How far MuJoCo's inverse dynamics are from the logged efforts before noise, with the feet's
+    # wrenches, as a share of the largest effort.
     inverse_error: float
 
 

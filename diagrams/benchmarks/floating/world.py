@@ -29,11 +29,7 @@ FLAGS, WRONG_FLAGS, NO_FLAGS = "logged", "a tenth wrong", "not logged"
 
 @dataclass(frozen=True)
 class Draw:
-    """A robot, its secret, and its two logs.
-
-    Attributes:
-        noise: Noise of all sensors, as a share of what is usual; 0 for exact logs.
-    """
+    """A robot, its secret, and its two logs."""
 
     robot: str
     hidden: str = QUIET
@@ -41,7 +37,7 @@ class Draw:
     contacts: str = FLAGS
     wrenches: bool = False
     efforts: bool = True
-    noise: float = 1.0
+    noise: float = 1.0  # noise of all sensors, as a share of what is usual; 0 for exact logs
     rate: float = 200.0
     duration: float = 40.0
     number: int = 0
@@ -113,46 +109,32 @@ _POINT_INERTIA = 1e-5  # kg·m², of masses that a file calls points
 
 @dataclass(frozen=True)
 class Robot:
-    """A robot with legs.
-
-    Attributes:
-        trunk: The link that carries a payload.
-        limbs: Links that may be heavier than the file says.
-        feet: Frame of each foot, with the joints of its leg from the trunk on.
-        posture: Positions of joints where it stands, rad; 0 for others.
-        stiffness, damping: Gains of joints by a pattern of their names, N·m/rad and N·m·s/rad.
-        sway: Half range of the trunk along x, y, z, m, and about them, rad.
-        sole: Half length and half width of a sole, m; zeros for a foot that is a point.
-        swing: Half range of joints outside the legs, rad.
-        pace: Speed of sways over that of a quadruped.
-        period: Of a trot, s; None where the robot only stands.
-        lift: Height of a swinging foot, m.
-        friction: Dry and viscous friction of a joint, N·m and N·m·s/rad, over its stiffness.
-        rotor: Reflected inertia of joints by a pattern of their names, kg·m².
-        payload: Least and largest mass of a payload, as shares of the robot's.
-        reach: How far it is from the trunk's origin along each axis at most, m.
-        fixed: How names of joints begin that are held fixed.
-        balance: Axis along which a joint holds the centre of mass above the feet, and its sign.
-    """
+    """A robot with legs."""
 
     path: str
-    trunk: str
-    limbs: tuple[str, ...]
+    trunk: str  # the link that carries a payload
+    limbs: tuple[str, ...]  # links that may be heavier than the file says
+    # Frame of each foot, with the joints of its leg from the trunk on.
     feet: Mapping[str, tuple[str, ...]]
-    posture: Mapping[str, float]
+    posture: Mapping[str, float]  # positions of joints where it stands, rad; 0 for others
+    # stiffness, damping: Gains of joints by a pattern of their names, N·m/rad and N·m·s/rad.
     stiffness: Mapping[str, float]
     damping: Mapping[str, float]
-    sway: tuple[float, ...]
+    sway: tuple[float, ...]  # half range of the trunk along x, y, z, m, and about them, rad
+    # Dry and viscous friction of a joint, N·m and N·m·s/rad, over its stiffness.
     friction: tuple[float, float]
-    rotor: Mapping[str, float]
+    rotor: Mapping[str, float]  # reflected inertia of joints by a pattern of their names, kg·m²
+    # Half length and half width of a sole, m; zeros for a foot that is a point.
     sole: tuple[float, float] = (0.0, 0.0)
-    swing: float = 0.0
-    pace: float = 1.0
-    period: float | None = None
-    lift: float = 0.0
-    fixed: tuple[str, ...] = ()
+    swing: float = 0.0  # half range of joints outside the legs, rad
+    pace: float = 1.0  # speed of sways over that of a quadruped
+    period: float | None = None  # of a trot, s; None where the robot only stands
+    lift: float = 0.0  # height of a swinging foot, m
+    fixed: tuple[str, ...] = ()  # how names of joints begin that are held fixed
+    # Least and largest mass of a payload, as shares of the robot's.
     payload: tuple[float, float] = (0.05, 0.2)
-    reach: float = 0.1
+    reach: float = 0.1  # how far it is from the trunk's origin along each axis at most, m
+    # Axis along which a joint holds the centre of mass above the feet, and its sign.
     balance: Mapping[str, tuple[int, float]] = field(default_factory=dict)
 
 
@@ -316,27 +298,23 @@ _GROUND = "ground"
 
 @dataclass(frozen=True)
 class Secret:
-    """What the simulated robot has and its file has not.
+    """What the simulated robot has and its file has not."""
 
-    Attributes:
-        mass, place, inertia: Of the payload: kg, m in the trunk's axes, kg·m² of its cube.
-        limb: The heavier link; "" for none.
-        scale, shift: Its mass and inertia over those of the file, and its centre's way, m.
-        friction, damping, rotor: Of each joint: N·m, N·m·s/rad, kg·m².
-        gain: Joint whose effort is logged too large or small, and the factor; None for none.
-        offset: Foot whose sensor is off, and by which wrench; None for none.
-    """
-
+    # mass, place, inertia: Of the payload: kg, m in the trunk's axes, kg·m² of its cube.
     mass: float = 0.0
     place: tuple[float, ...] = (0.0, 0.0, 0.0)
     inertia: float = 0.0
-    limb: str = ""
+    limb: str = ""  # the heavier link; "" for none
+    # scale, shift: Its mass and inertia over those of the file, and its centre's way, m.
     scale: float = 1.0
     shift: tuple[float, ...] = (0.0, 0.0, 0.0)
+    # friction, damping, rotor: Of each joint: N·m, N·m·s/rad, kg·m².
     friction: tuple[float, ...] = ()
     damping: tuple[float, ...] = ()
     rotor: tuple[float, ...] = ()
+    # Joint whose effort is logged too large or small, and the factor; None for none.
     gain: tuple[str, float] | None = None
+    # Foot whose sensor is off, and by which wrench; None for none.
     offset: tuple[str, tuple[float, ...]] | None = None
 
 

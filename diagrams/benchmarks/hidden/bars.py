@@ -34,24 +34,17 @@ FOUND_IN = 0.9
 
 @dataclass(frozen=True)
 class Line:
-    """One line.
-
-    Attributes:
-        bar: What was asked for, None where nothing was.
-        most: Whether the bar is an upper one.
-        value: What was reached.
-        low, high: 95 % interval of it, by Wilson for shares; None for medians.
-        highest: What it must not be above, where `bar` is a lower bound.
-    """
+    """One line."""
 
     figure: str
-    bar: float | None
-    most: bool
-    value: float | None
+    bar: float | None  # what was asked for, None where nothing was
+    most: bool  # whether the bar is an upper one
+    value: float | None  # what was reached
+    # low, high: 95 % interval of it, by Wilson for shares; None for medians.
     low: float | None
     high: float | None
     logs: int
-    highest: float | None = None
+    highest: float | None = None  # what it must not be above, where `bar` is a lower bound
 
     @property
     def reached(self) -> bool | None:

@@ -60,23 +60,18 @@ _FIRST_COLOURED = 100_000
 
 @dataclass(frozen=True)
 class Draw:
-    """One log.
-
-    Attributes:
-        noise: Deviation of the effort's noise, as a share of that of the effort.
-        prior: Whether the model file's bodies are "exact", or "off" by 20 %.
-        shares: RMS of every hidden effect, as a share of the deviation of the effort; at its joint,
-            or at the median of the joints that an effect of a body or of the robot acts upon.
-    """
+    """One log."""
 
     case: str
     hidden: tuple[str, ...]
     robot: str
     engine: str
     motion: str
-    noise: float
+    noise: float  # deviation of the effort's noise, as a share of that of the effort
     colour: str
-    prior: str
+    prior: str  # whether the model file's bodies are "exact", or "off" by 20 %
+    # RMS of every hidden effect, as a share of the deviation of the effort; at its joint, or at the
+    # median of the joints that an effect of a body or of the robot acts upon.
     shares: tuple[float, ...]
     number: int
     seed: int
@@ -219,37 +214,26 @@ _RUBBING = 0.08
 
 @dataclass(frozen=True, eq=False)
 class Secret:
-    """What a log hides.
-
-    Attributes:
-        where: Joints or body that are to be named; none for one of the whole robot.
-        share: Its RMS as a share of the deviation of the effort, as in `Draw.shares`.
-        values: Parameters that geodrake should find.
-        follows: For an effect of no catalogue, joints and signals that it varies with.
-    """
+    """What a log hides."""
 
     name: str
-    where: tuple[str, ...]
+    where: tuple[str, ...]  # joints or body that are to be named; none for one of the whole robot
     joints: tuple[str, ...]
-    share: float
-    values: Mapping[str, float]
+    share: float  # its RMS as a share of the deviation of the effort, as in `Draw.shares`
+    values: Mapping[str, float]  # parameters that geodrake should find
+    # For an effect of no catalogue, joints and signals that it varies with.
     follows: tuple[tuple[str, str], ...] = ()
 
 
 @dataclass(frozen=True, eq=False)
 class Recording:
-    """A log with its secrets.
-
-    Attributes:
-        secrets: What it hides.
-        bare: The log of the same motion and noise if the robot were that of the model file.
-        known: A log of the same robot before, without the effects; None where the model file is
-            all that is known.
-    """
+    """A log with its secrets."""
 
     log: JointLog
-    secrets: tuple[Secret, ...]
-    bare: JointLog
+    secrets: tuple[Secret, ...]  # what it hides
+    bare: JointLog  # the log of the same motion and noise if the robot were that of the model file
+    # A log of the same robot before, without the effects; None where the model file is all that is
+    # known.
     known: JointLog | None = None
 
 

@@ -41,14 +41,10 @@ _PUBLIC_FOLDER = "cmeel.prefix/share/example-robot-data/robots"
 
 @dataclass(frozen=True)
 class RobotFile:
-    """A robot as a model file describes it: a serial arm, without meshes, friction and fingers.
-
-    Attributes:
-        text: The URDF.
-    """
+    """A robot as a model file describes it: a serial arm, without meshes, friction and fingers."""
 
     name: str
-    text: str
+    text: str  # the URDF
 
     @classmethod
     def holding(cls, name: str, file: RobotFile, held: Sequence[str]) -> RobotFile:
@@ -128,18 +124,13 @@ Body = tuple[float, Array, Array]
 
 
 class Engine(ABC):
-    """A robot whose bodies and gravity can be changed.
+    """A robot whose bodies and gravity can be changed."""
 
-    Attributes:
-        joints: Names of the joints.
-        low, high: (n,) limits of the positions, rad.
-        fastest: (n,) limits of the speeds, rad/s.
-    """
-
-    joints: tuple[str, ...]
+    joints: tuple[str, ...]  # names of the joints
+    # low, high: (n,) limits of the positions, rad.
     low: Array
     high: Array
-    fastest: Array
+    fastest: Array  # (n,) limits of the speeds, rad/s
 
     def bodies(self) -> Array:
         """(n, 4, 4) pseudo-inertias ∫ [x;1][x;1]ᵀ dm in the links' frames."""

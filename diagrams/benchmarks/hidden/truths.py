@@ -82,39 +82,27 @@ Effort = Callable[[Seen, float], Array]
 
 @dataclass(frozen=True, eq=False)
 class Hidden:
-    """One hidden effect.
-
-    Attributes:
-        values: What geodrake should find by name, as multiples of the size.
-    """
+    """One hidden effect."""
 
     effort: Effort
+    # What geodrake should find by name, as multiples of the size.
     values: Mapping[str, float] = field(default_factory=dict)
 
 
 @dataclass(frozen=True, eq=False)
 class Truth:
-    """An effect of the catalogue that a log may hide.
-
-    Attributes:
-        places: What it acts on: "joint", "pair", "body" or "robot".
-        companions: Effects that it comes with, which are no mistakes.
-        unit: A usual size, from which that of a wanted share is sought.
-        largest: Largest size, where formulas or geodrake's range end.
-        needs_known_inertia: Whether the model must have been fitted to another log first.
-        alone: Whether it is left out of pairs.
-        reverses: Whether it shows only at a joint whose load changes its sign.
-    """
+    """An effect of the catalogue that a log may hide."""
 
     name: str
-    places: str
+    places: str  # what it acts on: "joint", "pair", "body" or "robot"
     make: Callable[[Site], Hidden]
-    companions: tuple[str, ...] = ()
-    unit: float = 1.0
-    largest: float = np.inf
+    companions: tuple[str, ...] = ()  # effects that it comes with, which are no mistakes
+    unit: float = 1.0  # a usual size, from which that of a wanted share is sought
+    largest: float = np.inf  # largest size, where formulas or geodrake's range end
+    # Whether the model must have been fitted to another log first.
     needs_known_inertia: bool = False
-    alone: bool = False
-    reverses: bool = False
+    alone: bool = False  # whether it is left out of pairs
+    reverses: bool = False  # whether it shows only at a joint whose load changes its sign
 
 
 def smooth_sign(v: Array) -> Array:
@@ -437,20 +425,15 @@ OWN, OTHER, ANY, TIME = "own", "other", "any", "time"
 
 @dataclass(frozen=True, eq=False)
 class Outside:
-    """An effect of no catalogue.
-
-    Attributes:
-        follows: What a correlate is to name: pairs of a joint (its own, the other, any) and one of
-            its signals, "position" or "speed"; or the time.
-        in_link: Whether it sits in a link, and acts on all joints up to it.
-        in_space: Whether a planar robot does not feel it.
-    """
+    """An effect of no catalogue."""
 
     name: str
     make: Callable[[Site], Hidden]
+    # What a correlate is to name: pairs of a joint (its own, the other, any) and one of its
+    # signals, "position" or "speed"; or the time.
     follows: tuple[tuple[str, str], ...]
-    in_link: bool = False
-    in_space: bool = False
+    in_link: bool = False  # whether it sits in a link, and acts on all joints up to it
+    in_space: bool = False  # whether a planar robot does not feel it
 
 
 def _end_stop(site: Site) -> Hidden:

@@ -31,23 +31,17 @@ _FINE = 1e-3  # s, longest step of a pendulum
 
 @dataclass(frozen=True, eq=False)
 class Site:
-    """Where an effect acts, and what is known of the robot's motions, the same for all logs.
+    """Where an effect acts, and what is known of the robot's motions, the same for all logs."""
 
-    Attributes:
-        joint, other: Numbers of its joints.
-        file: The robot's model file.
-        center, half: (n,) middle and half width of the positions of the motions, rad.
-        speed: (n,) highest speeds, rad/s.
-        load: (n,) largest efforts, N·m.
-    """
-
+    # joint, other: Numbers of its joints.
     joint: int
     other: int
-    file: RobotFile
+    file: RobotFile  # the robot's model file
+    # center, half: (n,) middle and half width of the positions of the motions, rad.
     center: Array
     half: Array
-    speed: Array
-    load: Array
+    speed: Array  # (n,) highest speeds, rad/s
+    load: Array  # (n,) largest efforts, N·m
     rng: np.random.Generator
 
     def place(self, seen: Seen, joint: int) -> Array:
@@ -57,13 +51,10 @@ class Site:
 
 @dataclass(frozen=True, eq=False)
 class Kind:
-    """An effect of no catalogue.
-
-    Attributes:
-        comes_with: Names that are right beside it, at its joint: it has a part that they describe.
-    """
+    """An effect of no catalogue."""
 
     make: Callable[[Site], Effort]
+    # Names that are right beside it, at its joint: it has a part that they describe.
     comes_with: tuple[str, ...] = ()
     largest: float = np.inf
 
@@ -248,31 +239,22 @@ _QUIET = 2  # logs a colour and seed
 
 @dataclass(frozen=True)
 class Draw:
-    """A robot and its two logs.
-
-    Attributes:
-        friction: Whether there is dry and viscous friction at all joints.
-        tool: Mass of the tool at the last link, as a share of the robot's; 0 without one.
-        off: How far bodies of the model file are off, as a share of their mass.
-        noise: Deviation of an effort's noise, as a share of that of the effort.
-        quantised: Whether positions and efforts are multiples of a resolution.
-        calibrated: Whether logs state that gains of efforts are exact, as they are in all.
-    """
+    """A robot and its two logs."""
 
     case: str
     robot: str
     engine: str
     kind: str
-    friction: bool
+    friction: bool  # whether there is dry and viscous friction at all joints
     rotors: bool
-    tool: float
-    off: float
+    tool: float  # mass of the tool at the last link, as a share of the robot's; 0 without one
+    off: float  # how far bodies of the model file are off, as a share of their mass
     rate: float
     velocities: bool
-    noise: float
+    noise: float  # deviation of an effort's noise, as a share of that of the effort
     colour: str
-    quantised: bool
-    calibrated: bool
+    quantised: bool  # whether positions and efforts are multiples of a resolution
+    calibrated: bool  # whether logs state that gains of efforts are exact, as they are in all
     number: int
     seed: int
     duration: float = 40.0
@@ -344,20 +326,15 @@ _COLOURS = (0.005, 0.05)  # s, time constants of coloured noise
 
 @dataclass(frozen=True, eq=False)
 class Recording:
-    """What was recorded, and what is true of it.
-
-    Attributes:
-        hidden: Names of the effects of the catalogue that are hidden -> where.
-        beside: Further names that are right -> where.
-        mass: Mass of the tool, kg; 0 without one.
-        values: Effect -> what it is sized by, by joint: N·m, N·m·s, kg·m²; and "breakaway", rad/s.
-    """
+    """What was recorded, and what is true of it."""
 
     logs: tuple[JointLog, ...]
+    # Names of the effects of the catalogue that are hidden -> where.
     hidden: dict[str, tuple[str, ...]]
-    beside: dict[str, tuple[str, ...]]
-    mass: float
+    beside: dict[str, tuple[str, ...]]  # further names that are right -> where
+    mass: float  # mass of the tool, kg; 0 without one
     joints: tuple[str, ...]
+    # Effect -> what it is sized by, by joint: N·m, N·m·s, kg·m²; and "breakaway", rad/s.
     values: dict[str, list[float]]
 
 

@@ -31,17 +31,11 @@ NOISE = 0.05  # rad, and rad/s
 
 @dataclass(frozen=True)
 class Sample:
-    """What a faulty sensor makes its value of.
+    """What a faulty sensor makes its value of."""
 
-    Attributes:
-        true: (2 n,) the state.
-        earlier: (2 n,) the state of `DELAY` samples before.
-        held: (2 n,) the last state before the fault.
-    """
-
-    true: Array
-    earlier: Array
-    held: Array
+    true: Array  # (2 n,) the state
+    earlier: Array  # (2 n,) the state of `DELAY` samples before
+    held: Array  # (2 n,) the last state before the fault
     number: int
     rng: np.random.Generator
 
@@ -241,19 +235,12 @@ WEAKENED = 0.15  # of the limits of efforts, what a weak actuator has
 
 @dataclass(frozen=True)
 class Moment:
-    """A loop at one time.
+    """A loop at one time."""
 
-    Attributes:
-        time: s.
-        error: (n,) q − q_d, rad.
-        parameters: (p,) the estimate.
-        effort: (n,) what the controller asks for.
-    """
-
-    time: float
-    error: Array
-    parameters: Array
-    effort: Array
+    time: float  # s
+    error: Array  # (n,) q − q_d, rad
+    parameters: Array  # (p,) the estimate
+    effort: Array  # (n,) what the controller asks for
 
 
 def moments(

@@ -29,21 +29,13 @@ LOST = 10.0  # rad, error of a joint at which a loop counts as unstable
 
 @dataclass(frozen=True, eq=False)
 class Record:
-    """What a closed loop did, every 10 ms.
+    """What a closed loop did, every 10 ms."""
 
-    Attributes:
-        time: (N,) s.
-        error: (N, n) q − q_d, rad.
-        parameters: (N, p) the estimate.
-        lyapunov: (N,) V; empty where the truth is not known.
-        lost: Whether the loop was unstable and stopped.
-    """
-
-    time: Array
-    error: Array
-    parameters: Array
-    lyapunov: Array
-    lost: bool
+    time: Array  # (N,) s
+    error: Array  # (N, n) q − q_d, rad
+    parameters: Array  # (N, p) the estimate
+    lyapunov: Array  # (N,) V; empty where the truth is not known
+    lost: bool  # whether the loop was unstable and stopped
 
     def rms(self, start: float = 0.0, end: float = np.inf) -> float:
         """RMS error of all joints between two times, degrees."""

@@ -117,13 +117,9 @@ def some_load(seed: int, number: int) -> Array:
 
 @dataclass(frozen=True, eq=False)
 class Loaded:
-    """The arm with an unknown load.
+    """The arm with an unknown load."""
 
-    Attributes:
-        control: The arm, whose 70 parameters are known, and the ten of the load.
-    """
-
-    control: ControlModel
+    control: ControlModel  # the arm, whose 70 parameters are known, and the ten of the load
 
     def law(self, name: str, speed: float) -> PartialLaw | None:
         """A law of the load alone, by its name and γ⁻¹."""

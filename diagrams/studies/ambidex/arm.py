@@ -58,15 +58,11 @@ POINT_TRIALS = 20
 
 @dataclass(frozen=True, eq=False)
 class Arm:
-    """The arm with everything that the measurements come from.
-
-    Attributes:
-        phi: (17, 10) inertial parameters of the links and then the rotors.
-    """
+    """The arm with everything that the measurements come from."""
 
     plant: MultibodyPlant
     transmission: Transmission
-    phi: Array
+    phi: Array  # (17, 10) inertial parameters of the links and then the rotors
 
     @classmethod
     def load(cls) -> Arm:
@@ -203,29 +199,17 @@ LINKS = 100  # columns of the links
 
 @dataclass(frozen=True, eq=False)
 class Measurements:
-    """Arrays that fits and their tests need, nothing of Drake.
+    """Arrays that fits and their tests need, nothing of Drake."""
 
-    Attributes:
-        bodies: (N, 7, 170) regressor of links and rotors, of the training samples.
-        friction: (N, 7, 14) regressor of friction.
-        torque: (N, 7) motor torques as measured, N·m.
-        full: Triangular factor of [bodies | friction | torque].
-        test: Triangular factor of the same of the test samples, whose torque is filtered.
-        test_rows: Number of its rows before.
-        wrench: (T, 6, 100) regressor of the wrench on the ground, of every fifth test sample.
-        truth: (17, 10) the parameters behind the measurements.
-        hulls: (17, 4, 4) matrices Q of ellipsoids that hold all mass of a body.
-    """
-
-    bodies: Array
-    friction: Array
-    torque: Array
-    full: Array
-    test: Array
-    test_rows: int
-    wrench: Array
-    truth: Array
-    hulls: Array
+    bodies: Array  # (N, 7, 170) regressor of links and rotors, of the training samples
+    friction: Array  # (N, 7, 14) regressor of friction
+    torque: Array  # (N, 7) motor torques as measured, N·m
+    full: Array  # triangular factor of [bodies | friction | torque]
+    test: Array  # triangular factor of the same of the test samples, whose torque is filtered
+    test_rows: int  # number of its rows before
+    wrench: Array  # (T, 6, 100) regressor of the wrench on the ground, of every fifth test sample
+    truth: Array  # (17, 10) the parameters behind the measurements
+    hulls: Array  # (17, 4, 4) matrices Q of ellipsoids that hold all mass of a body
 
     def test_rms(self, phi: Array, friction: Array) -> float:
         """RMS error of the motor torques of the test samples, N·m."""

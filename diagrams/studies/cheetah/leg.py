@@ -57,18 +57,13 @@ SEMI_AXES = ((0.081,) * 3, (0.0594, 0.0594, 0.369), (0.042, 0.042, 0.290), *((0.
 
 @dataclass(frozen=True, eq=False)
 class Leg:
-    """The leg's bodies: three links and three rotors.
-
-    Attributes:
-        prior: (6, 10) inertial parameters of the model file.
-        ellipsoids: (6, 4, 4) quadrics of the regions that the bodies fit into.
-    """
+    """The leg's bodies: three links and three rotors."""
 
     plant: MultibodyPlant
     tree: KinematicTree
     transmission: LinearTransmission
-    prior: Array
-    ellipsoids: Array
+    prior: Array  # (6, 10) inertial parameters of the model file
+    ellipsoids: Array  # (6, 4, 4) quadrics of the regions that the bodies fit into
 
     def regressor(self, motion: Motion) -> Array:
         """(N, 3, 60) regressor of the torques at the joints."""
@@ -102,17 +97,11 @@ SLOWEST = np.deg2rad(5.0)  # rad/s; friction is not known below
 
 @dataclass(frozen=True, eq=False)
 class Samples:
-    """Filtered samples in which all joints move.
+    """Filtered samples in which all joints move."""
 
-    Attributes:
-        regressor: (N, 3, 60) of the inertial parameters.
-        friction: (N, 3, 6) of the viscous and the Coulomb coefficients.
-        torque: (N, 3) as measured for training, filtered for the test, N·m.
-    """
-
-    regressor: Array
-    friction: Array
-    torque: Array
+    regressor: Array  # (N, 3, 60) of the inertial parameters
+    friction: Array  # (N, 3, 6) of the viscous and the Coulomb coefficients
+    torque: Array  # (N, 3) as measured for training, filtered for the test, N·m
 
     def rms(self, phi: Array, friction: Array) -> float:
         """RMS error of predicted torques, N·m."""
@@ -177,19 +166,12 @@ NEAR = 1.001
 
 @dataclass(frozen=True, eq=False)
 class Condensed:
-    """Data of A x ≈ b in as many rows as they have information.
+    """Data of A x ≈ b in as many rows as they have information."""
 
-    Attributes:
-        A: (r, p) rows.
-        b: (r,) measurements.
-        rest: Squared residual that no parameters remove.
-        count: Number of measurements before.
-    """
-
-    A: Array
-    b: Array
-    rest: float
-    count: int
+    A: Array  # (r, p) rows
+    b: Array  # (r,) measurements
+    rest: float  # squared residual that no parameters remove
+    count: int  # number of measurements before
 
     @classmethod
     def of(cls, A: Array, b: Array) -> Condensed:

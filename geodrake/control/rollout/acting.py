@@ -29,19 +29,12 @@ _COMMANDS = ("commanded_position", "commanded_velocity")
 
 
 class EffortAlong(NamedTuple):
-    """What acts along a measured motion, and what servos add where motors are elsewhere.
+    """What acts along a measured motion, and what servos add where motors are elsewhere."""
 
-    Attributes:
-        effort: (K, n) efforts, N·m or N, without the integrals and limits of servos.
-        behind: (K, n) commanded less measured position, rad or m; 0 without a servo.
-        gains: Those of the servos (n,); 0 without one.
-        begun: (n,) their integrals at first, rad·s or m·s.
-    """
-
-    effort: Array
-    behind: Array
-    gains: ServoGains
-    begun: Array
+    effort: Array  # (K, n) efforts, N·m or N, without the integrals and limits of servos
+    behind: Array  # (K, n) commanded less measured position, rad or m; 0 without a servo
+    gains: ServoGains  # those of the servos (n,); 0 without one
+    begun: Array  # (n,) their integrals at first, rad·s or m·s
 
 
 class Acting:

@@ -37,27 +37,18 @@ _LEAST = 1e-9  # rad or m, by which joints depart at least
 
 @dataclass(frozen=True, eq=False)
 class SearchWindow:
-    """A window that values are fitted to.
-
-    Attributes:
-        acting: What acts in its log, with the servos of a model.
-        departure: (N, nv) simulated − logged positions at the start of the search, rad or m.
-    """
+    """A window that values are fitted to."""
 
     near: NearMotion
-    acting: Callable[[RobotModel], Acting]
-    departure: Array
+    acting: Callable[[RobotModel], Acting]  # what acts in its log, with the servos of a model
+    departure: Array  # (N, nv) simulated − logged positions at the start of the search, rad or m
 
 
 @dataclass(frozen=True, eq=False)
 class MotionSearch:
-    """Windows that values are fitted to.
+    """Windows that values are fitted to."""
 
-    Attributes:
-        model: The model at the start.
-    """
-
-    model: RobotModel
+    model: RobotModel  # the model at the start
     values: tuple[RolloutValue, ...]
     windows: Sequence[SearchWindow]
 
@@ -165,15 +156,10 @@ def _slopes(residuals: Callable[[Array], list[Array]], x: Array) -> list[Array]:
 
 @dataclass(frozen=True, eq=False)
 class Blind:
-    """A window, blind to other states at its start.
+    """A window, blind to other states at its start."""
 
-    Attributes:
-        scale: (nv,) what joints depart by, over the root of what a window is worth, rad or m.
-        basis: (N nv, k) orthonormal: what other states make, each joint over its scale.
-    """
-
-    scale: Array
-    basis: Array
+    scale: Array  # (nv,) what joints depart by, over the root of what a window is worth, rad or m
+    basis: Array  # (N nv, k) orthonormal: what other states make, each joint over its scale
 
     def __call__(self, departure: Array) -> Array:
         """(N nv,) what of a departure (N, nv) no other start explains; its square is a mean."""

@@ -49,21 +49,13 @@ _LAG_ITERATIONS = 20
 
 @dataclass(frozen=True, eq=False)
 class NearServos:
-    """The p servos that act near a measured motion.
+    """The p servos that act near a measured motion."""
 
-    Attributes:
-        effort: (N, p) what they give along it without integrals and limits, N·m or N.
-        behind: (N, p) commanded less measured position, rad or m.
-        motors: (p,) where in y their motors are.
-        gains: (p, 4) stiffness, damping, integral gain, and largest effort.
-        begun: (p,) integrals at first, rad·s or m·s.
-    """
-
-    effort: Array
-    behind: Array
-    motors: NDArray[np.intp]
-    gains: Array
-    begun: Array
+    effort: Array  # (N, p) what they give along it without integrals and limits, N·m or N
+    behind: Array  # (N, p) commanded less measured position, rad or m
+    motors: NDArray[np.intp]  # (p,) where in y their motors are
+    gains: Array  # (p, 4) stiffness, damping, integral gain, and largest effort
+    begun: Array  # (p,) integrals at first, rad·s or m·s
 
     @classmethod
     def of(
@@ -86,22 +78,14 @@ class NearServos:
 
 @dataclass(frozen=True, eq=False)
 class MotorForce:
-    """What one parameter of an effect at a motor makes of its effort along a measured motion.
+    """What one parameter of an effect at a motor makes of its effort along a measured motion."""
 
-    Attributes:
-        at: Which of the model's effects it is of.
-        index: Which of that one's parameters it is.
-        place: Where in y the motor is.
-        effort: (N,) effort of a parameter of 1, N·m or N.
-        slopes: (3, N) its slopes with the motor's position, velocity and acceleration.
-    """
-
-    at: int
-    index: int
+    at: int  # which of the model's effects it is of
+    index: int  # which of that one's parameters it is
     parameter: float
-    place: int
-    effort: Array
-    slopes: Array
+    place: int  # where in y the motor is
+    effort: Array  # (N,) effort of a parameter of 1, N·m or N
+    slopes: Array  # (3, N) its slopes with the motor's position, velocity and acceleration
 
     def change(self, effects: Sequence[FittedEffect]) -> float:
         """Return by how much it is another one."""
@@ -110,32 +94,20 @@ class MotorForce:
 
 @dataclass(frozen=True, eq=False)
 class NearMotion:
-    """A passage, ready to be simulated near its measured motion with other soft joints.
+    """A passage, ready to be simulated near its measured motion with other soft joints."""
 
-    Attributes:
-        law: The force law of the model there, with what it carries.
-        rest: (N, s) r.
-        inertia: (N, s, s) H.
-        damping: (N, s, s) C.
-        stiffness: (N, s, s) K.
-        motors: (nv,) where in y the motor of each joint is.
-        load: (k, m) efforts of their links at the first samples, N·m or N.
-        give_way: (k, m) by how much these change when a link moves on, N·m/rad or N/m.
-        before: The motion before the passage.
-        forces: What single parameters of effects at motors make, of those that may change.
-    """
-
-    law: ForceLaw
+    law: ForceLaw  # the force law of the model there, with what it carries
     passage: Passage
-    rest: Array
-    inertia: Array
-    damping: Array
-    stiffness: Array
-    motors: NDArray[np.intp]
+    rest: Array  # (N, s) r
+    inertia: Array  # (N, s, s) H
+    damping: Array  # (N, s, s) C
+    stiffness: Array  # (N, s, s) K
+    motors: NDArray[np.intp]  # (nv,) where in y the motor of each joint is
     servos: NearServos
-    load: Array
-    give_way: Array
-    before: RobotMotion
+    load: Array  # (k, m) efforts of their links at the first samples, N·m or N
+    give_way: Array  # (k, m) by how much these change when a link moves on, N·m/rad or N/m
+    before: RobotMotion  # the motion before the passage
+    # What single parameters of effects at motors make, of those that may change.
     forces: tuple[MotorForce, ...] = ()
 
     @classmethod

@@ -20,20 +20,14 @@ _MOVING = 0.05  # share of the peak speeds that the mean speed of a passage must
 
 @dataclass(frozen=True, eq=False)
 class Passage:
-    """Some seconds of a log in which the robot moves.
-
-    Attributes:
-        began: The log's first time stamp, s.
-        segment: The samples, with the efforts that acted there: a model's delays are taken out.
-        stretch: The part of the log without gaps that the passage is from.
-        start: Number of its first sample in the stretch.
-    """
+    """Some seconds of a log in which the robot moves."""
 
     log: str
-    began: float
+    began: float  # the log's first time stamp, s
+    # The samples, with the efforts that acted there: a model's delays are taken out.
     segment: Segment
-    stretch: Stretch
-    start: int
+    stretch: Stretch  # the part of the log without gaps that the passage is from
+    start: int  # number of its first sample in the stretch
 
     @property
     def time(self) -> Array:

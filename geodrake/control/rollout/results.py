@@ -17,18 +17,12 @@ _AT_REST = 1e-9  # rad or m: rounding of a smoothed position
 
 @dataclass(frozen=True, eq=False)
 class Window(Short):
-    """One simulated stretch of a log.
-
-    Attributes:
-        time: (K,) instants, s.
-        measured: (K, nv) positions, rad or m.
-        simulated: (K, nv) positions; NaN from where the simulation broke off.
-    """
+    """One simulated stretch of a log."""
 
     log: str
-    time: Array
-    measured: Array
-    simulated: Array
+    time: Array  # (K,) instants, s
+    measured: Array  # (K, nv) positions, rad or m
+    simulated: Array  # (K, nv) positions; NaN from where the simulation broke off
 
     @property
     def departure(self) -> Array:
@@ -38,18 +32,12 @@ class Window(Short):
 
 @dataclass(frozen=True)
 class JointDeparture:
-    """How far one joint departs from what was measured.
-
-    Attributes:
-        rms: RMS of simulated − measured position over all windows, rad or m.
-        moved: RMS of what the joint moved since the start of its window, rad or m.
-        worst: Log and start of the window in which it departs most, s.
-    """
+    """How far one joint departs from what was measured."""
 
     joint: str
-    rms: float
-    moved: float
-    worst: tuple[str, float]
+    rms: float  # RMS of simulated − measured position over all windows, rad or m
+    moved: float  # RMS of what the joint moved since the start of its window, rad or m
+    worst: tuple[str, float]  # log and start of the window in which it departs most, s
 
     @property
     def relative(self) -> float:

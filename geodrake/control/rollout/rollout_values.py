@@ -25,20 +25,14 @@ class RolloutValue:
     """One positive value of an effect, or of a servo.
 
     A search moves it in steps: of its deviation, or where it has none, of a factor of e.
-
-    Attributes:
-        at: Which of the model's effects has it; None for a servo.
-        effect: Name of the effect; "servo".
-        name: Name of the value: of a parameter or a shape of the effect, or of an `EffortSignal`.
-        deviation: How well it is known before, SI; 0 if to a factor of e.
     """
 
-    at: int | None
-    effect: str
+    at: int | None  # which of the model's effects has it; None for a servo
+    effect: str  # name of the effect; "servo"
     joint: str
-    name: str
+    name: str  # name of the value: of a parameter or a shape of the effect, or of an `EffortSignal`
     value: float
-    deviation: float = 0.0
+    deviation: float = 0.0  # how well it is known before, SI; 0 if to a factor of e
 
     @property
     def bounds(self) -> tuple[float, float]:

@@ -50,19 +50,12 @@ _MOVED = 1e-6  # rad or m, and shares of efforts and of speeds, for slopes
 
 
 class State(NamedTuple):
-    """State of N robots.
+    """State of N robots."""
 
-    Attributes:
-        position: (N, n).
-        velocity: (N, n).
-        integral: (N, n) of servos.
-        hidden: (N, h) states of effects.
-    """
-
-    position: Array
-    velocity: Array
-    integral: Array
-    hidden: Array
+    position: Array  # (N, n)
+    velocity: Array  # (N, n)
+    integral: Array  # (N, n) of servos
+    hidden: Array  # (N, h) states of effects
 
 
 def steps_alone(model: RobotModel) -> bool:
@@ -94,21 +87,14 @@ def stepping(case: Case, passages: Sequence[Passage], *, commands: bool) -> Step
 
 @dataclass(frozen=True, eq=False)
 class Stepping:
-    """The N passages that are simulated together.
-
-    Attributes:
-        acting: What acts in each.
-        sign_width: (n,) speeds below which dry friction fades, rad/s or m/s.
-        fastest: (n,) peak speeds of the measured motion, rad/s or m/s.
-        temperatures: Those of the joints in the log of each.
-    """
+    """The N passages that are simulated together."""
 
     model: RobotModel
     passages: Sequence[Passage]
-    acting: Sequence[Acting]
-    sign_width: Array
-    fastest: Array
-    temperatures: Sequence[Temperatures | None]
+    acting: Sequence[Acting]  # what acts in each
+    sign_width: Array  # (n,) speeds below which dry friction fades, rad/s or m/s
+    fastest: Array  # (n,) peak speeds of the measured motion, rad/s or m/s
+    temperatures: Sequence[Temperatures | None]  # those of the joints in the log of each
 
     def positions(self) -> list[Array]:
         """Return positions (K, n) of each passage; NaN from where a robot flies apart."""
@@ -285,16 +271,9 @@ class Stepping:
 
 
 class Instant(NamedTuple):
-    """An end of a stage.
+    """An end of a stage."""
 
-    Attributes:
-        time: (N,) since logs began, s.
-        step: (N, 1) from where the stage begins, s.
-        mass: (N, n, n) of the bodies.
-        acts: (3, N, n) commands, their rates, and efforts of joints without a servo.
-    """
-
-    time: Array
-    step: Array
-    mass: Array
-    acts: Array
+    time: Array  # (N,) since logs began, s
+    step: Array  # (N, 1) from where the stage begins, s
+    mass: Array  # (N, n, n) of the bodies
+    acts: Array  # (3, N, n) commands, their rates, and efforts of joints without a servo

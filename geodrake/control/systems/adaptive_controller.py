@@ -46,20 +46,14 @@ _QUIETLY = np.errstate(all="ignore")  # what is not finite is looked for and rep
 
 @dataclass(frozen=True, eq=False)
 class ControlResult:
-    """What a controller makes of one sample.
+    """What a controller makes of one sample."""
 
-    Attributes:
-        effort: (nv,) effort to be applied.
-        sample: The robot as the effort has it.
-        covector: Gives the covector b (p,) for the update law, or None; None where adaptation
-            waits. Only this may read other ports than those of what was seen.
-        limited: Whether efforts would have been beyond their limits.
-    """
-
-    effort: Array
-    sample: ControlSample
+    effort: Array  # (nv,) effort to be applied
+    sample: ControlSample  # the robot as the effort has it
+    # Gives the covector b (p,) for the update law, or None; None where adaptation waits. Only this
+    # may read other ports than those of what was seen.
     covector: Callable[[Context], Array | None] | None
-    limited: bool = False
+    limited: bool = False  # whether efforts would have been beyond their limits
 
 
 class AdaptiveController(LeafSystem):

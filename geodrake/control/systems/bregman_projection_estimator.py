@@ -28,19 +28,12 @@ _SLOTS = 24  # samples in memory
 
 @dataclass
 class _Remembered:
-    """Samples that are seen again.
+    """Samples that are seen again."""
 
-    Attributes:
-        regressors: (slots, nv, p) filtered regressors.
-        efforts: (slots, nv) their efforts.
-        kept: How many have been put there.
-        count: Number of samples when the last one was.
-    """
-
-    regressors: Array
-    efforts: Array
-    kept: int = 0
-    count: int = 0
+    regressors: Array  # (slots, nv, p) filtered regressors
+    efforts: Array  # (slots, nv) their efforts
+    kept: int = 0  # how many have been put there
+    count: int = 0  # number of samples when the last one was
 
     def turn(self, number: int, kept: int) -> Rows | None:
         """Return one of the first `kept` samples, turn by turn; None if there are none."""

@@ -36,19 +36,12 @@ class ServoGains(NamedTuple):
 
 
 class ServoError(NamedTuple):
-    """What servos act upon, all (..., n).
+    """What servos act upon, all (..., n)."""
 
-    Attributes:
-        position: Commanded less measured position, rad or m.
-        velocity: Commanded less measured velocity.
-        integral: Integral of the error of position beyond the dead band, rad·s or m·s.
-        feedforward: Effort that is added, N·m or N.
-    """
-
-    position: Array
-    velocity: Array
-    integral: Array
-    feedforward: Array
+    position: Array  # commanded less measured position, rad or m
+    velocity: Array  # commanded less measured velocity
+    integral: Array  # integral of the error of position beyond the dead band, rad·s or m·s
+    feedforward: Array  # effort that is added, N·m or N
 
 
 def servo_effort(gains: ServoGains, error: ServoError) -> Array:

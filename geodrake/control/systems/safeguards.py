@@ -91,29 +91,17 @@ class Safeguards(Short):
 
 @dataclass(frozen=True, eq=False)
 class Seen:
-    """What a controller goes by at one sample, always finite.
+    """What a controller goes by at one sample, always finite."""
 
-    Attributes:
-        q: (n,) positions.
-        qd: (n,) velocities.
-        q_d: (n,) desired positions.
-        v_d: (n,) desired velocities.
-        a_d: (n,) desired accelerations.
-        trusted: Whether all of it was measured and asked for just now, and has been plausible.
-        repeated: Whether all of it is usable but the state is the last one again.
-        known: Whether there is anything to go by.
-        settled: Whether nothing has interrupted the loop for the settling time.
-    """
-
-    q: Array
-    qd: Array
-    q_d: Array
-    v_d: Array
-    a_d: Array
-    trusted: bool
-    repeated: bool
-    known: bool
-    settled: bool
+    q: Array  # (n,) positions
+    qd: Array  # (n,) velocities
+    q_d: Array  # (n,) desired positions
+    v_d: Array  # (n,) desired velocities
+    a_d: Array  # (n,) desired accelerations
+    trusted: bool  # whether all of it was measured and asked for just now, and has been plausible
+    repeated: bool  # whether all of it is usable but the state is the last one again
+    known: bool  # whether there is anything to go by
+    settled: bool  # whether nothing has interrupted the loop for the settling time
 
     def within_reach(self, rate: Array, braking: Array) -> Seen:
         """Return the same, with a desired motion that approaches from afar as fast as it can stop.
@@ -154,14 +142,10 @@ class Watch:
     The memory holds the last measured state, the last desired position, the drift, and for how many
     samples there was no new state, a moving robot has stood still, there was no contradiction, and
     nothing that `interrupt` was told of; this one is below zero while adaptation waits.
-
-    Attributes:
-        size: Number n of positions, which are as many as velocities.
-        period: From sample to sample, s; zero where nothing is remembered.
     """
 
-    size: int
-    period: float = 0.0
+    size: int  # number n of positions, which are as many as velocities
+    period: float = 0.0  # from sample to sample, s; zero where nothing is remembered
     stale_time: float = np.inf
     drift: float = np.inf
     settling_time: float = 0.0

@@ -17,18 +17,12 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class _Function:
-    """A function of one signal x and perhaps a constant c.
+    """A function of one signal x and perhaps a constant c."""
 
-    Attributes:
-        evaluate: Its values, from x (N,) and c.
-        code: The same in Python, with {x} and {c}.
-        power: Power of the signal's unit that it has.
-    """
-
-    evaluate: Callable[[Array, float], Array]
-    code: str
+    evaluate: Callable[[Array, float], Array]  # its values, from x (N,) and c
+    code: str  # the same in Python, with {x} and {c}
     words: str
-    power: int
+    power: int  # power of the signal's unit that it has
 
 
 FUNCTIONS: Mapping[str, _Function] = {
@@ -73,16 +67,12 @@ _SIGNALS: Mapping[str, tuple[str, str]] = {
 
 @dataclass(frozen=True)
 class Factor:
-    """A function of one signal of one joint.
-
-    Attributes:
-        constant: What the function turns at; used by "above" and "below" alone.
-    """
+    """A function of one signal of one joint."""
 
     joint: str
     signal: str
     function: str = "value"
-    constant: float = 0.0
+    constant: float = 0.0  # what the function turns at; used by "above" and "below" alone
 
     @property
     def turns(self) -> bool:
@@ -116,13 +106,9 @@ class Factor:
 
 @dataclass(frozen=True)
 class FormulaTerm:
-    """A product of factors.
+    """A product of factors."""
 
-    Attributes:
-        factors: One or two; none for a constant.
-    """
-
-    factors: tuple[Factor, ...]
+    factors: tuple[Factor, ...]  # one or two; none for a constant
 
     def values(self, motions: Callable[[str], JointMotion], samples: int) -> Array:
         """Return (N,) values."""

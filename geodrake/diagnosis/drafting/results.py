@@ -19,33 +19,21 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True, eq=False)
 class DraftedEffect(Short):
-    """A formula for what is missing at a joint.
-
-    Attributes:
-        coefficients: (k,) fitted coefficients, in the units of `formula.parameters`.
-        deviations: (k,) their standard deviations.
-        rms_before: Held-out RMS of the joint without it, N·m or N.
-        rms_after: Held-out RMS of the joint with it, N·m or N.
-        floor: RMS of the joint's sensor noise, N·m or N.
-        false_alarm_probability: How probable it is that there is no formula, if it is this one or
-            none.
-        rivals: Formulas of no more terms, in words, from which the logs cannot distinguish it.
-        time: (K,) instants of filtered samples, s, block after block.
-        residual: (K,) effort that everything else leaves there, N·m or N.
-        effort: (K,) effort of the formula there, N·m or N.
-    """
+    """A formula for what is missing at a joint."""
 
     formula: Formula
-    coefficients: Array
-    deviations: Array
-    rms_before: float
-    rms_after: float
-    floor: float
+    coefficients: Array  # (k,) fitted coefficients, in the units of `formula.parameters`
+    deviations: Array  # (k,) their standard deviations
+    rms_before: float  # held-out RMS of the joint without it, N·m or N
+    rms_after: float  # held-out RMS of the joint with it, N·m or N
+    floor: float  # RMS of the joint's sensor noise, N·m or N
+    # How probable it is that there is no formula, if it is this one or none.
     false_alarm_probability: float
+    # Formulas of no more terms, in words, from which the logs cannot distinguish it.
     rivals: tuple[str, ...]
-    time: Array
-    residual: Array
-    effort: Array
+    time: Array  # (K,) instants of filtered samples, s, block after block
+    residual: Array  # (K,) effort that everything else leaves there, N·m or N
+    effort: Array  # (K,) effort of the formula there, N·m or N
 
 
 @dataclass(frozen=True, eq=False)
