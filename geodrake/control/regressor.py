@@ -293,21 +293,20 @@ class ControlSample:
         """
         model = self.model
 
-        def body_columns(name: str) -> Array:
-            first = PARAMETERS_PER_BODY * model.bodies.index(name)
-            Y = self.rigid.regressor(model.num_inertial) if regressor is None else regressor
-            return Y[None, :, first : first + PARAMETERS_PER_BODY]
-
         def seen(joints: JointMotion) -> RobotMotion:
+            vd, bodies = np.atleast_2d(joints.vd), self._bodies
+            q, v, load = (np.broadcast_to(x, vd.shape) for x in (joints.q, joints.v, joints.load))
+            if len(vd) > 1:
+                bodies = replace(bodies, q=np.repeat(bodies.q, len(vd), axis=0))
+
+            def body_columns(name: str) -> Array:
+                first = PARAMETERS_PER_BODY * model.bodies.index(name)
+                Y = self.rigid.regressor(model.num_inertial) if regressor is None else regressor
+                own = Y[:, first : first + PARAMETERS_PER_BODY]
+                return np.broadcast_to(own, (len(vd), *own.shape))
+
             return RobotMotion(
-                model.joints,
-                joints.q[None],
-                joints.v[None],
-                joints.vd[None],
-                joints.load[None],
-                model._sign_width,
-                body_columns,
-                self._bodies,
+                model.joints, q, v, vd, load, model._sign_width, body_columns, bodies
             )
 
         return seen

@@ -36,7 +36,9 @@ Trial = Callable[[Array, Array, Array], RobotMotion]
 _SAMPLES = 8
 
 Seen = Callable[[JointMotion], RobotMotion]
-"""From the motion of all joints at one sample to that of the robot with its bodies."""
+"""From the motion of all joints at one sample to that of the robot with its bodies.
+
+Accelerations may be several, (N, nv), of a sample each."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -102,13 +104,14 @@ class EffectColumns:
             motion: Motion of all joints at one sample; its accelerations do not matter.
             mu: (k,) parameters.
         """
-        rest = replace(motion, vd=np.zeros(len(self.joints)))
-        moved = replace(motion, vd=np.ones(len(self.joints)))
+        rest, moved = (replace(motion, vd=np.full(len(self.joints), x)) for x in (0.0, 1.0))
         added = np.diag((self._together_at(moved) - self._together_at(rest)) @ mu)
         if self._alone_of_acceleration:
-            still = self._accelerated(rest, seen) @ mu
-            for k, unit in enumerate(np.eye(len(self.joints))):
-                added[:, k] += self._accelerated(replace(motion, vd=unit), seen) @ mu - still
+            vd = np.vstack([rest.vd, np.eye(len(self.joints))])
+            along = seen(replace(motion, vd=vd))
+            for effect, part in self._alone_of_acceleration:
+                efforts = effect.regressor(along) @ mu[part]
+                added += (efforts[1:] - efforts[0]).T
         return added
 
     @cached_property
@@ -160,11 +163,6 @@ class EffectColumns:
     def _alone_of_acceleration(self) -> tuple[tuple[Effect, slice], ...]:
         moving = {e for e, names in zip(self.effects, self._signals, strict=True) if "vd" in names}
         return tuple((effect, part) for effect, part in self._alone if effect in moving)
-
-    def _accelerated(self, motion: JointMotion, seen: Seen) -> Array:
-        Y = np.zeros((len(self.joints), self.count))
-        _put(Y, self._alone_of_acceleration, seen(motion))
-        return Y
 
     def _together_at(self, motion: JointMotion) -> Array:
         Y = np.zeros((len(self.joints), self.count))

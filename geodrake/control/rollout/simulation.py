@@ -120,19 +120,14 @@ class Simulation:
             self._diagram, self._soft = builder.Build(), False
             return
         effects = [fitted for fitted in model.effects if fitted.effect.role in FORCES]
-        self._force = force = builder.AddSystem(
-            EffectForce(
-                plant, effects, sign_width=sign_width, phi=phi, log=log, temperatures=temperatures
-            )
-        )
+        known = {"sign_width": sign_width, "phi": phi, "log": log, "temperatures": temperatures}
+        self._force = force = EffectForce.AddToBuilder(builder, plant, effects, **known)
         self._soft = bool(force.soft_joints)
         state = plant.get_state_output_port()
         measured = force.GetOutputPort("motor_state") if self._soft else state
         effort = acting.add(builder, selected(builder, measured, own))
-        builder.Connect(state, force.GetInputPort("state"))
         builder.Connect(effort, force.GetInputPort("applied_effort"))
-        for each in (effort, force.GetOutputPort("generalized_force")):
-            add_generalized_force(builder, plant, each)
+        add_generalized_force(builder, plant, effort)
         self._diagram = builder.Build()
 
     @property

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -209,13 +210,12 @@ class EffectForce(LeafSystem):
         check_context(self, context)
         whole = np.array(context.get_continuous_state_vector().CopyToVector())
         for effect, values in states.items():
-            place = self.law.states.get(effect)
-            count = 0 if place is None else effect.state_count
+            count = effect.state_count if effect in self.law.states else 0
             name = f"the state of {effect.name} of {effect.place}"
             state = real_array(values, name, (count,))
-            if place is None:
+            if not count:
                 raise ArgumentError(f"{effect.name} of {effect.place} has no hidden state here.")
-            whole[place] = state
+            whole[self.law.states[effect]] = state
         context.SetContinuousState(whole)
 
     def set_motors(self, context: Context, lag: ArrayLike, speed: ArrayLike) -> None:
@@ -336,10 +336,7 @@ class EffectForce(LeafSystem):
         builder: DiagramBuilder,
         plant: MultibodyPlant | RobotInstance,
         effects: Iterable[EffectWithValues],
-        *,
-        sign_width: ArrayLike = 1e-2,
-        phi: ArrayLike | None = None,
-        log: str | None = None,
+        **options: Any,
     ) -> EffectForce:
         """Adds the system and connects it to a plant's state and generalized force ports.
 
@@ -350,9 +347,7 @@ class EffectForce(LeafSystem):
         of the constructor, with a plant that was added to the builder.
         """
         instance(builder, "builder", DiagramBuilder)
-        system = builder.AddSystem(
-            EffectForce(plant, effects, sign_width=sign_width, phi=phi, log=log)
-        )
+        system = builder.AddSystem(EffectForce(plant, effects, **options))
         whole = plant.plant if isinstance(plant, RobotInstance) else plant
         builder.Connect(whole.get_state_output_port(), system.GetInputPort("state"))
         add_generalized_force(builder, whole, system.GetOutputPort("generalized_force"))

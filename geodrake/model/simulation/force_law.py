@@ -53,18 +53,8 @@ class Response(NamedTuple):
     motor_acceleration: Array
 
 
-class Side(NamedTuple):
-    """Effects that see the same motion, by what their effort depends on.
-
-    Attributes:
-        direct: Those that depend on neither acceleration nor load.
-        accelerated: Those that depend on the acceleration.
-        loaded: Those that depend on the load.
-    """
-
-    direct: Terms
-    accelerated: Terms
-    loaded: Terms
+Side = tuple[Terms, Terms]
+"""Effects that see the same motion: those that do not depend on the load, and those that do."""
 
 
 class ForceLaw:
@@ -145,14 +135,13 @@ class ForceLaw:
                 rows_of(effect, still)
 
     def _side(self, belongs: Callable[[Effect], bool]) -> Side:
-        """Return those of some effects that are forces, by what their effort depends on."""
-        kinds: tuple[list[int], ...] = ([], [], [])
+        """Return those of some effects that are forces."""
+        chosen: tuple[list[int], list[int]] = ([], [])
         for i, effect in enumerate(self.effects):
-            if effect.role in (Role.SCALE, Role.DEFLECTION) or not belongs(effect):
-                continue
-            names = dependencies(effect, self.plant.trial, len(self.plant.joints))
-            kinds[2 if "load" in names else 1 if "vd" in names else 0].append(i)
-        return Side(*map(self._terms, kinds))
+            if effect.role not in (Role.SCALE, Role.DEFLECTION) and belongs(effect):
+                names = dependencies(effect, self.plant.trial, len(self.plant.joints))
+                chosen["load" in names].append(i)
+        return self._terms(chosen[0]), self._terms(chosen[1])
 
     def _terms(self, chosen: list[int]) -> Terms:
         effects = tuple(self.effects[i] for i in chosen)
@@ -174,9 +163,8 @@ class ForceLaw:
         context = self.dynamics.context(self.phi)
         links, q = link_inertias(plant.plant, context), plant.plant.GetPositions(context)
         still = PlantState(q, np.zeros(len(links)), 0.0, np.zeros(self.state_count))
-        unit, zero = np.eye(len(links)), np.zeros(len(links))
-        _, moved = self.motors.accelerated.split(still, unit, zero, (self.mu, self.phi))
-        own, least = np.diag(moved)[at], LEAST_MOTOR * links[at]
+        rotors = self.motors[0].added_mass(still, 0.0 * links, (self.mu, self.phi))
+        own, least = np.diag(rotors)[at], LEAST_MOTOR * links[at]
         self.added_inertia = np.maximum(least - own, 0.0)
         self.notes = tuple(
             f"The motor of {joint} is taken to have {mass:.3g} {plant.inertia_units[k]}, "
@@ -197,13 +185,20 @@ class ForceLaw:
     @cached_property
     def timed(self) -> bool:
         """Return whether the time must be known."""
-        return any(terms.timed for terms in (*self.motors, *self.links))
+        return any(terms.timed for side in self._sides for terms in side)
 
     @cached_property
     def implicit(self) -> bool:
         """Return whether accelerations must be known."""
-        sides = (self.motors, self.links)
-        return bool(self.soft) or any(bool(s.accelerated or s.loaded) for s in sides)
+        return bool(self.soft) or self._loaded or any(s[0].turning for s in self._sides)
+
+    @cached_property
+    def _sides(self) -> tuple[Side, Side]:
+        return self.motors, self.links
+
+    @cached_property
+    def _loaded(self) -> bool:
+        return any(bool(side[1].effects) for side in self._sides)
 
     @cached_property
     def coupled(self) -> bool:
@@ -239,35 +234,37 @@ class ForceLaw:
         Args:
             u: (nv,) efforts that act on motors, N·m or N.
         """
-        motor = self.at_motors(state)
-        direct = self.motors.direct.direct(motor, parameters)
-        if not self.implicit:
-            return Response(direct, np.zeros(0))
         A, L, unit, nv = self.of_motors, self.of_links, self.soft_unit, len(u)
-        sides = (self.motors, motor, A.T), (self.links, state, L.T)
-        (f_m, BA), (f_l, M_l) = (
-            s.accelerated.split(at, x, np.zeros(nv), parameters) for s, at, x in sides
-        )
+        motions = self.at_motors(state), state
+
+        def needed(which: int, load: Array) -> list[Array]:
+            """Effort and inertia of motors, then of links, by what does or does not need a load."""
+            both = zip((side[which] for side in self._sides), motions, strict=True)
+            parts = ((terms.effort, terms.added_mass, at) for terms, at in both)
+            return [f(at, load, parameters) for *fs, at in parts for f in fs]
+
+        if not self.implicit:
+            return Response(self.motors[0].effort(motions[0], 0.0 * u, parameters), np.zeros(0))
         M, drift, rigid_drift = self.dynamics.at(state.q, state.v, parameters[1])
         at_soft = np.zeros(nv)
         if self.soft:
             rate = state.speed - state.v[self.soft.velocities]
             at_soft = unit @ self.soft.torques(parameters[0], state.lag, rate)
-        f_m, f_l = direct + f_m, self.links.direct.direct(state, parameters) + f_l
-        rest, loaded = (f_m, BA, f_l, M_l), bool(self.motors.loaded or self.links.loaded)
-        load = u - direct
+        rest = needed(0, 0.0 * u)
+        f_m, B, f_l, M_l = rest
+        load = u - f_m
         for _ in range(_LOAD_ITERATIONS):
-            if loaded:
-                more = [s.loaded.split(at, x, load, parameters) for s, at, x in sides]
-                f_m, BA, f_l, M_l = (a + b for a, b in zip(rest, (*more[0], *more[1]), strict=True))
-            K = A.T @ BA + L.T @ (M @ L + M_l)
+            if self._loaded:
+                more = needed(1, load)
+                f_m, B, f_l, M_l = (a + b for a, b in zip(rest, more, strict=True))
+            K = A.T @ B @ A + L.T @ (M + M_l) @ L
             K[nv:, nv:] += np.diag(self.added_inertia)
             x = np.linalg.solve(K, A.T @ (u - f_m) - L.T @ (drift + f_l) + (L - A).T @ at_soft)
             before, load = load, M @ x[:nv] + rigid_drift
             size = 1.0 + np.abs(load).max()
-            if not loaded or np.abs(load - before).max() <= _LOAD_TOLERANCE * size:
-                rigid = (1.0 - unit.sum(1)) * (f_m + BA @ x)
-                effort = f_l + M_l @ x + rigid + unit.sum(1) * u - at_soft
+            if not self._loaded or np.abs(load - before).max() <= _LOAD_TOLERANCE * size:
+                rigid = (1.0 - unit.sum(1)) * (f_m + B @ (A @ x))
+                effort = f_l + M_l @ x[:nv] + rigid + unit.sum(1) * u - at_soft
                 return Response(effort, x[nv:])
         raise ModelError(
             f"Load-dependent friction does not settle; the load is {load} N·m after "
@@ -281,14 +278,14 @@ class ForceLaw:
         To all orders in the compliance, but as if the lags had no rates.
         """
         lag, couplings = np.zeros(len(self.soft)), self.soft.couplings(parameters[0])
-        hidden, links = np.zeros(self.state_count), self.links
+        hidden, zero, links = np.zeros(self.state_count), np.zeros(len(v)), self.links[0]
         for _ in range(_LAG_ITERATIONS):
             place = q.copy()
             place[self.soft.positions] -= lag
             link = PlantState(place, v, 0.0, hidden)
             M, drift, _ = self.dynamics.at(place, v, parameters[1])
-            rest, moved = links.accelerated.split(link, np.eye(len(v)), 0.0 * v, parameters)
-            effort = M @ vd + drift + rest + moved @ vd + links.direct.direct(link, parameters)
+            effort = (M + links.added_mass(link, zero, parameters)) @ vd + drift
+            effort += links.effort(link, zero, parameters)
             torques = effort[self.soft.velocities].tolist()
             before = lag
             lag = np.array([c.lag(t) for c, t in zip(couplings, torques, strict=True)])

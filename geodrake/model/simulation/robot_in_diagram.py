@@ -211,11 +211,10 @@ def make_act(
     force, notes = None, tuple[str, ...]()
     if forces:
         own = None if robot.name is None else robot.plant_parameters(phi)
-        force = EffectForce(robot, forces, sign_width=sign_width, phi=own, log=log)
-        builder.AddNamedSystem(f"{name}_effects", force)
-        builder.Connect(plant.get_state_output_port(), force.GetInputPort("state"))
+        options = {"sign_width": sign_width, "phi": own, "log": log}
+        force = EffectForce.AddToBuilder(builder, robot, forces, **options)
+        force.set_name(f"{name}_effects")
         builder.Connect(acting, force.GetInputPort("applied_effort"))
-        add_generalized_force(builder, plant, force.GetOutputPort("generalized_force"))
         notes = force.notes
         if force.soft_joints:
             state = force.state_port(builder, joints)

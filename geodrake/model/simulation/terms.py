@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
-from functools import cache, cached_property
+from functools import cache, cached_property, partial
 from typing import Any
 
 import numpy as np
@@ -185,7 +185,7 @@ class PlantState:
 
 @dataclass(frozen=True, eq=False)
 class Terms:
-    """Some effects of a plant, evaluated together; those of accelerations or loads see any given.
+    """Some effects of a plant, evaluated together.
 
     Attributes:
         plant: The motion of the plant.
@@ -198,14 +198,15 @@ class Terms:
     places: NDArray[np.intp]
     hidden: dict[Effect, slice]
 
-    def __bool__(self) -> bool:
-        """Return whether there are any."""
-        return bool(self.effects)
-
     @cached_property
     def columns(self) -> EffectColumns:
         """Return their columns."""
         return EffectColumns(self.plant.joints, self.effects, self.plant.trial)
+
+    @cached_property
+    def turning(self) -> bool:
+        """Return whether they depend on accelerations."""
+        return "vd" in self.columns.depends_on
 
     @cached_property
     def timed(self) -> bool:
@@ -217,63 +218,42 @@ class Terms:
         """Return the temperatures of the joints, if they matter and are known."""
         return self.plant.temperatures if "temperature" in self.columns.depends_on else None
 
-    def direct(self, at: PlantState, parameters: Parameters) -> Array:
-        """Return the effort (nv,) of effects that see neither accelerations nor loads."""
-        rest = np.zeros(len(at.v))
-        return self.effort(at, rest[None], rest, parameters)[0]
-
-    def split(
-        self, at: PlantState, accelerations: Array, load: Array, parameters: Parameters
-    ) -> tuple[Array, Array]:
-        """Return the effort (nv,) at v̇ = 0, and its change (nv, n) with n accelerations (n, nv)."""
-        vd = np.vstack([np.zeros_like(accelerations[:1]), accelerations])
-        efforts = self.effort(at, vd, load, parameters)
-        return efforts[0], (efforts[1:] - efforts[0]).T
-
-    def effort(self, at: PlantState, vd: Array, load: Array, parameters: Parameters) -> Array:
-        """Return efforts (N, nv) at one state with N accelerations (N, nv), under a load (nv,)."""
+    def effort(self, at: PlantState, load: Array, parameters: Parameters) -> Array:
+        """Return the effort (nv,) without acceleration, under a load (nv,)."""
         if not self.effects:
-            return np.zeros_like(vd)
-        mu, signals = parameters[0][self.places], self.columns.depends_on
-        if not signals & {"vd", "load"}:
-            rest, rates = np.zeros(len(at.v)), (at.v[None], vd, np.zeros_like(vd))
-            signs = self.plant.direction(at.v)
-            joints = JointMotion(self.plant.of_joints(at.q), at.v, rest, rest, signs)
-            columns = self.columns.at(joints, lambda _: self._seen(at, rates, parameters))
-            return self.plant.own(columns @ mu)[None]
-        if signals <= {"vd"}:
-            still, *moved = self._of_acceleration @ mu
-            return self.plant.own(still + vd @ (np.array(moved) - still))
-        rates = np.tile(at.v, (len(vd), 1)), vd, np.tile(load, (len(vd), 1))
-        return self.plant.own(self.columns.effort(self._seen(at, rates, parameters), mu))
+            return np.zeros(len(at.v))
+        columns = self.columns.at(self._motion(at, load), partial(self._seen, at, parameters))
+        return self.plant.own(columns @ parameters[0][self.places])
 
-    @cached_property
-    def _of_acceleration(self) -> Array:
-        """Return columns (nv + 1, nv, k) without acceleration, and with 1 at each velocity alone.
-
-        They are all that there is of rotors, which a simulation asks for at every step.
-        """
-        nv = len(self.plant.joints)
-        rest = np.zeros((nv + 1, nv))
-        motion = self.plant.trial(rest, np.vstack([rest[0], np.eye(nv)]), rest)
-        return np.concatenate([effect.regressor(motion) for effect in self.effects], axis=-1)
+    def added_mass(self, at: PlantState, load: Array, parameters: Parameters) -> Array:
+        """Return (nv, nv) what they add to the mass matrix, under a load (nv,)."""
+        if not self.turning:
+            return np.zeros((len(at.v), len(at.v)))
+        own = self._motion(at, load), parameters[0][self.places]
+        return self.plant.own(
+            self.columns.added_mass(*own, partial(self._seen, at, parameters)).T
+        ).T
 
     def state_rates(self, at: PlantState, parameters: Parameters) -> Array:
         """Return rates of all hidden states (h,), zero where the effect is not one of these."""
-        zero, rates = np.zeros((1, len(at.v))), np.zeros(len(at.hidden))
-        motion = self._seen(at, (at.v[None], zero, zero), parameters)
+        rates, rest = np.zeros(len(at.hidden)), np.zeros(len(at.v))
+        motion = self._seen(at, parameters, self._motion(at, rest))
         for effect, place in self.hidden.items():
             rates[place] = effect.state_rates(motion, at.hidden[None, place])[0]
         return rates
 
-    def _seen(
-        self, at: PlantState, rates: tuple[Array, Array, Array], parameters: Parameters
-    ) -> RobotMotion:
-        """Return N samples at one position with velocities, accelerations and loads (N, nv)."""
-        count = len(rates[0])
+    def _motion(self, at: PlantState, load: Array) -> JointMotion:
+        q, sign_v = self.plant.of_joints(at.q), self.plant.direction(at.v)
+        return JointMotion(q, at.v, np.zeros(len(at.v)), load, sign_v)
+
+    def _seen(self, at: PlantState, parameters: Parameters, motion: JointMotion) -> RobotMotion:
+        """Return a sample, or one for each of several accelerations, with the robot's bodies."""
+        vd = np.atleast_2d(motion.vd)
+        rates = np.broadcast_to(motion.v, vd.shape), vd, np.broadcast_to(motion.load, vd.shape)
         known: dict[str, Any] = {"states": {e: at.hidden[None, s] for e, s in self.hidden.items()}}
         if self.timed:
-            known["time"] = np.full(count, at.time)
+            known["time"] = np.full(len(vd), at.time)
         if self._warmth is not None:
             known["temperature"] = self._warmth.at(known["time"], self.plant.joints)
-        return self.plant.seen(np.tile(at.q, (count, 1)), rates, parameters[1], **known)
+        q = np.broadcast_to(at.q, (len(vd), len(at.q)))
+        return self.plant.seen(q, rates, parameters[1], **known)
