@@ -135,7 +135,7 @@ def _source(path: str) -> str:
 
 
 def _names(code: CodeType) -> frozenset[str]:
-    """Names that a function uses, in what is defined within it, too."""
+    """Return names that a function uses, in what is defined within it, too."""
     within = (_names(part) for part in code.co_consts if isinstance(part, CodeType))
     return frozenset(code.co_names).union(*within)
 

@@ -32,7 +32,7 @@ _LONGEST = 60  # characters of a value that a message shows
 
 
 def shown(value: Any) -> str:
-    """A value in a message, shortened, with its type where that says more."""
+    """Return a value in a message, shortened, with its type where that says more."""
     text = repr(value) if isinstance(value, str | bytes | int | float | list | tuple) else ""
     if not text or len(text) > _LONGEST:
         return f"of type {type(value).__name__}"
@@ -53,7 +53,7 @@ def instance(value: Kind, name: str, kind: Kinds) -> Kind:
 
 
 def instances(value: Iterable[Kind], name: str, kind: Kinds) -> tuple[Kind, ...]:
-    """Objects of a class, in whatever holds them."""
+    """Return objects of a class, in whatever holds them."""
     wanted = f"{name} must be a tuple of {_kinds_words(kind)}"
     if isinstance(value, str | bytes | dict) or not isinstance(value, Iterable):
         raise ArgumentError(f"{wanted}; it is {shown(value)}.", name=name)
@@ -65,7 +65,7 @@ def instances(value: Iterable[Kind], name: str, kind: Kinds) -> tuple[Kind, ...]
 
 
 def function(value: Kind, name: str) -> Kind:
-    """Something that can be called."""
+    """Return an argument that can be called."""
     if not callable(value):
         raise ArgumentError(f"{name} must be a function; it is {shown(value)}.", name=name)
     return value
@@ -86,7 +86,7 @@ def file_path(value: str | os.PathLike[str]) -> Path:
 
 
 def one_of(value: Any, name: str, choices: Collection[str]) -> str:
-    """One of some words."""
+    """Return an argument that is one of some words."""
     if not isinstance(value, str) or value not in choices:
         words = ", ".join(f'"{choice}"' for choice in choices)
         raise ArgumentError(f"{name} must be one of {words}; it is {shown(value)}.", name=name)
@@ -144,7 +144,7 @@ def one_or_each(
     strict: bool = False,
     finite: bool = True,
 ) -> Array:
-    """Numbers (count,), at least 0, from one for all, or one for each.
+    """Return numbers (count,), at least 0, from one for all, or one for each.
 
     Args:
         strict: Whether 0 itself is refused.
@@ -277,7 +277,7 @@ def number(
     strict: bool = False,
     finite: bool = True,
 ) -> float:
-    """A real number between two others.
+    """Return a real number between two others.
 
     Args:
         strict: Whether the bounds themselves are refused.
@@ -292,14 +292,14 @@ def number(
 
 
 def positive(value: Any, name: str) -> float:
-    """A finite number above zero."""
+    """Return a finite number above zero."""
     return number(value, name, lower=0.0, strict=True)
 
 
 def integer(
     value: Any, name: str, *, lower: float = -sys.maxsize, upper: float = sys.maxsize
 ) -> int:
-    """A whole number from `lower` to `upper`."""
+    """Return a whole number from `lower` to `upper`."""
     try:
         found = operator.index(value)
     except TypeError:
@@ -315,7 +315,7 @@ def integer(
 
 
 def _range_words(what: str, lower: float, upper: float, *, strict: bool) -> str:
-    """Such as "a finite number above 0"."""
+    """Return words such as "a finite number above 0"."""
     if np.isinf(lower) and np.isinf(upper):
         return what
     if np.isinf(upper):
@@ -330,7 +330,7 @@ def _range_words(what: str, lower: float, upper: float, *, strict: bool) -> str:
 def integers(
     value: Iterable[int], name: str, *, lower: float = -sys.maxsize, upper: float = sys.maxsize
 ) -> tuple[int, ...]:
-    """Integers between bounds, in whatever holds them."""
+    """Return integers between bounds, in whatever holds them."""
     found = instances(value, name, object)
     return tuple(integer(each, name, lower=lower, upper=upper) for each in found)
 

@@ -32,23 +32,23 @@ def one_line(error: BaseException) -> str:
 
 
 def kind_and_line(error: BaseException) -> str:
-    """The kind of an error, and what it says in a line, if it says anything."""
+    """Return the kind of an error, and what it says in a line, if it says anything."""
     kind, line = type(error).__name__, one_line(error)
     return kind if line == kind else f"{kind}: {line}"
 
 
 def html_text(text: str) -> str:
-    """A name in the text or in an attribute of an HTML page."""
+    """Return a name in the text or in an attribute of an HTML page."""
     return html.escape(printable(text))
 
 
 def quoted(text: str) -> str:
-    """A name as a literal in double quotes, which Python and YAML read alike."""
+    """Return a name as a literal in double quotes, which Python and YAML read alike."""
     return f'"{_inside_quotes(text)}"'
 
 
 def json_text(text: str) -> str:
-    """JSON in which letters that would act on a terminal are escaped, as JSON does it."""
+    """Return JSON in which letters that would act on a terminal are escaped, as JSON does it."""
     return re.sub(r"[^\n -~]", lambda c: c[0] if c[0].isprintable() else _json_escape(c[0]), text)
 
 
@@ -73,7 +73,7 @@ def identifiers(
     taken: Iterable[str] = (),
     style: Callable[[str], str] = identifier,
 ) -> dict[str, str]:
-    """Identifiers for names, all different: those of "elbow-a" and "elbow.a" get numbers."""
+    """Return identifiers for names, all different: those of "elbow-a" and "elbow.a" get numbers."""
     used, found = set(taken), {}
     for name in names:
         stem = free = style(name)

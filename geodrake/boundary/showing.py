@@ -43,15 +43,15 @@ class Shown(Short):
     """
 
     def _repr_html_(self) -> str:
-        """The result in a notebook."""
+        """Return the result in a notebook."""
         return str(_views().html(self))
 
     def to_dataframe(self, *, series: bool = False) -> DataFrame:
-        """The result as a pandas DataFrame, in SI units."""
+        """Return the result as a pandas DataFrame, in SI units."""
         return _views().dataframe(self, series=series)
 
     def plot(self) -> Figure:
-        """The result as a matplotlib Figure."""
+        """Return the result as a matplotlib Figure."""
         return _views().figure(self)
 
 
@@ -76,14 +76,14 @@ def short_repr(value: Any) -> str:
 
 
 def _is_empty(value: object) -> bool:
-    """Whether there is nothing in a collection; an array without dimensions is a number."""
+    """Return whether there is nothing in a collection; an array without dimensions is a number."""
     if isinstance(value, np.ndarray):
         return not value.size
     return isinstance(value, Collection) and not len(value)
 
 
 def _brief(value: object) -> str:
-    """A value in a few words."""
+    """Return a value in a few words."""
     if isinstance(value, np.ndarray):
         if value.ndim == 1 and value.size <= _NUMBERS:
             return f"[{', '.join(map(_brief, value.tolist()))}]"
@@ -100,7 +100,7 @@ def _brief(value: object) -> str:
 
 
 def _listed(values: Collection[Any]) -> str:
-    """Few plain values as they are, others by their number and kinds."""
+    """Return few plain values as they are, others by their number and kinds."""
     plain = all(isinstance(one, str | int | float) for one in values)
     if plain and len(values) <= _FEW:
         return f"({', '.join(map(_brief, values))})"

@@ -9,7 +9,7 @@ _BESIDE = ("drake", "numpy", "scipy", "numba", "mujoco", "pin", "pandas")
 
 @cache
 def version() -> str:
-    """Version of the installed package."""
+    """Return the version of the installed package."""
     try:
         return importlib.metadata.version("geodrake")
     except importlib.metadata.PackageNotFoundError:

@@ -182,7 +182,7 @@ class _Part:
 
 
 def _parts(contents: Mapping[Path, Content], stack: ExitStack) -> list[_Part]:
-    """Files beside their targets, written but not in their places."""
+    """Return files beside their targets, written but not in their places."""
     parts = []
     for path, content in contents.items():
         with _refusing(path):

@@ -178,7 +178,7 @@ def _placed(model: RobotModel, role: Role) -> list[tuple[str, slice]]:
 
 
 def _trial(model: RobotModel, sign_width: Array) -> Trial:
-    """The robot in some configurations, for trials of users' effects."""
+    """Return the robot in some configurations, for trials of users' effects."""
 
     def seen(v: Array, vd: Array, load: Array) -> RobotMotion:
         q = np.random.default_rng(0).normal(size=(len(v), model.tree.num_positions))

@@ -17,7 +17,7 @@ Finding = tuple[str, Sequence[str]]
 
 
 def distinguishing_commands(found: Diagnosis | Explanation) -> tuple[str, ...]:
-    """Commands that design the motions by which ambiguous findings would be settled.
+    """Return commands that design the motions by which ambiguous findings would be settled.
 
     They are `geodrake excite MODEL --tell-apart A,B[@PLACE]`, one for each pair that a motion can
     tell apart, a few at most; a delay, a wrong inertia and what belongs to one log are none of
@@ -29,7 +29,7 @@ def distinguishing_commands(found: Diagnosis | Explanation) -> tuple[str, ...]:
 
 
 def _of_diagnosis(diagnosis: Diagnosis) -> Iterator[tuple[list[Finding], list[Finding]]]:
-    """The best candidate and those tied with it, effect by effect."""
+    """Yield the best candidate and those tied with it, effect by effect."""
     if diagnosis.candidates:
         joints = {joint.joint for joint in diagnosis.start.joints}
         best, *others = ((_single(c.effect, c.where, joints), c.tied) for c in diagnosis.candidates)
@@ -37,7 +37,7 @@ def _of_diagnosis(diagnosis: Diagnosis) -> Iterator[tuple[list[Finding], list[Fi
 
 
 def _of_explanation(found: Explanation) -> Iterator[tuple[list[Finding], list[Finding]]]:
-    """Steps and their rivals."""
+    """Yield steps and their rivals."""
     for step in found.steps:
         for rival in step.indistinguishable_from:
             where = _rivals_place(step, rival, found.model)
@@ -59,7 +59,7 @@ def _rivals_place(step: Step, name: str, model: RobotModel) -> Sequence[str] | N
 
 
 def _single(names: str, where: Sequence[str], joints: set[str]) -> list[Finding]:
-    """Effects found together, each with the places of its own kind."""
+    """Return effects found together, each with the places of its own kind."""
     found: list[Finding] = []
     for name in names.split(" + "):
         cls, own = _class(name), where

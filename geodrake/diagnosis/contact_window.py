@@ -89,7 +89,7 @@ class WrenchColumns:
         return cls(near, window.time, low_pass, rows)
 
     def columns(self, shape: Array) -> Array:
-        """The known rows of `columns` at the joints that move the body.
+        """Return the known rows of `columns` at the joints that move the body.
 
         Args:
             shape: (6,) start, end and rise, s, and the point, m.
@@ -151,7 +151,7 @@ def least_step(loss: Callable[[Array], float], steps: Array, tries: int, **close
 
 
 def with_point(window: ResidualWindow, contact: PointEpisode) -> PointEpisode:
-    """A contact at the point, on the line of its force, that makes its moment smallest.
+    """Return a contact at the point, on the line of its force, that makes its moment smallest.
 
     Its point is at Bo at first, and stays there if the wrench turns with it.
     """
@@ -168,13 +168,13 @@ def with_point(window: ResidualWindow, contact: PointEpisode) -> PointEpisode:
 
 
 def _wrench(A: Array, b: Array) -> Array:
-    """(6,) least squares, without the directions that the joints hardly feel."""
+    """Return (6,) least squares, without the directions that the joints hardly feel."""
     sizes = _sizes(A)
     return np.asarray(np.linalg.lstsq(A / sizes, b, rcond=_cut(b))[0] / sizes)
 
 
 def _sizes(A: Array) -> Array:
-    """(6,) norms of columns, by which forces and moments are made alike.
+    """Return (6,) norms of columns, by which forces and moments are made alike.
 
     Each counts alike, but one that is hardly felt: a quiet joint that feels one moment alone would
     make that column larger than all others by far.
@@ -184,7 +184,7 @@ def _sizes(A: Array) -> Array:
 
 
 def _cut(b: Array) -> float:
-    """How much less than the clearest a direction of the wrench may be felt to be of use.
+    """Return how much less than the clearest a direction of the wrench may be felt to be of use.
 
     The more residuals (K,) stand out of the noise, the less a direction has to be felt.
     """

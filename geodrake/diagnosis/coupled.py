@@ -45,7 +45,7 @@ class _Sharing:
 def coupled_joints(
     case: Case, joints: Sequence[JointResidual], motion: Sequence[tuple[int, Segment]]
 ) -> Iterator[Proposal]:
-    """Friction and rotors that pairs of joints share which `RobotModel.joint_pairs` has not.
+    """Yield friction and rotors that pairs of joints share which `RobotModel.joint_pairs` has not.
 
     Both joints must show them, with the same parameters and beyond friction and a rotor of their
     own: the evidence is that of the joint that shows them less.
@@ -72,7 +72,7 @@ def coupled_joints(
 
 
 def other_pairs(model: RobotModel, moving: Sequence[str]) -> list[tuple[str, str]]:
-    """Pairs of moving joints that both turn, or both slide, and do not follow each other."""
+    """Return pairs of moving joints that both turn, or both slide, and do not follow each other."""
     single = [joint for joint in model.single_joints if joint in moving]
     return [
         (one, other)
@@ -89,7 +89,7 @@ def _look(
     motion: Sequence[tuple[int, Segment]],
     effect: type[SharedActuatorEffect],
 ) -> _Sharing:
-    """How the residual of a joint varies with what it may share with its partners."""
+    """Return how the residual of a joint varies with what it may share with its partners."""
     own = case.model.joints.index(joint.joint)
     others = [case.model.joints.index(name) for name in partners]
 
@@ -119,7 +119,7 @@ def _look(
 
 
 def _together(places: Sequence[tuple[_Sharing, int]]) -> tuple[float, float]:
-    """What one actuator explains at both of its joints, with the sign that explains more.
+    """Return what one actuator explains at both of its joints, with the sign that explains more.
 
     `places` are the look at either joint, and which of its partners the other one is. Returned are
     the share of the squared error that it takes away, in the mean of both joints, and about χ² of

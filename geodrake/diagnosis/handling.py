@@ -156,7 +156,7 @@ class _Rows:
         return replace(self, **kept)
 
     def products(self, body: Array) -> Array:
-        """(10, n + 11) weighted products of columns (K, 10) of the body with all."""
+        """Return (10, n + 11) weighted products of columns (K, 10) of the body with all."""
         return np.asarray(self.weight * body.T @ np.hstack([self.known, self.left[:, None], body]))
 
 
@@ -225,7 +225,7 @@ class _Around:
 
 
 def _gains(sums: Array, known: Array) -> tuple[Array, Array]:
-    """Evidence (m,) that bodies add by their sums (m, 10, n + 11), and their masses (m,)."""
+    """Return evidence (m,) that bodies add by their sums (m, 10, n + 11), and their masses (m,)."""
     k = sums.shape[1]
     half, pull, own = sums[..., : -k - 1], sums[..., -k - 1], sums[..., -k:]
     schur = own - half @ np.swapaxes(half, -1, -2) + known
@@ -402,5 +402,5 @@ class _Near:
         return cls(time, columns, outputs, low_pass.output_period, low_pass.apply)
 
     def columns(self, held: Episode) -> Array:
-        """(K, nv, 10) filtered columns of the body while it is held."""
+        """Return (K, nv, 10) filtered columns of the body while it is held."""
         return np.asarray(self.apply(held.weight(self.time)[:, None, None] * self.body))

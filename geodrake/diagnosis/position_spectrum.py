@@ -42,7 +42,7 @@ def highest_peak(
     bandwidth: float,
     least_waves: float = LEAST_WAVES,
 ) -> Peak | None:
-    """The order whose waves over position are best seen in a residual.
+    """Return the order whose waves over position are best seen in a residual.
 
     A peak is measured against the spectrum around it, which knows the colour of the residual, or,
     where it is as wide as all around it, against the whole residual and its effective samples.
@@ -99,7 +99,7 @@ def _spectrum(
     gain: Callable[[Array], Array],
     reach: tuple[float, float],
 ) -> tuple[Array, Array]:
-    """Orders, and the squared residual that waves of each order explain."""
+    """Return orders, and the squared residual that waves of each order explain."""
     span, highest = reach
     bins = int(np.ceil(_SAMPLES_A_WAVE * highest * span / (2.0 * np.pi)))
     size = _OVERSAMPLING * bins

@@ -80,7 +80,7 @@ def delays_of(model: LogModel, fit: Fit) -> tuple[Array, Array]:
 
 
 def _score_at(model: LogModel, fit: Fit, joints: list[int], delay: int) -> float | None:
-    """Score of a fit with another delay of some joints, prior odds left aside."""
+    """Return the score of a fit with another delay of some joints, prior odds left aside."""
     late = tuple(delay if j in joints else own for j, own in enumerate(fit.choice.delay))
     choice = Choice(fit.terms, fit.choice.width, late)
     found = model.fit(choice, model.shares(fit), fit.variance)
@@ -99,7 +99,7 @@ def fitted_delays(delays: Array, joints: Sequence[str]) -> list[FittedEffect]:
 def finer_shapes(
     terms: Sequence[Term], grid: Sequence[Effect], zooms: Mapping[tuple[str, tuple[str, ...]], int]
 ) -> list[Effect]:
-    """Shapes between those of a grid, around those that were found.
+    """Return shapes between those of a grid, around those that were found.
 
     `zooms` tells how often the shape of a name and place was made finer.
     """
@@ -117,7 +117,7 @@ ZOOMS = len(_STEPS)
 
 
 def _finer(effect: Effect, grid: Sequence[Effect], share: float) -> list[Effect]:
-    """Neighbours of an effect's shape, two to either side where they make sense.
+    """Return neighbours of an effect's shape, two to either side where they make sense.
 
     There are none where no parameter varies on the grid, more than one does, or not continuously.
     """
@@ -207,7 +207,7 @@ def fading_speeds(case: Case, model: LogModel, fit: Fit) -> Array | None:
     known = np.zeros(len(least)) if robot.fading_speed is None else robot.fading_speed
 
     def errors(speeds: Array) -> Array:
-        """(nv,) mean squared residuals, what is not known of reversals left aside."""
+        """Return (nv,) mean squared residuals, what is not known of reversals left aside."""
         other = replace(robot, fading_speed=speeds)
         there = replace(case, model=other, shared=case.shared.read_only())
         dataset = reduced(there, list(dict.fromkeys(effects)))

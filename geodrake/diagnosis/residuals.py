@@ -44,11 +44,11 @@ class JointResidual:
     effective: float  # how many independent samples these are worth
 
     def direction(self, v: Array) -> Array:
-        """Direction of motion at velocities v of the joint, smoothed at the slowest."""
+        """Return the direction of motion at velocities v of the joint, smoothed at the slowest."""
         return np.tanh(v / max(SLOW * float(np.abs(self.v).max()), np.finfo(float).tiny))
 
     def part(self, rows: NDArray[np.bool_]) -> JointResidual:
-        """Some of its rows."""
+        """Return some of its rows."""
         kept = {name: getattr(self, name)[rows] for name in ("time", "log", "q", "v", "residual")}
         share = float(np.mean(rows))
         return replace(self, **kept, effective=max(1.0, share * self.effective))
@@ -84,7 +84,7 @@ def joint_residuals(case: Case, hypothesis: Hypothesis) -> list[JointResidual]:
 
 
 def full_motion(case: Case) -> list[tuple[int, Segment]]:
-    """The segments of all logs, in memory, each with the index of its log."""
+    """Return the segments of all logs, in memory, each with the index of its log."""
     if case.segments:
         return list(case.segments)
     found = [
@@ -103,7 +103,7 @@ def filtered_columns(
     joint: JointResidual,
     columns: Iterable[Array],
 ) -> Array:
-    """Columns of the motion at its full rate, filtered as the residual is.
+    """Return columns of the motion at its full rate, filtered as the residual is.
 
     `motion` is `full_motion` of the case, with columns (N, k) of each segment. Returned are (K, k)
     columns at the residual's rows, NaN where the motion was not looked at.

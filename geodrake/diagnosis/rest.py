@@ -115,7 +115,7 @@ def _signals(segment: Segment, speeds: Array) -> Array:
 
 
 def _waves(signals: Array) -> Iterator[Array]:
-    """(N, 2 m + 1) waves of random frequencies over signals (N, k), narrow ones first."""
+    """Yield (N, 2 m + 1) waves of random frequencies over signals (N, k), narrow ones first."""
     rng = np.random.default_rng(0)
     frequencies = rng.normal(size=(signals.shape[1], _FREQUENCIES))
     for width in _WIDTHS:

@@ -158,14 +158,14 @@ def _fitted_of(finding: Finding, fit: ModelFit) -> list[FittedEffect]:
 
 
 def _reported(fitted: FittedEffect) -> tuple[dict[str, float], dict[str, float]]:
-    """Values and standard deviations of what an effect reports, by name, SI units."""
+    """Return values and standard deviations of what an effect reports, by name, SI units."""
     unknown = np.full(len(fitted.parameters), np.nan)
     deviations = unknown if fitted.deviations is None else fitted.deviations
     return fitted.effect.reported(fitted.parameters, deviations)
 
 
 def _deviations_by(fitted: FittedEffect, shifts: Array) -> dict[str, float]:
-    """Standard deviations of what an effect reports that do not come from noise.
+    """Return standard deviations of what an effect reports that do not come from noise.
 
     To first order, as the shifts are; shapes and what else has no deviation are left out.
 

@@ -183,7 +183,7 @@ def _prices(effect: Effect, odds: float, beliefs: Beliefs, *, body: bool) -> tup
 
 
 def _wrong_bodies(model: RobotModel, dataset: Dataset, beliefs: Beliefs) -> list[Term]:
-    """Every body being wrong while the others are right, by each of some widths."""
+    """Return the terms of each body being wrong alone, by each of some widths."""
     kind = effect_of(Role.INERTIA)
     odds = 2.0 * (
         np.log(len(model.bodies) * len(beliefs.free)) + kind.complexity * np.log(beliefs.rarer)

@@ -66,7 +66,7 @@ class UnresolvedReversal(JointEffect):
     depends_on: ClassVar[frozenset[str]] = frozenset({"v"})
 
     def columns(self, joint: JointMotion) -> Sequence[Array]:
-        """One column for each parameter, in the order of the equation."""
+        """Return one column for each parameter, in the order of the equation."""
         v, usual = joint.v, np.tanh(joint.v / self.speed)
         speeds = self.speed, float(np.sqrt(self.speed * self.slip)), self.slip
         excess = [np.exp(-np.abs(v) / s) * usual for s in speeds]
@@ -307,7 +307,7 @@ def _left(columns: list[Array], b: Array) -> float:
 
 
 def range_of_motion(trajectories: Sequence[Trajectory]) -> tuple[Array, Array]:
-    """Lowest and highest positions (nv,) of every joint, rad or m."""
+    """Return the lowest and highest positions (nv,) of every joint, rad or m."""
     ends = [
         (q.min(axis=0), q.max(axis=0))
         for trajectory in trajectories

@@ -153,7 +153,7 @@ class Effect(CheckedFields, abc.ABC):
 
     @abc.abstractmethod
     def rows(self, motion: RobotMotion) -> Rows:
-        """Regressor columns, one entry per joint whose effort the effect changes.
+        """Return the regressor columns, one entry per joint whose effort the effect changes.
 
         Returns:
             Joint name -> (N, k) columns, k = len(parameters), so that the effort needed at the
@@ -176,11 +176,11 @@ class Effect(CheckedFields, abc.ABC):
         return dense
 
     def effort(self, motion: RobotMotion, mu: Array) -> Array:
-        """Effort (N, nv) needed because of the effect with linear parameters mu (k,), SI."""
+        """Return effort (N, nv) needed because of the effect with linear parameters mu (k,), SI."""
         return self.regressor(motion) @ np.asarray(mu, float)
 
     def gradient(self, motion: RobotMotion, weights: Array) -> RobotGradient | None:
-        """Gradient of Σ weights ∘ regressor with respect to the motion, for excitation.
+        """Return the gradient of Σ weights ∘ regressor with respect to the motion, for excitation.
 
         Args:
             weights: (N, nv, k) weights of the regressor's entries.
@@ -192,7 +192,7 @@ class Effect(CheckedFields, abc.ABC):
         return None
 
     def state_rates(self, motion: RobotMotion, state: Array) -> Array:
-        """Rates (N, s) of the hidden states (N, s), for simulation."""
+        """Return rates (N, s) of the hidden states (N, s), for simulation."""
         raise NotImplementedError
 
     def states_along(self, motion: RobotMotion) -> Array:
@@ -230,7 +230,7 @@ class Effect(CheckedFields, abc.ABC):
 
     @classmethod
     def unit_of(cls, name: str) -> str:
-        """SI unit of a reported value at joints that turn; "1" for plain numbers."""
+        """Return SI unit of a reported value at joints that turn; "1" for plain numbers."""
         units = {shape.name: shape.unit for shape in cls.shapes}
         units |= {parameter.name: parameter.unit for parameter in cls.parameters}
         return units.get(name, "1")
@@ -313,7 +313,7 @@ class Effect(CheckedFields, abc.ABC):
 
     @classmethod
     def candidates(cls, *args: Any, **kwargs: Any) -> Iterable[Effect]:
-        """Instances a diagnosis should try at a place: one for every shape on the grids.
+        """Return instances a diagnosis should try at a place: one for every shape on the grids.
 
         Args:
             *args: The place, as `places` says: a joint and its largest speed (rad/s or m/s), a pair
@@ -339,7 +339,7 @@ class JointEffect(Effect):
 
     @abc.abstractmethod
     def columns(self, joint: JointMotion) -> Sequence[ArrayLike]:
-        """One column per parameter, (N,) or a number, from the motion of the joint."""
+        """Return one column per parameter, (N,) or a number, from the motion of the joint."""
 
     def rows(self, motion: RobotMotion) -> Rows:
         """Return the columns at the joint itself, or at the joints that move it.

@@ -67,16 +67,16 @@ class Payload(BodyEffect):
         return PhysicalInertia()
 
     def rows(self, motion: RobotMotion) -> Rows:
-        """The link's ten inertial columns at every joint."""
+        """Return the link's ten inertial columns at every joint."""
         columns = motion.body_columns(self.body)
         return {joint: columns[:, i] for i, joint in enumerate(motion.joints)}
 
     def regressor(self, motion: RobotMotion) -> Array:
-        """The link's inertial regressor, (N, nv, 10)."""
+        """Return the link's inertial regressor, (N, nv, 10)."""
         return motion.body_columns(self.body)
 
     def gradient(self, motion: RobotMotion, weights: Array) -> RobotGradient:
-        """The weights themselves, of the link's inertial regressor."""
+        """Return the weights themselves, of the link's inertial regressor."""
         return replace(RobotGradient.zero(motion), bodies={self.body: weights})
 
 
@@ -146,7 +146,7 @@ class TemporaryPayload(Episode):
         return Payload(self.body).manifold
 
     def rows(self, motion: RobotMotion) -> Rows:
-        """The link's ten inertial columns at every joint, while it holds the payload."""
+        """Return the link's ten inertial columns at every joint, while it holds the payload."""
         held = np.zeros(len(motion.v))
         if motion.time is not None and self.is_of(motion.log):
             held = self.weight(motion.time)

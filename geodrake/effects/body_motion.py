@@ -52,7 +52,7 @@ class RobotBodies:
         return {} if self.tree.actuation is None else self.tree.actuation.behind
 
     def tree_samples(self, v: Array, vd: Array) -> tuple[Array, Array, Array, Array]:
-        """Positions, velocities and accelerations of the joints of the tree, and J.
+        """Return positions, velocities and accelerations of the joints of the tree, and J.
 
         Args:
             v: (N, nv) velocities.
@@ -63,7 +63,7 @@ class RobotBodies:
         return self.q, v, vd, np.eye(self.tree.num_velocities)[None]
 
     def motion(self, body: str) -> BodyMotion:
-        """Pose and Jacobian of a body."""
+        """Return the pose and Jacobian of a body."""
         if body not in self._motions:
             raise ArgumentError(
                 f"There is no moving body {body!r}.",
@@ -72,12 +72,12 @@ class RobotBodies:
         return self._motions[body]
 
     def mass_center(self, body: str) -> Array:
-        """(3,) p_BoBcm_B, m; the origin of a body without mass."""
+        """Return (3,) p_BoBcm_B, m; the origin of a body without mass."""
         m, *moment = self.phi[self.tree.bodies.index(body), :4].tolist()
         return np.array(moment) / m if m > 0.0 else np.zeros(3)
 
     def gravity_efforts(self, gravities: Array) -> Array:
-        """(N, nv, k) efforts that holding the bodies needs, N·m or N.
+        """Return (N, nv, k) efforts that holding the bodies needs, N·m or N.
 
         Args:
             gravities: (3, k) k gravities in the world frame, m/s².

@@ -23,7 +23,7 @@ _OURS = frozenset(str(path) for path in Path(__file__).parent.glob("*.py"))
 
 
 def rows_of(effect: Any, motion: RobotMotion) -> Mapping[str, Array]:
-    """What `Effect.rows` gives, as all that takes columns may rely on."""
+    """Return what `Effect.rows` gives, as all that takes columns may rely on."""
     kind = type(effect)
     if of_geodrake(kind):
         return effect.rows(motion)
@@ -46,12 +46,12 @@ def rows_of(effect: Any, motion: RobotMotion) -> Mapping[str, Array]:
 
 
 def of_geodrake(kind: type[Any]) -> bool:
-    """Whether a class comes with geodrake, so that its columns are known to be usable."""
+    """Return whether a class comes with geodrake, so that its columns are known to be usable."""
     return kind.__module__.startswith("geodrake.")
 
 
 def stacked(effect: Any, columns: Any, joint: str, count: int) -> Array:
-    """Columns of a joint, one for each parameter, as an array (N, k)."""
+    """Return columns of a joint, one for each parameter, as an array (N, k)."""
     name = effect.name
     line = "" if of_geodrake(type(effect)) else line_of(type(effect), "columns")
     if isinstance(columns, str) or not isinstance(columns, Sequence | np.ndarray):
@@ -70,7 +70,7 @@ def stacked(effect: Any, columns: Any, joint: str, count: int) -> Array:
 
 
 def _checked(what: str, line: str, values: ArrayLike, shape: tuple[int, ...]) -> Array:
-    """A column or several of an effect and joint as finite floats of a shape."""
+    """Return a column or several of an effect and joint as finite floats of a shape."""
     known = isinstance(values, np.ndarray) and values.dtype == float and not line
     if known and np.shape(values) == shape and np.isfinite(found := np.asarray(values)).all():
         return found
@@ -119,7 +119,7 @@ def line_of(effect: type[Any], *methods: str) -> str:
 
 
 def _read_only(motion: RobotMotion) -> RobotMotion:
-    """The motion in arrays that cannot be written to."""
+    """Return the motion in arrays that cannot be written to."""
     arrays = {}
     for name in ("q", "v", "vd", "load"):
         arrays[name] = getattr(motion, name).view()

@@ -39,7 +39,7 @@ class Deflection:
 
     @classmethod
     def along(cls, lag: Array, time: Array | None) -> Deflection:
-        """With rates (N,) of a lag (N,) that changes smoothly; zero where it is no series.
+        """Return a smooth lag (N,) with its rates, which are zero where it is no series.
 
         Args:
             lag: (N,) lag of the link behind its motor, rad or m.
@@ -76,12 +76,12 @@ class Give:
     damping: float | None = None
 
     def __add__(self, other: Give) -> Give:
-        """That of both in series."""
+        """Return the values of both in series."""
         damping = other.damping if self.damping is None else self.damping
         return Give(self.compliance + other.compliance, self.play + other.play, damping)
 
     def __bool__(self) -> bool:
-        """Whether it gives way at all."""
+        """Return whether it gives way at all."""
         return bool(self.compliance > 0.0 or self.play > 0.0)
 
 
@@ -112,10 +112,10 @@ class DeflectionEffect(JointEffect):
 
     @abc.abstractmethod
     def deflection(self, motion: RobotMotion) -> Deflection:
-        """How far the link lags behind at a motion of the motors, for a parameter of one."""
+        """Return how far the link lags behind at a motion of the motors, for a parameter of one."""
 
     def give(self, parameters: Array) -> Give:
-        """How motor and link are held together in a simulation.
+        """Return how motor and link are held together in a simulation.
 
         Args:
             parameters: (k,) linear parameters.
@@ -127,7 +127,7 @@ class DeflectionEffect(JointEffect):
         )
 
     def rollout_values(self, parameters: Array) -> Values:
-        """Positive values that a simulated motion shows, and efforts hardly; none for most.
+        """Return positive values that a simulated motion shows, and efforts hardly; none for most.
 
         `geodrake.control.fit_rollouts` fits them. Names are those of parameters and shapes.
 
@@ -138,7 +138,7 @@ class DeflectionEffect(JointEffect):
         return {}
 
     def with_rollout_values(self, values: Values, deviations: Values) -> FittedEffect:
-        """The effect with some `rollout_values`."""
+        """Return the effect with some `rollout_values`."""
         raise NotImplementedError(f"{self.name} does not say what {values} ± {deviations} make.")
 
     def columns(self, joint: JointMotion) -> Sequence[Array]:
@@ -146,7 +146,7 @@ class DeflectionEffect(JointEffect):
         return [np.zeros_like(joint.v)]
 
     def column(self, motion: RobotMotion) -> Array:
-        """The column (N, nv) at all joints."""
+        """Return the column (N, nv) at all joints."""
         slopes = motion.effort_slopes
         return self.deflection(motion).effort(slopes, motion.index(self.joint))
 

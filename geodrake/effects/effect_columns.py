@@ -69,7 +69,7 @@ class EffectColumns:
         ]
 
     def effort(self, motion: RobotMotion, mu: Array) -> Array:
-        """Effort that the effects need along a motion.
+        """Return the effort that the effects need along a motion.
 
         Args:
             motion: The motion, of N samples.
@@ -85,7 +85,7 @@ class EffectColumns:
         return total
 
     def at(self, motion: JointMotion, seen: Seen) -> Array:
-        """Columns (nv, k) at one sample.
+        """Return columns (nv, k) at one sample.
 
         Args:
             motion: Motion of all joints, each field (nv,), as if they were samples of one joint.
@@ -98,7 +98,7 @@ class EffectColumns:
         return Y
 
     def added_mass(self, motion: JointMotion, mu: Array, seen: Seen) -> Array:
-        """Matrix (nv, nv) that the effects with parameters mu (k,) add to the mass matrix.
+        """Return matrix (nv, nv) that the effects with parameters mu (k,) add to the mass matrix.
 
         Args:
             motion: Motion of all joints at one sample; its accelerations do not matter.
@@ -171,7 +171,7 @@ class EffectColumns:
         return Y
 
     def _agrees(self, group: _Together) -> bool:
-        """Whether the effects of a group give together what each of them gives alone.
+        """Return whether the effects of a group give together what each of them gives alone.
 
         Those of geodrake do. One of a user's own may see its joint's name or other samples.
         """
@@ -204,14 +204,14 @@ class _Together:
     def of(
         cls, members: Sequence[tuple[JointEffect, slice]], joints: tuple[str, ...], count: int
     ) -> _Together:
-        """Some of the effects of the joints, which have `count` parameters in all."""
+        """Return some of the effects of the joints, which have `count` parameters in all."""
         at = np.array([joints.index(effect.joint) for effect, _ in members])
         columns = np.array([range(part.start, part.stop) for _, part in members]).T
         in_order = np.array_equal(at, np.arange(len(joints)))
         return cls(tuple(members), None if in_order else at, at * count + columns)
 
     def put(self, Y: Array, motion: JointMotion) -> None:
-        """Writes their columns at one sample into those of all effects."""
+        """Write their columns at one sample into those of all effects."""
         at = self.joints
         if at is not None:
             fields = motion.q, motion.v, motion.vd, motion.load, motion.sign_v
@@ -221,18 +221,18 @@ class _Together:
 
 
 def _put(Y: Array, effects: Sequence[tuple[Effect, slice]], motion: RobotMotion) -> None:
-    """Writes columns of effects at one sample into those (nv, k) of all."""
+    """Write columns of effects at one sample into those (nv, k) of all."""
     for effect, part in effects:
         Y[:, part] = effect.regressor(motion)[0]
 
 
 def sees_joint_only(effect: Effect) -> TypeGuard[JointEffect]:
-    """Whether an effect's columns are functions of the motion of its own joint."""
+    """Return whether an effect's columns are functions of the motion of its own joint."""
     return isinstance(effect, JointEffect) and type(effect).rows is JointEffect.rows
 
 
 def dependencies(effect: Effect, trial: Trial | None, joints: int) -> frozenset[str]:
-    """The signals that an effect's columns depend on; see `Effect.depends_on`.
+    """Return the signals that an effect's columns depend on; see `Effect.depends_on`.
 
     Args:
         trial: To try whether an effect that does not say so depends on accelerations and loads;
@@ -260,7 +260,7 @@ def dependencies(effect: Effect, trial: Trial | None, joints: int) -> frozenset[
 
 
 def declares_signals(kind: type[Effect]) -> bool:
-    """Whether a class says what its columns depend on where these are written, or below."""
+    """Return whether a class says what its columns depend on where these are written, or below."""
     written = ("depends_on", "columns", "rows")
     nearest = next(base for base in kind.__mro__ if any(name in vars(base) for name in written))
     return "depends_on" in vars(nearest)

@@ -76,7 +76,7 @@ class GravityTilt(RobotEffect):
         return replace(self, about_x=about_x, about_y=about_y)
 
     def gravity_of_bodies(self, gravity: Array) -> Array | None:
-        """Gravity turned by the angles at which the columns are exact."""
+        """Return the gravity turned by the angles at which the columns are exact."""
         at = self.in_bodies
         return gravity + self._change(gravity) @ at if at.any() else None
 
@@ -90,13 +90,13 @@ class GravityTilt(RobotEffect):
         return np.array([self.about_x, self.about_y, 0.0])
 
     def rows(self, motion: RobotMotion) -> Rows:
-        """Effort of the change of gravity that each angle makes, at every joint."""
+        """Return the effort of the change of gravity that each angle makes, at every joint."""
         bodies = motion.body_motions(self.name)
         columns = bodies.gravity_efforts(self._change(bodies.gravity))
         return {joint: columns[:, i] for i, joint in enumerate(motion.joints)}
 
     def formula_rows(self, motion: RobotMotion) -> Rows:
-        """The same, as the weights of all bodies along their Jacobians."""
+        """Return the same, as the weights of all bodies along their Jacobians."""
         bodies = motion.body_motions(self.name)
         change = self._change(bodies.gravity)
         columns: Array = np.zeros((len(motion.joints), 2))
@@ -109,7 +109,7 @@ class GravityTilt(RobotEffect):
         return {joint: columns[None, i] for i, joint in enumerate(motion.joints)}
 
     def _change(self, gravity: Array) -> Array:
-        """(3, 2) change of gravity for each radian, m/s²."""
+        """Return (3, 2) change of gravity for each radian, m/s²."""
         about, axes = self._about, np.eye(3)[:2]
         angle = np.linalg.norm(about)
         first = np.sinc(angle / np.pi)
@@ -192,7 +192,7 @@ class AerodynamicDrag(BodyEffect):
         return 0
 
     def center(self, p_BoBcm_B: Array) -> Array:
-        """(3,) position of P from Bo, m.
+        """Return (3,) position of P from Bo, m.
 
         Args:
             p_BoBcm_B: (3,) that of the mass centre.
@@ -244,7 +244,7 @@ class AerodynamicDrag(BodyEffect):
 def calc_drag_columns(
     body: tuple[Array, Array, Array], v: Array, dofs: NDArray[np.int64], center: Array, out: Array
 ) -> None:
-    """Writes [Jᵀ |v| v, and its slopes in the position of P] of the velocities that move a body.
+    """Write [Jᵀ |v| v, and its slopes in the position of P] of the velocities that move a body.
 
     Args:
         body: R_WB (N, 3, 3), and the Jacobians (N, 3, nv) of ω and of the velocity of Bo, in W.

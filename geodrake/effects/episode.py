@@ -61,7 +61,7 @@ class Episode(BodyEffect):
         return -np.inf if start is None else start, np.inf if end is None else end
 
     def weight(self, time: Array) -> Array:
-        """W (N,) at instants since the log began, s."""
+        """Return W (N,) at instants since the log began, s."""
         after, before = ((time - edge) / self.window[2] for edge in self._edges)
         return np.asarray(0.5 * (np.tanh(after) - np.tanh(before)))
 
@@ -108,7 +108,7 @@ class PointEpisode(Episode):
         """Columns (N, nv, k) at a motion of the body and instants (N,) since the log began, s."""
 
     def rows(self, motion: RobotMotion) -> dict[str, Array]:
-        """The columns in the window, at the joints that move the body."""
+        """Return the columns in the window, at the joints that move the body."""
         body = motion.body_motions(self.name).motion(self.body)
         columns = np.zeros((len(motion.v), len(motion.joints), len(self.parameters)))
         if motion.time is not None and self.is_of(motion.log):
@@ -139,7 +139,7 @@ class PointEpisode(Episode):
 
     @classmethod
     def candidates(cls, body: str) -> tuple[Self, ...]:
-        """The first second of a log; a diagnosis looks for the window instead."""
+        """Return the first second of a log; a diagnosis looks for the window instead."""
         return cls.in_window(body, 0.0, 1.0)
 
     @classmethod

@@ -47,7 +47,7 @@ class ViscousFriction(JointEffect):
         return [joint.v]
 
     def slopes(self, joint: JointMotion) -> Slopes:
-        """One by v."""
+        """Return the slope with v: 1."""
         del joint
         return [{"v": 1.0}]
 
@@ -74,7 +74,7 @@ class CoulombFriction(JointEffect):
         return [joint.sign_v]
 
     def slopes(self, joint: JointMotion) -> Slopes:
-        """One by sgn v."""
+        """Return the slope with sgn v: 1."""
         del joint
         return [{"sign_v": 1.0}]
 
@@ -143,7 +143,7 @@ class FrictionOvercompensation(JointEffect):
         return [-joint.sign_v]
 
     def slopes(self, joint: JointMotion) -> Slopes:
-        """Minus one by sgn v."""
+        """Return the slope with sgn v: −1."""
         del joint
         return [{"sign_v": -1.0}]
 
@@ -349,7 +349,7 @@ class SharedActuatorEffect(JointPairEffect):
     @staticmethod
     @abc.abstractmethod
     def shared(v: Array, turned_v: Array, turned_vd: Array, direction: Direction) -> Array:
-        """Columns (..., k) at a joint; with the right sign s, no parameter is negative.
+        """Return columns (..., k) at a joint; with the right sign s, no parameter is negative.
 
         Args:
             v: (...) velocity of the joint.
@@ -457,7 +457,7 @@ class FrictionDrift(JointEffect):
         return [np.zeros_like(joint.v), np.zeros_like(joint.v)]
 
     def rows(self, motion: RobotMotion) -> Rows:
-        """e^{−t/T} [sgn v, v]."""
+        """Return e^{−t/T} [sgn v, v]."""
         if motion.time is None:
             return super().rows(motion)
         joint = motion.joint(self.joint)
@@ -511,7 +511,7 @@ class ThermalFriction(JointEffect):
         return [np.zeros_like(joint.v), np.zeros_like(joint.v)]
 
     def rows(self, motion: RobotMotion) -> Rows:
-        """(T − T₀) [sgn v, v]; nothing where T is not known."""
+        """Return (T − T₀) [sgn v, v]; nothing where T is not known."""
         if motion.temperature is None:
             return super().rows(motion)
         joint, warmer = motion.joint(self.joint), motion.warmer(self.joint, self.reference)
@@ -586,7 +586,7 @@ class Hysteresis(JointEffect):
         return self.bend(q, start)[len(before) :, None]
 
     def state_rates(self, motion: RobotMotion, state: Array) -> Array:
-        """ż, (N, 1)."""
+        """Return ż, (N, 1)."""
         v = motion.v[:, motion.index(self.joint), None]
         return np.asarray((v - np.abs(v) * state) / self.breakaway_angle)
 

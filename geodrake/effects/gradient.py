@@ -29,7 +29,7 @@ class RobotGradient:
 
     @classmethod
     def zero(cls, motion: RobotMotion) -> RobotGradient:
-        """The gradient of a constant: arrays to add to."""
+        """Return the gradient of a constant: arrays to add to."""
         q, v, vd, load = np.zeros((4, *motion.v.shape))
         return cls(q, v, vd, load)
 
@@ -41,7 +41,7 @@ def joint_gradient(
     slopes: Sequence[Mapping[str, ArrayLike]] | None,
     weights: Array,
 ) -> RobotGradient:
-    """Gradient of Σ weights ∘ regressor of an effect of one joint.
+    """Return the gradient of Σ weights ∘ regressor of an effect of one joint.
 
     Args:
         slopes: Derivatives of each column by field, or None to take differences.
@@ -78,7 +78,7 @@ def sign_slope(sign_v: Array, width: float | Array) -> Array:
 def difference_slopes(
     columns: Callable[[JointMotion], Sequence[ArrayLike]], joint: JointMotion
 ) -> list[dict[str, Array]]:
-    """Central differences of columns with respect to every field of a joint's motion."""
+    """Return the central differences of columns with respect to every field of a joint's motion."""
     slopes: list[dict[str, Array]] = [{} for _ in columns(joint)]
     for name in _FIELDS:
         values = getattr(joint, name)

@@ -28,17 +28,17 @@ def catalogue() -> tuple[type[Effect], ...]:
 
 @cache
 def file_effects() -> tuple[type[Effect], ...]:
-    """The effects that model files state, and no diagnosis proposes."""
+    """Return the effects that model files state, and no diagnosis proposes."""
     return tuple(effects_in(import_module(f"{__package__}.of_files")))
 
 
 def effects_in(module: ModuleType) -> list[type[Effect]]:
-    """The effects that a module defines; classes left abstract are none."""
+    """Return the effects that a module defines; classes left abstract are none."""
     return [effect for effect in classes_in(module) if not inspect.isabstract(effect)]
 
 
 def classes_in(module: ModuleType) -> list[type[Effect]]:
-    """The classes of effects that a module defines, the abstract ones too."""
+    """Return the classes of effects that a module defines, the abstract ones too."""
     return [
         value
         for value in dict.fromkeys(filter(inspect.isclass, vars(module).values()))
@@ -47,7 +47,7 @@ def classes_in(module: ModuleType) -> list[type[Effect]]:
 
 
 def effect_of(role: Role) -> type[Effect]:
-    """The first effect of the catalogue that has a role."""
+    """Return the first effect of the catalogue that has a role."""
     return next(effect for effect in catalogue() if effect.role is role)
 
 
@@ -61,7 +61,7 @@ def table_rows() -> list[tuple[str, str, str]]:
 
 
 def effect_class(name: str, extra: Sequence[type[Effect]] = ()) -> type[Effect]:
-    """The effect of a name.
+    """Return the effect of a name.
 
     Args:
         extra: Effects that are not in the catalogue, such as those of `load_effect_file`.
@@ -90,7 +90,7 @@ def make_effect(
     shape: Mapping[str, Any] | None = None,
     extra: Sequence[type[Effect]] = (),
 ) -> Effect:
-    """An effect from the form it has in a saved model: its `name`, `where` and `shape`.
+    """Return an effect from the form it has in a saved model: its `name`, `where` and `shape`.
 
     Args:
         shape: Its shape parameters by name; those left out have their default.

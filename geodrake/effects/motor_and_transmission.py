@@ -96,7 +96,7 @@ class GravityCompensator(JointEffect):
         return [np.sin(joint.q), np.cos(joint.q)]
 
     def slopes(self, joint: JointMotion) -> Slopes:
-        """Both by q."""
+        """Return the slopes of both with q."""
         return [{"q": np.cos(joint.q)}, {"q": -np.sin(joint.q)}]
 
 
@@ -132,7 +132,7 @@ class TorqueRipple(JointEffect):
         return [np.cos(angle), np.sin(angle)]
 
     def slopes(self, joint: JointMotion) -> Slopes:
-        """Both by q."""
+        """Return the slopes of both with q."""
         angle = self.order * joint.q
         return [{"q": -self.order * np.sin(angle)}, {"q": self.order * np.cos(angle)}]
 
@@ -158,7 +158,7 @@ class RotorInertia(JointEffect):
         return [joint.vd]
 
     def slopes(self, joint: JointMotion) -> Slopes:
-        """One by v̇."""
+        """Return the slope with v̇: 1."""
         del joint
         return [{"vd": 1.0}]
 
@@ -252,7 +252,7 @@ class JointElasticity(DeflectionEffect):
         return Give(compliance=max(parameters[0], 0.0), damping=self.damping)
 
     def rollout_values(self, parameters: Array) -> Values:
-        """Compliance and damping of a spring that gives way at all."""
+        """Return the compliance and damping of a spring that gives way at all."""
         if not parameters[0] > 0.0:
             return {}
         damping = SPRING_DAMPING if self.damping is None else self.damping
@@ -321,7 +321,7 @@ class Backlash(DeflectionEffect):
         return Give(play=max(parameters[0], 0.0) * self.half_width)
 
     def rollout_values(self, parameters: Array) -> Values:
-        """Half the width of the gap that the share makes of the shape."""
+        """Return half the width of the gap that the share makes of the shape."""
         width = float(parameters[0]) * self.half_width
         return {"half_width": width} if width > 0.0 else {}
 

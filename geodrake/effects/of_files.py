@@ -177,7 +177,7 @@ class MediumDrag(_Stated, BodyEffect):
         return {}
 
     def rows(self, motion: RobotMotion) -> Rows:
-        """Columns of density and viscosity at the joints that move the body."""
+        """Return columns of density and viscosity at the joints that move the body."""
         body = motion.body_motions(self.name).motion(self.body)
         J = body.jacobian_at(np.array([self.x, self.y, self.z]))
         turn = np.array([self.turn_w, self.turn_x, self.turn_y, self.turn_z])
@@ -235,7 +235,7 @@ class Strut(_Stated, Effect):
             raise ArgumentError(f"{self.name} needs two different bodies; it got {self.bodies}.")
 
     def rows(self, motion: RobotMotion) -> Rows:
-        """Columns of stiffness, preload and damping at the joints that move either body."""
+        """Return columns of stiffness, preload and damping at the joints that move either body."""
         bodies = motion.body_motions(self.name)
         points = ([self.x, self.y, self.z], [self.other_x, self.other_y, self.other_z])
         (p, J, first), (other_p, other_J, second) = (

@@ -185,7 +185,7 @@ class RobotMotion(Short):
 
     @staticmethod
     def direction(v: Array, width: float | Array) -> Array:
-        """Smoothed sign of a velocity, tanh(v / width); the plain sign where the width is 0.
+        """Return smoothed sign of a velocity, tanh(v / width); the plain sign where the width is 0.
 
         Args:
             v: (...) velocities, rad/s or m/s.

@@ -48,7 +48,7 @@ class EffortOffset(JointEffect):
         return [np.ones_like(joint.v)]
 
     def slopes(self, joint: JointMotion) -> Slopes:
-        """None."""
+        """Return no columns."""
         del joint
         return [{}]
 
@@ -239,7 +239,7 @@ class EffortDelay(Effect):
 
 
 def delays_of(effects: Sequence[Effect], joints: Sequence[str]) -> Array:
-    """(n,) delays, s, that some effects make together at n joints."""
+    """Return (n,) delays, s, that some effects make together at n joints."""
     delays = np.zeros(len(joints))
     for effect in effects:
         if effect.role is Role.DELAY:
@@ -263,7 +263,7 @@ def effort_delays(delays: ArrayLike, joints: Sequence[str]) -> list[EffortDelay]
 def delayed_by(
     delays: ArrayLike, signals: Array, period: float, *, spline: BSpline | None = None
 ) -> Array:
-    """Signals (N, n) as they were some time ago, each with a delay of its own.
+    """Return signals (N, n) as they were some time ago, each with a delay of its own.
 
     Args:
         delays: (n,) delays, s.

@@ -61,7 +61,7 @@ _PROPOSED: Mapping[Proposer, type] = {
 
 
 def load_effect_file(path: str | Path) -> tuple[type[Effect], ...]:
-    """Runs a Python file of a user and collects the effects that it defines.
+    """Run a Python file of a user and collect the effects that it defines.
 
     Args:
         path: A file such as the one in the documentation of `geodrake.effects`.
@@ -116,7 +116,7 @@ def load_effect_file(path: str | Path) -> tuple[type[Effect], ...]:
 
 
 def candidates_of(effect: type[Effect], *place: Any) -> tuple[Effect, ...]:
-    """What `Effect.candidates` gives at a place."""
+    """Return what `Effect.candidates` gives at a place."""
     line = line_of(effect, "candidates")
     with telling(effect.name, line):
         made: Any = effect.candidates(*place)
@@ -262,7 +262,7 @@ def _import(path: Path) -> ModuleType:
 
 
 def _line(error: BaseException, path: Path) -> str:
-    """The innermost line of a file that an error came through, in words."""
+    """Return the innermost line of a file that an error came through, in words."""
     frames = traceback.extract_tb(error.__traceback__)
     lines = [frame.lineno for frame in frames if Path(frame.filename) == path.absolute()]
     if isinstance(error, SyntaxError) and error.filename == str(path.absolute()):

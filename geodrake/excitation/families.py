@@ -63,10 +63,10 @@ class MotionFamily(abc.ABC):
 
     @abc.abstractmethod
     def basis(self, times: ArrayLike, *, orders: int = 3) -> Array:
-        """(orders, N, count) matrices Φ₀, Φ₁, Φ₂, … at times (N,), s."""
+        """Return (orders, N, count) matrices Φ₀, Φ₁, Φ₂, … at times (N,), s."""
 
     def times(self, samples: int) -> Array:
-        """(samples,) uniform instants from start to end, s."""
+        """Return (samples,) uniform instants from start to end, s."""
         return np.linspace(0.0, self.length, integer(samples, "samples", lower=1))
 
     def limit_times(self, share: float = 0.05) -> Array:
@@ -85,7 +85,7 @@ class MotionFamily(abc.ABC):
         return self.times(max(2, int(np.ceil(needed)) + 1))
 
     def conditions(self, *, rest: bool, start: bool) -> Array:
-        """Independent rows E (k, count) of what is fixed at the ends: E c is given.
+        """Return independent rows E (k, count) of what is fixed at the ends: E c is given.
 
         Args:
             rest: Whether velocity and acceleration are zero at start and end.
@@ -162,7 +162,7 @@ class FourierMotion(MotionFamily):
         return self.omega * self.modes if is_whole else np.inf
 
     def basis(self, times: ArrayLike, *, orders: int = 3) -> Array:
-        """(orders, N, count): 1, cos jωt, sin jωt and their derivatives."""
+        """Return (orders, N, count): 1, cos jωt, sin jωt and their derivatives."""
         orders = integer(orders, "orders", lower=1, upper=_MOST_ORDERS)
         t = real_array(np.atleast_1d(real_array(times, "times")), "times", ("N",))
         rates = self.omega * np.arange(1, self.modes + 1)
@@ -215,7 +215,7 @@ class SplineMotion(MotionFamily):
         return np.concatenate([np.zeros(self.degree), inner, np.full(self.degree, self.duration)])
 
     def basis(self, times: ArrayLike, *, orders: int = 3) -> Array:
-        """(orders, N, count): basis functions and their derivatives."""
+        """Return (orders, N, count): basis functions and their derivatives."""
         orders = integer(orders, "orders", lower=1, upper=_MOST_ORDERS)
         t = real_array(np.atleast_1d(real_array(times, "times")), "times", ("N",))
         spline = BSpline(self.knots, np.eye(self.points), self.degree)
@@ -265,7 +265,7 @@ class FreeSamples(MotionFamily):
         return np.eye(self.count).reshape(3, self.samples, self.count)
 
     def conditions(self, *, rest: bool, start: bool) -> Array:
-        """None: there is neither start nor end."""
+        """Return no rows: there is neither start nor end."""
         del rest, start
         return np.zeros((0, self.count))
 

@@ -182,7 +182,7 @@ def identifiable_parameters(
 def reduced_identification(
     target: Target, factor: ArrayLike, *, threshold: float = 1e-2, kept: int | None = None
 ) -> ReducedIdentification:
-    """Least squares along what data identify, and the prior elsewhere, [Lee2019] step a.5.
+    """Return least squares along what data identify, and the prior elsewhere, [Lee2019] step a.5.
 
     Args:
         factor: (p + 1, p + 1) `measurement_factor` with what was measured.

@@ -249,7 +249,7 @@ class Objective(Short):
 
 
 def _spectrum(A: Array) -> tuple[Array, Array]:
-    """Singular values (n,) ascending and right singular vectors (n, n) of a tall matrix.
+    """Return singular values (n,) ascending and right singular vectors (n, n) of a tall matrix.
 
     By a QR factorization, not from AᵀA, whose small eigenvalues have lost half their digits.
     """

@@ -224,11 +224,11 @@ class DesignProblem(Short):
         return self.variables(np.outer(self.still, posture))
 
     def variables(self, coefficients: Array) -> Array:
-        """(f, nv) Y of coefficients (count, nv), as near as the conditions let them be."""
+        """Return (f, nv) Y of coefficients (count, nv), as near as the conditions let them be."""
         return np.asarray(self.free.T @ (coefficients - self.offset) / self.scale)
 
     def coefficients(self, variables: Array) -> Array:
-        """(count, nv) C of variables, (f, nv) or flat."""
+        """Return (count, nv) C of variables, (f, nv) or flat."""
         return np.asarray(
             self.offset + self.free @ (self.scale * variables.reshape(self.scale.shape))
         )
@@ -288,7 +288,7 @@ class DesignProblem(Short):
         return (effort / limits).ravel(), jacobian.reshape(n * k, -1)
 
     def nearness(self, variables: Array) -> tuple[Array, Array]:
-        """(n,) values of `CollisionWorld.constraint`, and their Jacobian (n, f nv)."""
+        """Return (n,) values of `CollisionWorld.constraint`, and their Jacobian (n, f nv)."""
         if self.collisions is None:
             return np.zeros(0), np.zeros((0, self.scale.size))
         trajectory, basis = self.trajectory(variables), self.collision_basis

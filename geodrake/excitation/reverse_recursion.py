@@ -61,7 +61,7 @@ class MotionGradient:
 
 
 def reverse_recursion(tree: KinematicTree, samples: Samples, weights: Array) -> MotionGradient:
-    """Gradient of Σ W ∘ Y with respect to samples, for weights W (N, nv, 10 nb).
+    """Return the gradient of Σ W ∘ Y with respect to samples, for weights W (N, nv, 10 nb).
 
     Args:
         samples: A motion itself, in Drake's order.
@@ -78,7 +78,7 @@ def reverse_recursion(tree: KinematicTree, samples: Samples, weights: Array) -> 
 def calc_motion_gradient(
     tree: TreeRecords, samples: Samples, weights: Array, out: Gradient
 ) -> None:
-    """Writes the gradient of Σ W ∘ Y into zeros (N, nq), (N, nv), (N, nv).
+    """Write the gradient of Σ W ∘ Y into zeros (N, nq), (N, nv), (N, nv).
 
     Args:
         weights: (N, nv, 10 nb) W.
@@ -139,7 +139,7 @@ def calc_motion_gradient(
 
 @inlined
 def clear(by: Record, by_turn: Array, by_slide: Array) -> None:
-    """Sets the gradients with motions and subspaces to zero."""
+    """Set the gradients with motions and subspaces to zero."""
     for i in range(len(by)):
         nothing = (0.0, 0.0, 0.0)
         put(by[i].w, nothing)
@@ -158,7 +158,7 @@ def shift_back(
     i: int,
     count: int,
 ) -> Vector:
-    """Turns the gradient with a body's motion about Bo into that about Mo.
+    """Turn the gradient with a body's motion about Bo into that about Mo.
 
     The covector is the motion, the gradient with it, and the position of Bo from Mo. Returns the
     gradient with a rotation of B.
@@ -184,7 +184,7 @@ def add_block(
     weights: tuple[Array, tuple[int, int, int]],
     by: Record,
 ) -> tuple[Vector, Vector]:
-    """Adds the gradient of a block's inner product with "parameters" c to that with the motion.
+    """Add the gradient of a block's inner product with "parameters" c to that with the motion.
 
     The weights (N, nv, 10 nb) come with the place of the first of c. Returns the gradient with s
     and t.
@@ -228,6 +228,6 @@ def turning_rate(mobilizer: Record, motion: Record, q: Array, n: int, j: int) ->
 
 @inlined
 def by_turning(by_a: Vector, w: Vector, p: Vector) -> Vector:
-    """Gradient of by_a · (ω × (ω × p)) with respect to ω."""
+    """Return the gradient of by_a · (ω × (ω × p)) with respect to ω."""
     both = add(scale(dot(w, p), by_a), scale(dot(w, by_a), p))
     return subtract(both, scale(2.0 * dot(by_a, p), w))

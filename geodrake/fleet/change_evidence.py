@@ -55,7 +55,7 @@ class Profiles(Short):
 
     @classmethod
     def of(cls, form: str, days: Array) -> Profiles:
-        """All that the days of a robot's logs can show.
+        """Return all that the days of a robot's logs can show.
 
         Args:
             days: (T,) days of the logs, ascending.
@@ -75,7 +75,7 @@ class Profiles(Short):
         return np.asarray(after * (self.days - begun) / (self.days[-1] - begun))
 
     def sums(self, per_log: Array) -> Array:
-        """(K, ...) sums Σ_t f_k(t) X_t, of cumulative sums."""
+        """Return (K, ...) sums Σ_t f_k(t) X_t, of cumulative sums."""
         if self.form == UNTIL:
             return np.asarray(np.cumsum(per_log, axis=0)[self.first - 1])
         zeroth = _tail_sums(per_log)[self.first]
@@ -85,7 +85,7 @@ class Profiles(Short):
         return np.asarray(zeroth - _tail_sums(left * per_log)[self.first] / span)
 
     def squares(self, per_log: Array) -> Array:
-        """(K, ...) sums Σ_t f_k(t)² X_t, of cumulative sums."""
+        """Return (K, ...) sums Σ_t f_k(t)² X_t, of cumulative sums."""
         if self.form != RAMP:
             return self.sums(per_log)
         left, span = self._ramp(per_log)
@@ -95,7 +95,7 @@ class Profiles(Short):
         return np.asarray(zeroth - 2.0 * first / span + second / span**2)
 
     def _ramp(self, per_log: Array) -> tuple[Array, Array]:
-        """Days that are left after logs, and those of whole ramps, shaped to go with X.
+        """Return days that are left after logs, and those of whole ramps, shaped to go with X.
 
         A ramp is 1 − left / span. Counted from the last log, no sum is more than its parts.
         """
@@ -104,7 +104,7 @@ class Profiles(Short):
 
 
 def _tail_sums(per_log: Array) -> Array:
-    """(T, ...) sums over each log and all later ones."""
+    """Return (T, ...) sums over each log and all later ones."""
     return np.cumsum(per_log[::-1], axis=0)[::-1]
 
 

@@ -117,7 +117,7 @@ class RobotSearch(Short):
         return replace(self.history, reference=reference if gains else None).equations()
 
     def settled(self, places: Sequence[ChangePlace]) -> tuple[Array, Array]:
-        """(T, p) parameters of the day with some changes, and (T, K) how odd logs are."""
+        """Return (T, p) parameters of the day with some changes, and (T, K) how odd logs are."""
         state = self._fitted(places)
         return self.model.parameters(0, state.logs, state.fit), state.odd
 
@@ -132,7 +132,7 @@ class RobotSearch(Short):
         return self.evidence(replace(state, fit=fit))
 
     def design(self, places: Sequence[ChangePlace]) -> Array:
-        """(T, p, m) parameters of some changes, of sizes that are hardly limited."""
+        """Return (T, p, m) parameters of some changes, of sizes that are hardly limited."""
         days, wide = self.history.days, _WIDE * self.model.scale(0)[:, None]
         parts = [np.zeros((len(days), len(wide), 0))]
         for place in places:
@@ -279,7 +279,7 @@ def best_place(evidence: ChangeEvidence) -> ChangePlace:
 
 
 def _beginnings(evidence: ChangeEvidence, hypothesis: int, kind: str) -> tuple[Indices, Array]:
-    """(K,) logs at which a kind of change may begin, and how probable each is."""
+    """Return (K,) logs at which a kind of change may begin, and how probable each is."""
     pairs = zip(evidence.profiles, evidence.posterior(), strict=True)
     same = [(each.first, p[hypothesis]) for each, p in pairs if kind_of(each.form) == kind]
     return same[0][0], np.sum([share for _, share in same], axis=0)

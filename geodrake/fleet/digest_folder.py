@@ -129,7 +129,7 @@ class _Folder:
         return DigestRow.of(log, MADE, file, digest, reason)
 
     def _chosen_from(self, log: JointLog) -> DigestSettings:
-        """Settings by the first log."""
+        """Return settings by the first log."""
         try:
             return make_settings(self.model, log, wanted=self.wanted)
         except ArgumentError as error:

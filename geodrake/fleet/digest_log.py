@@ -442,7 +442,7 @@ def _passive_inertia(digest: Digest) -> Array | None:
 
 
 def delays_of_joints(settings: DigestSettings) -> Array:
-    """(d, nv) the delays of settings, of every joint, s."""
+    """Return (d, nv) the delays of settings, of every joint, s."""
     return np.array([np.full(len(settings.joints), delay) for delay in settings.delays])
 
 
@@ -505,7 +505,7 @@ def with_autocovariances(
 
 
 def _parameters(dataset: Dataset, unknowns: Unknowns, x: Array, settings: DigestSettings) -> Array:
-    """(B, p) parameters of the columns of digests, of those of unknowns (B, ·)."""
+    """Return (B, p) parameters of the columns of digests, of those of unknowns (B, ·)."""
     inertial, base = settings.base_matrix.shape[1], len(settings.independent)
     width = inertial + len(settings.columns) - base
     every = np.zeros((width, len(x)))

@@ -68,7 +68,7 @@ def robot_folder(folder: Path, robot: str) -> Path:
 
 
 def said_of(robot: FleetRobot) -> str:
-    """Hash of what the fleet file says of a robot's logs."""
+    """Return the hash of what the fleet file says of a robot's logs."""
     return text_hash((robot.dates, robot.payloads))[:_LETTERS]
 
 

@@ -200,7 +200,7 @@ class ToldFinding:
 
     @classmethod
     def of(cls, finding: FleetFinding) -> ToldFinding:
-        """That of a finding."""
+        """Return what was told of a finding."""
         return cls(finding.robot, finding.effect, finding.where, *finding.interval)
 
     def is_of(self, finding: FleetFinding) -> bool:
@@ -212,7 +212,7 @@ class ToldFinding:
 
 
 def new_findings(folder: Path, findings: Sequence[FleetFinding]) -> list[FleetFinding]:
-    """Findings that were not told before."""
+    """Return findings that were not told before."""
     told = _read_told(folder / _TOLD_FILE)
     return [finding for finding in findings if not any(old.is_of(finding) for old in told)]
 

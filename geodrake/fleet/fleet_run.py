@@ -206,7 +206,7 @@ def _of_type(
 def _own_values(
     kind: FleetType, robot: FleetRobot, layout: TypeLayout, settings: DigestSettings
 ) -> Array:
-    """(p,) what a robot's own model says of the columns; NaN of effects that it has not."""
+    """Return (p,) what a robot's own model says of the columns; NaN of effects that it has not."""
     own = holding(own_model(kind, robot.model or kind.model), settings.held)
     values = {
         (f.effect.name, ", ".join(f.effect.where), parameter.name): float(x)
@@ -222,7 +222,7 @@ def _own_values(
 
 
 def _badness(robot: RobotResult) -> tuple[int, float, float, str]:
-    """Robots with findings, the surest first; then those without logs; then the others."""
+    """Return robots with findings, the surest first; then those without logs; then the others."""
     if robot.findings:
         return 0, robot.findings[0].false_alarm_probability, 0.0, robot.robot
     farthest = robot.farthest
@@ -376,7 +376,7 @@ def _histories(
 def _own(
     model: TypeModel, layout: TypeLayout, state: SearchState, of_model: Array | None
 ) -> tuple[OwnParameter, ...]:
-    """A robot's parameters without changes, beside those of others."""
+    """Return a robot's parameters without changes, beside those of others."""
     values, covariance = own_parameters(model, state.fit)
     deviations = np.sqrt(np.maximum(np.diagonal(covariance), 0.0))
     squares = [np.square(factor).sum(axis=1) for factor in model.deviation_factors()]

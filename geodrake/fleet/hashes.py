@@ -56,13 +56,13 @@ def source_hash(kind: type[Effect]) -> str:
 
 
 def text_hash(value: object) -> str:
-    """SHA-256 of numbers, words, arrays and dataclasses, and of whatever holds such."""
+    """Return SHA-256 of numbers, words, arrays and dataclasses, and of whatever holds such."""
     words = json.dumps(_plain(value), sort_keys=True, ensure_ascii=True, allow_nan=True)
     return hashlib.sha256(words.encode()).hexdigest()
 
 
 def file_hash(paths: Iterable[Path]) -> str:
-    """SHA-256 of the bytes of files, and of all files in folders."""
+    """Return SHA-256 of the bytes of files, and of all files in folders."""
     found = hashlib.sha256()
     for path in paths:
         inside = sorted(each for each in path.rglob("*") if each.is_file())

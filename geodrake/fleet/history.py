@@ -341,7 +341,7 @@ def _stamp(record: LogRecord, digest: Path, time: int) -> str:
 
 
 def time_cells(dates: Array) -> NDArray[np.intp]:
-    """(T,) which of at most `MOST_TIMES` times each of some dates counts to.
+    """Return (T,) which of at most `MOST_TIMES` times each of some dates counts to.
 
     Each has its own, unless there are too many: then cells of an hour, or two, four, … of them,
     counted from 1970, so that further logs seldom move the borders.

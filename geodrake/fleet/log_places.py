@@ -46,7 +46,7 @@ class LogPlace:
 
 
 def protocol_of(pattern: str) -> str:
-    """`s3` of `s3://bucket/log.csv`; empty for a path."""
+    """Return `s3` of `s3://bucket/log.csv`; empty for a path."""
     found = re.match(r"([\w+.-]+)://|([\w+.-]+)::", pattern)
     return (found[1] or found[2]) if found else ""
 
@@ -112,7 +112,7 @@ def _fit(parts: Sequence[str], patterns: Sequence[str]) -> bool:
 
 @contextmanager
 def local_log(place: LogPlace) -> Iterator[Path]:
-    """The log as a file of this machine, under its own name: itself, or a copy.
+    """Yield the log as a file of this machine, under its own name: itself, or a copy.
 
     A copy is as old as the log; where nobody knows when that was changed, as in 1970.
     """
@@ -212,7 +212,7 @@ def _day(seconds: float) -> str:
 def date_of_log(
     log: JointLog, files: Sequence[Path], given: float | None = None
 ) -> tuple[float, str]:
-    """When a log began, s since 1970, and where that is from: `stamps`, `option` or `file`.
+    """Return when a log began, s since 1970, and where that is from: `stamps`, `option` or `file`.
 
     Args:
         files: Its files, which count where nothing else is known: the one changed last.

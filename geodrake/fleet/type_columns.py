@@ -65,7 +65,7 @@ class TypeColumns(Short):
         return [s.factor.shape[1] for s in self.spreads] + [int(self.course.sum())]
 
     def alike(self) -> Mask:
-        """(p, p) which columns have the same unit."""
+        """Return (p, p) which columns have the same unit."""
         units = np.array(self.units or [""] * len(self.prior))
         return np.asarray(units[:, None] == units)
 
@@ -80,7 +80,7 @@ class TypeColumns(Short):
 
 
 def distance_factor(phi: Array) -> Array:
-    """(10, 10) factor of the covariance of a body's φ that the geometric distance gives.
+    """Return (10, 10) factor of the covariance of a body's φ that the geometric distance gives.
 
     With w ~ N(0, s² 𝟙), differences F w have the prior exp(−d² / (2 s²)) of the pullback distance
     d at φ ([Lee2019] Eq. (3.3.33)).
@@ -89,7 +89,7 @@ def distance_factor(phi: Array) -> Array:
 
 
 def body_factor(root: Array, body: int, matrix: Array, columns: int) -> Array:
-    """(p, 10) factor of one body's φ (10, 10), seen through base parameters.
+    """Return (p, 10) factor of one body's φ (10, 10), seen through base parameters.
 
     Args:
         matrix: (n_B, 10 nb) base parameters, which are the first of the p columns.
@@ -100,7 +100,7 @@ def body_factor(root: Array, body: int, matrix: Array, columns: int) -> Array:
 
 
 def narrow_factor(factor: Array) -> Array:
-    """(..., p, min(p, r)) factors of the covariances F Fᵀ of wider factors F (..., p, r)."""
+    """Return (..., p, min(p, r)) factors of the covariances F Fᵀ of wider factors F (..., p, r)."""
     if factor.shape[-1] <= factor.shape[-2]:
         return factor
     return np.swapaxes(np.linalg.qr(np.swapaxes(factor, -1, -2), "r"), -1, -2)

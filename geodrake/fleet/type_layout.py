@@ -103,7 +103,7 @@ def _loaded(kind: FleetType, path: Path, extra: Sequence[type[Effect]]) -> Robot
 
 
 def _of_joints(kind: FleetType, extra: Sequence[type[Effect]]) -> tuple[type[Effect], ...]:
-    """Effects that each joint of a type has."""
+    """Return effects that each joint of a type has."""
     if kind.effects is None:
         return USUAL
     found = []

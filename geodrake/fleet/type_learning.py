@@ -59,7 +59,7 @@ def _sums(logs: Logs) -> tuple[Array, Array]:
 
 
 def _begun(team: Workers, logs: Sequence[Logs], columns: TypeColumns) -> TypeModel:
-    """Pooled least squares, with the prior where logs say nothing."""
+    """Return pooled least squares, with the prior where logs say nothing."""
     K, p, free = len(columns.spreads), len(columns.prior), columns.free
     information, right = pooled(team, logs)
     mean = columns.prior.copy()
@@ -121,7 +121,7 @@ def _told(piece: tuple[TypeModel, Logs, Array | None]) -> _RobotTells:
 
 
 def _scattered(model: TypeModel, scale: Array, fit: RobotFit, scores: LogScores) -> Array:
-    """(3, K) what a robot's logs tell of their scatter, as `_RobotTells` has it."""
+    """Return (3, K) what a robot's logs tell of their scatter, as `_RobotTells` has it."""
     along, trace, norm = scores
     squares, norm = along.sum(axis=0), np.maximum(norm.sum(axis=0), 1e-300)
     expected = model.columns.parts(fit.expected_squares(scale[:, None] * model.factor))[:-1]
@@ -183,7 +183,7 @@ def _spread_ratio(columns: TypeColumns, told: Sequence[_RobotTells], covariance:
 
 
 def _scatter_ratio(model: TypeModel, told: Sequence[_RobotTells]) -> Array:
-    """(K,) squares of scores over their expectations, of the robot in the middle.
+    """Return (K,) squares of scores over their expectations, of the robot in the middle.
 
     Each robot counts as the deviations that its logs show, and what was known before as one.
     """

@@ -74,11 +74,11 @@ class RobotFit(Short):
         return self.common.shape[1] + self.own.shape[2]
 
     def mapped(self, rows: Array) -> Array:
-        """(T, c, n) products of rows (T, c, p) and L_t."""
+        """Return (T, c, n) products of rows (T, c, p) and L_t."""
         return np.concatenate([rows @ self.common, rows @ self.own], axis=2)
 
     def seen_along(self, factor: Array) -> Array:
-        """(T, n, r) products L_tᵀ M_t F.
+        """Return (T, n, r) products L_tᵀ M_t F.
 
         Args:
             factor: (p, r) directions F.
@@ -145,7 +145,7 @@ class RobotFit(Short):
         )
 
     def expected_squares(self, factor: Array) -> Array:
-        """(r,) what squares of Fᵀ score_t are in the sum of all logs, if the model is right.
+        """Return (r,) what squares of Fᵀ score_t are in the sum of all logs, if the model is right.
 
         Args:
             factor: (p, r) directions F.
@@ -175,7 +175,7 @@ class Course(Short):
 
     @classmethod
     def begin(cls, logs: Sequence[Logs], columns: int) -> Course:
-        """A course of zeros."""
+        """Return a course of zeros."""
         each = [np.unique(np.floor(robot.days)) for robot in logs]
         days, robots = np.unique(np.concatenate(each), return_counts=True)
         days = days[robots >= LEAST_ROBOTS]
@@ -185,7 +185,7 @@ class Course(Short):
         return cls(days, np.zeros((len(days), columns)), np.zeros(columns), reference)
 
     def of(self, logs: Logs) -> Array:
-        """(T, q) shares at a robot's logs; between days with too few robots it is linear."""
+        """Return (T, q) shares at a robot's logs; between days with too few robots it is linear."""
         values = self._warmer(logs)[:, None] * self.slope
         if self.values.size:
             at = np.floor(logs.days)
@@ -238,12 +238,12 @@ class Course(Short):
         return replace(self, values=values - values.mean(axis=0))
 
     def _warmer(self, logs: Logs) -> Array:
-        """(T,) degrees above the reference; 0 where the temperature is not known."""
+        """Return (T,) degrees above the reference; 0 where the temperature is not known."""
         return np.nan_to_num(logs.temperature - self.reference)
 
 
 def _slope(warm: Sequence[Array], information: Sequence[Array], right: Sequence[Array]) -> Array:
-    """(q,) what a degree more adds, by all logs."""
+    """Return (q,) what a degree more adds, by all logs."""
     q = right[0].shape[1]
     seen, side = np.zeros((q, q)), np.zeros(q)
     for w, info, rest in zip(warm, information, right, strict=True):
@@ -295,7 +295,7 @@ class TypeModel(Short):
     def fit(
         self, robot: int, logs: LogEquations, changes: Array | None = None, odd: Array | None = None
     ) -> RobotFit:
-        """A robot's own parameters by its logs.
+        """Return a robot's own parameters by its logs.
 
         θ has a part for every spread, one for the response to the course, and one for changes.
 
@@ -358,7 +358,7 @@ class TypeModel(Short):
         return np.hstack([spread.factor for spread in self.columns.spreads])
 
     def deviation_factors(self) -> list[Array]:
-        """(p, r) factor of each spread between robots, in the parameters' units."""
+        """Return (p, r) factor of each spread between robots, in the parameters' units."""
         typical = np.where(self.columns.relative, self.typical, 1.0)[:, None]
         return [
             s * typical * spread.factor
@@ -366,7 +366,7 @@ class TypeModel(Short):
         ]
 
     def together(self, robot: int, logs: LogEquations) -> Array:
-        """(T, p) what the common course adds to a robot's parameters at its logs."""
+        """Return (T, p) what the common course adds to a robot's parameters at its logs."""
         values = np.zeros((len(logs.days), len(self.mean)))
         values[:, self.columns.course] = self.course.of(logs)
         return np.asarray(values * self.scale(robot))
@@ -376,14 +376,14 @@ class TypeModel(Short):
         return np.asarray(self.mean + self.together(robot, logs) + fit.deviation)
 
     def _scattered(self, scale: Array, odd: Array) -> Array:
-        """(T, p, q) factors of the covariance by which logs scatter; most have the same."""
+        """Return (T, p, q) factors of the covariance by which logs scatter; most have the same."""
         different, which = np.unique(odd, axis=0, return_inverse=True)
         scales = np.repeat(np.sqrt(self.scatter**2 + different), self.columns.sizes[:-1], axis=1)
         factors = narrow_factor(scales[:, None] * scale[:, None] * self.factor)
         return np.asarray(factors[which.ravel()])
 
     def _spread_out(self, together: Array) -> Array:
-        """(T, p, q) the course of each column as a column of its own."""
+        """Return (T, p, q) the course of each column as a column of its own."""
         at = np.flatnonzero(self.columns.course)
         found = np.zeros((*together.shape, len(at)))
         found[:, at, np.arange(len(at))] = together[:, at]

@@ -41,7 +41,7 @@ class LumpedBody:
 
 
 def check_plant(plant: MultibodyPlant) -> None:
-    """Refuses what is no finalized plant."""
+    """Refuse what is no finalized plant."""
     if not instance(plant, "plant", MultibodyPlant).is_finalized():
         raise ModelError("The plant is not finalized.", advice="Call plant.Finalize() first.")
 
@@ -60,7 +60,7 @@ def check_context(system: System, context: Context) -> None:
 
 
 def lumped_bodies(plant: MultibodyPlant) -> tuple[LumpedBody, ...]:
-    """Groups of welded links that move with respect to the world.
+    """Return groups of welded links that move with respect to the world.
 
     Without the one welded to the world, in order of the representative's BodyIndex.
     """

@@ -22,7 +22,7 @@ from geodrake.inertia.parameters import checked_phi, pseudo_inertia
 
 
 def riemannian_distance(phi1: ArrayLike, phi2: ArrayLike) -> Array:
-    """Geodesic distances (...) √(Σ log² λᵢ(P₁⁻¹ P₂)) of physical bodies φ (..., 10).
+    """Return geodesic distances (...) √(Σ log² λᵢ(P₁⁻¹ P₂)) of physical bodies φ (..., 10).
 
     Without the ½ of the metric ([Lee2019] Eqs. (3.3.25), (2.2.10)).
     """
@@ -31,7 +31,7 @@ def riemannian_distance(phi1: ArrayLike, phi2: ArrayLike) -> Array:
 
 
 def entropic_divergence(phi1: ArrayLike, phi2: ArrayLike) -> Array:
-    """Entropic divergences (...) d(φ₁‖φ₂)² of physical bodies φ (..., 10), convex in φ₁.
+    """Return entropic divergences (...) d(φ₁‖φ₂)² of physical bodies φ (..., 10), convex in φ₁.
 
     They compare to squares of distances ([Lee2019] Eq. (3.3.28)).
     """
@@ -40,7 +40,7 @@ def entropic_divergence(phi1: ArrayLike, phi2: ArrayLike) -> Array:
 
 
 def pullback_distance(phi1: ArrayLike, phi2: ArrayLike, reference: ArrayLike) -> Array:
-    """Distances (...) √(½ tr((P₀⁻¹ P(φ₁ − φ₂))²)) in the metric of one body, the reference.
+    """Return distances (...) √(½ tr((P₀⁻¹ P(φ₁ − φ₂))²)) in the metric of one body, the reference.
 
     All are (..., 10), the reference physical. They stay finite at the edge of physical bodies
     ([Lee2019] Eq. (3.3.33), with its ½).

@@ -99,7 +99,7 @@ class Ellipsoid(Short):
         return from_mass_com_inertia(mass, np.broadcast_to(self.center, (*mass.shape, 3)), turned)
 
     def random_points(self, rng: np.random.Generator, size: tuple[int, ...]) -> Array:
-        """Points (*size, 3), m, evenly distributed over one ellipsoid or several.
+        """Return points (*size, 3), m, evenly distributed over one ellipsoid or several.
 
         The last axes of the size are those of the ellipsoids, if there are several.
         """
@@ -184,7 +184,7 @@ def is_realizable(phi: ArrayLike, Q: ArrayLike) -> NDArray[np.bool_]:
 
 
 def realizability_row(Q: ArrayLike) -> Array:
-    """Coefficients a (..., 10) of the constraint aᵀφ = tr(P(φ) Q) ≥ 0 for Q (..., 4, 4)."""
+    """Return coefficients a (..., 10) of the constraint aᵀφ = tr(P(φ) Q) ≥ 0 for Q (..., 4, 4)."""
     return from_dual(real_array(Q, "Q", ("...", 4, 4)))
 
 
@@ -222,7 +222,7 @@ def bounding_ellipsoid(points: ArrayLike, *, tolerance: float = 1e-6) -> Ellipso
 
 
 def _optimal_weights(lifted: Array, tolerance: float) -> Array:
-    """Weights (k,) of the points, whose weighted second moment is that of the ellipsoid."""
+    """Return weights (k,) of the points, whose weighted second moment is that of the ellipsoid."""
     count, n = lifted.shape
     weights = np.full(count, 1.0 / count)
     for _ in range(_MOST_STEPS):

@@ -38,13 +38,13 @@ def calc_rotational_inertia(phi: Array) -> Array:
 
 
 def calc_pseudo_inertia(phi: Array) -> Array:
-    """P(φ) (..., 4, 4) of φ (..., 10)."""
+    """Return P(φ) (..., 4, 4) of φ (..., 10)."""
     flat = phi.reshape(-1, PARAMETERS_PER_BODY) @ _TO_MATRIX
     return np.asarray(flat.reshape((*phi.shape[:-1], 4, 4)))
 
 
 def calc_dual(covector: Array) -> Array:
-    """X(a) (..., 4, 4) of a (..., 10)."""
+    """Return X(a) (..., 4, 4) of a (..., 10)."""
     flat = covector.reshape(-1, PARAMETERS_PER_BODY) @ _TO_DUAL
     return np.asarray(flat.reshape((*covector.shape[:-1], 4, 4)))
 

@@ -37,7 +37,7 @@ def checked_phi(phi: ArrayLike, name: str = "phi", sizes: Sizes | None = None) -
 
 
 def rotational_inertia(phi: ArrayLike) -> Array:
-    """Rotational inertia matrices I_BBo_B (..., 3, 3), kg·m², of φ (..., 10).
+    """Return rotational inertia matrices I_BBo_B (..., 3, 3), kg·m², of φ (..., 10).
 
     [Lee2019] Eq. (B.1.1).
     """
@@ -66,7 +66,7 @@ def pseudo_inertia_basis() -> Array:
 
 
 def dual(covector: ArrayLike) -> Array:
-    """The matrices X(a) (..., 4, 4) with aᵀφ = tr(P(φ) X(a)), of a (..., 10).
+    """Return the matrices X(a) (..., 4, 4) with aᵀφ = tr(P(φ) X(a)), of a (..., 10).
 
     [Lee2019] Eqs. (B.1.8), (B.1.9).
     """
@@ -80,7 +80,7 @@ def from_dual(matrix: ArrayLike) -> Array:
 
 
 def is_physical(phi: ArrayLike, *, tolerance: float = 0.0) -> NDArray[np.bool_]:
-    """Whether P(φ) ≻ 0 (...), so that a body of positive density can have φ (..., 10).
+    """Return whether P(φ) ≻ 0 (...), so that a body of positive density can have φ (..., 10).
 
     With NaN or infinity they are not physical ([Lee2019] Eq. (3.2.7)).
 
@@ -104,7 +104,7 @@ def is_physical(phi: ArrayLike, *, tolerance: float = 0.0) -> NDArray[np.bool_]:
 
 
 def from_mass_com_inertia(mass: ArrayLike, com: ArrayLike, inertia_com: ArrayLike) -> Array:
-    """Inertial parameters (..., 10) about Bo from mass, centre of mass and central inertia.
+    """Return inertial parameters (..., 10) about Bo from mass, centre of mass and central inertia.
 
     Args:
         mass: (...) masses, kg.
@@ -153,7 +153,7 @@ def change_frame(phi: ArrayLike, R_AB: ArrayLike, p_AoBo_A: ArrayLike) -> Array:
 
 
 def change_units(phi: ArrayLike, *, metre: float, kilogram: float) -> Array:
-    """The numbers (..., 10) of the same bodies in other units of length and mass.
+    """Return the numbers (..., 10) of the same bodies in other units of length and mass.
 
     [Lee2019] Eq. (3.3.24).
 
@@ -166,7 +166,7 @@ def change_units(phi: ArrayLike, *, metre: float, kilogram: float) -> Array:
 
 
 def from_point_masses(masses: ArrayLike, positions: ArrayLike) -> Array:
-    """Inertial parameters (..., 10) of Σ mₖ [xₖ;1][xₖ;1]ᵀ ([Lee2019] Eq. (3.2.5)).
+    """Return inertial parameters (..., 10) of Σ mₖ [xₖ;1][xₖ;1]ᵀ ([Lee2019] Eq. (3.2.5)).
 
     Args:
         masses: (..., k) masses, kg; negative ones take mass away.
@@ -234,7 +234,7 @@ def central_second_moment(phi: ArrayLike) -> Array:
 
 
 def principal_axes(phi: ArrayLike) -> PrincipalAxes:
-    """Principal axes of bodies φ (..., 10) with a mass."""
+    """Return principal axes of bodies φ (..., 10) with a mass."""
     phi = checked_phi(phi)
     values, axes = np.linalg.eigh(central_second_moment(phi))
     handedness = np.where(np.linalg.det(axes) < 0, -1.0, 1.0)

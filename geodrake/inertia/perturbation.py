@@ -43,7 +43,7 @@ def perturb(
     point_masses: int = 10,
     support: Ellipsoid | None = None,
 ) -> Perturbation:
-    """Random bodies: each adds or takes away point masses at random places of its support.
+    """Return random bodies: each adds or takes away point masses at random places of its support.
 
         P̃ = P + Σ (Δm ηᵢ) [xᵢ;1][xᵢ;1]ᵀ,  Δm ∈ [−δ m, δ m],  Σ ηᵢ = 1       [Lee2019] (B.2.11)
 

@@ -70,7 +70,7 @@ def geodesic(P1: ArrayLike, P2: ArrayLike, t: ArrayLike) -> Array:
 
 
 def distance(P1: ArrayLike, P2: ArrayLike) -> Array:
-    """Geodesic distances (...) √(Σ log² λᵢ), with λ the eigenvalues of P1⁻¹ P2.
+    """Return geodesic distances (...) √(Σ log² λᵢ), with λ the eigenvalues of P1⁻¹ P2.
 
     This is √2 times the length of the geodesic in the metric (2.2.5), whose ½ the source leaves out
     here ([Lee2019] Eq. (2.2.10)).
@@ -79,7 +79,7 @@ def distance(P1: ArrayLike, P2: ArrayLike) -> Array:
 
 
 def log_det_divergence(P1: ArrayLike, P2: ArrayLike) -> Array:
-    """Log-det divergences (...) −log|P2⁻¹ P1| + tr(P2⁻¹ P1) − n = Σ (λᵢ − 1 − log λᵢ) ≥ 0.
+    """Return log-det divergences (...) −log|P2⁻¹ P1| + tr(P2⁻¹ P1) − n = Σ (λᵢ − 1 − log λᵢ) ≥ 0.
 
     Zero just when P1 = P2 ([Lee2019] Eq. (2.2.14) with −n for its −4, and Eq. (2.2.15)).
     """
@@ -129,32 +129,32 @@ def _not_positive(P: Array, good: NDArray[np.bool_]) -> ArgumentError:
 
 
 def _first(P: Array, good: NDArray[np.bool_]) -> list[list[float]]:
-    """The first bad matrix; any, where rounding lets no test find it."""
+    """Return the first bad matrix; any, where rounding lets no test find it."""
     flat = P.reshape(-1, *P.shape[-2:])
     found: list[list[float]] = flat[int(np.argmin(good.ravel()))].tolist()
     return found
 
 
 def _tangent(V: ArrayLike, L: Array) -> Array:
-    """Tangent matrices of the size of L."""
+    """Return the tangent matrices of the size of L."""
     n = L.shape[-1]
     return real_array(V, "a tangent matrix", ("...", n, n), {"...": L.shape[:-2]})
 
 
 def congruent(G: Array, V: Array) -> Array:
-    """G V Gᵀ, exactly symmetric, of G (..., m, n) and symmetric V (..., n, n)."""
+    """Return G V Gᵀ, exactly symmetric, of G (..., m, n) and symmetric V (..., n, n)."""
     product = G @ V @ np.swapaxes(G, -1, -2)
     return np.asarray(0.5 * (product + np.swapaxes(product, -1, -2)))
 
 
 def from_root(side: Array, half_logs: Array) -> Array:
-    """Side exp(2 half_logs) sideᵀ, exactly symmetric, of (..., n, n) and (..., n)."""
+    """Return the side exp(2 half_logs) sideᵀ, exactly symmetric, of (..., n, n) and (..., n)."""
     root = side * np.exp(half_logs)[..., None, :]
     return np.asarray(root @ np.swapaxes(root, -1, -2))
 
 
 def relative_spectrum(P1: ArrayLike, P2: ArrayLike) -> tuple[Array, Array]:
-    """Logarithms (..., n) and axes (..., n, n) of L⁻¹ P2 L⁻ᵀ with P1 = L Lᵀ.
+    """Return logarithms (..., n) and axes (..., n, n) of L⁻¹ P2 L⁻ᵀ with P1 = L Lᵀ.
 
     Close matrices are compared by their difference, others by their roots: either way the small
     eigenvalues are as precise as they can be.
@@ -219,7 +219,7 @@ def karcher_mean(
 
 
 def _normalized(weights: ArrayLike | None, sizes: Sizes) -> Array:
-    """Weights (..., k) that sum to one."""
+    """Return weights (..., k) that sum to one."""
     if sizes["k"] == (0,):
         raise ArgumentError("There is no mean of no matrices.")
     given = np.ones(sizes["k"]) if weights is None else weights
@@ -231,7 +231,7 @@ def _normalized(weights: ArrayLike | None, sizes: Sizes) -> Array:
 
 
 def _first_guess(P: Array, w: Array) -> Array:
-    """Midway between arithmetic and harmonic mean, which is exact for two equal weights."""
+    """Return the middle of arithmetic and harmonic mean, which is exact for two equal weights."""
     _, inverses = whitening(P)
     arithmetic = np.einsum("...k,...kij->...ij", w, P)
     inverse = np.einsum("...k,...kli,...klj->...ij", w, inverses, inverses)
@@ -244,7 +244,7 @@ def _weighted_sum(w: Array, logs: Array, axes: Array) -> Array:
 
 
 def _newton_step(w: Array, logs: Array, axes: Array, gradient: Array) -> Array:
-    """H⁻¹ gradient with the Hessian H of ½ Σ wₖ d², all whitened.
+    """Return H⁻¹ gradient with the Hessian H of ½ Σ wₖ d², all whitened.
 
     In the axes of its logarithm, ½ d² has curvature (x/2) coth(x/2) ≥ 1 along each pair of axes
     whose logarithms differ by x.
@@ -265,7 +265,7 @@ def _newton_step(w: Array, logs: Array, axes: Array, gradient: Array) -> Array:
 def _line_search(
     P: Array, w: Array, along: tuple[Array, Array], known: tuple[Array, Array, Array]
 ) -> Array:
-    """Next mean: the cost, what the slope promises of the step, and rounding are known."""
+    """Return the next mean: cost, what the slope promises of the step, and rounding are known."""
     (L, step), (cost, promise, rounding) = along, known
     rates, axes = np.linalg.eigh(step)
 
@@ -276,5 +276,5 @@ def _line_search(
 
 
 def _cost(P: Array, w: Array, mean: Array) -> Array:
-    """½ Σ wₖ d(mean, Pₖ)², (...)."""
+    """Return ½ Σ wₖ d(mean, Pₖ)², (...)."""
     return np.asarray(0.5 * (w * distance(mean[..., None, :, :], P) ** 2).sum(-1))

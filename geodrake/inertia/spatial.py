@@ -41,7 +41,7 @@ def from_spatial_inertia_matrix(matrix: ArrayLike) -> Array:
 
 
 def from_spatial_inertia(spatial: SpatialInertia) -> Array:
-    """Inertial parameters of Drake's M_BBo_B; shape (10,)."""
+    """Return inertial parameters of Drake's M_BBo_B; shape (10,)."""
     instance(spatial, "spatial", SpatialInertia)
     inertia = spatial.get_mass() * spatial.get_unit_inertia().CopyToFullMatrix3()
     moments = [inertia[i, j] for i, j in ((0, 0), (1, 1), (2, 2), (0, 1), (1, 2), (2, 0))]

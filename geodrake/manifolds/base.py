@@ -38,15 +38,15 @@ class Manifold(abc.ABC):
         """Number n of coordinates."""
 
     def contains(self, x: ArrayLike) -> NDArray[np.bool_]:
-        """Whether each point x (..., n) is inside the set; one that is not finite is not."""
+        """Return whether each point x (..., n) is inside the set; one that is not finite is not."""
         return self.calc_contains(real_array(x, "x", ("...", self.dimension), finite=False))
 
     def barrier(self, x: ArrayLike) -> Array:
-        """h(x) (...) at points x (..., n) inside the set."""
+        """Return h(x) (...) at points x (..., n) inside the set."""
         return self.calc_barrier(self._points(x))
 
     def gradient(self, x: ArrayLike) -> Array:
-        """∇h(x), (..., n)."""
+        """Return ∇h(x), (..., n)."""
         return self.calc_gradient(self._points(x))
 
     def metric(self, x: ArrayLike) -> Array:
@@ -58,7 +58,7 @@ class Manifold(abc.ABC):
         return self.calc_inverse_metric_times(*self._point_and(x, b, "b"))
 
     def divergence(self, x: ArrayLike, y: ArrayLike) -> Array:
-        """Bregman divergence D(x‖y) ≥ 0 (...), zero just when x = y; both inside the set."""
+        """Return Bregman divergence D(x‖y) ≥ 0 (...), zero just when x = y; both inside the set."""
         sizes: Sizes = {}
         return self.calc_divergence(self._points(x, "x", sizes), self._points(y, "y", sizes))
 
@@ -86,7 +86,7 @@ class Manifold(abc.ABC):
         return self.calc_natural_step(*self._point_and(x, b, "b"), number(time, "time"))
 
     def _points(self, x: ArrayLike, name: str = "x", sizes: Sizes | None = None) -> Array:
-        """Points (..., n) inside the set."""
+        """Return points (..., n) inside the set."""
         points = real_array(x, name, ("...", self.dimension), sizes)
         if not (inside := self.calc_contains(points)).all():
             outside = points[~inside][0] if inside.ndim else points
@@ -97,7 +97,7 @@ class Manifold(abc.ABC):
         return points
 
     def _point_and(self, x: ArrayLike, b: ArrayLike, name: str) -> tuple[Array, Array]:
-        """Points with covectors or steps."""
+        """Return points with covectors or steps."""
         sizes: Sizes = {}
         points = self._points(x, "x", sizes)
         return points, real_array(b, name, ("...", self.dimension), sizes)
@@ -150,7 +150,7 @@ class Manifold(abc.ABC):
         return MirrorLine(point, lambda t: float(np.vdot(b, point(t))), longest, scale_of(speed))
 
     def _longest_line(self, x: Array, b: Array) -> float:
-        """Time at which the mirror line ends at infinity; never unless overridden."""
+        """Return the time at which the mirror line ends at infinity; never unless overridden."""
         return np.inf
 
     def calc_mirror_span(self, x: Array, rows: Array) -> MirrorSpan:
@@ -196,11 +196,11 @@ class Manifold(abc.ABC):
         return self.calc_retract(x, -time * self.calc_inverse_metric_times(x, b))
 
     def _well_inside(self, x: Array) -> NDArray[np.bool_]:
-        """Whether points are inside by more than rounding."""
+        """Return whether points are inside by more than rounding."""
         return self.calc_contains(x)
 
     def _retract(self, x: Array, v: Array) -> Array:
-        """The retraction in exact arithmetic; along the straight line unless overridden.
+        """Return the retraction in exact arithmetic; along the straight line unless overridden.
 
         On the way to an edge at time T, time s of the step is slowed down to T (1 − exp(−s/T)).
         """
@@ -209,7 +209,7 @@ class Manifold(abc.ABC):
 
 
 def slowed_time(edge: Array) -> Array:
-    """T (1 − exp(−1/T)) for the time T > 0 of an edge, which is one if there is none."""
+    """Return T (1 − exp(−1/T)) for the time T > 0 of an edge, which is one if there is none."""
     safe = np.where(np.isfinite(edge) & (edge > 0), edge, 1.0)
     return np.where(np.isfinite(edge), -safe * np.expm1(-1.0 / safe), 1.0)
 
@@ -234,7 +234,7 @@ class Lift:
 
     @classmethod
     def nothing(cls, manifold: Manifold) -> Lift:
-        """A manifold as all of itself."""
+        """Return a manifold as all of itself."""
         n = manifold.dimension
         places = np.arange(n)
         return cls(manifold, np.eye(n), np.zeros(n), places, np.zeros((0, n)), np.zeros(0))

@@ -49,7 +49,7 @@ class ConstrainedInertia(Manifold, Short):
         return PARAMETERS_PER_BODY
 
     def slacks(self, x: ArrayLike) -> Array:
-        """How far each constraint is from being broken, aₖᵀ x − bₖ, (..., m)."""
+        """Return how far each constraint is from being broken, aₖᵀ x − bₖ, (..., m)."""
         return self.calc_slacks(real_array(x, "x", ("...", PARAMETERS_PER_BODY)))
 
     def calc_slacks(self, x: Array) -> Array:
@@ -57,35 +57,35 @@ class ConstrainedInertia(Manifold, Short):
         return np.asarray(x @ self.normals.T - self.offsets)
 
     def calc_contains(self, x: Array) -> NDArray[np.bool_]:
-        """Whether P(x) ≻ 0 and all constraints hold (...), [Lee2019] Eq. (5.3.26)."""
+        """Return whether P(x) ≻ 0 and all constraints hold (...), [Lee2019] Eq. (5.3.26)."""
         finite = np.asarray(np.isfinite(x).all(-1))
         slacks = self.calc_slacks(np.where(finite[..., None], x, 0.0))
         return np.asarray(_INERTIA.calc_contains(x) & (slacks > 0).all(-1))
 
     def calc_barrier(self, x: Array) -> Array:
-        """h(x), [Lee2019] Eq. (5.3.27)."""
+        """Return h(x), [Lee2019] Eq. (5.3.27)."""
         return np.asarray(
             _INERTIA.calc_barrier(x) - self.weight * np.log(self.calc_slacks(x)).sum(-1)
         )
 
     def calc_gradient(self, x: Array) -> Array:
-        """∇h(x), (..., 10)."""
+        """Return ∇h(x), (..., 10)."""
         return np.asarray(_INERTIA.calc_gradient(x) - self.weight * self._scaled(x).sum(-2))
 
     def calc_metric(self, x: Array) -> Array:
-        """g(x), (..., 10, 10), [Lee2019] Eq. (5.3.28)."""
+        """Return g(x), (..., 10, 10), [Lee2019] Eq. (5.3.28)."""
         rows = self._scaled(x)
         return np.asarray(_INERTIA.calc_metric(x) + self.weight * np.swapaxes(rows, -1, -2) @ rows)
 
     def calc_frame(self, x: Array) -> Array:
-        """That of the body, corrected for the constraints."""
+        """Return the body's, corrected for the constraints."""
         T = _INERTIA.calc_frame(x)
         rows = self._scaled(x) @ T
         L = np.linalg.cholesky(np.eye(len(T)) + self.weight * rows.T @ rows)
         return np.asarray(T @ np.linalg.inv(L).T)
 
     def lift(self) -> Lift:
-        """The body next to its slacks, as positive parameters."""
+        """Return the body next to its slacks, as positive parameters."""
         m = len(self.offsets)
         return Lift(
             Product((_INERTIA, Positive(m)), (1.0, self.weight)),
@@ -97,7 +97,7 @@ class ConstrainedInertia(Manifold, Short):
         )
 
     def calc_inverse_metric_times(self, x: Array, b: Array) -> Array:
-        """g(x)⁻¹ b by Woodbury's identity, [Lee2019] Eq. (B.4.21) without its factors 2.
+        """Return g(x)⁻¹ b by Woodbury's identity, [Lee2019] Eq. (B.4.21) without its factors 2.
 
         Only an m×m matrix is solved with.
         """
@@ -109,13 +109,13 @@ class ConstrainedInertia(Manifold, Short):
         return np.asarray(free - (np.swapaxes(rows_free, -1, -2) @ pull)[..., 0])
 
     def calc_divergence(self, x: Array, y: Array) -> Array:
-        """D(x‖y), [Lee2019] Eq. (5.3.29)."""
+        """Return D(x‖y), [Lee2019] Eq. (5.3.29)."""
         difference = x - y
         terms = excess(difference @ self.normals.T / self.calc_slacks(y))
         return np.asarray(_INERTIA.calc_divergence(x, y) + self.weight * terms.sum(-1))
 
     def calc_longest_step(self, x: Array, v: Array) -> Array:
-        """The time (...) at which P(x + t v) becomes singular or a constraint binds."""
+        """Return the time (...) at which P(x + t v) becomes singular or a constraint binds."""
         rates = v @ self.normals.T
         falling = rates < 0
         times = np.where(falling, self.calc_slacks(x) / np.where(falling, -rates, 1.0), np.inf)
@@ -125,5 +125,5 @@ class ConstrainedInertia(Manifold, Short):
         return _INERTIA._well_inside(x) & (self.calc_slacks(x) > 0).all(-1)
 
     def _scaled(self, x: Array) -> Array:
-        """Rows aₖᵀ / (aₖᵀ x − bₖ), (..., m, 10)."""
+        """Return rows aₖᵀ / (aₖᵀ x − bₖ), (..., m, 10)."""
         return np.asarray(self.normals / self.calc_slacks(x)[..., None])

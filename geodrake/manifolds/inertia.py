@@ -49,25 +49,25 @@ class PhysicalInertia(Manifold):
         return PARAMETERS_PER_BODY
 
     def calc_contains(self, x: Array) -> NDArray[np.bool_]:
-        """Whether P(x) ≻ 0 (...)."""
+        """Return whether P(x) ≻ 0 (...)."""
         clear = calc_clearly_inside(contiguous(x).ravel(), _bodies(x))
         return np.ones(x.shape[:-1], bool) if clear else is_physical(x)
 
     def calc_barrier(self, x: Array) -> Array:
-        """−log det P(x), [Lee2019] Eq. (5.3.23)."""
+        """Return −log det P(x), [Lee2019] Eq. (5.3.23)."""
         return -np.linalg.slogdet(calc_pseudo_inertia(x))[1]
 
     def calc_gradient(self, x: Array) -> Array:
-        """−tr(P(x)⁻¹ P(eᵢ)), (..., 10)."""
+        """Return −tr(P(x)⁻¹ P(eᵢ)), (..., 10)."""
         inverse = np.linalg.inv(calc_pseudo_inertia(x))
         return np.asarray(-inverse.reshape((*x.shape[:-1], 16)) @ BASIS.reshape(-1, 16).T)
 
     def calc_metric(self, x: Array) -> Array:
-        """tr(P⁻¹ P(eᵢ) P⁻¹ P(eⱼ)), (..., 10, 10), [Lee2019] Eq. (5.3.24)."""
+        """Return tr(P⁻¹ P(eᵢ) P⁻¹ P(eⱼ)), (..., 10, 10), [Lee2019] Eq. (5.3.24)."""
         return 2.0 * pullback_metric(x)
 
     def calc_inverse_metric_times(self, x: Array, b: Array) -> Array:
-        """P⁻¹(P(x) X(b) P(x)), [Lee2019] Eq. (B.4.20) without its factor 2.
+        """Return P⁻¹(P(x) X(b) P(x)), [Lee2019] Eq. (B.4.20) without its factor 2.
 
         X(b) is the symmetric matrix with tr(P(φ) X(b)) = φᵀ b, [Lee2019] Eq. (B.1.8).
         """
@@ -79,7 +79,7 @@ class PhysicalInertia(Manifold):
         return log_det_divergence(calc_pseudo_inertia(x), calc_pseudo_inertia(y))
 
     def calc_longest_step(self, x: Array, v: Array) -> Array:
-        """The time (...) at which P(x + t v) becomes singular."""
+        """Return the time (...) at which P(x + t v) becomes singular."""
         rates = self._rates(x, v)[..., 0]
         falling = rates < 0
         return np.where(falling, -1.0 / np.where(falling, rates, -1.0), np.inf)
@@ -119,7 +119,7 @@ class PhysicalInertia(Manifold):
             return np.full(gradient.shape, np.nan)
 
     def calc_natural_step(self, x: Array, b: Array, time: float) -> Array:
-        """The geodesic of [Lee2019] Eq. (2.2.9), which needs no inverse on its way."""
+        """Return the geodesic of [Lee2019] Eq. (2.2.9), which needs no inverse on its way."""
         if x.shape == b.shape:
             stepped, each = np.empty(x.shape), (contiguous(x).ravel(), contiguous(b).ravel())
             if calc_natural_steps(*each, _bodies(x), float(time), stepped.reshape(-1)):
@@ -127,7 +127,7 @@ class PhysicalInertia(Manifold):
         return super().calc_natural_step(x, b, time)  # long, or at the edge of what can exist
 
     def _retract(self, x: Array, v: Array) -> Array:
-        """The geodesic, [Lee2019] Eq. (2.2.9)."""
+        """Return the geodesic, [Lee2019] Eq. (2.2.9)."""
         L, root = whitening(calc_pseudo_inertia(x))
         rates, axes = np.linalg.eigh(root @ calc_pseudo_inertia(v) @ np.swapaxes(root, -1, -2))
         longest = np.abs(rates).max(-1, keepdims=True)
@@ -141,14 +141,14 @@ class PhysicalInertia(Manifold):
 
     @staticmethod
     def _rates(x: Array, v: Array) -> Array:
-        """Eigenvalues (..., 4) of P(x)⁻¹ P(v) in ascending order."""
+        """Return eigenvalues (..., 4) of P(x)⁻¹ P(v) in ascending order."""
         _, root = whitening(calc_pseudo_inertia(x))
         whitened = root @ calc_pseudo_inertia(v) @ np.swapaxes(root, -1, -2)
         return np.asarray(np.linalg.eigvalsh(whitened), float)
 
 
 def _bodies(x: Array) -> Factors:
-    """The factors of vectors (..., 10)."""
+    """Return the factors of vectors (..., 10)."""
     places = np.arange(0, x.size, PARAMETERS_PER_BODY)
     return places, np.ones(len(places)), places[:0], np.empty(0), np.empty(0)
 

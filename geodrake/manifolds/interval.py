@@ -79,22 +79,22 @@ class Interval(Manifold):
         return bool(np.isfinite(self.lower).all() and np.isinf(self.upper).all())
 
     def _slacks(self, x: Array) -> tuple[Array, Array]:
-        """Distances to the lower and the upper bounds."""
+        """Return distances to the lower and the upper bounds."""
         lower, upper = self._bounds
         return x - lower, upper - x
 
     def calc_contains(self, x: Array) -> NDArray[np.bool_]:
-        """Whether l < x < u in every parameter (...)."""
+        """Return whether l < x < u in every parameter (...)."""
         lower, upper = self._bounds
         return np.asarray(((x > lower) & (x < upper)).all(-1))
 
     def calc_barrier(self, x: Array) -> Array:
-        """h(x), [Lee2019] Eq. (5.3.35)."""
+        """Return h(x), [Lee2019] Eq. (5.3.35)."""
         logs = sum(np.log(np.where(np.isinf(slack), 1.0, slack)) for slack in self._slacks(x))
         return (np.where(self._flat, 0.5 * x * x, 0.0) - logs).sum(-1)
 
     def calc_gradient(self, x: Array) -> Array:
-        """∇h(x), (..., n)."""
+        """Return ∇h(x), (..., n)."""
         if self.only_lower:
             return np.asarray(-1.0 / (x - self._bounds[0]))
         below, above = self._slacks(x)
@@ -105,25 +105,25 @@ class Interval(Manifold):
         return np.where(self._flat, 1.0, below**-2.0 + above**-2.0)
 
     def calc_metric(self, x: Array) -> Array:
-        """The diagonal metric of [Lee2019] Eq. (5.3.36)."""
+        """Return the diagonal metric of [Lee2019] Eq. (5.3.36)."""
         return self._curvature(x)[..., None] * np.eye(self.dimension)
 
     def calc_inverse_metric_times(self, x: Array, b: Array) -> Array:
-        """g(x)⁻¹ b, [Lee2019] Eq. (B.4.22) and (B.4.23), component by component."""
+        """Return g(x)⁻¹ b, [Lee2019] Eq. (B.4.22) and (B.4.23), component by component."""
         if self.only_lower:
             slack = x - self._bounds[0]
             return np.asarray(slack * slack * b)
         return b / self._curvature(x)
 
     def calc_divergence(self, x: Array, y: Array) -> Array:
-        """D(x‖y), [Lee2019] Eq. (5.3.37)."""
+        """Return D(x‖y), [Lee2019] Eq. (5.3.37)."""
         step = x - y
         below, above = self._slacks(y)
         terms = excess(step / below) + excess(-step / above)
         return np.where(self._flat, 0.5 * step * step, terms).sum(-1)
 
     def calc_longest_step(self, x: Array, v: Array) -> Array:
-        """The time (...) at which x + t v reaches a bound."""
+        """Return the time (...) at which x + t v reaches a bound."""
         below, above = self._slacks(x)
         toward = np.where(v > 0, above, below)
         moving = v != 0
@@ -131,7 +131,7 @@ class Interval(Manifold):
         return np.where(moving, times, np.inf).min(-1, initial=np.inf)
 
     def calc_frame(self, x: Array) -> Array:
-        """Diagonal (n, n)."""
+        """Return the diagonal (n, n)."""
         return np.diag(1.0 / np.sqrt(self._curvature(x)))
 
     def _longest_line(self, x: Array, b: Array) -> float:
@@ -174,7 +174,7 @@ class Interval(Manifold):
         return super().calc_natural_step(x, b, time)
 
     def _factors(self, x: Array) -> Factors:
-        """The factors of points (..., n) that have lower bounds only."""
+        """Return the factors of points (..., n) that have lower bounds only."""
         places, lower = np.arange(x.size), np.broadcast_to(self._bounds[0], x.shape).ravel()
         return places[:0], np.empty(0), places, lower, np.ones(x.size)
 
@@ -201,7 +201,7 @@ class Interval(Manifold):
 
 
 def _positive(x: Array) -> Array:
-    """The numbers, with NaN put in for those that are not above zero."""
+    """Return the numbers, with NaN put in for those that are not above zero."""
     x[x <= 0] = np.nan
     return x
 

@@ -94,7 +94,7 @@ class MirrorSpan(NamedTuple):
 
 
 def joined(lines: list[tuple[NDArray[np.intp], float, MirrorLine]], x: Array) -> MirrorLine:
-    """The line of a product from those of its factors, with their places and weights.
+    """Return the line of a product from those of its factors, with their places and weights.
 
     Args:
         lines: Of each kind of factors: the places of their coordinates, their weight in the

@@ -62,7 +62,7 @@ class _FactorGroup:
         return covectors if self.weight == 1.0 else covectors * self.weight
 
     def put(self, values: Array, x: Array) -> None:
-        """Writes coordinates (..., k, n) to their places in those of the product (..., N)."""
+        """Write coordinates (..., k, n) to their places in those of the product (..., N)."""
         if self._span is None:
             x[..., self.places] = values
         else:
@@ -143,7 +143,7 @@ class Product(Manifold):
         return tuple(groups)
 
     def _filled(self, function: Callable[..., Array], *vectors: Array) -> Array:
-        """Values (..., n) of a function of a group and of its coordinates (..., k, n_g)."""
+        """Return values (..., n) of a function of a group and of its coordinates (..., k, n_g)."""
         # (What has fewer leading axes than the rest is not repeated: the functions broadcast.)
         same = vectors[0].shape == vectors[-1].shape
         filled = np.empty(
@@ -162,7 +162,7 @@ class Product(Manifold):
         return np.logical_and.reduce(np.concatenate(inside, -1), -1)
 
     def calc_barrier(self, x: Array) -> Array:
-        """Σ wᵢ hᵢ(xᵢ), [Lee2019] Eq. (5.3.42)."""
+        """Return Σ wᵢ hᵢ(xᵢ), [Lee2019] Eq. (5.3.42)."""
         return _sum(g.weight * g.manifold.calc_barrier(g.part(x)).sum(-1) for g in self._groups)
 
     def calc_gradient(self, x: Array) -> Array:
@@ -173,20 +173,20 @@ class Product(Manifold):
         return gradient
 
     def calc_metric(self, x: Array) -> Array:
-        """diag(wᵢ gᵢ(xᵢ)), [Lee2019] Eq. (5.3.43)."""
+        """Return diag(wᵢ gᵢ(xᵢ)), [Lee2019] Eq. (5.3.43)."""
         metric = np.zeros((*x.shape, self.dimension))
         for factor, w, part in self._factors:
             metric[..., part, part] = w * factor.calc_metric(x[..., part])
         return metric
 
     def calc_inverse_metric_times(self, x: Array, b: Array) -> Array:
-        """gᵢ(xᵢ)⁻¹ bᵢ / wᵢ factor by factor, [Lee2019] Eq. (B.4.19)."""
+        """Return gᵢ(xᵢ)⁻¹ bᵢ / wᵢ factor by factor, [Lee2019] Eq. (B.4.19)."""
         return self._filled(
             lambda g, x, b: g.manifold.calc_inverse_metric_times(x, g.light(b)), x, b
         )
 
     def calc_divergence(self, x: Array, y: Array) -> Array:
-        """Σ wᵢ Dᵢ(xᵢ‖yᵢ), [Lee2019] Eq. (5.3.44)."""
+        """Return Σ wᵢ Dᵢ(xᵢ‖yᵢ), [Lee2019] Eq. (5.3.44)."""
         return _sum(
             g.weight * g.manifold.calc_divergence(g.part(x), g.part(y)).sum(-1)
             for g in self._groups
@@ -198,14 +198,14 @@ class Product(Manifold):
         return np.minimum.reduce(times)
 
     def calc_frame(self, x: Array) -> Array:
-        """Those of the factors as blocks (n, n)."""
+        """Return those of the factors as blocks (n, n)."""
         frame = np.zeros((self.dimension, self.dimension))
         for factor, w, part in self._factors:
             frame[part, part] = factor.calc_frame(x[part]) / np.sqrt(w)
         return frame
 
     def calc_mirror_line(self, x: Array, b: Array) -> MirrorLine:
-        """Factor by factor; those that b has nothing of stay."""
+        """Return the factor by factor; those that b has nothing of stay."""
         lines = []
         for group in self._groups:
             used = group.part(b).any(-1)
@@ -288,7 +288,7 @@ class Product(Manifold):
 
 
 def _leaves(product: Product) -> Iterator[tuple[Manifold, float]]:
-    """The factors of a product and of the products in it, with their weights."""
+    """Yield the factors of a product and of the products in it, with their weights."""
     for factor, weight in zip(product.manifolds, product.weights, strict=True):
         if isinstance(factor, Product):
             yield from ((leaf, weight * own) for leaf, own in _leaves(factor))

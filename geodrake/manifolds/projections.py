@@ -54,13 +54,13 @@ class Polyhedron(Short):
             object.__setattr__(self, name, value)
 
     def violation(self, y: ArrayLike) -> Array:
-        """(k,) how far each row is outside of its limits at y (n,)."""
+        """Return (k,) how far each row is outside of its limits at y (n,)."""
         value = self.matrix @ real_array(y, "y", (self.matrix.shape[1],))
         return np.maximum(0.0, np.maximum(self.lower - value, value - self.upper))
 
 
 def halfspace(a: ArrayLike, b: float) -> Polyhedron:
-    """The points y with aᵀ y ≥ b, for a normal a (n,) that points inside."""
+    """Return the points y with aᵀ y ≥ b, for a normal a (n,) that points inside."""
     return slab(a, number(b, "b"), np.inf)
 
 
@@ -71,7 +71,7 @@ def affine_set(A: ArrayLike, b: ArrayLike) -> Polyhedron:
 
 
 def slab(a: ArrayLike, lower: float, upper: float) -> Polyhedron:
-    """The points y with lower ≤ aᵀ y ≤ upper, for a (n,); infinite limits are none."""
+    """Return the points y with lower ≤ aᵀ y ≤ upper, for a (n,); infinite limits are none."""
     limits = (number(lower, "lower", finite=False), number(upper, "upper", finite=False))
     return Polyhedron(real_array(a, "a", ("n",))[None], *(np.array([limit]) for limit in limits))
 
@@ -131,7 +131,7 @@ class _State:
     multipliers: Array
 
     def weighted(self, w: float) -> _State:
-        """The state with the gradient and the multipliers times w."""
+        """Return the state with the gradient and the multipliers times w."""
         force = self.manifold.calc_gradient(self.y)
         line = self.manifold.calc_mirror_line(self.y, -force if w < 1.0 else force)
         return replace(self, y=line.point(abs(w - 1.0)), multipliers=w * self.multipliers)
@@ -211,7 +211,7 @@ class _State:
 
 
 def _solved(state: _State, max_iterations: int) -> _State:
-    """The best of a sequence of states towards the optimum."""
+    """Return the best of a sequence of states towards the optimum."""
     best = state
     try:
         for _ in range(max_iterations):
@@ -251,7 +251,7 @@ def _along_path(start: _State, max_iterations: int) -> _State:
 
 
 def _centered(state: _State, max_iterations: int) -> tuple[_State, bool]:
-    """A state on the path, and whether it is near enough to the path."""
+    """Return a state on the path, and whether it is near enough to the path."""
     for _ in range(max_iterations):
         if state.newton_length < _LOOSE:
             return state, True
@@ -274,7 +274,7 @@ def bregman_projection(
     tolerance: float = 1e-10,
     max_iterations: int = 25,
 ) -> Array:
-    """The point of a polyhedron that is nearest to x, inside of the manifold's set.
+    """Return the point of a polyhedron that is nearest to x, inside of the manifold's set.
 
     It is returned only with a certificate: multipliers with which it meets the conditions of
     optimality, checked with the manifold's own gradient.
@@ -313,7 +313,7 @@ def bregman_projection(
 def _certified(
     manifold: Manifold, x: Array, constraints: Polyhedron, effort: tuple[float, int]
 ) -> tuple[Array, float]:
-    """The best point that was found, and how far it is from being optimal."""
+    """Return the best point that was found, and how far it is from being optimal."""
     lift = manifold.lift() or Lift.nothing(manifold)
     k = len(constraints.matrix)
     matrix = np.zeros((k, len(lift.offset)))
@@ -339,7 +339,7 @@ def _certified(
 def _certificate(
     manifold: Manifold, points: tuple[Array, Array], push: tuple[Array, Array]
 ) -> float:
-    """How far y is from meeting the conditions of optimality, beyond what rounding explains.
+    """Return how far y is from meeting the conditions of optimality, beyond what rounding explains.
 
     What is left of ∇h(y) − ∇h(x) − Aᵀ λ is shared out to x and y: with both moved by no more than
     the length returned, it would be zero.
@@ -364,7 +364,7 @@ def _certificate(
 
 
 def _without_zeros(constraints: Polyhedron) -> Polyhedron:
-    """The polyhedron without rows that say nothing."""
+    """Return the polyhedron without rows that say nothing."""
     A, lower, upper = constraints.matrix, constraints.lower, constraints.upper
     used = A.any(1)
     if ((lower > 0) | (upper < 0))[~used].any():

@@ -34,7 +34,7 @@ _ROOT = 2.0**0.5
 
 @inlined
 def put_pseudo_inertia(phi: Array, P: Array) -> None:
-    """Writes P(φ) (4, 4)."""
+    """Write P(φ) (4, 4)."""
     half = 0.5 * (phi[4] + phi[5] + phi[6])
     P[0, 0], P[1, 1], P[2, 2], P[3, 3] = half - phi[4], half - phi[5], half - phi[6], phi[0]
     P[0, 1] = P[1, 0] = -phi[7]
@@ -46,7 +46,7 @@ def put_pseudo_inertia(phi: Array, P: Array) -> None:
 
 @inlined
 def put_parameters(P: Array, phi: Array) -> None:
-    """Writes φ (10,) of P."""
+    """Write φ (10,) of P."""
     phi[0], phi[1], phi[2], phi[3] = P[3, 3], P[0, 3], P[1, 3], P[2, 3]
     phi[4], phi[5], phi[6] = P[1, 1] + P[2, 2], P[2, 2] + P[0, 0], P[0, 0] + P[1, 1]
     phi[7], phi[8], phi[9] = -P[0, 1], -P[1, 2], -P[2, 0]
@@ -54,7 +54,7 @@ def put_parameters(P: Array, phi: Array) -> None:
 
 @inlined
 def put_dual(b: Array, X: Array) -> None:
-    """Writes X(b) (4, 4)."""
+    """Write X(b) (4, 4)."""
     X[0, 0], X[1, 1], X[2, 2], X[3, 3] = b[5] + b[6], b[6] + b[4], b[4] + b[5], b[0]
     X[0, 1] = X[1, 0] = -0.5 * b[7]
     X[1, 2] = X[2, 1] = -0.5 * b[8]
@@ -65,7 +65,7 @@ def put_dual(b: Array, X: Array) -> None:
 
 @compiled
 def put_product(A: Array, B: Array, out: Array) -> None:
-    """Writes A B of matrices (4, 4); not inlined, which would take long to compile."""
+    """Write A B of matrices (4, 4); not inlined, which would take long to compile."""
     for i in range(4):
         for j in range(4):
             total = 0.0
@@ -76,7 +76,7 @@ def put_product(A: Array, B: Array, out: Array) -> None:
 
 @inlined
 def put_congruence(A: Array, B: Array, room: Array, out: Array) -> None:
-    """Writes Aᵀ B A of matrices (4, 4), which may be B itself."""
+    """Write Aᵀ B A of matrices (4, 4), which may be B itself."""
     put_product(B, A, room)
     for i in range(4):
         for j in range(4):
@@ -98,7 +98,7 @@ def frobenius_norm(Z: Array) -> float:
 
 @inlined
 def put_identity(out: Array) -> None:
-    """Writes 𝟙 (4, 4)."""
+    """Write 𝟙 (4, 4)."""
     for i in range(4):
         for j in range(4):
             out[i, j] = 0.0
@@ -107,7 +107,7 @@ def put_identity(out: Array) -> None:
 
 @inlined
 def put_exponential(Z: Array, size: float, room: Array, E: Array) -> None:
-    """Writes exp(Z) of a matrix (4, 4) of Frobenius' norm `size`: a series of Z/2ᵏ, squared."""
+    """Write exp(Z) of a matrix (4, 4) of Frobenius' norm `size`: a series of Z/2ᵏ, squared."""
     share, squarings = 1.0, 0
     while size * share > _SHORT:
         share, squarings = 0.5 * share, squarings + 1
@@ -128,7 +128,7 @@ def put_exponential(Z: Array, size: float, room: Array, E: Array) -> None:
 
 @inlined
 def put_root(P: Array, L: Array) -> float:
-    """Writes the lower triangular L (4, 4) with P = L Lᵀ; det P, or zero where there is none."""
+    """Write the lower triangular L (4, 4) with P = L Lᵀ; det P, or zero where there is none."""
     determinant = 1.0
     for j in range(4):
         pivot = P[j, j]
@@ -162,7 +162,7 @@ def put_units(P: Array, d: Array) -> bool:
 
 @compiled
 def put_body_root(phi: Array, P: Array, d: Array, L: Array) -> bool:
-    """Writes the lower triangular L (4, 4) with P(φ) = L Lᵀ; False where there is none."""
+    """Write the lower triangular L (4, 4) with P(φ) = L Lᵀ; False where there is none."""
     put_pseudo_inertia(phi, P)
     if not (put_units(P, d) and put_root(P, L) > 0.0):
         return False
@@ -174,7 +174,7 @@ def put_body_root(phi: Array, P: Array, d: Array, L: Array) -> bool:
 
 @compiled
 def calc_natural_steps(x: Array, b: Array, factors: Factors, time: float, out: Array) -> bool:
-    """Writes the geodesics from x (n,) along −time g⁻¹ b ([Lee2019] Eq. (2.2.9)).
+    """Write the geodesics from x (n,) along −time g⁻¹ b ([Lee2019] Eq. (2.2.9)).
 
     Of a body, P⁺ = exp(Z) P = E P Eᵀ with Z = −time P X(b) and E = exp(½ Z). Above a lower bound l,
     l + (x − l) exp(−time (x − l) b). False, with `out` unfinished, where the step is very long or
@@ -245,7 +245,7 @@ def calc_clearly_inside(x: Array, factors: Factors) -> bool:
 
 @compiled
 def calc_whitened(x: Array, rows: Array, factors: Factors, L: Array, out: Array) -> None:
-    """Writes covectors (r, n) in an orthonormal frame at x (n,): A g⁻¹ Aᵀ is W Wᵀ.
+    """Write covectors (r, n) in an orthonormal frame at x (n,): A g⁻¹ Aᵀ is W Wᵀ.
 
     Of a body, Lᵀ X(b) L with P = L Lᵀ, in a basis of the symmetric matrices; the roots L (k, 4, 4)
     are not numbers where there are none. Above a lower bound, (x − l) b.
@@ -279,7 +279,7 @@ def calc_whitened(x: Array, rows: Array, factors: Factors, L: Array, out: Array)
 
 @inlined
 def put_combination(rows: Array, multipliers: Array, share: float, M: Array) -> None:
-    """Writes 𝟙 − share Σ λ W (4, 4) of W (r, 10) from `calc_whitened`."""
+    """Write 𝟙 − share Σ λ W (4, 4) of W (r, 10) from `calc_whitened`."""
     entry = 0
     for i in range(4):
         for j in range(-1, i):  # the diagonal first
@@ -297,7 +297,7 @@ def put_combination(rows: Array, multipliers: Array, share: float, M: Array) -> 
 def calc_spanned(
     x: Array, span: tuple[Array, Array], multipliers: Array, factors: Factors, out: Array
 ) -> None:
-    """Writes the point with the gradient ∇h(x) + Aᵀ λ; where there is none, what is no number.
+    """Write the point with the gradient ∇h(x) + Aᵀ λ; where there is none, what is no number.
 
     Of a body, P⁺ = L (𝟙 − Σ λ W)⁻¹ Lᵀ from P⁻¹ − X(Aᵀ λ), with λ (r,) and L and W those of
     `calc_whitened`. Above a lower bound, the inverse slack is linear in λ.
@@ -349,7 +349,7 @@ def robot_span(x: Array, rows: Array, factors: Factors) -> MirrorSpan:
 def factors_of(
     bodies: Sequence[tuple[int, float]], bounded: Sequence[tuple[int, float, float]]
 ) -> Factors:
-    """Factors for these loops.
+    """Return factors for these loops.
 
     Args:
         bodies: Where each body begins, and 1/w.

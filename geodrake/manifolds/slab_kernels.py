@@ -41,7 +41,7 @@ def calc_slab_projection(
     limits: tuple[float, float, int],
     out: tuple[Array, Array],
 ) -> tuple[float, int]:
-    """Writes the projection and its multipliers.
+    """Write the projection and its multipliers.
 
     Args:
         x: (n,) point inside of the manifold.
@@ -94,14 +94,14 @@ def calc_slab_projection(
 
 @compiled
 def put_scaled(share: float, values: Array, out: Array) -> None:
-    """Writes a multiple of a vector; zeros for none of it, whatever is in it."""
+    """Write a multiple of a vector; zeros for none of it, whatever is in it."""
     for i in range(len(out)):
         out[i] = share * values[i] if share != 0.0 else 0.0
 
 
 @compiled
 def put_products(whitened: Array, products: Array) -> None:
-    """Writes W Wᵀ (k, k)."""
+    """Write W Wᵀ (k, k)."""
     for i in range(len(whitened)):
         for j in range(i + 1):
             total = 0.0
@@ -114,7 +114,7 @@ def put_products(whitened: Array, products: Array) -> None:
 def put_gaps(
     slabs: tuple[Array, Array, Array], point: tuple[Array, Array], products: Array, gaps: Array
 ) -> float:
-    """Writes how far limits are above the values of rows; the greatest error in the metric.
+    """Write how far limits are above the values of rows; the greatest error in the metric.
 
     The gaps (k,) are the slope of the dual, zero where a row is inside and pushes nothing; the
     products are A g(y)⁻¹ Aᵀ (k, k).
@@ -145,7 +145,7 @@ def put_gaps(
 
 @compiled
 def put_direction(products: Array, gaps: Array, held: Array, d: Array) -> None:
-    """Writes Newton's step of the multipliers; none pulls a row on a side where it binds not."""
+    """Write Newton's step of the multipliers; none pulls a row on a side where it binds not."""
     count, left = len(gaps), 0
     rows = np.empty(count, np.int64)
     for i in range(count):
@@ -171,7 +171,7 @@ def put_direction(products: Array, gaps: Array, held: Array, d: Array) -> None:
 
 @compiled
 def put_solution(products: Array, gaps: Array, rows: Places, found: Array) -> None:
-    """Writes Newton's step of some rows, by Cholesky's decomposition on a unit diagonal."""
+    """Write Newton's step of some rows, by Cholesky's decomposition on a unit diagonal."""
     left = len(rows)
     L, scale = np.empty((left, left)), np.empty(left)
     for i in range(left):
@@ -210,7 +210,7 @@ def calc_kink(held: Array, d: Array, lower: Array, upper: Array) -> tuple[float,
 def is_short_enough(
     slabs: tuple[Array, Array, Array], trial: Array, way: tuple[Array, Array], slope: float
 ) -> bool:
-    """Whether a step that ends at a point does not go far beyond the top of the dual.
+    """Return whether a step that ends at a point does not go far beyond the top of the dual.
 
     Args:
         trial: (n,) its end, not a number where there is none.
@@ -232,7 +232,7 @@ def is_short_enough(
 def calc_stationarity(
     points: tuple[Array, Array], held: tuple[Array, Array], factors: Factors
 ) -> float:
-    """Length of ∇h(x) + Aᵀ λ − ∇h(y) in the metric at y, of x and y, and of A and λ."""
+    """Return the length of ∇h(x) + Aᵀ λ − ∇h(y) in the metric at y, of x and y, and of A and λ."""
     (x, y), (bodies, shares, places, lower, other_shares) = points, factors
     rows, multipliers = held
     push = np.empty(len(x))

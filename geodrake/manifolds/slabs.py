@@ -44,7 +44,7 @@ def slab_projection(
     *,
     share: float = 1.0,
 ) -> SlabProjection:
-    """The point of |A y − b| ≤ ε that is nearest to x in the divergence of a manifold.
+    """Return the point of |A y − b| ≤ ε that is nearest to x in the divergence of a manifold.
 
     For every sample: it trusts its arrays. Robots of bodies and lower bounds have a compiled loop;
     others go through `bregman_projection`, whose certificate is of the same kind.

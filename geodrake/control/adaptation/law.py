@@ -216,7 +216,7 @@ class AdaptationLaw(UpdateLaw):
         return self.manifold.calc_mirror_span(parameters, rows).squared_length / self.gamma
 
     def calc_parameter_error(self, truth: Array, parameters: Array) -> Array:
-        """γ D(p‖p̂) (...), [Lee2019] Eq. (5.4.49)."""
+        """Return γ D(p‖p̂) (...), [Lee2019] Eq. (5.4.49)."""
         return np.asarray(self.gamma * self.manifold.calc_divergence(truth, parameters))
 
 

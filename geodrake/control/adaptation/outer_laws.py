@@ -58,11 +58,11 @@ class _OuterLaw(UpdateLaw):
         return self.law.calc_contains(self._own(parameters))
 
     def calc_reach(self, parameters: Array, rows: Array) -> float:
-        """That of the law inside: limits make no rate greater."""
+        """Return the value of the law inside: limits make no rate greater."""
         return self.law.calc_reach(self._own(parameters), self._own(rows))
 
     def calc_parameter_error(self, truth: Array, parameters: Array) -> Array:
-        """V_p of the law inside."""
+        """Return V_p of the law inside."""
         return self.law.calc_parameter_error(self._own(truth), self._own(parameters))
 
 

@@ -154,7 +154,7 @@ class Acting:
 
 
 def told_joints(model: RobotModel, log: JointLog) -> NDArray[np.bool_]:
-    """(n,) whether each joint has a servo, and a command in a log."""
+    """Return (n,) whether each joint has a servo, and a command in a log."""
     if log.command is None:
         return np.zeros(len(model.joints), bool)
     known = (np.isfinite(log.command) & np.isfinite(log.time)[:, None]).any(axis=0)

@@ -148,7 +148,7 @@ def fit_rollouts(
 def _windows(
     case: Case, passages: Sequence[Passage], before: Rollout, free: Sequence[tuple[int, int]]
 ) -> list[SearchWindow]:
-    """All windows, ready to be simulated with other soft joints."""
+    """Return all windows, ready to be simulated with other soft joints."""
     made, found = simulations(case, passages, commands=before.commands), []
     acting = {
         log.name: lru_cache(maxsize=1)(partial(Acting, log=log, commands=before.commands))
@@ -191,7 +191,7 @@ def better_model(
 
 
 def _chance(search: MotionSearch, x: Array, after: Sequence[Array]) -> float:
-    """Chance that held-out windows are truly predicted no better than before.
+    """Return the chance that held-out windows are truly predicted no better than before.
 
     They are compared at the joints whose values are fitted: others feel them too, but there they
     are lost in larger errors. Either model may begin with other states, by its own dynamics.

@@ -73,7 +73,7 @@ def fit_servos(
 
 
 def held_out(logs: Sequence[str]) -> Mask:
-    """(W,) which windows are held out: every other log, or block of the windows of one log.
+    """Return (W,) which windows are held out: every other log, or block of the windows of one log.
 
     Args:
         logs: (W,) names of the windows' logs, one log after the other.

@@ -53,7 +53,7 @@ class MotionSearch:
     windows: Sequence[SearchWindow]
 
     def fit(self) -> tuple[Array, Array]:
-        """Steps (k,) of values from the start, and their standard deviations."""
+        """Return steps (k,) of values from the start, and their standard deviations."""
         lower, upper = np.transpose([value.bounds for value in self.values])
         x = self._tried(np.zeros(len(self.values)))
         for _ in range(_MOST_ROUNDS):
@@ -70,7 +70,7 @@ class MotionSearch:
         return x, self._deviations(x, self._blinds(x))
 
     def near(self, x: Array, *, slopes: bool = False) -> list[tuple[Array, Array]]:
-        """Departures of the windows near their motion, and slopes with their starts.
+        """Return departures of the windows near their motion, and slopes with their starts.
 
         Args:
             x: (k,) steps of values from the start.
@@ -94,18 +94,18 @@ class MotionSearch:
         return [w.departure - d for w, (d, _) in zip(self.windows, start, strict=True)]
 
     def _blinds(self, x: Array) -> list[Blind]:
-        """How departures count from now on, by where the search is."""
+        """Return how departures count from now on, by where the search is."""
         here = self.near(x, slopes=True)
         departures = [r + d for r, (d, _) in zip(self.rest, here, strict=True)]
         return blinds([slopes for _, slopes in here], departures)
 
     def _residuals(self, x: Array, blinds: Sequence[Blind]) -> list[Array]:
-        """Residuals of each window."""
+        """Return residuals of each window."""
         each = zip(blinds, self.rest, self.near(x), strict=True)
         return [blind(rest + departure) for blind, rest, (departure, _) in each]
 
     def _tried(self, x: Array) -> Array:
-        """The best of some values, one after another, each blind to starts as it has them.
+        """Return the best of some values, one after another, each blind to starts as it has them.
 
         Other values ring otherwise: blind to starts as they are elsewhere, the best would be those
         that are not far.
@@ -122,12 +122,12 @@ class MotionSearch:
         return x
 
     def _free(self, x: Array, scale: Array) -> list[Array]:
-        """Residuals of each window, blind to starts as the values have them."""
+        """Return residuals of each window, blind to starts as the values have them."""
         each = zip(self.rest, self.near(x, slopes=True), strict=True)
         return [blind_to(slopes, scale)(rest + d) for rest, (d, slopes) in each]
 
     def _deviations(self, x: Array, blinds: Sequence[Blind]) -> Array:
-        """(k,) standard deviations of the steps.
+        """Return (k,) standard deviations of the steps.
 
         The search ends where pulls, slopes times residuals, are 0. They differ by noise, or from
         window to window, whichever is more; and change with the values only by what no start makes.
@@ -168,13 +168,13 @@ class Blind:
         return np.asarray(whole / np.sqrt(len(departure)))
 
     def left(self, departure: Array) -> Array:
-        """(N, nv) the same as a departure, rad or m."""
+        """Return (N, nv) the same as a departure, rad or m."""
         whole = self(departure).reshape(departure.shape)
         return np.asarray(whole * self.scale * np.sqrt(len(departure)))
 
 
 def blinds(slopes: Sequence[Array], departures: Sequence[Array]) -> list[Blind]:
-    """Windows that are blind to their starts, over how well they know what joints depart by.
+    """Return windows that are blind to their starts, over how well they know what joints depart by.
 
     A window is worth all its samples where departures are noise of a sensor, which differs from
     sample to sample. What else is left varies with the motion, and is worth one.
@@ -202,13 +202,13 @@ def _noise(departures: Sequence[Array]) -> Array:
 
 
 def _rms(departures: Sequence[Array]) -> Array:
-    """(nv,) RMS of joints over windows."""
+    """Return (nv,) RMS of joints over windows."""
     mean = np.mean([np.mean(np.square(d), axis=0) for d in departures], axis=0)
     return np.asarray(np.maximum(np.sqrt(mean), _LEAST))
 
 
 def blind_to(slopes: Array, scale: Array) -> Blind:
-    """A window that is blind to its start.
+    """Return a window that is blind to its start.
 
     Args:
         slopes: (N, nv, k) departures that other states at its start make.

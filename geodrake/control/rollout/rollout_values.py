@@ -42,7 +42,7 @@ class RolloutValue:
         return -np.log(_FARTHEST), np.log(_FARTHEST)
 
     def moved(self, steps: float) -> float:
-        """The value after some steps."""
+        """Return the value after some steps."""
         if self.deviation:
             return self.value + max(steps, self.bounds[0]) * self.deviation
         return self.value * float(np.exp(steps))
@@ -58,7 +58,7 @@ def is_soft(model: RobotModel) -> bool:
 
 
 def rollout_values(model: RobotModel, *, commands: bool = False) -> tuple[RolloutValue, ...]:
-    """What of a model its simulated motion shows, and efforts hardly do.
+    """Return what of a model its simulated motion shows, and efforts hardly do.
 
     Under commands soft joints would make up for what their servos are off by: what is not known
     exactly of these is such a value, too, and so is what is not known exactly of their motors'
@@ -88,7 +88,7 @@ def rollout_values(model: RobotModel, *, commands: bool = False) -> tuple[Rollou
 
 
 def _motor_values(at: int, fitted: FittedEffect) -> Iterator[RolloutValue]:
-    """What resists a motor, friction, inertia and springs, as far as it is not known exactly.
+    """Yield what resists a motor, friction, inertia and springs, as far as it is not known exactly.
 
     It was found with the servo, and is off as that is: by far more than its deviations say. What
     may be of either sign, as offsets may, is not.
@@ -104,7 +104,7 @@ def _motor_values(at: int, fitted: FittedEffect) -> Iterator[RolloutValue]:
 
 
 def _servo_values(servo: EffortSignal) -> list[RolloutValue]:
-    """What is not known exactly of a servo.
+    """Return what is not known exactly of a servo.
 
     Its delay is not where others are not. What is known beside the gain is known no better than
     that: a fit that knew of no spring made up for it by their ratio.
@@ -161,7 +161,7 @@ def with_values(
     new: Sequence[float],
     deviations: Sequence[float],
 ) -> RobotModel:
-    """The model with other values."""
+    """Return the model with other values."""
     given: dict[int | str, tuple[dict[str, float], dict[str, float]]] = {}
     for value, now, unsure in zip(values, new, deviations, strict=True):
         own = given.setdefault(value.joint if value.at is None else value.at, ({}, {}))
@@ -180,7 +180,7 @@ def with_values(
 def _with_effect(
     fitted: FittedEffect, given: dict[str, float], deviations: dict[str, float]
 ) -> FittedEffect:
-    """An effect with other values; what is not given stays."""
+    """Return an effect with other values; what is not given stays."""
     if isinstance(fitted.effect, DeflectionEffect):
         return fitted.effect.with_rollout_values(given, deviations)
     names = [parameter.name for parameter in fitted.effect.parameters]
@@ -196,7 +196,7 @@ def _with_effect(
 def _with_servo(
     servo: EffortSignal, given: dict[str, float], deviations: dict[str, float]
 ) -> EffortSignal:
-    """A servo with other values.
+    """Return a servo with other values.
 
     Its gain is known to the share that it was: the motion tells it for given inertias only.
     """

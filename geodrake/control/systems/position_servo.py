@@ -136,7 +136,7 @@ class PositionServo(LeafSystem):
         limit: ArrayLike = np.inf,
         dead_band: ArrayLike = 0.0,
     ) -> None:
-        """Constructs the system."""
+        """Construct the system."""
         LeafSystem.__init__(self, converter=self._converter)
         kp = real_array(kp, "kp")
         self._count = n = len(kp) if kp.ndim == 1 else len(real_array([kp], "kp", ("n",)))

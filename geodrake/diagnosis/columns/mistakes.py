@@ -241,7 +241,7 @@ class Mistakes:
             yield Mistake("time", (), replace(start, time=start.time * factor), sizes=SIZES)
 
     def _velocity_factors(self) -> Array:
-        """(n,) ratios of measured velocities to derived ones; NaN where nothing moves."""
+        """Return (n,) ratios of measured velocities to derived ones; NaN where nothing moves."""
         samples, start = self._model.samples, self._start
         if samples.rate is None:
             return np.full(self._n, np.nan)

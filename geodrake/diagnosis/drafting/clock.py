@@ -16,7 +16,7 @@ _FINER = 8  # steps of the spectrum in one that the log resolves
 
 
 def clock_correlates(hypothesis: Hypothesis, joint: str) -> list[Correlate]:
-    """Slow drift and the strongest oscillation of a joint's held-out error, where notable.
+    """Return slow drift and the strongest oscillation of a joint's held-out error, where notable.
 
     Amplitudes are fitted to all folds but one, and judged on that one. Several logs have no clock
     in common: they give none.
@@ -57,7 +57,7 @@ def _strongest(time: Array, residual: Array) -> float:
 
 
 def _share(columns: Array, residual: Array, fold: Array) -> float:
-    """Share of the squared residual that columns (N, k) take away from folds left out."""
+    """Return share of the squared residual that columns (N, k) take away from folds left out."""
     count = int(fold.max()) + 1
     gram = np.array([columns[fold == f].T @ columns[fold == f] for f in range(count)])
     rhs = np.array([columns[fold == f].T @ residual[fold == f] for f in range(count)])

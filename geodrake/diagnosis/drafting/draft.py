@@ -359,7 +359,7 @@ def _drafted(
 
 
 def _traces(end: Hypothesis, joint: int, at: Array) -> tuple[Array, Array, Array]:
-    """Instants, held-out residual without a formula, and the formula's effort, (K,) each."""
+    """Return instants, held-out residual without a formula, and the formula's effort, (K,) each."""
     data, late = end.dataset.data[joint], end.delay[joint]
     local = data.local(end.unknowns.columns)
     used, parts = local >= 0, []

@@ -80,7 +80,7 @@ class Factor:
         return self.function in ("above", "below")
 
     def values(self, motion: JointMotion) -> Array:
-        """(N,) values over the motion of its joint."""
+        """Return (N,) values over the motion of its joint."""
         return FUNCTIONS[self.function].evaluate(getattr(motion, self.signal), self.constant)
 
     def code(self, variable: str) -> str:
@@ -196,7 +196,7 @@ class Formula(Effect):
         return sum(len(term.turning) for term in self.terms)
 
     def rows(self, motion: RobotMotion) -> Mapping[str, Array]:
-        """Columns at the joint."""
+        """Return columns at the joint."""
         motions = {name: motion.joint(name) for name in self.joints}
         values = [term.values(motions.__getitem__, len(motion.v)) for term in self.terms]
         return {self.joint: np.stack(values, -1)}

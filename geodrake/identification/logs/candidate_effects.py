@@ -35,7 +35,7 @@ def candidate_effects(
     known_gains: Collection[str] = (),
     speeds: Array | None = None,
 ) -> tuple[Effect, ...]:
-    """All instances of the catalogue's effects, and of a user's own, that a robot can have.
+    """Return all instances of the catalogue's effects, and of a user's own, that a robot can have.
 
     Effects whose shape is found in a residual are not among them (see `proposals`), nor those of
     pairs of joints that do not follow each other (see `coupled`), nor those that only inertias

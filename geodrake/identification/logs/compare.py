@@ -94,7 +94,7 @@ def where_it_fails(
 
 
 def _circumstances(own: Sequence[Series], way: str, effort: str) -> Iterator[tuple[str, Mask]]:
-    """Words and masks of quarters of the time, speeds, positions, accelerations and loads."""
+    """Yield words and masks of quarters of the time, speeds, positions, accelerations and loads."""
     signals = {
         name: np.concatenate([getattr(s, name) for s in own])
         for name in ("velocity", "position", "acceleration", "predicted")

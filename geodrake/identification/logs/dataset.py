@@ -88,7 +88,7 @@ class JointData:
         return positions
 
     def local(self, columns: Indices) -> Indices:
-        """Positions of global columns at this joint; −1 where a column cannot be nonzero."""
+        """Return positions of global columns at this joint; −1 where a column cannot be nonzero."""
         return self._positions[np.minimum(columns, len(self._positions) - 1)]
 
     def factors_of(self, columns: Indices, late: int = 0) -> Array:
@@ -210,11 +210,11 @@ class Dataset(Short):
         return peak
 
     def delay_of_each(self, delay: Delay) -> tuple[int, ...]:
-        """Index of the delay of every joint."""
+        """Return the index of the delay of every joint."""
         return tuple(np.broadcast_to(delay, len(self.joints)).tolist())
 
     def effect_columns(self, effect: Effect) -> Indices:
-        """(k,) global columns of an effect of this dataset."""
+        """Return (k,) global columns of an effect of this dataset."""
         return self.starts[effect] + np.arange(len(effect.parameters))
 
     @cached_property
@@ -222,7 +222,7 @@ class Dataset(Short):
         return {}
 
     def felt(self, effect: Effect) -> NDArray[np.bool_]:
-        """(nv,) whether a joint feels an effect."""
+        """Return (nv,) whether a joint feels an effect."""
         if effect not in self._felt:
             self._felt[effect] = np.asarray(self.reach[:, self.effect_columns(effect)].any(axis=1))
         return self._felt[effect]
@@ -244,7 +244,7 @@ class Dataset(Short):
 
 
 def column_starts(effects: tuple[Effect, ...], bodies: tuple[str, ...]) -> dict[Effect, int]:
-    """First column of every effect, after the inertial columns that payloads share."""
+    """Return the first column of every effect, after the inertial columns that payloads share."""
     starts, free = {}, len(bodies) * PARAMETERS_PER_BODY
     for effect in effects:
         if is_payload(effect):

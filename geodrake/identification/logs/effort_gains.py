@@ -120,11 +120,11 @@ class SignalRows:
         )
 
     def load(self, phi: Array) -> Array:
-        """(r,) rows of the effort of the bodies and of known payloads, for φ (d,)."""
+        """Return (r,) rows of the effort of the bodies and of known payloads, for φ (d,)."""
         return self.factor[self.free :, self.free : -1] @ np.append(phi[self.columns], 1.0)
 
     def slopes(self, slope: Array) -> Array:
-        """(r, d) slopes of `load` with coordinates of the bodies, for those of φ (d, d)."""
+        """Return (r, d) slopes of `load` with coordinates of the bodies, for those of φ (d, d)."""
         return self.factor[self.free :, self.free : -2] @ slope[self.columns]
 
     def left(self, a: float, phi: Array) -> Array:

@@ -175,7 +175,7 @@ class Layout:
         return replace(self, columns=kept, base=base)
 
     def visible_parameters(self, phi: Array) -> Array:
-        """(10·nb,) inertial parameters of which the columns alone make the efforts of φ."""
+        """Return (10·nb,) inertial parameters of which the columns alone make the efforts of φ."""
         if self.base is None:
             return phi
         parameters = np.zeros_like(phi)
@@ -256,7 +256,7 @@ class Layout:
         return np.concatenate(own), np.cumsum([len(c) for c in own])
 
     def _inertial_at(self, motion: Motion, phi: Array) -> tuple[dict[int, Array], Array]:
-        """Inertial columns of every joint, and the efforts (N, nv) for φ (10 nb,)."""
+        """Return inertial columns of every joint, and the efforts (N, nv) for φ (10 nb,)."""
         places, ends = self._inertial
         rows, load = np.empty((len(motion), len(places))), np.empty(motion.v.shape)
         for part, Y in regressor_pieces(self.tree, motion.q, motion.v, motion.vd):
@@ -279,7 +279,7 @@ class LogSlice:
     place: Hashable
 
     def rows(self, shared: SharedRows) -> list[JointRows]:
-        """Filtered rows of every joint; `shared` is used and filled."""
+        """Return filtered rows of every joint; `shared` is used and filled."""
         motion, columns = self._motion_rows(shared), self._columns(shared)
         efforts, carried = self._efforts(shared), self._carried(columns)
         time = motion[-1]
@@ -336,7 +336,7 @@ class LogSlice:
         return spline_through(effort)
 
     def _motion_rows(self, shared: SharedRows) -> Blocks:
-        """Per joint (K, 4) motion and share of time at rest; at −1 the (K,) instants."""
+        """Return per joint (K, 4) motion and share of time at rest; at −1 the (K,) instants."""
 
         def make() -> Blocks:
             here, low_pass = self._here, self.trajectory.filter
@@ -356,7 +356,7 @@ class LogSlice:
         return shared.once(("motion", self.place), make)
 
     def _efforts(self, shared: SharedRows) -> Array:
-        """(K, nv, d) filtered efforts as they were logged `advance` seconds later."""
+        """Return (K, nv, d) filtered efforts as they were logged `advance` seconds later."""
 
         def advanced(seconds: Array) -> Blocks:
             (near, inner), period = self._near, self.stretch.period
@@ -371,7 +371,7 @@ class LogSlice:
         return np.stack([shared.once(key, partial(advanced, s))[0] for key, s in pairs], -1)
 
     def _carried(self, blocks: Sequence[Blocks]) -> list[Array]:
-        """Per joint (K,) filtered effort beside what is fitted: of the log's known payloads.
+        """Return per joint (K,) filtered effort beside what is fitted: of the log's known payloads.
 
         It is less by what the columns of bodies have in them of effects that have their own.
         """
@@ -389,7 +389,7 @@ class LogSlice:
         return [known - own for known, own in zip(bodies, pushed.T, strict=True)]
 
     def _columns(self, shared: SharedRows) -> list[Blocks]:
-        """Filtered columns of all parts of the layout."""
+        """Return filtered columns of all parts of the layout."""
         layout, gravity = self.layout, self.layout.tree.gravity.tobytes()
         keys = {part: (part, self.place, layout.origin_of(part)) for part in layout.parts}
         found = {part: shared.get(key) for part, key in keys.items()}
@@ -446,7 +446,7 @@ class LogSlice:
         )
 
     def _past(self) -> Array:
-        """(M, nv) positions before the slice, as far as an effect needs them."""
+        """Return (M, nv) positions before the slice, as far as an effect needs them."""
         start = self.samples.start
         if start == 0 or not any(effect.state_count for effect in self.layout.effects):
             return np.zeros((0, len(self.layout.model.joints)))
@@ -454,14 +454,14 @@ class LogSlice:
 
 
 def _probe(model: RobotModel, samples: int) -> Motion:
-    """Random motion, to see which columns can be nonzero."""
+    """Return random motion, to see which columns can be nonzero."""
     random, nv = np.random.default_rng(0), len(model.joints)
     q = model.tree.inside(model.positions(random.normal(size=(samples, nv))))
     return Motion(q, random.normal(size=(samples, nv)), random.normal(size=(samples, nv)))
 
 
 def _felt(model: RobotModel, effects: Sequence[Effect]) -> tuple[KinematicTree, Effect | None]:
-    """The tree under the gravity that bodies feel beside effects, and that which changes it.
+    """Return the tree under the gravity that bodies feel beside effects, and that which changes it.
 
     Where columns are exact about two places, they are so about the latter.
     """

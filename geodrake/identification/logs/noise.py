@@ -97,7 +97,7 @@ def filtered_below(trajectory: Trajectory) -> float:
 
 
 def _is_silent(density: Array, segment: Segment) -> NDArray[np.bool_]:
-    """(n,) whether white noise of a density is less than any sensor of efforts has."""
+    """Return (n,) whether white noise of a density is less than any sensor of efforts has."""
     rms = np.sqrt(density * 0.5 / segment.period)
     return np.asarray(rms < LEAST_NOISE * segment.effort.std(axis=0))
 
@@ -128,7 +128,7 @@ def _carried(
 
 
 def motion_of(segment: Segment, model: RobotModel, trajectory: Trajectory) -> Motion:
-    """A segment as the model's motion, in the time and at the temperatures of its log."""
+    """Return a segment as the model's motion, in the time and at the temperatures of its log."""
     return Motion(
         model.positions(segment.position),
         segment.velocity,
@@ -145,7 +145,7 @@ def _residual(
     trajectory: Trajectory,
     rows: Array | None,
 ) -> Array:
-    """(K, n) measured − predicted effort at the full rate."""
+    """Return (K, n) measured − predicted effort at the full rate."""
     needed = model.effort(motion_of(segment, model, trajectory), sign_width=sign_width)
     return segment.effort - _taken(rows, delayed_by(model.delays, needed, segment.period))
 
@@ -273,7 +273,7 @@ def effort_ratio(model: RobotModel, trajectories: Sequence[Trajectory]) -> tuple
 
 
 def _density(effort: Array, segment: Stretch, window: float, frequency: Array) -> Array:
-    """(K, n) spectral density times samples, on a grid that logs of all rates share."""
+    """Return (K, n) spectral density times samples, on a grid that logs of all rates share."""
     rate = 1.0 / segment.period
     own, density = spectral_density(effort, rate, round(window * rate))
     columns = [np.interp(frequency, own, column) for column in density.T]

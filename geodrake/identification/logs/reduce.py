@@ -232,7 +232,7 @@ class _Box:
 
 
 def _stacked(factors: Sequence[Array]) -> Array:
-    """(F, m, p) factors (m_i, p), with rows of zeros where one has fewer than another."""
+    """Return (F, m, p) factors (m_i, p), with rows of zeros where one has fewer than another."""
     most = max(map(len, factors))
     return np.array([np.pad(factor, ((0, most - len(factor)), (0, 0))) for factor in factors])
 
@@ -243,7 +243,7 @@ def _slices(
     at: tuple[int, int],
     advance: Sequence[Array],
 ) -> Iterator[tuple[int, LogSlice]]:
-    """First output of every slice of a segment, and the slice."""
+    """Yield the first output of every slice of a segment, and the slice."""
     trajectory, stretch = trajectories[at[0]], trajectories[at[0]].segments[at[1]]
     width = len(layout.model.joints) * PARAMETERS_PER_BODY * len(layout.model.bodies)
     size, first = min(CHUNK, LARGEST_REGRESSOR // width), 0
@@ -256,7 +256,7 @@ def _slices(
 def effort_deviation(
     joints: Sequence[str], data: Sequence[JointData], passive: Collection[str] = ()
 ) -> Array:
-    """(nv,) standard deviation of the measured efforts, N·m or N; 0 of a joint at rest.
+    """Return (nv,) standard deviation of the measured efforts, N·m or N; 0 of a joint at rest.
 
     Raises:
         LogError: The effort of a joint that moves never changes: its sensor has nothing to say.
@@ -305,7 +305,7 @@ def effort_scale(
 
 
 def _at_rest(model: RobotModel, data: Sequence[JointData]) -> NDArray[np.bool_]:
-    """(nv,) which joints of one degree of freedom hardly move."""
+    """Return (nv,) which joints of one degree of freedom hardly move."""
     low, high = np.full((2, len(data)), np.nan)
     for joint in model.single_joints:
         j = model.joints.index(joint)
@@ -334,7 +334,7 @@ def passive_inertia(
 
 
 def _poses(model: RobotModel, trajectories: Sequence[Trajectory]) -> Array:
-    """(K, nq) positions of the model at instants of the logs."""
+    """Return (K, nq) positions of the model at instants of the logs."""
     segments = [segment for trajectory in trajectories for segment in trajectory.segments]
     starts = [segment[:_SAMPLES].position for segment in segments]
     positions = [start[:: max(1, len(start) // _POSES)] for start in starts]
@@ -344,7 +344,7 @@ def _poses(model: RobotModel, trajectories: Sequence[Trajectory]) -> Array:
 def _load_by_gravity(
     model: RobotModel, tree: KinematicTree, trajectories: Sequence[Trajectory]
 ) -> Array:
-    """(nv,) RMS of the loads by gravity from three sides, N·m or N."""
+    """Return (nv,) RMS of the loads by gravity from three sides, N·m or N."""
     q = _poses(model, trajectories)
     zero = np.zeros((len(q), len(model.joints)))
     power, g = np.zeros(len(model.joints)), float(np.linalg.norm(tree.gravity))
