@@ -69,7 +69,7 @@ class Draw:
 
 
 def run_draw(draw: Draw, *, seed: int) -> dict[str, Any]:
-    """What a loop did."""
+    """Return what a loop did."""
     robot = make_robot()
     control, rng = ControlModel.of(robot), np.random.default_rng([seed, 43])
     episodes = draw_episodes(draw.duration, rng)
@@ -104,14 +104,14 @@ def run_draw(draw: Draw, *, seed: int) -> dict[str, Any]:
 
 
 def make_robot() -> RobotModel:
-    """The double pendulum with viscous friction at both joints."""
+    """Return the double pendulum with viscous friction at both joints."""
     model = load_model(MODEL)
     effects = tuple(FittedEffect(ViscousFriction(j), np.array([DAMPING])) for j in model.joints)
     return replace(model, effects=effects)
 
 
 def make_plant() -> MultibodyPlant:
-    """The same, with friction as Drake's own damping, which takes a fraction of the time."""
+    """Return the same, with friction as Drake's own damping, which takes a fraction of the time."""
     plant = MultibodyPlant(0.0)
     Parser(plant).AddModels(str(MODEL))
     plant.WeldFrames(plant.world_frame(), plant.GetFrameByName("base_link"))
@@ -125,7 +125,7 @@ def make_plant() -> MultibodyPlant:
 
 
 def draw_episodes(duration: float, rng: np.random.Generator) -> list[Episode]:
-    """All faults in a random order, again and again, at random times."""
+    """Return all faults in a random order, again and again, at random times."""
     episodes, queue, t = list[Episode](), list[str](), float(rng.uniform(*GAP))
     while t + LASTS + RECOVERS < duration:
         queue = queue or list(rng.permutation(FAULTS))
@@ -136,7 +136,7 @@ def draw_episodes(duration: float, rng: np.random.Generator) -> list[Episode]:
 
 
 def make_motion(duration: float) -> PiecewisePolynomial:
-    """Sines at both joints."""
+    """Return sines at both joints."""
     t = np.linspace(0.0, duration + 1.0, round(10 * duration) + 11)
     q = 0.8 * np.sin(np.outer([1.3, 2.1], t) + np.array([[0.0], [0.4]]))
     return PiecewisePolynomial.CubicWithContinuousSecondDerivatives(t, q)
@@ -145,7 +145,7 @@ def make_motion(duration: float) -> PiecewisePolynomial:
 def make_controller(
     name: str, control: ControlModel, robot: RobotModel, start: Array
 ) -> AdaptiveController:
-    """A controller by its name, with the natural law."""
+    """Return a controller by its name, with the natural law."""
     law: UpdateLaw = natural_adaptation(parameter_manifold(robot), GAMMA)
     if name == "computed torque":
         return AdaptiveComputedTorqueController(
@@ -166,7 +166,7 @@ def make_controller(
 def judge(
     found: Sequence[Moment], episodes: Sequence[Episode], control: ControlModel
 ) -> dict[str, Any]:
-    """Errors, distances and masses of a loop."""
+    """Return errors, distances and masses of a loop."""
     time = np.array([moment.time for moment in found])
     error = np.degrees(np.abs([moment.error for moment in found]).max(1))
     estimates = np.array([moment.parameters for moment in found])
@@ -222,7 +222,7 @@ def distances(control: ControlModel, estimates: Array) -> Array:
 
 
 def resident() -> float:
-    """Memory of this process, MB."""
+    """Return memory of this process, MB."""
     lines = Path("/proc/self/status").read_text(encoding="utf-8").splitlines()
     return int(next(line for line in lines if line.startswith("VmRSS")).split()[1]) / 1024.0
 
@@ -248,7 +248,7 @@ def main() -> None:
 
 
 def worst(rows: Sequence[dict[str, Any]]) -> list[dict[str, Any]]:
-    """The worst numbers of each fault, over controllers and times."""
+    """Return the worst numbers of each fault, over controllers and times."""
     each = [line for row in rows for line in row["by_fault"]]
     return [
         {"fault": name}
@@ -259,7 +259,7 @@ def worst(rows: Sequence[dict[str, Any]]) -> list[dict[str, Any]]:
 
 
 def run(parser: argparse.ArgumentParser, options: argparse.Namespace) -> list[dict[str, Any]]:
-    """Rows of all controllers."""
+    """Return rows of all controllers."""
     duration = 60.0 * (QUICK if options.quick else MINUTES)
     draws = [Draw(name, duration) for name in CONTROLLERS if name != "unguarded"]
     draws.append(Draw("unguarded", min(duration, 60.0)))  # lost by then

@@ -62,7 +62,7 @@ class Arm:
 
     @classmethod
     def load(cls, seed: int) -> Arm:
-        """The seven-joint arm with viscous and Coulomb friction at every joint."""
+        """Return the seven-joint arm with viscous and Coulomb friction at every joint."""
         model = load_description(ARM)
         effects = [
             FittedEffect(kind(joint), np.array([value]))
@@ -98,7 +98,7 @@ class Arm:
         return PiecewisePolynomial.CubicWithContinuousSecondDerivatives(t, 0.5 * np.sin(phase))
 
     def plant(self) -> MultibodyPlant:
-        """The discrete plant, with viscous friction as Drake's damping."""
+        """Return the discrete plant, with viscous friction as Drake's damping."""
         plant = MultibodyPlant(PLANT_STEP)
         plant.SetUseSampledOutputPorts(False)
         # Without contact every approximation is the same; this one is the fastest.
@@ -115,7 +115,7 @@ class Arm:
         return plant
 
     def controller(self, law: UpdateLaw | None) -> AdaptiveController:
-        """The passivity-based controller."""
+        """Return the passivity-based controller."""
         return PassivityBasedAdaptiveController(
             self.control, law, time_step=CONTROL_STEP, parameters=self.start
         )
@@ -127,7 +127,7 @@ class Arm:
 
 
 def closed_loop(arm: Arm, law: UpdateLaw | None) -> tuple[Diagram, Context]:
-    """The whole loop."""
+    """Return the whole loop."""
     builder = DiagramBuilder()
     plant = builder.AddSystem(arm.plant())
     loop = add_adaptive_loop(builder, plant, arm.controller(law), arm.motion)
@@ -136,7 +136,7 @@ def closed_loop(arm: Arm, law: UpdateLaw | None) -> tuple[Diagram, Context]:
 
 
 def plant_alone(arm: Arm) -> tuple[Diagram, Context]:
-    """The plant that falls by itself."""
+    """Return the plant that falls by itself."""
     builder = DiagramBuilder()
     plant = builder.AddSystem(arm.plant())
     diagram = builder.Build()

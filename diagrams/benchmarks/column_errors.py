@@ -60,7 +60,7 @@ def follow(
     inertia: Array,
     given: Callable[[Array, Array], Array],
 ) -> Limited:
-    """Forward dynamics under a computed torque, of which the motors give a part.
+    """Return forward dynamics under a computed torque, of which the motors give a part.
 
     Accelerations solve (M + h F') a = given − bias − friction, by the slope F' of the friction over
     a step h; M and the bias are inverse dynamics of unit accelerations and of none.
@@ -153,7 +153,7 @@ Wrong = Callable[[JointLog, Motion, np.random.Generator], Found]
 def _at_joint(
     quantities: tuple[str, ...], kind: str, factor: Callable[[np.random.Generator], float]
 ) -> Wrong:
-    """One joint's columns multiplied."""
+    """Return one joint's columns multiplied."""
 
     def wrong(columns: JointLog, motion: Motion, rng: np.random.Generator) -> Found:
         j, by = int(rng.integers(motion.q.shape[1])), factor(rng)
@@ -166,7 +166,7 @@ def _at_joint(
 
 
 def _swapped(quantities: tuple[str, ...], kind: str) -> Wrong:
-    """Two joints' columns swapped."""
+    """Return two joints' columns swapped."""
 
     def wrong(columns: JointLog, motion: Motion, rng: np.random.Generator) -> Found:
         i, j = sorted(rng.choice(motion.q.shape[1], 2, replace=False).tolist())
@@ -179,7 +179,7 @@ def _swapped(quantities: tuple[str, ...], kind: str) -> Wrong:
 
 
 def _other_zero(columns: JointLog, motion: Motion, rng: np.random.Generator) -> Found:
-    """A joint whose position is counted from elsewhere.
+    """Return a joint whose position is counted from elsewhere.
 
     Not the first one, of which that is a turned base, nor the last, of which it is a turned body.
     """
@@ -192,7 +192,7 @@ def _other_zero(columns: JointLog, motion: Motion, rng: np.random.Generator) -> 
 
 
 def _taken_out(part: str, kind: str) -> Wrong:
-    """A part of the efforts that the drives do not report."""
+    """Return a part of the efforts that the drives do not report."""
 
     def wrong(columns: JointLog, motion: Motion, rng: np.random.Generator) -> Found:
         del rng
@@ -202,13 +202,13 @@ def _taken_out(part: str, kind: str) -> Wrong:
 
 
 def _motor_side(columns: JointLog, motion: Motion, rng: np.random.Generator) -> Found:
-    """Torques of the motors in place of those of the joints."""
+    """Return torques of the motors in place of those of the joints."""
     del rng
     return replace(columns, effort=columns.effort / motion.ratios), (Secret("effort_gains", ()),)
 
 
 def _limited(falling: bool) -> Wrong:
-    """Efforts that were asked for of a motor that cannot give them, but holds the robot."""
+    """Return efforts that were asked for of a motor that cannot give them, but holds the robot."""
 
     def wrong(columns: JointLog, motion: Motion, rng: np.random.Generator) -> Found:
         share = rng.uniform(1.3, 2.0) if falling else np.inf
@@ -241,7 +241,7 @@ def _limited(falling: bool) -> Wrong:
 
 
 def _all_times(quantities: tuple[str, ...], kind: str, values: tuple[float, ...]) -> Wrong:
-    """All columns of some quantities multiplied."""
+    """Return all columns of some quantities multiplied."""
 
     def wrong(columns: JointLog, motion: Motion, rng: np.random.Generator) -> Found:
         del motion
@@ -253,7 +253,7 @@ def _all_times(quantities: tuple[str, ...], kind: str, values: tuple[float, ...]
 
 
 def _two(first: Wrong, second: Wrong) -> Wrong:
-    """Two mistakes at once."""
+    """Return two mistakes at once."""
 
     def wrong(columns: JointLog, motion: Motion, rng: np.random.Generator) -> Found:
         columns, one = first(columns, motion, rng)
@@ -304,7 +304,7 @@ RIGHT = ("as it is", "payload", "tilted base", "bodies far off", "spring", "load
 
 
 def make_log(draw: WrongLog) -> tuple[RobotModel, JointLog, tuple[Secret, ...]]:
-    """The model file's robot, the log of a draw, and what is wrong with its columns."""
+    """Return the model file's robot, the log of a draw, and what is wrong with its columns."""
     key = f"{draw.mistake} {draw.robot} {draw.engine} {draw.motion}"
     seeds = np.random.SeedSequence([draw.seed, crc32(key.encode()), draw.number]).spawn(4)
     on_robot, on_motion, on_mistake, on_noise = map(np.random.default_rng, seeds)
@@ -335,7 +335,7 @@ def make_log(draw: WrongLog) -> tuple[RobotModel, JointLog, tuple[Secret, ...]]:
 def _moved(
     draw: WrongLog, engine: Engine, on_robot: np.random.Generator, on_motion: np.random.Generator
 ) -> Motion:
-    """A motion of a robot that is not that of its file, with friction and rotors."""
+    """Return a motion of a robot that is not that of its file, with friction and rotors."""
     file = engine.bodies()
     off = 3.0 * OFF if draw.mistake == "bodies far off" else OFF
     bodies = congruent(file, off, on_robot)
@@ -367,7 +367,7 @@ def _moved(
 
 
 def _stating(model: RobotModel, motion: Motion) -> RobotModel:
-    """The model with friction and rotors stated, off by a fifth."""
+    """Return the model with friction and rotors stated, off by a fifth."""
     rng, effects = np.random.default_rng(len(motion.time)), []
     for j, joint in enumerate(model.joints):
         X = np.column_stack([np.sign(motion.v[:, j]), motion.v[:, j]])
@@ -410,7 +410,7 @@ def run_draw(draw: WrongLog) -> dict[str, Any]:
 
 
 def draws(count: int, seed: int) -> list[WrongLog]:
-    """So many logs of everything, over all robots, engines and motions in turn.
+    """Return so many logs of everything, over all robots, engines and motions in turn.
 
     A pendulum has no joint between others: another zero of its joints is a slope, or a body that
     has turned.
@@ -434,7 +434,7 @@ def draws(count: int, seed: int) -> list[WrongLog]:
 
 
 def lines_of(rows: Sequence[dict[str, Any]]) -> list[dict[str, Any]]:
-    """A line of the table for each mistake."""
+    """Return a line of the table for each mistake."""
     found = []
     for mistake in dict.fromkeys(row["mistake"] for row in rows):
         own = [row for row in rows if row["mistake"] == mistake]

@@ -32,7 +32,7 @@ NAMES = {
 
 
 def measure(model: RobotModel, *, samples: int, modes: int, seed: int, repeats: int) -> Any:
-    """CPU times of one evaluation, and of the same slopes by finite differences."""
+    """Return CPU times of one evaluation, and of the same slopes by finite differences."""
     motion, bounds = family(modes), limits(model)
     options = DesignOptions(samples=samples, rest=False, quick=False)
     target = make_target(model, noise=NOISE)

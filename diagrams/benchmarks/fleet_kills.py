@@ -50,7 +50,7 @@ class Digests:
     again: int = 0
 
     def look(self) -> int:
-        """How many there are now."""
+        """Return how many there are now."""
         for path in self.folder.glob("*/digests/*.npz"):
             stat = path.stat()
             now = stat.st_ino, stat.st_mtime_ns
@@ -60,7 +60,7 @@ class Digests:
 
 
 def begin(path: Path) -> subprocess.Popen[bytes]:
-    """A run of the command."""
+    """Return a run of the command."""
     more = ("--workers", "2", "--json", str(path.parent / "fleet.json"), "-q")
     command = [sys.executable, "-m", "geodrake", "fleet", str(path), *more]
     return subprocess.Popen(command, stdout=subprocess.DEVNULL)
@@ -85,7 +85,7 @@ def follow(
 
 
 def killed_run(path: Path, expected: bytes, what: str, after: int) -> KilledRun:
-    """One run in which something is killed, and what is needed to bring it to its end."""
+    """Return one run in which something is killed, and what is needed to bring it to its end."""
     shutil.rmtree(path.parent / "results", ignore_errors=True)
     (path.parent / "fleet.json").unlink(missing_ok=True)
     digests, at = Digests(path.parent / "results"), []

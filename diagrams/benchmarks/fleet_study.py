@@ -30,7 +30,7 @@ from geodrake.fleet import FleetResult, FleetWork, read_fleet, run_fleet
 
 
 def study(folder: Path, draws: Sequence[FleetDraw], jobs: int) -> tuple[FleetResult, float]:
-    """What is found in a fleet, and how long that took on the clock, s."""
+    """Return what is found in a fleet, and how long that took on the clock, s."""
     made = finished(partial(write_logs, folder=folder), draws, jobs)
     for _ in track(made, "logs", len(draws), transient=True):
         pass
@@ -41,7 +41,7 @@ def study(folder: Path, draws: Sequence[FleetDraw], jobs: int) -> tuple[FleetRes
 
 
 def rows_of(result: FleetResult, draws: Sequence[FleetDraw]) -> list[dict[str, Any]]:
-    """A row of the table for each robot, in the order of the draws."""
+    """Return a row of the table for each robot, in the order of the draws."""
     robots = {robot.robot: robot for robot in result.robots}
     return [robot_row(draw, robots[draw.name].findings) for draw in draws]
 

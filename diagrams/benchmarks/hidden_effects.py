@@ -60,7 +60,7 @@ def run_draw(draw: Draw) -> dict[str, Any]:
 
 
 def wanted_draws(logs: Mapping[str, int], seeds: Iterable[int]) -> list[Draw]:
-    """What the options ask for, for one seed after the other."""
+    """Return what the options ask for, for one seed after the other."""
     return [
         each
         for seed in seeds
@@ -76,7 +76,7 @@ def wanted_draws(logs: Mapping[str, int], seeds: Iterable[int]) -> list[Draw]:
 
 
 def quick_draws(seed: int) -> list[Draw]:
-    """A few short logs of every study."""
+    """Return a few short logs of every study."""
     short = {"robot": "double_pendulum", "duration": 8.0, "rate": 100.0}
     found = all_draws(1, seed, effects=QUICK_EFFECTS, outside=QUICK_OUTSIDE, others=(1, 2), **short)
     found += coverage_draws(1, seed, effects=QUICK_EFFECTS[:1], **short)

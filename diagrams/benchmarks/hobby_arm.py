@@ -74,7 +74,7 @@ class Fit:
 
 
 def arm_spec(urdf: Path, step: float) -> mujoco.MjSpec:
-    """The arm with a servo at each joint, without its meshes and contacts."""
+    """Return the arm with a servo at each joint, without its meshes and contacts."""
     text = urdf.read_text(encoding="utf-8")
     spec = mujoco.MjSpec.from_string(text)
     for geom in list(spec.geoms):
@@ -246,7 +246,7 @@ def by_second_order(logs: Sequence[JointLog]) -> Fit:
 
 
 def arm_rows(folder: Path, *, quick: bool) -> list[dict[str, Any]]:
-    """A row for each model and log."""
+    """Return a row for each model and log."""
     urdf = folder / "reference/so101.urdf"
     model = load_model(urdf)
     reading = reading_for(model, Reading(kinds={"": "command"}))
@@ -282,7 +282,7 @@ def arm_rows(folder: Path, *, quick: bool) -> list[dict[str, Any]]:
 
 
 def pendulum_row(folder: Path) -> dict[str, Any]:
-    """The XL330 at a gain of 400, by its motion at one of 100; degrees."""
+    """Return the XL330 at a gain of 400, by its motion at one of 100; degrees."""
     model = load_model(folder / "data/xl330/pendulum.urdf")
     slow, fast = (
         read_log(folder / f"data/xl330/cmd_{name}.csv", joints=model.joints)

@@ -59,7 +59,7 @@ class Case:
     truth: np.ndarray | None = None  # (p,) true parameters, if they are known
 
     def identified(self, regularizer: str, solver: str) -> Any:
-        """The result of `identify`, from the regressors."""
+        """Return the result of `identify`, from the regressors."""
         return identify(
             self.A,
             self.b,
@@ -73,7 +73,7 @@ class Case:
         )
 
     def problem(self, gamma: float) -> FitProblem:
-        """The entropic fit on the triangular factor of the data."""
+        """Return the entropic fit on the triangular factor of the data."""
         problem = build_problem(
             whitened_factor(self.A, self.b, sigma=self.sigma),
             self.prior,
@@ -84,7 +84,7 @@ class Case:
 
 
 def arm_case(*, samples: int, seed: int) -> Case:
-    """Ten bodies on seven motors, three of which turn two joints each; 107 parameters."""
+    """Return ten bodies on seven motors, three of which turn two joints each; 107 parameters."""
     rng = np.random.default_rng(seed)
     plant = _arm()
     truth, tree = inertial_parameters(plant), KinematicTree.from_plant(plant)
@@ -113,7 +113,7 @@ def arm_case(*, samples: int, seed: int) -> Case:
 
 
 def _arm() -> MultibodyPlant:
-    """Ten cylinders in a row, hinged about x, y and z in turn."""
+    """Return ten cylinders in a row, hinged about x, y and z in turn."""
     plant, parent = MultibodyPlant(time_step=0.0), None
     for i in range(10):
         mass = 3.0 * 0.8**i
@@ -130,7 +130,7 @@ def _arm() -> MultibodyPlant:
 
 
 def _ellipsoid(centre: np.ndarray, radii: np.ndarray) -> np.ndarray:
-    """Q with [x;1]ᵀ Q [x;1] ≥ 0 inside."""
+    """Return Q with [x;1]ᵀ Q [x;1] ≥ 0 inside."""
     Q = np.zeros((4, 4))
     shape = np.diag(radii**-2.0)
     Q[:3, :3], Q[:3, 3], Q[3, :3] = -shape, shape @ centre, shape @ centre
@@ -156,7 +156,7 @@ def human_case(shared: Path) -> Case | None:
 
 
 def has_cvxpy() -> bool:
-    """Whether CVXPY and Clarabel are installed (the bench extra)."""
+    """Return whether CVXPY and Clarabel are installed (the bench extra)."""
     try:
         import clarabel  # noqa: F401
         import cvxpy  # noqa: F401
@@ -166,7 +166,7 @@ def has_cvxpy() -> bool:
 
 
 def cvxpy_solution(problem: FitProblem) -> np.ndarray:
-    """The same program as a user writes it in CVXPY, built and solved.
+    """Return the same program as a user writes it in CVXPY, built and solved.
 
     The cost is divided by γ: as it stands Clarabel ends far from the minimum of the human's.
     """
@@ -191,7 +191,7 @@ def cvxpy_solution(problem: FitProblem) -> np.ndarray:
 
 
 def cost(problem: FitProblem, x: np.ndarray) -> float:
-    """What an entropic fit minimizes."""
+    """Return what an entropic fit minimizes."""
     value = problem.residual(x)
     for start, (phi, gamma) in problem.entropic.items():
         ratio = np.linalg.solve(pseudo_inertia(phi), pseudo_inertia(x[start : start + 10]))
@@ -200,7 +200,7 @@ def cost(problem: FitProblem, x: np.ndarray) -> float:
 
 
 def whole_times(case: Case, repeats: int) -> dict[str, float]:
-    """CPU seconds from regressors to result."""
+    """Return CPU seconds from regressors to result."""
     methods = {
         "pullback, Clarabel": ("pullback", "clarabel"),
         "entropic, Clarabel": ("entropic", "clarabel"),
@@ -277,7 +277,7 @@ def geodesic_rows(
 
 
 def measured(case: Case, *, repeats: int) -> dict[str, Any]:
-    """All numbers of one case."""
+    """Return all numbers of one case."""
     return {
         "size": list(case.A.shape),
         "gamma": case.gamma,

@@ -37,7 +37,7 @@ print(time.process_time() - begin)
 
 
 def write_long_log(path: Path, robot: Path, *, samples: int, seed: int) -> None:
-    """Writes the log array by array, with no more than a column in memory."""
+    """Write the log array by array, with no more than a column in memory."""
     model = load_model(robot)
     joints = len(model.joints)
     rng = np.random.default_rng(seed)
@@ -69,7 +69,7 @@ def _measured(
     sines: tuple[np.ndarray, np.ndarray],
     rng: np.random.Generator,
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Positions and efforts (N, n) of sums of sines, with noise and dry friction."""
+    """Return positions and efforts (N, n) of sums of sines, with noise and dry friction."""
     amplitude, rate = sines
     phase = time[:, None, None] * rate
     q = (amplitude * np.sin(phase)).sum(1)

@@ -68,13 +68,13 @@ class Streamed:
     seconds: float
 
     def rms(self, start: float = 0.0) -> Array:
-        """(nv,) RMS of the residual of used samples after a share of the log."""
+        """Return (nv,) RMS of the residual of used samples after a share of the log."""
         part = self.used & (self.time >= start * self.time[-1])
         return np.sqrt(np.mean(self.residual[part] ** 2, axis=0))
 
 
 def without_standing(log: JointLog) -> JointLog:
-    """A log whose effort is missing while a joint stands.
+    """Return a log whose effort is missing while a joint stands.
 
     A standing joint holds whatever effort dry friction takes; no model predicts it.
     """
@@ -160,7 +160,7 @@ class Arm:
 
 
 def run_draw(draw: Draw) -> list[dict[str, Any]]:
-    """Rows of the logs; nothing is random."""
+    """Return rows of the logs; nothing is random."""
     arm = learn(draw)
     weights = {"payload": 1.0}
     manifold = parameter_manifold(
@@ -180,7 +180,7 @@ def run_draw(draw: Draw) -> list[dict[str, Any]]:
 
 
 def learn(draw: Draw) -> Arm:
-    """The arm, from the log without payload."""
+    """Return the arm, from the log without payload."""
     model = load_model(Path(draw.shared) / "reference" / "ur10e.urdf")
     log = read(draw, LEARNED)
     if draw.way == "offline":
@@ -217,24 +217,24 @@ def learn(draw: Draw) -> Arm:
 
 
 def path_of(draw: Draw, name: str) -> Path:
-    """File of a log."""
+    """Return file of a log."""
     return Path(draw.shared) / "data" / f"{name}.csv"
 
 
 def read(draw: Draw, name: str) -> JointLog:
-    """A log as it is streamed."""
+    """Return a log as it is streamed."""
     return without_standing(cut(read_log(path_of(draw, name)), draw.end))
 
 
 def cut(log: JointLog, end: float | None) -> JointLog:
-    """The first seconds of a log."""
+    """Return the first seconds of a log."""
     if end is None:
         return log
     return first_samples(log, int(np.searchsorted(log.time - log.time[0], end)))
 
 
 def numbers(found: Streamed) -> dict[str, Any]:
-    """What is known of a streamed log."""
+    """Return what is known of a streamed log."""
     phi = found.parameters[:, -len(GUESS) :]
     eigenvalues = np.linalg.eigvalsh(pseudo_inertia(phi))
     first = float(found.time[found.used][0])
@@ -272,7 +272,7 @@ def main() -> None:
 
 
 def run(parser: argparse.ArgumentParser, options: argparse.Namespace) -> Sequence[dict[str, Any]]:
-    """Rows of both ways to learn the arm."""
+    """Return rows of both ways to learn the arm."""
     logs = (f"data/{name}.csv" for name in (LEARNED, *FREE, CHANGED))
     require(parser, options.shared, "reference/ur10e.urdf", *logs)
     end = 12.0 if options.quick else None

@@ -43,7 +43,7 @@ WRONG_INERTIA = "wrong_inertia"
 
 
 def score_draw(draw: Draw) -> dict[str, Any]:
-    """A row of the table: the draw, what it hid, what was named, and what of it is right."""
+    """Return a row of the table: the draw, what it hid, what was named, and what of it is right."""
     recording = make_recording(draw)
     row = {**asdict(draw), "hidden": recording.hidden, "beside": recording.beside}
     row |= {"mass": recording.mass, "joints": recording.joints, "values": recording.values}
@@ -89,7 +89,7 @@ def step_words(step: Mapping[str, Any]) -> str:
 
 
 def _missing(steps: Sequence[Step], hidden: Mapping[str, Sequence[str]]) -> list[str]:
-    """What no step has, place by place."""
+    """Return what no step has, place by place."""
     return not_found({(step.effect, place) for step in steps for place in step.where}, hidden)
 
 
@@ -126,12 +126,12 @@ def mass_row(found: float, deviations: tuple[float, float], truth: float) -> dic
 
 
 def is_missed(row: Mapping[str, Any]) -> bool:
-    """Whether a name is wrong or, of an ordinary robot, something is missing."""
+    """Return whether a name is wrong or, of an ordinary robot, something is missing."""
     return bool(row["wrong"] or row["failed"] or (row["missing"] and row["case"] == ORDINARY))
 
 
 def miss_words(row: Mapping[str, Any]) -> str:
-    """What went wrong with a draw, in a line."""
+    """Return what went wrong with a draw, in a line."""
     what = [f"{row['off']:.0%} off", f"{row['rate']:.0f} Hz", f"noise {row['noise']:.1%}"]
     what += [row["colour"]] if row["colour"] != "white" else []
     what += [name for name in ("velocities", "quantised", "calibrated") if row[name]]
@@ -165,7 +165,7 @@ SURE = 0.9
 
 
 def lines_of(rows: Sequence[Row]) -> list[Line]:
-    """All lines."""
+    """Return all lines."""
     ordinary = [row for row in rows if row["case"] == ORDINARY]
     outside = [row for row in rows if row["case"] == OUTSIDE]
     tools = [row for row in ordinary if row["mass"]]
@@ -210,7 +210,7 @@ def lines_of(rows: Sequence[Row]) -> list[Line]:
 
 
 def calibration(rows: Sequence[Row]) -> list[Line]:
-    """How many of the things said with a probability in a bin are true."""
+    """Return how many of the things said with a probability in a bin are true."""
     steps = [step for row in rows for step in row["steps"]]
     bars = {(0.9, 0.99): {"bar": 0.85, "highest": 0.99}}
     return [
@@ -232,7 +232,7 @@ def _is_sure_and_wrong(row: Row) -> bool:
 
 
 def _quantiles(figure: str, values: Sequence[float], bar: float | None) -> list[Line]:
-    """The median, which the bar is for, and what nine of ten are below."""
+    """Return the median, which the bar is for, and what nine of ten are below."""
     levels = (("median", 0.5, bar), ("90 %", 0.9, None))
     return [
         Line(
@@ -248,7 +248,7 @@ def _quantiles(figure: str, values: Sequence[float], bar: float | None) -> list[
 
 
 def calibration_figure(rows: Sequence[Mapping[str, Any]]) -> Figure:
-    """How many of the things said with a probability are true, against that probability.
+    """Return how many of the things said with a probability are true, against that probability.
 
     Probabilities are those of the odds' logarithm, so that 0.9 and 0.99 stand apart.
     """
@@ -296,7 +296,7 @@ def _place(probability: Any) -> Any:
 
 
 def quick_draws(seed: int) -> list[Draw]:
-    """A short draw of every case, of the arm that moves fastest."""
+    """Return a short draw of every case, of the arm that moves fastest."""
     short = {"duration": 10.0, "rate": 100.0, "velocities": True, "noise": 0.005}
     return [
         draw(ORDINARY, "ur5", 0, seed, **short, tool=0.1, off=0.0, rotors=False),

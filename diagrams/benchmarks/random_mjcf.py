@@ -33,27 +33,27 @@ class Writer:
         self.classed = False
 
     def numbers(self, size: int, low: float = -1.0, high: float = 1.0) -> str:
-        """Random numbers as words."""
+        """Return random numbers as words."""
         return " ".join(f"{x:.4f}" for x in self.rng.uniform(low, high, size))
 
     def chance(self, share: float) -> bool:
-        """Whether something happens that does in a share of the cases."""
+        """Return whether something happens that does in a share of the cases."""
         return bool(self.rng.random() < share)
 
     def name(self, kind: str) -> str:
-        """A name of its own, or none."""
+        """Return a name of its own, or none."""
         self.count += 1
         return f'name="{kind}{self.count}"'
 
     def turn(self) -> str:
-        """An orientation in one of the ways that there are."""
+        """Return an orientation in one of the ways that there are."""
         ways = {"quat": 4, "euler": 3, "axisangle": 4, "xyaxes": 6, "zaxis": 3}
         kind = self.rng.choice(list(ways))
         high = 60.0 if kind == "euler" else 1.0
         return f'{kind}="{self.numbers(ways[kind], 0.1, high)}"'
 
     def classes(self, depth: int = 0) -> str:
-        """Nested default classes, some of which say nothing."""
+        """Return nested default classes, some of which say nothing."""
         joint = self.joint_numbers() if self.chance(0.6) else ""
         parts = [f"<joint {joint}/>"] if joint else []
         if self.chance(0.5):
@@ -66,7 +66,7 @@ class Writer:
         return f"<default{head}>{''.join(parts)}</default>"
 
     def joint_numbers(self) -> str:
-        """Armature, damping, springs and friction."""
+        """Return armature, damping, springs and friction."""
         own = []
         if self.chance(0.5):
             own.append(f'armature="{self.numbers(1, 0, 0.1)}"')
@@ -81,7 +81,7 @@ class Writer:
         return " ".join(own)
 
     def geom(self) -> str:
-        """A shape of a random kind, whose mass follows from its density or is given."""
+        """Return a shape of a random kind, whose mass follows from its density or is given."""
         kind = self.rng.choice(["sphere", "capsule", "cylinder", "box", "ellipsoid"])
         mass = f'mass="{self.rng.uniform(0.1, 2):.3f}"' if self.chance(0.4) else ""
         group = 'group="3"' if self.chance(0.1) else ""
@@ -94,14 +94,14 @@ class Writer:
         return f'<geom type="{kind}" size="{size}" {place} {mass} {group} {shell}/>'
 
     def inertial(self) -> str:
-        """An inertia by numbers."""
+        """Return an inertia by numbers."""
         a, b = self.rng.uniform(0.01, 0.05, 2)
         moments = f"{a:.5f} {b:.5f} {self.rng.uniform(abs(a - b) + 1e-4, a + b - 1e-4):.5f}"
         place = f'pos="{self.numbers(3, -0.1, 0.1)}" mass="{self.rng.uniform(0.2, 2):.3f}"'
         return f'<inertial {place} {self.turn()} diaginertia="{moments}"/>'
 
     def joint(self, kind: str) -> str:
-        """A joint, perhaps drawn elsewhere than at zero."""
+        """Return a joint, perhaps drawn elsewhere than at zero."""
         own = f'{self.name("j")} type="{kind}" pos="{self.numbers(3, -0.1, 0.1)}"'
         if kind == "ball":
             own += ' armature="0.02" damping="0.1 0 0" stiffness="0 0 0" frictionloss="0"'
@@ -116,7 +116,7 @@ class Writer:
         return f"<joint {own}/>"
 
     def body(self, depth: int) -> str:
-        """A body with what is in it, perhaps in frames within frames."""
+        """Return a body with what is in it, perhaps in frames within frames."""
         joints = [self.joint("slide" if self.chance(0.25) else "hinge")]
         if self.chance(0.2):
             joints.append(self.joint("hinge"))
@@ -141,7 +141,7 @@ class Writer:
         return f"<body {self.name('b')} {place} {child} {lift}>{''.join(inside)}</body>"
 
     def below(self, depth: int) -> str:
-        """What hangs on a body: another one, many of them, or one of another file."""
+        """Return what hangs on a body: another one, many of them, or one of another file."""
         draw = self.rng.random()
         if draw < 0.15:
             return (
@@ -188,12 +188,12 @@ class Writer:
         return path
 
     def second_defaults(self) -> str:
-        """A further section of the main class, as an included file would have."""
+        """Return a further section of the main class, as an included file would have."""
         more = f'<default class="main"><joint armature="{self.numbers(1, 0, 0.1)}"/></default>'
         return more if self.chance(0.3) else ""
 
     def settings(self) -> str:
-        """Settings of the compiler, of the medium and of gravity."""
+        """Return settings of the compiler, of the medium and of gravity."""
         compiler, option = "", ""
         if self.chance(0.2):
             compiler += ' settotalmass="7"'
@@ -215,7 +215,7 @@ class Writer:
         return f"<compiler{compiler}/><option{option}><flag {flags}/></option>"
 
     def couplings(self, names: list[str], sites: list[str]) -> str:
-        """Tendons of joints and between two points, and motors."""
+        """Return tendons of joints and between two points, and motors."""
         text = ""
         if len(sites) > 1 and self.chance(0.5):
             rest = f'springlength="{self.numbers(1, 0)}"' if self.chance(0.6) else ""
@@ -262,7 +262,7 @@ class Writer:
 
 
 def reference(path: Path, left_out: set[str]) -> mujoco.MjModel:
-    """MuJoCo's own reading of the file, without what no model of geodrake takes."""
+    """Return MuJoCo's own reading of the file, without what no model of geodrake takes."""
     with quiet_mujoco():
         model = mujoco.MjModel.from_xml_path(str(path))
     for tendon in left_out:
@@ -316,7 +316,7 @@ def _only(values: np.ndarray, places: list[int]) -> np.ndarray:
 
 
 def _positions(model, q: np.ndarray) -> np.ndarray:
-    """Positions in Drake's order; balls are at zero."""
+    """Return positions in Drake's order; balls are at zero."""
     found = np.zeros((len(q), model.tree.num_positions))
     for velocity, position in zip(*model.single_places, strict=True):
         found[:, position] = q[:, velocity]

@@ -92,7 +92,7 @@ ELSEWHERE = {"ur10e free": ("ur10e_free_c.csv", "ur10e_ptp.csv")}
 
 
 def model_file(name: str, shared: Path) -> Path | None:
-    """A model file of the checkout or of the references; None if neither has it."""
+    """Return a model file of the checkout or of the references; None if neither has it."""
     places = (ROOT / "models", shared / "reference", shared / "data" / Path(name).stem)
     places = tuple(folder / name for folder in places)
     return next((path for path in places if path.is_file()), None)
@@ -108,14 +108,14 @@ def run(study: Study, *, shared: Path, saved: Path) -> Explanation:
 
 
 def named_afterwards(study: Study, *, shared: Path, saved: Path) -> list[str]:
-    """What `diagnose` names on the logs of a study with the model that `run` saved."""
+    """Return what `diagnose` names on the logs of a study with the model that `run` saved."""
     model = load_model(saved / f"{study.name}.yaml")
     found = diagnose(model, study.read(model, shared), blocks=study.blocks)
     return [placed(each) for each in found.candidates]
 
 
 def placed(found: Candidate | Step) -> str:
-    """An effect and where it was found."""
+    """Return an effect and where it was found."""
     return f"{found.effect} at {', '.join(found.where)}" if found.where else found.effect
 
 

@@ -24,7 +24,7 @@ ARM = MODELS / "arm7.urdf"
 
 
 def measure_speed(robot: Path, *, samples: int, repeats: int, seed: int) -> dict[str, Any]:
-    """Time both regressors on the same random samples of a robot, µs a sample.
+    """Return the time both regressors on the same random samples of a robot, µs a sample.
 
     "regressor" is that of logs as they are reduced, "at once" that of all samples in new memory,
     and "difference" that of an entry at most, relative to the largest.
@@ -69,7 +69,7 @@ def measure_speed(robot: Path, *, samples: int, repeats: int, seed: int) -> dict
 
 
 def write_tree(folder: Path, *, limbs: int = 5, joints: int = 6, seed: int = 0) -> Path:
-    """A robot of several limbs that hang on one body, as a URDF file."""
+    """Return a robot of several limbs that hang on one body, as a URDF file."""
     rng = np.random.default_rng(seed)
 
     def text(x: np.ndarray) -> str:
@@ -98,7 +98,7 @@ def write_tree(folder: Path, *, limbs: int = 5, joints: int = 6, seed: int = 0) 
 
 
 def random_motion(rng: np.random.Generator, samples: int, joints: int) -> tuple[np.ndarray, ...]:
-    """Positions, velocities and accelerations (samples, joints) of a lively arm."""
+    """Return positions, velocities and accelerations (samples, joints) of a lively arm."""
     return tuple(rng.uniform(-scale, scale, (samples, joints)) for scale in (3.0, 2.0, 5.0))
 
 

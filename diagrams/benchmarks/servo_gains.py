@@ -76,7 +76,7 @@ class Servos:
 
 
 def simulated(engine: str, urdf: str, servos: Servos, command: Array) -> tuple[Array, Array, Array]:
-    """Positions, velocities and torques (N, n) of an arm that is told where to go.
+    """Return positions, velocities and torques (N, n) of an arm that is told where to go.
 
     Args:
         command: (N, n) positions it is told to go to, `STEP` apart; it begins there, at rest.
@@ -114,18 +114,18 @@ def _by_pinocchio(
 
 
 def _summed(summed: Array, error: Array, raw: Array, limit: Array) -> Array:
-    """Integrals after a step; those of joints at their limit do not go on beyond it."""
+    """Return integrals after a step; those of joints at their limit do not go on beyond it."""
     beyond = (np.abs(raw) > limit) & (np.sign(raw) == np.sign(error))
     return np.where(beyond, summed, summed + STEP * error)
 
 
 def _has_armature() -> bool:
-    """Whether `crba` adds the armature, as Pinocchio 3 does."""
+    """Return whether `crba` adds the armature, as Pinocchio 3 does."""
     return int(pin.__version__.split(".")[0]) >= 3
 
 
 def _with_friction(M: Array, v: Array, free: Array, servos: Servos) -> Array:
-    """Velocities after a step, friction F tanh(v/ε) + c v implicit, by Newton's method."""
+    """Return velocities after a step, friction F tanh(v/ε) + c v implicit, by Newton's method."""
     after = v + STEP * np.linalg.solve(M, free - servos.viscous * v)
     for _ in range(6):
         sign = np.tanh(after / _FADING)
@@ -175,7 +175,7 @@ def _by_mujoco(urdf: str, servos: Servos, told: Array, rate: Array) -> tuple[Arr
 
 
 def _first(values: object, number: float) -> object:
-    """A number in the form that a field of MuJoCo has: alone, or the first of several."""
+    """Return a number in the form that a field of MuJoCo has: alone, or the first of several."""
     if np.ndim(values) == 0:
         return number
     filled = np.zeros(np.shape(values))
@@ -215,7 +215,7 @@ class ServoLog:
 
 
 def servo_draws(logs: int, seed: int, **fixed: object) -> list[ServoDraw]:
-    """Logs of every robot, kind of servo and engine in turn."""
+    """Return logs of every robot, kind of servo and engine in turn."""
     robots = (PENDULUM, *(name for name in robot_names() if name != "arm6"))
     return [
         ServoDraw(
@@ -231,7 +231,7 @@ def servo_draws(logs: int, seed: int, **fixed: object) -> list[ServoDraw]:
 
 
 def make_servo_log(draw: ServoDraw) -> ServoLog:
-    """The log of a draw.
+    """Return the log of a draw.
 
     Stiffness makes a servo follow within 15 to 40 rad/s of bandwidth; damping is 0.4 to 1 of what
     is critical. Friction is 5 to 30 % of the efforts' deviation, the armature 10 to 50 % of the
@@ -284,7 +284,7 @@ def make_servo_log(draw: ServoDraw) -> ServoLog:
 
 
 def _inertia(engine: PinocchioEngine, q: Array) -> Array:
-    """(n,) inertia that each joint moves, the mean over some positions."""
+    """Return (n,) inertia that each joint moves, the mean over some positions."""
     still, n = np.zeros_like(q), q.shape[1]
     base = engine.efforts(q, still, still)
     moved = [engine.efforts(q, still, still + np.eye(n)[j])[:, j] - base[:, j] for j in range(n)]
@@ -292,7 +292,7 @@ def _inertia(engine: PinocchioEngine, q: Array) -> Array:
 
 
 def _shaking(time: Array, n: int, rng: np.random.Generator) -> Array:
-    """(N, n) small fast sines, up to 5 Hz, at which a servo's lag shows."""
+    """Return (N, n) small fast sines, up to 5 Hz, at which a servo's lag shows."""
     rate = 2.0 * np.pi * rng.uniform(1.5, 5.0, (_SHAKES, n))
     phase = rng.uniform(0.0, 2.0 * np.pi, (_SHAKES, n))
     size = 3.0 * rng.uniform(0.5, 1.0, (_SHAKES, n)) / rate**2  # 3 rad/s² each
@@ -301,14 +301,14 @@ def _shaking(time: Array, n: int, rng: np.random.Generator) -> Array:
 
 @cache
 def servo_file(name: str) -> RobotFile:
-    """The model file of a robot: one of the benchmark of effects, or a pendulum."""
+    """Return the model file of a robot: one of the benchmark of effects, or a pendulum."""
     if name != PENDULUM:
         return robot_file(name)
     return RobotFile.holding(name, robot_file("double_pendulum"), ["elbow"])
 
 
 def limited_model(name: str, joints: Sequence[str], limits: Array) -> RobotModel:
-    """The same with limits (n,) of torques, N·m, in the file."""
+    """Return the same with limits (n,) of torques, N·m, in the file."""
     root, largest = ET.fromstring(servo_file(name).text), dict(zip(joints, limits, strict=True))
     for joint in root.iter("joint"):
         limit = joint.find("limit")
@@ -331,7 +331,7 @@ _SIDES = 2.0  # standard deviations of an interval
 
 
 def score_servo(draw: ServoDraw) -> dict[str, Any]:
-    """A row of the table."""
+    """Return a row of the table."""
     made, model = make_servo_log(draw), servo_file(draw.robot).model
     if draw.limited:
         model = limited_model(draw.robot, made.log.joints, made.servos.limit)
@@ -356,7 +356,7 @@ def score_servo(draw: ServoDraw) -> dict[str, Any]:
 
 
 def _truths(made: ServoLog, model: RobotModel) -> Mapping[str, Mapping[str, float]]:
-    """Effect -> joint -> true value, in the order of the model's joints.
+    """Return effect -> joint -> true value, in the order of the model's joints.
 
     A servo that damps the velocity alone is viscous friction to its joint.
     """
@@ -443,7 +443,7 @@ def _motion(made: ServoLog, model: RobotModel, found: Explanation) -> dict[str, 
 
 
 def _gains(made: ServoLog, model: RobotModel) -> list[dict[str, Any]]:
-    """Stiffness, damping, and the integral where there or found one, beside the truth."""
+    """Return stiffness, damping, and the integral where there or found one, beside the truth."""
     rows = []
     for signal in model.effort_signals:
         at = made.log.joints.index(signal.joint)
@@ -462,7 +462,7 @@ def _gains(made: ServoLog, model: RobotModel) -> list[dict[str, Any]]:
 
 
 def _effects(made: ServoLog, model: RobotModel, found: Explanation) -> list[dict[str, Any]]:
-    """Values of effects, beside the truth."""
+    """Return values of effects, beside the truth."""
     rows = []
     truths = _truths(made, model)
     for step in found.steps:
@@ -522,7 +522,7 @@ def ratios_figure(rows: Sequence[Mapping[str, Any]]) -> Figure:
 
 
 def summary(rows: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
-    """Shares and medians over all logs."""
+    """Return shares and medians over all logs."""
     values = [value for row in rows for value in row["values"]]
     table: dict[str, Any] = {
         "logs": len(rows),
@@ -551,14 +551,14 @@ def summary(rows: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
 
 
 def _on_the_way(rows: Sequence[Mapping[str, Any]], at: int) -> float:
-    """Median over logs of the departure over the motion, RMS of all joints, at a step."""
+    """Return median over logs of the departure over the motion, RMS of all joints, at a step."""
     return float(
         np.median([np.sqrt(np.square(row["motion on the way"][at]).mean()) for row in rows])
     )
 
 
 def _worse(row: Mapping[str, Any]) -> float:
-    """Departure from the motion over that of the true model, both over all joints."""
+    """Return departure from the motion over that of the true model, both over all joints."""
     ours, best = (np.square(row[key]).mean() for key in ("motion", "motion of the true model"))
     return float(np.sqrt(ours / best))
 

@@ -85,7 +85,7 @@ class Hidden:
 
     @classmethod
     def of(cls, joints: int, **effects: dict[int, float] | tuple[float, float]) -> Hidden:
-        """Some effects by joint number; the others are zero."""
+        """Return some effects by joint number; the others are zero."""
         values = {name: np.zeros(joints) for name in cls.__annotations__} | {"tilt": np.zeros(2)}
         for name, given in effects.items():
             pairs = given.items() if isinstance(given, dict) else enumerate(given)
@@ -94,7 +94,7 @@ class Hidden:
         return cls(**values)
 
     def effort(self, q: Array, v: Array, load: Array) -> tuple[Array, Array]:
-        """(n,) effort needed, and its slope in v."""
+        """Return (n,) effort needed, and its slope in v."""
         root = np.sqrt(v * v + BREAKAWAY**2)
         height = self.coulomb + self.load_factor * np.abs(load)
         wet = self.viscous + self.one_way * (v > 0)
@@ -104,7 +104,7 @@ class Hidden:
 
 
 def tilted(plant: MultibodyPlant, tilt: Array) -> None:
-    """Turns the gravity of a plant as a base turned by small angles about x and y sees it."""
+    """Turn the gravity of a plant as a base turned by small angles about x and y sees it."""
     field = plant.mutable_gravity_field()
     turn = np.array([tilt[0], tilt[1], 0.0])
     field.set_gravity_vector(field.gravity_vector() + np.cross(field.gravity_vector(), turn))
@@ -113,7 +113,7 @@ def tilted(plant: MultibodyPlant, tilt: Array) -> None:
 def simulate(
     plant: MultibodyPlant, model: RobotModel, hidden: Hidden, motion: Reference, duration: float
 ) -> tuple[Array, Array, Array]:
-    """Positions, velocities and applied efforts (steps, n) of the robot on a motion.
+    """Return positions, velocities and applied efforts (steps, n) of the robot on a motion.
 
     Args:
         plant: The robot itself, finalized, its positions in the order of its joints.
@@ -186,22 +186,22 @@ class Case:
     parameters: tuple[float, ...] = (1.0,)
 
     def drawn_size(self, rng: np.random.Generator) -> float:
-        """Up to a fifth more or less than usual."""
+        """Return up to a fifth more or less than usual."""
         return self.size * rng.uniform(0.8, 1.2)
 
     def robot(self, size: float) -> Hidden:
-        """A robot with the effect."""
+        """Return a robot with the effect."""
         if self.hidden == "tilt":
             return Hidden.of(len(JOINTS), tilt=(0.0, size))
         return Hidden.of(len(JOINTS), **{self.hidden: {JOINTS.index(self.joint): size}})
 
     def first_motion(self, rng: np.random.Generator) -> Reference:
-        """The first motion, a little different each time."""
+        """Return the first motion, a little different each time."""
         return MOTIONS[self.motion](rng)
 
 
 def sway(rng: np.random.Generator) -> Reference:
-    """A slow sway of a degree or two."""
+    """Return a slow sway of a degree or two."""
     center = CENTER + rng.uniform(-0.01, 0.01, 2)
     rates = 2.0 * np.pi * np.array([0.11, 0.24])[:, None] * rng.uniform(0.9, 1.1, (2, 2))
     sizes, phases = 0.02 * rng.uniform(0.5, 1.0, (2, 2)), rng.uniform(0.0, 2.0 * np.pi, (2, 2))
@@ -231,7 +231,7 @@ def shuttle(rng: np.random.Generator, reach: float = 0.08) -> Reference:
 
 
 def long_shuttle(rng: np.random.Generator) -> Reference:
-    """The same through a larger range, and faster."""
+    """Return the same through a larger range, and faster."""
     return shuttle(rng, 0.4)
 
 
@@ -291,7 +291,7 @@ class Draw:
 
 @cache
 def known_model() -> RobotModel:
-    """The model file, its inertias identified before to within 1 %."""
+    """Return the model file, its inertias identified before to within 1 %."""
     model = load_model(ROBOT)
     information = pullback_information(model.phi, KNOWN)
     noise = np.full(len(model.joints), NOISE)
@@ -299,7 +299,7 @@ def known_model() -> RobotModel:
 
 
 def real_robot(hidden: Hidden) -> MultibodyPlant:
-    """The robot itself: the model file on a base that may be tilted."""
+    """Return the robot itself: the model file on a base that may be tilted."""
     plant = MultibodyPlant(0.0)
     (arm,) = Parser(plant).AddModels(str(ROBOT))
     root = plant.get_body(plant.GetBodyIndices(arm)[0])
@@ -310,7 +310,7 @@ def real_robot(hidden: Hidden) -> MultibodyPlant:
 
 
 def allowed() -> MotionLimits:
-    """What the robot may do."""
+    """Return what the robot may do."""
     joints = known_model().joints
     return motion_limits(
         known_model(),
@@ -322,7 +322,7 @@ def allowed() -> MotionLimits:
 
 @cache
 def separation_of(case: Case) -> Separation:
-    """What telling a case's two effects apart amounts to, both of unknown size."""
+    """Return what telling a case's two effects apart amounts to, both of unknown size."""
     model, limits = known_model(), allowed()
     rivals = []
     for name in (case.truth, case.rival):
@@ -362,7 +362,7 @@ def run(draw: Draw, *, iterations: int) -> dict[str, Any]:
 
 
 def motions(case: Case, seed: int, iterations: int) -> dict[str, ExcitationTrajectory]:
-    """A random motion that uses the limits, and the one designed from it."""
+    """Return a random motion that uses the limits, and the one designed from it."""
     separation, limits = separation_of(case), allowed()
     family, options = (
         FourierMotion(SECOND, 5, 2.0 * np.pi * PERIODS / SECOND),
@@ -376,7 +376,7 @@ def motions(case: Case, seed: int, iterations: int) -> dict[str, ExcitationTraje
 
 
 def states_of(trajectory: ExcitationTrajectory) -> Reference:
-    """Position, velocity and acceleration by joint."""
+    """Return position, velocity and acceleration by joint."""
 
     def motion(t: Array) -> tuple[Array, Array, Array]:
         q, v, vd = trajectory.states(np.minimum(t, trajectory.family.length))
@@ -388,7 +388,7 @@ def states_of(trajectory: ExcitationTrajectory) -> Reference:
 def measured(
     draw: Draw, name: str, hidden: Hidden, motion: Callable[..., Any], duration: float
 ) -> Diagnosis:
-    """A diagnosis of the log of a motion."""
+    """Return a diagnosis of the log of a motion."""
     model = known_model()
     rows = simulate(real_robot(hidden), model, hidden, motion, duration)
     seed = 1000 * draw.seed + 10 * draw.case + len(name)
@@ -409,12 +409,12 @@ def deviations(case: Case, size: float, motion: Reference, duration: float) -> f
 
 
 def stands(diagnosis: Diagnosis, name: str) -> bool:
-    """Whether an effect is among those that a log cannot distinguish from the best."""
+    """Return whether an effect is among those that a log cannot distinguish from the best."""
     return any(c.tied and name in c.effect.split(" + ") for c in diagnosis.candidates)
 
 
 def verdict(case: Case, diagnosis: Diagnosis) -> dict[str, Any]:
-    """What a diagnosis says of a case."""
+    """Return what a diagnosis says of a case."""
     return {
         "told": stands(diagnosis, case.truth) and not stands(diagnosis, case.rival),
         "wrong": stands(diagnosis, case.rival) and not stands(diagnosis, case.truth),
@@ -440,7 +440,7 @@ class Plan:
 def draws_of(
     plan: Plan, parser: argparse.ArgumentParser, options: argparse.Namespace
 ) -> list[dict[str, Any]]:
-    """Robots of every case, until enough first logs are ambiguous."""
+    """Return robots of every case, until enough first logs are ambiguous."""
     task = partial(run, iterations=plan.iterations)
     rows: list[dict[str, Any]] = []
     tried = dict.fromkeys(plan.cases, 0)
@@ -457,7 +457,7 @@ def draws_of(
 
 
 def summary(case: int, rows: Sequence[dict[str, Any]]) -> dict[str, Any]:
-    """How many of a case's robots are ambiguous, and how many of these are distinguished."""
+    """Return how many of a case's robots are ambiguous, and how many of these are distinguished."""
     own = [row for row in rows if row["case"] == case]
     ambiguous = [row for row in own if row["ambiguous"]]
     result: dict[str, Any] = {

@@ -63,13 +63,13 @@ class Example:
     joint: str = ELBOW
 
     def residual(self, motion: RobotMotion) -> Array:
-        """(N,) effort of the effect at the joint that is shown."""
+        """Return (N,) effort of the effect at the joint that is shown."""
         own = self.effect.effort(motion, np.array(self.values))
         return np.asarray(own[:, motion.index(self.joint)])
 
 
 def phi_of(mass: float, x: float, y: float, z: float, radius: float = 0.05) -> tuple[float, ...]:
-    """Inertial parameters of a ball of a mass, kg, whose centre is at (x, y, z), m."""
+    """Return inertial parameters of a ball of a mass, kg, whose centre is at (x, y, z), m."""
     own, p = 0.4 * mass * radius**2, np.array([x, y, z])
     inertia = own * np.eye(3) + mass * (p @ p * np.eye(3) - np.outer(p, p))
     moments = (*np.diag(inertia), inertia[0, 1], inertia[1, 2], inertia[2, 0])
@@ -77,7 +77,7 @@ def phi_of(mass: float, x: float, y: float, z: float, radius: float = 0.05) -> t
 
 
 def examples() -> list[Example]:
-    """One example of every effect whose effort is linear in its parameters."""
+    """Return one example of every effect whose effort is linear in its parameters."""
     return [
         Example(effects.ViscousFriction(ELBOW), (4.0,)),
         Example(effects.CoulombFriction(ELBOW), (6.0,)),
@@ -113,7 +113,7 @@ def examples() -> list[Example]:
 
 
 def motion_of(model: RobotModel) -> RobotMotion:
-    """A lively motion of all joints within their limits."""
+    """Return a lively motion of all joints within their limits."""
     t = np.arange(0.0, DURATION, PERIOD)
     rates = np.array([0.9, 0.8, 1.1, 1.5, 1.7, 2.1])
     sizes = np.array([0.9, 0.6, 0.8, 1.0, 0.9, 1.2])
@@ -127,13 +127,13 @@ def motion_of(model: RobotModel) -> RobotMotion:
 
 
 def delayed(motion: RobotMotion) -> Array:
-    """(N,) what efforts of the elbow that are logged 12 ms late leave."""
+    """Return (N,) what efforts of the elbow that are logged 12 ms late leave."""
     own, late = motion.load[:, motion.index(ELBOW)], round(0.012 / PERIOD)
     return np.concatenate([np.zeros(late), own[:-late] - own[late:]])
 
 
 def heavier(motion: RobotMotion) -> Array:
-    """(N,) what a forearm leaves at the elbow that is 1.5 kg heavier than its model."""
+    """Return (N,) what a forearm leaves at the elbow that is 1.5 kg heavier than its model."""
     columns = motion.body_columns("forearm")[:, motion.index(ELBOW)]
     return np.asarray(columns @ np.array(phi_of(1.5, 0.15, 0.0, 0.0)))
 
@@ -167,7 +167,7 @@ def draw(residual: Array, motion: RobotMotion, joint: str, path: Path) -> None:
 
 
 def page(drawn: dict[type[Effect], Path], folder: Path) -> str:
-    """The page of all effects, pictures named relative to a folder."""
+    """Return the page of all effects, pictures named relative to a folder."""
     rows = [(f"`{name}`", law.replace("|", "\\|"), place) for name, law, place in table_rows()]
     parts = [INTRODUCTION + "".join(f"| {' | '.join(row)} |\n" for row in rows)]
     for effect, path in drawn.items():
@@ -184,7 +184,7 @@ def page(drawn: dict[type[Effect], Path], folder: Path) -> str:
 
 
 def main() -> None:
-    """Draws, and writes what was asked for."""
+    """Draw, and write what was asked for."""
     parser = script_parser(__doc__, "three pictures")
     parser.add_argument("--page", type=Path, help="Markdown file of all effects and pictures")
     options = parser.parse_args()

@@ -67,7 +67,7 @@ class HiddenEffect:
     size: tuple[float, ...]
 
     def law(self) -> tuple[Effect, Array]:
-        """The effect and its linear parameters."""
+        """Return the effect and its linear parameters."""
         if self.name == EffortDelay.name:
             return EffortDelay(self.size[0], *self.where), np.empty(0)
         effect, size = make_effect(self.name, self.where), np.array(self.size)
@@ -89,7 +89,7 @@ class Scenario:
     seed: int = 0
 
     def laws(self) -> list[tuple[Effect, Array]]:
-        """Hidden effects and their linear parameters."""
+        """Return hidden effects and their linear parameters."""
         return [hidden.law() for hidden in self.hidden]
 
 
@@ -146,7 +146,7 @@ def load(scenario: Scenario, *, hidden: bool = True) -> MultibodyPlant:
 
 
 def random_motion(plant: MultibodyPlant, *, scenario: Scenario) -> PiecewisePolynomial:
-    """A sum of sines that does not repeat, of random frequencies, amplitudes and phases."""
+    """Return a sum of sines that does not repeat, of random frequencies, amplitudes and phases."""
     rng = np.random.default_rng(scenario.seed)
     shape = (len(FREQUENCIES), plant.num_velocities(), 1)
     amplitude, phase = rng.uniform(0.3, 1.0, shape), rng.uniform(0, 2 * np.pi, shape)
@@ -166,7 +166,7 @@ def random_motion(plant: MultibodyPlant, *, scenario: Scenario) -> PiecewisePoly
 def track(
     plant: MultibodyPlant, motion: PiecewisePolynomial, *, scenario: Scenario
 ) -> tuple[Array, Array]:
-    """States (N, nq + nv) and efforts (N, nv) of the plant on its motion."""
+    """Return states (N, nq + nv) and efforts (N, nv) of the plant on its motion."""
     laws = scenario.laws()
     forces = [law for law in laws if law[0].name not in (*PLANT_EFFECTS, EffortDelay.name)]
     delays = delays_of([effect for effect, _ in laws], joint_names(plant))
@@ -197,7 +197,7 @@ def track(
 def measure(
     plant: MultibodyPlant, states: Array, efforts: Array, *, scenario: Scenario
 ) -> JointLog:
-    """What sensors make of a simulation."""
+    """Return what sensors make of a simulation."""
     on_effort, on_velocity = np.random.default_rng(scenario.seed + 1).spawn(2)
     q, v = np.split(states, [plant.num_positions()], axis=1)
     noise = scenario.effort_noise * efforts.std(axis=0)
@@ -212,13 +212,13 @@ def measure(
 
 
 def summary(log: JointLog, *, scenario: Scenario) -> dict[str, object]:
-    """The scenario, and the deviation of every joint's effort, N·m."""
+    """Return the scenario, and the deviation of every joint's effort, N·m."""
     effort = dict(zip(log.joints, log.effort.std(0).tolist(), strict=True))
     return {"scenario": asdict(scenario), "samples": len(log), "effort_std": effort}
 
 
 def draw(log: JointLog) -> Figure:
-    """Position and effort of every joint over time."""
+    """Return position and effort of every joint over time."""
     figure = Figure(figsize=(9.0, 6.0), layout="constrained")
     panels = figure.subplots(2, 1, sharex=True)
     signals = {"position, rad": log.position, "effort, N·m": log.effort}
@@ -232,7 +232,7 @@ def draw(log: JointLog) -> Figure:
 
 
 def read_options(arguments: Sequence[str] | None = None) -> argparse.Namespace:
-    """Command line options."""
+    """Return command line options."""
     parser = script_parser(__doc__, "a log of 4 s, for a first look")
     parser.add_argument("--log", type=Path, help="file for the log, .csv or .npz")
     parser.add_argument("--demo", action="store_true", help="the log that comes with the package")
@@ -244,7 +244,7 @@ def read_options(arguments: Sequence[str] | None = None) -> argparse.Namespace:
 
 
 def scenario_of(options: argparse.Namespace) -> Scenario:
-    """The scenario that options ask for."""
+    """Return the scenario that options ask for."""
     hidden = tuple(
         HiddenEffect(name, tuple(filter(None, at.split(","))), tuple(map(float, size.split(","))))
         for name, at, size in zip(options.effect, options.where, options.size, strict=True)

@@ -26,7 +26,7 @@ ROOT = Path(__file__).parents[2]
 
 
 def explain_demo(*, quick: bool) -> Explanation:
-    """What `geodrake demo` finds; if quick, in the first 6 s of its log."""
+    """Return what `geodrake demo` finds; if quick, in the first 6 s of its log."""
     with as_file(files("geodrake") / "demo") as demo:
         log = read_log(demo / "demo.csv")
         if quick:

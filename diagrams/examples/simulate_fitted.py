@@ -95,7 +95,7 @@ def errors(log: JointLog, efforts: dict[str, Array]) -> list[dict[str, Any]]:
 
 
 def effort_figure(log: JointLog, efforts: dict[str, Array]) -> Figure:
-    """Every joint: the logged effort, and that of each robot."""
+    """Return every joint: the logged effort, and that of each robot."""
     rows = (len(log.joints) + 1) // 2
     figure = style.new_figure(1.8 * rows)
     axes = figure.subplots(rows, 2, sharex=True, squeeze=False).ravel()

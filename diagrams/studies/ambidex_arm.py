@@ -82,7 +82,7 @@ class Plan:
 
 
 def run_draw(draw: int, *, plan: Plan, measured: Measurements) -> list[dict[str, object]]:
-    """All fits of one draw as rows of a table; a fit that fails is left out."""
+    """Return all fits of one draw as rows of a table; a fit that fails is left out."""
     rng, prior = prior_of(draw, plan, measured)
     points = point_masses(prior, ellipsoid_of_quadric(measured.hulls), rng)
     kinds: dict[str, Regularizer | str] = {
@@ -112,7 +112,7 @@ def run_draw(draw: int, *, plan: Plan, measured: Measurements) -> list[dict[str,
 
 
 def prior_of(draw: int, plan: Plan, measured: Measurements) -> tuple[np.random.Generator, Array]:
-    """Random numbers of a draw, and its prior (17, 10)."""
+    """Return random numbers of a draw, and its prior (17, 10)."""
     rng = np.random.default_rng([plan.seed, 1 + draw])
     return rng, perturbed(measured.truth, rng, plan.delta)
 
@@ -155,7 +155,7 @@ def fit(
     gamma: float | None = None,
     residual_bound: float | None = None,
 ) -> IdentificationResult:
-    """A fit to a triangular factor, with all bodies inside their hulls."""
+    """Return a fit to a triangular factor, with all bodies inside their hulls."""
     by_points = isinstance(regularizer, PointMassEuclidean | PointMassKL)
     return identify(
         data[:, :-1],
@@ -176,7 +176,7 @@ def compared(
     measured: Measurements,
     entropic: IdentificationResult,
 ) -> IdentificationResult:
-    """A fit to be compared with the entropic one ([Lee2019] §3.5.1).
+    """Return a fit to be compared with the entropic one ([Lee2019] §3.5.1).
 
     At the same training residual; with the Riemannian distance, which is not convex, with the same
     γ (Eq. (3.5.53)).
@@ -228,7 +228,7 @@ def row_of(
 
 
 def zmp(measured: Measurements, phi: Array) -> Array:
-    """(T, 2) zero-moment points on the ground of every fifth test sample, m."""
+    """Return (T, 2) zero-moment points on the ground of every fifth test sample, m."""
     return zero_moment_point(measured.wrenches(phi))
 
 
@@ -268,7 +268,7 @@ def figures_of(
 
 
 def error_figure(summary: Sequence[dict[str, Any]], plan: Plan) -> Figure:
-    """Errors against the number of training samples, like figure 3.7 of the source."""
+    """Return errors against the number of training samples, like figure 3.7 of the source."""
     figure = style.new_figure(7.4)
     panels = {
         "training": "Motor torques, training samples: RMS error, mN·m",
@@ -321,7 +321,7 @@ def _draw_errors(ax: Axes, summary: Sequence[dict[str, Any]], column: str, scale
 
 
 def zmp_figure(measured: Measurements, models: Sequence[EllipsoidSet]) -> Figure:
-    """Zero-moment points on the ground, like figure 3.9 of the source."""
+    """Return zero-moment points on the ground, like figure 3.9 of the source."""
     points = {one.name: 100.0 * zmp(measured, one.phi)[: SHOWN // 5] for one in models}
     colors = {one.name: one.color for one in models}
     time = 5 * PERIOD * np.arange(SHOWN // 5)
@@ -355,7 +355,7 @@ def zmp_figure(measured: Measurements, models: Sequence[EllipsoidSet]) -> Figure
 
 
 def link_figure(arm: Arm, models: Sequence[EllipsoidSet]) -> Figure:
-    """The links as ellipsoids, like figure 3.8 of the source."""
+    """Return the links as ellipsoids, like figure 3.8 of the source."""
     links = [replace(one, phi=one.phi[:10], at_boundary=one.at_boundary[:10]) for one in models]
     context = arm.plant.CreateDefaultContext()
     turns = np.array([[0.3, -0.5, 0.2, 1.2, 0.0, 0.4, 0.0]])
@@ -388,7 +388,7 @@ COUNTS = (10, 30, 100, 300, 1000, TRAINING)
 
 
 def summarize(rows: Sequence[Any], plan: Plan) -> list[dict[str, Any]]:
-    """Means and deviations over the draws, for the prior and every fit."""
+    """Return means and deviations over the draws, for the prior and every fit."""
     summary = []
     cells = [(0, "prior")] + [(count, name) for count in plan.counts for name in NAMES]
     for count, name in cells:

@@ -127,15 +127,15 @@ class CoupledSample:
         return self.J.T @ self.joints.regressor
 
     def effort(self, parameters: Array) -> Array:
-        """(7,) N·m."""
+        """Return (7,) N·m."""
         return self.J.T @ self.joints.effort(parameters)
 
     def covector(self, r: Array) -> Array:
-        """(p,) Yᵀ r."""
+        """Return (p,) Yᵀ r."""
         return self.joints.covector(self.J @ r)
 
     def mass_matrix(self, parameters: Array) -> Array:
-        """(7, 7)."""
+        """Return (7, 7)."""
         return self.J.T @ self.joints.mass_matrix(parameters) @ self.J
 
 
@@ -167,7 +167,7 @@ class CoupledControl:
         return self.own.floats
 
     def at(self, q: Array, qd: Array, v: Array, a: Array) -> CoupledSample:
-        """The Slotine–Li regressor, as that of a ControlModel."""
+        """Return the Slotine–Li regressor, as that of a ControlModel."""
         return CoupledSample(self.own.at(*(self.J @ x for x in (q, qd, v, a))), self.J)
 
 
@@ -181,11 +181,11 @@ class Known:
 
     @classmethod
     def true(cls, phi: Array) -> Known:
-        """The arm as it is."""
+        """Return the arm as it is."""
         return cls(phi, COULOMB, VISCOUS)
 
     def friction(self, joints: Sequence[str]) -> list[FittedEffect]:
-        """Friction of the motors at the joints that they turn.
+        """Return the friction of the motors at the joints that they turn.
 
         A motor that turns k times as fast as its joint, or as the sum or difference of the wrist's
         two, has there k f_c and k² f_v.
@@ -203,7 +203,7 @@ class Known:
         return found
 
     def rotors(self) -> Array:
-        """(7,) rotor inertia that each turn's joint feels, kg·m².
+        """Return (7,) rotor inertia that each turn's joint feels, kg·m².
 
         The wrist's two motors turn both of its joints; what their difference couples is left out.
         """
@@ -225,7 +225,7 @@ class CoupledArm:
 
     @classmethod
     def of(cls, known: Known) -> CoupledArm:
-        """The arm with identified parameters."""
+        """Return the arm with identified parameters."""
         model = load_description(MODEL)
         friction = known.friction(model.joints)
         adapted: RobotModel = replace(model, phi=known.phi[:10], effects=tuple(friction))
@@ -239,7 +239,7 @@ class CoupledArm:
         return cls(CoupledControl(control, joint_map()), manifold)
 
     def law(self, name: str, speed: float) -> PartialLaw | None:
-        """A law of links and friction, by its name and γ⁻¹."""
+        """Return a law of links and friction, by its name and γ⁻¹."""
         size = self.manifold.dimension
         law = make_law(name, self.manifold, self.control.prior[:size], speed)
         part: NDArray[np.bool_] = np.arange(len(self.control.prior)) < size
@@ -304,7 +304,7 @@ def identified(seed: int) -> Known:
 
 
 def point_to_point(count: int, seed: int) -> PiecewisePolynomial:
-    """Turns (7) that go from one random place to the next with least jerk, starting at zero."""
+    """Return turns (7,) that go from one random place to the next with least jerk, from zero on."""
     rng = np.random.default_rng([seed, 56])
     ends = np.vstack([np.zeros(7), rng.uniform(-REACH, REACH, (count, 7))])
     s = np.linspace(0.0, 1.0, 31)
@@ -395,12 +395,12 @@ class Draw:
 
 @cache
 def known_arm(seed: int) -> Known:
-    """What was identified, once in a process."""
+    """Return what was identified, once in a process."""
     return identified(seed)
 
 
 def run_draw(draw: Draw, *, seed: int) -> dict[str, Any]:
-    """A row of the table."""
+    """Return a row of the table."""
     seed, bags = (seed, BAGS[draw.case]) if draw.case in BAGS else (CALIBRATION_SEED, GRID_BAGS)
     arm = CoupledArm.of(known_arm(seed))
     controller = PassivityBasedAdaptiveController(
@@ -423,7 +423,7 @@ def run_draw(draw: Draw, *, seed: int) -> dict[str, Any]:
 
 
 def all_draws(kind: str, *, quick: bool) -> list[Draw]:
-    """Every case with every law."""
+    """Return every case with every law."""
     speed = {NONE: 1.0, **speeds("sandbags", kind)}
     cases = ("link 10",) if quick else tuple(BAGS)
     motions, end = (1, 1.0) if quick else (MOTIONS, None)

@@ -94,7 +94,7 @@ _SMALL = (
 
 
 def standing_robot(shared: Path | None) -> RobotModel:
-    """Atlas on its left foot, of the folder `shared`; our small robot if None.
+    """Return atlas on its left foot, of the folder `shared`; our small robot if None.
 
     Its neck, which is not among the source's 29 joints, is held.
     """
@@ -127,7 +127,7 @@ def _small() -> RobotModel:
 
 
 def groups(model: RobotModel) -> dict[str, np.ndarray]:
-    """Indices of the joints of every group that the robot has."""
+    """Return indices of the joints of every group that the robot has."""
     found = {
         group: np.array([i for i, joint in enumerate(model.joints) if re.search(pattern, joint)])
         for group, pattern in GROUPS.items()
@@ -158,12 +158,12 @@ class Balance:
     model: RobotModel
 
     def zmp(self, q: Array, v: Array, vd: Array) -> Array:
-        """(N, 2) zero-moment points on the ground, m; NaN where the foot would lift off."""
+        """Return (N, 2) zero-moment points on the ground, m; NaN where the foot would lift off."""
         Y = base_wrench_regressor(self.model.tree, q, v, vd)
         return zero_moment_point(Y @ self.model.phi.ravel())
 
     def postures(self, rng: np.random.Generator, count: int) -> Array:
-        """(count, nv) random postures by joint with the centre of mass over the sole."""
+        """Return (count, nv) random postures by joint with the centre of mass over the sole."""
         model, order = self.model, joint_order(self.model)
         lower, upper = (np.empty(len(order)) for _ in range(2))
         lower[order], upper[order] = position_limits(model.plant)
@@ -181,7 +181,7 @@ class Balance:
         raise RuntimeError(f"Only {len(found)} of {count} postures are in balance.")
 
     def _correct(self, postures: Array, aim: Array, ankle: list[int]) -> Array:
-        """Turns the ankle until centres of mass are over `aim`; the distances (N,) left, m."""
+        """Turn the ankle until centres of mass are over `aim`; the distances (N,) left, m."""
         order = joint_order(self.model)
         still = np.zeros_like(postures)
 
@@ -247,12 +247,12 @@ class Plan:
 
 
 def robot(plan: Plan) -> RobotModel:
-    """The true robot."""
+    """Return the true robot."""
     return standing_robot(None if plan.shared is None else Path(plan.shared))
 
 
 def one_motion(number: int, *, plan: Plan) -> dict[str, Any]:
-    """A random motion in balance."""
+    """Return a random motion in balance."""
     balance = Balance(robot(plan))
     trajectory, share = balance.motion(np.random.default_rng([plan.seed, number]))
     motion = trajectory.motion(FAMILY.times(round(RATE * FAMILY.length)))
@@ -266,7 +266,7 @@ def one_motion(number: int, *, plan: Plan) -> dict[str, Any]:
 
 
 def sampled(model: RobotModel, found: dict[str, Any], rate: float) -> Motion:
-    """A motion at a rate (1/s)."""
+    """Return a motion at a rate (1/s)."""
     order = joint_order(model)
     coefficients = np.array(found["coefficients"])
     trajectory = ExcitationTrajectory(FAMILY, coefficients, model.joints, order)
@@ -317,12 +317,12 @@ def validate(truth: RobotModel, motions: list[Motion], delta: np.ndarray) -> dic
 
 
 def rms(x: np.ndarray) -> float:
-    """Root mean square of all."""
+    """Return the root mean square of all."""
     return float(np.sqrt(np.mean(np.square(x))))
 
 
 def run(found: Sequence[dict[str, Any]], plan: Plan) -> dict[str, Any]:
-    """Figure 4.7 and tables 4.3 and 4.4, of motions in balance."""
+    """Return figure 4.7 and tables 4.3 and 4.4, of motions in balance."""
     truth, kept = robot(plan), asdict(plan)
     half = plan.motions // 2
     target, full, reduced = identify(
@@ -367,7 +367,7 @@ def tell(table: dict[str, Any]) -> None:
 
 
 def draw(table: dict[str, Any]) -> Figure:
-    """Figure 4.7: variances along principal directions, beside errors of accelerations."""
+    """Return figure 4.7: variances along principal directions, beside errors of accelerations."""
     figure = style.new_figure(3.8)
     left, right = figure.subplots(1, 2)
     variances, threshold = np.array(table["variances"]), table["plan"]["threshold"]

@@ -49,7 +49,7 @@ Curves = dict[str, Any]
 
 
 def squared_distances(phi: np.ndarray, target: np.ndarray) -> dict[str, np.ndarray]:
-    """Every measure of bodies (..., 10) from a target (..., 10), SI."""
+    """Return every measure of bodies (..., 10) from a target (..., 10), SI."""
     imperial = change_units(phi - target, **INCH_POUND)
     return {
         "euclidean, kg-m": ((phi - target) ** 2).sum(-1),
@@ -61,17 +61,17 @@ def squared_distances(phi: np.ndarray, target: np.ndarray) -> dict[str, np.ndarr
 
 
 def turns(angle: Any) -> np.ndarray:
-    """Rotations (..., 3, 3) about z by angles (...), rad."""
+    """Return rotations (..., 3, 3) about z by angles (...), rad."""
     return Rotation.from_rotvec(np.multiply.outer(angle, [0.0, 0.0, 1.0])).as_matrix()
 
 
 def long_body(center: Sequence[float] = (0.0, 0.0, 0.0)) -> np.ndarray:
-    """The long uniform ellipsoid, with its length along x."""
+    """Return the long uniform ellipsoid, with its length along x."""
     return Ellipsoid(np.asarray(center), SIZE, np.eye(3)).uniform_body(MASS)
 
 
 def normalized(name: str, unit: str, x: np.ndarray, bodies: tuple[Any, Any], at: float) -> Curves:
-    """Curves of all measures over x, divided by their values where x is `at`."""
+    """Return curves of all measures over x, divided by their values where x is `at`."""
     phi, target = bodies
     k = int(np.argmin(np.abs(x - at)))
     curves = {key: value / value[k] for key, value in squared_distances(phi, target).items()}
@@ -90,7 +90,7 @@ def position_curves(points: int) -> tuple[Curves, np.ndarray, np.ndarray]:
 
 
 def orientation_curves(points: int) -> tuple[Curves, np.ndarray, np.ndarray]:
-    """Figure 3.3(b): the same body turned about one of its ends."""
+    """Return figure 3.3(b): the same body turned about one of its ends."""
     angle = np.linspace(2.0, 180.0, points)
     target = long_body((SIZE[0], 0.0, 0.0))
     phi = change_frame(target, turns(np.deg2rad(angle)), np.zeros(3))
@@ -99,7 +99,7 @@ def orientation_curves(points: int) -> tuple[Curves, np.ndarray, np.ndarray]:
 
 
 def volume_curves(points: int) -> tuple[Curves, np.ndarray, np.ndarray]:
-    """Figure 3.4(a): a body of the same mass and shape that grows from its foot."""
+    """Return figure 3.4(a): a body of the same mass and shape that grows from its foot."""
     length = np.geomspace(0.01, 1.25, points)
     target = long_body((SIZE[0], 0.0, 0.0))
     center, semi_axes = np.outer(length, [SIZE[0], 0.0, 0.0]), np.outer(length, SIZE)
@@ -109,7 +109,7 @@ def volume_curves(points: int) -> tuple[Curves, np.ndarray, np.ndarray]:
 
 
 def mass_curves(masses: np.ndarray, samples: int, rng: np.random.Generator) -> Curves:
-    """Figure 3.4(b): mean over perturbed balls, for balls of every mass."""
+    """Return figure 3.4(b): mean over perturbed balls, for balls of every mass."""
     ball = Ellipsoid(np.zeros(3), np.full(3, RADIUS), np.eye(3))
     targets = ball.uniform_body(masses)
     perturbed = perturb(targets, samples, rng=rng, mass_uncertainty=0.3, point_masses=10).phi
@@ -121,7 +121,7 @@ def mass_curves(masses: np.ndarray, samples: int, rng: np.random.Generator) -> C
 
 
 def frame_and_unit_table(changes: int, rng: np.random.Generator) -> dict[str, Any]:
-    """One pair of bodies, seen from random frames in random units of length and mass."""
+    """Return one pair of bodies, seen from random frames in random units of length and mass."""
     first, second = long_body(), 1.2 * change_frame(long_body(), turns(0.4), [0.1, 0, 0])
     reference = {k: float(v) for k, v in squared_distances(second, first).items()}
     values = {key: [] for key in ("euclidean", "pullback", "entropic", "riemannian")}
@@ -141,7 +141,7 @@ def frame_and_unit_table(changes: int, rng: np.random.Generator) -> dict[str, An
 
 
 def measure(*, quick: bool, seed: int) -> tuple[dict[str, Any], list[Any]]:
-    """All curves and the table, and the bodies that the figures show."""
+    """Return all curves and the table, and the bodies that the figures show."""
     rng = np.random.default_rng(seed)
     points = 37 if quick else 181
     shown = [position_curves(points), orientation_curves(points), volume_curves(points)]
@@ -184,7 +184,7 @@ def bare(axes: Any) -> None:
 
 
 def draw_geodesics() -> Figure:
-    """Figure 3.2: distance by direction, and the bodies along a geodesic."""
+    """Return figure 3.2: distance by direction, and the bodies along a geodesic."""
     figure = style.new_figure(4.2)
     left, right = figure.subplots(1, 2)
     target = long_body()
@@ -240,7 +240,7 @@ def draw_sketches(axes: Any, curves: Curves, phi: np.ndarray, target: np.ndarray
 
 
 def draw_curves(panels: list[tuple[Curves, Any, Any]], log: Sequence[str]) -> Figure:
-    """Figures 3.3 and 3.4: curves of every measure, with the bodies above them.
+    """Return figures 3.3 and 3.4: curves of every measure, with the bodies above them.
 
     Args:
         panels: Curves with their bodies and target, None if there are no bodies to show.

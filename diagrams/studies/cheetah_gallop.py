@@ -73,7 +73,7 @@ class Quantity:
 
 
 def leg_motion(time: Array, phase: float) -> Motion:
-    """Angles of a leg's joints, with their derivatives."""
+    """Return angles of a leg's joints, with their derivatives."""
     first = 2 * np.pi * STRIDE * time[:, None] + 2 * np.pi * phase
     middle = np.array([0.05, 0.75, -1.5])
     waves = (
@@ -84,7 +84,7 @@ def leg_motion(time: Array, phase: float) -> Motion:
 
 
 def trunk_motion(time: Array) -> Motion:
-    """Surge, heave and pitch of the trunk, with their derivatives; 3 m/s forward."""
+    """Return surge, heave and pitch of the trunk, with their derivatives; 3 m/s forward."""
     first = 2 * np.pi * STRIDE * time[:, None]
     waves = (
         (1, np.array([0.02, 0.05, 0.18]), np.array([0.3, 1.1, 0.2])),
@@ -108,12 +108,12 @@ def _sum_of_waves(
 
 
 def whole_robot() -> MultibodyPlant:
-    """The trunk, floating, with four legs."""
+    """Return the trunk, floating, with four legs."""
     return load_plant(MODELS / "cheetah.dmd.yaml", floating=True).plant
 
 
 def gallop(plant: MultibodyPlant, time: Array) -> Motion:
-    """Motion of the whole robot in Drake's order, rotors included."""
+    """Return motion of the whole robot in Drake's order, rotors included."""
     names = joint_names(plant)
     actuators = tuple(f"{leg}_{joint}" for leg in LEGS for joint in JOINTS)
     legs = [leg_motion(time, PHASES[leg]) for leg in LEGS]
@@ -133,7 +133,7 @@ def gallop(plant: MultibodyPlant, time: Array) -> Motion:
 
 
 def gearing(joints: tuple[str, ...], actuators: tuple[str, ...]) -> LinearTransmission:
-    """Joints turn with their actuators, rotors by the gear ratio."""
+    """Return joints turn with their actuators, rotors by the gear ratio."""
     ratios = {name: {name: 1.0} for name in actuators}
     gears = GEARS * (len(actuators) // len(GEARS))
     ratios |= {f"{n}_rotor": {n: gear} for n, gear in zip(actuators, gears, strict=True)}
@@ -175,7 +175,7 @@ KINDS = ("euclidean", *SETS, "pullback", "entropic")
 
 
 def true_legs(leg: Leg, count: int, rng: np.random.Generator) -> Array:
-    """Legs (count, 6, 10) that differ from the prior by point masses inside the ellipsoids.
+    """Return legs (count, 6, 10) that differ from the prior by point masses inside the ellipsoids.
 
     Those of which mass was taken away so that a body no longer fits into its ellipsoid are left
     out.
@@ -198,7 +198,7 @@ def true_legs(leg: Leg, count: int, rng: np.random.Generator) -> Array:
 def identified(
     leg: Leg, points: Mapping[str, PointMasses], A: Array, truth: Array
 ) -> tuple[dict[str, Array], dict[str, float]]:
-    """Parameters and RMS training errors by regularizer, from torques without noise."""
+    """Return parameters and RMS training errors by regularizer, from torques without noise."""
     data = Condensed.of(A, A @ truth.ravel())
     euclidean = fit(data, leg, "euclidean", gamma=ALPHA * float(np.square(A).sum()))
     bound, found = euclidean.residual, {"euclidean": euclidean}
@@ -252,7 +252,7 @@ def run(*, seed: int, truths: int) -> tuple[list[dict[str, Any]], int]:
 
 
 def error_figure(rows: Sequence[dict[str, Any]]) -> Figure:
-    """Errors in the gallop by regularizer, figure 3.12."""
+    """Return errors in the gallop by regularizer, figure 3.12."""
     names = list(dict.fromkeys(row["quantity"] for row in rows))
     figure, axes = panels(3.6, names, grid="y")
     for ax, name in zip(axes, names, strict=True):

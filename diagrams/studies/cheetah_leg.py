@@ -100,7 +100,7 @@ def row(samples: int, stretch: bool, kind: str, numbers: Sequence[float]) -> dic
 def drawn(
     train: Samples, friction: np.ndarray, size: int, stretch: bool, rng: np.random.Generator
 ) -> Condensed:
-    """Training samples without their friction: one stretch, or scattered."""
+    """Return training samples without their friction: one stretch, or scattered."""
     if stretch:
         first = rng.integers(len(train.torque) - size * SPACING)
         chosen = first + SPACING * np.arange(size)
@@ -111,7 +111,7 @@ def drawn(
 
 
 def error_figure(study: Study) -> Figure:
-    """Training and test errors against the number of training samples, figure 3.10."""
+    """Return training and test errors against the number of training samples, figure 3.10."""
     *_, last = study.rows
     drawn = [r for r in study.rows[: -len(REGULARIZERS)] if r["stretch"]]
     sizes = sorted({r["samples"] for r in drawn})
@@ -136,7 +136,7 @@ def error_figure(study: Study) -> Figure:
 
 
 def body_figure(study: Study) -> Figure:
-    """The bodies identified from the first stretch of 30 samples, figure 3.11."""
+    """Return the bodies identified from the first stretch of 30 samples, figure 3.11."""
     plant, sets = (
         study.leg.plant,
         [EllipsoidSet.of("prior", study.leg.prior, color=COLORS["prior"])],

@@ -73,7 +73,7 @@ class Draw:
 
 
 def make_controller(draw: Draw, seed: int) -> AdaptiveController:
-    """The controller of a draw."""
+    """Return the controller of a draw."""
     wam = load_wam()
     start = first_estimate(draw.sigma, seed, draw.number)
     law = make_law(draw.law, wam.manifold, start, draw.speed)
@@ -92,7 +92,7 @@ def make_controller(draw: Draw, seed: int) -> AdaptiveController:
 
 
 def run_draw(draw: Draw, *, seed: int) -> dict[str, Any]:
-    """A row of the table."""
+    """Return a row of the table."""
     wam = load_wam()
     seed = CALIBRATION_SEED if draw.grid else seed
     controller, size = make_controller(draw, seed), len(wam.control.joints)
@@ -115,13 +115,13 @@ def run_draw(draw: Draw, *, seed: int) -> dict[str, Any]:
 
 
 def speed_of(controller: str, law: str) -> float:
-    """γ⁻¹ as chosen."""
+    """Return γ⁻¹ as chosen."""
     study = "wam" if controller == PASSIVITY else f"controller_{controller}"
     return 1.0 if law == NONE else speeds(study, "rule")[law]
 
 
 def all_draws(draws: int, *, quick: bool) -> list[Draw]:
-    """Every controller with every law."""
+    """Return every controller with every law."""
     sigmas, end = ((0.4,), 0.2) if quick else (SIGMAS, PERIOD)
     return [
         Draw(controller, law, speed_of(controller, law), sigma, k, noise, end=end)
@@ -136,7 +136,7 @@ def all_draws(draws: int, *, quick: bool) -> list[Draw]:
 
 
 def grid_draws(count: int) -> list[Draw]:
-    """The draws that speeds are chosen on."""
+    """Return the draws that speeds are chosen on."""
     return [
         Draw(controller, law, speed, SIGMAS[-1], k, grid=True)
         for controller in (ACCELERATION, FILTERED)
@@ -147,7 +147,7 @@ def grid_draws(count: int) -> list[Draw]:
 
 
 def summarize(rows: Sequence[Any]) -> list[dict[str, Any]]:
-    """Means over draws, one line a noise, σ, controller and law."""
+    """Return means over draws, one line a noise, σ, controller and law."""
     return [
         {
             **line,

@@ -58,7 +58,7 @@ def motions(A: Array, offset: Array, samples: int) -> tuple[Array, Array]:
 
 
 def normalizations(coordinates: Coordinates) -> dict[str, Array]:
-    """K (3, 2) of every normalization for the parameters (m, h, I) in these coordinates.
+    """Return K (3, 2) of every normalization for the parameters (m, h, I) in these coordinates.
 
     The metric ½ tr(P⁻¹ dP P⁻¹ dP) is that of P = [[I, h], [h, m]].
     """
@@ -75,7 +75,7 @@ def normalizations(coordinates: Coordinates) -> dict[str, Array]:
 
 
 def criterion_map(coordinates: Coordinates, K: Array, columns: tuple[Array, Array]) -> Array:
-    """A-optimality (...) of motions, [Lee2019] Eqs. (4.2.20) to (4.2.22) with −2 L q̈."""
+    """Return A-optimality (...) of motions, [Lee2019] Eqs. (4.2.20) to (4.2.22) with −2 L q̈."""
     L, metre = coordinates.joint * coordinates.metre, coordinates.metre
     weight, acceleration = columns
     weight = weight * metre  # the effort is in units of kg · unit²/s²
@@ -116,7 +116,7 @@ def run(points: int, samples: int) -> dict[str, Any]:
 
 
 def draw(found: dict[str, Any]) -> Figure:
-    """Figure 4.2: a map for every normalization and coordinates, with its best motion."""
+    """Return figure 4.2: a map for every normalization and coordinates, with its best motion."""
     figure = style.new_figure(7.2)
     axes = figure.subplots(len(NORMALIZATIONS), len(COORDINATES), sharex=True, sharey=True)
     for row in found["rows"]:

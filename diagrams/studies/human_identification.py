@@ -66,7 +66,7 @@ class Human:
 
     @classmethod
     def read(cls, path: Path) -> Human:
-        """The measurements of a file."""
+        """Return the measurements of a file."""
         with np.load(path) as file:
             sigma = np.tile(file["sigma"], len(file["b"]) // ROWS)
             return cls(file["A"], file["b"], sigma, file["phi_prior"], file["Q"], file["X_WB"])
@@ -86,7 +86,7 @@ class Human:
         return alpha * float(np.square(self.A / self.sigma[:, None]).sum())
 
     def at(self, steps: Steps) -> Human:
-        """The measurements of some steps."""
+        """Return the measurements of some steps."""
         rows = (ROWS * steps[:, None] + np.arange(ROWS)).ravel()
         return replace(self, A=self.A[rows], b=self.b[rows], sigma=self.sigma[rows])
 
@@ -99,7 +99,7 @@ class Human:
 
 
 def blocks(steps: int, number: int, gap: int) -> Iterator[tuple[Steps, Steps]]:
-    """Steps to train on and to test on, for each of as many blocks of consecutive steps.
+    """Yield steps to train on and to test on, for each of as many blocks of consecutive steps.
 
     Args:
         gap: Steps on both sides of the tested block that are left out: velocities and
@@ -178,7 +178,7 @@ LABELS = {"point_mass_euclidean": "euclidean,\npoint masses"}
 
 
 def ellipsoid_figure(human: Human, found: Mapping[float, RegularizerComparison]) -> Figure:
-    """Every body as its equivalent uniform ellipsoid, seen from the front (figure 3.13)."""
+    """Return every body as its equivalent uniform ellipsoid, seen from the front (figure 3.13)."""
     colors = {"prior": style.MEASURED, **COLORS}
     figure = style.new_figure(2.2 * len(found) + 0.5)
     axes = figure.subplots(len(found), len(colors), sharex=True, sharey=True, squeeze=False)
@@ -256,14 +256,14 @@ GAP = 5  # steps beside a block
 
 
 def point_masses(human: Human, number: int) -> PointMasses:
-    """So many points, nearly all of the same mass, as the prior's density is uniform."""
+    """Return so many points, nearly all of the same mass, as the prior's density is uniform."""
     spare = number - 10 * len(NAMES)
     counts = 10 + np.rint(spare * human.prior[:, 0] / human.mass).astype(int)
     return PointMasses.of_bodies(human.prior, counts.tolist())
 
 
 def compare(human: Human, alpha: float, points: PointMasses) -> RegularizerComparison:
-    """Fits of equal residual, that of the Euclidean one at α."""
+    """Return the fit of equal residual, that of the Euclidean one at α."""
     own = {"point_mass_euclidean": PointMassEuclidean(points)}
     return compare_regularizers(
         human.A,

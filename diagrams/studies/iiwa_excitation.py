@@ -66,7 +66,7 @@ _DENSE = 1000  # samples that stand for those of a motion sampled more often
 def identified_by(
     target: Target, trajectory: ExcitationTrajectory, samples: int
 ) -> IdentifiableParameters:
-    """What a motion identifies when it is measured so many times, at equal intervals."""
+    """Return what a motion identifies when it is measured so many times, at equal intervals."""
     count = trajectory.family.count if not trajectory.family.timed else min(samples, _DENSE)
     motion = trajectory.motion(trajectory.family.times(count))
     share = samples / len(motion)
@@ -90,7 +90,7 @@ def parameter_error(found: IdentifiableParameters, truth: Array) -> float:
 def effort_errors(
     found: IdentifiableParameters, regressor: Array, mass: Array
 ) -> tuple[Array, ...]:
-    """(nv,) RMS errors of efforts (N·m) and of accelerations M⁻¹(τ − τ̂) (rad/s²).
+    """Return (nv,) RMS errors of efforts (N·m) and of accelerations M⁻¹(τ − τ̂) (rad/s²).
 
     Args:
         regressor: (N, nv, p) at the samples of validation.
@@ -154,13 +154,13 @@ class RepresentedTarget(Target):
 
 
 def manipulator(shared: Path | None) -> RobotModel:
-    """The iiwa of the folder `shared`, and an arm of our own with seven joints if None."""
+    """Return the iiwa of the folder `shared`, and an arm of our own with seven joints if None."""
     path = MODELS / "arm7.urdf" if shared is None else shared / IIWA
     return replace(load_description(path), effects=())
 
 
 def represented_target(model: RobotModel, base: int, seed: int) -> Target:
-    """All inertias of an arm, with a random prior, in a base representation.
+    """Return all inertias of an arm, with a random prior, in a base representation.
 
     Number one is that of geodrake; the others are it times random matrices.
     """
@@ -174,12 +174,12 @@ def represented_target(model: RobotModel, base: int, seed: int) -> Target:
 
 
 def family(modes: int) -> FourierMotion:
-    """Motions of [Lee2019] Eq. (4.6.62)."""
+    """Return motions of [Lee2019] Eq. (4.6.62)."""
     return FourierMotion(DURATION, modes, FREQUENCY, offset=False)
 
 
 def limits(model: RobotModel) -> MotionLimits:
-    """Positions and speeds alone are limited, as in the source."""
+    """Return positions and speeds alone are limited, as in the source."""
     return motion_limits(model, acceleration=np.inf, effort=np.inf)
 
 
@@ -193,7 +193,7 @@ class Validation:
 
     @classmethod
     def of(cls, model: RobotModel, count: int, seed: int) -> Validation:
-        """Samples drawn evenly."""
+        """Return samples drawn evenly."""
         rng, bounds = np.random.default_rng([seed, 99]), motion_limits(model)
         fastest = np.where(np.isfinite(bounds.acceleration), bounds.acceleration, _ACCELERATION)
         shape = (count, len(model.joints))
@@ -286,7 +286,7 @@ def design(cell: Cell, *, plan: Plan) -> dict[str, Any]:
 
 
 def refine(cell: Cell, *, plan: Plan, coefficients: Sequence[Any]) -> dict[str, Any]:
-    """The optimum that the solver finds from the best motion, in one representation."""
+    """Return the optimum that the solver finds from the best motion, in one representation."""
     model = plan.robot
     target = represented_target(model, cell.base, plan.seed)
     iterations = min(REFINEMENT, 4 * plan.iterations)
@@ -314,7 +314,7 @@ def line(
 
 
 def first_random(plan: Plan) -> dict[str, Any]:
-    """The motion that all designs start from."""
+    """Return the motion that all designs start from."""
     model = plan.robot
     target = represented_target(model, 1, plan.seed)
     options = DesignOptions(samples=plan.samples, rest=False, quick=False)
@@ -335,7 +335,7 @@ def values_by_base(found: dict[str, Any], bases: int, plan: Plan) -> list[float]
 
 
 def spread(rows: Sequence[dict[str, Any]], normalization: str) -> dict[str, float]:
-    """How much base representations matter to the error and to the motion's coefficients."""
+    """Return how much base representations matter to the error and to the motion's coefficients."""
     cells = [(row, row["normalization"], row["criterion"]) for row in rows]
     own = [row for row, *cell in cells if cell == [normalization, "e_optimality"]]
     error, motion = [r["error"] for r in own], np.array([r["coefficients"] for r in own])
@@ -350,7 +350,7 @@ def spread(rows: Sequence[dict[str, Any]], normalization: str) -> dict[str, floa
 def run(
     parser: argparse.ArgumentParser, options: argparse.Namespace, plan: Plan, bases: int
 ) -> dict[str, Any]:
-    """Table 4.2, and the comparison with others."""
+    """Return table 4.2, and the comparison with others."""
     cells = [Cell(name, base + 1) for name in NORMALIZATIONS for base in range(bases)]
     cells += [Cell(name, 1, criterion) for name, criterion in PEERS] + [Cell(RANDOM)]
     cells.append(Cell("geometric", 1, "a_optimality"))
@@ -396,7 +396,7 @@ def tell(table: dict[str, Any]) -> None:
 
 
 def draw(rows: Sequence[dict[str, Any]]) -> Figure:
-    """Errors by criterion and base representation."""
+    """Return errors by criterion and base representation."""
     colors = {"none": style.MEASURED, "diagonal": style.BEFORE, "geometric": style.AFTER}
     kinds = [row["normalization"].split(",")[0] for row in rows]
     names = [

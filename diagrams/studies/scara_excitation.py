@@ -80,7 +80,7 @@ def payload(mass: float, com: tuple[float, float], gyration: float) -> SpatialIn
 
 
 def scara(frame: str, body: SpatialInertia) -> RobotModel:
-    """The arm with a body at its end, described in one of `FRAMES`.
+    """Return the arm with a body at its end, described in one of `FRAMES`.
 
     Its links are known, so that they do not matter; they are light.
     """
@@ -102,12 +102,12 @@ def scara(frame: str, body: SpatialInertia) -> RobotModel:
 
 
 def payload_target(frame: str) -> Target:
-    """The unknown payload in a frame, with its prior."""
+    """Return the unknown payload in a frame, with its prior."""
     return make_target(scara(frame, payload(*PRIOR)), noise=NOISE, bodies=["forearm"])
 
 
 def limits() -> MotionLimits:
-    """Our limits of samples; the source does not state its own."""
+    """Return our limits of samples; the source does not state its own."""
     return MotionLimits(
         ("shoulder", "elbow"),
         lower=np.full(2, -np.pi),
@@ -119,7 +119,7 @@ def limits() -> MotionLimits:
 
 
 def errors_in_frame_3(covariance: Array) -> dict[str, float]:
-    """RMS errors of m (kg), p^x, p^y and r^z (mm) from the covariance (10, 10) of φ in {3}.
+    """Return RMS errors of m (kg), p^x, p^y and r^z (mm) from the covariance (10, 10) of φ in {3}.
 
     To first order in the noise, at the true payload, whose centre is the origin.
     """
@@ -157,7 +157,7 @@ class Cell:
 
 
 def design(cell: Cell, *, plan: Plan) -> dict[str, Any]:
-    """The best samples by one normalization in one frame, and the errors that they leave."""
+    """Return the best samples by one normalization in one frame, and the errors that they leave."""
     target = payload_target(cell.frame)
     result = design_excitation(
         target,
@@ -182,7 +182,7 @@ def design(cell: Cell, *, plan: Plan) -> dict[str, Any]:
 def values_by_frame(
     trajectory: ExcitationTrajectory, normalization: str, plan: Plan
 ) -> dict[str, float]:
-    """The criterion of the same samples in every frame."""
+    """Return the criterion of the same samples in every frame."""
     criterion, motion = Criterion(plan.criterion), trajectory.motion(np.zeros(SAMPLES))
     return {
         frame: Objective(payload_target(frame), criterion, normalization).value(motion)
@@ -191,20 +191,20 @@ def values_by_frame(
 
 
 def errors(trajectory: ExcitationTrajectory) -> dict[str, float]:
-    """Errors to be expected: those of table 4.1, in frame {3}, and the dimensionless one."""
+    """Return errors to be expected: those of table 4.1, in frame {3}, and the dimensionless one."""
     found = identified_by(payload_target("3"), trajectory, SAMPLES)
     R, truth = root_covariance(found), scara("3", payload(*TRUTH)).phi[1:]
     return {**errors_in_frame_3(R @ R.T), "error": parameter_error(found, truth)}
 
 
 def geometric_value(trajectory: ExcitationTrajectory, plan: Plan) -> dict[str, float]:
-    """The criterion with geometric normalization, by which all motions can be compared."""
+    """Return the criterion with geometric normalization, by which all motions can be compared."""
     objective = Objective(payload_target("3"), Criterion(plan.criterion))
     return {"geometric_value": objective.value(trajectory.motion(np.zeros(SAMPLES)))}
 
 
 def random_samples(plan: Plan, count: int) -> dict[str, Any]:
-    """Root mean square errors over sets of samples drawn evenly within the limits."""
+    """Return the root mean square errors over sets of samples drawn evenly within the limits."""
     rng, bounds = np.random.default_rng([plan.seed, 1]), limits()
     rates = (bounds.reach, bounds.velocity, bounds.acceleration)
     found = []
@@ -235,7 +235,7 @@ def spread(rows: Sequence[dict[str, Any]], normalization: str) -> dict[str, floa
 
 
 def draw(rows: Sequence[dict[str, Any]]) -> Figure:
-    """Errors by normalization and frame."""
+    """Return errors by normalization and frame."""
     colors = {"none": style.MEASURED, "diagonal": style.BEFORE, "geometric": style.AFTER}
     names = [f"{row['normalization']} {row['frame']}" for row in rows]
     columns = {f"RMS {title}": [row[key] for row in rows] for key, title in COLUMNS.items()}

@@ -76,7 +76,7 @@ class Draw:
 
 
 def run_draw(draw: Draw, *, seed: int) -> dict[str, Any]:
-    """A row of the table."""
+    """Return a row of the table."""
     wam = load_wam()
     seed = CALIBRATION_SEED if draw.part == GRID_PART else seed
     start = first_estimate(draw.sigma, seed, draw.number)
@@ -103,7 +103,7 @@ def run_draw(draw: Draw, *, seed: int) -> dict[str, Any]:
 
 
 def all_draws(kind: str, draws: int) -> list[Draw]:
-    """The draws of the three parts."""
+    """Return the draws of the three parts."""
     speed = {NONE: 1.0, **speeds("wam", kind)}
     few = range(max(draws // 2, 1))
     found = [
@@ -126,7 +126,7 @@ def all_draws(kind: str, draws: int) -> list[Draw]:
 
 
 def quick_draws(kind: str, draws: int) -> list[Draw]:
-    """Some short ones of all parts.
+    """Return some short ones of all parts.
 
     Two seconds are enough for the geometric laws to be ahead. Rounds of two seconds are no faster
     than the chosen speeds bear: at 0.8 s the natural law's loop was lost.
@@ -145,7 +145,7 @@ def quick_draws(kind: str, draws: int) -> list[Draw]:
 
 
 def grid_draws(draws: int) -> list[Draw]:
-    """The draws that speeds are chosen on."""
+    """Return the draws that speeds are chosen on."""
     return [
         Draw(GRID_PART, law, speed, SIGMAS[-1], k, step, (AMPLITUDE,))
         for step in (1e-3, 1e-2)
@@ -156,7 +156,7 @@ def grid_draws(draws: int) -> list[Draw]:
 
 
 def summarize(rows: Sequence[Any]) -> list[dict[str, Any]]:
-    """Means and deviations over draws, one line a part, σ, time step and law."""
+    """Return means and deviations over draws, one line a part, σ, time step and law."""
     lines = []
     for line, _, kept in cells(rows, ("part", "sigma", "step", "law")):
         rounds = np.mean([r["rounds"] for r in kept], axis=0).tolist() if kept else None

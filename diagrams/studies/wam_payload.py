@@ -61,7 +61,7 @@ class Draw:
 
 
 def run_draw(draw: Draw, *, seed: int) -> dict[str, Any]:
-    """A row of the table; nothing is random but the loads of the choice of speeds."""
+    """Return a row of the table; nothing is random but the loads of the choice of speeds."""
     arm = load_loaded()
     numbered = draw.load.isdigit()
     load = some_load(CALIBRATION_SEED, int(draw.load)) if numbered else LOADS[draw.load]
@@ -91,7 +91,7 @@ def run_draw(draw: Draw, *, seed: int) -> dict[str, Any]:
 
 
 def all_draws(kind: str, *, quick: bool) -> list[Draw]:
-    """Every load with every law."""
+    """Return every load with every law."""
     speed = {NONE: 1.0, **speeds("payload", kind)}
     some = {"rounds": 1, "end": 1.2} if quick else {}
     loads = ("ellipsoid 2",) if quick else tuple(LOADS)
@@ -99,7 +99,7 @@ def all_draws(kind: str, *, quick: bool) -> list[Draw]:
 
 
 def grid_draws(count: int) -> list[Draw]:
-    """The draws that speeds are chosen on."""
+    """Return the draws that speeds are chosen on."""
     return [
         Draw(str(k), law, speed, 1)
         for law in (EUCLIDEAN, PULLBACK, NATURAL)

@@ -59,7 +59,7 @@ class FleetDraw:
         return f"{self.kind}_{self.number:03d}"
 
     def random(self, purpose: str) -> np.random.Generator:
-        """A generator for one purpose, which no other changes."""
+        """Return a generator for one purpose, which no other changes."""
         words = f"{self.kind} {self.number} {purpose}"
         return np.random.default_rng([self.seed, crc32(words.encode())])
 
@@ -94,7 +94,7 @@ class HiddenChange:
     taken_off: bool  # whether the payload was there before, and is not from that day on
 
     def at(self, day: float, last: float) -> float:
-        """How much of it there is on a day."""
+        """Return how much of it there is on a day."""
         if self.what == WEAR:
             return self.size * float(np.clip((day - self.day) / (last - self.day), 0.0, 1.0))
         here = (day >= self.day) != (self.what == PAYLOAD and self.taken_off)
@@ -116,7 +116,7 @@ class OwnRobot:
 
 
 def own_robot(draw: FleetDraw) -> OwnRobot:
-    """The robot of a draw: its type with deviations of its own."""
+    """Return the robot of a draw: its type with deviations of its own."""
     rng, engine = draw.random("robot"), type_engine(draw.kind)
     n, typical = len(engine.joints), _typical_efforts(draw.kind)
     com = np.array([0.0, 0.0, 0.05]) + 0.03 * rng.normal(size=3)
@@ -134,7 +134,7 @@ def own_robot(draw: FleetDraw) -> OwnRobot:
 
 @cache
 def _typical_efforts(kind: str) -> Array:
-    """(n,) efforts by which friction is sized, N·m: the same for all robots of a type."""
+    """Return (n,) efforts by which friction is sized, N·m: the same for all robots of a type."""
     rng, engine = np.random.default_rng(1), type_engine(kind)
     q = rng.uniform(
         np.maximum(engine.low, -1.5), np.minimum(engine.high, 1.5), (200, len(engine.low))
@@ -151,14 +151,14 @@ def _typical_efforts(kind: str) -> Array:
 
 @cache
 def type_file(kind: str) -> RobotFile:
-    """The model file of a type; arm3 is arm6 whose wrist is held."""
+    """Return the model file of a type; arm3 is arm6 whose wrist is held."""
     if kind != "arm3":
         return robot_file(kind)
     return RobotFile.holding(kind, robot_file("arm6"), _HELD)
 
 
 def type_engine(kind: str) -> PinocchioEngine:
-    """Pinocchio's robot of a type, anew."""
+    """Return Pinocchio's robot of a type, anew."""
     return PinocchioEngine(type_file(kind))
 
 
@@ -171,7 +171,7 @@ _BREAKAWAY, _SLOW, _RISE = 0.004, 0.08, 0.1  # rad/s, rad/s, share: friction at 
 
 
 def season(days: int, seed: int) -> Array:
-    """(days,) degrees above 20 °C in the hall of a fleet, the same for all its robots."""
+    """Return (days,) degrees above 20 °C in the hall of a fleet, the same for all its robots."""
     rng = np.random.default_rng([seed, 77])
     day = np.arange(days)
     wave = np.sin(2.0 * np.pi * (day / 45.0 + rng.uniform()))
@@ -227,7 +227,7 @@ def write_logs(draw: FleetDraw, folder: Path) -> None:
 
 
 def write_fleet_file(folder: Path, draws: Sequence[FleetDraw]) -> Path:
-    """Models of all types, and the file that names them and the robots."""
+    """Return models of all types, and the file that names them and the robots."""
     folder.mkdir(parents=True, exist_ok=True)
     kinds = sorted({draw.kind for draw in draws})
     for kind in kinds:
@@ -251,10 +251,10 @@ def write_fleet_file(folder: Path, draws: Sequence[FleetDraw]) -> Path:
 
 
 def _date_name(seconds: float) -> str:
-    """A date such as 2026-05-01."""
+    """Return a date such as 2026-05-01."""
     return datetime.fromtimestamp(seconds, UTC).strftime("%Y-%m-%d")
 
 
 def day_of(seconds: Times) -> Times:
-    """Days since the first, of one instant or of several, s since 1970."""
+    """Return days since the first, of one instant or of several, s since 1970."""
     return (seconds - FIRST) / DAY

@@ -39,7 +39,7 @@ DAYS_OFF = 2.0
 
 
 def robot_row(draw: FleetDraw, found: Sequence[FleetFinding]) -> dict[str, Any]:
-    """A row of the table: one robot, what was hidden, and what was found."""
+    """Return a row of the table: one robot, what was hidden, and what was found."""
     hidden = draw.change
     right = None if hidden is None else _right(draw.kind, hidden, found)
     return {
@@ -66,7 +66,7 @@ def _where(kind: str, hidden: HiddenChange) -> str:
 
 
 def _right(kind: str, hidden: HiddenChange, found: Sequence[FleetFinding]) -> FleetFinding | None:
-    """The finding with the right effect, joint or body, kind and day."""
+    """Return the finding with the right effect, joint or body, kind and day."""
     for change in found:
         same = _effects(change) in FAMILIES[hidden.what] and change.where == _where(kind, hidden)
         shape = change.kind == (RAMP if hidden.what == WEAR else STEP)
@@ -76,7 +76,7 @@ def _right(kind: str, hidden: HiddenChange, found: Sequence[FleetFinding]) -> Fl
 
 
 def _effects(found: FleetFinding | ChangeRival) -> frozenset[str]:
-    """Effects that change together."""
+    """Return effects that change together."""
     return frozenset(found.effect.split("+"))
 
 
@@ -86,7 +86,7 @@ def _is_inside(hidden: HiddenChange, found: FleetFinding) -> bool:
 
 
 def _in_rivals(kind: str, hidden: HiddenChange, found: Sequence[FleetFinding]) -> bool:
-    """Whether the truth is among what is said to be possible in the place of a finding."""
+    """Return whether the truth is among what is said to be possible in the place of a finding."""
     where, families = _where(kind, hidden), FAMILIES[hidden.what]
     return any(
         _effects(rival) in families and rival.where == where
@@ -109,7 +109,7 @@ def _named(change: FleetFinding) -> dict[str, Any]:
 
 
 def summary(rows: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
-    """Shares over all robots."""
+    """Return shares over all robots."""
     changed = [row for row in rows if row["hidden"] is not None]
     still = [row for row in rows if row["hidden"] is None]
     found = [row for row in changed if row["found"]]

@@ -330,7 +330,7 @@ def log_columns(
 
 
 def _base_columns(draw: Draw, motion: Motion, rng: np.random.Generator) -> dict[str, Array]:
-    """Columns of the base's estimator and of the IMU."""
+    """Return columns of the base's estimator and of the IMU."""
     size, noise = len(motion.time), draw.noise
     place = motion.q[:, :3] + noise * _PLACE * _drift(draw, size, rng)
     turn = noise * _TURN * _drift(draw, size, rng)
@@ -363,7 +363,7 @@ def _base_columns(draw: Draw, motion: Motion, rng: np.random.Generator) -> dict[
 def _foot_columns(
     draw: Draw, secret: Secret, motion: Motion, rng: np.random.Generator
 ) -> dict[str, Array]:
-    """Columns of contacts and of the sensors of feet."""
+    """Return columns of contacts and of the sensors of feet."""
     weight = 9.81 * float(motion.model.body_mass.sum())
     deviation = draw.noise * _WRENCH * weight * np.array([1.0] * 3 + [_ARM] * 3)
     columns: dict[str, Array] = {}

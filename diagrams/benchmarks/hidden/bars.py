@@ -101,7 +101,7 @@ def share(
     most: bool = False,
     highest: float | None = None,
 ) -> Line:
-    """A line of a share."""
+    """Return a line of a share."""
     if not rows:
         return Line(figure, bar, most, None, None, None, 0, highest)
     of_wilson = binomtest(sum(rows), len(rows)).proportion_ci(0.95, "wilson")
@@ -110,7 +110,7 @@ def share(
 
 
 def median(figure: str, values: Sequence[float], bar: float) -> Line:
-    """A line of a median, with the interval that ranks give."""
+    """Return a line of a median, with the interval that ranks give."""
     if not values:
         return Line(figure, bar, True, None, None, None, 0)
     ranked, n = np.sort(values), len(values)
@@ -121,7 +121,7 @@ def median(figure: str, values: Sequence[float], bar: float) -> Line:
 
 
 def bars(rows: Sequence[Row]) -> list[Line]:
-    """The lines that draws of the product give."""
+    """Return the lines that draws of the product give."""
     one = [r for r in _of(rows, ONE) if r["secrets"][0]["share"] >= LEAST_SHARE]
     brisk = [r for r in one if r["motion"] != SLOW]
     main = [r for r in brisk if r["prior"] == EXACT]
@@ -180,7 +180,7 @@ def bars(rows: Sequence[Row]) -> list[Line]:
 
 
 def _sureness(rows: Sequence[Row]) -> list[Line]:
-    """How many findings are right, by the probability that they were given."""
+    """Return how many findings are right, by the probability that they were given."""
     steps = [step for row in rows for step in row.get("steps", ())]
     return [
         share(
@@ -207,7 +207,7 @@ def coverage_lines(rows: Sequence[Row]) -> list[Line]:
 
 
 def kind_lines(rows: Sequence[Row]) -> list[Line]:
-    """How often each of the hard kinds is among what a log may hide, and at its place."""
+    """Return how often each of the hard kinds is among what a log may hide, and at its place."""
     hard = _of(rows, KIND)
     return [
         share(
@@ -220,7 +220,7 @@ def kind_lines(rows: Sequence[Row]) -> list[Line]:
 
 
 def smallest_lines(rows: Sequence[Row]) -> list[dict[str, Any]]:
-    """The share of the effort at which each effect is found in nine of ten logs."""
+    """Return the share of the effort at which each effect is found in nine of ten logs."""
     lines = []
     for name in TRUTHS:
         found = [r["smallest"] for r in rows if r["hidden"] == [name]]
@@ -294,7 +294,7 @@ def figures_of(
 
 
 def bars_figure(lines: Sequence[Line]) -> Figure:
-    """What was reached, with its interval, against what was asked for."""
+    """Return what was reached, with its interval, against what was asked for."""
     shown = [line for line in lines if line.value is not None and not line.figure.count("seconds")]
     shares = [line for line in shown if "floor" not in line.figure]
     figure = style.new_figure(0.9 + 0.27 * len(shares))
@@ -319,7 +319,7 @@ def bars_figure(lines: Sequence[Line]) -> Figure:
 
 
 def confusion_figure(confused: Mapping[str, Mapping[str, int]]) -> Figure:
-    """What each hidden effect was called."""
+    """Return what each hidden effect was called."""
     rows = list(confused)
     others = {answer for line in confused.values() for answer in line} - set(rows)
     columns = [*rows, *sorted(others)]
@@ -344,7 +344,7 @@ def confusion_figure(confused: Mapping[str, Mapping[str, int]]) -> Figure:
 
 
 def smallest_figure(smallest: Sequence[Mapping[str, Any]]) -> Figure:
-    """The smallest effects that are found."""
+    """Return the smallest effects that are found."""
     figure = style.new_figure(1.0 + 0.27 * len(smallest))
     axes = figure.subplots()
     for k, line in enumerate(smallest):

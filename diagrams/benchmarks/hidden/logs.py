@@ -80,7 +80,7 @@ class Draw:
 
 
 def draw(case: str, hidden: Sequence[str], number: int, seed: int, **fixed: object) -> Draw:
-    """A random draw of a case; `fixed` has the fields that are not left to chance."""
+    """Return a random draw of a case; `fixed` has the fields that are not left to chance."""
     rng = np.random.default_rng([seed, crc32(f"{case} {' '.join(hidden)}".encode()), number])
     least = _LEAST_OF_TWO if len(hidden) > 1 else LEAST_SHARE
     robots = robot_names()
@@ -101,7 +101,7 @@ def draw(case: str, hidden: Sequence[str], number: int, seed: int, **fixed: obje
 
 
 def pair(number: int, seed: int) -> tuple[str, str]:
-    """Two effects that may come together."""
+    """Return two effects that may come together."""
     rng = np.random.default_rng([seed, 2, number])
     names = [name for name, truth in TRUTHS.items() if not truth.alone]
     first, second = rng.choice(names, 2, replace=False)
@@ -117,7 +117,7 @@ def all_draws(
     others: tuple[int, int] | None = None,
     **fixed: object,
 ) -> list[Draw]:
-    """Every case, `draws` logs an effect.
+    """Return every case, `draws` logs an effect.
 
     Args:
         draws: Logs an effect of the catalogue; other counts follow from it.
@@ -145,7 +145,7 @@ def all_draws(
 
 
 def kind_draws(draws: int, seed: int, **fixed: object) -> list[Draw]:
-    """Logs of the kinds that are hard."""
+    """Return logs of the kinds that are hard."""
     return [
         draw(KIND, (name,), k, seed, **{**given, **fixed})
         for name, (_, given) in KINDS.items()
@@ -154,7 +154,7 @@ def kind_draws(draws: int, seed: int, **fixed: object) -> list[Draw]:
 
 
 def timing_draws(seed: int) -> list[Draw]:
-    """Logs of six joints and 10,000 samples."""
+    """Return logs of six joints and 10,000 samples."""
     fixed = {"robot": "arm6", "motion": FAST, "duration": 50.0, "rate": 200.0}
     return [draw(TIMING, (name,), 0, seed, **fixed) for name in ("coulomb_friction", "payload")]
 
@@ -162,7 +162,7 @@ def timing_draws(seed: int) -> list[Draw]:
 def coverage_draws(
     draws: int, seed: int, *, effects: Sequence[str] = COVERED, **fixed: object
 ) -> list[Draw]:
-    """Logs of one effect under coloured noise, large enough to be found."""
+    """Return logs of one effect under coloured noise, large enough to be found."""
     sure = {"colour": COLOURED, "motion": FAST, "prior": EXACT, "shares": (0.1,)}
     return [
         draw(COVERAGE, (name,), k, seed, **{**sure, **fixed})
@@ -172,7 +172,7 @@ def coverage_draws(
 
 
 def disturbed_draws(draws: int, seed: int, **fixed: object) -> list[Draw]:
-    """The same with an effect beside that is in no catalogue."""
+    """Return the same with an effect beside that is in no catalogue."""
     sure = {"motion": FAST, "prior": EXACT, "shares": (0.1, 0.05)}
     found = []
     for at, name in enumerate(COVERED):
@@ -185,7 +185,7 @@ def disturbed_draws(draws: int, seed: int, **fixed: object) -> list[Draw]:
 def smallest_draws(
     draws: int, seed: int, *, effects: Sequence[str] = tuple(TRUTHS), **fixed: object
 ) -> list[Draw]:
-    """Logs in which the size of an effect is bisected, at 1 % noise."""
+    """Return logs in which the size of an effect is bisected, at 1 % noise."""
     sure = {"motion": FAST, "prior": EXACT, "noise": 0.01, "shares": ()}
     return [
         draw(SMALLEST, (name,), k, seed, **{**sure, **fixed})
@@ -238,7 +238,7 @@ class Recording:
 
 
 def make_recording(draw: Draw, bodies: tuple[str, ...]) -> Recording:
-    """The log of a draw.
+    """Return the log of a draw.
 
     Args:
         draw: The draw; its shares may be other ones for the same log otherwise.
@@ -280,12 +280,12 @@ def _seen(draw: Draw, engine: Engine, rng: np.random.Generator) -> Seen:
 
 
 def _rubbing(seen: Seen, sizes: Array) -> Array:
-    """Dry and viscous friction at all joints."""
+    """Return dry and viscous friction at all joints."""
     return np.asarray(sizes * (smooth_sign(seen.v) + 0.7 * seen.v))
 
 
 def _measured(draw: Draw, seen: Seen, effort: Array, rng: np.random.Generator) -> JointLog:
-    """What sensors make of it."""
+    """Return what sensors make of it."""
     noise = rng.normal(size=effort.shape)
     if draw.colour == COLOURED:
         constant = np.exp(rng.uniform(*np.log(_COLOURS)))
@@ -330,7 +330,7 @@ def _sites(kinds: list[Truth | Outside], load: Array, rng: np.random.Generator) 
 def _hide(
     kind: Truth | Outside, site: Site, share: float, seen: Seen, bodies: tuple[str, ...]
 ) -> tuple[Array, Secret]:
-    """Effort of an effect of a share, and what is to be found of it."""
+    """Return the effort of an effect of a share, and what is to be found of it."""
     hidden: Hidden = kind.make(site)
     unit, largest = (kind.unit, kind.largest) if isinstance(kind, Truth) else (1.0, np.inf)
     everywhere = kind.places in (BODY, ROBOT) if isinstance(kind, Truth) else kind.in_link

@@ -74,7 +74,7 @@ PLANAR = ("double_pendulum",)
 
 
 def robot_names() -> tuple[str, ...]:
-    """The robots that are installed."""
+    """Return the robots that are installed."""
     folder = _public_folder()
     found = [] if folder is None else [n for n, path in PUBLIC.items() if (folder / path).is_file()]
     return (*OWN, *found)
@@ -90,7 +90,7 @@ def _public_folder() -> Path | None:
 
 @cache
 def robot_file(name: str) -> RobotFile:
-    """The model file of a robot.
+    """Return the model file of a robot.
 
     What a file states of damping and friction is taken out, so that all friction is hidden, and
     fingers are held fixed. Joints that turn without end have limits.
@@ -133,7 +133,7 @@ class Engine(ABC):
     fastest: Array  # (n,) limits of the speeds, rad/s
 
     def bodies(self) -> Array:
-        """(n, 4, 4) pseudo-inertias ∫ [x;1][x;1]ᵀ dm in the links' frames."""
+        """Return (n, 4, 4) pseudo-inertias ∫ [x;1][x;1]ᵀ dm in the links' frames."""
         return np.array([pseudo(*body) for body in self._bodies()])
 
     def set_bodies(self, pseudo: Array) -> None:
@@ -145,7 +145,7 @@ class Engine(ABC):
         """Set gravity (3,), m/s²."""
 
     def efforts(self, q: Array, v: Array, a: Array) -> Array:
-        """(N, n) efforts that a motion, (N, n) each, needs."""
+        """Return (N, n) efforts that a motion, (N, n) each, needs."""
         return np.array([self._effort(*sample) for sample in zip(q, v, a, strict=True)])
 
     def jacobians(self, body: int, point: Array, q: Array) -> Array:
@@ -153,7 +153,7 @@ class Engine(ABC):
         return np.array([self._jacobian(body, point, at) for at in q])
 
     def rotations(self, body: int, q: Array) -> Array:
-        """(N, 3, 3) orientations of a body in the world."""
+        """Return (N, 3, 3) orientations of a body in the world."""
         return np.array([self._rotation(body, at) for at in q])
 
     @abstractmethod
@@ -266,7 +266,7 @@ class MuJoCoEngine(Engine):
 
 
 def pseudo(mass: float, com: Array, inertia: Array) -> Array:
-    """(4, 4) pseudo-inertia of a mass, its centre, and inertia about the centre."""
+    """Return (4, 4) pseudo-inertia of a mass, its centre, and inertia about the centre."""
     second = 0.5 * np.trace(inertia) * np.eye(3) - inertia
     h = mass * np.asarray(com)
     return np.block([[second + np.outer(com, h), h[:, None]], [h[None], np.array([[mass]])]])
@@ -280,7 +280,7 @@ def mass_com_inertia(P: Array) -> Body:
 
 
 def make_engine(kind: str, file: RobotFile) -> Engine:
-    """An engine "pinocchio" or "mujoco" with the bodies of a model file."""
+    """Return an engine "pinocchio" or "mujoco" with the bodies of a model file."""
     return {"pinocchio": PinocchioEngine, "mujoco": MuJoCoEngine}[kind](file)
 
 
@@ -314,7 +314,7 @@ _SHORTEST = 0.8  # s, of a move
 
 
 def make_motion(kind: str, engine: Engine, time: Array, rng: np.random.Generator) -> Motion:
-    """Positions, velocities and accelerations, (N, n) each, within limits of a robot."""
+    """Return positions, velocities and accelerations, (N, n) each, within limits of a robot."""
     center, reach, speed = motion_range(engine)
     if kind == POINTS:
         return _point_to_point(center, reach, speed, time, rng)
@@ -360,7 +360,7 @@ def _multisine(
 def _point_to_point(
     center: Array, reach: Array, speed: Array, time: Array, rng: np.random.Generator
 ) -> Motion:
-    """Moves of least jerk between random points, with rests of 0.2 to 0.6 s."""
+    """Return moves of least jerk between random points, with rests of 0.2 to 0.6 s."""
     q, v, a = (np.zeros((len(time), len(center))) for _ in range(3))
     at, t = center, 0.0
     while t < time[-1]:

@@ -35,7 +35,7 @@ _HALVINGS = 6
 
 
 def score_draw(draw: Draw) -> dict[str, Any]:
-    """A row of the table: the draw, what it hid, what was found, and what of it is right."""
+    """Return a row of the table: the draw, what it hid, what was found, and what of it is right."""
     recording = make_recording(draw, robot_model(draw.robot).bodies)
     model = _told(draw, recording)
     began = time.process_time()
@@ -64,7 +64,7 @@ def score_draw(draw: Draw) -> dict[str, Any]:
 
 
 def _told(draw: Draw, recording: Recording) -> RobotModel:
-    """What geodrake knows of the robot: its model file, fitted to an earlier log if any."""
+    """Return what geodrake knows of the robot: its model file, fitted to an earlier log if any."""
     model = robot_model(draw.robot)
     return model if recording.known is None else explain(model, [recording.known]).model
 
@@ -90,7 +90,7 @@ def _over_floor(draw: Draw, recording: Recording, found: Investigation) -> float
 
 
 def _expected(step: Step, draw: Draw, secrets: Sequence[Secret]) -> bool:
-    """Whether a step is what was hidden, at its place, or something that comes with it."""
+    """Return whether a step is what was hidden, at its place, or something that comes with it."""
     if step.effect == WRONG_INERTIA and draw.prior == OFF:
         return True
     places = {
@@ -101,13 +101,13 @@ def _expected(step: Step, draw: Draw, secrets: Sequence[Secret]) -> bool:
 
 
 def _names(secret: Secret) -> tuple[str, ...]:
-    """Names of an effect and of those that it comes with."""
+    """Return names of an effect and of those that it comes with."""
     truth = TRUTHS.get(secret.name)
     return (secret.name,) if truth is None else (truth.name, *truth.companions)
 
 
 def _judged(steps: Sequence[Step], secrets: Sequence[Secret], draw: Draw) -> dict[str, Any]:
-    """What is right about the steps; None where there is nothing to be right about."""
+    """Return what is right about the steps; None where there is nothing to be right about."""
     row: dict[str, Any] = dict.fromkeys(("named", "first", "in_set", "placed"))
     if not secrets or any(secret.name not in TRUTHS for secret in secrets):
         return row
@@ -131,12 +131,12 @@ def _judged(steps: Sequence[Step], secrets: Sequence[Secret], draw: Draw) -> dic
 
 
 def _named(steps: Sequence[Step], secret: Secret) -> bool:
-    """Whether a step has the effect, at its place if it has one."""
+    """Return whether a step has the effect, at its place if it has one."""
     return any(s.effect == secret.name and set(secret.where) <= set(s.where) for s in steps)
 
 
 def _drafted(found: Investigation, secret: Secret) -> dict[str, Any]:
-    """What geodrake says of the rest, and whether joint and kind are right."""
+    """Return what geodrake says of the rest, and whether joint and kind are right."""
     began = time.process_time()
     draft = draft_rest(found)
     correlates = draft.correlates
@@ -151,7 +151,7 @@ def _drafted(found: Investigation, secret: Secret) -> dict[str, Any]:
 
 
 def _goes_with(correlate: Correlate, secret: Secret) -> bool:
-    """Whether a correlate names a signal that the hidden effect is a function of."""
+    """Return whether a correlate names a signal that the hidden effect is a function of."""
     for whose, what in secret.follows:
         if what == TIME:
             if correlate.words.startswith(("time", "the clock")):
@@ -190,7 +190,7 @@ def smallest_of(draw: Draw) -> dict[str, Any]:
 
 
 def _seen_at(steps: Sequence[Step], secret: Secret) -> bool:
-    """Whether a step has the effect among what it may be, at its place."""
+    """Return whether a step has the effect among what it may be, at its place."""
     return any(
         (s.effect == secret.name or secret.name in s.indistinguishable_from)
         and set(secret.where) <= set(s.where)
@@ -199,7 +199,7 @@ def _seen_at(steps: Sequence[Step], secret: Secret) -> bool:
 
 
 def coverage_of(draw: Draw) -> dict[str, Any]:
-    """How many of its standard deviations every found parameter is off."""
+    """Return how many of its standard deviations every found parameter is off."""
     recording = make_recording(draw, robot_model(draw.robot).bodies)
     secret, off = recording.secrets[0], list[float]()
     for step in explain(robot_model(draw.robot), [recording.log]).steps:

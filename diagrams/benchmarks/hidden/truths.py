@@ -42,16 +42,16 @@ class Seen:
 
     @classmethod
     def of(cls, engine: Engine, kind: str, time: Array, rng: np.random.Generator) -> Seen:
-        """A motion of a kind, and the efforts that it needs."""
+        """Return a motion of a kind, and the efforts that it needs."""
         q, v, a = make_motion(kind, engine, time, rng)
         return cls(time, q, v, a, engine.efforts(q, v, a), engine)
 
     def zeros(self) -> Array:
-        """No effort."""
+        """Return no effort."""
         return np.zeros_like(self.q)
 
     def at(self, joint: int, values: Array) -> Array:
-        """(N, n) effort of a joint."""
+        """Return (N, n) effort of a joint."""
         effort = self.zeros()
         effort[:, joint] = values
         return effort
@@ -106,14 +106,14 @@ class Truth:
 
 
 def smooth_sign(v: Array) -> Array:
-    """Direction of motion, v / √(v² + ε²)."""
+    """Return the direction of motion, v / √(v² + ε²)."""
     return np.asarray(v / np.hypot(v, _BREAKAWAY))
 
 
 def joint_law(
     law: Callable[[Signals, Signals], Array], **values: float
 ) -> Callable[[Site], Hidden]:
-    """A truth whose effort is a function of signals of its joint, and of another one."""
+    """Return a truth whose effort is a function of signals of its joint, and of another one."""
 
     def make(site: Site) -> Hidden:
         def effort(seen: Seen, size: float) -> Array:
@@ -129,7 +129,7 @@ def joint_law(
 
 
 def asymmetric(site: Site) -> Hidden:
-    """Friction whose height and slope are larger by the same share in one direction."""
+    """Return the friction whose height and slope are larger by the same share in one direction."""
     skew = site.rng.uniform(0.25, 0.6) * site.rng.choice([-1.0, 1.0])
     levels = {"coulomb_positive": 1.0 + skew, "coulomb_negative": 1.0 - skew}
 
@@ -141,7 +141,7 @@ def asymmetric(site: Site) -> Hidden:
 
 
 def stribeck(site: Site) -> Hidden:
-    """A dip as 1 / (1 + (v/vs)²) and not as an exponential."""
+    """Return a dip as 1 / (1 + (v/vs)²) and not as an exponential."""
     excess, share = site.rng.uniform(0.6, 1.2), site.rng.uniform(0.05, 0.2)
 
     def law(own: Signals, other: Signals) -> Array:
@@ -152,13 +152,13 @@ def stribeck(site: Site) -> Hidden:
 
 
 def nonlinear_viscous(site: Site) -> Hidden:
-    """A power of the speed that is smooth about zero."""
+    """Return a power of the speed that is smooth about zero."""
     power = site.rng.uniform(1.6, 2.6)
     return joint_law(lambda own, other: own.v * np.hypot(own.v, 1e-3) ** (power - 1.0))(site)
 
 
 def belt(site: Site) -> Hidden:
-    """Dry and viscous friction of a motor that turns with v_i ± v_j."""
+    """Return dry and viscous friction of a motor that turns with v_i ± v_j."""
     sign = site.rng.choice([-1.0, 1.0])
 
     def effort(seen: Seen, size: float) -> Array:
@@ -170,7 +170,7 @@ def belt(site: Site) -> Hidden:
 
 
 def coupled_rotor(site: Site) -> Hidden:
-    """A rotor that turns with the difference of two joints, [1, −1]ᵀ I (v̇_i − v̇_j).
+    """Return a rotor that turns with the difference of two joints, [1, −1]ᵀ I (v̇_i − v̇_j).
 
     One that turns with the sum is the same as a heavier link where two axes are parallel.
     """
@@ -183,12 +183,12 @@ def coupled_rotor(site: Site) -> Hidden:
 
 
 def warming(site: Site) -> Hidden:
-    """Friction that falls as 1 / (1 + t / T)."""
+    """Return the friction that falls as 1 / (1 + t / T)."""
     return _fading(site, 0.5, 1)
 
 
 def running_in(site: Site) -> Hidden:
-    """Friction that falls as 1 / (1 + t / T)³, to nothing."""
+    """Return the friction that falls as 1 / (1 + t / T)³, to nothing."""
     return _fading(site, 0.0, 3)
 
 
@@ -203,7 +203,7 @@ def _fading(site: Site, floor: float, power: int) -> Hidden:
 
 
 def late(site: Site) -> Hidden:
-    """Efforts by interpolation between those of earlier samples."""
+    """Return efforts by interpolation between those of earlier samples."""
     del site
 
     def effort(seen: Seen, size: float) -> Array:
@@ -214,13 +214,13 @@ def late(site: Site) -> Hidden:
 
 
 def spring(site: Site) -> Hidden:
-    """A spring by its rest position."""
+    """Return a spring by its rest position."""
     rest = site.rng.uniform(-1.0, 1.0)
     return joint_law(lambda own, other: own.q - rest, stiffness=1.0)(site)
 
 
 def compensator(site: Site) -> Hidden:
-    """A spring of zero free length between two cranks: its force times its lever."""
+    """Return a spring of zero free length between two cranks: its force times its lever."""
     at, r, s = site.rng.uniform(-np.pi, np.pi), 0.05, 0.3
 
     def law(own: Signals, other: Signals) -> Array:
@@ -232,7 +232,7 @@ def compensator(site: Site) -> Hidden:
 
 
 def cogging(site: Site) -> Hidden:
-    """Waves over the position, of which the motion passes a few."""
+    """Return waves over the position, of which the motion passes a few."""
     waves, phase = site.rng.uniform(2.5, 12.0), site.rng.uniform(0.0, 2.0 * np.pi)
 
     def law(own: Signals, other: Signals) -> Array:
@@ -242,7 +242,7 @@ def cogging(site: Site) -> Hidden:
 
 
 def hysteresis(site: Site) -> Hidden:
-    """Spring-and-slider elements that begin to slip one after the other (Maxwell slip)."""
+    """Return spring-and-slider elements that begin to slip one after the other (Maxwell slip)."""
     widths = site.rng.uniform(0.01, 0.03) * np.arange(1, 9)
 
     def effort(seen: Seen, size: float) -> Array:
@@ -261,7 +261,7 @@ _DENT = 0.05  # of the gap, that a flank gives way under the largest load
 
 
 def with_bodies(seen: Seen, bodies: Array) -> Array:
-    """(N, n) effort that the robot needs more with other bodies."""
+    """Return (N, n) effort that the robot needs more with other bodies."""
     before = seen.engine.bodies()
     seen.engine.set_bodies(bodies)
     effort = seen.engine.efforts(seen.q, seen.v, seen.a) - seen.load
@@ -270,7 +270,7 @@ def with_bodies(seen: Seen, bodies: Array) -> Array:
 
 
 def payload(site: Site) -> Hidden:
-    """A ball that the last link holds; its size is its mass."""
+    """Return a ball that the last link holds; its size is its mass."""
     center = np.array([*site.rng.uniform(-0.05, 0.05, 2), site.rng.uniform(0.05, 0.15)])
     ball = pseudo(1.0, center, 0.05**2 * np.eye(3))
 
@@ -298,7 +298,7 @@ def wrong_body(site: Site) -> Hidden:
 
 
 def tilt(site: Site) -> Hidden:
-    """A base turned about a horizontal axis; its size is the angle."""
+    """Return a base turned about a horizontal axis; its size is the angle."""
     direction = site.rng.uniform(0.0, 2.0 * np.pi)
     x, y = np.cos(direction), np.sin(direction)
 
@@ -314,7 +314,7 @@ def tilt(site: Site) -> Hidden:
 
 
 def drag(site: Site) -> Hidden:
-    """Drag at a point of a body, by the engine's Jacobian."""
+    """Return drag at a point of a body, by the engine's Jacobian."""
     point = site.rng.uniform(-0.1, 0.1, 3)
 
     def effort(seen: Seen, size: float) -> Array:
@@ -326,12 +326,12 @@ def drag(site: Site) -> Hidden:
 
 
 def touch(site: Site) -> Hidden:
-    """A push at a point of a body during a few seconds, as of leaning on something soft."""
+    """Return a push at a point of a body during a few seconds, as of leaning on something soft."""
     return _push(site, turning=False)
 
 
 def jet(site: Site) -> Hidden:
-    """The same of a jet or a tool, whose force turns with the body."""
+    """Return the same of a jet or a tool, whose force turns with the body."""
     return _push(site, turning=True)
 
 
@@ -381,7 +381,7 @@ def loose_gear(site: Site) -> Hidden:
 
 
 def _play(load: Array, inertia: Array, *, gap: float, time: Array) -> tuple[Array, Array, Array]:
-    """Lag (N,) of a link within a gap of half width `gap`, its rate and acceleration.
+    """Return lag (N,) of a link within a gap of half width `gap`, its rate and acceleration.
 
     M s̈ = τ − F(s, ṡ), F the force of the flank, by semi-implicit Euler. What sensors see are means
     over their period.
@@ -413,7 +413,7 @@ def _play(load: Array, inertia: Array, *, gap: float, time: Array) -> tuple[Arra
 
 
 def _with_lag(seen: Seen, joint: int, *, lag: Array, rate: Array, acceleration: Array) -> Array:
-    """(N, n) effort that it makes a difference of that a link lags behind its motor."""
+    """Return (N, n) effort that it makes a difference of that a link lags behind its motor."""
     motion = [seen.q.copy(), seen.v.copy(), seen.a.copy()]
     for signal, behind in zip(motion, (lag, rate, acceleration), strict=True):
         signal[:, joint] -= behind
@@ -558,5 +558,5 @@ KINDS = {
 
 
 def truth_of(name: str) -> Truth | Outside:
-    """What is hidden by a name of any of the tables."""
+    """Return what is hidden by a name of any of the tables."""
     return TRUTHS.get(name) or (KINDS[name][0] if name in KINDS else OUTSIDE[name])

@@ -45,7 +45,7 @@ class Site:
     rng: np.random.Generator
 
     def place(self, seen: Seen, joint: int) -> Array:
-        """(N,) position of a joint in the range of its motions, from −1 to 1."""
+        """Return (N,) position of a joint in the range of its motions, from −1 to 1."""
         return np.asarray((seen.q[:, joint] - self.center[joint]) / self.half[joint])
 
 
@@ -60,7 +60,7 @@ class Kind:
 
 
 def _cubic_coupling(site: Site) -> Effort:
-    """A spring between two joints of energy x y³."""
+    """Return a spring between two joints of energy x y³."""
 
     def effort(seen: Seen, size: float) -> Array:
         x, y = site.place(seen, site.joint), site.place(seen, site.other)
@@ -130,7 +130,7 @@ def _pendulum(site: Site) -> Effort:
 
 
 def _saturation(site: Site) -> Effort:
-    """What a drive commands more and its motor does not give, at high speed under load."""
+    """Return what a drive commands more and its motor does not give, at high speed under load."""
     edge = site.rng.uniform(0.5, 0.8)
 
     def effort(seen: Seen, size: float) -> Array:
@@ -143,7 +143,7 @@ def _saturation(site: Site) -> Effort:
 
 
 def _taut_hose(site: Site) -> Effort:
-    """A hose on the difference of two angles, which pulls only when it is taut."""
+    """Return a hose on the difference of two angles, which pulls only when it is taut."""
     slack = site.rng.uniform(0.1, 0.5)
 
     def effort(seen: Seen, size: float) -> Array:
@@ -155,7 +155,7 @@ def _taut_hose(site: Site) -> Effort:
 
 
 def _slipping_belt(site: Site) -> Effort:
-    """A link that falls behind its motor by a little more each time the load is high."""
+    """Return a link that falls behind its motor by a little more each time the load is high."""
     most = site.rng.uniform(0.4, 0.7)
 
     def effort(seen: Seen, size: float) -> Array:
@@ -171,7 +171,7 @@ def _slipping_belt(site: Site) -> Effort:
 
 
 def _cable_drag(site: Site) -> Effort:
-    """A cable that drags in one direction only, in some postures more."""
+    """Return a cable that drags in one direction only, in some postures more."""
     phase = site.rng.uniform(0.0, 2.0 * np.pi)
 
     def effort(seen: Seen, size: float) -> Array:
@@ -260,13 +260,13 @@ class Draw:
     duration: float = 40.0
 
     def rng(self, purpose: str) -> np.random.Generator:
-        """A generator of random numbers for a purpose of this draw."""
+        """Return a generator of random numbers for a purpose of this draw."""
         words = f"{self.case} {self.robot} {self.kind} {purpose}"
         return np.random.default_rng([self.seed, self.number, crc32(words.encode())])
 
 
 def draw(case: str, robot: str, number: int, seed: int, **fixed: object) -> Draw:
-    """A random draw of a case; `fixed` has the fields that are not left to chance."""
+    """Return a random draw of a case; `fixed` has the fields that are not left to chance."""
     rng = np.random.default_rng([seed, number, crc32(f"{case} {robot}".encode())])
     ordinary = case == ORDINARY
     has_tool = rng.random() < 2.0 / 3.0
@@ -290,7 +290,7 @@ def draw(case: str, robot: str, number: int, seed: int, **fixed: object) -> Draw
 
 
 def all_draws(seed: int, **fixed: object) -> list[Draw]:
-    """A seed's draws, the cases in turn, so that the first few show some of all of them."""
+    """Return a seed's draws, the cases in turn, so that the first few show some of all of them."""
     ordinary = [draw(ORDINARY, arm, k, seed, **fixed) for k, arm in enumerate(ARMS)]
     outside = [
         draw(
@@ -339,7 +339,7 @@ class Recording:
 
 
 def make_recording(draw: Draw) -> Recording:
-    """The logs of a draw, and its truth."""
+    """Return the logs of a draw, and its truth."""
     engine = make_engine(draw.engine, robot_file(draw.robot))
     model, limits = robot_model(draw.robot), _effort_limits(draw)
     rng = draw.rng("robot")
@@ -387,7 +387,7 @@ def make_recording(draw: Draw) -> Recording:
 
 
 def _effort_limits(draw: Draw) -> Array:
-    """(n,) largest efforts by the model file."""
+    """Return (n,) largest efforts by the model file."""
     return np.asarray(robot_model(draw.robot).effort_limits)
 
 
@@ -397,14 +397,14 @@ def _moved(draw: Draw, engine: Engine, kind: str) -> Seen:
 
 
 def _between(bounds: tuple[float, float], rng: np.random.Generator, n: int | None = None) -> Array:
-    """Numbers between bounds, alike for all magnitudes."""
+    """Return numbers between bounds, alike for all magnitudes."""
     return np.exp(rng.uniform(*np.log(bounds), n))
 
 
 def _friction(
     motions: list[Seen], ranges: Array, rng: np.random.Generator
 ) -> tuple[Effort, dict[str, list[float]]]:
-    """Dry and viscous friction of all joints, by a draw's own smooth sign; its sizes."""
+    """Return dry and viscous friction of all joints, by a draw's own smooth sign; its sizes."""
     dry = _between(_FRICTION, rng, len(ranges)) * ranges
     fastest = np.max([np.abs(seen.v).max(0) for seen in motions], 0)
     wet = dry * rng.uniform(*_WET, len(ranges)) / fastest
@@ -451,7 +451,7 @@ class _Sensors:
         )
 
     def measured(self, name: str, seen: Seen, effort: Array) -> JointLog:
-        """What they make of a motion and its efforts (N, n)."""
+        """Return what they make of a motion and its efforts (N, n)."""
         draw, rng = self._draw, self._rng
         size = draw.noise * np.maximum(effort.std(0), _LEAST_NOISY * _effort_limits(draw))
         u = effort + size * self._noise(effort.shape)
@@ -465,7 +465,7 @@ class _Sensors:
         return JointLog(name, joints, seen.time, q, u, velocity, **stated)
 
     def _noise(self, shape: tuple[int, ...]) -> Array:
-        """Noise of deviation one, white or coloured."""
+        """Return noise of deviation one, white or coloured."""
         noise = self._rng.normal(size=shape)
         if self._draw.colour == COLOURED:
             constant = _between(_COLOURS, self._rng)

@@ -20,7 +20,7 @@ UNPHYSICAL = "Time with a body that cannot exist, %"
 
 
 def adaptation_figures(summary: Rows) -> dict[str, Figure]:
-    """Figures 5.4 and 5.5 of the source, and one of time steps."""
+    """Return figures 5.4 and 5.5 of the source, and one of time steps."""
     parts = {part: [x for x in summary if x["part"] == part] for part in _names(summary, "part")}
     return {
         "wam_initial_error": error_figure(parts["noise"]),
@@ -30,7 +30,7 @@ def adaptation_figures(summary: Rows) -> dict[str, Figure]:
 
 
 def error_figure(lines: Rows) -> Figure:
-    """Tracking error and unphysical time over the error of the first estimate."""
+    """Return tracking error and unphysical time over the error of the first estimate."""
     how = {"x": "σ of the first estimate", "grid": "y", "width_ratios": (1.6, 1.0)}
     figure, (left, right) = panels(4.2, (ERROR, UNPHYSICAL), **how)
     _bars(left, lines, "sigma", "rms")
@@ -46,7 +46,7 @@ def error_figure(lines: Rows) -> Figure:
 
 
 def rounds_figure(lines: Rows) -> Figure:
-    """Tracking error of every round of growing amplitude."""
+    """Return tracking error of every round of growing amplitude."""
     title = "Tracking error of all joints in rounds of growing amplitude: RMS, degrees"
     figure, (ax,) = panels(3.4, (title,), x="round", grid="y")
     for k, line in enumerate(line for line in lines if line["rounds"]):
@@ -59,7 +59,7 @@ def rounds_figure(lines: Rows) -> Figure:
 
 
 def step_figure(lines: Rows) -> Figure:
-    """Tracking error and unphysical time over the time step of control and adaptation."""
+    """Return tracking error and unphysical time over the time step of control and adaptation."""
     figure, (left, right) = panels(3.6, (ERROR, UNPHYSICAL), x="time step, s", grid="y")
     _bars(left, lines, "step", "rms")
     _bars(right, lines, "step", "unphysical", 100.0)
@@ -68,7 +68,7 @@ def step_figure(lines: Rows) -> Figure:
 
 
 def controller_figure(summary: Rows) -> Figure:
-    """Errors at the greatest σ, without and with noise."""
+    """Return errors at the greatest σ, without and with noise."""
     sigma = max(line["sigma"] for line in summary)
     lines = [line for line in summary if line["sigma"] == sigma]
     noises = sorted(_names(lines, "noise"))
@@ -82,7 +82,7 @@ def controller_figure(summary: Rows) -> Figure:
 
 
 def load_figure(rows: Rows, period: float) -> Figure:
-    """Errors of every round above, and over time below, one column a load."""
+    """Return errors of every round above, and over time below, one column a load."""
     loads = _names(rows, "load")
     figure = style.new_figure(5.2)
     axes = figure.subplots(2, len(loads), sharey="row", squeeze=False)
@@ -101,7 +101,7 @@ def load_figure(rows: Rows, period: float) -> Figure:
 
 
 def sandbag_figure(rows: Rows, period: float) -> Figure:
-    """Errors of every case, and over time in the first one."""
+    """Return errors of every case, and over time in the first one."""
     first = rows[0]["case"]
     titles = "Tracking error of the turns: RMS", f"Its course with sandbags at {first}, degrees"
     figure, (left, right) = panels(3.8, titles, y="degrees", width_ratios=(1.0, 1.5))
@@ -160,7 +160,7 @@ SHADES = {"passivity": NATURAL, "computed torque": PULLBACK, "unguarded": EUCLID
 
 
 def soak_figure(rows: Rows) -> Figure:
-    """Distances and errors over time, faults as ticks."""
+    """Return distances and errors over time, faults as ticks."""
     titles, colors = ("distance", "error"), {n: COLORS[law] for n, law in SHADES.items()}
     figure, axes = panels(4.0, ("Distance from the truth", "Tracking error, °"), x="minutes")
     for ax, what in zip(axes, titles, strict=True):
@@ -177,7 +177,7 @@ LOG_COLORS = {"ur10e_free_b": "#6b7683", "ur10e_free_c": "#a9b4c0", "ur10e_chang
 
 
 def mass_figure(rows: Rows, mass: float) -> Figure:
-    """Estimated mass over time, one panel a way to learn the arm."""
+    """Return estimated mass over time, one panel a way to learn the arm."""
     ways, y = _names(rows, "way"), "estimated mass of the payload, kg"
     titles = [f"Arm learned {way}" for way in ways]
     figure, axes = panels(3.6, titles, x="time, s", y=y, sharey=True)

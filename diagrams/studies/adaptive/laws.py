@@ -45,7 +45,7 @@ SOURCE_SPEEDS = {EUCLIDEAN: 5e-5, PULLBACK: 1.0, NATURAL: 1.0, NATURAL_EULER: 1.
 
 
 def make_law(name: str, manifold: Manifold, start: ArrayLike, speed: float) -> UpdateLaw | None:
-    """A law by its name."""
+    """Return a law by its name."""
     if name == NONE:
         return None
     gamma = 1.0 / speed
@@ -75,7 +75,7 @@ CHOSEN = {
 
 
 def speeds(study: str, kind: str) -> dict[str, float]:
-    """γ⁻¹ of every law: of the source, or as chosen by the rule."""
+    """Return γ⁻¹ of every law: of the source, or as chosen by the rule."""
     if kind == "source":
         return dict(SOURCE_SPEEDS)
     chosen = CHOSEN[study]

@@ -38,12 +38,12 @@ class Record:
     lost: bool  # whether the loop was unstable and stopped
 
     def rms(self, start: float = 0.0, end: float = np.inf) -> float:
-        """RMS error of all joints between two times, degrees."""
+        """Return RMS error of all joints between two times, degrees."""
         part = (self.time >= start) & (self.time < end)
         return float(np.degrees(np.sqrt(np.mean(self.error[part] ** 2)))) if part.any() else np.nan
 
     def told(self, draw: Any, controller: AdaptiveController) -> dict[str, Any]:
-        """Law and speed of a draw, its error, and whether V rose or the loop was lost."""
+        """Return law and speed of a draw, its error, and whether V rose or the loop was lost."""
         rise = None if controller.law is None else self.rise
         own = {"law": draw.law, "speed": draw.speed, "rms": self.rms()}
         return {**own, "rise": rise, "lost": self.lost}

@@ -40,19 +40,19 @@ class Wam:
         return self.control.prior
 
     def unphysical(self, parameters: Array) -> Array:
-        """(N,) whether a body of an estimate (N, 70) cannot exist."""
+        """Return (N,) whether a body of an estimate (N, 70) cannot exist."""
         return ~is_physical(parameters.reshape(len(parameters), -1, 10)).all(axis=1)
 
 
 @cache
 def load_wam() -> Wam:
-    """The arm, read once in a process."""
+    """Return the arm, read once in a process."""
     model = load_description(MODEL)
     return Wam(model, ControlModel.of(model), parameter_manifold(model))
 
 
 def make_plant(load: Array | None = None) -> MultibodyPlant:
-    """The true arm, to be simulated: without limits of joints or efforts, as in the source.
+    """Return the true arm, to be simulated: without limits of joints or efforts, as in the source.
 
     Args:
         load: (10,) inertial parameters of a body on the palm, about the palm's origin.
@@ -122,18 +122,18 @@ class Loaded:
     control: ControlModel  # the arm, whose 70 parameters are known, and the ten of the load
 
     def law(self, name: str, speed: float) -> PartialLaw | None:
-        """A law of the load alone, by its name and γ⁻¹."""
+        """Return a law of the load alone, by its name and γ⁻¹."""
         law = make_law(name, PhysicalInertia(), GUESS, speed)
         part = np.arange(len(self.control.prior)) >= self.control.num_inertial
         return None if law is None else PartialLaw(law, part)
 
     def parameters(self, load: Array) -> Array:
-        """(80,) of the arm with a load (10,)."""
+        """Return (80,) of the arm with a load (10,)."""
         return np.concatenate([self.control.prior[: self.control.num_inertial], load])
 
 
 @cache
 def load_loaded() -> Loaded:
-    """The arm with the guess, read once in a process."""
+    """Return the arm with the guess, read once in a process."""
     model = replace(load_wam().model, effects=(FittedEffect(Payload("palm"), GUESS),))
     return Loaded(ControlModel.of(model))

@@ -66,7 +66,7 @@ class Arm:
 
     @classmethod
     def load(cls) -> Arm:
-        """The arm of the model file, with our rotors."""
+        """Return the arm of the model file, with our rotors."""
         plant = load_plant(MODEL).plant
         rotor = np.diag([0.6, 0.6, 1.0]) * ROTOR_INERTIA[:, None, None]
         rotors = from_mass_com_inertia(np.full(7, ROTOR_MASS), np.zeros((7, 3)), rotor)
@@ -74,12 +74,12 @@ class Arm:
         return cls(plant, transmission(), phi)
 
     def motors(self, turns: Array) -> Array:
-        """Motor positions (..., 7) of the turns (..., 7) of the arm, rad."""
+        """Return motor positions (..., 7) of the turns (..., 7) of the arm, rad."""
         wrist = turns[..., 5:] @ np.array([[1.0, 1.0], [1.0, -1.0]])
         return REDUCTION * np.concatenate([turns[..., :5], wrist], axis=-1)
 
     def regressor(self, motion: Motion) -> Array:
-        """(N, 7, 170) columns of links and rotors for motor torques."""
+        """Return (N, 7, 170) columns of links and rotors for motor torques."""
         joints = self.transmission.joint_motion(motion)
         links = inverse_dynamics_regressor(self.plant, joints.q, joints.v, joints.vd)
         rotors = np.zeros((len(motion.q), 7, 7, PARAMETERS_PER_BODY))
@@ -89,7 +89,7 @@ class Arm:
         return np.concatenate([links, rotors.reshape(len(links), 7, -1)], axis=2)
 
     def wrench_regressor(self, motion: Motion) -> Array:
-        """(N, 6, 100) columns of the links for the wrench about the world's origin."""
+        """Return (N, 6, 100) columns of the links for the wrench about the world's origin."""
         joints = self.transmission.joint_motion(motion)
         return base_wrench_regressor(self.plant, joints.q, joints.v, joints.vd)
 
@@ -118,7 +118,7 @@ def friction_regressor(v: Array) -> Array:
 
 
 def perturbed(phi: Array, rng: np.random.Generator, delta: float) -> Array:
-    """The bodies (17, 10) as somebody knows them who has never seen the arm.
+    """Return the bodies (17, 10) as somebody knows them who has never seen the arm.
 
     Every link has ten point masses in and around it added or taken away, up to a share δ of its
     mass in all ([Lee2019] Eq. (B.2.11)); a rotor, of which one number counts, is scaled by 1 ± δ.
@@ -148,7 +148,7 @@ def point_masses(prior: Array, hulls: Ellipsoid, rng: np.random.Generator) -> Po
 
 
 def _points_of_link(phi: Array, hull: Ellipsoid, rng: np.random.Generator) -> tuple[Array, Array]:
-    """Places (59, 3) and masses (59,) with the parameters φ (10,)."""
+    """Return places (59, 3) and masses (59,) with the parameters φ (10,)."""
     frame = np.eye(4)
     frame[:3] = np.column_stack([hull.rotation * hull.semi_axes, hull.center])
     inverse = np.linalg.inv(frame)
@@ -212,17 +212,17 @@ class Measurements:
     hulls: Array  # (17, 4, 4) matrices Q of ellipsoids that hold all mass of a body
 
     def test_rms(self, phi: Array, friction: Array) -> float:
-        """RMS error of the motor torques of the test samples, N·m."""
+        """Return RMS error of the motor torques of the test samples, N·m."""
         x = np.concatenate([phi.ravel(), friction, [-1.0]])
         return float(np.linalg.norm(self.test @ x) / np.sqrt(self.test_rows))
 
     def wrenches(self, phi: Array) -> Array:
-        """(T, 6) wrenches on the ground."""
+        """Return (T, 6) wrenches on the ground."""
         return self.wrench @ phi.ravel()[:LINKS]
 
 
 def point_to_point(arm: Arm, rng: np.random.Generator) -> Motion:
-    """47 motor motions of 1.3 s at 100 Hz of least jerk, one after another."""
+    """Return 47 motor motions of 1.3 s at 100 Hz of least jerk, one after another."""
     ends = arm.motors(rng.uniform(-REACH, REACH, (MOTIONS + 1, 7)))
     count = round(DURATION / PERIOD)
     s = np.arange(count) / count
@@ -252,7 +252,7 @@ def smoothed(position: Array) -> Motion:
 
 
 def measure(arm: Arm, *, seed: int, hull: float) -> Measurements:
-    """Simulated measurements: exact motions, with noise of torques and encoders.
+    """Return simulated measurements: exact motions, with noise of torques and encoders.
 
     Args:
         hull: Semi-axes of the hulls over those of the bodies' equivalent uniform ellipsoids.

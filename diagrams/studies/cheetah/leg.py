@@ -66,7 +66,7 @@ class Leg:
     ellipsoids: Array  # (6, 4, 4) quadrics of the regions that the bodies fit into
 
     def regressor(self, motion: Motion) -> Array:
-        """(N, 3, 60) regressor of the torques at the joints."""
+        """Return (N, 3, 60) regressor of the torques at the joints."""
         moved = self.transmission.joint_motion(motion)
         rows = inverse_dynamics_regressor(self.tree, moved.q, moved.v, moved.vd)
         return self.transmission.regressor(motion.q, rows)
@@ -78,7 +78,7 @@ class Leg:
 
 
 def load_leg(gears: Sequence[float] = (10.604,) * 3) -> Leg:
-    """The leg with the gear ratios of its three rotors."""
+    """Return the leg with the gear ratios of its three rotors."""
     plant = load_plant(MODELS / "cheetah_leg.urdf").plant
     ratios = {joint: {joint: 1.0} for joint in JOINTS}
     ratios |= {f"{j}_rotor": {j: gear} for j, gear in zip(JOINTS, gears, strict=True)}
@@ -104,13 +104,13 @@ class Samples:
     torque: Array  # (N, 3) as measured for training, filtered for the test, N·m
 
     def rms(self, phi: Array, friction: Array) -> float:
-        """RMS error of predicted torques, N·m."""
+        """Return RMS error of predicted torques, N·m."""
         predicted = self.regressor @ phi.ravel() + self.friction @ friction
         return float(np.sqrt(np.mean((predicted - self.torque) ** 2)))
 
 
 def swing(time: Array, rng: np.random.Generator) -> Motion:
-    """A leg swinging in the air: six random sines for each joint."""
+    """Return a leg swinging in the air: six random sines for each joint."""
     middle, reach = np.array([0.0, 0.5, -1.2]), np.array([0.35, 0.7, 0.7])
     rate, phase = 2 * np.pi * rng.uniform(0.2, 2.2, (6, 3)), rng.uniform(0, 2 * np.pi, (6, 3))
     size = reach * rng.uniform(0.2, 0.6, (6, 3)) / (1 + 0.075 * rate)
@@ -121,7 +121,7 @@ def swing(time: Array, rng: np.random.Generator) -> Motion:
 
 
 def measure(leg: Leg, rng: np.random.Generator) -> tuple[Samples, Samples]:
-    """Training and test samples of the measured leg."""
+    """Return training and test samples of the measured leg."""
     time = np.arange(0.0, DURATION, PERIOD)
     motion, truth = swing(time, rng), leg.prior.copy()
     truth[:3] = MEASURED
@@ -184,7 +184,7 @@ class Condensed:
         return cls(size[:rank, None] * Vt[:rank], reduced, rest, len(b))
 
     def rms(self, found: IdentificationResult) -> float:
-        """RMS training error of what was found."""
+        """Return RMS training error of what was found."""
         return float(np.sqrt((found.residual + self.rest) / self.count))
 
 
