@@ -50,7 +50,7 @@ def cpu_seconds(folder: Path, *words: str | Path) -> float:
 
 
 def opened(page: Path) -> dict[str, float]:
-    """Return times to the first paint and until a page may be used, s; nothing without a browser."""
+    """Return times to the first paint and until a page may be used, s; none without a browser."""
     path = next(filter(None, [os.environ.get("CHROMIUM"), *map(shutil.which, _BROWSERS)]), None)
     try:
         from playwright.sync_api import sync_playwright
