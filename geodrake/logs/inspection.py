@@ -20,6 +20,7 @@ from geodrake.logs.motion import PASSIVE, JointLog
 from geodrake.logs.preparation import prepare_logs
 from geodrake.logs.sensor_faults import without_faults
 from geodrake.logs.time_stamps import longest_step
+from geodrake.logs.uniform_log import make_uniform
 from geodrake.logs.unit_hints import effort_sign_hint, position_unit_hint
 
 Array = NDArray[np.float64]
@@ -106,15 +107,16 @@ def inspect_log(
     notes = []
     try:
         log = without_faults(raw)
+        unused = _unused(log)
     except LogError as error:  # of sensors that failed for good: there is still much to show
-        log, notes = raw, [error.problem]
+        log, notes, unused = raw, [error.problem], f"cannot be used: {error.problem}"
     steps = np.diff(_known(log.time))
     period = float(np.median(steps))
     gap = steps > longest_step(period)
     missing = [joint for joint in joints or () if joint not in (*log.joints, *log.standing)]
     notes += [f"nothing is measured of the model's {', '.join(missing)}"] if missing else []
     converted = any(s.unit for n, s in columns.sources.items() if n.endswith(".position"))
-    hints = [effort_sign_hint(log), None if converted else position_unit_hint(log), _unused(log)]
+    hints = [effort_sign_hint(log), None if converted else position_unit_hint(log), unused]
     first = tuple(filter(None, hints))
     return LogInspection(
         log,
@@ -131,10 +133,11 @@ def inspect_log(
 
 
 def _unused(log: JointLog) -> str:
-    """Return what of a log cannot be used, or why nothing of it can."""
+    """Return what of a log without faults cannot be used, or why nothing of it can."""
     told = np.isnan(log.effort).all(axis=0)  # by commands, in the place of efforts
+    log = replace(log, effort=np.where(told, 0.0, log.effort)) if told.any() else log
     try:
-        (trajectory,) = prepare_logs([replace(log, effort=np.where(told, 0.0, log.effort))])
+        (trajectory,) = prepare_logs([make_uniform(log, faultless=True)])
     except LogError as error:
         return f"cannot be used: {error.problem}"
     return trajectory.left_out
@@ -201,8 +204,8 @@ def _columns(raw: JointLog, log: JointLog, columns: Columns) -> Iterator[Underst
             if source is None:
                 continue  # commands have the place of efforts, or the other way round
             known = _known(getattr(log, quantity)[:, place])
-            cells = getattr(raw, quantity)[:, place]
             ends = (float(known.min()), float(known.max())) if len(known) else (np.nan, np.nan)
+            measured = np.count_nonzero(np.isfinite(getattr(raw, quantity)[:, place]))
             yield UnderstoodColumn(
                 joint,
                 source.kind if quantity == "effort" else quantity,
@@ -210,7 +213,7 @@ def _columns(raw: JointLog, log: JointLog, columns: Columns) -> Iterator[Underst
                 source.unit.name if source.unit else "",
                 source.factor,
                 *ends,
-                len(cells) - len(_known(cells)),
+                len(raw) - measured,
             )
     for joint, where in log.standing.items():
         source = columns.sources[f"{joint}.position"]

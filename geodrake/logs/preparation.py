@@ -214,13 +214,7 @@ def _smooth(
     notes += [note] if note else []
     pieces = smooth_pieces(uniform.pieces, smoother, lag)
     whole = [Stretch(piece, 0, len(piece)) for piece in pieces]
-    kept, standstill = _keep(uniform, whole, (low_pass, smoother))
-    stretches = tuple(
-        replace(stretch, first=rows.start, stop=rows.stop)
-        for stretch, rows in zip(whole, kept, strict=True)
-        if low_pass.output_count(rows.stop - rows.start) > 0
-    )
-    return stretches, standstill
+    return _of_use(uniform, whole, (low_pass, smoother))
 
 
 def _measured_lag(
@@ -291,12 +285,12 @@ def _acceleration_noise(uniform: UniformLog, low_pass: ZeroPhaseFilter, *, deriv
     return np.sqrt(power / weight * np.trapezoid(passed**2, frequency))
 
 
-def _keep(
+def _of_use(
     uniform: UniformLog,
     whole: Sequence[Stretch],
     filters: tuple[ZeroPhaseFilter, ZeroPhaseFilter],
-) -> tuple[list[slice], tuple[float, float]]:
-    """Return samples of each piece to keep, and seconds of standstill at both ends that go.
+) -> tuple[tuple[Stretch, ...], tuple[float, float]]:
+    """Return stretches that are of use, and seconds of standstill that go at both ends of these.
 
     Near a piece's end, smoothing leans on reflected data, which is right only for a joint at rest:
     those samples go. Of a standstill at an end of the log only what the filter needs to reach the
@@ -309,20 +303,18 @@ def _keep(
     moving = [_first_and_last_moving(stretch, threshold) for stretch in whole]
     busy = [k for k, ends in enumerate(moving) if ends is not None]
     lean, reach = smoother.halfwidth, low_pass.halfwidth
-    kept, standstill = list[slice](), [0, 0]
-    for k, (stretch, ends) in enumerate(zip(whole, moving, strict=True)):
+    kept, standstill = list[Stretch](), np.zeros(2)
+    for k in range(busy[0], busy[-1] + 1) if busy else ():
+        stretch, ends = whole[k], moving[k]
         count = len(stretch)
-        if not busy or k < busy[0] or k > busy[-1]:
-            kept.append(slice(0, 0))
-            continue
         before, after = (count, count) if ends is None else (ends[0], count - 1 - ends[1])
-        first, last = max(lean - before, 0), max(lean - after, 0)
-        if k == busy[0] and before > reach:
-            first = standstill[0] = before - reach
-        if k == busy[-1] and after > reach:
-            last = standstill[1] = after - reach
-        kept.append(slice(first, max(first, count - last)))
-    return kept, (standstill[0] * uniform.period, standstill[1] * uniform.period)
+        still = np.maximum([before - reach, after - reach], 0) * [k == busy[0], k == busy[-1]]
+        first, last = np.maximum([lean - before, lean - after], still).tolist()
+        part = replace(stretch, first=first, stop=max(first, count - last))
+        if low_pass.output_count(len(part)) > 0:
+            kept.append(part)
+            standstill += still * uniform.period
+    return tuple(kept), (float(standstill[0]), float(standstill[1]))
 
 
 def _first_and_last_moving(stretch: Stretch, threshold: Array) -> tuple[int, int] | None:

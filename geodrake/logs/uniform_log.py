@@ -83,7 +83,8 @@ _SHORTEST_PERIOD = 1e-5  # s; no robot is logged at more than 100 kHz
 _COARSEST = 0.1  # of a period, to which time stamps are to be distinguished
 _STILL_RANGE, _STILL_NOISE = 2e-3, 20.0  # rad or m, and noise deviations, of a joint at rest
 _ALIKE = 0.1  # of a clock, by which joints may differ in what they say of it
-_PART, _PARTS = 100_000, 8  # samples, and how many such parts of a log are looked at for a choice
+# Samples, how many such parts of a log are looked at for a choice, and samples of all of them.
+_PART, _PARTS, _LOOKED_AT = 100_000, 8, 200_000
 
 
 @dataclass(frozen=True, eq=False)
@@ -149,20 +150,24 @@ def naming_log(log: JointLog) -> Iterator[None]:
         ) from error
 
 
-def make_uniform(log: JointLog) -> UniformLog:
-    """Split a log at gaps and empty cells, and find its period, its noise and what moves."""
+def make_uniform(log: JointLog, *, faultless: bool = False) -> UniformLog:
+    """Split a log at gaps and empty cells, and find its period, its noise and what moves.
+
+    Args:
+        faultless: Whether it is already without what its sensors did wrong.
+    """
     with naming_log(log):
-        return _uniform(log)
+        return _uniform(log, faultless=faultless)
 
 
-def _uniform(log: JointLog) -> UniformLog:
+def _uniform(log: JointLog, *, faultless: bool) -> UniformLog:
     if (hint := row_order_hint(log)) is not None:
         raise LogError(
             hint,
             advice="Sort the rows by time, and log the time. If they are in order, the log is "
             "sampled too rarely: record 20 rows or more in each swing of a joint.",
         )
-    log = without_faults(log)
+    log = log if faultless else without_faults(log)
     notes = [*log.notes, *step_notes(log)]
     columns = [log.joints.index(joint) for joint in log.measured]
     own = None if log.acceleration is None or not columns else log.acceleration[:, columns]
@@ -288,7 +293,9 @@ def _sample_parts(pieces: Sequence[Piece]) -> Iterator[Piece]:
         for part in pairwise(_edges(len(piece), max(1, round(len(piece) / _PART))))
     ]
     chosen = np.unique(_edges(len(parts) - 1, min(len(parts), _PARTS) - 1))
-    return (parts[k][0][slice(*parts[k][1])] for k in chosen.tolist())
+    most = _LOOKED_AT // len(chosen) if len(chosen) else 0
+    for piece, (start, stop) in (parts[k] for k in chosen.tolist()):
+        yield piece[start : min(stop, start + most)]
 
 
 def _edges(length: int, parts: int) -> list[int]:

@@ -69,6 +69,16 @@ def test_trimming_does_not_depend_on_chunks(monkeypatch):
     assert cut.stop < len(cut.piece)
 
 
+def test_choices_look_at_a_part_of_a_long_log(monkeypatch):
+    log = long_log(9000)
+    monkeypatch.setattr(uniform_log, "_PART", 1_000)
+    monkeypatch.setattr(uniform_log, "_LOOKED_AT", 2_000)
+    parts = list(uniform_log.make_uniform(log).sample_parts())
+    assert [len(part) for part in parts] == pytest.approx([250] * 8, abs=1)
+    assert parts[0].time[0] == log.time[0]
+    assert parts[-1].time[-1] > 0.85 * log.time[-1]
+
+
 def test_memory_grows_with_the_log_alone(monkeypatch, tmp_path):
     """A sample of two joints is 40 bytes; smoothed copies and regressors would be hundreds more."""
     for module in (smoothing, reduce):

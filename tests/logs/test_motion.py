@@ -1,5 +1,6 @@
 """Logs and motions, their preparation, and the folds that validation uses."""
 
+import re
 from dataclasses import replace
 
 import numpy as np
@@ -131,6 +132,18 @@ def test_standstills_at_the_ends_go_and_those_inside_stay():
     assert 20.0 + reach - 1.0 < segment.time[-1] < 20.2 + reach
     assert "s of standstill at the start" in trajectory.left_out
     assert "s of standstill at the end" in trajectory.left_out
+
+
+def test_parts_that_are_left_out_add_up():
+    """A first piece that hardly moves goes as a whole, and not its standstill beside it."""
+    log = _with_standstills(5.0, 3.0, 4.0)
+    kept = (log.time < 7.0) | (log.time > 8.0)
+    names = ("time", "position", "effort")
+    log = replace(log, **{name: getattr(log, name)[kept] for name in names})
+    (trajectory,) = prepare_logs([log], bandwidth=2.0)
+    total, *parts = map(float, re.findall(r"([\d.]+) (?:of [\d.]+ )?s\b", trajectory.left_out))
+    assert "in 1 of 2 pieces" in trajectory.left_out
+    assert sum(parts) == pytest.approx(total, abs=0.05)
 
 
 def test_still_throughout():
