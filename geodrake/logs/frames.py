@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -13,7 +12,7 @@ from geodrake.boundary.arguments import instance, instances
 from geodrake.errors import ArgumentError
 from geodrake.logs.files import Reading, log_of
 from geodrake.logs.files.column_mapping import check_once
-from geodrake.logs.files.table import numbers, numeric_table, readable
+from geodrake.logs.files.table import numeric_table, readable
 from geodrake.logs.motion import JointLog
 
 
@@ -48,11 +47,10 @@ def log_of_frame(
     with readable(Path(name), "frame of numbers", "Give columns of numbers, such as float64."):
         arrays = _arrays(frame, name)
     rows = max((len(values) for values in arrays.values() if np.ndim(values)), default=0)
+    index: Any = getattr(frame, "index", None)
+    if getattr(getattr(index, "dtype", None), "kind", "") in ("M", "m", "f"):  # no count of rows
+        arrays.setdefault("time", index.to_numpy())
     table = numeric_table(Path(name), arrays, rows)
-    index, origin = _time_index(frame)
-    if index is not None and "time" not in {*table.columns, *table.silent}:
-        origins = table.origins if origin is None else {**table.origins, "time": origin}
-        table = replace(table, columns={**table.columns, "time": index}, origins=origins)
     return log_of(table, joints, reading or Reading())[0]
 
 
@@ -79,10 +77,3 @@ def _array(column: Any) -> Any:
     if hasattr(column, "to_numpy"):
         return column.to_numpy()
     return np.asanyarray(column)  # a mask says where nothing was measured
-
-
-def _time_index(frame: Any) -> tuple[Any, int | None]:
-    """Seconds of the index of a frame of pandas, None if it only counts rows; see `numbers`."""
-    index: Any = getattr(frame, "index", None)
-    kind = getattr(getattr(index, "dtype", None), "kind", "")
-    return numbers(index.to_numpy()) if kind in ("M", "m", "f") else (None, None)

@@ -213,7 +213,7 @@ def _columns(raw: JointLog, log: JointLog, columns: Columns) -> Iterator[Underst
                 source.unit.name if source.unit else "",
                 source.factor,
                 *ends,
-                len(raw) - measured,
+                len(raw) - int(measured),
             )
     for joint, where in log.standing.items():
         source = columns.sources[f"{joint}.position"]

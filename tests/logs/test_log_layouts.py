@@ -471,6 +471,36 @@ def test_dates_are_time(tmp_path, form, header):
     assert any(f"in s since 2026-05-01 {hour}:59:59 UTC" in note for note in log.notes)
 
 
+ORDERS = {
+    "a day that is no month": ("2024-02-12", "%d/%m/%Y", "2024-02-12", "13/02/2024 says"),
+    "a month that is no day": ("2024-02-12", "%m/%d/%Y", "2024-02-12", "02/13/2024 says"),
+    "days that follow each other": ("2024-02-10", "%d/%m/%Y", "2024-02-10", "more closely"),
+    "one day": ("2024-03-05", "%d/%m/%Y", "2024-05-03", "nothing in them says"),
+}
+
+
+@pytest.mark.parametrize("suffix", [".csv", ".parquet"])
+@pytest.mark.parametrize("kind", ORDERS)
+def test_day_and_month_are_told_once_for_a_column(tmp_path, monkeypatch, kind, suffix):
+    """Rows whose dates have both orders may come before the one that tells."""
+    import pandas as pd
+
+    monkeypatch.setattr("geodrake.logs.files.text_file._LINES_AHEAD", 10)
+    start, form, first, why = ORDERS[kind]
+    time, q, _, tau = motion(("a",))
+    begin = pd.Timestamp(start) + pd.Timedelta(seconds=0 if kind == "one day" else 86399.9)
+    frame = pd.DataFrame({"a.position": q[:, 0], "a.effort": tau[:, 0]})
+    moments = begin + pd.to_timedelta(time, unit="s")
+    frame.insert(0, "time", moments.strftime(f"{form} %H:%M:%S.%f"))
+    path = tmp_path / f"log{suffix}"
+    frame.to_csv(path, index=False) if suffix == ".csv" else frame.to_parquet(path)
+    log = read_log(path)
+    assert np.allclose(log.time, time, rtol=0, atol=1e-6)
+    assert any(f"since {first}" in note for note in log.notes)
+    (note,) = [note for note in log.notes if why in note]
+    assert ("day/month" in note) == (form == "%d/%m/%Y" and kind != "one day")
+
+
 @pytest.mark.parametrize("stamp", ["yesterday", "2026-02-30T12:00:00", "12"])
 def test_texts_that_are_no_dates(tmp_path, stamp):
     time, q, _, tau = motion(("a",))

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import re
 from bisect import bisect_left
-from collections.abc import Iterator, Mapping, Sequence, Sized
+from collections.abc import Iterable, Iterator, Mapping, Sequence, Sized
 from contextlib import contextmanager
 from copy import copy
 from dataclasses import dataclass, field
@@ -65,7 +65,8 @@ _DATE = re.compile(
     r"(\d{4}[-/]\d\d[-/]\d\d[Tt ]\d\d:\d\d(?::\d\d)?)"
     r"(?:[.,](\d{1,9})\d*)?\s*([Zz]|UTC|[+-]\d\d(?::?\d\d)?)?"
 )
-_BY_DAY = re.compile(r"(\d\d?)([./])(\d\d?)\2(\d{4})(?=[Tt ])")  # 01.05.2026, or 05/01/2026
+_BY_DAY = re.compile(r"(?<![\d/.])(\d\d?)([./])(\d\d?)\2(\d{4})(?=[Tt ])")  # as in 01.05.2026
+_LAST_MONTH = 12
 _TIME = re.compile(r"(?:(\d+) days? )?(\d\d?):(\d\d):(\d\d)(?:[.,](\d{1,9})\d*)?")
 _EPOCH = datetime(1970, 1, 1, tzinfo=UTC)
 _SECOND, _DAY = 1_000_000_000, 86_400  # ns, s
@@ -73,19 +74,26 @@ NO_DATE = np.iinfo(np.int64).min
 """What NumPy has for no date."""
 
 
-def date_of(text: str) -> int | None:
+def date_of(text: str, *, day_first: bool = False) -> int | None:
     """Return the nanoseconds since 1970 of a date with its time of day; None if the text is none.
 
     Args:
         text: In ISO 8601, with a blank for the T or strokes if need be; or day, month and year with
             points, or month, day and year with strokes. Without a time zone it is in UTC. A time of
             day alone, or days and a time, are those since 1970.
+        day_first: Whether the day comes before the month with strokes, too.
     """
     if (found := _TIME.fullmatch(text.strip())) is not None:
         days, hours, minutes, seconds = (int(number or 0) for number in found.groups()[:4])
         seconds += _DAY * days + 3600 * hours + 60 * minutes
         return seconds * _SECOND + int((found[5] or "").ljust(9, "0"))
-    found = _DATE.fullmatch(_BY_DAY.sub(_year_first, text.strip(), count=1))
+
+    def year_first(date: re.Match[str]) -> str:
+        first, mark, second, year = date.groups()
+        month, day = (second, first) if mark == "." or day_first else (first, second)
+        return f"{year}-{month:0>2}-{day:0>2}"
+
+    found = _DATE.fullmatch(_BY_DAY.sub(year_first, text.strip(), count=1))
     if found is None:
         return None
     head, fraction, zone = found.groups()
@@ -97,11 +105,37 @@ def date_of(text: str) -> int | None:
     return (since.days * _DAY + since.seconds) * _SECOND + int((fraction or "").ljust(9, "0"))
 
 
-def _year_first(date: re.Match[str]) -> str:
-    """Return a date as ISO 8601 has it; the first of two numbers with strokes is the month."""
-    first, mark, second, year = date.groups()
-    month, day = (second, first) if mark == "." or int(first) > 12 else (first, second)
-    return f"{year}-{month:0>2}-{day:0>2}"
+def is_date(text: str) -> bool:
+    """Return whether a text is a date with its time of day, its day before the month or after."""
+    return any(date_of(text, day_first=first) is not None for first in (False, True))
+
+
+def order_of_days(texts: Iterable[str]) -> tuple[bool, str]:
+    """Return whether days come before months in dates with strokes, and why; no words without any.
+
+    All dates in some texts together tell it: by a number that is no month, or as they follow each
+    other more closely in one of the orders.
+    """
+    found = {date.group(): date for text in texts for date in _BY_DAY.finditer(text)}
+    found = {text: date for text, date in found.items() if date[2] == "/"}
+    if not found:
+        return False, ""
+    one, other, years = np.array([d.group(1, 3, 4) for d in found.values()], int).T
+    spans = [
+        np.ptp(372 * years + 31 * months + days) for months, days in ((one, other), (other, one))
+    ]
+    no_months = [numbers > _LAST_MONTH for numbers in (one, other)]
+    texts = list(found)
+    if no_months[0].any() or no_months[1].any():
+        day_first = bool(no_months[0].any())
+        why = f", as {texts[int(no_months[0 if day_first else 1].argmax())]} says"
+    else:
+        day_first = bool(spans[1] < spans[0])
+        why = ", in which they follow each other more closely"
+        if spans[0] == spans[1]:
+            why = ", which nothing in them says: if it is wrong, write them as 2026-05-01"
+    order = "day/month" if day_first else "month/day"
+    return day_first, f"dates such as {texts[0]} are taken as {order}/year{why}"
 
 
 def _offset(zone: str | None) -> str:
@@ -328,11 +362,11 @@ def numeric_table(path: Path, arrays: Mapping[str, Any], rows: int) -> LogTable:
     Returns:
         The table, with a note of what was left out.
     """
-    columns: dict[str, Array] = {}
+    columns, notes = dict[str, Array](), dict[str, None]()
     origins, silent, words = {}, {}, dict[str, NDArray[np.object_]]()
     for name, given in arrays.items():
         values = _array(given) if isinstance(given, list) else given
-        found, origin = numbers(values)
+        found, origin, note = numbers(values)
         if found is not None and found.ndim == 2 and found.shape[0] != rows == found.shape[1]:
             found = found.T
         if found is None or found.ndim not in (1, 2) or len(found) != rows:
@@ -342,10 +376,13 @@ def numeric_table(path: Path, arrays: Mapping[str, Any], rows: int) -> LogTable:
         columns.update(spread(name, found))
         if origin is not None:
             origins[name] = origin
-    more = " …" if len(silent) > _MOST_NAMES else ""
-    note = f"columns without a number for each row: {', '.join([*silent][:_MOST_NAMES])}{more}"
-    notes = (note,) if silent else ()
-    return LogTable(path, columns, notes=notes, origins=origins, silent=silent, words=words)
+        notes |= {note: None} if note else {}
+    if silent:
+        more = " …" if len(silent) > _MOST_NAMES else ""
+        named = ", ".join([*silent][:_MOST_NAMES])
+        notes[f"columns without a number for each row: {named}{more}"] = None
+    said = tuple(notes)
+    return LogTable(path, columns, notes=said, origins=origins, silent=silent, words=words)
 
 
 def _texts(name: str, values: Any, rows: int) -> dict[str, NDArray[np.object_]]:
@@ -420,10 +457,11 @@ def spread(name: str, values: Array) -> Iterator[tuple[str, Array]]:
         yield from ((f"{name}[{k}]", column) for k, column in enumerate(values.T))
 
 
-def numbers(values: Any) -> tuple[Array | None, int | None]:
+def numbers(values: Any) -> tuple[Array | None, int | None, str]:
     """Return an array of floats, NaN where nothing is; None for what has no numbers.
 
-    Of dates, the seconds from the first on, and the first, ns since 1970.
+    Of dates, the seconds from the first on, and the first, ns since 1970; and in which order they
+    are taken, if that is a question.
     """
     if isinstance(values, np.ma.MaskedArray):
         missing, values = np.ma.getmaskarray(values), np.array(values.data, object)
@@ -431,14 +469,14 @@ def numbers(values: Any) -> tuple[Array | None, int | None]:
     try:
         array = _array(values)
         if array.dtype.kind == "M":
-            return since_first(array.astype("datetime64[ns]").astype(np.int64))
+            return *since_first(array.astype("datetime64[ns]").astype(np.int64)), ""
         if array.dtype.kind == "m":
-            return np.asarray(array / _ONE_SECOND), None
+            return np.asarray(array / _ONE_SECOND), None, ""
         if array.dtype.kind in "OUT":
             return _of_objects(array.astype(object))
     except (TypeError, ValueError, ArithmeticError):  # texts, rows of different lengths, 10**400
-        return None, None
-    return (np.asarray(array, float) if array.dtype.kind in "fiub" else None), None
+        return None, None, ""
+    return (np.asarray(array, float) if array.dtype.kind in "fiub" else None), None, ""
 
 
 def _array(values: Any) -> NDArray[Any]:
@@ -451,19 +489,22 @@ def _array(values: Any) -> NDArray[Any]:
         return array
 
 
-def _of_objects(array: NDArray[Any]) -> tuple[Array | None, int | None]:
-    """Return numbers of lists, or of objects that are numbers, dates or nothing."""
+def _of_objects(array: NDArray[Any]) -> tuple[Array | None, int | None, str]:
+    """Return numbers of lists, or of objects that are numbers, dates or nothing; see `numbers`."""
     first = next((value for value in array.flat if not _is_nothing(value)), None)
     if not array.size:
-        return None, None
+        return None, None, ""
     if isinstance(first, Sized) and not isinstance(first, str):
         empty = np.full(len(first), np.nan)
         rows = [empty if _is_nothing(row) or not len(row) else row for row in array]
-        return np.stack([np.asarray(row, float) for row in rows]), None
-    if array.ndim == 1 and _date(first) is not None:
-        stamps = [NO_DATE if _is_nothing(value) else _date(value) for value in array]
-        return (None, None) if None in stamps else since_first(np.array(stamps, np.int64))
-    return np.array([_number(value) for value in array.flat]).reshape(array.shape), None
+        return np.stack([np.asarray(row, float) for row in rows]), None, ""
+    if array.ndim == 1 and is_date(_date_text(first)):
+        texts = [_date_text(value) for value in array]
+        day_first, note = order_of_days(texts)
+        stamps = [date_of(text, day_first=day_first) for text in texts]
+        known = [NO_DATE if _is_nothing(v) else s for v, s in zip(array, stamps, strict=True)]
+        return (None, None, "") if None in known else (*since_first(np.array(known)), note)
+    return np.array([_number(value) for value in array.flat]).reshape(array.shape), None, ""
 
 
 def _is_nothing(value: Any) -> bool:
@@ -472,10 +513,10 @@ def _is_nothing(value: Any) -> bool:
     return str(value) in NOTHING
 
 
-def _date(value: Any) -> int | None:
-    """Nanoseconds since 1970 of a date, as an object or a text."""
+def _date_text(value: Any) -> str:
+    """Return the text of a date, which may be an object; "" for what is none."""
     text = value.isoformat() if isinstance(value, datetime) else value
-    return date_of(text) if isinstance(text, str) else None
+    return text if isinstance(text, str) else ""
 
 
 def _number(value: Any) -> float:

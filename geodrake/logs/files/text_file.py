@@ -7,7 +7,7 @@ import re
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import AbstractContextManager, nullcontext, suppress
 from dataclasses import dataclass, field, replace
-from functools import partial
+from functools import cached_property, partial
 from importlib import import_module
 from importlib.util import find_spec
 from io import BytesIO, StringIO, TextIOWrapper
@@ -32,8 +32,10 @@ from geodrake.logs.files.table import (
     TornRows,
     check_room,
     date_of,
+    is_date,
     number_in,
     numbered,
+    order_of_days,
     readable,
 )
 from geodrake.logs.files.units import UNITS, find_unit
@@ -54,7 +56,8 @@ class TextLayout:
 
     Attributes:
         units: Units of columns, where the line after the header has them.
-        origins: Columns of dates -> the first, ns since 1970.
+        dates: Columns of dates -> the first.
+        day_first: Whether days come before months in these.
         lists: Columns whose cells are lists of numbers -> how many each has.
         unnamed: Cells of the first row, where nobody names the columns; see `LogTable`.
     """
@@ -64,10 +67,20 @@ class TextLayout:
     decimal: str
     lines: int
     units: Mapping[str, str] = field(default_factory=dict)
-    origins: Mapping[str, int] = field(default_factory=dict)
+    dates: Mapping[str, str] = field(default_factory=dict)
+    day_first: bool = False
     lists: Mapping[str, int] = field(default_factory=dict)
     texts: tuple[str, ...] = ()
     unnamed: tuple[str, ...] = ()
+
+    @cached_property
+    def origins(self) -> dict[str, int | None]:
+        """Columns of dates -> the first, ns since 1970."""
+        return {name: self.date(text) for name, text in self.dates.items()}
+
+    def date(self, text: str) -> int | None:
+        """Return the date that a text is, ns since 1970; None if it is none."""
+        return date_of(text, day_first=self.day_first)
 
     @property
     def places(self) -> dict[str, tuple[int, int | None]]:
@@ -236,12 +249,11 @@ def _with_contents(layout: TextLayout, lines: Iterator[str]) -> tuple[TextLayout
             for name, cell in zip(layout.names, cells, strict=False):
                 if cell.strip() not in (*NOTHING, "[]", "()"):
                     first.setdefault(name, cell)
-    dates = {name: date_of(cell) for name, cell in first.items()}
-    origins = {name: date for name, date in dates.items() if date is not None}
+    dates = {name: cell for name, cell in first.items() if is_date(cell)}
     found = {name: list_of(cell) for name, cell in first.items()}
     lists = {name: len(numbers) for name, numbers in found.items() if numbers is not None}
-    texts = tuple(n for n, c in first.items() if n not in {*origins, *lists} and not is_number(c))
-    whole = replace(layout, origins=origins, lists=lists, texts=texts)
+    texts = tuple(n for n, c in first.items() if n not in {*dates, *lists} and not is_number(c))
+    whole = replace(layout, dates=dates, lists=lists, texts=texts)
     return whole, chain(ahead, lines)
 
 
@@ -296,7 +308,7 @@ def is_number(cell: str) -> bool:
 
 
 def _are_numbers(cells: Sequence[str]) -> bool:
-    return any(cells) and all(is_number(cell) or date_of(cell) is not None for cell in cells)
+    return any(cells) and all(is_number(cell) or is_date(cell) for cell in cells)
 
 
 def renamed(path: Path, reading: Reading, cells: Sequence[str]) -> Sequence[str]:
@@ -390,6 +402,7 @@ class TextTable(LogTable):
         columns = {name: values[_all(kept)] for name, values in columns.items()}
         words = {name: texts[_all(kept)] for name, texts in self._texts(rows)}
         silent = {name: f"holds {texts[:1]}" for name, texts in words.items()}
+        notes = (*self.notes, *notes)
         return LogTable(self.path, columns, layout.units, notes, layout.origins, silent, words)
 
     def _texts(self, rows: int) -> Iterator[tuple[str, NDArray[np.object_]]]:
@@ -449,7 +462,11 @@ def _text_table(path: Path, reading: Reading, opened: Opener) -> LogTable:
         lines = list(map(_count, _blocks(path, opened)))
     with opened() as file, TextIOWrapper(file, "utf-8-sig", newline="") as text:
         layout, _ = text_layout(path, text, reading)
-    table = TextTable(path, layout, lines, reading, opened)
+    day_first, note = False, ""
+    if any("/" in date for date in layout.dates.values()):
+        day_first, note = order_of_days(block.decode() for block in _blocks(path, opened))
+    layout, notes = replace(layout, day_first=day_first), (note,) if note else ()
+    table = TextTable(path, layout, lines, reading, opened).noting(*notes)
     names_rows = any(map(names_joints, layout.texts)) or any(map(numbers_joints, layout.names))
     return table.loaded() if names_rows and reading.mapping is None else table
 
@@ -494,7 +511,7 @@ def _numbers(
     if not block or block.isspace():
         return np.empty((0, len(places)))
     mark, columns, last = layout.separator, [cell for cell, _ in places], len(layout.names) - 1
-    if {*columns} & {layout.names.index(name) for name in (*layout.lists, *layout.origins)}:
+    if {*columns} & {layout.names.index(name) for name in (*layout.lists, *layout.dates)}:
         return None
     if not block.isascii():
         block.decode()  # or it is no text in UTF-8
@@ -556,7 +573,7 @@ def _cells(
     values: list[list[float]] = []
     places = [layout.places[name] for name in used]
     read = dict.fromkeys(cell for cell, _ in places)  # a list once, not for each of its items
-    is_plain = not {*layout.lists, *layout.origins}.intersection(used)
+    is_plain = not {*layout.lists, *layout.dates}.intersection(used)
     is_plain &= not any("_" in line for line in lines)  # which Python takes in its own numbers
     try:
         for line, cells in layout.cells(lines):
@@ -596,7 +613,7 @@ def _numbers_of(cell: str, path: Path, row: int, layout: TextLayout, place: int)
         is_none = f"no list of {count} numbers as above it"
         advice = "Write all lists of a column equally long, or leave the cell empty."
     elif origin is not None and text:
-        date = date_of(cell)
+        date = layout.date(cell)
         numbers, wrong = [((date or 0) - origin) / 1e9], date is None
         is_none = "no date as above it"
         advice = "Write dates as 2026-05-01T12:00:00.25Z, or leave the cell empty."
