@@ -34,9 +34,9 @@ from geodrake import load_model
 from geodrake.identification.logs.servo_fit import PARAMETERS, motions_of
 from geodrake.identification.logs.servo_model import with_servo_motions
 from geodrake.identification.logs.signal_calibration import (
+    calibrate_efforts,
     sharp_trajectories,
     signals_as_efforts,
-    with_efforts,
 )
 from geodrake.logs.files import Reading, read_log
 from geodrake.logs.motion import JointLog
@@ -154,7 +154,7 @@ def by_mujoco(urdf: Path, values: Mapping[str, Mapping[str, float]]) -> Simulate
 def by_geodrake(urdf: Path, logs: Sequence[JointLog]) -> Fit:
     """Fit geodrake's model."""
     began = time.process_time()
-    known = with_efforts(load_model(urdf), logs)[0]
+    known = calibrate_efforts(load_model(urdf), logs)[0]
     model, fits = with_servo_motions(known, logs)
     seconds = time.process_time() - began
     values = {
@@ -288,7 +288,7 @@ def pendulum_row(folder: Path) -> dict[str, Any]:
         read_log(folder / f"data/xl330/cmd_{name}.csv", joints=model.joints)
         for name in ("kp100_sin_sin", "kp400_up_and_down")
     )
-    _, fits = with_servo_motions(with_efforts(model, [slow])[0], [slow])
+    _, fits = with_servo_motions(calibrate_efforts(model, [slow])[0], [slow])
     (fit,) = fits.values()
     known = signals_as_efforts([fast], ["command"])
     sharp = sharp_trajectories(known, prepare_logs(known))

@@ -70,7 +70,7 @@ def find_episodes(case: Case, hypothesis: Hypothesis) -> tuple[PointEpisode, ...
     noise = error_table(case.dataset, hypothesis.held_out).is_noise
     if not windows and not noise:
         # Bodies that are free to follow a contact spread its error all over the log.
-        hypothesis = hypothesis.loosened(_FIXED / hypothesis.looseness)
+        hypothesis = hypothesis.loosened(_FIXED / hypothesis.prior_scale)
         scale, windows = _seen(case, hypothesis)
     found, promising = _contacts(case, scale, windows)
     if found or not promising:

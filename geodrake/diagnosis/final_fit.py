@@ -12,7 +12,7 @@ from geodrake.diagnosis.search import Found
 from geodrake.effects import FittedEffect
 from geodrake.identification.logs.case import Case, reopen
 from geodrake.identification.logs.dataset import Dataset
-from geodrake.identification.logs.hypothesis import Hypothesis, most_likely, settle
+from geodrake.identification.logs.hypothesis import Hypothesis, most_likely, reweight
 from geodrake.identification.logs.model_fit import ModelFit, fit_model, model_unknowns
 from geodrake.identification.logs.unknowns import Unknowns, effect_prior
 from geodrake.model.robot_model import RobotModel
@@ -46,7 +46,7 @@ def final_fit(case: Case, found: Found) -> tuple[Case, ModelFit]:
             unknowns = unknowns.released(effect, stated.information[span, span], stated.mean[span])
     for effect, mean, information in search.likely_loads(was, width):
         unknowns = unknowns.released(effect, information, mean)
-    settled = settle(replace(settled, unknowns=unknowns), iterations=_MOST_ITERATIONS)
+    settled = reweight(replace(settled, unknowns=unknowns), iterations=_MOST_ITERATIONS)
     seen = tuple(dict.fromkeys((*case.model.fitted_to, *case.fingerprints)))
     base = replace(reopened.model, effects=case.model.effects, information=case.model.information)
     base = replace(base, phi=case.model.phi, fitted_to=seen, bandwidths=case.bandwidths)

@@ -565,7 +565,7 @@ class LogModel:
             held_out=held_out,
             physical=physical,
         )
-        looseness = choice.width / self._spread
+        prior_scale = choice.width / self._spread
         return Hypothesis(
-            self.dataset, unknowns, fit.weights, choice.delay, looseness, cv, effective
+            self.dataset, unknowns, fit.weights, choice.delay, prior_scale, cv, effective
         )

@@ -36,7 +36,7 @@ from geodrake.errors import ArgumentError
 from geodrake.identification.logs.case import Case, reduced
 from geodrake.identification.logs.criteria import NOISE_MARGIN
 from geodrake.identification.logs.model_fit import effects_of
-from geodrake.logs.folds import dealt_out
+from geodrake.logs.folds import assign_folds
 
 Array = NDArray[np.float64]
 Places = tuple[tuple[str, ...], ...]
@@ -207,7 +207,7 @@ class Search:
                     log == k and c.start < end and start < c.end for k, start, end in windows
                 ):
                     windows.append((log, c.start, c.end))
-            folds = dealt_out(self.case.folds, self.case.trajectories, windows, pieces=PIECES)
+            folds = assign_folds(self.case.folds, self.case.trajectories, windows, pieces=PIECES)
             self.case = replace(self.case, folds=folds)
         return [e for e in (*found, *contacts) if e not in self._effects]
 

@@ -41,7 +41,7 @@ from geodrake.excitation.objective import normalizing_map
 from geodrake.excitation.target import Target, make_target
 from geodrake.identification.logs.case import Case, open_case
 from geodrake.identification.logs.dataset import is_payload
-from geodrake.identification.logs.hypothesis import first_hypothesis, settle
+from geodrake.identification.logs.hypothesis import first_hypothesis, reweight
 from geodrake.identification.logs.log_fits import log_unknowns
 from geodrake.identification.models.identify import with_effects
 from geodrake.inertia import PARAMETERS_PER_BODY, Array
@@ -410,7 +410,7 @@ def _fitted(case: Case) -> tuple[RobotModel, Array]:
     """
     dataset, model = case.dataset, case.model
     unknowns = log_unknowns(dataset, model)
-    found = settle(first_hypothesis(dataset, unknowns), iterations=_ITERATIONS)
+    found = reweight(first_hypothesis(dataset, unknowns), iterations=_ITERATIONS)
     mse = np.maximum(found.held_out.mse, dataset.noise_floor**2)
     mse = np.maximum(mse, 1e-12 * dataset.effort_std**2)
     samples = dataset.samples.sum(0)

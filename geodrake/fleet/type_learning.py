@@ -80,7 +80,7 @@ def _begun(team: Workers, logs: Sequence[Logs], columns: TypeColumns) -> TypeMod
 
 
 @dataclass(frozen=True, eq=False)
-class _RobotTells:
+class _RobotStatistics:
     """What one robot tells of all that is learnt."""
 
     own: Array  # (p,) its own parameters
@@ -98,7 +98,7 @@ class _RobotTells:
     odd: Array  # (T, K) how odd its logs are
 
 
-def _told(piece: tuple[TypeModel, Logs, Array | None]) -> _RobotTells:
+def _told(piece: tuple[TypeModel, Logs, Array | None]) -> _RobotStatistics:
     """Return what one robot tells, where the model of its type has that of it alone."""
     model, logs, changes = piece
     fit, scale = model.fit(0, logs.equations(), changes), model.scale(0)
@@ -107,7 +107,7 @@ def _told(piece: tuple[TypeModel, Logs, Array | None]) -> _RobotTells:
     squares = np.stack([fit.theta**2, 1.0 - np.diagonal(fit.covariance)])
     share, at = scale[columns.course], columns.course
     part = fit.information[:, at][:, :, at] * share[:, None] * share
-    return _RobotTells(
+    return _RobotStatistics(
         model.mean + fit.common @ fit.theta[:common],
         fit.information.sum(axis=0) - fit.seen.T @ links,
         fit.score.sum(axis=0),
@@ -121,7 +121,7 @@ def _told(piece: tuple[TypeModel, Logs, Array | None]) -> _RobotTells:
 
 
 def _scattered(model: TypeModel, scale: Array, fit: RobotFit, scores: LogScores) -> Array:
-    """Return (3, K) what a robot's logs tell of their scatter, as `_RobotTells` has it."""
+    """Return (3, K) what a robot's logs tell of their scatter, as `_RobotStatistics` has it."""
     along, trace, norm = scores
     squares, norm = along.sum(axis=0), np.maximum(norm.sum(axis=0), 1e-300)
     expected = model.columns.parts(fit.expected_squares(scale[:, None] * model.factor))[:-1]
@@ -132,7 +132,9 @@ def _scattered(model: TypeModel, scale: Array, fit: RobotFit, scores: LogScores)
     return np.stack([squares, expected, middle])
 
 
-def _improved(model: TypeModel, logs: Sequence[Logs], told: Sequence[_RobotTells]) -> TypeModel:
+def _improved(
+    model: TypeModel, logs: Sequence[Logs], told: Sequence[_RobotStatistics]
+) -> TypeModel:
     """Return one step of all that is learnt.
 
     Squared scales go by what squares of scores are over what they would be, whose fixed point is
@@ -168,7 +170,9 @@ def _improved(model: TypeModel, logs: Sequence[Logs], told: Sequence[_RobotTells
     )
 
 
-def _spread_ratio(columns: TypeColumns, told: Sequence[_RobotTells], covariance: Array) -> Array:
+def _spread_ratio(
+    columns: TypeColumns, told: Sequence[_RobotStatistics], covariance: Array
+) -> Array:
     """(K + 1,) squares of θ over their expectations, of all robots; μ is not known but learnt."""
     squares, expected = np.stack([each.spread for each in told], axis=1)
     for robot, each in enumerate(told):
@@ -182,7 +186,7 @@ def _spread_ratio(columns: TypeColumns, told: Sequence[_RobotTells], covariance:
     return np.asarray(ratio)
 
 
-def _scatter_ratio(model: TypeModel, told: Sequence[_RobotTells]) -> Array:
+def _scatter_ratio(model: TypeModel, told: Sequence[_RobotStatistics]) -> Array:
     """Return (K,) squares of scores over their expectations, of the robot in the middle.
 
     Each robot counts as the deviations that its logs show, and what was known before as one.

@@ -101,7 +101,7 @@ def validation_blocks(
     return folds
 
 
-def dealt_out(
+def assign_folds(
     folds: Sequence[Fold],
     trajectories: Sequence[Trajectory],
     windows: Sequence[tuple[int, float, float]],

@@ -13,8 +13,8 @@ from geodrake import load_model, save_model
 from geodrake.cli.app import app
 from geodrake.control.rollout import fit_rollouts
 from geodrake.control.rollout.fit_rollouts import better_model, held_out
+from geodrake.control.rollout.linearized_motion import LinearizedMotion
 from geodrake.control.rollout.motion_search import blinds
-from geodrake.control.rollout.near_motion import NearMotion
 from geodrake.control.rollout.passages import chosen_passages
 from geodrake.control.rollout.rollout_values import rollout_values
 from geodrake.control.rollout.simulation import simulations
@@ -42,19 +42,19 @@ def test_a_gap_that_is_too_wide_is_found(pendulum, seed):
         assert found.model.effects[-1].effect.half_width == value.after
 
 
-def near_motion(model, log, most=2):
+def linearized_motion(model, log, most=2):
     """Windows of a log, and how they are simulated near their motion."""
     case = open_case(model, [log], candidates=False)
     passages = chosen_passages(case, 0.4, most)
     simulation = simulations(case, passages)(log.name)
     for passage in passages:
-        near, soft = NearMotion.of(simulation, passage), simulation.law.soft
+        near, soft = LinearizedMotion.of(simulation, passage), simulation.law.soft
         yield passage, simulation, near, soft.couplings(simulation.law.mu)
 
 
 def test_near_the_motion_is_as_in_the_diagram():
     model = soft_arm(0.8)
-    for passage, simulation, near, couplings in near_motion(model, arm_log(2000.0)):
+    for passage, simulation, near, couplings in linearized_motion(model, arm_log(2000.0)):
         exact = simulation.positions(passage) - passage.segment.position
         found, _ = near.departure(model.effects, couplings)
         assert np.sqrt(np.mean((found - exact) ** 2)) < 0.12 * np.sqrt(np.mean(exact**2))
@@ -62,7 +62,7 @@ def test_near_the_motion_is_as_in_the_diagram():
 
 def test_play_near_the_motion_is_as_in_the_diagram(pendulum):
     """Both begin with links where the motion before leaves them in their dead bands."""
-    for passage, simulation, near, couplings in near_motion(loose(pendulum, 1.0), swung(0)):
+    for passage, simulation, near, couplings in linearized_motion(loose(pendulum, 1.0), swung(0)):
         exact = simulation.positions(passage) - passage.segment.position
         found, _ = near.departure(loose(pendulum, 1.0).effects, couplings)
         assert np.sqrt(np.mean(exact**2)) > 0.2 * GAP

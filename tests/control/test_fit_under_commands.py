@@ -20,7 +20,7 @@ from geodrake.control.rollout import (
     roll_out,
 )
 from geodrake.control.rollout.fit_rollouts import better_model
-from geodrake.control.rollout.near_motion import NearMotion
+from geodrake.control.rollout.linearized_motion import LinearizedMotion
 from geodrake.control.rollout.passages import chosen_passages
 from geodrake.control.rollout.rollout_values import (
     rollout_values,
@@ -64,7 +64,7 @@ def departures(case, compliance, horizon, most):
     made = simulations(case, passages, commands=True)(case.asked.logs[0].name)
     couplings = made.law.soft.couplings(made.law.mu)
     for passage in passages:
-        near, along = NearMotion.of(made, passage), made.acting.along(passage)
+        near, along = LinearizedMotion.of(made, passage), made.acting.along(passage)
         found, _ = near.departure(model.effects, couplings)
         exact = made.positions(passage) - passage.segment.position
         yield exact, found, bool((np.abs(along.effort) > along.gains.limit).any())
@@ -241,7 +241,7 @@ def test_slopes_with_integrals_are_differences(pendulum):
     case = open_case(servoed(pendulum, 2.0, servo), [log], candidates=False, bandwidth=12.0)
     (passage,) = chosen_passages(case, 0.2, 1)
     made = simulations(case, [passage], commands=True)("followed0")
-    near, law = NearMotion.of(made, passage), made.law
+    near, law = LinearizedMotion.of(made, passage), made.law
     couplings = law.soft.couplings(law.mu)
     plain, slopes = near.departure(case.model.effects, couplings, slopes=True)
     assert slopes.shape[2] == 2 * 2 + 1

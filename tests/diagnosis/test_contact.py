@@ -26,7 +26,7 @@ from geodrake.effects.body_motion import RobotBodies
 from geodrake.effects.robot_motion import log_number
 from geodrake.identification.logs.noise import prepare_for_model
 from geodrake.logs.filtering import design_filter
-from geodrake.logs.folds import dealt_out, set_apart, validation_blocks
+from geodrake.logs.folds import assign_folds, set_apart, validation_blocks
 from geodrake.model.saved_model import save_model
 
 ARM = load_model(MODELS / "arm6.urdf")
@@ -151,7 +151,7 @@ def test_windows_become_a_fold_of_their_own():
 def test_windows_are_dealt_out_to_two_folds():
     trajectories, _ = prepare_for_model(ARM, [effort_log("arm6", 1).log])
     folds = validation_blocks(trajectories)
-    dealt = dealt_out(folds, trajectories, [(0, 8.0, 9.5)], pieces=4)
+    dealt = assign_folds(folds, trajectories, [(0, 8.0, 9.5)], pieces=4)
     low_pass = trajectories[0].filter
     offset = float(trajectories[0].segments[0][:1].time[0]) + low_pass.halfwidth * low_pass.period
     before, after = owner(folds), owner(dealt)

@@ -21,7 +21,7 @@ from geodrake.effects import (
 )
 from geodrake.errors import LogError
 from geodrake.identification.logs import reduce
-from geodrake.identification.logs.log_slices import SharedRows
+from geodrake.identification.logs.log_slices import RowCache
 from geodrake.identification.logs.noise import (
     coherent_bandwidth,
     effort_ratio,
@@ -356,7 +356,7 @@ class TestSharedRows:
     def test_change_nothing(self, model, trajectories, folds, room, monkeypatch):
         monkeypatch.setattr(reduce, "CHUNK", 1111)
         alone = self.reductions(model, trajectories, folds, None)
-        together = self.reductions(model, trajectories, folds, SharedRows(room))
+        together = self.reductions(model, trajectories, folds, RowCache(room))
         for one, other in zip(alone, together, strict=True):
             assert one.effects == other.effects
             np.testing.assert_array_equal(one.samples, other.samples)

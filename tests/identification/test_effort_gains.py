@@ -11,7 +11,7 @@ from geodrake import load_model
 from geodrake.errors import LogError
 from geodrake.identification.logs.case import open_case
 from geodrake.identification.logs.effort_gains import _GeodesicBodies
-from geodrake.identification.logs.signal_calibration import calibrated, with_efforts
+from geodrake.identification.logs.signal_calibration import calibrate_efforts, calibrated
 from geodrake.logs.files import read_log
 from geodrake.model import EffortSignal
 from geodrake.model.logged_joints import log_of_model
@@ -90,7 +90,7 @@ def test_known_gains_are_taken_as_they_are(arm, torques):
         EffortSignal(joint, "current", gain, 0.02 * abs(gain))
         for joint, gain in zip(torques.joints, GAINS.tolist(), strict=True)
     )
-    model, logs, notes = with_efforts(
+    model, logs, notes = calibrate_efforts(
         replace(arm, effort_signals=signals), [currents(torques, GAINS)]
     )
     np.testing.assert_allclose(logs[0].effort, torques.effort)
@@ -100,27 +100,27 @@ def test_known_gains_are_taken_as_they_are(arm, torques):
 
 def test_logs_of_two_kinds_are_refused_together(arm, torques):
     with pytest.raises(LogError, match=r"current in .* and effort in"):
-        with_efforts(arm, [currents(torques, GAINS), replace(torques, name="other")])
+        calibrate_efforts(arm, [currents(torques, GAINS), replace(torques, name="other")])
 
 
 def test_a_model_of_voltages_refuses_currents(arm, torques):
     signals = tuple(EffortSignal(joint, "voltage", 2.0) for joint in torques.joints)
     with pytest.raises(LogError, match="knows what makes efforts of its voltage"):
-        with_efforts(replace(arm, effort_signals=signals), [currents(torques, GAINS)])
+        calibrate_efforts(replace(arm, effort_signals=signals), [currents(torques, GAINS)])
     motor = EffortSignal(torques.joints[0], "effort", 1.0, limit=9.0)
     with pytest.raises(LogError, match="which efforts its motor gives"):
-        with_efforts(replace(arm, effort_signals=(motor,)), [currents(torques, GAINS)])
+        calibrate_efforts(replace(arm, effort_signals=(motor,)), [currents(torques, GAINS)])
 
 
 def test_rows_beyond_the_limit_of_a_motor_are_noted(arm, torques):
     asked = np.abs(torques.effort[:, 0])
     motor = EffortSignal(torques.joints[0], "effort", 1.0, limit=float(np.quantile(asked, 0.75)))
     able = replace(arm, effort_signals=(motor,))
-    _, (given,), (note,) = with_efforts(able, [torques])
+    _, (given,), (note,) = calibrate_efforts(able, [torques])
     assert np.abs(given.effort[:, 0]).max() == motor.limit
     assert f"in 25 % of the rows {motor.joint} is asked for more" in note
     assert note in open_case(able, [torques], candidates=False).notes
-    assert with_efforts(able, [given])[2] == []
+    assert calibrate_efforts(able, [given])[2] == []
 
 
 @pytest.mark.measurements("data/ur10e_free_c.csv", "reference/ur10e.urdf")

@@ -21,10 +21,10 @@ from geodrake.errors import LogError
 from geodrake.identification.logs.case import open_case
 from geodrake.identification.logs.servo_fit import JointMotions, fit_servo, motions_of
 from geodrake.identification.logs.signal_calibration import (
+    calibrate_efforts,
     calibrated,
     gain_words,
     signals_as_efforts,
-    with_efforts,
 )
 from geodrake.logs.known_payload import KnownPayload
 from geodrake.logs.motion import JointLog, Motion
@@ -149,7 +149,7 @@ def test_a_log_of_commands_gives_servos_and_efforts(model, log):
     assert signal.kind == "command"
     assert abs(signal.gain - TRUTH[0]) < 2.0 * signal.deviation
     assert signal.gain == pytest.approx(TRUTH[0], rel=0.1)
-    known, (efforts,), notes = with_efforts(model, [log])
+    known, (efforts,), notes = calibrate_efforts(model, [log])
     assert known.effort_signals == (signal,)
     assert np.isfinite(efforts.effort).all() and "commands" in notes[0]
 
@@ -184,7 +184,7 @@ def test_where_a_joint_stands_says_nothing_of_a_servo():
 
 @pytest.fixture(scope="module")
 def fitted(model, summed):
-    return with_efforts(model, [summed])
+    return calibrate_efforts(model, [summed])
 
 
 def with_gaps(log, instants, length):
@@ -248,7 +248,7 @@ def test_efforts_contain_the_integral(fitted, summed):
     assert np.std(left) < 0.12 * np.std(needed)
     assert abs(np.mean(left)) < 0.03 * np.std(needed)
     without = replace(model.effort_signals[0], integral=0.0)
-    late = with_efforts(replace(model, effort_signals=(without,)), [summed])[1][0].effort[:, 0]
+    late = calibrate_efforts(replace(model, effort_signals=(without,)), [summed])[1][0].effort[:, 0]
     assert np.std(np.convolve(late - needed, smooth, "valid")) > 0.5 * np.std(needed)
 
 
@@ -267,7 +267,7 @@ def test_an_integral_has_grown_to_what_a_payload_needs(model):
     command, nothing = q + error[:, None], np.full(q.shape, np.nan)
     log = JointLog("log", ("hinge",), t, q, nothing, command=command, payloads=(payload,))
     signal = EffortSignal("hinge", "command", kp, integral=INTEGRAL)
-    _, (known,), _ = with_efforts(replace(model, effort_signals=(signal,)), [log])
+    _, (known,), _ = calibrate_efforts(replace(model, effort_signals=(signal,)), [log])
     np.testing.assert_allclose(known.effort[3:-3, 0], needed[3:-3], atol=0.02)
 
 
@@ -290,7 +290,7 @@ def test_integrals_begin_anew_after_long_gaps(model, summed):
     short = with_gaps(summed, [5.0, 9.0], 1.0)
     runs = runs_between_gaps(short.time, short.position[:, 0])
     assert [np.count_nonzero(runs == k) > 500 for k in range(runs[-1] + 1)] == 3 * [True]
-    whole, parts = (with_efforts(known, [each])[1][0] for each in (summed, short))
+    whole, parts = (calibrate_efforts(known, [each])[1][0] for each in (summed, short))
     expected = np.interp(short.time, summed.time, whole.effort[:, 0])
     off = np.sqrt(np.mean((parts.effort[:, 0] - expected) ** 2))
     assert off < 0.02 * np.std(expected)
@@ -396,7 +396,7 @@ def test_slopes_at_a_limit_are_finite_differences(own, tmp_path):
 def test_gains_are_those_of_a_servo_at_its_limit(tmp_path):
     limit = 7.0
     model = pendulum(tmp_path, limit)
-    known, (log,), _ = with_efforts(model, [servo_log(limit=limit)])
+    known, (log,), _ = calibrate_efforts(model, [servo_log(limit=limit)])
     (signal,) = known.effort_signals
     assert signal.limit == limit
     assert signal.gain == pytest.approx(TRUTH[0], rel=0.05)

@@ -10,7 +10,7 @@ from geodrake import load_model
 from geodrake.errors import ArgumentError
 from geodrake.identification.logs.servo_fit import PARAMETERS
 from geodrake.identification.logs.servo_model import with_servo_motions
-from geodrake.identification.logs.signal_calibration import with_efforts
+from geodrake.identification.logs.signal_calibration import calibrate_efforts
 from geodrake.logs.files import Reading, read_log
 from geodrake.logs.motors import known_motors, motor_named, motor_of_robot
 
@@ -73,7 +73,7 @@ def test_a_data_sheet_tells_the_stiffness_that_a_log_does_not(pendulum, slow, tm
     signals = []
     for motors in ({}, {"": mine}):
         log = read_log(slow, joints=pendulum.joints, reading=Reading(motors=motors))
-        model, _, notes = with_efforts(pendulum, [log])
+        model, _, notes = calibrate_efforts(pendulum, [log])
         signals += model.effort_signals
     unknown, told = signals
     assert told.uncertainty < 0.12 < unknown.uncertainty
@@ -85,7 +85,7 @@ def test_a_log_that_tells_the_stiffness_overrules_a_wrong_data_sheet(pendulum, t
     path = tmp_path / "mine.yaml"
     path.write_text("mine: {stiffness: [120.0, 60.0, a catalogue]}")
     log = replace(servo_log(), motors={"hinge": motor_named("mine", known_motors(path))})
-    (signal,) = with_efforts(pendulum, [log])[0].effort_signals
+    (signal,) = calibrate_efforts(pendulum, [log])[0].effort_signals
     assert signal.gain == pytest.approx(TRUTH[0], rel=0.02)
 
 
@@ -97,7 +97,7 @@ def test_a_motion_that_tells_the_armature_overrules_a_wrong_data_sheet(
     armature = published * TRUTH[4]
     path.write_text(f"mine: {{armature: [{armature}, {0.5 * armature}, a catalogue]}}")
     log = replace(servo_log(), motors={"hinge": motor_named("mine", known_motors(path))})
-    model, fits = with_servo_motions(with_efforts(pendulum, [log])[0], [log])
+    model, fits = with_servo_motions(calibrate_efforts(pendulum, [log])[0], [log])
     found = fits["hinge"].parameters[PARAMETERS.index("armature")]
     assert found == pytest.approx(TRUTH[4], rel=0.15)
     assert any(fitted.effect.name == "rotor_inertia" for fitted in model.effects)
@@ -108,7 +108,7 @@ def test_a_data_sheet_tells_the_armature_that_a_log_does_not(pendulum, slow, tmp
     path.write_text(f"mine: {{armature: [{TRUTH[4]}, {0.1 * TRUTH[4]}, a catalogue]}}")
     motors = {"": motor_named("mine", known_motors(path))}
     log = read_log(slow, joints=pendulum.joints, reading=Reading(motors=motors))
-    fits = with_servo_motions(with_efforts(pendulum, [log])[0], [log])[1]
+    fits = with_servo_motions(calibrate_efforts(pendulum, [log])[0], [log])[1]
     at = PARAMETERS.index("armature")
     assert fits["hinge"].parameters[at] == pytest.approx(TRUTH[4], rel=0.3)
     assert fits["hinge"].deviations[at] < 0.2 * TRUTH[4]

@@ -18,13 +18,13 @@ from numpy.typing import NDArray
 from geodrake.boundary.arguments import instance
 from geodrake.control.rollout.acting import Acting
 from geodrake.control.rollout.fit_servos import fit_servos, held_out
+from geodrake.control.rollout.linearized_motion import LinearizedMotion
 from geodrake.control.rollout.motion_search import (
     MotionSearch,
     SearchWindow,
     blind_to,
     blinds,
 )
-from geodrake.control.rollout.near_motion import NearMotion
 from geodrake.control.rollout.passages import Passage, chosen_passages
 from geodrake.control.rollout.results import FittedValue, Rollout, RolloutFit
 from geodrake.control.rollout.roll_out import (
@@ -156,7 +156,7 @@ def _windows(
     }
     for passage, window in zip(passages, before.windows, strict=True):
         simulation = made(passage.log)
-        near = NearMotion.of(simulation, passage, free)
+        near = LinearizedMotion.of(simulation, passage, free)
         departure = window.simulated - passage.logged
         found.append(SearchWindow(near, acting[passage.log], departure))
     return found

@@ -2,9 +2,9 @@
 
 Few values, positive, by steps from where they begin: of what each is known to, be that a deviation
 or, by its logarithm, a factor of e. Departures are those of the rollout that the search begins
-with, and how much they change near the measured motion (`near_motion`). They are compared with the
-positions as they were logged, and what other states at the start of a window would make of them
-does not count: those are smoothed, and never exact.
+with, and how much they change near the measured motion (`linearized_motion`). They are compared
+with the positions as they were logged, and what other states at the start of a window would make of
+them does not count: those are smoothed, and never exact.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ import numpy as np
 from scipy.optimize import least_squares
 
 from geodrake.control.rollout.acting import Acting
-from geodrake.control.rollout.near_motion import NearMotion
+from geodrake.control.rollout.linearized_motion import LinearizedMotion
 from geodrake.control.rollout.rollout_values import (
     RolloutValue,
     giving_way,
@@ -39,7 +39,7 @@ _LEAST = 1e-9  # rad or m, by which joints depart at least
 class SearchWindow:
     """A window that values are fitted to."""
 
-    near: NearMotion
+    near: LinearizedMotion
     acting: Callable[[RobotModel], Acting]  # what acts in its log, with the servos of a model
     departure: Array  # (N, nv) simulated − logged positions at the start of the search, rad or m
 

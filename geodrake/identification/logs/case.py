@@ -19,12 +19,12 @@ from geodrake.errors import LogError
 from geodrake.identification.logs.candidate_effects import candidate_delays, candidate_effects
 from geodrake.identification.logs.dataset import Dataset, Delay
 from geodrake.identification.logs.hypothesis import HeldOut
-from geodrake.identification.logs.log_slices import MIXED_ROOM, ROOM, SharedRows
+from geodrake.identification.logs.log_slices import MIXED_ROOM, ROOM, RowCache
 from geodrake.identification.logs.model_errors import ErrorTable, JointError, Series
 from geodrake.identification.logs.model_fit import effects_of
 from geodrake.identification.logs.noise import filtered_below, prepare_for_model
 from geodrake.identification.logs.reduce import reduce_logs
-from geodrake.identification.logs.signal_calibration import with_efforts
+from geodrake.identification.logs.signal_calibration import calibrate_efforts
 from geodrake.identification.logs.unknowns import Unknowns
 from geodrake.logs.files import read_log
 from geodrake.logs.folds import Fold, validation_blocks
@@ -77,7 +77,7 @@ class Case(Short):
     # The segments of all logs in memory, with the index of their log, once somebody looked.
     segments: list[tuple[int, Segment]] = field(default_factory=list, repr=False)
     # What reductions of the logs share.
-    shared: SharedRows = field(default_factory=SharedRows, repr=False)
+    shared: RowCache = field(default_factory=RowCache, repr=False)
     # (nb, 10) inertial parameters that efforts of bodies are computed with, which columns of
     # effects may depend on; the model's if None.
     loads: Array | None = None
@@ -128,7 +128,7 @@ def open_case(
         model, matched = held, [log_of_model(log, held) for log in matched]
     # Of what was measured: what a servo gives depends on the model, which a fit changes.
     measured = {log.name: log.fingerprint for log in matched}
-    model, matched, gain_notes = with_efforts(model, matched)
+    model, matched, gain_notes = calibrate_efforts(model, matched)
     _check_efforts(matched)
     idle = tuple(j for j in matched[0].passive if j not in model.motorless) if matched else ()
     model = replace(model, motorless=(*model.motorless, *idle)) if idle else model
@@ -167,7 +167,7 @@ def open_case(
         low_pass = trajectories[0].filter
         delays = candidate_delays(low_pass.period, low_pass.bandwidth)
     room = ROOM if all(t.contacts is None for t in trajectories) else MIXED_ROOM
-    shared = SharedRows(room) if candidates else SharedRows(room, signals=0)  # few follow
+    shared = RowCache(room) if candidates else RowCache(room, signals=0)  # few follow
     dataset = reduce_logs(
         model,
         trajectories,
@@ -224,7 +224,7 @@ def prepared_as_measured(
     The `bandwidth` of the filter, Hz, is by default chosen from the motion.
     """
     logs = checked_logs(model, logs, (), bandwidth, blocks)
-    _, matched, _ = with_efforts(model, _matched(model, logs), simulate=False)
+    _, matched, _ = calibrate_efforts(model, _matched(model, logs), simulate=False)
 
     def prepare(logs: Sequence[JointLog]) -> tuple[Trajectory, ...]:
         uniform = [make_uniform(log) for log in logs]

@@ -183,7 +183,7 @@ class Hypothesis(Short):
     unknowns: Unknowns
     weights: Array  # (nv,) of squared residuals: effective share of the samples / mse
     delay: tuple[int, ...]  # index of the dataset's effort delay of each joint
-    looseness: float  # factor by which the prior of the bodies is widened
+    prior_scale: float  # factor by which the prior of the bodies is widened
     cv: CrossValidation
     effective: Array  # (nv,) effective number of samples
 
@@ -207,7 +207,7 @@ class Hypothesis(Short):
     def loosened(self, factor: float) -> Hypothesis:
         """Return this hypothesis with the prior of bodies `factor` times as wide, refitted."""
         unknowns = self.unknowns.loosened(factor, PARAMETERS_PER_BODY * len(self.dataset.bodies))
-        return settle(replace(self, unknowns=unknowns, looseness=self.looseness * factor))
+        return reweight(replace(self, unknowns=unknowns, prior_scale=self.prior_scale * factor))
 
     def moved(self, dataset: Dataset, *, delay: Delay, iterations: int = 2) -> Hypothesis:
         """Return this hypothesis on another dataset of the same bodies and effects, refitted."""
@@ -216,7 +216,7 @@ class Hypothesis(Short):
         unknowns = replace(self.unknowns, columns=np.concatenate([bodies, *effects]))
         delays = dataset.delay_of_each(delay)
         moved = replace(self, dataset=dataset, unknowns=unknowns, delay=delays)
-        return settle(moved, iterations=iterations)
+        return reweight(moved, iterations=iterations)
 
 
 def residual_blocks(
@@ -243,7 +243,7 @@ def effective_of_rows(blocks: Sequence[Sequence[Array]], rows: Array | NDArray[n
     return np.where(kept > 0, found, 1.0)
 
 
-def settle(hypothesis: Hypothesis, *, iterations: int = 2) -> Hypothesis:
+def reweight(hypothesis: Hypothesis, *, iterations: int = 2) -> Hypothesis:
     """Refit with weights that follow from the held-out residuals themselves.
 
     The weight of a joint is the inverse of its squared error (half its own, half what the same
@@ -319,4 +319,4 @@ def first_hypothesis(dataset: Dataset, unknowns: Unknowns, *, delay: Delay = 0) 
     cv = CrossValidation(dataset, unknowns, weights, delay=delay)
     effective = np.asarray(_FIRST_SHARE * dataset.rows, float)
     first = Hypothesis(dataset, unknowns, weights, cv.delay, 1.0, cv, effective)
-    return settle(first, iterations=3)
+    return reweight(first, iterations=3)

@@ -43,7 +43,7 @@ SIGNALS_ROOM = 2_000_000
 """At most so many of them are signals at the logs' full rate; filtered columns cost more."""
 
 
-class SharedRows:
+class RowCache:
     """What reductions of the same logs by the same robot share, by what it belongs to.
 
     The columns of an effect do not depend on what else is tried, so that only those have to be
@@ -74,9 +74,9 @@ class SharedRows:
             self.keep(key, found := make(), signals=signals)
         return found
 
-    def read_only(self) -> SharedRows:
+    def read_only(self) -> RowCache:
         """Return what is kept here, for reductions whose columns are not needed again."""
-        reader = SharedRows(0)
+        reader = RowCache(0)
         reader._kept = self._kept
         return reader
 
@@ -278,7 +278,7 @@ class LogSlice:
     advance: Sequence[Array]
     place: Hashable
 
-    def rows(self, shared: SharedRows) -> list[JointRows]:
+    def rows(self, shared: RowCache) -> list[JointRows]:
         """Return filtered rows of every joint; `shared` is used and filled."""
         motion, columns = self._motion_rows(shared), self._columns(shared)
         efforts, carried = self._efforts(shared), self._carried(columns)
@@ -309,7 +309,7 @@ class LogSlice:
         near, inner = self._near
         return near[inner]
 
-    def _contact_rows(self, shared: SharedRows) -> MixedRows | None:
+    def _contact_rows(self, shared: RowCache) -> MixedRows | None:
         """See `contact_rows.contact_rows`."""
         key = "contact rows", self.place
         if (found := shared.get(key)) is None:
@@ -335,7 +335,7 @@ class LogSlice:
             return None
         return spline_through(effort)
 
-    def _motion_rows(self, shared: SharedRows) -> Blocks:
+    def _motion_rows(self, shared: RowCache) -> Blocks:
         """Return per joint (K, 4) motion and share of time at rest; at −1 the (K,) instants."""
 
         def make() -> Blocks:
@@ -355,7 +355,7 @@ class LogSlice:
 
         return shared.once(("motion", self.place), make)
 
-    def _efforts(self, shared: SharedRows) -> Array:
+    def _efforts(self, shared: RowCache) -> Array:
         """Return (K, nv, d) filtered efforts as they were logged `advance` seconds later."""
 
         def advanced(seconds: Array) -> Blocks:
@@ -388,7 +388,7 @@ class LogSlice:
         pushed = self.trajectory.filter.apply(ground)
         return [known - own for known, own in zip(bodies, pushed.T, strict=True)]
 
-    def _columns(self, shared: SharedRows) -> list[Blocks]:
+    def _columns(self, shared: RowCache) -> list[Blocks]:
         """Return filtered columns of all parts of the layout."""
         layout, gravity = self.layout, self.layout.tree.gravity.tobytes()
         keys = {part: (part, self.place, layout.origin_of(part)) for part in layout.parts}
@@ -427,7 +427,7 @@ class LogSlice:
             for blocks in parts
         ]
 
-    def _motion(self, shared: SharedRows) -> Motion:
+    def _motion(self, shared: RowCache) -> Motion:
 
         def make() -> Blocks:
             here = self._here

@@ -13,7 +13,7 @@ from geodrake.effects.base import Effect
 from geodrake.errors import LogError
 from geodrake.identification.logs.contact_rows import couplings
 from geodrake.identification.logs.dataset import Dataset, Indices, JointData, JointRows
-from geodrake.identification.logs.log_slices import Layout, LogSlice, SharedRows
+from geodrake.identification.logs.log_slices import Layout, LogSlice, RowCache
 from geodrake.identification.logs.noise import known_noise
 from geodrake.identification.logs.unknowns import payload_reference
 from geodrake.inertia import PARAMETERS_PER_BODY
@@ -49,7 +49,7 @@ def reduce_logs(
     delays: Sequence[ArrayLike] = (0.0,),
     noise: tuple[Array, NDArray[np.bool_] | bool] | None = None,
     fitted: bool = False,
-    shared: SharedRows | None = None,
+    shared: RowCache | None = None,
 ) -> Dataset:
     """Reduce logs to the triangular factors of every fold and joint.
 
@@ -66,7 +66,7 @@ def reduce_logs(
     still = STILL_SPEED * peak_speeds(trajectories)
     still[np.isin(model.joints, model.base_joints)] = 0.0
     widths = sign_widths(model, trajectories)
-    shared = SharedRows(0) if shared is None else shared
+    shared = RowCache(0) if shared is None else shared
     shared.begin()
     coupling = coupling_of(model, trajectories, shared)
     layout = Layout.of(model, effects, widths, still, coupling=coupling)
@@ -108,7 +108,7 @@ def reduce_logs(
 
 
 def coupling_of(
-    model: RobotModel, trajectories: Sequence[Trajectory], shared: SharedRows
+    model: RobotModel, trajectories: Sequence[Trajectory], shared: RowCache
 ) -> NDArray[np.bool_] | None:
     """Return `couplings` of logs, looked at once."""
     if all(trajectory.contacts is None for trajectory in trajectories):
@@ -125,14 +125,14 @@ def reduced_joints(
     trajectories: Sequence[Trajectory],
     folds: Sequence[Fold],
     advance: Sequence[Array],
-    shared: SharedRows | None = None,
+    shared: RowCache | None = None,
 ) -> tuple[JointData, ...]:
     """Return what logs say about every joint, over the columns of a layout; see `reduce_logs`.
 
     A joint may rest all the time. `advance` are (nv,) seconds by which the efforts were logged
     late, for each column of efforts.
     """
-    shared = SharedRows(0) if shared is None else shared
+    shared = RowCache(0) if shared is None else shared
     boxes = [[_Box(len(c) + len(advance)) for _ in folds] for c in layout.columns]
     members: dict[tuple[int, int], list[tuple[int, Block]]] = defaultdict(list)
     for f, fold in enumerate(folds):

@@ -188,7 +188,7 @@ _ROUNDS = 2  # of choosing how servos take commands, and of bodies and gains wit
 _DELAYS = tuple(np.linspace(0.0, LONGEST_DELAY, 16).tolist())  # that are tried, s
 
 
-def with_efforts(
+def calibrate_efforts(
     model: RobotModel, logs: Sequence[JointLog], *, simulate: bool = True
 ) -> tuple[RobotModel, list[JointLog], list[str]]:
     """Return the model that makes efforts of signals, logs with efforts, and what was found.

@@ -17,7 +17,7 @@ from geodrake.identification.identify import IdentificationResult, physical_prio
 from geodrake.identification.logs.case import error_table, open_case, reopen
 from geodrake.identification.logs.compare import comparison
 from geodrake.identification.logs.criteria import SPREAD
-from geodrake.identification.logs.hypothesis import first_hypothesis, settle
+from geodrake.identification.logs.hypothesis import first_hypothesis, reweight
 from geodrake.identification.logs.log_fits import LogFits, Weighing, log_unknowns, weigh
 from geodrake.identification.logs.model_fit import ModelFit, as_it_stands, model_with
 from geodrake.identification.models.results import (
@@ -160,7 +160,7 @@ def identify_model(
         model, prior = holding(model, held), case.model
     prior = replace(prior, motorless=case.model.motorless)
     unknowns = log_unknowns(case.dataset, prior)
-    settled = settle(first_hypothesis(case.dataset, unknowns), iterations=_MOST_ITERATIONS)
+    settled = reweight(first_hypothesis(case.dataset, unknowns), iterations=_MOST_ITERATIONS)
     fits = LogFits(
         case.dataset,
         unknowns,

@@ -48,7 +48,7 @@ _LAG_ITERATIONS = 20
 
 
 @dataclass(frozen=True, eq=False)
-class NearServos:
+class LinearizedServos:
     """The p servos that act near a measured motion."""
 
     effort: Array  # (N, p) what they give along it without integrals and limits, N·m or N
@@ -60,7 +60,7 @@ class NearServos:
     @classmethod
     def of(
         cls, law: ForceLaw, along: EffortAlong, motors: NDArray[np.intp]
-    ) -> tuple[NearServos, Array]:
+    ) -> tuple[LinearizedServos, Array]:
         """Return the servos, and efforts (N, nv) at joints without any."""
         kp, kd, ki, limit = along.gains.kp, along.gains.kd, along.gains.ki, along.gains.limit
         effort = law.applied(along.effort.T, law.mu).T
@@ -93,7 +93,7 @@ class MotorForce:
 
 
 @dataclass(frozen=True, eq=False)
-class NearMotion:
+class LinearizedMotion:
     """A passage, ready to be simulated near its measured motion with other soft joints."""
 
     law: ForceLaw  # the force law of the model there, with what it carries
@@ -103,7 +103,7 @@ class NearMotion:
     damping: Array  # (N, s, s) C
     stiffness: Array  # (N, s, s) K
     motors: NDArray[np.intp]  # (nv,) where in y the motor of each joint is
-    servos: NearServos
+    servos: LinearizedServos
     load: Array  # (k, m) efforts of their links at the first samples, N·m or N
     give_way: Array  # (k, m) by how much these change when a link moves on, N·m/rad or N/m
     before: RobotMotion  # the motion before the passage
@@ -116,7 +116,7 @@ class NearMotion:
         simulation: Simulation,
         passage: Passage,
         free: Sequence[tuple[int, int]] = (),
-    ) -> NearMotion:
+    ) -> LinearizedMotion:
         """Prepare a passage of a log.
 
         Args:
@@ -130,7 +130,7 @@ class NearMotion:
         at_links = seen.load + _effort(model, seen, at_motor=False)
         soft, added = law.soft.velocities, law.added_inertia
         motors = A.argmax(axis=1)
-        servos, beside = NearServos.of(law, along, motors)
+        servos, beside = LinearizedServos.of(law, along, motors)
         rest = (at_motors - beside) @ A + at_links @ L
         rest[:, len(L) :] += added * segment.acceleration[:, soft]
         position, velocity, acceleration = (
@@ -156,9 +156,9 @@ class NearMotion:
             tuple(_motor_force(model, seen, motors, *each) for each in free),
         )
 
-    def under(self, along: EffortAlong, effects: Sequence[FittedEffect]) -> NearMotion:
+    def under(self, along: EffortAlong, effects: Sequence[FittedEffect]) -> LinearizedMotion:
         """Return the passage under other servos of the same joints, and other forces at motors."""
-        servos, rest = NearServos.of(self.law, along, self.motors)[0], self.rest.copy()
+        servos, rest = LinearizedServos.of(self.law, along, self.motors)[0], self.rest.copy()
         stiffness, damping, inertia = (
             whole.copy() for whole in (self.stiffness, self.damping, self.inertia)
         )
@@ -208,7 +208,7 @@ class NearMotion:
         equations, servos = (self.rest, self.inertia, self.damping, self.stiffness), self.servos
         coupled = soft, self.motors[soft], held
         driven = servos.effort, servos.behind, servos.motors, servos.gains
-        calc_near_motion(equations, (period, steps), (coupled, driven), start, out)
+        calc_linearized_motion(equations, (period, steps), (coupled, driven), start, out)
         found = out[:, self.motors]
         return found[..., 0], found[..., 1:]
 
@@ -257,7 +257,7 @@ def _effort(model: RobotModel, seen: RobotMotion, *, at_motor: bool) -> Array:
 def _motor_force(
     model: RobotModel, seen: RobotMotion, motors: NDArray[np.intp], at: int, index: int
 ) -> MotorForce:
-    """Return what a parameter makes; see `NearMotion.of`."""
+    """Return what a parameter makes; see `LinearizedMotion.of`."""
     fitted = model.effects[at]
     j = model.joints.index(fitted.effect.where[0])
     one = replace(fitted, parameters=np.eye(len(fitted.parameters))[index])
@@ -287,7 +287,7 @@ def _at_motors(model: RobotModel, seen: RobotMotion) -> tuple[Array, tuple[Array
 
 
 @compiled
-def calc_near_motion(
+def calc_linearized_motion(
     equations: tuple[Array, Array, Array, Array],
     steps: tuple[float, int],
     held: tuple[_Held, _Driven],
