@@ -29,7 +29,7 @@ from geodrake.inertia import Array
 from geodrake.model.robot_model import RobotModel
 from geodrake.robot.files import Given, read_description
 from geodrake.robot.files.description import drake_errors, drake_messages
-from geodrake.robot.files.meshes import check_geometry
+from geodrake.robot.files.includes import check_geometry
 from geodrake.robot.files.values import drop
 from geodrake.robot.files.xacro_file import read_expanded
 from geodrake.robot.files.xml_text import parse_xml_bytes

@@ -26,8 +26,7 @@ from geodrake.inertia import (
 from geodrake.inertia.bodies import LumpedBody, lumped_bodies
 from geodrake.model.robot_model import RobotModel
 from geodrake.robot.files.description import drake_messages, model_text_of, read_description
-from geodrake.robot.files.model_edits import link_names, with_inertias, without_mass_settings
-from geodrake.robot.files.source_text import with_comments
+from geodrake.robot.files.model_edits import EditedFile
 from geodrake.robot.files.xacro_file import is_xacro, read_expanded
 from geodrake.robot.repairs import TOLERANCE
 
@@ -109,10 +108,9 @@ def export_model(model: RobotModel) -> Export:
 def export_bodies(model: RobotModel) -> Export:
     """As `export_model`, with notes on bodies alone."""
     kind, data = file_kind(model), read_expanded(model.path, model.given)
-    stated, here = _stated_inertias(model), link_names(data, model.path)
+    stated, file = _stated_inertias(model), EditedFile(data, model.path)
     # Settings that change masses change what is written, too: all is written, without them.
-    settled = without_mass_settings(data, model.path) if kind == "xml" else data
-    anew = settled != data
+    anew, here = file.drop_mass_settings(), file.links.keys()
     written: dict[str, Array] = {}
     shared, absent = [], []
     for body, phi in zip(lumped_bodies(model.plant), model.total_phi, strict=True):
@@ -125,14 +123,15 @@ def export_bodies(model: RobotModel) -> Export:
             if not np.all(np.abs(new - old) <= _UNCHANGED * np.abs(new).max())  # NaN differs
             or (anew and name in here and new[0] > 0.0)
         }
-        if not here.issuperset(changed) and kind == "xml":
+        if not changed.keys() <= here and kind == "xml":
             absent.append(body.name)  # between several joints of one body, or made by MuJoCo
             continue
         written |= changed
         if how and changed:
             shared.append(how)
-    content = with_inertias(settled, model.path, written)
-    content = with_comments(content, model.path, repair_comments(model))
+    file.set_inertias(written)
+    file.add_comments(repair_comments(model))
+    content = file.content
     _check(content, model.path, written)
     links = tuple(name.rpartition("::")[2] for name in written)
     notes = [*_body_notes(model, absent), *shared]

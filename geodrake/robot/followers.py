@@ -93,17 +93,6 @@ def resolved(stated: Sequence[Follower], joints: Sequence[str]) -> tuple[Followe
     return tuple(found)
 
 
-def leads_back(joint: str, leader: str, leaders: Mapping[str, str]) -> bool:
-    """Return whether a joint would follow itself by following another one.
-
-    Args:
-        leaders: Joint -> the one that it follows, which lead nowhere back.
-    """
-    while leader != joint and leader in leaders:
-        leader = leaders[leader]
-    return leader == joint
-
-
 @dataclass(frozen=True, eq=False)
 class OwnPlaces:
     """Where positions and velocities are that no joint has which follows another one.

@@ -43,22 +43,31 @@ SHAPES_ADVICE = (
 
 
 @dataclass(frozen=True, eq=False)
-class MjcfGeom:
+class LinkShape:
+    """A shape of a link.
+
+    Attributes:
+        shape: Drake's shape; meshes are in memory.
+        X_BG: Its pose in the link's frame.
+        color: Colour that the file gives it.
+    """
+
+    shape: Shape
+    X_BG: RigidTransform
+    color: Rgba
+
+
+@dataclass(frozen=True, eq=False)
+class MjcfGeom(LinkShape):
     """A geom of a body.
 
     Attributes:
         name: Its name, or its number.
-        shape: Drake's shape; meshes are in memory.
-        X_BG: Its pose in the body's frame.
-        color: Its colour, that of its material included.
         shown: Whether MuJoCo shows its group unasked.
         collides: Whether it touches others.
     """
 
     name: str
-    shape: Shape
-    X_BG: RigidTransform
-    color: Rgba
     shown: bool
     collides: bool
     friction: float
@@ -101,10 +110,10 @@ def mjcf_geoms(
             X_BG = X_BG @ RigidTransform([0.0, 0.0, -0.5 * _DEEP])
         color = m.geom_rgba[at] if material < 0 else m.mat_rgba[material]
         geom = MjcfGeom(
-            m.geom(at).name or str(at),
             shape,
             X_BG,
             Rgba(*np.clip(color, 0.0, 1.0)),
+            m.geom(at).name or str(at),
             bool(m.geom_group[at] <= _LAST_GROUP),
             bool(m.geom_contype[at] or m.geom_conaffinity[at]),
             float(m.geom_friction[at][0]),

@@ -7,7 +7,7 @@ are effects of their own in geodrake; inertias that no body can have are repaire
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -413,15 +413,9 @@ def _check_inertias(plant: MultibodyPlant, phi: ArrayLike, path: Path) -> None:
 
 def _root_notes(plant: MultibodyPlant, arrangement: Arrangement) -> list[str]:
     """Welds the free roots to the world unless they shall float; says what is worth saying."""
-    roots, floating = free_roots(plant), arrangement.floating
-    robot = arrangement.robot
-    own = [b for b in roots if robot is None or int(b.index()) in robot]
-    for body in roots:
-        if floating and body in own:
-            add_base_joints(plant, body)
-        else:
-            X_WB = plant.GetDefaultFloatingBaseBodyPose(body)
-            plant.WeldFrames(plant.world_frame(), body.body_frame(), X_WB)
+    robot, floating = arrangement.robot, arrangement.floating
+    own = [b for b in free_roots(plant) if robot is None or int(b.index()) in robot]
+    weld_roots(plant, lambda body: floating and body in own)
     if floating:
         return [] if own else ["The file attaches the robot to the world, so nothing floats."]
     if not own[1:]:
@@ -447,12 +441,19 @@ def arrange_as(plant: MultibodyPlant, other: MultibodyPlant) -> None:
     standing = {
         body.scoped_name().get_full() for body in other.GetBodiesWeldedTo(other.world_body())
     }
+    weld_roots(plant, lambda body: body.scoped_name().get_full() not in standing)
+
+
+def weld_roots(
+    plant: MultibodyPlant, floats: Callable[[RigidBody], bool] = lambda body: False
+) -> None:
+    """Weld free roots to the world where the file has them, or put them on six joints."""
     for body in free_roots(plant):
-        if body.scoped_name().get_full() in standing:
+        if floats(body):
+            add_base_joints(plant, body)
+        else:
             X_WB = plant.GetDefaultFloatingBaseBodyPose(body)
             plant.WeldFrames(plant.world_frame(), body.body_frame(), X_WB)
-        else:
-            add_base_joints(plant, body)
 
 
 def free_roots(plant: MultibodyPlant) -> list[RigidBody]:

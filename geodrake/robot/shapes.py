@@ -21,7 +21,6 @@ from pydrake.geometry import (
     SceneGraph,
     Shape,
 )
-from pydrake.math import RigidTransform
 from pydrake.multibody.parsing import PackageMap, Parser
 from pydrake.multibody.plant import AddMultibodyPlantSceneGraph, MultibodyPlant
 from pydrake.multibody.tree import BodyIndex
@@ -30,30 +29,15 @@ from pydrake.systems.framework import DiagramBuilder
 from geodrake.errors import ModelError
 from geodrake.robot.files.description import drake_errors, drake_messages, read_description
 from geodrake.robot.files.given import Given
-from geodrake.robot.files.meshes import check_geometry
+from geodrake.robot.files.includes import check_geometry
 from geodrake.robot.files.values import drop
 from geodrake.robot.files.xacro_file import read_expanded
 from geodrake.robot.files.xml_text import parse_xml_bytes
 from geodrake.robot.mesh_files import READERS, check_mesh, wavefront
-from geodrake.robot.mjcf_shapes import mjcf_geoms
+from geodrake.robot.mjcf_shapes import LinkShape, mjcf_geoms
 
 GRAY = Rgba(0.82, 0.84, 0.87, 1.0)
 _DRAKE_READS = (".obj", ".gltf", ".vtk")
-
-
-@dataclass(frozen=True, eq=False)
-class LinkShape:
-    """A shape of a link.
-
-    Attributes:
-        shape: Drake's shape; meshes are in memory.
-        X_BG: Its pose in the link's frame.
-        color: Colour that the file gives it.
-    """
-
-    shape: Shape
-    X_BG: RigidTransform
-    color: Rgba
 
 
 @dataclass(frozen=True, eq=False)
@@ -115,11 +99,9 @@ def _read(
     path: Path, given: Given, folder: Path, lost: dict[str, str]
 ) -> tuple[dict[str, tuple[LinkShape, ...]], tuple[str, ...]]:
     found, links = mjcf_geoms(path, given), dict[str, tuple[LinkShape, ...]]()
-    if found is not None:
-        for link, own in found[0].items():  # those that MuJoCo shows, or all
-            seen = [geom for geom in own if geom.shown] or own
-            links[link] = tuple(LinkShape(geom.shape, geom.X_BG, geom.color) for geom in seen)
-        return links, found[1]
+    if found is not None:  # those that MuJoCo shows, or all
+        geoms, notes = found
+        return {k: tuple(g for g in own if g.shown) or own for k, own in geoms.items()}, notes
     plant, scene = AddMultibodyPlantSceneGraph(DiagramBuilder(), 0.0)
     parser = Parser(plant)
     description = read_description(path, given)

@@ -334,7 +334,7 @@ def test_a_write_that_fails_leaves_nothing(log, tmp_path, monkeypatch):
     def failing(*_arguments):
         raise ModelError("It cannot be changed.")
 
-    monkeypatch.setattr("geodrake.model.export.with_inertias", failing)
+    monkeypatch.setattr("geodrake.model.export.EditedFile", failing)
     message = refused(
         MODEL, log, "--gamma", "1", "--save", tmp_path / "m.yaml", "--export", tmp_path / "o.urdf"
     )

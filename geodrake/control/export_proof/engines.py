@@ -37,7 +37,7 @@ from geodrake.robot.files.description import drake_errors, drake_messages
 from geodrake.robot.files.mjcf_source import quiet_mujoco
 from geodrake.robot.files.packages import add_packages, named_packages
 from geodrake.robot.followers import joint_names
-from geodrake.robot.plant import free_roots
+from geodrake.robot.plant import weld_roots
 
 Mask = NDArray[np.bool_]
 
@@ -110,9 +110,7 @@ class DrakeEngine(Engine):
         with drake_messages() as messages, drake_errors(file):
             add_packages(parser.package_map(), model.path, named_packages(text))
             parser.AddModels(str(file))
-            for body in free_roots(self._plant):
-                X_WB = self._plant.GetDefaultFloatingBaseBodyPose(body)
-                self._plant.WeldFrames(self._plant.world_frame(), body.body_frame(), X_WB)
+            weld_roots(self._plant)
             self._plant.Finalize()
             self._diagram = builder.Build()
         said = (message.partition("\n")[0].rpartition("warning: ")[2] for message in messages)

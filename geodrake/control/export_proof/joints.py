@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from xml.sax.saxutils import quoteattr
+from xml.etree.ElementTree import Element
 
 import numpy as np
 
@@ -15,7 +15,7 @@ from geodrake.model.robot_model import RobotModel, from_loaded_plant
 from geodrake.model.servos import servos_of
 from geodrake.robot.files.description import model_text_of
 from geodrake.robot.files.mjcf import MjcfText
-from geodrake.robot.files.model_edits import with_sections
+from geodrake.robot.files.model_edits import EditedFile
 from geodrake.robot.files.values import words
 from geodrake.robot.plant import load_plant, scoped_joint_names
 
@@ -66,7 +66,7 @@ class ExportedJoint:
 
     @property
     def numbers(self) -> dict[str, float]:
-        """What files say of it, by the names of `with_joint_numbers`."""
+        """What files say of it, by the names of `EditedFile.set_joint_numbers`."""
         return {name: getattr(self, name) for name in _NUMBERS}
 
     @property
@@ -118,11 +118,6 @@ def exported_joints(model: RobotModel) -> dict[str, ExportedJoint]:
     return found
 
 
-def all_numbers(model: RobotModel) -> dict[str, dict[str, float]]:
-    """Return what a model has at its joints, by scoped name and name of the number."""
-    return {joint.scoped: joint.numbers for joint in exported_joints(model).values()}
-
-
 def changed_numbers(model: RobotModel) -> dict[str, dict[str, float]]:
     """Return what a model has otherwise than its own file, by scoped name and name of the number.
 
@@ -147,10 +142,8 @@ SHORTEST_STEP = 1e-3
 """Step of the simulation, s, down to which delays are kept where the file's own is longer."""
 
 
-def with_actuators(
-    data: bytes, path: Path, model: RobotModel, *, anew: bool
-) -> tuple[bytes, tuple[str, ...]]:
-    """Return an MJCF file with actuators at the end, sensors of late efforts, and notes on it.
+def add_actuators(file: EditedFile, model: RobotModel, *, anew: bool) -> tuple[str, ...]:
+    """Add actuators to an MJCF, at the end, and sensors of late efforts; return notes on it.
 
     Actuators of the file stay as they are, and the joints that they drive get no other one. A file
     of the user's own gets some only for servos and delays, which it does not hold otherwise.
@@ -158,9 +151,9 @@ def with_actuators(
     Args:
         anew: Whether the file was written from the model alone.
     """
-    text = model_text_of(data, path)
+    text, path = model_text_of(file.content, file.path), file.path
     if not isinstance(text, MjcfText) or model.transmission:
-        return data, ()
+        return ()
     joints, driven = list(exported_joints(model).values()), text.terms.driven
     free = [each for each in joints if each.driven and each.name not in driven]
     wanted = [each for each in joints if each.is_servo or each.delay]
@@ -175,46 +168,41 @@ def with_actuators(
     late = [each for each in joints if each.measured_late]
     adds = free if anew or set(wanted).intersection(free) else []
     if not adds and not late:
-        return data, tuple(notes)
+        return tuple(notes)
     step = min(text.timestep, SHORTEST_STEP)
     sections = {
         "actuator": [_actuator(each, step) for each in adds],
         "sensor": [
-            f"<jointactuatorfrc name={quoteattr(f'{each.name}_effort')} "
-            f"joint={quoteattr(each.name)} {_delay(each.measured_late, step)}/>"
-            for each in late
+            Element(
+                "jointactuatorfrc",
+                {"name": f"{e.name}_effort", "joint": e.name, **_delay(e.measured_late, step)},
+            )
+            for e in late
         ],
     }
-    data = with_sections(data, path, sections, [each.name for each in (*adds, *late)])
-    return data, (*notes, *_notes(adds, late, step, text.timestep))
+    file.add_sections(sections, [each.name for each in (*adds, *late)])
+    return (*notes, *_notes(adds, late, step, text.timestep))
 
 
-def samples_of(delay: float, step: float) -> int:
-    """Return how many signals MuJoCo has to keep for a delay: one more than the steps it takes."""
-    return int(np.ceil(delay / step - 1e-9)) + 1
-
-
-def _actuator(joint: ExportedJoint, step: float) -> str:
-    name = quoteattr(joint.name)
-    attributes = [f"name={name} joint={name}"]
-    if joint.is_servo:
-        attributes.append(_gains(joint))
+def _actuator(joint: ExportedJoint, step: float) -> Element:
+    attributes = {"name": joint.name, "joint": joint.name, **_gains(joint)}
     if np.isfinite(joint.effort):
         limit = words(np.array([-joint.effort, joint.effort]))
-        attributes.append(f'forcelimited="true" forcerange="{limit}"')
+        attributes |= {"forcelimited": "true", "forcerange": limit}
         if not joint.is_servo:
-            attributes.append(f'ctrllimited="true" ctrlrange="{limit}"')
-    if joint.delay:
-        attributes.append(_delay(joint.delay, step))
-    return f"<{'position' if joint.is_servo else 'motor'} {' '.join(attributes)}/>"
+            attributes |= {"ctrllimited": "true", "ctrlrange": limit}
+    attributes |= _delay(joint.delay, step)
+    return Element("position" if joint.is_servo else "motor", attributes)
 
 
-def _gains(joint: ExportedJoint) -> str:
-    return f'kp="{words(joint.kp)}" kv="{words(joint.kd)}"'
+def _gains(joint: ExportedJoint) -> dict[str, str]:
+    return {"kp": words(joint.kp), "kv": words(joint.kd)} if joint.is_servo else {}
 
 
-def _delay(delay: float, step: float) -> str:
-    return f'delay="{words(delay)}" nsample="{samples_of(delay, step)}" interp="linear"'
+def _delay(delay: float, step: float) -> dict[str, str]:
+    """Return attributes of a delay: MuJoCo keeps one signal more than the steps that it takes."""
+    kept = int(np.ceil(delay / step - 1e-9)) + 1
+    return {"delay": words(delay), "nsample": str(kept), "interp": "linear"} if delay else {}
 
 
 def _notes(
@@ -253,8 +241,7 @@ def _kept_note(kept: Sequence[ExportedJoint], path: Path) -> str:
     """Return what the user's own actuators would need to be those of the model."""
     of_each = []
     for each in kept:
-        parts = [_gains(each)] if each.is_servo else []
-        parts += [_delay(each.delay, SHORTEST_STEP)] if each.delay else []
-        of_each.append(f"{each.name}: {' '.join(parts)}")
+        own = {**_gains(each), **_delay(each.delay, SHORTEST_STEP)}
+        of_each.append(f"{each.name}: " + " ".join(f'{key}="{x}"' for key, x in own.items()))
     values = "; ".join(of_each)
     return f"actuators of {path.name} stay as they are; those of the model have {values}"

@@ -14,10 +14,9 @@ from pydrake.multibody.tree import Joint
 
 from geodrake.control.export_proof.joints import (
     ExportedJoint,
-    all_numbers,
+    add_actuators,
     changed_numbers,
     exported_joints,
-    with_actuators,
 )
 from geodrake.errors import ModelError
 from geodrake.inertia import Array, change_frame
@@ -28,12 +27,9 @@ from geodrake.model.robot_model import RobotModel, is_of_file
 from geodrake.robot.files.description import model_text_of
 from geodrake.robot.files.mjcf import MjcfText
 from geodrake.robot.files.model_edits import (
+    EditedFile,
     put_inertia,
     put_numbers,
-    with_gravity,
-    with_joint_numbers,
-    with_references,
-    without_passive_forces,
 )
 from geodrake.robot.files.source_text import comment_words
 from geodrake.robot.files.values import words
@@ -319,8 +315,9 @@ def model_file(
     data = from_plant(model, kind, _tilted_gravity(model))
     if kind != "xml":
         return name, data, (note,)
-    data, more = with_actuators(data, folder / name, model, anew=True)
-    return name, data, (note, *more)
+    file = EditedFile(data, folder / name)
+    more = add_actuators(file, model, anew=True)
+    return name, file.content, (note, *more)
 
 
 def _edited(model: RobotModel, folder: Path, stands: bool) -> tuple[bytes, tuple[str, ...]]:
@@ -328,30 +325,26 @@ def _edited(model: RobotModel, folder: Path, stands: bool) -> tuple[bytes, tuple
 
     Of an MJCF, forces that are no joint's own only stay where the model has all effects of it.
     """
-    exported = export_bodies(model)
-    data, path = exported.content, model.path
-    changes = {} if stands else changed_numbers(model)
-    bare = data if stands else without_passive_forces(data, path)
-    if bare != data:
-        data, changes = bare, all_numbers(model)
+    exported, path = export_bodies(model), model.path
+    file, changes = EditedFile(exported.content, path), {} if stands else changed_numbers(model)
+    if not stands and file.drop_passive_forces():
+        changes = {joint.scoped: joint.numbers for joint in exported_joints(model).values()}
     text = model_text_of(read_expanded(path, model.given), path)
     if isinstance(text, MjcfText) and text.degrees:
         for joint in exported_joints(model).values():
             if joint.turns and "rest" in changes.get(joint.scoped, {}):
                 changes[joint.scoped]["rest"] = float(np.rad2deg(joint.rest))
-    data = with_joint_numbers(data, path, changes)
+    file.set_joint_numbers(changes)
     acting = _notes_on_limits(model)
     if text.kind == "xml":
         if any(isinstance(fitted.effect, Tilt) for fitted in model.effects):
-            data = with_gravity(data, path, _tilted_gravity(model))
-        data, acting = with_actuators(data, path, model, anew=False)
-    moved = with_references(data, path, folder)
-    elsewhere = (
-        f"meshes and other files that {path.name} names stay where they are; the copy names them "
-        "from its folder"
-    )
-    acting = (*acting, *_notes_on_motors(model), *([elsewhere] if moved != data else ()))
-    return moved, (*exported.notes, *acting)
+            file.set_gravity(_tilted_gravity(model))
+        acting = add_actuators(file, model, anew=False)
+    acting = (*acting, *_notes_on_motors(model))
+    if file.move_references(folder):
+        elsewhere = f"meshes and other files that {path.name} names stay where they are; the copy "
+        acting = (*acting, f"{elsewhere}names them from its folder")
+    return file.content, (*exported.notes, *acting)
 
 
 def _notes_on_limits(model: RobotModel) -> tuple[str, ...]:

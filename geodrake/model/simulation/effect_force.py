@@ -160,11 +160,6 @@ class EffectForce(LeafSystem):
             )
 
     @property
-    def implicit(self) -> bool:
-        """Return whether some effects depend on the plant's acceleration, or its load."""
-        return self.law.implicit
-
-    @property
     def effects(self) -> tuple[Effect, ...]:
         """Return the effects, in the order of their parameters."""
         return self.law.effects

@@ -27,7 +27,6 @@ from geodrake.model.simulation.soft_joints import (
 )
 from geodrake.model.simulation.terms import (
     Parameters,
-    PlantDynamics,
     PlantMotion,
     PlantState,
     Terms,
@@ -76,7 +75,6 @@ class ForceLaw:
         of_motors: (nv, nv + m) from (q̈, θ̈) to accelerations of all motors.
         of_links: (nv, nv + m) to those of all links.
         added_inertia: (m,) what motors of soft joints get to have the least inertia, kg·m² or kg.
-        dynamics: Those of the plant's bodies.
     """
 
     def __init__(
@@ -95,7 +93,6 @@ class ForceLaw:
         self.mu = np.concatenate([np.zeros(0), *(mu for _, mu in pairs)])
         self.parts = _parts([len(mu) for _, mu in pairs])
         self._check(known_phi=phi is not None)
-        self.dynamics = PlantDynamics(plant.plant)
         places = _parts([effect.state_count for effect in self.effects])
         self.states = {e: at for e, at in zip(self.effects, places, strict=True) if e.state_count}
         soft = giving(self.effects, self.mu, self.parts)
@@ -160,7 +157,7 @@ class ForceLaw:
         for joint, place in zip(soft, plant.positions[at], strict=True):
             if place < 0:
                 raise ArgumentError(f"{joint} is one of several degrees of one joint, and soft.")
-        context = self.dynamics.context(self.phi)
+        context = plant.context(self.phi)
         links, q = link_inertias(plant.plant, context), plant.plant.GetPositions(context)
         still = PlantState(q, np.zeros(len(links)), 0.0, np.zeros(self.state_count))
         rotors = self.motors[0].added_mass(still, 0.0 * links, (self.mu, self.phi))
@@ -245,7 +242,7 @@ class ForceLaw:
 
         if not self.implicit:
             return Response(self.motors[0].effort(motions[0], 0.0 * u, parameters), np.zeros(0))
-        M, drift, rigid_drift = self.dynamics.at(state.q, state.v, parameters[1])
+        M, drift, rigid_drift = self.plant.dynamics(state.q, state.v, parameters[1])
         at_soft = np.zeros(nv)
         if self.soft:
             rate = state.speed - state.v[self.soft.velocities]
@@ -283,7 +280,7 @@ class ForceLaw:
             place = q.copy()
             place[self.soft.positions] -= lag
             link = PlantState(place, v, 0.0, hidden)
-            M, drift, _ = self.dynamics.at(place, v, parameters[1])
+            M, drift, _ = self.plant.dynamics(place, v, parameters[1])
             effort = (M + links.added_mass(link, zero, parameters)) @ vd + drift
             effort += links.effort(link, zero, parameters)
             torques = effort[self.soft.velocities].tolist()

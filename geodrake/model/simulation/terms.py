@@ -27,7 +27,7 @@ from geodrake.robot.robot_instance import RobotInstance
 
 
 class PlantMotion:
-    """What is constant about a plant, for the motion that effects see.
+    """What is constant about a plant, for the motion that effects see, and the plant's dynamics.
 
     Attributes:
         robot: The robot in the plant; effects act on nothing else.
@@ -58,6 +58,7 @@ class PlantMotion:
         robot = plant if isinstance(plant, RobotInstance) else RobotInstance(plant)
         self.robot, self.plant, self._log = robot, (plant := robot.plant), log
         self.phi, self.temperatures = inertial_parameters(plant), temperatures
+        self._context, self._phi = plant.CreateDefaultContext(), np.zeros(0)
         self.joints = robot.velocity_names
         width = one_or_each(sign_width, "sign_width", len(robot.joints))
         self._sign_width = np.ones(len(self.joints))  # that of other robots does not matter
@@ -119,6 +120,24 @@ class PlantMotion:
             found[..., self._several] = np.nan
         return found
 
+    def context(self, phi: Array) -> Any:
+        """Return the one Context of the plant, with inertial parameters (nb, 10)."""
+        if not np.array_equal(self._phi, phi):
+            set_inertial_parameters(self.plant, self._context, phi)
+            self._phi = phi.copy()
+        return self._context
+
+    def dynamics(self, q: Array, v: Array, phi: Array) -> tuple[Array, Array, Array]:
+        """Return M, C v − τ of all force elements, and C v − τ_g alone, at q (nq,) and v (nv,)."""
+        plant, context = self.plant, self.context(phi)
+        plant.SetPositions(context, q)
+        plant.SetVelocities(context, v)
+        forces = MultibodyForces(plant)
+        plant.CalcForceElementsContribution(context, forces)
+        drift = plant.CalcInverseDynamics(context, np.zeros(len(v)), forces)
+        rigid_drift = plant.CalcBiasTerm(context) - plant.CalcGravityGeneralizedForces(context)
+        return plant.CalcMassMatrix(context), drift, rigid_drift
+
     def _in_lump(self, name: str) -> tuple[int, Array]:
         """Return the lump of a body, and (10, 10) from the body's parameters to the lump's."""
         if name not in self._bodies:
@@ -129,33 +148,6 @@ class PlantMotion:
         index, member = self._bodies[name]
         R_RB, p_RoBo_R = member.X_RB.rotation().matrix(), member.X_RB.translation()
         return index, change_frame(np.eye(PARAMETERS_PER_BODY), R_RB, p_RoBo_R).T
-
-
-class PlantDynamics:
-    """Dynamics of a plant in Contexts of its own, overwritten by every evaluation."""
-
-    def __init__(self, plant: MultibodyPlant) -> None:
-        """Makes the Context."""
-        self._plant, self._context = plant, plant.CreateDefaultContext()
-        self._phi = np.zeros(0)
-
-    def context(self, phi: Array) -> Any:
-        """Return the Context with inertial parameters (nb, 10)."""
-        if not np.array_equal(self._phi, phi):
-            set_inertial_parameters(self._plant, self._context, phi)
-            self._phi = phi.copy()
-        return self._context
-
-    def at(self, q: Array, v: Array, phi: Array) -> tuple[Array, Array, Array]:
-        """Return M, C v − τ of all force elements, and C v − τ_g alone, at q (nq,) and v (nv,)."""
-        plant, context = self._plant, self.context(phi)
-        plant.SetPositions(context, q)
-        plant.SetVelocities(context, v)
-        forces = MultibodyForces(plant)
-        plant.CalcForceElementsContribution(context, forces)
-        drift = plant.CalcInverseDynamics(context, np.zeros(len(v)), forces)
-        rigid_drift = plant.CalcBiasTerm(context) - plant.CalcGravityGeneralizedForces(context)
-        return plant.CalcMassMatrix(context), drift, rigid_drift
 
 
 Parameters = tuple[Array, Array]

@@ -16,12 +16,11 @@ from geodrake.robot.files.checks import MJCF_NUMBERS, check_limits, check_number
 from geodrake.robot.files.includes import Includes
 from geodrake.robot.files.mjcf_source import CompiledMjcf, compiled, load_mujoco, unused
 from geodrake.robot.files.mjcf_terms import actuator_shares, pose_of, terms_of
+from geodrake.robot.files.model_edits import MOTORS
 from geodrake.robot.files.motors import mjcf_motors
 from geodrake.robot.files.values import UPPER, inertial_parameters_of, numbers, symmetric, words
 from geodrake.robot.files.xml_text import LocatedElement
 from geodrake.robot.transmission.statements import Statement
-
-_ACTUATORS = ("general", "motor", "position", "velocity", "intvelocity", "damper", "cylinder")
 
 
 class MjcfText(ModelText):
@@ -50,7 +49,7 @@ class MjcfText(ModelText):
         self.degrees = turns_in_degrees(root)
         self.timestep = _timestep(root)
         self.actuator_defaults = any(
-            child.tag in _ACTUATORS for main in root.findall("default") for child in main
+            child.tag in MOTORS for main in root.findall("default") for child in main
         )
         scope = self.scope or root.get("model") or self.path.stem
         source = compiled(root, self.path)

@@ -23,7 +23,7 @@ from pydrake.math import RigidTransform, RotationMatrix
 
 from geodrake.inertia import Array
 from geodrake.robot.files.mjcf_source import CompiledMjcf, chain_to_world, load_mujoco
-from geodrake.robot.followers import Follower, leads_back
+from geodrake.robot.followers import Follower
 from geodrake.robot.stated import (
     WORLD,
     BoxInMedium,
@@ -477,7 +477,11 @@ class _Terms:
         leaders = {follower.joint: follower.leader for follower in self.found.followers}
         for part in self.found.bent:
             leaders |= {f"{self.scope}::{j}": f"{self.scope}::{part.leader}" for j in part.joints}
-        return own in leaders or leads_back(own, leader, leaders)
+        if own in leaders:
+            return True
+        while leader in leaders:  # which lead nowhere back
+            leader = leaders[leader]
+        return leader == own
 
 
 def _row(m: Any, name: str, at: int) -> Array:

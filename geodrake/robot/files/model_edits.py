@@ -6,13 +6,13 @@ import os
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from xml.etree.ElementTree import Element, SubElement, fromstring
+from xml.etree.ElementTree import Comment, Element, SubElement
 
 import numpy as np
 
 from geodrake.errors import ModelError
 from geodrake.inertia import Array, to_mass_com_inertia
-from geodrake.robot.files.source_text import check_in_itself, edited
+from geodrake.robot.files.source_text import check_in_itself, comment_words, edited
 from geodrake.robot.files.values import UPPER, numbers, rotation, tensor_words, words
 from geodrake.robot.files.xml_text import SUPPORTED_FORMATS, LocatedElement, parse_xml_bytes
 
@@ -39,39 +39,134 @@ _OF_MASSES = (
     "inertiagrouprange",
 )
 _TENDONS = ("tendon", "fixed", "spatial")
-_MOTORS = ("general", "motor", "position", "velocity", "intvelocity", "damper", "cylinder")
+MOTORS = ("general", "motor", "position", "velocity", "intvelocity", "damper", "cylinder")
+"""Tags of the actuators of an MJCF."""
+
 _PASSIVE: Mapping[str, tuple[str, ...]] = {
     "option": ("density", "viscosity", "wind"),
     "body": ("gravcomp",),
     **dict.fromkeys(_TENDONS, ("stiffness", "damping", "armature", "frictionloss")),
-    **dict.fromkeys(_MOTORS, ("armature", "damping")),
+    **dict.fromkeys(MOTORS, ("armature", "damping")),
 }
 """Tag of an MJCF -> attributes of forces that are no joint's own."""
 _MJCF_ASSETS = {"mesh": "meshdir", "hfield": "meshdir", "skin": "meshdir", "texture": "texturedir"}
 _MJCF_FILES = ("file", "fileright", "fileleft", "fileup", "filedown", "fileback")
 
 
-def with_inertias(data: bytes, path: Path, inertias: Mapping[str, Array]) -> bytes:
-    """Return a model file with other inertial parameters of some links.
+class EditedFile:
+    """A URDF, SDF or MJCF of which some elements are changed; the rest of its text stays.
 
-    Numbers inside of `inertial` elements change, and what those lack is added; orientations of
-    inertial frames stay, but in MJCF, where a full inertia has none.
-
-    Args:
+    Attributes:
         path: The file, for messages and for the name of a model that has none.
-        inertias: Scoped link name -> (10,) inertial parameters of mass above zero.
+        root: Its root element.
     """
-    root = parse_xml_bytes(data, path)
-    if root.tag not in _FORMATS:
-        raise ModelError(
-            f"{path} has the root element <{root.tag}>, into which no inertias can be written.",
-            advice=SUPPORTED_FORMATS,
-        )
-    there = dict(_FORMATS[root.tag].links(root, path))
-    check_in_itself(inertias, there, path)
-    for name, phi in inertias.items():
-        put_inertia(root, there[name], phi)
-    return edited(data, path, root)
+
+    def __init__(self, data: bytes, path: Path) -> None:
+        """Reads what is, or will be, in a file."""
+        self._data, self.path, self.root = data, path, parse_xml_bytes(data, path)
+        if self.root.tag not in _FORMATS:
+            raise ModelError(
+                f"{path} has the root element <{self.root.tag}>, into which no inertias can be "
+                "written.",
+                advice=SUPPORTED_FORMATS,
+            )
+        self._format = _FORMATS[self.root.tag]
+
+    @property
+    def content(self) -> bytes:
+        """Return the text with all changes."""
+        return edited(self._data, self.path, self.root)
+
+    @property
+    def links(self) -> Mapping[str, Element]:
+        """Return links that stand in the file itself, by their scoped names."""
+        return dict(self._format.links(self.root, self.path))
+
+    def set_inertias(self, inertias: Mapping[str, Array]) -> None:
+        """Change inertial parameters (10,), of mass above zero, of links by their scoped names.
+
+        Numbers inside of `inertial` elements change, and what those lack is added; orientations of
+        inertial frames stay, but in MJCF, where a full inertia has none.
+        """
+        there = self.links
+        check_in_itself(inertias, there, self.path)
+        for name, phi in inertias.items():
+            self._format.put_inertia(there[name], phi)
+
+    def set_joint_numbers(self, changes: Mapping[str, Change]) -> None:
+        """Change numbers of joints by their scoped names."""
+        changes = {name: change for name, change in changes.items() if change}
+        there = dict(self._format.joints(self.root, self.path))
+        check_in_itself(changes, there, self.path)
+        for name, change in changes.items():
+            self._format.put_numbers(self.root, there[name], change)
+
+    def drop_mass_settings(self) -> bool:
+        """Take out settings by which MuJoCo changes masses; return whether there are any."""
+        compilers = self.root.findall("compiler") if self.root.tag == "mujoco" else []
+        found = [c.attrib.pop(key, None) for c in compilers for key in _OF_MASSES]
+        return any(value is not None for value in found)
+
+    def drop_passive_forces(self) -> bool:
+        """Take out what tendons, motors, media and compensated gravity do in an MJCF, if anything.
+
+        Joints that state powers of springs keep none of them, and those of dampers the first.
+        """
+        found = False
+        for element in self.root.iter() if self.root.tag == "mujoco" else ():
+            before = dict(element.attrib)
+            for key in _PASSIVE.get(element.tag, ()):
+                element.attrib.pop(key, None)
+            stated = {key: element.get(key, "").split() for key in ("damping", "stiffness")}
+            if element.tag == "joint" and len(stated["stiffness"]) > 1:
+                element.set("stiffness", "0")
+            if element.tag == "joint" and len(stated["damping"]) > 1:
+                element.set("damping", stated["damping"][0])
+            found |= before != element.attrib
+        return found
+
+    def set_gravity(self, gravity: Array) -> None:
+        """Change the gravity (3,) of an MJCF in the world's frame, m/s²."""
+        options = self.root.findall("option") or [child_of(self.root, "option")]
+        stated = [option for option in options if "gravity" in option.attrib]
+        (stated or options)[-1].set("gravity", words(gravity))
+
+    def add_sections(
+        self, sections: Mapping[str, Sequence[Element]], joints: Iterable[str]
+    ) -> None:
+        """Add sections to an MJCF, after all others; nameless joints in them get names.
+
+        Sections are tags with their elements; empty ones are left out.
+        """
+        every = _mjcf_joints(self.root, self.path)
+        there = {name.rpartition("::")[2]: own for name, own in every}
+        check_in_itself(joints, there, self.path)
+        for name in joints:
+            there[name].set("name", there[name].get("name") or name)
+        for tag, elements in sections.items():
+            if elements:
+                SubElement(self.root, tag).extend(elements)
+
+    def move_references(self, folder: Path) -> bool:
+        """Have relative paths lead from a folder to where they led; return whether any differ."""
+        base, there, found = self.path.resolve().parent, Path(os.path.realpath(folder)), False
+        for element, attribute in _references(self.root):
+            named = element.attrib[attribute] if attribute else (element.text or "").strip()
+            if not named or "://" in named or Path(named).is_absolute():
+                continue
+            moved = Path(os.path.relpath(base / named, there)).as_posix()
+            if Path(moved) == Path(named):
+                continue
+            found = True
+            if attribute:
+                element.set(attribute, moved)
+            else:
+                element.text = moved
+        return found
+
+    def add_comments(self, sentences: Sequence[str]) -> None:
+        """Put comments before all else."""
+        self.root[:0] = [Comment(comment_words(sentence)) for sentence in sentences]
 
 
 def put_inertia(root: Element, link: Element, phi: Array) -> None:
@@ -82,101 +177,6 @@ def put_inertia(root: Element, link: Element, phi: Array) -> None:
 def put_numbers(root: Element, joint: Element, change: Change) -> None:
     """Write numbers into a joint of a URDF, SDF or MJCF with a root element."""
     _FORMATS[root.tag].put_numbers(root, joint, change)
-
-
-def with_joint_numbers(data: bytes, path: Path, changes: Mapping[str, Change]) -> bytes:
-    """Return a model file in which joints have other numbers.
-
-    Args:
-        changes: Scoped name of the joint -> what changes.
-    """
-    changes = {name: change for name, change in changes.items() if change}
-    if not changes:
-        return data
-    root = parse_xml_bytes(data, path)
-    joints = dict(_FORMATS[root.tag].joints(root, path))
-    check_in_itself(changes, joints, path)
-    for name, change in changes.items():
-        put_numbers(root, joints[name], change)
-    return edited(data, path, root)
-
-
-def link_names(data: bytes, path: Path) -> frozenset[str]:
-    """Return scoped names of the links that stand in a file itself."""
-    root = parse_xml_bytes(data, path)
-    links = _FORMATS[root.tag].links(root, path) if root.tag in _FORMATS else ()
-    return frozenset(name for name, _ in links)
-
-
-def without_mass_settings(data: bytes, path: Path) -> bytes:
-    """Return an MJCF without settings by which MuJoCo changes masses; others as they are."""
-    root = parse_xml_bytes(data, path)
-    for compiler in root.findall("compiler") if root.tag == "mujoco" else ():
-        for key in _OF_MASSES:
-            compiler.attrib.pop(key, None)
-    return edited(data, path, root)
-
-
-def without_passive_forces(data: bytes, path: Path) -> bytes:
-    """Return an MJCF without what tendons, motors, media and compensated gravity do; others as is.
-
-    Joints that state powers of springs keep none of them, and those of dampers the first.
-    """
-    root = parse_xml_bytes(data, path)
-    for element in root.iter() if root.tag == "mujoco" else ():
-        for key in _PASSIVE.get(element.tag, ()):
-            element.attrib.pop(key, None)
-        stated = {key: element.get(key, "").split() for key in ("damping", "stiffness")}
-        if element.tag == "joint" and len(stated["stiffness"]) > 1:
-            element.set("stiffness", "0")
-        if element.tag == "joint" and len(stated["damping"]) > 1:
-            element.set("damping", stated["damping"][0])
-    return edited(data, path, root)
-
-
-def with_gravity(data: bytes, path: Path, gravity: Array) -> bytes:
-    """Return an MJCF file with another gravity (3,) in the world's frame, m/s²."""
-    root = parse_xml_bytes(data, path)
-    options = root.findall("option") or [child_of(root, "option")]
-    stated = [option for option in options if "gravity" in option.attrib]
-    (stated or options)[-1].set("gravity", words(gravity))
-    return edited(data, path, root)
-
-
-def with_sections(
-    data: bytes, path: Path, sections: Mapping[str, Sequence[str]], joints: Iterable[str]
-) -> bytes:
-    """Return an MJCF file with more sections, after all others; nameless joints in them get names.
-
-    Sections are tags with their elements, a line each; empty ones are left out.
-    """
-    root = parse_xml_bytes(data, path)
-    there = {name.rpartition("::")[2]: own for name, own in _mjcf_joints(root, path)}
-    check_in_itself(joints, there, path)
-    for name in joints:
-        there[name].set("name", there[name].get("name") or name)
-    for tag, elements in sections.items():
-        if elements:
-            SubElement(root, tag).extend(map(fromstring, elements))
-    return edited(data, path, root)
-
-
-def with_references(data: bytes, path: Path, folder: Path) -> bytes:
-    """Return a model file whose relative paths lead from a folder to where they led before."""
-    root = parse_xml_bytes(data, path)
-    base, there = path.resolve().parent, Path(os.path.realpath(folder))
-    for element, attribute in _references(root):
-        named = element.attrib[attribute] if attribute else (element.text or "").strip()
-        if not named or "://" in named or Path(named).is_absolute():
-            continue
-        moved = Path(os.path.relpath(base / named, there)).as_posix()
-        if Path(moved) == Path(named):
-            continue
-        if attribute:
-            element.set(attribute, moved)
-        else:
-            element.text = moved
-    return edited(data, path, root)
 
 
 def _references(root: Element) -> Iterator[tuple[Element, str]]:

@@ -24,6 +24,7 @@ from geodrake.errors import ModelError
 from geodrake.inertia import Array
 from geodrake.robot.files.mjcf_source import load_mujoco
 from geodrake.robot.files.mjcf_terms import actuator_shares
+from geodrake.robot.files.values import numbers
 from geodrake.robot.transmission.statements import Coupled, Gear, Statement
 
 _KINDS = ("SimpleTransmission", "DifferentialTransmission", "FourBarLinkageTransmission")
@@ -124,14 +125,7 @@ def _reduction(element: Element, what: str) -> float:
 
 def _value(element: Element, tags: Sequence[str], default: float, what: str) -> float:
     text = next((t for tag in tags if (t := element.findtext(tag)) is not None), None)
-    return default if text is None else _number(text, what)
-
-
-def _number(text: str, what: str) -> float:
-    try:
-        value = float(text)
-    except ValueError:
-        value = np.nan
+    value = default if text is None else float(numbers(text.strip() or "none", 1)[0])
     if not np.isfinite(value):
-        raise ModelError(f"{what} has {text[:50]!r}, which is no number.", advice="Correct it.")
+        raise ModelError(f"{what} has {text!r:.52}, which is no number.", advice="Correct it.")
     return value

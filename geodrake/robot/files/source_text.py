@@ -10,7 +10,7 @@ from __future__ import annotations
 import re
 from collections.abc import Container, Iterable, Mapping, Sequence
 from pathlib import Path
-from xml.etree.ElementTree import Comment, Element, tostring
+from xml.etree.ElementTree import Element, tostring
 from xml.sax.saxutils import escape, quoteattr
 
 from geodrake.boundary.escaping import printable
@@ -163,15 +163,6 @@ def _lines(element: Element) -> Iterable[str]:
     for child in element:
         yield from (f"  {line}" for line in _lines(child))
     yield f"</{element.tag}>"
-
-
-def with_comments(data: bytes, path: Path, sentences: Sequence[str]) -> bytes:
-    """Return an XML file with comments before all else in it."""
-    if not sentences:
-        return data
-    root = parse_xml_bytes(data, path)
-    root[:0] = [Comment(comment_words(sentence)) for sentence in sentences]
-    return edited(data, path, root)
 
 
 def comment_words(sentence: str) -> str:
