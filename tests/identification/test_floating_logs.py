@@ -321,6 +321,47 @@ def test_topics_of_a_bag_are_the_columns_of_base_and_feet(tmp_path, model, maker
     assert not read_log(bag, joints=JOINTS).floating  # a fixed robot has no base
 
 
+def transforms(log, store, every):
+    """Return messages of tf of the base, some as often as the log has rows."""
+    types, header = store.types, ros2_header(store)
+    of = {"translation": "base.position", "rotation": "base.orientation"}
+    found = []
+    for k in range(0, len(log), every):
+        ns = EPOCH + nanoseconds(log)[k]
+        at = {
+            name: {a: float(log.floating[f"{prefix}.{a}"][k]) for a in axes}
+            for (name, prefix), axes in zip(of.items(), ("xyz", "xyzw"), strict=True)
+        }
+        moved = types["geometry_msgs/msg/Transform"](
+            types["geometry_msgs/msg/Vector3"](**at["translation"]),
+            types["geometry_msgs/msg/Quaternion"](**at["rotation"]),
+        )
+        world = type(header(ns))(header(ns).stamp, "world")
+        stamped = types["geometry_msgs/msg/TransformStamped"](world, "base_link", moved)
+        found.append((ns, types["tf2_msgs/msg/TFMessage"]([stamped])))
+    return found
+
+
+def test_slow_transforms_give_the_orientation_beside_a_quick_imu(tmp_path, model, maker):
+    pytest.importorskip("rosbags")
+    log, store = maker.log(wrenches=True), ros2_store()
+    topics = {name: list(messages) for name, messages in ros_topics(log, store).items()}
+    del topics["/odom"]
+    every = round(0.1 / float(np.median(np.diff(log.time))))
+    topics["/tf"] = transforms(log, store, every)
+    bag = write_rosbag2(tmp_path / "walk", topics, store)
+    read = read_log(bag, joints=JOINTS, reading=reading_for(model))
+    assert len(read) == len(log)
+    (note,) = [note for note in read.notes if note.startswith("/tf has 10 rows a second")]
+    assert "base.orientation.w" in note and "base.position.z left out" in note
+    errors = compare(model, read).errors
+    assert errors.nrms < 1.2 * compare(model, log).errors.nrms + 0.01
+    del topics["/imu"]
+    slow = write_rosbag2(tmp_path / "blind", topics, store)
+    with pytest.raises(LogError, match=r"mixed rates: .*/tf 10 Hz"):
+        read_log(slow, joints=JOINTS, reading=reading_for(model))
+
+
 def test_a_topic_that_is_asked_for_leaves_those_of_other_sources():
     kinds = {
         "/imu": "sensor_msgs/msg/Imu",
@@ -348,6 +389,11 @@ def test_transforms_of_two_robots_are_two_tables():
     ]
     tables = base_tables("/tf", messages)
     assert [table.columns["base.position.x"].tolist() for table in tables] == [[1.0] * 3, [2.0] * 3]
+    messages[1][0].transforms[0].header.stamp.nanosec = 0
+    received = [(message, 5_000 + 1_000 * k) for k, (message, _) in enumerate(messages)]
+    for table in base_tables("/tf", received):
+        assert np.allclose(table.columns["time"], 1e-9 * np.array([0.0, 1_000.0, 2_000.0]), atol=0)
+        assert "some messages of /tf have no stamps" in table.notes[0]
 
 
 def test_wrenches_of_an_offset_are_those_by_multibody_plant(model, maker):

@@ -192,7 +192,18 @@ def test_order_of_joints_may_change(tmp_path, log):
 def test_receive_times_where_no_stamps_are(tmp_path, log):
     read = read_log(bag_of(tmp_path, log, stamped=False))
     assert np.allclose(read.time, log.time, atol=1e-9)
-    assert "time is that of receipt" in " ".join(read.notes)
+    assert "messages of /joint_states have no stamps: their time is that of receipt" in " ".join(
+        read.notes
+    )
+
+
+def test_one_message_without_a_stamp_makes_all_times_those_of_receipt(tmp_path, log):
+    store = ros2_store()
+    header = ros2_header(store)
+    states = joint_states(store, log, lambda ns: header(ns - 7_000_000 if ns % 3 else 0))
+    read = read_log(write_rosbag2(tmp_path / "bag", {"/joint_states": states}, store))
+    assert np.allclose(read.time, log.time, atol=1e-9)
+    assert "some messages of /joint_states have no stamps" in " ".join(read.notes)
 
 
 def one_joint(log, joint, rows=slice(None), later=0.0):
@@ -229,11 +240,16 @@ def test_messages_of_some_joints_each_are_put_together(tmp_path, log):
     assert "joined by time, at the 100 rows a second of shoulder" in " ".join(read.notes)
 
 
-def test_rates_that_do_not_go_together(tmp_path, log):
+def test_a_joint_that_is_told_of_rarely_is_left_out_unless_it_is_needed(tmp_path, log):
     parts = [one_joint(log, "shoulder"), one_joint(log, "elbow", slice(None, None, 20))]
     path = bag_of_parts(tmp_path, log, parts)
-    with pytest.raises(LogError, match="shoulder 100 Hz, elbow 5 Hz"):
-        read_log(path)
+    for joints in (None, ["shoulder"]):
+        read = read_log(path, joints=joints)
+        assert read.joints == ("shoulder",)
+        assert np.array_equal(read.effort[:, 0], log.effort[:, 0])
+        assert "elbow has 5 rows a second, and others up to 100: elbow." in " ".join(read.notes)
+    with pytest.raises(LogError, match=r"elbow.position.* rarely: 5 rows a second.*--lock"):
+        read_log(path, joints=JOINTS)
 
 
 def test_several_topics_are_named_and_chosen(tmp_path, log):
@@ -316,7 +332,7 @@ def test_channels_of_an_lcm_log(tmp_path, log):
     read = read_log(path, joints=JOINTS, reading=Reading(topic="JACO"))
     assert np.array_equal(read.effort, log.effort)
     assert np.allclose(read.time, log.time)
-    assert "time is that of receipt" in " ".join(read.notes)
+    assert "messages of JACO have no stamps" in " ".join(read.notes)
 
 
 @pytest.mark.parametrize("points", [("reference", "feedback"), ("desired", "actual", "error")])

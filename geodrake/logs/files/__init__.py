@@ -24,7 +24,7 @@ from geodrake.logs.files.formats import (
     parts_of,
     table_of,
 )
-from geodrake.logs.files.joined_tables import meanings_of, reshaped
+from geodrake.logs.files.joined_tables import RARE, meanings_of, reshaped
 from geodrake.logs.files.mapping_file import read_mapping
 from geodrake.logs.files.name_rules import is_time, meaning_of
 from geodrake.logs.files.reading import Reading
@@ -129,18 +129,20 @@ def _understood(
     table: LogTable, joints: Sequence[str] | None, reading: Reading, *, partial: bool
 ) -> tuple[JointLog, Columns]:
     table = reshaped(table, reading)
-    _check_silent(table, reading)
+    _check_silent(table, reading, joints)
     columns = columns_of(table, joints, reading, partial=partial)
     log = Recording(columns, *table.read(columns.files, skip=reading.skip_bad_rows)).log()
     motors = reading.motors_of(log.joints)
     return replace(log, notes=(*table.notes, *log.notes), motors=motors), columns
 
 
-def _check_silent(table: LogTable, reading: Reading) -> None:
+def _check_silent(table: LogTable, reading: Reading, joints: Sequence[str] | None) -> None:
     """Refuse a table whose columns of the log have no numbers: else they would only be missing."""
     needed = {str(mapped.column) for _, mapped in reading.mapping or ()}
     if reading.mapping is None:
-        needed = {name for name in table.silent if is_used(name) and name != "time"}
+        rare = {name for name, words in table.silent.items() if words.startswith(RARE)}
+        rare = {name for name in rare if name.rpartition(".")[0] not in (joints or ())}
+        needed = {n for n in table.silent if is_used(n) and n != "time"} - rare
         if reading.rate is None and not any(map(is_time, table.names)):
             needed |= {name for name in table.silent if is_time(name)}
         heard = {
@@ -153,6 +155,8 @@ def _check_silent(table: LogTable, reading: Reading) -> None:
         if name in needed:
             raise LogError(
                 f"Column {name!r} of log {str(table.path)!r} {words}.",
-                advice="Give numbers, or for time dates such as 2026-05-01T12:00:00.25Z.",
+                advice="Log that joint as often as the others, or hold it: --lock JOINT=POSITION."
+                if words.startswith(RARE)
+                else "Give numbers, or for time dates such as 2026-05-01T12:00:00.25Z.",
                 column=name,
             )

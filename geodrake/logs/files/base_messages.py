@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 
+from geodrake.logs.files.joint_messages import Clock, clock_notes, on_clock
 from geodrake.logs.files.table import LogTable
 from geodrake.logs.floating import AXES, IS_BASE, QUATERNION
 
@@ -56,30 +57,35 @@ def base_sources(
     return poses, imus, wrenches
 
 
-def base_tables(topic: str, messages: Iterable[tuple[Any, int]]) -> list[LogTable]:
+def base_tables(
+    topic: str, messages: Iterable[tuple[Any, int]], clock: Clock | None = None
+) -> list[LogTable]:
     """Return the tables of a topic, from its messages and when they were received, ns.
 
-    What is said of several frames in one topic makes several tables.
+    What is said of several frames in one topic makes several tables. Where a message has no stamp,
+    those of all are times of receipt, on a clock if one is given.
     """
-    rows: dict[tuple[str, ...], list[tuple[int, list[float]]]] = {}
+    rows: dict[tuple[str, ...], list[tuple[int, int, list[float]]]] = {}
     for message, received in messages:
         for part, frame in _parts(message):
             told = dict(_numbers(part, frame or topic.strip("/").rpartition("/")[0]))
             stamp = part.header.stamp
-            when = stamp.sec * 1_000_000_000 + stamp.nanosec or received
+            when = stamp.sec * 1_000_000_000 + stamp.nanosec
             if told:
-                rows.setdefault((frame, *told), []).append((when, [*told.values()]))
+                rows.setdefault((frame, *told), []).append((when, received, [*told.values()]))
+    notes = clock_notes(topic, np.array([row[0] for found in rows.values() for row in found]))
     tables = list[LogTable]()
     for (_, *names), found in rows.items():
-        stamps, first = np.unique([stamp for stamp, _ in found], return_index=True)
-        values = np.array([numbers for _, numbers in found])[first]
+        stamps, first = np.unique([row[bool(notes)] for row in found], return_index=True)
+        values = np.array([numbers for *_, numbers in found])[first]
         turned = [k for k, name in enumerate(names) if name.startswith("base.orientation")]
         q = values[:, turned]  # and its negative are the same orientation: the nearer one is taken
         back = np.einsum("ni,ni->n", q[1:], q[:-1]) < 0.0
         values[1:, turned] *= np.where(np.cumsum(back) % 2, -1.0, 1.0)[:, None]
         columns = {"time": 1e-9 * (stamps - stamps[0])}
         columns |= {name: values[:, k].copy() for k, name in enumerate(names)}
-        tables.append(LogTable(Path(topic), columns, origins={"time": int(stamps[0])}))
+        table = LogTable(Path(topic), columns, origins={"time": int(stamps[0])})
+        tables.append(on_clock(table, clock).noting(*notes) if notes else table)
     return tables
 
 

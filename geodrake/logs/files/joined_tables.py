@@ -25,6 +25,7 @@ from geodrake.logs.files.name_rules import (
 )
 from geodrake.logs.files.reading import Reading
 from geodrake.logs.files.table import LogTable
+from geodrake.logs.floating import FLAG, floating_name, vectors
 from geodrake.logs.time_stamps import longest_step
 
 Array = NDArray[np.float64]
@@ -32,12 +33,19 @@ Array = NDArray[np.float64]
 _YEARS = 9e8  # s, above which time is since 1970
 _ROUNDING = 1e-6  # s, by which stamps of different clocks' forms may differ
 _ROWS_APART = 2.0  # by which the ends of parts that begin together may differ
+RARE = "comes too rarely"
+"""Why columns were left out that have far fewer rows a second than others."""
+
 _MIXED = 10.0  # times by which the rates of parts may differ
+_TURNED, _FEWEST_TURNS = 0.02, 10  # rad, by which an interpolated orientation may be off, and rows
 _ALIKE = 0.9  # of the longest period, from which on parts are as slow, and the first is taken
 
 
 def joined_tables(log: Path, tables: Sequence[LogTable], reading: Reading) -> LogTable:
-    """The columns of several tables, at the time stamps of the first with the fewest a second."""
+    """The columns of several tables, at the time stamps of the first with the fewest a second.
+
+    Of tables with far fewer than others only what changes slowly is used; see `_slow_parts`.
+    """
     units = {column: unit for table in tables for column, unit in table.units.items()}
     noted = tuple(note for table in tables for note in table.notes)
     times, origins, clock_notes = _one_clock(log, tables, reading)
@@ -54,15 +62,10 @@ def joined_tables(log: Path, tables: Sequence[LogTable], reading: Reading) -> Lo
         )
     known = [time for time in times if time is not None]
     steps = [np.diff(time[np.isfinite(time)]) for time in known]
-    periods = [float(np.median(step)) if len(step) else np.nan for step in steps]
-    slowest = _ALIKE * np.nanmax(periods)
-    base = next(k for k, period in enumerate(periods) if period >= slowest)
-    if max(periods) > _MIXED * min(periods):
-        rates = (f"{t.path} {1 / p:.4g} Hz" for t, p in zip(tables, periods, strict=True))
-        raise LogError(
-            f"The parts of log {str(log)!r} are of mixed rates: {', '.join(rates)}.",
-            advice=f"Log them at rates that differ by a factor of {_MIXED:g} at most.",
-        )
+    periods = [float(np.median(step)) if len(step) else np.inf for step in steps]
+    quick = [period for period in periods if period <= _MIXED * min(periods)]
+    base = next(k for k, p in enumerate(periods) if p in quick and p >= _ALIKE * max(quick))
+    tables, slow_notes, rare = _slow_parts(log, tables, periods)
     if not max(map(np.nanmin, known)) < min(map(np.nanmax, known)):
         spans = (f"{np.nanmin(t):.6g} to {np.nanmax(t):.6g} s" for t in known)
         raise LogError(
@@ -73,13 +76,88 @@ def joined_tables(log: Path, tables: Sequence[LogTable], reading: Reading) -> Lo
     for table, time in zip(tables, known, strict=True):
         for column, values in table.columns.items():
             if not is_time(column):
-                meaning = meaning_of(column)
-                holds = meaning is not None and meaning.quantity == "command"
+                holds = _what(column) in ("command", FLAG)
                 columns[column] = at_instants(known[base], time, values, holds=holds)
     rate = 1.0 / periods[base]
     note = f"joined by time, at the {rate:.4g} rows a second of {tables[base].path}"
-    notes = (note, *clock_notes, *noted)
-    return LogTable(log, columns, units, notes, origins)
+    notes = (note, *slow_notes, *clock_notes, *noted)
+    silent = {column: why for table in tables for column, why in table.silent.items()}
+    return LogTable(log, columns, units, notes, origins, {**silent, **rare})
+
+
+def _what(column: str) -> str:
+    """Return what a column is: a quantity of a log, or what is measured of a base or a frame."""
+    if (name := floating_name(column)) is not None:
+        return FLAG if name.endswith(FLAG) else name.rpartition(".")[0]
+    meaning = meaning_of(column)
+    return "" if meaning is None else meaning.log_quantity
+
+
+def _slow_parts(
+    log: Path, tables: Sequence[LogTable], periods: Sequence[float]
+) -> tuple[list[LogTable], list[str], dict[str, str]]:
+    """Return tables of which slow ones have only what may be interpolated, with notes of that.
+
+    Columns that are left out come with why.
+
+    Slow ones have less than a tenth as many rows a second as others. Temperatures and flags change
+    slowly, and so may the orientation of a base whose IMU is quick. The rest goes where the log
+    does without, as joints do that are told of less often than others.
+
+    Raises:
+        LogError: It does not.
+    """
+    is_slow = [period > _MIXED * min(periods) for period in periods]
+    parts = list(zip(tables, is_slow, strict=True))
+    quick = {c: _what(c) for table, slow in parts if not slow for c in table.columns}
+    kinds = {what.replace("command", "effort") for what in quick.values()}
+    has_imu = {"imu.angular_velocity", "imu.linear_acceleration"} <= kinds
+    joints = {meaning.joint for c in quick if (meaning := meaning_of(c)) and meaning.joint}
+    found, notes, rare, needed = list[LogTable](), list[str](), dict[str, str](), False
+    for (table, slow), period in zip(parts, periods, strict=True):
+        if not slow:
+            found.append(table)
+            continue
+        may = {"temperature", FLAG, "time", "nanoseconds"}
+        may |= {"base.orientation"} if has_imu and _turns_slowly(table.columns) else set()
+        lost = {c: _what(c) for c in table.columns if _what(c) not in may}
+        for column, what in lost.items():
+            meaning = meaning_of(column)
+            if what.replace("command", "effort") in ("position", "effort"):
+                is_beside = meaning is not None and meaning.joint in joints and what != "command"
+                needed |= is_beside or what.replace("command", "effort") not in kinds
+            needed |= what.startswith("base.") and not has_imu
+            needed |= what.startswith("imu.") and "base.orientation" not in kinds
+        kept = {c: values for c, values in table.columns.items() if c not in lost}
+        found.append(replace(table, columns=kept))
+        used = [c for c in kept if not is_time(c)]
+        words = [f"{listed(used)} interpolated"] if used else []
+        words += [f"{listed([*lost])} left out"] if lost else []
+        rates = f"{1 / period:.4g} rows a second, and others up to {1 / min(periods):.4g}"
+        notes.append(f"{table.path} has {rates}: {', '.join(words)}")
+        rare |= dict.fromkeys(lost, f"{RARE}: {rates}")
+    if needed:
+        each = (f"{t.path} {1 / p:.4g} Hz" for t, p in zip(tables, periods, strict=True))
+        raise LogError(
+            f"The parts of log {str(log)!r} are of mixed rates: {', '.join(each)}.",
+            advice=f"Log them at rates that differ by a factor of {_MIXED:g} at most.",
+        )
+    return found, notes, rare
+
+
+def _turns_slowly(columns: Mapping[str, Array]) -> bool:
+    """Return whether orientations of a base are about what those before and after them say."""
+    named = {known: values for c, values in columns.items() if (known := floating_name(c))}
+    q = vectors(named, "base.orientation")
+    q = np.zeros((0, 4)) if q is None else q[np.isfinite(q).all(axis=1)]
+    if len(q) < _FEWEST_TURNS:
+        return False
+    before, here, after = q[:-2], q[1:-1], q[2:]
+    between = before + np.sign(np.sum(before * after, axis=1))[:, None] * after
+    size = np.linalg.norm(between, axis=1) * np.linalg.norm(here, axis=1)
+    cosines = np.abs(np.sum(between * here, axis=1)) / np.maximum(size, np.finfo(float).tiny)
+    off = 2.0 * np.arccos(np.minimum(cosines, 1.0))
+    return bool(np.quantile(off, 0.99) / 4.0 < _TURNED)  # half as far apart, a quarter as far off
 
 
 def meanings_of(table: LogTable) -> list[Meaning]:

@@ -19,6 +19,9 @@ from geodrake.logs.motion import EFFORT_KINDS
 
 Array = NDArray[np.float64]
 Stamps = NDArray[np.int64]
+Clock = tuple[Stamps, Stamps]
+"""(N,) when messages were measured, and (N,) when they were received, ns."""
+
 JointKey = str | int
 """The name of a joint, or its number from 0 on in messages without names."""
 
@@ -72,6 +75,26 @@ def joint_table(series: Sequence[JointSeries], topic: str, *, part: bool = False
     if len(tables) > 1:
         table = joined_tables(Path(topic), list(tables.values()), Reading())
     return replace(table, notes=(*notes, *table.notes))
+
+
+def clock_notes(topic: str, stamps: Stamps) -> tuple[str, ...]:
+    """Return that messages of a topic have no stamps (N,), in words, if they have not."""
+    if (stamps > 0).all():
+        return ()
+    some = "some messages" if (stamps > 0).any() else "messages"
+    return (f"{some} of {topic} have no stamps: their time is that of receipt",)
+
+
+def on_clock(table: LogTable, clock: Clock | None) -> LogTable:
+    """Return a table of times of receipt, at stamps that others had when they were received."""
+    if clock is None or len(clock[0]) < 2:
+        return table
+    stamps, received = clock
+    since = 1e-9 * (received - received[0])
+    line = np.polyfit(since, 1e-9 * (stamps - stamps[0]), 1)
+    time = table.columns["time"] + 1e-9 * ((table.origins["time"] or 0) - int(received[0]))
+    columns = {**table.columns, "time": np.asarray(np.polyval(line, time), float)}
+    return replace(table, columns=columns, origins={"time": int(stamps[0])})
 
 
 def _order_notes(series: Sequence[JointSeries], topic: str) -> list[str]:
@@ -264,11 +287,20 @@ class MessageRows:
     @property
     def all_stamped(self) -> bool:
         """Return whether every message says when it was measured."""
-        return all(min(group.stamps) > 0 for group in self._groups.values())
+        return bool((self._stamps[0] > 0).all())
 
     @property
-    def clock(self) -> tuple[Stamps, Stamps]:
-        """(N,) when messages were measured, and (N,) when they were received, ns."""
+    def clock(self) -> Clock | None:
+        """When messages were measured and received; None unless all of them say it."""
+        return self._stamps if self.all_stamped else None
+
+    @property
+    def clock_notes(self) -> tuple[str, ...]:
+        """Return that messages have no stamps, in words, if they have not."""
+        return clock_notes(self.topic, self._stamps[0])
+
+    @property
+    def _stamps(self) -> Clock:
         groups = self._groups.values()
         stamps, received = (
             np.concatenate([np.frombuffer(numbers, np.int64) for numbers in each])

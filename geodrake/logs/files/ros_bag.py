@@ -15,7 +15,7 @@ from geodrake.boundary.optional_packages import optional_package
 from geodrake.errors import LogError
 from geodrake.logs.files.base_messages import base_sources, base_tables
 from geodrake.logs.files.joined_tables import joined_tables
-from geodrake.logs.files.joint_messages import JointFields, MessageRows
+from geodrake.logs.files.joint_messages import Clock, JointFields, MessageRows
 from geodrake.logs.files.reading import Reading
 from geodrake.logs.files.table import LogTable, readable
 from geodrake.logs.files.topics import Topic, chosen_topics, joined_topics, topic_table
@@ -74,19 +74,19 @@ def read_bag(path: Path, reading: Reading) -> LogTable:
             _probed(reader, [*each], method) for _, each in groupby(spoken, key=lambda c: c.topic)
         ]
         topics = [source.topic for source in found]
-        base, reading = _base(reader, spoken, method, reading)
-        chosen = chosen_topics(path, topics, reading)
+        sources, joints_reading = _base_sources(spoken, reading)
+        chosen = chosen_topics(path, topics, joints_reading)
         whole = [found[topics.index(each)].read(reader) for each in chosen]
+        clock = next(filter(None, (topic.rows.clock for topic in whole if topic.rows)), None)
+        base = _base(reader, spoken, method, sources, clock)
     joints = (
         joined_topics(path, whole, reading) if whole[1:] else topic_table(path, whole[0], topics)
     )
     return joined_tables(path, [joints, *base], reading) if base else joints
 
 
-def _base(
-    reader: Any, connections: Sequence[Any], method: str, reading: Reading
-) -> tuple[list[LogTable], Reading]:
-    """Return tables of a free base and its feet, and how to read the joints."""
+def _base_sources(connections: Sequence[Any], reading: Reading) -> tuple[list[list[str]], Reading]:
+    """Return topics of a free base and its feet, of which one each is read, and what is left."""
     if not reading.of_base:
         return [], reading
     asked = {name.strip("/") for name in reading.topics}
@@ -95,17 +95,30 @@ def _base(
         for c in connections
         if c.topic.strip("/") in asked or not _WANTED.search(c.topic)
     }
+    *single, wrenches = base_sources(kinds, reading.topics)
+    of_base = {name.strip("/") for names in (*single, wrenches) for name in names}
+    joints = [name for name in reading.topics if name.strip("/") not in of_base]
+    return [*single, *([name] for name in wrenches)], replace(reading, topic=joints or None)
+
+
+def _base(
+    reader: Any,
+    connections: Sequence[Any],
+    method: str,
+    sources: Sequence[Sequence[str]],
+    clock: Clock | None,
+) -> list[LogTable]:
+    """Return tables of a free base and its feet."""
 
     def tables_of(name: str) -> list[LogTable]:
         own = [connection for connection in connections if connection.topic == name]
-        definition = own[0].msgdef
-        store = _store(kinds[name], definition.data, definition.format.name)
-        decode, messages = getattr(store, method), reader.messages(connections=own)
-        return base_tables(name, ((decode(data, kinds[name]), at) for _, at, data in messages))
+        kind, definition = own[0].msgtype, own[0].msgdef
+        decode = getattr(_store(kind, definition.data, definition.format.name), method)
+        messages = reader.messages(connections=own)
+        return base_tables(name, ((decode(data, kind), at) for _, at, data in messages), clock)
 
-    *single, wrenches = base_sources(kinds, reading.topics)
     tables, known, others = list[LogTable](), set[str](), list[str]()
-    for names in (*single, *([name] for name in wrenches)):
+    for names in sources:
         for k, name in enumerate(names):
             made = tables_of(name)
             for table in made:  # of a column that two have, that of the first is taken
@@ -120,9 +133,7 @@ def _base(
         notes = [f"base and feet are read from {', '.join(read)}"]
         notes += [f"{', '.join(others)} would say the same (--topic)"] if others else []
         tables[0] = tables[0].noting(*notes)
-    of_base = {name.strip("/") for names in (*single, wrenches) for name in names}
-    joints = [name for name in reading.topics if name.strip("/") not in of_base]
-    return tables, replace(reading, topic=joints or None)
+    return tables
 
 
 def _storage(path: Path) -> Path:

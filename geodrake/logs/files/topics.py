@@ -12,7 +12,13 @@ from numpy.typing import NDArray
 
 from geodrake.errors import LogError
 from geodrake.logs.files.joined_tables import joined_tables
-from geodrake.logs.files.joint_messages import NUMBERS, MessageRows, is_complete, joint_table
+from geodrake.logs.files.joint_messages import (
+    NUMBERS,
+    MessageRows,
+    is_complete,
+    joint_table,
+    on_clock,
+)
 from geodrake.logs.files.name_rules import meaning_of
 from geodrake.logs.files.reading import Reading
 from geodrake.logs.files.table import LogTable
@@ -132,8 +138,7 @@ def topic_table(path: Path, topic: Topic, others: Sequence[Topic]) -> LogTable:
     also = [other.name for other in fitting if other.name != topic.name]
     if also:
         said[0] += f"; {', '.join(also)} would fit too (--topic)"
-    if not rows.all_stamped:
-        said.append("messages have no stamps: the time is that of receipt")
+    said += rows.clock_notes
     if rows.from_controller:
         said.append("efforts are the output of the controller, as no measured ones are there")
     return replace(table, path=path).noting(*said)
@@ -187,12 +192,11 @@ def joined_topics(path: Path, topics: Sequence[Topic], reading: Reading) -> LogT
     clock of those with: on average they take no time from there to the recorder.
     """
     spoken = [(topic, topic.rows) for topic in topics if topic.rows is not None]
-    clock = next((rows for _, rows in spoken if rows.all_stamped), None)
+    clock = next(filter(None, (rows.clock for _, rows in spoken)), None)
     tables: list[LogTable] = []
     for topic, rows in spoken:
         table = _part_table(topic, rows)
-        if clock is not None and not rows.all_stamped:
-            table = _on_clock(table, clock)
+        table = table if rows.all_stamped else on_clock(table, clock)
         known = {name for each in tables for name in each.columns} - {"time"}
         new = {name: column for name, column in table.columns.items() if name not in known}
         tables.append(replace(table, columns=new))
@@ -209,8 +213,7 @@ def _part_table(topic: Topic, rows: MessageRows) -> LogTable:
     if "command" in topic.part and topic.is_wanted:
         columns = _commands(columns)
     columns = {f"{topic.name}/{n}" if n.startswith(NUMBERS) else n: c for n, c in columns.items()}
-    unstamped = f"messages of {topic.name} have no stamps: their time is that of receipt"
-    notes = table.notes if rows.all_stamped else (*table.notes, unstamped)
+    notes = (*table.notes, *rows.clock_notes)
     return replace(table, path=Path(topic.name), columns=columns, notes=notes)
 
 
@@ -222,18 +225,6 @@ def _commands(columns: Mapping[str, Array]) -> dict[str, Array]:
         if dot or name.startswith("position["):
             found[f"{joint}.command" if dot else name.replace("position", "command")] = column
     return {"time": columns["time"], **found} if found else dict(columns)
-
-
-def _on_clock(table: LogTable, clock: MessageRows) -> LogTable:
-    """A table of times of receipt, at stamps that others had when they were received."""
-    stamps, received = clock.clock
-    if len(stamps) < 2:
-        return table
-    since = 1e-9 * (received - received[0])
-    line = np.polyfit(since, 1e-9 * (stamps - stamps[0]), 1)
-    time = table.columns["time"] + 1e-9 * ((table.origins["time"] or 0) - int(received[0]))
-    columns = {**table.columns, "time": np.asarray(np.polyval(line, time), float)}
-    return replace(table, columns=columns, origins={"time": int(stamps[0])})
 
 
 def _named_by_motion(columns: Mapping[str, Array]) -> tuple[dict[str, Array], list[str]]:
