@@ -3,7 +3,9 @@
 from dataclasses import replace
 from types import SimpleNamespace
 
+import mujoco
 import numpy as np
+import pinocchio as pin
 import pytest
 from foreign_logs import (
     EPOCH,
@@ -35,6 +37,7 @@ from geodrake.model.base_logs import with_base
 from geodrake.model.ground_contacts import contact_frames
 from geodrake.model.logged_joints import reading_for
 from geodrake.model.robot_model import load_description
+from geodrake.robot.regressor import inverse_dynamics_regressor
 
 LEGS = ("fl", "fr", "hl", "hr")
 FEET = tuple(f"{leg}_foot" for leg in LEGS)
@@ -248,6 +251,92 @@ def test_rows_without_contact_forces_are_orthonormal_and_feel_none(model, maker)
         np.testing.assert_allclose(rows @ touching.T, 0.0, atol=1e-9)
         whitened = rows * scales / scales[np.abs(N[k]).any(axis=1), None]
         np.testing.assert_allclose(whitened @ whitened.T, np.eye(len(rows)), atol=1e-6)
+
+
+class PinocchioDog:
+    """Dynamics of the quadruped by Pinocchio, its base by the same six joints as geodrake's."""
+
+    def __init__(self, path) -> None:
+        base = pin.JointModelComposite()
+        for kind in ("PX", "PY", "PZ", "RZ", "RY", "RX"):
+            base.addJoint(getattr(pin, f"JointModel{kind}")())
+        self.model = pin.buildModelFromUrdf(str(path), base)
+        self.data = self.model.createData()
+        angles = [self.model.joints[self.model.getJointId(name)] for name in JOINTS]
+        self.at = [(joint.idx_q, joint.idx_v) for joint in angles]
+
+    def states(self, q, v, a):
+        """Return a state in Pinocchio's order, where endless joints have cosine and sine."""
+        full = pin.neutral(self.model)
+        speed, rate = np.zeros((2, 18))
+        full[:6], speed[:6], rate[:6] = q[:6], v[:6], a[:6]
+        for (place, way), own in zip(self.at, range(6, 18), strict=True):
+            full[place : place + 2] = np.cos(q[own]), np.sin(q[own])
+            speed[way], rate[way] = v[own], a[own]
+        return full, speed, rate
+
+    def efforts(self, q, v, a):
+        """Return what the motion needs, and the Jacobians (12, 18) of the feet."""
+        full, speed, rate = self.states(q, v, a)
+        order = [*range(6), *(way for _, way in self.at)]
+        needed = pin.rnea(self.model, self.data, full, speed, rate)[order]
+        pin.computeJointJacobians(self.model, self.data, full)
+        pin.updateFramePlacements(self.model, self.data)
+        world = pin.ReferenceFrame.LOCAL_WORLD_ALIGNED
+        feet = [self.model.getFrameId(foot) for foot in FEET]
+        J = [pin.getFrameJacobian(self.model, self.data, foot, world)[:3] for foot in feet]
+        return needed, np.vstack(J)[:, order]
+
+
+class MujocoDog:
+    """The same by MuJoCo, which merges feet with the calves that they are fixed to."""
+
+    def __init__(self, path) -> None:
+        spec = mujoco.MjSpec.from_file(str(path))
+        spec.compiler.fusestatic = False
+        trunk = spec.body("trunk")
+        for kind in ("SLIDE", "HINGE"):
+            for axis in np.eye(3)[:: 1 if kind == "SLIDE" else -1]:
+                trunk.add_joint(type=getattr(mujoco.mjtJoint, f"mjJNT_{kind}"), axis=axis)
+        self.model = spec.compile()
+        self.data = mujoco.MjData(self.model)
+        joints = [mujoco.mj_name2id(self.model, mujoco.mjtObj.mjOBJ_JOINT, n) for n in JOINTS]
+        body = self.model.body("trunk")
+        first = int(self.model.body_jntadr[body.id])
+        self.order = [*range(first, first + 6), *(int(self.model.jnt_dofadr[j]) for j in joints)]
+
+    def efforts(self, q, v, a):
+        """Return what the motion needs, and the Jacobians (12, 18) of the feet."""
+        self.data.qpos[self.order], self.data.qvel[self.order] = q, v
+        self.data.qacc[self.order] = a
+        mujoco.mj_inverse(self.model, self.data)
+        J = np.zeros((4, 3, 18))
+        for own, leg in zip(J, LEGS, strict=True):
+            calf = self.model.body(f"{leg}_calf").id
+            R = self.data.xmat[calf].reshape(3, 3)
+            foot = self.data.xpos[calf] + R @ [0.0, 0.0, -0.2]
+            mujoco.mj_jac(self.model, self.data, own, None, foot, calf)
+        return self.data.qfrc_inverse[self.order], J.reshape(12, 18)[:, self.order]
+
+
+@pytest.mark.parametrize("engine", [PinocchioDog, MujocoDog])
+def test_rows_without_contact_forces_are_those_of_other_engines(model, engine):
+    """N (Y φ) = N (τ + Jᵀ w) for any forces w at the feet that touch, by the engine's τ and J."""
+    assert model.joints == (*model.base_joints, *JOINTS)
+    other, rng = engine(model.path), np.random.default_rng(3)
+    q, v, a = rng.uniform(-0.7, 0.7, (3, 20, 18))
+    bodies = RobotBodies(model.tree, model.positions(q), model.total_phi)
+    J = np.stack([frame.jacobian(bodies) for frame in contact_frames(model, FEET)], 1)
+    flags, scales = rng.random((20, 4)) < 0.6, rng.uniform(0.5, 2.0, 18)
+    N = rows_without(J, flags, scales, range(6))
+    Y = inverse_dynamics_regressor(model.tree, model.positions(q), v, a)
+    for k in range(20):
+        needed, theirs = other.efforts(q[k], v[k], a[k])
+        forces = 50.0 * rng.normal(size=(4, 3)) * flags[k, :, None]
+        effort = needed - theirs.T @ forces.ravel()  # of motors, and zero at a free base
+        np.testing.assert_allclose(
+            N[k] @ Y[k] @ model.total_phi.ravel(), N[k] @ effort, rtol=0.0, atol=1e-9
+        )
 
 
 @pytest.mark.parametrize("wrenches", [True, False])
