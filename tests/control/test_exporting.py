@@ -16,6 +16,7 @@ from pydrake.multibody.plant import DiscreteContactApproximation, MultibodyPlant
 
 from geodrake.control.export_proof.formats import FORMATS, export_format
 from geodrake.control.export_proof.held import held_by
+from geodrake.control.export_proof.reference import random_motion, random_starts, roll_out_all
 from geodrake.effects import (
     AsymmetricFriction,
     CoulombFriction,
@@ -429,3 +430,12 @@ def test_joints_of_included_files_are_refused(tmp_path):
     model = load_model(path)
     with pytest.raises(ModelError, match="is not in"):
         exported(fitted(model, springs=False), "mjcf", tmp_path / "out")
+
+
+def test_a_joint_that_moves_no_inertia_is_named():
+    model = load_model(MODELS / "double_pendulum.urdf")
+    phi = model.phi.copy()
+    phi[-1] = 0.0
+    starts = random_starts(model, random_motion(model))
+    with pytest.raises(RuntimeError, match="nothing that elbow moves has any inertia"):
+        roll_out_all(replace(model, phi=phi), starts, 1e-3)

@@ -151,7 +151,11 @@ def _acceleration(model: RobotModel, q: Array, v: Array, effort: Array) -> Array
     )
     needed = model.effort(tried).reshape(count, nv + 1, nv)
     mass = (needed[:, 1:] - needed[:, :1]).swapaxes(1, 2)
-    return np.asarray(np.linalg.solve(mass, (effort - needed[:, 0])[..., None])[..., 0])
+    try:
+        return np.asarray(np.linalg.solve(mass, (effort - needed[:, 0])[..., None])[..., 0])
+    except np.linalg.LinAlgError as error:
+        least = int(np.abs(np.diagonal(mass, axis1=1, axis2=2)).max(axis=0).argmin())
+        raise RuntimeError(f"nothing that {model.joints[least]} moves has any inertia") from error
 
 
 def position_order(model: RobotModel) -> NDArray[np.intp]:
