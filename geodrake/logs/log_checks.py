@@ -94,44 +94,34 @@ def _is_coarse(effort: Array) -> bool:
     return bool(np.abs(levels).max() < _STEPS * np.diff(levels).min())
 
 
-_PROBES = 32  # places of a log that are looked for in another
-_PROBE_ROWS = 8  # at each of them
-_FIRST_PROBES = 4  # of them, one of which must be there for the others to be looked for
-_MOST_PROBES = 0.5  # of the probes that another log may have
+_TOGETHER = 8  # rows that follow each other, which two logs do not share by chance
+_MOST_SHARED = 0.5  # of such rows of a log, that another may have
 
 
 def check_repeated(logs: Sequence[JointLog]) -> None:
     """Refuse logs of which one has the measurements of another.
 
-    Positions and efforts are compared number by number, at some stretches of moving joints of each
-    log; names, formats and time stamps do not matter.
+    Positions and efforts are compared number by number, where a joint moves in each of some rows;
+    names, formats and time stamps do not matter.
     """
-    for pair in combinations(logs, 2):
-        short, long = sorted(pair, key=len)
-        probes = _probes(short)
-        if not any(_holds(long, probe) for probe in probes[:: _PROBES // _FIRST_PROBES]):
-            continue
-        if np.mean([_holds(long, probe) for probe in probes]) > _MOST_PROBES:
+    digests = [_digests(log) for log in logs]
+    for pair in combinations(range(len(logs)), 2):
+        short, long = sorted(pair, key=lambda k: len(logs[k]))
+        if np.isin(digests[short], digests[long]).sum() > _MOST_SHARED * len(digests[short]):
             raise ArgumentError(
-                f"Log {short.name!r} is given twice, so it would be validated against itself: its "
-                f"measurements are those of {long.name!r}.",
+                f"Log {logs[short].name!r} is given twice, so it would be validated against "
+                f"itself: its measurements are those of {logs[long].name!r}.",
                 advice="Name each log once.",
             )
 
 
-def _probes(log: JointLog) -> list[tuple[Array, Array]]:
-    """Positions and efforts (rows, n) at some places of a log, where a joint moves all the time."""
-    starts = np.unique(np.linspace(0, max(0, len(log) - _PROBE_ROWS), _PROBES).astype(int)).tolist()
-    rows = (slice(start, start + _PROBE_ROWS) for start in starts)
-    places = ((log.position[each], log.effort[each]) for each in rows)
-    return [place for place in places if np.diff(place[0], axis=0).any(axis=1).all()]
-
-
-def _holds(log: JointLog, probe: tuple[Array, Array]) -> bool:
-    """Whether a log has such positions and efforts, number by number, in rows that follow."""
-    starts = np.arange(len(log) - len(probe[0]) + 1)
-    for row in range(len(probe[0])):
-        for measured, wanted in zip((log.effort, log.position), probe[::-1], strict=True):
-            for joint, value in enumerate(wanted[row].tolist()):
-                starts = starts[measured[starts + row, joint] == value]
-    return len(starts) > 0
+def _digests(log: JointLog) -> NDArray[np.int64]:
+    """Return a number for some rows of a log each, that only those with the same numbers have."""
+    if len(log) < _TOGETHER:
+        return np.zeros(0, np.int64)
+    rows, draw = np.hstack([log.position, log.effort]), np.random.default_rng(0).integers
+    with np.errstate(over="ignore"):
+        each = rows.view(np.int64) @ draw(1 << 62, size=rows.shape[1])
+        found = np.convolve(each, draw(1 << 62, size=_TOGETHER), "valid")
+    still = np.concatenate([[0], np.cumsum(~np.diff(log.position, axis=0).any(axis=1))])
+    return found[still[_TOGETHER - 1 :] == still[: len(found)]]

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import math
 import re
 import zipfile
 from collections.abc import Iterator, Mapping, Sequence
@@ -278,58 +277,36 @@ def read_npy(path: Path, reading: Reading) -> LogTable:
 
 
 _NPZ_ADVICE = "Store one 1-D array for each column, all equally long."
-_MOST_JOINTS = 1000  # columns of a matrix
-_HEADERS = {(1, 0): npy.read_array_header_1_0, (2, 0): npy.read_array_header_2_0}
 
 
 def read_npz(path: Path, reading: Reading) -> LogTable:
-    """Return the columns of an NPZ file: what it declares is checked before it is unpacked."""
-    arrays: dict[str, Any] = {}
+    """Return the columns of an NPZ file."""
+    arrays, objects = dict[str, Any](), list[str]()
     with (
         readable(path, "NPZ archive", f"Write it by numpy.savez. {_NPZ_ADVICE}"),
         open_regular(path, "log", LogError) as file,
         zipfile.ZipFile(file) as archive,
     ):
-        check_once(path, [_member(entry) for entry in archive.infolist()])
-        declared = {entry: _declared(path, archive, entry) for entry in archive.infolist()}
-        declared = {entry: said for entry, said in declared.items() if len(said[0]) <= 2}
-        size = sum(math.prod(shape) for shape, _ in declared.values())
-        check_room(path, size, f"{size} numbers")
-        for entry, (shape, dtype) in declared.items():
-            name = _member(entry)
-            if is_used(name) and len(shape) != 1:
+        entries = {e: e.filename.removesuffix(".npy").strip() for e in archive.infolist()}
+        check_once(path, [*entries.values()])
+        size = sum(entry.file_size for entry in entries)
+        check_room(path, size // 8, f"{size // 8} numbers")
+        for entry, name in entries.items():
+            try:
+                with archive.open(entry) as member, np.errstate(over="ignore"):  # of long doubles
+                    array = npy.read_array(member, allow_pickle=False)
+                    array = np.asarray(array, float) if array.dtype.kind in "fiu" else array
+            except ValueError as error:
+                if not str(error).startswith("Object arrays"):
+                    raise
+                objects.append(name)
+                continue
+            if is_used(name) and array.ndim != 1:
                 raise LogError(
-                    f"Array {name!r} of log {str(path)!r} is not 1-D: its shape is {shape}.",
+                    f"Array {name!r} of log {str(path)!r} is not 1-D: its shape is {array.shape}.",
                     advice=_NPZ_ADVICE,
                 )
-            if not dtype.hasobject and shape:
-                with archive.open(entry) as member, np.errstate(over="ignore"):  # of long doubles
-                    arrays[name] = npy.read_array(member, allow_pickle=False)
-                    if dtype.kind in "fiu":
-                        arrays[name] = np.asarray(arrays[name], float)
+            if array.ndim in (1, 2):
+                arrays[name] = array
     table = numeric_table(path, arrays, rows_of(arrays))
-    objects = [_member(entry) for entry, (_, dtype) in declared.items() if dtype.hasobject]
     return replace(table, silent={**table.silent, **dict.fromkeys(objects, "holds objects")})
-
-
-def _member(entry: zipfile.ZipInfo) -> str:
-    return entry.filename.removesuffix(".npy").strip()
-
-
-def _declared(
-    path: Path, archive: zipfile.ZipFile, entry: zipfile.ZipInfo
-) -> tuple[tuple[int, ...], np.dtype[Any]]:
-    """Return shape and type of a member by its header, which its size must be of."""
-    with archive.open(entry) as file:
-        version = npy.read_magic(file)
-        if version not in _HEADERS:
-            raise ValueError(f"array {_member(entry)!r} is of version {version} of the NPY format")
-        shape, _, dtype = _HEADERS[version](file)
-        header = file.tell()
-    if not dtype.hasobject and header + dtype.itemsize * math.prod(shape) != entry.file_size:
-        raise LogError(
-            f"Array {_member(entry)!r} of log {str(path)!r} is to have {math.prod(shape)} numbers "
-            f"of {dtype.itemsize} bytes, but takes {entry.file_size - header} bytes.",
-            advice="The file is damaged: write it again.",
-        )
-    return shape, dtype

@@ -26,55 +26,10 @@ JointKey = str | int
 """The name of a joint, or its number from 0 on in messages without names."""
 
 
-@dataclass(frozen=True, eq=False)
-class JointSeries:
-    """Joints that come in the same messages.
-
-    Attributes:
-        stamps: (N,) when they were measured, ns.
-        values: (N, n) numbers of each quantity.
-    """
-
-    joints: tuple[JointKey, ...]
-    stamps: Stamps
-    values: Mapping[str, Array]
-
-
 def is_complete(quantities: Iterable[str]) -> bool:
     """Return whether positions and something of efforts are among quantities."""
     known = set(quantities)
     return "position" in known and not known.isdisjoint((*EFFORT_KINDS, "command"))
-
-
-def joint_table(series: Sequence[JointSeries], topic: str, *, part: bool = False) -> LogTable:
-    """Return one table of what several series say: `time` and `<joint>.<quantity>`.
-
-    Joints without names are `position[0]`, …. Of joints that come in messages of their own each has
-    its instants, at which tables are joined.
-
-    Args:
-        part: Whether it is a part of a log, of which nothing is left out.
-    """
-    complete = [each for each in series if (each.values if part else is_complete(each.values))]
-    notes = _order_notes(complete, topic)
-    heard = {joint for each in complete for joint in each.joints}
-    silent = dict.fromkeys(j for each in series for j in each.joints if j not in heard)
-    if silent:
-        notes.append(f"joints without effort left out: {', '.join(map(str, silent))}")
-    once = [_without_repeats(each, topic, notes) for each in complete]
-    tables: dict[bytes, LogTable] = {}
-    for joint in dict.fromkeys(joint for each in once for joint in each.joints):
-        stamps, values = _joined([each for each in once if joint in each.joints], joint)
-        time = {"time": (stamps - stamps[0]) / 1e9}
-        new = LogTable(Path(str(joint)), time, origins={"time": int(stamps[0])})
-        columns = tables.setdefault(stamps.tobytes(), new).columns
-        for quantity, numbers in values.items():
-            name = f"{quantity}[{joint}]" if isinstance(joint, int) else f"{joint}.{quantity}"
-            columns[name] = numbers  # type: ignore[index]
-    table = next(iter(tables.values()))
-    if len(tables) > 1:
-        table = joined_tables(Path(topic), list(tables.values()), Reading())
-    return replace(table, notes=(*notes, *table.notes))
 
 
 def clock_notes(topic: str, stamps: Stamps) -> tuple[str, ...]:
@@ -95,50 +50,6 @@ def on_clock(table: LogTable, clock: Clock | None) -> LogTable:
     time = table.columns["time"] + 1e-9 * ((table.origins["time"] or 0) - int(received[0]))
     columns = {**table.columns, "time": np.asarray(np.polyval(line, time), float)}
     return replace(table, columns=columns, origins={"time": int(stamps[0])})
-
-
-def _order_notes(series: Sequence[JointSeries], topic: str) -> list[str]:
-    orders: dict[frozenset[JointKey], set[tuple[JointKey, ...]]] = {}
-    for each in series:
-        orders.setdefault(frozenset(each.joints), set()).add(each.joints)
-    if all(len(found) == 1 for found in orders.values()):
-        return []
-    return [f"the order of joints changes in {topic}: they are told apart by their names"]
-
-
-def _without_repeats(series: JointSeries, topic: str, notes: list[str]) -> JointSeries:
-    """Return the series with each instant once, or an error if it is not in time."""
-    steps = np.diff(series.stamps)
-    if np.all(steps > 0):
-        return series
-    if np.any(steps < 0):
-        at = int(np.argmax(steps < 0))
-        raise LogError(
-            f"Time runs backwards in {topic}: message {at + 2} is {-steps[at] / 1e9:.3g} s before "
-            f"message {at + 1} of {', '.join(map(str, series.joints[:3]))}, ….",
-            advice="Was a clock set, a simulation started again, or does somebody else publish on "
-            "it? Cut the recording there.",
-            message=at + 2,
-        )
-    kept = np.concatenate([[True], steps > 0])
-    notes.append(f"{np.count_nonzero(~kept)} messages with the stamp of the one before left out")
-    values = {quantity: numbers[kept] for quantity, numbers in series.values.items()}
-    return JointSeries(series.joints, series.stamps[kept], values)
-
-
-def _joined(series: Sequence[JointSeries], joint: JointKey) -> tuple[Stamps, dict[str, Array]]:
-    """Return stamps (N,) and values (N,) of a joint, from all series that it is in, in time."""
-    stamps, first = np.unique(np.concatenate([s.stamps for s in series]), return_index=True)
-    values = {}
-    for quantity in dict.fromkeys(q for each in series for q in each.values):
-        there = [
-            s.values[quantity][:, s.joints.index(joint)]
-            if quantity in s.values
-            else np.full(len(s.stamps), np.nan)
-            for s in series
-        ]
-        values[quantity] = np.concatenate(there)[first]
-    return stamps, values
 
 
 _LATEST = 1 << 62
@@ -308,16 +219,69 @@ class MessageRows:
         )
         return stamps, received
 
-    def series(self) -> list[JointSeries]:
-        """Return what was measured, by groups of joints that came together, each in order."""
-        found, stamped = [], self.all_stamped
-        for (joints, quantities), group in self._groups.items():
-            stamps = np.frombuffer(group.stamps if stamped else group.received, np.int64)
-            size = len(stamps), len(quantities), len(joints)
-            table = np.frombuffer(group.numbers).reshape(size)
-            values = {name: table[:, k] for k, name in enumerate(quantities)}
-            found.append(JointSeries(joints, stamps, values))
-        return found
+    def table(self, *, part: bool = False) -> LogTable:
+        """Return what the messages say as columns: `time` and `<joint>.<quantity>`.
+
+        Joints without names are `position[0]`, …. Of joints that come in messages of their own each
+        has its instants, at which tables are joined.
+
+        Args:
+            part: Whether it is a part of a log, of which nothing is left out.
+        """
+        groups = {k: g for k, g in self._groups.items() if (k[1] if part else is_complete(k[1]))}
+        notes, found = list[str](), dict[JointKey, list[tuple[Stamps, dict[str, Array]]]]()
+        if len({joints for joints, _ in groups}) > len({frozenset(joints) for joints, _ in groups}):
+            notes.append(
+                f"the order of joints changes in {self.topic}: they are told apart by their names"
+            )
+        silent = set(self.joints).difference(*(joints for joints, _ in groups))
+        if silent:
+            named = ", ".join(str(joint) for joint in self.joints if joint in silent)
+            notes.append(f"joints without effort left out: {named}")
+        for (joints, quantities), group in groups.items():
+            stamps, values = group.stamps if self.all_stamped else group.received, group.numbers
+            shape = len(stamps), len(quantities), len(joints)
+            kept = self._once(np.frombuffer(stamps, np.int64), joints, notes)
+            stamped, rows = np.frombuffer(stamps, np.int64)[kept], np.frombuffer(values)
+            for k, joint in enumerate(joints):
+                columns = rows.reshape(shape)[kept, :, k].T
+                own = dict(zip(quantities, columns, strict=True))
+                found.setdefault(joint, []).append((stamped, own))
+        tables: dict[bytes, LogTable] = {}
+        for joint, parts in found.items():
+            stamped, first = np.unique(np.concatenate([s for s, _ in parts]), return_index=True)
+            time = {"time": (stamped - stamped[0]) / 1e9}
+            new = LogTable(Path(str(joint)), time, origins={"time": int(stamped[0])})
+            into = tables.setdefault(stamped.tobytes(), new).columns
+            for quantity in dict.fromkeys(q for _, own in parts for q in own):
+                all_of_it = [own.get(quantity, np.full(len(s), np.nan)) for s, own in parts]
+                name = f"{quantity}[{joint}]" if isinstance(joint, int) else f"{joint}.{quantity}"
+                into[name] = np.concatenate(all_of_it)[first]  # type: ignore[index]
+        table = next(iter(tables.values()))
+        if len(tables) > 1:
+            table = joined_tables(Path(self.topic), list(tables.values()), Reading())
+        return replace(table, notes=(*notes, *table.notes))
+
+    def _once(
+        self, stamps: Stamps, joints: Sequence[JointKey], notes: list[str]
+    ) -> NDArray[np.bool_]:
+        """Return which messages (N,) come after the one before; refuse those that come earlier."""
+        steps = np.diff(stamps)
+        if np.any(steps < 0):
+            at = int(np.argmax(steps < 0))
+            raise LogError(
+                f"Time runs backwards in {self.topic}: message {at + 2} is "
+                f"{-steps[at] / 1e9:.3g} s before message {at + 1} of "
+                f"{', '.join(map(str, joints[:3]))}, ….",
+                advice="Was a clock set, a simulation started again, or does somebody else publish "
+                "on it? Cut the recording there.",
+                message=at + 2,
+            )
+        kept = np.concatenate([[True], steps > 0])
+        if not kept.all():
+            count = np.count_nonzero(~kept)
+            notes.append(f"{count} messages with the stamp of the one before left out")
+        return kept
 
 
 @dataclass

@@ -16,7 +16,6 @@ from geodrake.logs.files.joint_messages import (
     NUMBERS,
     MessageRows,
     is_complete,
-    joint_table,
     on_clock,
 )
 from geodrake.logs.files.name_rules import meaning_of
@@ -132,7 +131,7 @@ def topic_table(path: Path, topic: Topic, others: Sequence[Topic]) -> LogTable:
     rows = topic.rows
     if rows is None or not topic.fits:  # the first messages had efforts, and none has both
         raise LogError(f"Topic {topic} of log {str(path)!r} has no positions with efforts.")
-    table = joint_table(rows.series(), topic.name)
+    table = rows.table()
     said = [f"read from {topic.name} ({topic.kind})"]
     fitting = [o for o in others if o.fits and o.has_efforts >= topic.has_efforts]
     also = [other.name for other in fitting if other.name != topic.name]
@@ -208,7 +207,7 @@ def joined_topics(path: Path, topics: Sequence[Topic], reading: Reading) -> LogT
 
 def _part_table(topic: Topic, rows: MessageRows) -> LogTable:
     """Return the columns of one topic, and what was noticed."""
-    table = joint_table(rows.series(), topic.name, part=True)
+    table = rows.table(part=True)
     columns = table.columns
     if "command" in topic.part and topic.is_wanted:
         columns = _commands(columns)
