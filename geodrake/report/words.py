@@ -447,7 +447,8 @@ def departure(share: float) -> str:
 
 def departure_words(share: float) -> str:
     """Return the same as it stands in a sentence."""
-    return f"{departure(share)} of the motion".replace("× of", "times")
+    told = departure(share)
+    return told if np.isinf(share) else f"{told} of the motion".replace("× of", "times")
 
 
 def rollout_fit_words(found: RolloutFit) -> str:

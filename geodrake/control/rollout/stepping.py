@@ -43,6 +43,8 @@ from geodrake.robot.regressor import inverse_dynamics
 
 _SHORTEST_STEP, _LONGEST_STEP = 1e-3, 5e-3  # s
 _TURNS = 0.3  # rad that the fastest swing takes in a step
+_FINER, _FINEST = 4, 16  # times shorter steps, at once and at most, of robots that are thrown about
+_MOST_TURNED = 0.5  # rad or m of a joint in a step, before it is such a robot
 _GAMMA = 1.0 - np.sqrt(0.5)
 _SETTLED = 3e-3  # of the speeds below which dry friction fades, by which velocities change at last
 _MOST_ROUNDS, _CROSSING_ROUNDS = 40, 10  # of Newton, and in which friction is taken at rest
@@ -95,13 +97,14 @@ class Stepping:
     sign_width: Array  # (n,) speeds below which dry friction fades, rad/s or m/s
     fastest: Array  # (n,) peak speeds of the measured motion, rad/s or m/s
     temperatures: Sequence[Temperatures | None]  # those of the joints in the log of each
+    finer: int = 1  # how many steps take the place of a usual one
 
     def positions(self) -> list[Array]:
         """Return positions (K, n) of each passage; NaN from where a robot flies apart."""
         first = np.array([[passage.time[0]] for passage in self.passages])
         spans = np.array([[passage.time[-1]] for passage in self.passages]) - first
         state = self._begin()
-        count = max(1, int(np.ceil(spans.max() / self._step(state) - 1e-9)))
+        count = max(1, int(np.ceil(self.finer * spans.max() / self._step(state) - 1e-9)))
         h = spans / count
         times = first + h * np.add.outer(np.arange(count), [_GAMMA, 1.0]).ravel()  # ends of stages
         rows = zip(self.acting, self.passages, times, strict=True)
@@ -128,7 +131,22 @@ class Stepping:
                 # The last node may be less than the last instant by rounding.
                 end = own[-1] if kept.all() else passage.time[-1]
                 found[-1] = curve(np.minimum(passage.time, end))
+        turned = (np.abs(v) * h).max(axis=(0, 2), initial=0.0)
+        rough = np.flatnonzero(~(turned < _MOST_TURNED)).tolist()
+        if rough and self.finer < _FINEST:
+            for i, own in zip(rough, self._finer(rough).positions(), strict=True):
+                found[i] = own
         return found
+
+    def _finer(self, few: Sequence[int]) -> Stepping:
+        """Return the simulation of some of the passages by shorter steps."""
+        return replace(
+            self,
+            passages=[self.passages[i] for i in few],
+            acting=[self.acting[i] for i in few],
+            temperatures=[self.temperatures[i] for i in few],
+            finer=_FINER * self.finer,
+        )
 
     def _step(self, state: State) -> float:
         """Return how long steps may be, s: what swings freely is followed."""
@@ -178,6 +196,12 @@ class Stepping:
         q, rest = self.model.positions(state.position), np.zeros_like(state.velocity)
         return effort_slopes(self.model.tree, q, rest, rest, self.model.total_phi).acceleration
 
+    def _slopes(self, q: Array, v: Array, a: Array, step: Array) -> Array:
+        """Return slopes (N, n, n) of what bodies need with the accelerations of a step."""
+        model, h = self.model, step[:, :, None]
+        by = effort_slopes(model.tree, model.positions(q), v, a, model.total_phi)
+        return np.asarray(by.acceleration + h * (by.velocity + h * by.position))
+
     def _stage(self, base: State, now: Instant, a: Array) -> tuple[State, Array]:
         """Return the state after an implicit step, and the accelerations (N, n) that lead there."""
         width, step = self.sign_width, now.step
@@ -187,7 +211,8 @@ class Stepping:
             needed, slopes, hidden = self._needed(base, (q, v, a), now)
             given, integral, servo = self._given(base, (q, v), now)
             by_q, by_v, by_a, by_load = slopes
-            J = now.mass * (1.0 + by_load[:, :, None])
+            bodies = now.mass if round_ < _CROSSING_ROUNDS else self._slopes(q, v, a, step)
+            J = bodies * (1.0 + by_load[:, :, None])
             diagonal = by_a + step * (by_v + servo[1]) + step**2 * (by_q + servo[0])
             J[:, range(len(width)), range(len(width))] += diagonal
             ahead = v + step * np.linalg.solve(J, (given - needed)[:, :, None])[:, :, 0]
