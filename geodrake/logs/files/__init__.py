@@ -28,7 +28,7 @@ from geodrake.logs.files.joined_tables import RARE, meanings_of, reshaped
 from geodrake.logs.files.mapping_file import read_mapping
 from geodrake.logs.files.name_rules import is_time, meaning_of
 from geodrake.logs.files.reading import Reading
-from geodrake.logs.files.recording import Recording
+from geodrake.logs.files.recording import recorded
 from geodrake.logs.files.table import LogTable
 from geodrake.logs.files.writing import log_content, write_log
 from geodrake.logs.motion import JointLog
@@ -131,7 +131,7 @@ def _understood(
     table = reshaped(table, reading)
     _check_silent(table, reading, joints)
     columns = columns_of(table, joints, reading, partial=partial)
-    log = Recording(columns, *table.read(columns.files, skip=reading.skip_bad_rows)).log()
+    log = recorded(columns, *table.read(columns.files, skip=reading.skip_bad_rows))
     motors = reading.motors_of(log.joints)
     return replace(log, notes=(*table.notes, *log.notes), motors=motors), columns
 
