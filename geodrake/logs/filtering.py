@@ -1,8 +1,9 @@
 """Signals: zero-phase filtering with decimation, spectra, and the bandwidth of a motion.
 
-Arrays have samples along axis 0. Measured efforts and regressor columns go through the same
-`ZeroPhaseFilter`, so that filtering changes neither the parameters nor the model (1) of the
-design, and what is left of white noise is nearly white again after decimation.
+Signals are (N, n), with samples along axis 0; rates and bandwidths are in Hz, and spectral
+densities one-sided, in squared units of the signal per Hz. Measured efforts and regressor columns
+go through the same `ZeroPhaseFilter`, so that filtering changes neither the parameters nor the
+model (1) of the design, and what is left of white noise is nearly white again after decimation.
 """
 
 from __future__ import annotations
@@ -36,15 +37,7 @@ def spectral_density(
     window: tuple[float, ...] = HANN,
     centered: bool = True,
 ) -> tuple[Array, Array]:
-    """One-sided spectral density of signals.
-
-    Args:
-        signal: (N, n) samples.
-        rate: Sampling rate, Hz.
-
-    Returns:
-        frequency (K,), Hz, and density (K, n), squared units of the signal per Hz.
-    """
+    """Return frequencies (K,), Hz, and spectral densities (K, n) of signals."""
     signal, turn = np.asarray(signal, float), 2.0 * np.pi * np.arange(length) / length
     weight = np.sum([(-1) ** k * a * np.cos(k * turn) for k, a in enumerate(window)], axis=0)
     step = length - length // 2
@@ -69,17 +62,11 @@ _WIDE = 3  # steps over which a spectrum falls
 def quiet_density(
     signal: ArrayLike, rate: float, bandwidth: float, *, differences: int = 0
 ) -> Array:
-    """Spectral density of white noise of signals: that of the quietest band above a bandwidth.
+    """Return (n,) densities of white noise of signals: of the quietest band above a bandwidth.
 
     Args:
-        signal: (N, n) samples.
-        rate: Sampling rate, Hz.
-        bandwidth: Where the signals themselves end, Hz.
         differences: How often the signals are differenced before, so that what is large and slow
             in them does not leak into the spectrum; the density is that of the signals.
-
-    Returns:
-        (n,) one-sided density, squared units of the signals per Hz.
     """
     changes = np.diff(np.asarray(signal, float), differences, axis=0)
     length = min(len(changes), max(64, round(8 * rate / bandwidth)))
@@ -104,16 +91,7 @@ def quiet_density(
 
 
 def passband_density(signal: ArrayLike, rate: float, bandwidth: float) -> tuple[Array, Array]:
-    """Spectral densities of signals below a bandwidth.
-
-    Args:
-        signal: (N, n) samples.
-        rate: Sampling rate, Hz.
-        bandwidth: Where the band ends, Hz.
-
-    Returns:
-        (n,) mean, and (n,) that of the quietest part of the band, squared units per Hz.
-    """
+    """Return (n,) mean densities below a bandwidth, and (n,) those of its quietest part."""
     signal = np.asarray(signal, float)
     length = min(len(signal), max(64, round(16 * rate / bandwidth)))
     frequency, density = spectral_density(signal, rate, length)
@@ -124,12 +102,9 @@ def passband_density(signal: ArrayLike, rate: float, bandwidth: float) -> tuple[
 
 
 def steepest_fall(signal: ArrayLike, rate: float, bandwidth: float) -> Array:
-    """(n,) frequencies at which the spectra of signals fall most, as at the end of a filter, Hz.
+    """Return (n,) frequencies at which spectra fall most, as at the end of a filter, Hz.
 
-    Args:
-        signal: (N, n) samples.
-        rate: Sampling rate, Hz.
-        bandwidth: About where the signals end, Hz.
+    The signals end at about the bandwidth.
     """
     signal = np.asarray(signal, float)
     length = min(len(signal), max(64, round(32 * rate / bandwidth)))
@@ -220,14 +195,7 @@ class ZeroPhaseFilter:
         return self.halfwidth + self.decimation * np.arange(self.output_count(n))
 
     def apply(self, columns: ArrayLike) -> Array:
-        """Filter and decimate, keeping the outputs whose window lies inside the data.
-
-        Args:
-            columns: (N, ...) samples.
-
-        Returns:
-            (K, ...) filtered samples at `output_indices(N)`.
-        """
+        """Filter and decimate (N, ...) to (K, ...), at `output_indices(N)`."""
         columns = np.asarray(columns, float)
         count = self.output_count(len(columns))
         if count == 0:
@@ -242,13 +210,9 @@ class ZeroPhaseFilter:
         return np.asarray((self.kernel @ seen).reshape(count, *columns.shape[1:]))
 
     def chunks(self, n: int, size: int) -> Iterator[tuple[slice, int]]:
-        """Input slices whose outputs, one after another, are those of all `n` samples at once.
+        """Yield input slices, whose outputs together are those of all, and how many each has.
 
-        Args:
-            size: Most samples in a slice; raised to what one output needs.
-
-        Yields:
-            Input slice, and the number of outputs that `apply` gives for it.
+        Slices have `size` samples at most, or what one output needs.
         """
         count, window = self.output_count(n), 2 * self.halfwidth + 1
         each = max(1, self.output_count(size))
@@ -258,14 +222,7 @@ class ZeroPhaseFilter:
             yield slice(start, start + (outputs - 1) * self.decimation + window), outputs
 
     def smooth(self, signal: ArrayLike) -> Array:
-        """Low-pass at the full rate; both ends are continued by odd reflection.
-
-        Args:
-            signal: (N, ...) samples; the first and last L outputs lean on the reflection.
-
-        Returns:
-            (N, ...) smoothed samples.
-        """
+        """Low-pass (N, ...) at the full rate; the first and last L lean on an odd reflection."""
         signal = np.asarray(signal, float)
         padding = [(self.halfwidth,) * 2] + [(0, 0)] * (signal.ndim - 1)
         padded = np.pad(signal, padding, mode="reflect", reflect_type="odd")
@@ -276,17 +233,15 @@ class ZeroPhaseFilter:
 
 
 def design_filter(period: float, bandwidth: float) -> ZeroPhaseFilter:
-    """Low-pass filter that decimates to about twice its bandwidth.
+    """Return a low-pass filter that decimates to about twice its bandwidth.
 
     Args:
-        period: Time between input samples, s.
-        bandwidth: Wanted bandwidth, Hz, at most a quarter of the sampling rate. The result's is
-            the nearest that whole-number decimation leaves white: 20 % off at worst, decimating
-            by 2 or 3, and 5 % by 10.
+        bandwidth: Wanted bandwidth, at most a quarter of the sampling rate. The result's is the
+            nearest that whole-number decimation leaves white: 20 % off at worst, decimating by 2
+            or 3, and 5 % by 10.
 
     Raises:
-        ArgumentError: If the bandwidth is too small or too large for the sampling rate, or if the
-            period is not positive.
+        ArgumentError: The bandwidth does not fit the period.
     """
     if not 0.0 < period < np.inf:
         raise ArgumentError(f"A sampling period is above zero; got {period:g} s.", period=period)
@@ -308,14 +263,9 @@ def design_filter(period: float, bandwidth: float) -> ZeroPhaseFilter:
 
 
 def differentiate(signal: ArrayLike, period: float) -> Array:
-    """Return the time derivative of a smooth uniformly sampled signal, by its quintic spline.
+    """Return the time derivative of a smooth signal of 6 samples or more, by its quintic spline.
 
-    Args:
-        signal: (N, ...) samples, at least 6.
-        period: Time between samples, s.
-
-    Returns:
-        (N, ...) derivatives, without lag; relative error below 1e-3 up to a quarter of the rate.
+    It has no lag, and a relative error below 1e-3 up to a quarter of the rate.
     """
     signal = np.asarray(signal, float)
     if len(signal) < _LEAST_SAMPLES:
@@ -338,13 +288,9 @@ def resample(time: Array, smooth: Array, sharp: Array, instants: Array) -> tuple
     """Move jittered samples to other instants; those that are there already stay as they are.
 
     Args:
-        time: (N,) increasing time stamps, s.
         smooth: (N, m) signals to interpolate by a cubic spline (positions, velocities).
         sharp: (N, n) signals to interpolate linearly, without overshoot (efforts).
-        instants: (K,) new time stamps between the first and the last, s.
-
-    Returns:
-        The smooth signals (K, m) and the sharp ones (K, n).
+        instants: (K,) new time stamps between the first and the last.
     """
     start = int(np.argmin(np.abs(time - instants[0]))) if len(instants) else 0
     same = time[start : start + len(instants)]
@@ -357,7 +303,7 @@ def resample(time: Array, smooth: Array, sharp: Array, instants: Array) -> tuple
 
 
 def choose_bandwidth(pieces: Sequence[tuple[Array, float]]) -> float:
-    """Bandwidth that holds the motion and little of the position's noise.
+    """Return the bandwidth that holds the motion and little of the position's noise.
 
     The spectrum of the acceleration falls where the motion ends and rises again, as f⁴, where
     the position's noise is differentiated twice; the bandwidth is where it is lowest between
@@ -366,9 +312,6 @@ def choose_bandwidth(pieces: Sequence[tuple[Array, float]]) -> float:
 
     Args:
         pieces: Positions (N, n) of moving joints and their sampling period, s, for each piece.
-
-    Returns:
-        Bandwidth, Hz.
     """
     pieces = [(position, period) for position, period in pieces if len(position) >= LEAST_SPECTRUM]
     if not pieces:

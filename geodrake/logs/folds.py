@@ -66,10 +66,6 @@ def validation_blocks(
     Args:
         blocks: Blocks for each trajectory, if it is to be cut; fewer where a block would have less
             than ten filtered samples.
-
-    Raises:
-        ArgumentError: If there is no trajectory, or `blocks` is out of range.
-        LogError: If the trajectories are too short for two folds.
     """
     if not trajectories:
         raise ArgumentError("There is no trajectory to make folds of.")

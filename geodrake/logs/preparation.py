@@ -84,11 +84,7 @@ def prepare_logs(
 
 
 def motion_bandwidth_of(uniform: Sequence[UniformLog], *, time_scale: float = 1.0) -> float:
-    """Bandwidth that holds the motion of logs and little of their positions' noise, Hz.
-
-    Args:
-        time_scale: By what their time is to be multiplied, if it is not in s.
-    """
+    """Return the bandwidth of the motion in logs, Hz, whose time may be of another scale."""
     moving = np.any([each.moving for each in uniform], axis=0)
     parts = [(each.period * time_scale, part) for each in uniform for part in each.sample_parts()]
     chosen = choose_bandwidth([(part.position[:, moving], period) for period, part in parts])
@@ -143,12 +139,7 @@ def _prepare(
 def _left_out(
     uniform: UniformLog, stretches: Sequence[Stretch], standstill: tuple[float, float]
 ) -> tuple[bool, str]:
-    """Return what of a log is not used, in one line, "" for nothing; and whether it is much.
-
-    Args:
-        stretches: What is used of its pieces.
-        standstill: How long all joints stand at the start and at the end, s.
-    """
+    """Return whether much of a log is not used, and what, in one line; "" for nothing."""
     time, of_pieces = uniform.log.time, uniform.seconds
     known = time[np.isfinite(time)]
     whole = max(float(known[-1] - known[0]), of_pieces)

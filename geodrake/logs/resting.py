@@ -57,11 +57,8 @@ def resting(
 ) -> NDArray[np.bool_]:
     """Return (n,) whether joints hardly move, beside others of their kind.
 
-    Args:
-        low: (n,) least positions, rad or m.
-        high: (n,) largest positions.
-        sliding: (n,) whether positions are in m.
-        noise: (n,) what of a range is noise.
+    Each is told by its least and largest position, rad or m if `sliding`, and by the part of that
+    range that is noise.
     """
     sliding = np.asarray(sliding, bool)
     reach = np.maximum(np.subtract(high, low) - noise, 0.0)
@@ -75,12 +72,7 @@ def resting(
 def travels(velocity: Array, period: float, least: float) -> bool:
     """Return whether measured velocities add up to a motion that their noise does not explain.
 
-    White noise adds up to a random walk.
-
-    Args:
-        velocity: (N,) measured velocities, rad/s or m/s.
-        period: Time between them, s.
-        least: Smallest motion that counts, rad or m.
+    White noise adds up to a random walk; a motion counts from `least` on.
     """
     walk = _WALK * _white_noise(velocity) * np.sqrt(len(velocity)) * period
     return bool(np.ptp(np.cumsum(velocity)) * period > max(least, walk))

@@ -31,17 +31,14 @@ SPLINE_REACH = 40
 
 @dataclass(frozen=True, eq=False)
 class Piece:
-    """Rows of a log between gaps, seen at uniform instants.
+    """Rows of a log between gaps, as logged (K, n), seen at uniform instants.
 
     Attributes:
-        time: (K,) time stamps as logged, s.
-        position: (K, n) positions as logged.
-        velocity: (K, n) velocities as logged, if any are of use.
-        effort: (K, n) efforts as logged.
+        velocity: If any are of use.
         period: Time between the uniform instants, s.
-        acceleration: (K, m) accelerations as logged of joints where they are used.
+        acceleration: (K, m) those of joints where they are used.
         measured: (m,) which joints these are.
-        ground: (K, n) the part of the efforts that is of measured wrenches.
+        ground: The part of the efforts that is of measured wrenches.
     """
 
     time: Array
@@ -87,17 +84,9 @@ class Piece:
 class Segment:
     """Samples of a log without gaps, at uniform instants.
 
-    Positions, velocities and accelerations are smooth and belong together. Efforts are resampled
-    but not filtered: they and the regressors pass the same filter later.
-
-    Attributes:
-        time: (N,) instants, s, `period` apart.
-        position: (N, n) smoothed positions, rad or m.
-        velocity: (N, n) velocities, rad/s or m/s.
-        acceleration: (N, n) accelerations, rad/s² or m/s².
-        effort: (N, n) efforts as measured, N·m or N.
-        period: Time between samples, s.
-        ground: (N, n) the part of the efforts that is of measured wrenches.
+    Positions, velocities and accelerations (N, n) are smooth and belong together. Efforts are
+    resampled but not filtered: they and the regressors pass the same filter later. All is in SI
+    units, and `ground` is the part of the efforts that is of measured wrenches.
     """
 
     time: Array

@@ -30,15 +30,8 @@ class Temperatures:
     def of(cls, joints: Sequence[str], time: Array, readings: Array | None) -> Temperatures | None:
         """Return the courses of measured temperatures, averaged second by second.
 
-        Readings of −1, 0, 127 and 255 °C and of 255 °F far from all others of their joint, or
-        without any, are those of a sensor that fails: they are left out.
-
-        Args:
-            time: (N,) time stamps of a log, s.
-            readings: (N, n) temperatures, °C, NaN where there is none; None if nobody read any.
-
-        Returns:
-            The courses of joints that have one; None where none has.
+        Readings (N, n), °C, of −1, 0, 127 and 255 °C and of 255 °F far from all others of their
+        joint, or without any, are those of a sensor that fails: they are left out.
         """
         if readings is None:
             return None
@@ -48,14 +41,7 @@ class Temperatures:
         return cls(courses) if courses else None
 
     def at(self, time: ArrayLike, joints: Sequence[str]) -> Array:
-        """Temperatures at some instants.
-
-        Args:
-            time: (N,) instants since the log began, s.
-
-        Returns:
-            (N, n), °C; NaN at joints without.
-        """
+        """Return (N, n), °C, at instants (N,), s since the log began; NaN at joints without."""
         instants = np.atleast_1d(np.asarray(time, float))
         found = np.full((len(instants), len(joints)), np.nan)
         for j, joint in enumerate(joints):

@@ -89,10 +89,6 @@ def order_of_time(time: Array, position: Array) -> NDArray[np.intp] | None:
 
     Positions must be smooth in that order, and not as they are: those of two recordings are not,
     nor those of rows whose time is damaged.
-
-    Args:
-        time: (N,) time stamps, s.
-        position: (N, n) positions, rad or m.
     """
     rows = np.flatnonzero(np.isfinite(time))
     backwards = np.count_nonzero(np.diff(time[rows]) < 0.0)
@@ -108,10 +104,6 @@ def evened(time: Array, position: Array) -> tuple[Array, tuple[str, ...]]:
     """Return even time stamps where rows came in bursts and were stamped on arrival, and a note.
 
     The mean of the stamps of some bursts counts, if positions run more smoothly with it.
-
-    Args:
-        time: (N,) time stamps, s.
-        position: (N, n) positions, rad or m.
     """
     begin = np.diff(time[:_BEGIN][np.isfinite(time[:_BEGIN])])
     if len(begin) < _FEWEST or np.mean(begin < _SHORT * np.mean(begin)) < _BURSTS:
@@ -158,11 +150,7 @@ def repeats(time: Array) -> NDArray[np.bool_]:
 
 
 def check_time(name: str, time: Array) -> None:
-    """Raise a LogError unless time stamps increase, those left out that are not finite.
-
-    Args:
-        time: (N,) time stamps, s.
-    """
+    """Raise a LogError unless time stamps (N,), s, increase, but for those that are not finite."""
     latest = float(np.max(np.abs(time), initial=0.0, where=np.isfinite(time)))
     if latest > _LATEST:
         raise LogError(

@@ -27,9 +27,7 @@ _ROWS = 100_000  # of a log that are looked at together
 def effort_unit_hint(log: JointLog, effort_limits: ArrayLike) -> str | None:
     """Return a sentence for the user if efforts look like another unit than N·m or N; else None.
 
-    Args:
-        effort_limits: (n,) limits of the model's joints, N·m or N; zeros and infinities say
-            nothing.
+    They are compared with the (n,) limits of the model, of which zeros and infinities say nothing.
     """
     limits = np.broadcast_to(np.asarray(effort_limits, float), (len(log.joints),))
     known = np.isfinite(limits) & (limits > _LEAST_LIMIT) & ~np.isin(log.joints, log.passive)
@@ -105,12 +103,7 @@ def effort_sign_hint(log: JointLog) -> str | None:
 
 
 def position_limit_hint(log: JointLog, lower: ArrayLike, upper: ArrayLike) -> str | None:
-    """Return a sentence for the user if positions are beyond a model's limits; else None.
-
-    Args:
-        lower: (n,) least positions of the model's joints, rad or m; infinite for none.
-        upper: (n,) greatest ones.
-    """
+    """Return a sentence for the user if positions are beyond a model's limits (n,); else None."""
     ends = np.stack([np.asarray(lower, float), np.asarray(upper, float)])
     found = []
     for name, q, (low, high) in zip(log.joints, log.position.T, ends.T, strict=True):

@@ -143,7 +143,7 @@ BAD = {
     "bad JSON": (bad_info, "no LeRobot dataset that can be read"),
     "dataset without efforts": (
         lambda f: lerobot(f, small_log(), efforts=False, actions=False),
-        "no effort of joints",
+        "no joint with both position and effort",
     ),
 }
 

@@ -75,7 +75,7 @@ def test_episodes_of_a_dataset_are_one_log_with_gaps_or_one_of_them(tmp_path, lo
 
 
 def test_dataset_without_efforts(tmp_path, log):
-    with pytest.raises(LogError, match=r"no effort of joints; its features are observation\.state"):
+    with pytest.raises(LogError, match="both position and effort; positions: shoulder, elbow"):
         read_log(lerobot(tmp_path, log, efforts=False, actions=False))
 
 

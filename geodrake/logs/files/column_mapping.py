@@ -78,9 +78,7 @@ class Source:
     def read(self, numbers: dict[str, Array], *, since_first: bool = True) -> Array:
         """Take the numbers (N,) of its columns out of those of a file, in SI units.
 
-        Args:
-            since_first: Whether seconds with nanoseconds beside them are from the first second on,
-                so that no digits are lost.
+        Seconds with nanoseconds beside them may be from the first second on, to lose no digits.
         """
         values = numbers.pop(self.column)
         if self.nanoseconds is not None:
@@ -157,9 +155,8 @@ def candidates(
     """Return what may be each quantity of each joint, what is taken first.
 
     A joint with efforts of any kind has no command, unless one is called as geodrake itself does.
-
-    Returns:
-        (joint, quantity) -> columns; and joint -> further columns that could stand for efforts.
+    Returned are the columns by (joint, quantity), and further ones by joint that could stand for
+    efforts.
     """
     best: Best = defaultdict(list)
     for meaning in meanings:
@@ -268,11 +265,7 @@ _KIND_WORDS = {"current": "motor currents", "voltage": "voltages", "pwm": "duty 
 
 
 def choice_words(best: Mapping[tuple[str, str], Sequence[Meaning]]) -> Iterator[str]:
-    """Yield which columns were taken where several are of one quantity, in words.
-
-    Args:
-        best: (joint, quantity) -> what may be it, what is taken first.
-    """
+    """Yield which columns were taken where several are of one quantity, in words."""
     for quantity in QUANTITIES:
         several = [same for (_, q), same in best.items() if q == quantity]
         chosen, others = [s[0] for s in several], [m for s in several for m in s[1:]]
@@ -335,13 +328,7 @@ _MAPPING_ADVICE = "Or say which column is what by --mapping."
 def columns_of(
     table: LogTable, joints: Sequence[str] | None, reading: Reading, *, partial: bool = False
 ) -> Columns:
-    """Return what the columns of a table are, joints in the order given if any is.
-
-    Args:
-        joints: Names of the model's joints, which the log must have, in the order that it shall
-            have them in; None for the order of the file.
-        partial: Whether the log may lack some of the model's joints, or their efforts.
-    """
+    """Return what the columns of a table are; see `read_log` for arguments."""
     path, names = table.path, table.names
     if joints is not None and len(set(joints)) < len(joints):
         raise ArgumentError(f"Log {str(path)!r} is to have a joint twice: {listed(joints)}.")
@@ -660,11 +647,7 @@ def _mapped_kind(quantity: str, gain: float, unit: Unit | None, said: str | None
 def _with_commands_as_positions(
     places: Mapping[tuple[str, str], Source],
 ) -> dict[tuple[str, str], Source]:
-    """The columns, with commands in the unit of their joint's position, where nobody says theirs.
-
-    Args:
-        places: (joint, quantity) -> source.
-    """
+    """Return columns, with commands in the unit of their joint's position if nobody says theirs."""
     found = dict(places)
     for (joint, quantity), source in places.items():
         position = places.get((joint, "position"))

@@ -252,13 +252,7 @@ def _side_by_side(log: Path, tables: Sequence[LogTable]) -> dict[str, Array]:
 
 
 def at_instants(instants: Array, time: Array, values: Array, *, holds: bool = False) -> Array:
-    """Values at other instants: between the neighbours; NaN outside, in gaps, and beside NaN.
-
-    Args:
-        instants: (N,) the instants, s.
-        time: (K,) those of the values, s.
-        values: (K,) the values.
-    """
+    """Return values (K,) at instants (N,): between neighbours; NaN outside, in gaps, beside NaN."""
     good = np.isfinite(time)
     time, values = time[good], values[good]
     if len(time) < 2:
@@ -283,11 +277,7 @@ _MOST_JOINTS = 200  # more different words are no names of joints
 
 
 def reshaped(table: LogTable, reading: Reading) -> LogTable:
-    """Return a table in which numbers stand under the names of their joints.
-
-    Args:
-        table: One whose cells may name joints; other tables are returned as they are.
-    """
+    """Return a table in which numbers stand under the names of joints, if its cells name these."""
     words = {n: w for column, cells in table.words.items() for n, w in _items(column, cells)}
     words |= {n: w for n, x in table.columns.items() if (w := _numbered(n, x)) is not None}
     naming = {n: w for n, w in words.items() if names_joints(n) and len({*w}) <= _MOST_JOINTS}

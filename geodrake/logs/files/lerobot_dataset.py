@@ -17,7 +17,6 @@ from geodrake.errors import LogError
 from geodrake.logs.files.array_files import arrow_table
 from geodrake.logs.files.reading import Reading
 from geodrake.logs.files.table import LogTable, readable
-from geodrake.logs.motion import EFFORT_KINDS
 
 Array = NDArray[np.float64]
 
@@ -37,8 +36,6 @@ _WORDS = {
 }
 """Quantity -> the last words of features, and of names in a feature."""
 
-_SAY_EFFORTS = (*EFFORT_KINDS, "command")
-
 
 def read_lerobot(path: Path, reading: Reading) -> LogTable:
     """Return the columns of a LeRobot dataset; see `read_bag` for arguments.
@@ -50,7 +47,6 @@ def read_lerobot(path: Path, reading: Reading) -> LogTable:
         told = read_regular(path / INFO, "description", LogError, largest=_LARGEST_INFO)
         features = json.loads(told)["features"]
         meaning = dict(_meaning(features))
-        _check_efforts(path, features, meaning)
         wanted = ["timestamp", "episode_index", *dict.fromkeys(f for f, _ in meaning)]
         episode = reading.episode
         only = None if episode is None else [("episode_index", "==", episode)]
@@ -110,20 +106,6 @@ def _names(names: Any, size: int) -> list[str] | None:
     if isinstance(names, list) and len(names) == size:
         return [str(name) for name in names]
     return None
-
-
-def _check_efforts(
-    path: Path, features: Mapping[str, Any], meaning: Mapping[tuple[str, str], str]
-) -> None:
-    """Refuse datasets without positions, or without efforts and what may stand for them."""
-    for quantity, words in (("position", "position"), ("effort", "|".join(_SAY_EFFORTS))):
-        if not any(re.search(rf"\b({words})(\[\d+\])?$", name) for name in meaning.values()):
-            raise LogError(
-                f"LeRobot dataset {str(path)!r} has no {quantity} of joints; its features are "
-                f"{', '.join(list(features)[:12])}.",
-                advice="Record observation.state (positions), and observation.effort or .current, "
-                "or the action.",
-            )
 
 
 def _time(stamps: Array, episodes: Array) -> Array:

@@ -335,12 +335,7 @@ ONLY = "joint"  # what a joint is called whose columns name none
 def matched(
     meanings: Sequence[Meaning], joints: Sequence[str] | None
 ) -> tuple[dict[str, str], tuple[str, ...]]:
-    """Return the joint that each column is of.
-
-    Returns:
-        Name of the column -> name of its joint, for those that are of one; and notes of what was
-        not told by names.
-    """
+    """Return the joint of each column that is of one, and notes of what names did not tell."""
     if joints is None:
         return _by_their_own_words(meanings), ()
     styles: dict[tuple[str, ...], list[Meaning]] = defaultdict(list)
@@ -369,11 +364,7 @@ def matched(
 
 
 def _as_others(style: Sequence[Meaning], ordered: Mapping[int, set[str]]) -> dict[str, str]:
-    """Column -> joint of numbered columns of some joints, where those of all joints are in order.
-
-    Args:
-        ordered: Number -> joints that columns of others have under it.
-    """
+    """Return joints of numbered columns of some joints, where those of all joints are in order."""
     found: dict[str, str] = {}
     if len(style) == len(ordered):
         return found

@@ -45,11 +45,7 @@ _LARGEST_SHARE = 0.5  # of the memory that the numbers of a log may take; the re
 
 
 def check_room(path: Path, count: int, words: str) -> None:
-    """Raise a LogError if numbers and what is made of them would fill the memory.
-
-    Args:
-        count: How many numbers it has, of 8 bytes.
-    """
+    """Raise a LogError if so many numbers and what is made of them would fill the memory."""
     needed, there = 8 * count, machine_memory()
     if needed > _LARGEST_SHARE * there:
         raise LogError(
@@ -153,11 +149,7 @@ def date_words(nanoseconds: int) -> str:
 
 
 def since_first(stamps: NDArray[np.int64]) -> tuple[Array, int]:
-    """(N,) seconds from the first date on, NaN for none, and the first, ns since 1970.
-
-    Args:
-        stamps: (N,) ns since 1970, `NO_DATE` for none.
-    """
+    """Return (N,) seconds from the first date on, NaN for `NO_DATE`, and the first date."""
     known = stamps != NO_DATE
     origin = int(stamps[known][0]) if known.any() else 0
     seconds = np.full(len(stamps), np.nan)
@@ -192,11 +184,7 @@ class TornRows:
             raise self._refusal(self.rows, row + 1, f"in the first {row + 1} rows")
 
     def settle(self, time: Array) -> tuple[Mask | None, tuple[str, ...]]:
-        """Return which rows are kept, all if None, and what was left out, in words.
-
-        Args:
-            time: (N,) time stamps of all rows, s, NaN in bad ones.
-        """
+        """Return which rows are kept, all if None, and what was left out, by time stamps (N,)."""
         bad = np.array(self.rows, int)
         cut = self.rows == [len(time) - 1]  # off, in the middle of the last row
         if self.first is not None and not (self.skip or cut):
@@ -242,11 +230,7 @@ class TornRows:
 
 
 def rows_out_of_order(time: Array) -> NDArray[np.intp]:
-    """Return the fewest rows without which time stamps increase; NaN are in order.
-
-    Args:
-        time: (N,) time stamps, s.
-    """
+    """Return the fewest rows without which time stamps (N,) increase; NaN are in order."""
     rows = np.flatnonzero(np.isfinite(time))
     stamps = time[rows]
     if np.all(np.diff(stamps) > 0):
@@ -321,11 +305,7 @@ class LogTable:
     def read(
         self, names: Sequence[str], *, skip: bool = False
     ) -> tuple[dict[str, Array], TornRows]:
-        """Return some columns (N,), and rows that cannot be read, which are NaN.
-
-        Args:
-            skip: Whether such rows are to be left out.
-        """
+        """Return some columns (N,), and rows that cannot be read, which are NaN or left out."""
         return {name: self.columns[name] for name in names}, TornRows(self.path, len(self), skip)
 
     def loaded(self) -> LogTable:
@@ -355,12 +335,8 @@ NOTHING = tuple({f(word) for word in _SAYS_NOTHING for f in (str, str.upper, str
 def numeric_table(path: Path, arrays: Mapping[str, Any], rows: int) -> LogTable:
     """Return a table of numbers, wider arrays as columns `name[0]`, `name[1]` and so on.
 
-    Args:
-        arrays: Name -> (N,) or (N, n) values, in whatever can be made an array. Dates and times
-            become seconds: dates from the first row on.
-
-    Returns:
-        The table, with a note of what was left out.
+    Arrays are (N,) or (N, n), of whatever can be made one. Dates and times become seconds: dates
+    from the first row on. A note says what was left out.
     """
     columns, notes = dict[str, Array](), dict[str, None]()
     origins, silent, words = {}, {}, dict[str, NDArray[np.object_]]()
@@ -444,11 +420,7 @@ def _what_else(values: Any, rows: int) -> str:
 
 
 def spread(name: str, values: Array) -> Iterator[tuple[str, Array]]:
-    """Yield the columns of an array.
-
-    Args:
-        values: (N,) or (N, n).
-    """
+    """Yield the columns of an array (N,) or (N, n)."""
     if values.ndim == 1:
         yield name, values
     elif values.shape[1] == 1:

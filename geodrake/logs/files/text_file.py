@@ -503,10 +503,9 @@ def _lines(block: bytes) -> list[str]:
 def _numbers(
     layout: TextLayout, block: bytes, places: Sequence[tuple[int, int | None]], *, quick: bool
 ) -> Array | None:
-    """(K, places) of lines whose cells there are nothing but numbers; None for others.
+    """Return (K, places) of lines whose cells there are nothing but numbers; None for others.
 
-    Args:
-        quick: Whether Arrow reads them, which is quicker for many, and takes time to import.
+    With `quick` Arrow reads them, which is quicker for many, and takes time to import.
     """
     if not block or block.isspace():
         return np.empty((0, len(places)))

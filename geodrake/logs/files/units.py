@@ -79,12 +79,7 @@ class Unit:
 
 
 def unit_of(text: str, quantity: str) -> Unit:
-    """Return the unit that a text stands for.
-
-    Args:
-        text: A unit as people write it, such as `deg`, `°/s`, `N·mm` or `rad_s`.
-        quantity: What is in it, of `UNITS`.
-    """
+    """Return the unit that a text stands for, such as `deg`, `°/s`, `N·mm` or `rad_s`."""
     if quantity not in UNITS:
         raise ArgumentError(
             f"There is no quantity {quantity!r} that has a unit.",
