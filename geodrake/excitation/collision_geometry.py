@@ -8,15 +8,15 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
+from itertools import count
 from pathlib import Path
 from tempfile import TemporaryDirectory
-from xml.etree.ElementTree import Element, tostring
+from xml.etree.ElementTree import Element
 
 import numpy as np
 from numpy.typing import NDArray
-from pydrake.geometry import Box, Convex, Cylinder, Mesh, SceneGraph, Shape, Sphere
+from pydrake.geometry import Box, Convex, Cylinder, Mesh, Role, SceneGraph, Shape, Sphere
 from pydrake.math import RigidTransform, RollPitchYaw
-from pydrake.multibody.parsing import PackageMap, Parser
 from pydrake.multibody.plant import AddMultibodyPlantSceneGraph, CoulombFriction, MultibodyPlant
 from pydrake.multibody.tree import BodyIndex
 from pydrake.systems.framework import DiagramBuilder
@@ -29,13 +29,11 @@ from geodrake.inertia import Array
 from geodrake.model.robot_model import RobotModel
 from geodrake.robot.files import Given, read_description
 from geodrake.robot.files.description import drake_errors, drake_messages
-from geodrake.robot.files.includes import check_geometry
 from geodrake.robot.files.values import drop
-from geodrake.robot.files.xacro_file import read_expanded
-from geodrake.robot.files.xml_text import parse_xml_bytes
 from geodrake.robot.mesh_files import check_mesh, stl_vertices
 from geodrake.robot.mjcf_shapes import SHAPES_ADVICE, mjcf_geoms
 from geodrake.robot.plant import arrange_as
+from geodrake.robot.shapes import Where, geometries_of, move_meshes, scene_of
 
 FLOOR = "floor"
 _HALF = 10.0, 0.5  # m, of the sides and the depth of a floor
@@ -231,53 +229,27 @@ def solids_of_file(path: Path, given: Given) -> dict[str, list[Solid]]:
             link: [Solid(f"{k}_{g.name}", g.shape, g.X_BG) for k, g in enumerate(own) if g.collides]
             for link, own in geoms.items()
         }
-    plant, scene = AddMultibodyPlantSceneGraph(DiagramBuilder(), 1e-3)
-    parser = Parser(plant)
-    read_description(path, given).add_every_package(parser.package_map())
-    inspector, found = scene.model_inspector(), {}
-    errors = drake_errors(
-        path,
-        how=" with its collision geometry",
-        advice=SHAPES_ADVICE,
-    )
+    found, how = dict[str, list[Solid]](), " with its collision geometry"
+    errors = drake_errors(path, how=how, advice=SHAPES_ADVICE)
     with drake_messages(), errors, TemporaryDirectory() as folder:
-        _parse(parser, path, given, Path(folder))
-        for i in range(plant.num_bodies()):
-            body = plant.get_body(BodyIndex(i))
-            solids = []
-            for k, geometry in enumerate(plant.GetCollisionGeometriesForBody(body)):
+        plant, scene = scene_of(
+            path, given, lambda root, where: _prepare(root, where, Path(folder))
+        )
+        inspector = scene.model_inspector()
+        for link, own in geometries_of(plant, scene, Role.kProximity):
+            found[link] = []
+            for k, geometry in enumerate(own):
                 name = f"{k}_{inspector.GetName(geometry).split('::')[-1]}"
                 shape = _in_memory(inspector.GetShape(geometry), name)
-                solids.append(Solid(name, shape, inspector.GetPoseInFrame(geometry)))
-            found[body.scoped_name().get_full()] = solids
+                found[link].append(Solid(name, shape, inspector.GetPoseInFrame(geometry)))
     return found
 
 
-def _parse(parser: Parser, path: Path, given: Given, folder: Path) -> None:
-    """Read the file without what Drake might trip over and geometry does not need."""
-    root = None
-    if path.suffix.lower() not in (".yaml", ".yml"):
-        root = parse_xml_bytes(read_expanded(path, given), path)
-    if root is None or root.tag not in ("robot", "sdf"):
-        files = (text.path for text in read_description(path, given).texts)
-        check_geometry(files, parser.package_map(), given)
-        parser.AddModels(str(path))
-        return
-    drop(root, "visual", "inertial", "mimic", "transmission", "sensor", "plugin", "gazebo")
-    _replace_stl(root, parser.package_map(), path, folder)
-    kind = "urdf" if root.tag == "robot" else "sdf"
-    parser.AddModelsFromString(tostring(root, encoding="unicode"), kind)
-
-
-def _replace_stl(root: Element, packages: PackageMap, model: Path, folder: Path) -> None:
-    """Make places of meshes in a description URLs; hulls of STL files go to a folder as OBJ."""
-    numbers = iter(range(10**9))
-    for mesh in root.iter("mesh"):
-        if "filename" in mesh.attrib:
-            place = mesh.get("filename", "")
-            mesh.set("filename", _readable(place, packages, model, folder / f"{next(numbers)}.obj"))
-    for uri in root.iter("uri"):
-        uri.text = _readable(uri.text or "", packages, model, folder / f"{next(numbers)}.obj")
+def _prepare(root: Element, where: Where, folder: Path) -> None:
+    """Leaves collision geometry; hulls of STL files go to a folder as OBJ."""
+    drop(root, "visual")
+    files = (folder / f"{number}.obj" for number in count())
+    move_meshes(root, lambda name: _readable(name, where, next(files)))
 
 
 def _in_memory(shape: Shape, label: str) -> Shape:
@@ -312,22 +284,15 @@ def _hull(vertices: Array) -> tuple[Array, NDArray[np.intp]]:
     return vertices[np.sort(hull.vertices)], corners
 
 
-def _readable(place: str, packages: PackageMap, model: Path, replacement: Path) -> str:
-    """Return the URL of a mesh, or of what is written in the place of an STL file."""
-    place = place.strip()
-    if "://" not in place:
-        # Drake does not know where a text is from, and takes no bare paths in it.
-        place = f"file://{model.resolve().parent / place}"
+def _readable(name: str, where: Where, replacement: Path) -> Path:
+    """Return the file of a mesh, or what is written in the place of an STL file."""
+    path: str | Path = name
     try:
-        path = packages.ResolveUrl(place)
-    except RuntimeError as error:
-        reason = str(error).strip().partition("\n")[0]
-        raise _unusable(place, reason.rpartition("error: ")[2].rstrip(".")) from error
-    try:
-        if not path.lower().endswith(".stl"):
-            check_mesh(Path(path))
-            return place
-        vertices = stl_vertices(Path(path))
+        path = where(name)
+        if path.suffix.lower() != ".stl":
+            check_mesh(path)
+            return path
+        vertices = stl_vertices(path)
     except ModelError as error:
         words = error.problem.replace(f"The mesh {path} ", "it ").rstrip(".")
         raise _unusable(path, words) from error
@@ -335,4 +300,4 @@ def _readable(place: str, packages: PackageMap, model: Path, replacement: Path) 
     with replacement.open("w", encoding="utf-8") as file:
         np.savetxt(file, vertices, "v %.9g %.9g %.9g")
         np.savetxt(file, 1 + corners, "f %d %d %d")
-    return f"file://{replacement}"
+    return replacement

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Mapping
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -11,6 +12,7 @@ from xml.etree.ElementTree import Element, tostring
 
 from pydrake.common import MemoryFile
 from pydrake.geometry import (
+    GeometryId,
     GeometryInstance,
     HalfSpace,
     InMemoryMesh,
@@ -21,7 +23,7 @@ from pydrake.geometry import (
     SceneGraph,
     Shape,
 )
-from pydrake.multibody.parsing import PackageMap, Parser
+from pydrake.multibody.parsing import Parser
 from pydrake.multibody.plant import AddMultibodyPlantSceneGraph, MultibodyPlant
 from pydrake.multibody.tree import BodyIndex
 from pydrake.systems.framework import DiagramBuilder
@@ -102,26 +104,12 @@ def _read(
     if found is not None:  # those that MuJoCo shows, or all
         geoms, notes = found
         return {k: tuple(g for g in own if g.shown) or own for k, own in geoms.items()}, notes
-    plant, scene = AddMultibodyPlantSceneGraph(DiagramBuilder(), 0.0)
-    parser = Parser(plant)
-    description = read_description(path, given)
-    description.add_every_package(parser.package_map())
-    root = None
-    if path.suffix.lower() not in (".yaml", ".yml"):
-        root = parse_xml_bytes(read_expanded(path, given), path)
-    if root is None or root.tag not in ("robot", "sdf"):
-        check_geometry((text.path for text in description.texts), parser.package_map(), given)
-        parser.AddModels(str(path))
-    else:
-        _prepare(root, parser.package_map(), path, folder, lost)
-        kind = "urdf" if root.tag == "robot" else "sdf"
-        parser.AddModelsFromString(tostring(root, encoding="unicode"), kind)
+    plant, scene = scene_of(path, given, lambda root, where: _prepare(root, where, folder, lost))
     inspector = scene.model_inspector()
     for role in (Role.kProximity, Role.kIllustration):  # of links that have both, the latter
-        for i in range(plant.num_bodies()):
-            body, shapes = plant.get_body(BodyIndex(i)), []
-            frame = plant.GetBodyFrameIdOrThrow(body.index())
-            for geometry in inspector.GetGeometries(frame, role):
+        for link, own in geometries_of(plant, scene, role):
+            shapes = []
+            for geometry in own:
                 shape = inspector.GetShape(geometry)
                 if isinstance(shape, HalfSpace):
                     continue  # the ground is no part of the robot
@@ -130,22 +118,83 @@ def _read(
                 pose = inspector.GetPoseInFrame(geometry)
                 shapes.append(LinkShape(_in_memory(shape, folder), pose, color))
             if shapes:
-                links[body.scoped_name().get_full()] = tuple(shapes)
+                links[link] = tuple(shapes)
     return links, ()
 
 
-def _prepare(
-    root: Element, packages: PackageMap, model: Path, folder: Path, lost: dict[str, str]
-) -> None:
-    """Leaves one kind of shape for each link, and of meshes those that are there, readable."""
+Where = Callable[[str], Path]
+"""From what a URDF or SDF calls a mesh to its file; a ModelError says why that is nowhere."""
+
+
+def scene_of(
+    path: Path, given: Given, prepare: Callable[[Element, Where], None]
+) -> tuple[MultibodyPlant, SceneGraph]:
+    """Return a plant of a file with the geometry of its links.
+
+    Args:
+        prepare: Makes geometry of a URDF or SDF such that Drake reads it (`move_meshes`).
+    """
+    plant, scene = AddMultibodyPlantSceneGraph(DiagramBuilder(), 1e-3)
+    parser, description, root = Parser(plant), read_description(path, given), None
+    packages = parser.package_map()
+    description.add_every_package(packages)
+    if path.suffix.lower() not in (".yaml", ".yml"):
+        root = parse_xml_bytes(read_expanded(path, given), path)
+    if root is None or root.tag not in ("robot", "sdf"):
+        check_geometry((text.path for text in description.texts), packages, given)
+        parser.AddModels(str(path))
+        return plant, scene
+
+    def url(place: str) -> str:  # as Drake does not know where a text is from
+        return place if "://" in place else f"file://{path.resolve().parent / place}"
+
+    def where(place: str) -> Path:
+        try:
+            return Path(packages.ResolveUrl(url(place)))
+        except RuntimeError as error:
+            reason = str(error).strip().partition("\n")[0].rpartition("error: ")[2]
+            raise ModelError(reason.rpartition(" refers to ")[2]) from error
+
     drop(root, "inertial", "mimic", "transmission", "sensor", "plugin", "gazebo", "surface")
+    prepare(root, where)
+    for uri in root.iterfind(".//include/uri"):
+        uri.text = url((uri.text or "").strip())
+    kind = "urdf" if root.tag == "robot" else "sdf"
+    parser.AddModelsFromString(tostring(root, encoding="unicode"), kind)
+    return plant, scene
+
+
+def move_meshes(element: Element, moved: Callable[[str], Path]) -> None:
+    """Have a part of a URDF or SDF name other files, of what it calls meshes."""
+    for mesh in element.iter("mesh"):
+        uri = mesh.find("uri")
+        name = mesh.get("filename", "") if uri is None else uri.text or ""
+        url = f"file://{moved(name.strip()).resolve()}"
+        if uri is None:
+            mesh.set("filename", url)
+        else:
+            uri.text = url
+
+
+def geometries_of(
+    plant: MultibodyPlant, scene: SceneGraph, role: Role
+) -> Iterator[tuple[str, list[GeometryId]]]:
+    """Yield scoped names of links and their geometry of a role."""
+    for body in map(plant.get_body, map(BodyIndex, range(plant.num_bodies()))):
+        frame = plant.GetBodyFrameIdOrThrow(body.index())
+        own = scene.model_inspector().GetGeometries(frame, role)
+        yield body.scoped_name().get_full(), own
+
+
+def _prepare(root: Element, where: Where, folder: Path, lost: dict[str, str]) -> None:
+    """Leaves one kind of shape for each link, and of meshes those that are there, readable."""
     for link in root.iter("link"):
         for kind in ("visual", "collision"):
             for shape in link.findall(kind):
                 shape.tag = "visual"
                 if link.find("visual[@shown]") is not None and kind == "collision":
                     link.remove(shape)
-                elif _is_readable(shape, packages, model, folder, lost):
+                elif _is_readable(shape, where, folder, lost):
                     shape.set("shown", kind)
                 else:
                     link.remove(shape)
@@ -153,36 +202,28 @@ def _prepare(
             shape.attrib.pop("shown")
 
 
-def _is_readable(
-    shape: Element, packages: PackageMap, model: Path, folder: Path, lost: dict[str, str]
-) -> bool:
+def _is_readable(shape: Element, where: Where, folder: Path, lost: dict[str, str]) -> bool:
     """Return whether a shape can be shown; where its mesh is, is then written as Drake takes it."""
-    for mesh in shape.iter("mesh"):
-        uri = mesh.find("uri")
-        place = (mesh.get("filename", "") if uri is None else uri.text or "").strip()
-        url = place if "://" in place else f"file://{model.resolve().parent / place}"
+
+    def shown(name: str) -> Path:
         try:
-            found = Path(packages.ResolveUrl(url))
+            found = where(name)
             if found.suffix.lower() in READERS:
                 text, found = wavefront(found), folder / f"{len(list(folder.iterdir()))}.obj"
                 found.write_text(text, encoding="utf-8")
             elif found.suffix.lower() not in _DRAKE_READS:
-                lost[place] = f"MeshCat shows no {found.suffix or 'such'} files"
-                return False
+                raise ModelError(f"MeshCat shows no {found.suffix or 'such'} files")
             else:
                 check_mesh(found)
         except ModelError as error:
-            lost[place] = error.problem.rstrip(".")
-            return False
-        except RuntimeError as error:
-            reason = str(error).strip().partition("\n")[0].rpartition("error: ")[2]
-            lost[place] = reason.rpartition(" refers to ")[2].rstrip(".")
-            return False
-        if uri is None:
-            mesh.set("filename", f"file://{found.resolve()}")
-        else:
-            uri.text = f"file://{found.resolve()}"
-    return True
+            lost[name] = error.problem.rstrip(".")
+            raise
+        return found
+
+    with suppress(ModelError):
+        move_meshes(shape, shown)
+        return True
+    return False
 
 
 def _in_memory(shape: Shape, folder: Path) -> Shape:
