@@ -32,7 +32,7 @@ from geodrake.inertia import inertial_parameters
 from geodrake.logs.motion import Motion
 from geodrake.logs.temperatures import Temperatures
 from geodrake.model.effort_signal import EffortSignal, signal_of
-from geodrake.model.simulation.driven_robot import Driving, driving_of
+from geodrake.model.simulation.driven_robot import DrivenPlant
 from geodrake.model.simulation.robot_in_diagram import RobotInDiagram, add_robot, make_act
 from geodrake.model.stated_terms import stated_effects
 from geodrake.robot.base_joints import base_joints
@@ -182,10 +182,11 @@ class RobotModel(Short):
 
     def driving(
         self,
+        plant: MultibodyPlant,
         sign_width: Array,
         log: str | None = None,
         temperatures: Temperatures | None = None,
-    ) -> Driving | None:
+    ) -> DrivenPlant | None:
         """Return how a plant of the model moves, if that has other coordinates than the model.
 
         Args:
@@ -194,11 +195,11 @@ class RobotModel(Short):
             temperatures: Those of its joints, in its time.
 
         Raises:
-            ModelError: An effect has hidden states, or makes a joint soft.
+            ModelError: An effect makes a joint soft.
         """
         if not (self.followers or self.transmission):
             return None
-        return driving_of(self, sign_width, log, temperatures)
+        return DrivenPlant(self, plant, sign_width, log, temperatures)
 
     def robot_gradient(self, q: Array, gradient: Array) -> Array:
         """(N, nq) gradient with the positions q (N, nq), of that with the plant's (N, ·)."""
@@ -481,8 +482,8 @@ class RobotModel(Short):
         diagram can be cloned, converted to AutoDiffXd and linearized; see `EffectForce`.
 
         Behind a transmission, and where joints follow others, state and efforts are the model's:
-        those of actuators and leaders. Such a diagram is for simulation with doubles, parameters
-        are those that the model has, and effects with hidden states and soft joints are refused.
+        those of actuators and leaders. Parameters are those that the model has, and soft joints
+        are refused.
 
         Args:
             time_step: That of the plant, s; 0 for a continuous one.

@@ -12,7 +12,6 @@ from typer.testing import CliRunner
 from geodrake.cli.app import app
 from geodrake.control.rollout import roll_out
 from geodrake.effects import FittedEffect, Hysteresis, RotorInertia
-from geodrake.errors import ModelError
 from geodrake.logs import JointLog, Motion, read_log, write_log
 from geodrake.model import load_model
 
@@ -144,22 +143,23 @@ def test_logs_that_leave_the_gripper_open_to_doubt_are_refused(robot, tmp_path):
     assert "no joint 'wrist'" in run("compare", robot, only, code=2)
 
 
-def simulated(robot):
-    """Four seconds of the pendulum with its gripper, integrated by SciPy."""
+def simulated(robot, dry=0.0, width=1.0):
+    """Four seconds of the pendulum with its gripper, with Dahl's friction there, by SciPy."""
     model, time = load_model(robot), np.arange(0.0, 4.0, 0.01)
     limit, rates, damping = np.array([2.0, 1.0, 0.4]), np.array([1.9, 3.1, 2.3]), [0.3, 0.3, 8.0]
 
     def slope(t, state):
-        q, v, still = state[None, :3], state[None, 3:], np.zeros((4, 3))
+        q, v, still = state[None, :3], state[None, 3:6], np.zeros((4, 3))
         needed = model.motion(Motion(np.repeat(q, 4, 0), still, np.eye(4, 3))).load
-        bias = model.motion(Motion(q, v, still[:1])).load[0]
+        bias = model.motion(Motion(q, v, still[:1])).load[0] + [0.0, 0.0, dry * state[6]]
         effort = limit * np.sin(rates * t) - damping * v[0]
-        return np.concatenate([v[0], np.linalg.solve(needed[:3] - needed[3], effort - bias)])
+        bend = (v[0, 2] - abs(v[0, 2]) * state[6]) / width
+        return [*v[0], *np.linalg.solve(needed[:3] - needed[3], effort - bias), bend]
 
-    start = np.array([0.3, -0.2, 0.02, 0.0, 0.0, 0.0])
+    start = np.array([0.3, -0.2, 0.02, 0.0, 0.0, 0.0, 0.0])
     states = solve_ivp(slope, (0.0, 4.0), start, t_eval=time, rtol=1e-7, atol=1e-9).y.T
-    effort = limit * np.sin(np.outer(time, rates)) - damping * states[:, 3:]
-    return JointLog("log", model.joints, time, states[:, :3], effort, states[:, 3:])
+    effort = limit * np.sin(np.outer(time, rates)) - damping * states[:, 3:6]
+    return JointLog("log", model.joints, time, states[:, :3], effort, states[:, 3:6])
 
 
 def test_a_rollout_moves_the_fingers_together(robot):
@@ -169,6 +169,12 @@ def test_a_rollout_moves_the_fingers_together(robot):
     rotor = FittedEffect(RotorInertia("left"), np.array([0.1]))
     slower = roll_out(replace(model, effects=(rotor,)), [log], most=1, bandwidth=8.0)
     assert slower.broken == 0 and slower.relative > 10 * rollout.relative
-    bristles = FittedEffect(Hysteresis("left", 0.1), np.array([0.1]))
-    with pytest.raises(ModelError, match=r"hysteresis of left cannot be simulated where joints"):
-        roll_out(replace(model, effects=(bristles,)), [log], most=1, bandwidth=8.0)
+    bristles, bent = (
+        FittedEffect(Hysteresis("left", 1e-3), np.array([0.1])),
+        simulated(robot, 0.1, 1e-3),
+    )
+    bare, whole = (
+        roll_out(replace(model, effects=effects), [bent], most=3, horizon=0.3)
+        for effects in ((), (bristles,))
+    )
+    assert whole.broken == 0 and whole.relative < 0.05 and bare.relative > 10 * whole.relative

@@ -25,6 +25,8 @@ from geodrake.errors import ArgumentError, ModelError
 from geodrake.logs import Motion
 from geodrake.model import holding
 from geodrake.model.dynamics_check import check_dynamics
+from geodrake.model.simulation.force_law import ForceLaw
+from geodrake.model.simulation.terms import PlantState
 
 COUPLER, ROCKER = 'diaginertia=".003 .004 .0025"/>', 'diaginertia=".005 .004 .0035"/>'
 
@@ -213,13 +215,15 @@ def test_a_loop_that_reaches_its_end_says_where(tmp_path):
 def test_forward_dynamics_are_those_with_mujocos_constraint_forces(tmp_path, name):
     text, free = ROBOTS[name]
     model, constrained = load(tmp_path, text), Constrained.of(text, free.split())
-    driving = model.driving(np.full(len(model.joints), 1e-9))
+    driving = model.driving(model.plant, np.full(len(model.joints), 1e-9))
+    law = ForceLaw(driving, model.effects, spring_damping=0.0)
     for q, v, effort in zip(*states(model, 3), strict=True):
         qpos, G = constrained.closed(in_mujoco(model, constrained, q))
         applied = np.zeros(constrained.m.nv)
         applied[constrained.free] = effort
         expected = constrained.acceleration(qpos, G @ v, applied)[constrained.free]
-        found = driving.acceleration(q, v, effort, 0.0)
+        at = PlantState(q, v, 0.0, np.zeros(0))
+        found = law.response(at, effort, (law.mu, law.phi)).acceleration
         np.testing.assert_allclose(found, expected, rtol=1e-6, atol=1e-6 * np.abs(expected).max())
 
 

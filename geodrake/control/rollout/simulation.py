@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
+from dataclasses import replace
 from functools import cache
 
 import numpy as np
@@ -21,10 +22,10 @@ from geodrake.logs.motion import Motion
 from geodrake.logs.temperatures import Temperatures
 from geodrake.model.carried_payloads import carrying
 from geodrake.model.robot_model import RobotModel
-from geodrake.model.simulation.driven_robot import DrivenPlant
 from geodrake.model.simulation.effect_force import EffectForce
 from geodrake.model.simulation.force_law import ForceLaw
 from geodrake.model.simulation.robot_in_diagram import FORCES
+from geodrake.model.simulation.terms import PlantState
 from geodrake.robot.plant import load_plant, set_inertial_parameters
 from geodrake.robot.robot_instance import add_generalized_force, selected
 
@@ -110,24 +111,19 @@ class Simulation:
         places = model.positions(np.arange(nv, dtype=float)[None])[0]
         self._order = np.argsort(places)  # where the position of each velocity stands
         own = np.concatenate([self._order, len(places) + np.arange(nv)])
-        driving = model.driving(sign_width, log, temperatures)
-        self._driving = None if driving is None else driving.in_plant(plant)
-        if self._driving is not None:
-            driven = builder.AddSystem(DrivenPlant(self._driving))
-            driven.close_loop(builder)
-            state = selected(builder, driven.GetOutputPort("state"), own)
-            builder.Connect(acting.add(builder, state), driven.GetInputPort("effort"))
-            self._diagram, self._soft = builder.Build(), False
-            return
+        self._driving = model.driving(plant, sign_width, log, temperatures)
         effects = [fitted for fitted in model.effects if fitted.effect.role in FORCES]
         known = {"sign_width": sign_width, "phi": phi, "log": log, "temperatures": temperatures}
-        self._force = force = EffectForce.AddToBuilder(builder, plant, effects, **known)
+        robot = self._driving or plant
+        self._force = force = EffectForce.AddToBuilder(builder, robot, effects, **known)
         self._soft = bool(force.soft_joints)
         state = plant.get_state_output_port()
-        measured = force.GetOutputPort("motor_state") if self._soft else state
+        self._apart = self._soft or self._driving is not None
+        measured = force.GetOutputPort("motor_state") if self._apart else state
         effort = acting.add(builder, selected(builder, measured, own))
         builder.Connect(effort, force.GetInputPort("applied_effort"))
-        add_generalized_force(builder, plant, effort)
+        if self._driving is None:
+            add_generalized_force(builder, plant, effort)
         self._diagram = builder.Build()
 
     @property
@@ -138,7 +134,7 @@ class Simulation:
     @property
     def notes(self) -> tuple[str, ...]:
         """What was assumed."""
-        return () if self._driving is not None else self._force.notes
+        return self._force.notes
 
     def positions(self, passage: Passage) -> Array:
         """Return positions (K, nv) from a passage's first state on, under what acts in it.
@@ -176,15 +172,16 @@ class Simulation:
         set_inertial_parameters(plant, context, self.model.total_phi)
         q = np.array(self.model.positions(segment.position[:1])[0])
         v = np.array(segment.velocity[0])
-        if self._driving is not None:
-            state = self._driving.plant_state(q, v)
-            plant.SetPositionsAndVelocities(context, np.concatenate(state))
-            M, _ = self._driving.mass_and_drift(q, 0.0 * v, root.get_time())
-            rates = np.vstack([_CHANGE * np.eye(len(v)), np.zeros(len(v))])
-            places = np.repeat(q[None], len(rates), axis=0)
-            needed = self._driving.needed(places, rates, 0.0 * rates, root.get_time())
-            return _fastest_decay(np.linalg.solve(M, (needed[:-1] - needed[-1]).T))
         self._remember(passage, root)
+        if self._driving is not None:
+            plant.SetPositionsAndVelocities(context, self._driving.joined(q, v))
+            still = PlantState(q, v, root.get_time(), np.zeros(self.law.state_count))
+            own = (0.0 * v, (self.law.mu, self.law.phi))
+            slopes = [
+                self.law.response(replace(still, v=change), *own).acceleration
+                for change in _CHANGE * np.vstack([0.0 * v, np.eye(len(v))])
+            ]
+            return _fastest_decay((np.array(slopes[1:]) - slopes[0]).T)
         if self._soft:
             self._deflect(passage, root, (q, v))
         plant.SetPositions(context, q)
@@ -194,14 +191,11 @@ class Simulation:
 
     def _measured(self, root: Context) -> Array:
         """Return positions (nq,) of the model: of the motors where joints are soft."""
-        if self._soft:
+        if self._apart:
             own = self._force.GetMyContextFromRoot(root)
             state = self._force.GetOutputPort("motor_state").Eval(own)
-            return state[: self._plant.num_positions()]
-        context = self._plant.GetMyContextFromRoot(root)
-        if self._driving is not None:
-            return self._driving.model_state(self._plant.GetPositionsAndVelocities(context))[0]
-        return self._plant.GetPositions(context)
+            return state[: self.law.plant.sizes[0]]
+        return self._plant.GetPositions(self._plant.GetMyContextFromRoot(root))
 
     def _deflect(self, passage: Passage, root: Context, start: tuple[Array, Array]) -> None:
         """Put links where their load has them, and have their motors move as was measured.
@@ -229,10 +223,7 @@ class Simulation:
     def _limit(self, root: Context) -> EventStatus:
         """End a simulation that has no steps left, or whose robot is too fast for any."""
         context = self._plant.GetMyContextFromRoot(root)
-        velocity = self._plant.GetVelocities(context)
-        if self._driving is not None:
-            state = self._plant.GetPositionsAndVelocities(context)
-            velocity = self._driving.model_state(state)[1]
+        _, velocity = self.law.plant.split(self._plant.GetPositionsAndVelocities(context))
         inside = bool((np.abs(velocity) < FASTEST * self._fastest).all())
         if inside and next(self._steps, None) is not None:
             return EventStatus.DidNothing()

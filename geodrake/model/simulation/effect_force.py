@@ -99,7 +99,8 @@ class EffectForce(LeafSystem):
 
     Args:
         plant: A finalized plant, with the joints and bodies that the effects name; or one robot in
-            it: then nothing else feels them.
+            it: then nothing else feels them; or one that moves with a model of other coordinates
+            (`RobotModel.driving`): efforts and `motor_state` are the model's then.
         effects: Effects with their linear parameters μ, SI, such as those of a model; or pairs.
         sign_width: Speed below which dry friction fades, rad/s or m/s (`RobotModel.sign_widths`
             has those of a fitted model); one, or (nv,), of a robot in a plant (n,).
@@ -119,7 +120,7 @@ class EffectForce(LeafSystem):
 
     def __init__(
         self,
-        plant: MultibodyPlant | RobotInstance,
+        plant: MultibodyPlant | RobotInstance | PlantMotion,
         effects: Iterable[EffectWithValues],
         *,
         sign_width: ArrayLike = 1e-2,
@@ -131,10 +132,13 @@ class EffectForce(LeafSystem):
         """Constructs the system."""
         LeafSystem.__init__(self, converter=self._converter)
         number = 0 if log is None else log_number(instance(log, "log", str))
-        motion = PlantMotion(plant, sign_width, number, temperatures)
+        motion = plant
+        if not isinstance(motion, PlantMotion):
+            motion = PlantMotion(motion, sign_width, number, temperatures)
         self.law = law = ForceLaw(motion, effects, phi, spring_damping=spring_damping)
-        self._nq, nv = motion.plant.num_positions(), motion.plant.num_velocities()
-        self._state_port = self.DeclareVectorInputPort("state", BasicVector(self._nq + nv))
+        (self._nq, nv), plant = motion.sizes, motion.plant
+        in_plant = plant.num_multibody_states(), plant.num_velocities()
+        self._state_port = self.DeclareVectorInputPort("state", BasicVector(in_plant[0]))
         self._effort_port = self.DeclareVectorInputPort("applied_effort", BasicVector(nv))
         self.DeclareNumericParameter(BasicVector(law.mu))
         self.DeclareNumericParameter(BasicVector(law.phi.ravel()))
@@ -152,9 +156,12 @@ class EffectForce(LeafSystem):
         # Both force and rates of the motors need it.
         self._response = self.DeclareCacheEntry("response", producer, moved)
         self.DeclareVectorOutputPort(
-            "generalized_force", BasicVector(nv), self._calc_force, {self._response.ticket()}
+            "generalized_force",
+            BasicVector(in_plant[1]),
+            self._calc_force,
+            {self._response.ticket()},
         )
-        if law.soft:
+        if law.soft or motion.driven:
             self.DeclareVectorOutputPort(
                 "motor_state", BasicVector(self._nq + nv), self._calc_motor_state, known
             )
@@ -238,7 +245,7 @@ class EffectForce(LeafSystem):
         those of the Context.
         """
         check_context(self, context)
-        size = (self.law.plant.plant.num_velocities(),)
+        size = (self.law.plant.sizes[1],)
         q, v = real_array(q, "q", (self._nq,)), real_array(v, "v", size)
         vd = np.zeros(size) if vd is None else real_array(vd, "vd", size)
         return self.law.lags(q, v, vd, self._values(context))
@@ -306,8 +313,7 @@ class EffectForce(LeafSystem):
         own = np.asarray(context.get_continuous_state_vector().CopyToVector())
         hidden, m = self.law.state_count, len(self.law.soft)
         lag, speed = own[hidden : hidden + m], own[hidden + m :]
-        time = context.get_time()
-        return PlantState(both[: self._nq], both[self._nq :], time, own[:hidden], lag, speed)
+        return PlantState(*self.law.plant.split(both), context.get_time(), own[:hidden], lag, speed)
 
     def _calc_response(self, context: Context, value: AbstractValue) -> None:
         state, parameters = self._plant_state(context), self._values(context)
@@ -317,7 +323,10 @@ class EffectForce(LeafSystem):
         acting = self.law.applied(u, parameters[0])
         response = self.law.response(state, acting, parameters)
         force = acting - u - response.effort
-        value.set_value(Response(force, response.motor_acceleration))
+        if self.law.plant.driven:
+            both = self._state_port.Eval(context)
+            force = self.law.plant.moving_force(both, response.acceleration)
+        value.set_value(response._replace(effort=force))
 
     def _calc_force(self, context: Context, output: BasicVector) -> None:
         output.SetFromVector(self._response.Eval(context).effort)
@@ -329,7 +338,7 @@ class EffectForce(LeafSystem):
     @staticmethod
     def AddToBuilder(
         builder: DiagramBuilder,
-        plant: MultibodyPlant | RobotInstance,
+        plant: MultibodyPlant | RobotInstance | PlantMotion,
         effects: Iterable[EffectWithValues],
         **options: Any,
     ) -> EffectForce:
@@ -343,7 +352,7 @@ class EffectForce(LeafSystem):
         """
         instance(builder, "builder", DiagramBuilder)
         system = builder.AddSystem(EffectForce(plant, effects, **options))
-        whole = plant.plant if isinstance(plant, RobotInstance) else plant
+        whole = system.law.plant.plant
         builder.Connect(whole.get_state_output_port(), system.GetInputPort("state"))
         add_generalized_force(builder, whole, system.GetOutputPort("generalized_force"))
         return system

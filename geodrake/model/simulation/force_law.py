@@ -46,10 +46,12 @@ class Response(NamedTuple):
     Attributes:
         effort: (nv,) effort that they need: taken away from the plant, N·m or N.
         motor_acceleration: (m,) accelerations of the motors of soft joints.
+        acceleration: (nv,) those of links, where they are known.
     """
 
     effort: Array
     motor_acceleration: Array
+    acceleration: Array
 
 
 Side = tuple[Terms, Terms]
@@ -187,7 +189,8 @@ class ForceLaw:
     @cached_property
     def implicit(self) -> bool:
         """Return whether accelerations must be known."""
-        return bool(self.soft) or self._loaded or any(s[0].turning for s in self._sides)
+        turning = any(side[0].turning for side in self._sides)
+        return self.plant.driven or bool(self.soft) or self._loaded or turning
 
     @cached_property
     def _sides(self) -> tuple[Side, Side]:
@@ -241,7 +244,8 @@ class ForceLaw:
             return [f(at, load, parameters) for *fs, at in parts for f in fs]
 
         if not self.implicit:
-            return Response(self.motors[0].effort(motions[0], 0.0 * u, parameters), np.zeros(0))
+            effort = self.motors[0].effort(motions[0], 0.0 * u, parameters)
+            return Response(effort, np.zeros(0), np.zeros(0))
         M, drift, rigid_drift = self.plant.dynamics(state.q, state.v, parameters[1])
         at_soft = np.zeros(nv)
         if self.soft:
@@ -262,7 +266,7 @@ class ForceLaw:
             if not self._loaded or np.abs(load - before).max() <= _LOAD_TOLERANCE * size:
                 rigid = (1.0 - unit.sum(1)) * (f_m + B @ (A @ x))
                 effort = f_l + M_l @ x[:nv] + rigid + unit.sum(1) * u - at_soft
-                return Response(effort, x[nv:])
+                return Response(effort, x[nv:], x[:nv])
         raise ModelError(
             f"Load-dependent friction does not settle; the load is {load} N·m after "
             f"{_LOAD_ITERATIONS} iterations.",

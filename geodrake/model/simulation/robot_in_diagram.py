@@ -17,7 +17,7 @@ from geodrake.effects import Effect, Role
 from geodrake.errors import ArgumentError
 from geodrake.inertia import Array
 from geodrake.model.simulation.delayed_effort import DelayedEffort
-from geodrake.model.simulation.driven_robot import DrivenPlant, Driving, Model
+from geodrake.model.simulation.driven_robot import DrivenPlant, Model
 from geodrake.model.simulation.effect_force import EffectForce
 from geodrake.robot.plant import load_plant
 from geodrake.robot.robot_instance import RobotInstance, RobotPorts, add_generalized_force
@@ -59,7 +59,7 @@ class RobotInDiagram:
     state: OutputPort
     logged_effort: OutputPort
     notes: tuple[str, ...] = ()
-    driving: Driving | None = None
+    driving: DrivenPlant | None = None
 
     @property
     def plant(self) -> MultibodyPlant:
@@ -87,7 +87,7 @@ class RobotInDiagram:
         plant, driving = self.plant, self.driving
         nq, nv = plant.num_positions(), plant.num_velocities()
         if driving is not None:
-            nq, nv = driving.sizes[2:]
+            nq, nv = driving.sizes
         elif self.robot.name is not None:
             nq = nv = len(self.joints)
         q = real_array(q, "q", (nq,))
@@ -96,8 +96,8 @@ class RobotInDiagram:
         if self.robot.name is not None:
             self.robot.set_state(context, self.joints, np.concatenate([q, v]))
         else:
-            state = (q, v) if driving is None else driving.plant_state(q, v)
-            plant.SetPositionsAndVelocities(context, np.concatenate(state))
+            state = np.concatenate([q, v]) if driving is None else driving.joined(q, v)
+            plant.SetPositionsAndVelocities(context, state)
         if self.effect_force is not None:
             self.effect_force.deflect(root)
 
@@ -144,7 +144,6 @@ def add_robot(
     log: str | None,
 ) -> RobotInDiagram:
     """Adds a model to a builder; see `RobotModel.add_to_builder`."""
-    driving = model.driving(sign_width, log)
     plant = MultibodyPlant(time_step)
     plant.set_name(name)
     scene = scene_graph or None
@@ -168,17 +167,7 @@ def add_robot(
         builder.Connect(plant.get_geometry_pose_output_port(), source)
         builder.Connect(scene.get_query_output_port(), plant.get_geometry_query_input_port())
     robot = RobotInstance(plant)
-    if driving is None:
-        added = make_act(model, builder, robot, name=name, sign_width=sign_width, log=log)
-    else:
-        driving = driving.in_plant(plant)
-        effort, acting, logged = _efforts(model, builder, name)
-        system = builder.AddNamedSystem(f"{name}_driven", DrivenPlant(driving))
-        system.close_loop(builder)
-        builder.Connect(acting, system.GetInputPort("effort"))
-        ports = effort, system.GetOutputPort("state"), logged
-        own = robot, None, None, model.joints, model.total_phi
-        added = RobotInDiagram(*own, *ports, driving=driving)
+    added = make_act(model, builder, robot, name=name, sign_width=sign_width, log=log)
     return replace(added, scene_graph=scene, notes=(*notes, *added.notes))
 
 
@@ -206,19 +195,24 @@ def make_act(
         gain = builder.AddNamedSystem(f"{name}_in_plant", MatrixGain(robot.to_plant(joints)))
         builder.Connect(acting, gain.get_input_port())
         acting = gain.get_output_port()
-    add_generalized_force(builder, plant, acting)
+    driving = model.driving(plant, sign_width, log)
+    if driving is None:
+        add_generalized_force(builder, plant, acting)
     forces = [fitted for fitted in model.effects if fitted.effect.role in FORCES]
     force, notes = None, tuple[str, ...]()
-    if forces:
+    if forces or driving is not None:
         own = None if robot.name is None else robot.plant_parameters(phi)
         options = {"sign_width": sign_width, "phi": own, "log": log}
-        force = EffectForce.AddToBuilder(builder, robot, forces, **options)
+        force = EffectForce.AddToBuilder(builder, driving or robot, forces, **options)
         force.set_name(f"{name}_effects")
         builder.Connect(acting, force.GetInputPort("applied_effort"))
         notes = force.notes
-        if force.soft_joints:
+        if driving is not None:
+            state = force.GetOutputPort("motor_state")
+        elif force.soft_joints:
             state = force.state_port(builder, joints)
-    return RobotInDiagram(robot, None, force, joints, phi, effort, state, logged, notes)
+    ports = effort, state, logged
+    return RobotInDiagram(robot, None, force, joints, phi, *ports, notes, driving)
 
 
 def _efforts(

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from pydrake.multibody.plant import MultibodyPlant
-from pydrake.multibody.tree import JointIndex, MultibodyForces
+from pydrake.multibody.tree import MultibodyForces
 
 from geodrake.boundary.arguments import one_or_each
 from geodrake.effects import Effect, JointMotion, RobotMotion
@@ -20,6 +20,7 @@ from geodrake.errors import ArgumentError
 from geodrake.inertia import PARAMETERS_PER_BODY, Array, change_frame, inertial_parameters
 from geodrake.inertia.bodies import Member, lumped_bodies
 from geodrake.logs.temperatures import Temperatures
+from geodrake.robot.followers import joints_of
 from geodrake.robot.kinematics import KinematicTree
 from geodrake.robot.plant import set_inertial_parameters
 from geodrake.robot.regressor import inverse_dynamics_regressor
@@ -38,7 +39,10 @@ class PlantMotion:
         phi: (nb, 10) inertial parameters of the plant's default Context.
         inertia_units: (nv,) units of what resists the acceleration of each velocity.
         temperatures: Those of the joints, if any are known.
+        driven: Whether the plant moves with a model of other coordinates, which effects see.
     """
+
+    driven = False
 
     def __init__(
         self,
@@ -65,21 +69,34 @@ class PlantMotion:
         self._sign_width[robot.velocities] = width
         self._others = np.delete(np.arange(len(self.joints)), robot.velocities)
         self.direction = smoothed_sign(self._sign_width)
-        self.positions = np.full(len(self.joints), -1)
+        single = [joint for joint in joints_of(plant) if joint.num_velocities() == 1]
+        starts = [int(joint.velocity_start()) for joint in single]
+        self._find_places(starts, [int(joint.position_start()) for joint in single])
         self.inertia_units = ["kg·m²"] * len(self.joints)
-        for index in plant.GetJointIndices():
-            joint = plant.get_joint(JointIndex(index))
-            if joint.num_velocities() == 1:
-                self.positions[joint.velocity_start()] = joint.position_start()
-                if joint.type_name() == "prismatic":
-                    self.inertia_units[joint.velocity_start()] = "kg"
-        several = np.flatnonzero(self.positions < 0)
-        self._several = several if len(several) else None
+        for joint, at in zip(single, starts, strict=True):
+            if joint.type_name() == "prismatic":
+                self.inertia_units[at] = "kg"
         self._bodies: dict[str, tuple[int, Member]] = {
             robot.body_names[member.name]: (i, member)
             for i, body in enumerate(lumped_bodies(plant))
             for member in body.members
         }
+
+    def _find_places(self, velocities: list[int], positions: list[int]) -> None:
+        """Notes where joints of one degree of freedom are."""
+        self.positions = np.full(len(self.joints), -1)
+        self.positions[velocities] = positions
+        several = np.flatnonzero(self.positions < 0)
+        self._several = several if len(several) else None
+
+    @property
+    def sizes(self) -> tuple[int, int]:
+        """Return how many positions and velocities effects see."""
+        return self.plant.num_positions(), len(self.joints)
+
+    def split(self, state: Array) -> tuple[Array, Array]:
+        """Return the q and v that effects see, of a state of the plant."""
+        return tuple(np.split(state, [self.plant.num_positions()]))  # type: ignore[return-value]
 
     @cached_property
     def tree(self) -> KinematicTree:
@@ -119,6 +136,10 @@ class PlantMotion:
         if self._several is not None:
             found[..., self._several] = np.nan
         return found
+
+    def moving_force(self, state: Array, acceleration: Array) -> Array:
+        """Return what the plant needs to move as its model does, where it is driven by one."""
+        raise NotImplementedError
 
     def context(self, phi: Array) -> Any:
         """Return the one Context of the plant, with inertial parameters (nb, 10)."""
