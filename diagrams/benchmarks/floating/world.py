@@ -381,7 +381,7 @@ def compiled(name: str, secret: Secret) -> mujoco.MjModel:
                 solref=list(_SOFTNESS),
             )
     if secret.mass:
-        payload = spec.body(robot.trunk).add_body(name="payload", pos=secret.place)
+        payload = spec.body(robot.trunk).add_body(name="payload", pos=secret.place, ipos=[0, 0, 0])
         payload.mass, payload.inertia = secret.mass, np.full(3, secret.inertia)
         payload.explicitinertial = True
     if secret.limb:
