@@ -103,8 +103,7 @@ def test_memory_grows_with_the_log_alone(monkeypatch, tmp_path):
     assert 40 < grown < 110  # and rows, steps and gaps for a moment
 
 
-def test_parquet_is_read_in_stretches(monkeypatch, tmp_path):
-    monkeypatch.setattr("geodrake.logs.files.array_files._ROWS", 300)
+def test_parquet_is_read_column_by_column(tmp_path):
     frame = (log := long_log(50)).to_dataframe()
     frame.loc[19, f"{JOINTS[0]}.effort"] = np.nan
     frame["note"] = np.arange(len(frame))

@@ -301,8 +301,8 @@ def test_what_contradicts_itself(columns, reading, words):
         ({"gain_deviations": {"a": 1.0}}, "and no gain"),
         ({"units": {"position": "furlong"}}, "'furlong' is no known unit of position"),
         ({"units": {"colour": "rad"}}, "no quantity 'colour'"),
-        ({"rate": float("nan")}, "positive number of rows"),
-        ({"gains": {"a": float("inf")}}, "other than 0"),
+        ({"rate": float("nan")}, "finite number above"),
+        ({"gains": {"a": float("inf")}}, "a finite number"),
         ({"columns": "time"}, "columns must be a tuple"),
     ],
 )

@@ -177,9 +177,6 @@ def _arrays(variables: dict[str, Any]) -> dict[str, Any]:
     return {n: x for n, x in _fields(variables) if isinstance(x, np.ndarray) and x.size > 1}
 
 
-_ROWS = 100_000  # that are read at once
-
-
 def read_parquet(path: Path, reading: Reading) -> LogTable:
     """Return the columns of a Parquet file; see `read_bag` for arguments."""
     parquet = optional_package("pyarrow.parquet", "logs", "Parquet files", LogError)
@@ -199,7 +196,7 @@ _PLAIN = re.compile(r"float|double|u?int\d+")
 
 
 class ParquetTable(LogTable):
-    """Columns of numbers of a Parquet file, read some rows at a time."""
+    """Columns of numbers of a Parquet file, of which those are read that are needed."""
 
     def __init__(self, path: Path, file: Any) -> None:
         super().__init__(path, {})
@@ -214,15 +211,12 @@ class ParquetTable(LogTable):
         self, names: Sequence[str], *, skip: bool = False
     ) -> tuple[dict[str, Array], TornRows]:
         """Return some columns (N,); see `LogTable`."""
-        rows, row = self._file.metadata.num_rows, 0
-        found = {name: np.empty(rows) for name in names}
         with readable(self.path, "Parquet file"):
-            for batch in self._file.iter_batches(_ROWS, columns=list(found)):
-                for name, values in found.items():
-                    part = batch[name].to_numpy(zero_copy_only=False)
-                    values[row : row + len(batch)] = part
-                row += len(batch)
-        return found, TornRows(self.path, rows, skip)
+            found = {
+                name: np.asarray(self._file.read([name])[name].to_numpy(), float)
+                for name in dict.fromkeys(names)
+            }
+        return found, TornRows(self.path, self._file.metadata.num_rows, skip)
 
     def loaded(self) -> LogTable:
         """Return the table with all its columns read."""

@@ -4,10 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Collection, Sequence
 from pathlib import Path
+from typing import Any
 
+import msgspec
 import yaml  # type: ignore[import-untyped]
 
-from geodrake.boundary.arguments import typed
+from geodrake.boundary.arguments import positive, typed
 from geodrake.boundary.yaml_schema import Schema, as_schema
 from geodrake.boundary.yaml_text import yaml_content
 from geodrake.errors import ArgumentError, LogError
@@ -16,7 +18,6 @@ from geodrake.logs.files.reading import (
     ColumnMapping,
     MappedColumn,
     check_gain,
-    check_rate,
     parsed_gain,
 )
 from geodrake.logs.files.units import UNITS, unit_of
@@ -58,18 +59,11 @@ class _ColumnSchema(Schema):
 _Column = str | int | _ColumnSchema | None
 
 
-class _JointSchema(Schema):
-    """Columns of a joint as the file has them."""
-
-    position: _Column = None
-    velocity: _Column = None
-    acceleration: _Column = None
-    effort: _Column = None
-    command: _Column = None
-    temperature: _Column = None
-    current: _Column = None
-    voltage: _Column = None
-    pwm: _Column = None
+_QUANTITIES = [quantity for quantity in OF_JOINTS if quantity != PASSIVE]
+_JointSchema: Any = msgspec.defstruct(
+    "_JointSchema", [(quantity, _Column, None) for quantity in _QUANTITIES], bases=(Schema,)
+)
+"""Columns of a joint as the file has them."""
 
 
 class _MappingSchema(Schema):
@@ -86,12 +80,13 @@ def mapping_of(path: Path, content: object) -> ColumnMapping:
     joints = {
         str(joint): {
             quantity: _column(column, quantity, f"{joint}.{quantity}")
-            for quantity in columns.__struct_fields__
+            for quantity in _QUANTITIES
             if (column := getattr(columns, quantity)) is not None
         }
         for joint, columns in said.joints.items()
     }
-    check_rate(said.rate, "`rate`")
+    if said.rate is not None:
+        positive(said.rate, "`rate`")
     if not joints:
         raise ArgumentError("`joints` is empty.", advice=_FORM)
     time = None if said.time is None else _column(said.time, "time", "time")

@@ -9,7 +9,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
-from geodrake.boundary.arguments import LARGEST, instance, instances, integer
+from geodrake.boundary.arguments import instance, instances, integer, number, positive
 from geodrake.errors import ArgumentError
 from geodrake.logs.files.units import unit_of
 from geodrake.logs.motion import EFFORT_KINDS, USUAL_GAIN_DEVIATION
@@ -126,7 +126,8 @@ class Reading:
         instance(self.units, "units", Mapping)
         for name in ("gains", "gain_deviations", "kinds", "motors"):
             instance(getattr(self, name), name, Mapping)
-        check_rate(self.rate, "A log's rate")
+        if self.rate is not None:
+            positive(self.rate, "A log's rate, in rows a second,")
         instances(self.topics, "topic", str)
         if self.episode is not None:
             integer(self.episode, "episode", lower=0)
@@ -191,31 +192,15 @@ def parsed_gain(text: str, what: str) -> tuple[float, float | None]:
     return numbers[0], numbers[1] if len(numbers) == 2 else None
 
 
-def check_rate(rate: object, what: str) -> None:
-    """Raise an ArgumentError unless a rate is none, or a positive number.
-
-    Args:
-        rate: What was given, Hz.
-    """
-    if rate is not None and not (_is_number(rate) and rate > 0):  # type: ignore[operator]
-        raise ArgumentError(f"{what} is a positive number of rows a second; got {rate!r}.")
-
-
 def check_gain(gain: object, what: str, deviation: object = None) -> None:
     """Raise an ArgumentError unless a gain is a number other than 0, of a sign that is known."""
-    if not _is_number(gain) or gain == 0:
+    if number(gain, what) == 0.0:
         raise ArgumentError(f"{what} must be a number other than 0; got {gain!r}.")
-    if deviation is not None and not (
-        _is_number(deviation) and 0 <= deviation < abs(gain)  # type: ignore[operator,arg-type]
+    if deviation is not None and not 0.0 <= number(deviation, f"the deviation of {what}") < abs(
+        number(gain, what)
     ):
         raise ArgumentError(
             f"{what} is {gain!r} with the deviation {deviation!r}, which must be at least 0 and "
             "less than the gain.",
             advice="With a larger one nothing is known: leave the gain out, and it is found.",
         )
-
-
-def _is_number(value: object) -> bool:
-    if isinstance(value, bool) or not isinstance(value, int | float):
-        return False
-    return abs(value) <= LARGEST  # which NaN is not; integers may be beyond floats

@@ -83,26 +83,23 @@ class TextLayout:
         return date_of(text, day_first=self.day_first)
 
     @property
-    def places(self) -> dict[str, tuple[int, int | None]]:
-        """Name of each column -> its cell in a row, and the place in the list in that."""
-        found = dict[str, tuple[int, int | None]]()
-        for cell, name in enumerate(self.names):
-            if name in self.lists:
-                found |= {f"{name}[{k}]": (cell, k) for k in range(self.lists[name])}
-            else:
-                found.setdefault(name, (cell, None))
-        return found
-
-    @property
     def columns(self) -> list[str]:
         """Names of the columns, those of a list one by one."""
-        return [
-            each
-            for name in self.names
-            for each in (
-                [f"{name}[{k}]" for k in range(self.lists[name])] if name in self.lists else [name]
-            )
-        ]
+        return [name for name, _, _ in self._cells]
+
+    @property
+    def places(self) -> dict[str, tuple[int, int | None]]:
+        """Name of each column -> its cell in a row, and the place in the list in that."""
+        return {name: (cell, item) for name, cell, item in reversed(self._cells)}
+
+    @property
+    def _cells(self) -> list[tuple[str, int, int | None]]:
+        found = list[tuple[str, int, int | None]]()
+        for cell, name in enumerate(self.names):
+            items = range(self.lists[name]) if name in self.lists else None
+            found += [(name, cell, None)] if items is None else []
+            found += [(f"{name}[{k}]", cell, k) for k in items or ()]
+        return found
 
     def cells(self, lines: Sequence[str]) -> Iterator[tuple[int, list[str]]]:
         """Cells of every line that has some and is no comment, with the number of its line."""
