@@ -5,7 +5,8 @@ from __future__ import annotations
 import importlib
 import re
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
+from functools import partial
 from itertools import groupby, islice
 from pathlib import Path
 from typing import Any
@@ -62,6 +63,10 @@ _INTERFACES = (
 )
 
 
+Decoder = Callable[[bytes, str], Any]
+"""What makes a message of bytes and its type."""
+
+
 def read_bag(path: Path, reading: Reading) -> LogTable:
     """Return the columns of a ROS bag."""
     is_first = path.suffix.lower() == ".bag"
@@ -70,13 +75,11 @@ def read_bag(path: Path, reading: Reading) -> LogTable:
     package = optional_package(module, "logs", "ROS bags", LogError)
     with readable(path, "ROS bag", _REPAIR), package.Reader(_storage(path)) as reader:
         spoken = sorted((c for c in reader.connections if c.msgcount), key=lambda c: c.topic)
-        found = [
-            _probed(reader, [*each], method) for _, each in groupby(spoken, key=lambda c: c.topic)
-        ]
-        topics = [source.topic for source in found]
+        named = groupby(spoken, key=lambda c: c.topic)
+        topics = [_probed(reader, [*each], method) for _, each in named]
         sources, joints_reading = _base_sources(spoken, reading)
         chosen = chosen_topics(path, topics, joints_reading)
-        whole = [found[topics.index(each)].read(reader) for each in chosen]
+        whole = [replace(each, rows=each.read()) for each in chosen]
         clock = next(filter(None, (topic.rows.clock for topic in whole if topic.rows)), None)
         base = _base(reader, spoken, method, sources, clock)
     joints = (
@@ -153,36 +156,7 @@ def _storage(path: Path) -> Path:
     )
 
 
-@dataclass(frozen=True)
-class _Source:
-    """A topic of an open bag.
-
-    Attributes:
-        connections: What the bag has of it, one for each publisher.
-        decode: What makes a message of bytes and its type; None if nothing is known to.
-    """
-
-    topic: Topic
-    connections: Sequence[Any]
-    decode: Callable[[bytes, str], Any] | None
-
-    def read(self, reader: Any, most: int | None = None) -> Topic:
-        """Return the topic with what its messages say, or the first of them."""
-        if self.decode is None:
-            return self.topic
-        rows = None
-        for _, received, data in islice(reader.messages(connections=self.connections), most):
-            message = self.decode(data, self.topic.kind)
-            if rows is None:
-                fields = JointFields.of(message)
-                if fields is None:
-                    break
-                rows = MessageRows(self.topic.name, fields)
-            rows.add(message, _stamp(message), received)
-        return replace(self.topic, rows=rows)
-
-
-def _probed(reader: Any, connections: Sequence[Any], method: str) -> _Source:
+def _probed(reader: Any, connections: Sequence[Any], method: str) -> Topic:
     """Return a topic by its first messages."""
     name, kind, definition = (getattr(connections[0], x) for x in ("topic", "msgtype", "msgdef"))
     is_state = kind == _JOINT_STATE
@@ -191,12 +165,28 @@ def _probed(reader: Any, connections: Sequence[Any], method: str) -> _Source:
     for text in _definitions(kind, definition):
         try:
             decode = getattr(_store(kind, text, definition.format.name), method)
-            source = _Source(topic, connections, decode)
-            return replace(source, topic=source.read(reader, _FIRST))
+            read = partial(_rows, reader, connections, decode)
+            return replace(topic, rows=read(_FIRST), read=read)
         except _problems():
             if is_state:  # of others, nothing may be known
                 raise
-    return _Source(topic, connections, None)
+    return topic
+
+
+def _rows(
+    reader: Any, connections: Sequence[Any], decode: Decoder, most: int | None = None
+) -> MessageRows | None:
+    """Return what the messages of a topic say of joints, or the first of them."""
+    rows = None
+    for connection, received, data in islice(reader.messages(connections=connections), most):
+        message = decode(data, connection.msgtype)
+        if rows is None:
+            fields = JointFields.of(message)
+            if fields is None:
+                break
+            rows = MessageRows(connection.topic, fields)
+        rows.add(message, _stamp(message), received)
+    return rows
 
 
 def _definitions(kind: str, definition: Any) -> tuple[str, ...]:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import difflib
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -34,6 +34,7 @@ class Topic:
         rows: What its messages, or the first of them, say of joints; None if none of it is known.
         made_for_joints: Whether the type is for the state of joints, and nothing else.
         is_wanted: Whether positions in it are what joints are told, by its name.
+        read: What reads all of its messages.
     """
 
     name: str
@@ -41,6 +42,7 @@ class Topic:
     rows: MessageRows | None = None
     made_for_joints: bool = False
     is_wanted: bool = False
+    read: Callable[..., MessageRows | None] = lambda: None
 
     @property
     def fits(self) -> bool:
