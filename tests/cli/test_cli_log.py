@@ -213,7 +213,7 @@ def test_a_failed_reading_proposes_a_mapping(tmp_path, monkeypatch):
         (("--passive", "shoulder"), "'shoulder' is said to have no motor"),
         (("--passive", "shoulder", "--kind", "shoulder=current"), "and --kind that it is"),
         (("--units", "voltage=A"), "no known unit of voltage"),
-        (("--rate", "-1"), "positive number"),
+        (("--rate", "-1"), "a finite number above"),
         (("--columns", "time,a"), "2 are named"),
         (("--mapping", "missing.yaml"), "missing.yaml does not exist"),
         (("--mapping", "log.csv"), "log.csv"),
