@@ -16,11 +16,12 @@ from pydrake.multibody.tree import MultibodyForces
 from geodrake.boundary.arguments import instance, integer
 from geodrake.boundary.showing import Short
 from geodrake.model.robot_model import RobotModel
-from geodrake.model.second_opinion import States, of_plant, second_opinion
+from geodrake.model.second_opinion import States, second_opinion
 from geodrake.robot.followers import scoped
 from geodrake.robot.holding import moving_joints
 from geodrake.robot.plant import set_inertial_parameters
 from geodrake.robot.regressor import inverse_dynamics, inverse_dynamics_regressor
+from geodrake.robot.transmission.base import times
 
 Array = NDArray[np.float64]
 Quantities = dict[str, Array]
@@ -180,7 +181,8 @@ def _by_recursion(model: RobotModel, states: States, phi: Array, others: Array) 
 def _by_drake(model: RobotModel, states: States, others: Array) -> Quantities:
     """Return the same by MultibodyPlant, whose joints move with their leaders and actuators."""
     plant = model.plant
-    (q, v, vd), jacobians, along = of_plant(model, states)
+    q, v, vd, jacobians = model.coordinates.tree_samples(*states)
+    along = vd - times(jacobians, states[2])
     context, other = model.create_context(), plant.CreateDefaultContext()
     none = MultibodyForces(plant)
     found: dict[str, list[Array]] = {name: [] for name in QUANTITIES}

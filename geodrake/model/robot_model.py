@@ -32,15 +32,18 @@ from geodrake.inertia import inertial_parameters
 from geodrake.logs.motion import Motion
 from geodrake.logs.temperatures import Temperatures
 from geodrake.model.effort_signal import EffortSignal, signal_of
+from geodrake.model.file_terms import Carried, CoupledDry, DryFriction, Medium, StrutEffect
 from geodrake.model.simulation.driven_robot import DrivenPlant
 from geodrake.model.simulation.robot_in_diagram import RobotInDiagram, add_robot, make_act
 from geodrake.model.stated_terms import stated_effects
 from geodrake.robot.base_joints import base_joints
 from geodrake.robot.coordinates import RobotCoordinates, plant_coordinates
 from geodrake.robot.files import Given
+from geodrake.robot.files.mjcf import MjcfText
 from geodrake.robot.followers import Follower, OwnPlaces, followed, joint_names, scoped
 from geodrake.robot.holding import moving_joints
 from geodrake.robot.kinematics import KinematicTree
+from geodrake.robot.mujoco_check import BUG, by_mujoco, joint_units
 from geodrake.robot.plant import (
     LoadedPlant,
     cannot_follow,
@@ -56,6 +59,9 @@ from geodrake.robot.transmission.drive import Drive
 from geodrake.robot.transmission.loop import LoopTransmission
 
 Array = NDArray[np.float64]
+
+_NOT_COMPARED = (DryFriction, CoupledDry, Carried, Medium, StrutEffect)
+_STATES, _TOLERANCE = 3, 1e-9  # at which MJCFs are compared, and what of the largest effort
 
 LARGEST_REGRESSOR = 10_000_000
 """Numbers of a regressor in memory at once: fewer samples for robots of many joints."""
@@ -607,13 +613,47 @@ def from_loaded_plant(
     if drives:
         words = "; ".join(f"{', '.join(d.actuators)} for {', '.join(d.joints)}" for d in drives)
         notes.append(f"Logs, efforts and effects are those of the actuators: {words}.")
+    model = replace(bare, effects=tuple(stated.effects))
+    if loaded.mjcf is not None:
+        _check_against_mujoco(
+            model, loaded.mjcf, {j.rpartition("::")[2]: x for j, x in loaded.places.items()}
+        )
     return replace(
-        bare,
-        effects=tuple(stated.effects),
+        model,
         notes=(*loaded.changes, *left_out, *loaded.notes, *notes),
         repairs=(*loaded.changes, *left_out),
         left_out=left_out,
         known_joints=tuple(dict.fromkeys((*loaded.joints, *bare.joints))),
+    )
+
+
+def _check_against_mujoco(model: RobotModel, text: MjcfText, held: Mapping[str, float]) -> None:
+    """Refuse a model whose efforts at random are not MuJoCo's of its file, less what is left out.
+
+    Dry friction, limits and contacts, which are soft in MuJoCo, take no part, nor do carried
+    weights, media and struts, on which `geodrake check` has MuJoCo's opinion. Free bodies rest.
+    """
+    rng, units = np.random.default_rng(0), joint_units(model.plant)
+    low, high = (np.clip(ends, -1.0, 1.0) for ends in model.position_limits)
+    q = model.coordinates.inside(rng.uniform(low, high, (_STATES, len(low))))
+    motion = Motion(q, *rng.uniform(-2.0, 2.0, (2, _STATES, len(model.joints))))
+    some = [f for f in model.effects if not isinstance(f.effect, _NOT_COMPARED)]
+    ours = replace(model, effects=tuple(some)).effort(motion)
+    engine, what, off = by_mujoco(text.reference, held, units), "all joints", ""
+    if not isinstance(engine, str):
+        theirs = engine.efforts_of(model.coordinates, units, (motion.q, motion.v, motion.vd))
+        kept = [k for k, joint in enumerate(model.joints) if joint not in model.base_joints]
+        errors = np.abs(ours - theirs)[:, kept].max(axis=0, initial=0.0)
+        largest = float(np.abs(theirs).max(initial=0.0))
+        if errors.max(initial=0.0) <= _TOLERANCE * max(largest, 1e-12):
+            return
+        joint = model.joints[kept[int(np.argmax(errors))]]
+        what = f"the joint {joint}, or what it moves,"
+        off = f": efforts differ by up to {errors.max():.3g}, of {largest:.3g}"
+    raise ModelError(
+        f"{model.path}: geodrake does not read {what} as MuJoCo does{off}.",
+        advice=BUG,
+        path=model.path,
     )
 
 

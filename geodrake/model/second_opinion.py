@@ -24,7 +24,7 @@ from pydrake.multibody.tree import Joint, MultibodyForces
 from geodrake.errors import ModelError
 from geodrake.inertia import inertial_parameters
 from geodrake.logs.motion import Motion
-from geodrake.model.file_terms import DryFriction
+from geodrake.model.file_terms import CoupledDry, DryFriction
 from geodrake.model.robot_model import RobotModel, is_of_file
 from geodrake.robot.base_joints import base_joints
 from geodrake.robot.cut_joints import open_loops
@@ -36,10 +36,9 @@ from geodrake.robot.files.xacro_file import read_expanded
 from geodrake.robot.files.xml_text import parse_xml_bytes
 from geodrake.robot.followers import scoped
 from geodrake.robot.holding import moving_joints
-from geodrake.robot.mujoco_check import OtherProgram, Places, Units, by_mujoco, part
+from geodrake.robot.mujoco_check import OtherProgram, Places, Units, by_mujoco, joint_units, part
 from geodrake.robot.plant import free_roots
 from geodrake.robot.regressor import inverse_dynamics
-from geodrake.robot.transmission.base import times
 
 Array = NDArray[np.float64]
 States = tuple[Array, Array, Array]
@@ -58,7 +57,7 @@ def second_opinion(model: RobotModel, states: States) -> tuple[str, Array, Array
     """
     if model.given.robot is not None:
         return "one robot of several was chosen, and only Drake reads a part of a file"
-    joints = _units(model.plant)
+    joints = joint_units(model.plant)
     try:
         with drake_messages():
             texts = read_description(model.path, model.given).texts
@@ -74,35 +73,15 @@ def second_opinion(model: RobotModel, states: States) -> tuple[str, Array, Array
     held = {name: place for text in texts for name, place in _held(model, text).items()}
     if alone and isinstance(texts[0], MjcfText):
         found = by_mujoco(texts[0].compiled, held, joints)
-        motion = Motion(*states)
-        still = [f for f in model.effects if not isinstance(f.effect, DryFriction)]
-        ours = replace(model, effects=tuple(still)).effort(motion)
+        still = [f for f in model.effects if not isinstance(f.effect, DryFriction | CoupledDry)]
+        ours = replace(model, effects=tuple(still)).effort(Motion(*states))
     elif all(text.kind == "urdf" for text in texts):
         found = _by_pinocchio(model, texts, held, joints)
     else:
         found = _by_drake(model, held, joints)
     if isinstance(found, str):
         return found
-    plant_states, jacobians, _ = of_plant(model, states)
-    efforts = found.efforts(joints, *plant_states)
-    return found.by, times(np.swapaxes(jacobians, 1, 2), efforts), ours
-
-
-def of_plant(model: RobotModel, states: States) -> tuple[States, Array, Array]:
-    """States (N, ·) of the plant, rates of its positions by the model's, and J̇ v."""
-    jacobians = model.coordinates.jacobian(states[0])
-    rates = model.coordinates.jacobian_rate(*states[:2])
-    along = times(rates, states[1])
-    q, v = model.plant_positions(states[0]), model.plant_velocities(*states[:2])
-    return (q, v, times(jacobians, states[2]) + along), jacobians, along
-
-
-def _units(plant: MultibodyPlant) -> list[tuple[Joint, ...]]:
-    """Return joints that move, the six of a free base as one."""
-    bases = base_joints(plant)
-    names = {joint.name() for base in bases for joint in base}
-    others = [(joint,) for joint in moving_joints(plant) if joint.name() not in names]
-    return [*others, *bases]
+    return found.by, found.efforts_of(model.coordinates, joints, states), ours
 
 
 def _held(model: RobotModel, text: ModelText) -> Places:

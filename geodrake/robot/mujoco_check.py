@@ -1,9 +1,4 @@
-"""The robot of an MJCF against MuJoCo's own inverse dynamics, each time that a file is read.
-
-At a few random states, the effort of the plant with what the file states of its joints and tendons
-has to be that of MuJoCo without what is left out. Dry friction, limits and contacts, which are soft
-in MuJoCo, take no part, nor do carried weights, media and struts, on which `geodrake check` has
-MuJoCo's opinion. Free bodies rest where the file puts them.
+"""Robots in other programs: their efforts by MuJoCo, say, and their closed loops.
 
 Of velocities u of a joint of Drake's, in the world or the joint's frame, those of another program
 are T u, those of a turning body in the body. With its rotation R,
@@ -24,23 +19,21 @@ from typing import Any
 import numpy as np
 from pydrake.math import RollPitchYaw, RotationMatrix
 from pydrake.multibody.plant import MultibodyPlant
-from pydrake.multibody.tree import Joint, JointIndex, MultibodyForces
+from pydrake.multibody.tree import Joint
 
 from geodrake.errors import ModelError
 from geodrake.inertia import Array
+from geodrake.robot.base_joints import base_joints
+from geodrake.robot.coordinates import RobotCoordinates
 from geodrake.robot.files import ModelDescription
 from geodrake.robot.files.mjcf import MjcfText
 from geodrake.robot.files.mjcf_source import load_mujoco, quiet_mujoco
-from geodrake.robot.followers import scoped
+from geodrake.robot.followers import joints_of
 from geodrake.robot.holding import moving_joints
-from geodrake.robot.stated import BuiltPlant
+from geodrake.robot.transmission.base import times
 
-_STATES = 3
-_TOLERANCE = 1e-9  # of the largest effort
 _APART = 1e-4  # of the size, by which loops of rounded numbers may be open
-_SPEED, _ACCELERATION = 2.0, 5.0
-_FAR = 3.0  # rad or m, where limits leave a choice
-_BUG = "This is a bug in geodrake; please report it with the file."
+BUG = "This is a bug in geodrake; please report it with the file."
 
 Units = Sequence[tuple[Joint, ...]]
 """Joints that move, the six of a free base as one."""
@@ -107,6 +100,13 @@ class OtherProgram:
                 found[k, own] = T.T @ effort[at_v]
         return found
 
+    def efforts_of(
+        self, coordinates: RobotCoordinates, units: Units, states: tuple[Array, Array, Array]
+    ) -> Array:
+        """Return efforts (N, nv) of a robot's motion (N, ·), at its own coordinates."""
+        *samples, J = coordinates.tree_samples(*states)
+        return times(np.swapaxes(J, 1, 2), self.efforts(units, *samples))
+
 
 def part(unit: tuple[Joint, ...]) -> tuple[slice, slice]:
     """Return where joints are in the positions and velocities of a plant."""
@@ -157,90 +157,16 @@ def by_mujoco(theirs: Any, held: Places, units: Units) -> OtherProgram | str:
     return OtherProgram(f"MuJoCo {mujoco.__version__}", rest, places, free, inverse_dynamics)
 
 
-def check_against_mujoco(description: ModelDescription, built: BuiltPlant) -> None:
-    """Compare a plant with what MuJoCo compiled, where its file is an MJCF.
-
-    Args:
-        built: Its plant, all of whose joints move, before repairs of inertias.
-    """
-    text, plant = _compiled(description), built.plant
-    if text is None or description.directives is not None or text.terms.set_aside:
-        return  # of a thin body, say, whose repair is told of
-    m, free = text.reference, load_mujoco().mjtJoint.mjJNT_FREE
-    numbers = [(j, at) for j, at in _numbers(m, plant, (1, 3)) if int(m.jnt_type[at]) != free]
-    units = [(joint,) for joint, _ in numbers]
-    count = sum(int(kind) != free for kind in m.jnt_type)
-    engine = by_mujoco(m, {}, units)
-    if len(units) != count or isinstance(engine, str):
-        raise ModelError(
-            f"{text.path}: MuJoCo has {count} joints there, and geodrake {len(units)}.",
-            advice=_BUG,
-            path=text.path,
-        )
-    states = _random_states(plant, m, numbers)
-    theirs, ours = engine.efforts(units, *states), _efforts(built, text, states)
-    errors = np.array([np.abs(ours - theirs)[:, part(unit)[1]].max(initial=0.0) for unit in units])
-    largest = float(np.abs(theirs).max(initial=0.0))
-    if len(errors) and not errors.max() <= _TOLERANCE * max(largest, 1e-12):
-        (joint,) = units[int(np.argmax(errors))]
-        body = joint.child_body().name()
-        raise ModelError(
-            f"{description.path}: geodrake does not read the joint {joint.name()} or the body "
-            f"{body} as MuJoCo does: efforts differ by up to {errors.max():.3g}, of {largest:.3g}.",
-            advice=_BUG,
-            path=description.path,
-            body=body,
-        )
+def joint_units(plant: MultibodyPlant) -> list[tuple[Joint, ...]]:
+    """Return joints that move, the six of a free base as one."""
+    bases = base_joints(plant)
+    names = {joint.name() for base in bases for joint in base}
+    others = [(joint,) for joint in moving_joints(plant) if joint.name() not in names]
+    return [*others, *bases]
 
 
-def _random_states(
-    plant: MultibodyPlant, m: Any, numbers: list[tuple[Joint, int]]
-) -> tuple[Array, Array, Array]:
-    """Return positions, velocities and accelerations (N, ·) of the plant; others rest."""
-    rng, context = np.random.default_rng(0), plant.CreateDefaultContext()
-    q = np.repeat(plant.GetPositions(context)[None], _STATES, axis=0)
-    v, vd = np.zeros((2, _STATES, plant.num_velocities()))
-    for joint, at in numbers:
-        there, own = part((joint,))
-        shape = _STATES, joint.num_velocities()
-        low, high = m.jnt_range[at] if m.jnt_limited[at] and shape[1] == 1 else (-1.5, 1.5)
-        if low < _FAR and high > -_FAR:
-            low, high = max(low, -_FAR), min(high, _FAR)
-        q[:, there] = rng.uniform(low, high, shape) if shape[1] == 1 else rng.uniform(-1, 1, shape)
-        v[:, own] = _SPEED * rng.uniform(-1, 1, shape)
-        vd[:, own] = _ACCELERATION * rng.uniform(-1, 1, shape)
-    return q, v, vd
-
-
-def _efforts(built: BuiltPlant, text: MjcfText, states: tuple[Array, Array, Array]) -> Array:
-    """Return efforts (N, nv) of a plant, with what its file states of joints and tendons."""
-    plant, terms = built.plant, text.terms
-    context, found = plant.CreateDefaultContext(), []
-    starts = {scoped(j): (j.position_start(), j.velocity_start()) for j in moving_joints(plant)}
-    for q, v, vd in zip(*states, strict=True):
-        plant.SetPositions(context, q)
-        plant.SetVelocities(context, v)
-        effort = plant.CalcInverseDynamics(context, vd, MultibodyForces(plant))
-        effort -= plant.CalcGravityGeneralizedForces(context)
-        effort += v * (built.damping + np.abs(v) * built.powers[0] + v**2 * built.powers[1])
-        effort += built.rotor_inertia * vd
-        for at_q, at in starts.values():
-            if at in built.springs:
-                effort[at] += built.springs[at].effort(q[at_q])
-        for tendon in terms.tendons:
-            along = np.array([*tendon.shares.values()])
-            at_q, at = np.array([starts[joint] for joint in tendon.shares]).T
-            stretch = along @ q[at_q] - tendon.length
-            pull = tendon.stiffness * stretch + tendon.damping * (along @ v[at])
-            effort[at] += along * pull
-        for first, second, inertia in terms.coupled_inertia:
-            i, j = starts[first][1], starts[second][1]
-            effort[[i, j]] += inertia * vd[[j, i]]
-        found.append(effort)
-    return np.array(found)
-
-
-def _compiled(description: ModelDescription) -> MjcfText | None:
+def whole_mjcf(description: ModelDescription) -> MjcfText | None:
+    """Return the text of an MJCF that is all of a file, if all inertias of it are known."""
     text, *others = description.texts
     is_whole = isinstance(text, MjcfText) and text.reference is not None and not others
     return text if is_whole else None  # type: ignore[return-value]
@@ -255,11 +181,11 @@ def check_loops_against_mujoco(
         plant: Its plant, all of whose joints move.
         states: Positions (N, nq) and velocities (N, nv) of the plant at which the loops are closed.
     """
-    text = _compiled(description)
+    text = whole_mjcf(description)
     if text is None:
         return
     m = text.compiled
-    data, numbers = load_mujoco().MjData(m), _numbers(m, plant, (1,))
+    data, numbers = load_mujoco().MjData(m), _numbers(m, plant)
     for at in range(m.neq):
         data.eq_active[at] = at in text.closing
     closing = list(text.closing)
@@ -278,16 +204,16 @@ def check_loops_against_mujoco(
             raise ModelError(
                 f"{description.path}: geodrake does not close its loops as MuJoCo does: they come "
                 f"apart by up to {np.abs(apart).max():.3g} m or rad.",
-                advice=_BUG,
+                advice=BUG,
                 path=description.path,
             )
 
 
-def _numbers(m: Any, plant: MultibodyPlant, sizes: tuple[int, ...]) -> list[tuple[Joint, int]]:
-    """Return joints of as many velocities as positions, and their numbers in MuJoCo's model."""
+def _numbers(m: Any, plant: MultibodyPlant) -> list[tuple[Joint, int]]:
+    """Return joints of one degree of freedom, and their numbers in MuJoCo's model."""
     mujoco, found = load_mujoco(), []
-    for joint in (plant.get_joint(JointIndex(i)) for i in plant.GetJointIndices()):
+    for joint in joints_of(plant):
         at = mujoco.mj_name2id(m, mujoco.mjtObj.mjOBJ_JOINT, joint.name())
-        if joint.num_velocities() == joint.num_positions() in sizes and at >= 0:
+        if joint.num_velocities() == joint.num_positions() == 1 and at >= 0:
             found.append((joint, at))
     return found

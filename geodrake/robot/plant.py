@@ -29,6 +29,7 @@ from geodrake.robot.cut_joints import ends_of, open_loops
 from geodrake.robot.files import Given, ModelDescription
 from geodrake.robot.files.checks import check_poses
 from geodrake.robot.files.description import drake_errors, drake_messages, read_description
+from geodrake.robot.files.mjcf import MjcfText
 from geodrake.robot.files.named_robots import robot_file
 from geodrake.robot.followers import (
     Follower,
@@ -48,7 +49,7 @@ from geodrake.robot.holding import (
     welds_of,
 )
 from geodrake.robot.loops import ClosedLoop, LoopJoints, Loops, closed_loops
-from geodrake.robot.mujoco_check import check_against_mujoco, check_loops_against_mujoco
+from geodrake.robot.mujoco_check import check_loops_against_mujoco, whole_mjcf
 from geodrake.robot.repairs import Repair, repair_inertias
 from geodrake.robot.stated import BuiltPlant, CutJoint, FileTerms, Spring
 from geodrake.robot.transmission.base import times
@@ -83,6 +84,7 @@ class LoadedPlant:
             included.
         bent: Joints that follow others by a ratio that changes, and are among the plant's own.
         geared: Joints of which the file states motors that move otherwise than they do.
+        mjcf: The file, where it is an MJCF all of whose inertias are known and possible.
     """
 
     plant: MultibodyPlant
@@ -102,6 +104,7 @@ class LoadedPlant:
     joints: tuple[str, ...]
     bent: tuple[Followers, ...]
     geared: tuple[str, ...]
+    mjcf: MjcfText | None
 
 
 def load_plant(
@@ -179,6 +182,7 @@ def load_plant(
         bent=tuple(part for part in terms.bent if part not in loops.taken),
         # Gears of MJCF's actuators do not count: most scale efforts and are no gears.
         geared=tuple(joint for is_alike, joint in _motors(description) if not is_alike),
+        mjcf=None if description.directives or terms.set_aside else whole_mjcf(description),
     )
 
 
@@ -201,7 +205,6 @@ def _draft(
     """Return the plant before repairs, of the robot asked for, with its joints held."""
     arrangement = Arrangement(floating)
     draft = _build(description, arrangement)
-    check_against_mujoco(description, draft)
     if given.robot is not None:
         robot = chosen_robot(draft.plant, given.robot, description.path)
         others = [joint for r in robots_of(draft.plant) if r != robot for joint in r.joints]

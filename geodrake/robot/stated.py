@@ -38,10 +38,6 @@ class Spring:
         """Return the spring k (q − center) + preload."""
         return cls(center, (preload, stiffness, 0.0, 0.0))
 
-    def effort(self, q: Any) -> Any:
-        """Return the effort at positions, N·m or N."""
-        return Polynomial(self.coefficients)(q - self.center)
-
     def about(self, center: float) -> Spring:
         """Return the same spring, written about another position."""
         moved = Polynomial(self.coefficients)(Polynomial([center - self.center, 1.0]))
