@@ -115,12 +115,6 @@ def _check_names(model: RobotModel, held: Mapping[str, float]) -> None:
                 advice="Load the model file again to hold it elsewhere.",
                 joint=joint,
             )
-        if joint in model.led:
-            raise ModelError(
-                f"Joint {joint!r} cannot be held, as it follows {model.led[joint][0]!r}.",
-                advice=f"Hold {model.led[joint][0]!r}.",
-                joint=joint,
-            )
         for drive in model.transmission:
             if joint in drive.joints and joint in model.joints_behind:
                 raise ModelError(
@@ -128,12 +122,6 @@ def _check_names(model: RobotModel, held: Mapping[str, float]) -> None:
                     advice=f"Hold {', '.join(drive.actuators)}.",
                     joint=joint,
                 )
-        if joint not in model.joints:
-            raise ModelError(
-                f"The model has no joint {joint!r} to be held.",
-                advice=f"Joints are: {', '.join(model.joints)}.",
-                joint=joint,
-            )
 
 
 def _at_joints(

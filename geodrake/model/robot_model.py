@@ -43,7 +43,7 @@ from geodrake.robot.files.mjcf import MjcfText
 from geodrake.robot.followers import Follower, OwnPlaces, followed, joint_names, scoped
 from geodrake.robot.holding import moving_joints
 from geodrake.robot.kinematics import KinematicTree
-from geodrake.robot.mujoco_check import BUG, by_mujoco, joint_units
+from geodrake.robot.mujoco_check import BUG, by_mujoco, check_loops, joint_units
 from geodrake.robot.plant import (
     LoadedPlant,
     cannot_follow,
@@ -633,10 +633,17 @@ def _check_against_mujoco(model: RobotModel, text: MjcfText, held: Mapping[str, 
     Dry friction, limits and contacts, which are soft in MuJoCo, take no part, nor do carried
     weights, media and struts, on which `geodrake check` has MuJoCo's opinion. Free bodies rest.
     """
-    rng, units = np.random.default_rng(0), joint_units(model.plant)
+    rng, units, m = np.random.default_rng(0), joint_units(model.plant), text.compiled
+    if not {m.joint(k).name for k in range(m.njnt)}.issuperset(held):
+        return  # as a part of a free base is held
     low, high = (np.clip(ends, -1.0, 1.0) for ends in model.position_limits)
     q = model.coordinates.inside(rng.uniform(low, high, (_STATES, len(low))))
     motion = Motion(q, *rng.uniform(-2.0, 2.0, (2, _STATES, len(model.joints))))
+    check_loops(
+        text, model.plant, held, *model.coordinates.tree_samples(q, motion.v, motion.vd)[:2]
+    )
+    if text.terms.set_aside or text.path != model.path:
+        return  # of a thin body, say, whose repair is told of
     some = [f for f in model.effects if not isinstance(f.effect, _NOT_COMPARED)]
     ours = replace(model, effects=tuple(some)).effort(motion)
     engine, what, off = by_mujoco(text.reference, held, units), "all joints", ""

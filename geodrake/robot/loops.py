@@ -35,7 +35,6 @@ from geodrake.robot.kinematics import KinematicTree, Mobilizer
 from geodrake.robot.loop_recursion import CLOSURE, Indices, LoopRecords, calc_misses
 from geodrake.robot.recursion import TreeRecords
 from geodrake.robot.stated import WORLD, Closure
-from geodrake.robot.transmission.base import times
 from geodrake.robot.transmission.drive import Drive
 from geodrake.robot.transmission.loop import LoopTransmission
 from geodrake.robot.transmission.statements import Followers
@@ -46,7 +45,6 @@ _IDLE = 1e-9  # share of the largest column, of a joint that a loop does not see
 _CLOSED, _NEARLY = 1e-9, 1e-3  # shares of the size by which a loop misses, the latter by rounding
 _STILL = 1e-14  # rad or shares, by which the last iteration moves
 _MOST_ITERATIONS, _LONGEST = 100, 0.3  # on the way to the posture of the file; rad or shares
-_NEAR = 0.2  # rad or shares, up to where loops are tried
 _NUDGE = 0.02  # rad or shares of the size, by which a posture is left to see whether it is singular
 _COEFFICIENTS = 5  # of polynomials by which joints follow others
 _FARTHEST = 1e6  # m, of a closure from its body
@@ -158,13 +156,6 @@ class ClosedLoop:
         names = tuple(self.map.joints[at] for at in self.map.shown)
         within = self.map.range_within(*self.limits[:, self.map.free])
         return Drive(self.map.actuators, names, self.map, range=within)
-
-    def some(self, rng: np.random.Generator, count: int) -> tuple[Array, Array]:
-        """Positions and velocities (N, k) of all joints at random near the posture of the file."""
-        free, units = self.map.free, self.map.records[7][self.map.free]
-        q = self.map.reference[free] + _NEAR * units * rng.uniform(-1.0, 1.0, (count, len(free)))
-        theta, G, _ = self.map.solved(self.map.inside(q))
-        return theta, times(G, units * rng.uniform(-1.0, 1.0, q.shape))
 
     def posture(self, held: Mapping[str, float], path: object) -> dict[str, float]:
         """Joint -> where it is if some joints are held."""

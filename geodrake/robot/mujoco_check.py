@@ -172,18 +172,13 @@ def whole_mjcf(description: ModelDescription) -> MjcfText | None:
     return text if is_whole else None  # type: ignore[return-value]
 
 
-def check_loops_against_mujoco(
-    description: ModelDescription, plant: MultibodyPlant, states: tuple[Array, Array]
-) -> None:
-    """Compare closed loops with MuJoCo's constraints, where their file is an MJCF.
+def check_loops(text: MjcfText, plant: MultibodyPlant, held: Places, q: Array, v: Array) -> None:
+    """Refuse closed loops that are not closed by MuJoCo's constraints in the same MJCF.
 
     Args:
-        plant: Its plant, all of whose joints move.
-        states: Positions (N, nq) and velocities (N, nv) of the plant at which the loops are closed.
+        q: (N, nq) positions of the plant.
+        v: (N, nv) velocities.
     """
-    text = whole_mjcf(description)
-    if text is None:
-        return
     m = text.compiled
     data, numbers = load_mujoco().MjData(m), _numbers(m, plant)
     for at in range(m.neq):
@@ -192,20 +187,22 @@ def check_loops_against_mujoco(
     places = np.concatenate([m.body_pos.ravel(), m.eq_data[closing, :6].ravel()])
     size = float(np.abs(places).max(initial=1e-3))
     equality = int(load_mujoco().mjtConstraint.mjCNSTR_EQUALITY)
-    for q, v in zip(*states, strict=True):
+    for name, place in held.items():
+        data.joint(name).qpos = place
+    for k in range(len(q) if closing else 0):
         for joint, at in numbers:
-            data.qpos[m.jnt_qposadr[at]] = q[joint.position_start()]
-            data.qvel[m.jnt_dofadr[at]] = v[joint.velocity_start()]
+            data.qpos[m.jnt_qposadr[at]] = q[k, joint.position_start()]
+            data.qvel[m.jnt_dofadr[at]] = v[k, joint.velocity_start()]
         with quiet_mujoco():
             load_mujoco().mj_forward(m, data)
         own = np.array(data.efc_type) == equality
         apart = np.concatenate([data.efc_pos[own], data.efc_vel[own]])
         if not np.abs(apart).max(initial=0.0) <= _APART * size:
             raise ModelError(
-                f"{description.path}: geodrake does not close its loops as MuJoCo does: they come "
-                f"apart by up to {np.abs(apart).max():.3g} m or rad.",
+                f"{text.path}: geodrake does not close its loops as MuJoCo does: they come apart "
+                f"by up to {np.abs(apart).max():.3g} m or rad.",
                 advice=BUG,
-                path=description.path,
+                path=text.path,
             )
 
 

@@ -24,7 +24,6 @@ from geodrake.errors import ModelError
 from geodrake.inertia import PARAMETERS_PER_BODY, Array, inertial_parameters, to_spatial_inertia
 from geodrake.inertia.bodies import Member, lumped_bodies
 from geodrake.robot.base_joints import add_base_joints
-from geodrake.robot.coordinates import plant_coordinates
 from geodrake.robot.cut_joints import ends_of, open_loops
 from geodrake.robot.files import Given, ModelDescription
 from geodrake.robot.files.checks import check_poses
@@ -49,14 +48,12 @@ from geodrake.robot.holding import (
     welds_of,
 )
 from geodrake.robot.loops import ClosedLoop, LoopJoints, Loops, closed_loops
-from geodrake.robot.mujoco_check import check_loops_against_mujoco, whole_mjcf
+from geodrake.robot.mujoco_check import whole_mjcf
 from geodrake.robot.repairs import Repair, repair_inertias
 from geodrake.robot.stated import BuiltPlant, CutJoint, FileTerms, Spring
-from geodrake.robot.transmission.base import times
 from geodrake.robot.transmission.statements import Followers, Gear
 
 _WORLD = 0
-_STATES = 3  # random ones at which loops are compared with MuJoCo's
 _LIMIT = "limit of "  # before the names of actuators that only have a limit of efforts
 _SAME = 1e-9  # of the largest of a body's parameters: what text and Drake may change
 _NO_SPRING = Spring.linear(0.0)
@@ -84,7 +81,7 @@ class LoadedPlant:
             included.
         bent: Joints that follow others by a ratio that changes, and are among the plant's own.
         geared: Joints of which the file states motors that move otherwise than they do.
-        mjcf: The file, where it is an MJCF all of whose inertias are known and possible.
+        mjcf: The text, where it is of an MJCF all of whose inertias are known.
     """
 
     plant: MultibodyPlant
@@ -182,7 +179,7 @@ def load_plant(
         bent=tuple(part for part in terms.bent if part not in loops.taken),
         # Gears of MJCF's actuators do not count: most scale efforts and are no gears.
         geared=tuple(joint for is_alike, joint in _motors(description) if not is_alike),
-        mjcf=None if description.directives or terms.set_aside else whole_mjcf(description),
+        mjcf=whole_mjcf(description),
     )
 
 
@@ -219,9 +216,6 @@ def _draft(
     held = {**fixed, **held}
     first = (*held, *given.leading)
     loops = _loops(description, draft, LoopJoints(followers, first=first))
-    if loops.loops:
-        states = _closed_states(draft.plant, followers, joints, loops)
-        check_loops_against_mujoco(description, draft.plant, states)
     start, still = loops.places(held, description.path)
     if held or still:
         places = checked_held(joints, followers, {**still, **held}, description.path)
@@ -267,27 +261,6 @@ def _loops(description: ModelDescription, built: BuiltPlant, how: LoopJoints) ->
             path=description.path,
         )
     return found
-
-
-def _closed_states(
-    plant: MultibodyPlant,
-    followers: Sequence[Follower],
-    joints: Mapping[str, Joint],
-    loops: Loops,
-) -> tuple[Array, Array]:
-    """Positions (N, nq) and velocities (N, nv) of a plant at which its loops are closed."""
-    context, own = plant.CreateDefaultContext(), OwnPlaces.of(plant, followers)
-    q = np.repeat(plant.GetPositions(context)[None], _STATES, axis=0)
-    v = np.zeros((_STATES, plant.num_velocities()))
-    rng = np.random.default_rng(0)
-    for loop in loops.loops:
-        theta, rates = loop.some(rng, _STATES)
-        for name, places, speeds in zip(loop.map.joints, theta.T, rates.T, strict=True):
-            if name in joints:
-                q[:, joints[name].position_start()] = places
-                v[:, joints[name].velocity_start()] = speeds
-    q, v, ways = q[:, own.positions], v[:, own.velocities], plant_coordinates(plant, followers)
-    return ways.tree_positions(q), times(ways.jacobian(q), v)
 
 
 def _single_joints(plant: MultibodyPlant) -> dict[str, Joint]:
