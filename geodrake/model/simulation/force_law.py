@@ -22,8 +22,7 @@ from geodrake.model.simulation.soft_joints import (
     LEAST_MOTOR,
     SoftJoints,
     giving,
-    link_inertias,
-    usual_loads,
+    links_of,
 )
 from geodrake.model.simulation.terms import (
     Parameters,
@@ -90,10 +89,10 @@ class ForceLaw:
         """Checks effects, and sorts them by what they depend on; see `EffectForce`."""
         self.plant = plant
         self.phi = plant.phi if phi is None else real_array(phi, "phi", plant.phi.shape).copy()
-        pairs = [(effect, admissible(effect, values)) for effect, values in _pairs(effects)]
-        self.effects = tuple(effect for effect, _ in pairs)
-        self.mu = np.concatenate([np.zeros(0), *(mu for _, mu in pairs)])
-        self.parts = _parts([len(mu) for _, mu in pairs])
+        given = list(map(_fitted, instances(effects, "effects", (tuple, FittedEffect))))
+        self.effects = tuple(fitted.effect for fitted in given)
+        self.mu = np.concatenate([np.zeros(0), *(fitted.parameters for fitted in given)])
+        self.parts = _parts([len(fitted.parameters) for fitted in given])
         self._check(known_phi=phi is not None)
         places = _parts([effect.state_count for effect in self.effects])
         self.states = {e: at for e, at in zip(self.effects, places, strict=True) if e.state_count}
@@ -159,8 +158,8 @@ class ForceLaw:
         for joint, place in zip(soft, plant.positions[at], strict=True):
             if place < 0:
                 raise ArgumentError(f"{joint} is one of several degrees of one joint, and soft.")
-        context = plant.context(self.phi)
-        links, q = link_inertias(plant.plant, context), plant.plant.GetPositions(context)
+        links, loads = links_of(plant, self.phi)
+        q = plant.plant.GetPositions(plant.plant.CreateDefaultContext())
         still = PlantState(q, np.zeros(len(links)), 0.0, np.zeros(self.state_count))
         rotors = self.motors[0].added_mass(still, 0.0 * links, (self.mu, self.phi))
         own, least = np.diag(rotors)[at], LEAST_MOTOR * links[at]
@@ -173,8 +172,7 @@ class ForceLaw:
         )
         chosen, places = tuple(map(tuple, soft.values())), plant.positions[at]
         inertias = links[at], own + self.added_inertia
-        loads = usual_loads(plant.plant, context, links)[at]
-        return SoftJoints(tuple(soft), at, places, chosen, *inertias, loads, damping)
+        return SoftJoints(tuple(soft), at, places, chosen, *inertias, loads[at], damping)
 
     @property
     def state_count(self) -> int:
@@ -318,12 +316,9 @@ def _parts(sizes: list[int]) -> tuple[slice, ...]:
     return tuple(map(slice, ends[:-1], ends[1:]))
 
 
-def _pairs(effects: Iterable[EffectWithValues]) -> list[tuple[Effect, ArrayLike]]:
-    """Return effects with their parameters, as pairs."""
-    pairs = []
-    for given in instances(effects, "effects", (tuple, FittedEffect)):
-        pair = (given.effect, given.parameters) if isinstance(given, FittedEffect) else given
-        if len(pair) != 2 or not isinstance(pair[0], Effect):
-            raise ArgumentError(f"effects must be pairs of an Effect and its μ; got {given!r}.")
-        pairs.append(pair)
-    return pairs
+def _fitted(given: EffectWithValues) -> FittedEffect:
+    """Return an effect with parameters that it can have."""
+    pair = (given.effect, given.parameters) if isinstance(given, FittedEffect) else given
+    if len(pair) != 2 or not isinstance(pair[0], Effect):
+        raise ArgumentError(f"effects must be pairs of an Effect and its μ; got {given!r}.")
+    return FittedEffect(pair[0], admissible(*pair))

@@ -15,13 +15,12 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from pydrake.multibody.plant import MultibodyPlant
-from pydrake.systems.framework import Context
 
 from geodrake.effects import Effect
 from geodrake.effects.deflection import DeflectionEffect, Give
 from geodrake.errors import ArgumentError
 from geodrake.inertia import Array
+from geodrake.model.simulation.terms import PlantMotion
 
 LEAST_MOTOR = 0.01
 """Share of the link's inertia that a motor has at least, as without one it could not be moved."""
@@ -148,22 +147,20 @@ def giving(
     return {j: each for j, each in found.items() if _give_of((e, mu[at]) for e, at in each)}
 
 
-def link_inertias(plant: MultibodyPlant, context: Context) -> Array:
-    """Return 1 / (M⁻¹)_jj (nv,): what turns one joint alone feels of its link, kg·m² or kg."""
-    M = plant.CalcMassMatrix(context)
-    return np.asarray(1.0 / np.diag(np.linalg.inv(M)))
+def links_of(motion: PlantMotion, phi: Array) -> tuple[Array, Array]:
+    """Return what turns one joint alone feels of its link, 1 / (M⁻¹)_jj (nv,), and usual loads.
 
-
-def usual_loads(plant: MultibodyPlant, context: Context, inertia: Array) -> Array:
-    """Return (nv,) the largest weights that are found, and what moves links (nv,) as usual."""
-    q, rng = plant.GetPositions(context), np.random.default_rng(0)
+    Those are the largest weights that are found, and what moves links as usual (nv,), N·m or N.
+    """
+    plant, rng, still = motion.plant, np.random.default_rng(0), np.zeros(len(motion.joints))
+    q = plant.GetPositions(plant.CreateDefaultContext())
+    M = motion.dynamics(q, still, phi)[0]
+    inertia = np.asarray(1.0 / np.diag(np.linalg.inv(M)))
     lower, upper = plant.GetPositionLowerLimits(), plant.GetPositionUpperLimits()
     bounded = np.isfinite(lower) & np.isfinite(upper)
     weights = []
     for _ in range(_POSTURES):
         posture = q.copy()
         posture[bounded] = rng.uniform(lower[bounded], upper[bounded])
-        plant.SetPositions(context, posture)
-        weights.append(np.abs(plant.CalcGravityGeneralizedForces(context)))
-    plant.SetPositions(context, q)
-    return np.asarray(np.max(weights, axis=0) + _USUAL_ACCELERATION * inertia)
+        weights.append(np.abs(motion.dynamics(posture, still, phi)[2]))
+    return inertia, np.max(weights, axis=0) + _USUAL_ACCELERATION * inertia

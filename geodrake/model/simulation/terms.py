@@ -141,16 +141,12 @@ class PlantMotion:
         """Return what the plant needs to move as its model does, where it is driven by one."""
         raise NotImplementedError
 
-    def context(self, phi: Array) -> Any:
-        """Return the one Context of the plant, with inertial parameters (nb, 10)."""
-        if not np.array_equal(self._phi, phi):
-            set_inertial_parameters(self.plant, self._context, phi)
-            self._phi = phi.copy()
-        return self._context
-
     def dynamics(self, q: Array, v: Array, phi: Array) -> tuple[Array, Array, Array]:
         """Return M, C v − τ of all force elements, and C v − τ_g alone, at q (nq,) and v (nv,)."""
-        plant, context = self.plant, self.context(phi)
+        plant, context = self.plant, self._context
+        if not np.array_equal(self._phi, phi):
+            set_inertial_parameters(plant, context, phi)
+            self._phi = phi.copy()
         plant.SetPositions(context, q)
         plant.SetVelocities(context, v)
         forces = MultibodyForces(plant)
