@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import difflib
 from collections import Counter, defaultdict
-from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 
@@ -333,18 +333,18 @@ def columns_of(
     if joints is not None and len(set(joints)) < len(joints):
         raise ArgumentError(f"Log {str(path)!r} is to have a joint twice: {listed(joints)}.")
     check_text(path, names)
-    if reading.mapping is not None:
-        found = Columns.by_mapping(path, names, reading, reading.mapping).dated(table.origins)
-        return found.chosen(joints, partial=partial).read(joints)
-    if first := table.unnamed:
+    by_names, first = reading.mapping is None, table.unnamed
+    if by_names and first:
         proposal = proposed_mapping(path, first, joints, headed=False, motorless=reading.motorless)
         raise with_proposal(no_header(path, first), path, proposal)
-    found = Columns.by_names(table, joints, reading).dated(table.origins)
+    found = (
+        Columns.by_names(table, joints, reading) if by_names else Columns.by_mapping(table, reading)
+    )
     try:
-        chosen = found.chosen(joints, partial=partial)
+        chosen = found.dated(table.origins).chosen(joints, partial=partial)
     except LogError as error:
         proposal = proposed_mapping(path, names, joints, motorless=reading.motorless)
-        raise with_proposal(error, path, proposal) from error
+        raise with_proposal(error, path, proposal if by_names else None) from error
     return chosen.read(joints)
 
 
@@ -420,20 +420,17 @@ class Columns:
                 continue
             unit = _unit(same[0], quantity, reading, units)
             places[joint, quantity] = Source(same[0].column, unit.factor if unit else 1.0, unit)
-        places = _with_commands_as_positions(places)
-        if reading.rate is None:
-            time = time_source(meanings, reading, units)
-            places = ({} if time is None else {("", "time"): time}) | places
+        if (time := time_source(meanings, reading, units)) is not None:
+            places = {("", "time"): time, **places}
         own = frozenset(m.joint for m in of_joints if m.style[0] == "own")
         notes = (*notes, *choice_words(best))
         return cls(path, names, reading, places, notes, reading.rate, own, others)
 
     @classmethod
-    def by_mapping(
-        cls, path: Path, names: Sequence[str], reading: Reading, mapping: ColumnMapping
-    ) -> Columns:
+    def by_mapping(cls, table: LogTable, reading: Reading) -> Columns:
         """Return what a mapping says."""
-        places = {}
+        places, path, names = dict[tuple[str, str], Source](), table.path, table.names
+        mapping = reading.mapping or ColumnMapping({})
         for name, mapped in mapping:
             if name.endswith(".effort") and mapped.column == PASSIVE and PASSIVE not in names:
                 places[name.removesuffix(".effort"), PASSIVE] = Source(PASSIVE)
@@ -460,14 +457,24 @@ class Columns:
         for joint in [joint for joint, quantity in places if quantity == "command"]:
             if reading.kind_of(joint) == "command":  # in the place of its efforts
                 places.pop((joint, "effort"), None)
-        places = _with_commands_as_positions(places)
         rate = reading.rate or mapping.rate
-        if rate is not None:
-            places.pop(("", "time"), None)
         return cls(path, names, reading, places, (), rate, frozenset(mapping.joints))
 
     def dated(self, origins: Mapping[str, int | None]) -> Columns:
-        """Return it with time in seconds, whatever its name says, if since a known instant."""
+        """Return it with time in seconds, whatever its name says, if since a known instant.
+
+        Time is left out where a rate says it. Commands are in the unit of their joint's position
+        if nobody says theirs.
+        """
+        places = dict(self.places)
+        if self.rate is not None:
+            places.pop(("", "time"), None)
+        for (joint, quantity), source in self.places.items():
+            position = self.places.get((joint, "position"))
+            bare = source.unit is None and source.factor == 1.0
+            if quantity == "command" and bare and position is not None:
+                own = replace(source, unit=position.unit, factor=position.factor)
+                places[joint, quantity] = own
         for (joint, quantity), source in self.places.items():
             if quantity != "time" and source.column in origins:
                 raise LogError(
@@ -475,10 +482,10 @@ class Columns:
                     f"for the {quantity} of {joint}.",
                     advice=_MAPPING_ADVICE,
                 )
-        time = self.places.get(("", "time"))
+        time = places.get(("", "time"))
         if time is None or time.column not in origins:
-            return self
-        places = {**self.places, ("", "time"): Source(time.column, 1.0, unit_of("s", "time"))}
+            return replace(self, places=places)
+        places["", "time"] = Source(time.column, 1.0, unit_of("s", "time"))
         origin = origins[time.column]
         notes = () if origin is None else (f"time is in s since {date_words(origin)}",)
         return replace(self, places=places, notes=(*self.notes, *notes), origin=origin)
@@ -607,10 +614,17 @@ class Columns:
     def _check_said(self, joints: Sequence[str]) -> None:
         """Refuse gains and kinds of joints that have no such column."""
         heard, told = self._having("effort"), self._having("command")
-        _check_joints_of("There is a gain of", self.reading.gains, joints)
-        for joint, said in self.reading.kinds.items():
-            what = "--passive names" if said == PASSIVE else "There is a kind of"
-            _check_joints_of(what, [joint] if joint else [], joints)
+        whats = {PASSIVE: "--passive names", "gain": "There is a gain of"}
+        for joint, said in (
+            *dict.fromkeys(self.reading.gains, "gain").items(),
+            *self.reading.kinds.items(),
+        ):
+            if joint and joint not in joints:
+                what = whats.get(said, "There is a kind of")
+                raise LogError(
+                    f"{what} {joint!r}, which is no joint of the log.",
+                    advice=f"Its joints are: {listed(joints)}.",
+                )
         for joint in self.reading.gains:
             if joint not in heard:
                 raise LogError(
@@ -644,19 +658,6 @@ def _mapped_kind(quantity: str, gain: float, unit: Unit | None, said: str | None
     return str(unit.signal) if unit is not None and in_signal else "effort"
 
 
-def _with_commands_as_positions(
-    places: Mapping[tuple[str, str], Source],
-) -> dict[tuple[str, str], Source]:
-    """Return columns, with commands in the unit of their joint's position if nobody says theirs."""
-    found = dict(places)
-    for (joint, quantity), source in places.items():
-        position = places.get((joint, "position"))
-        bare = source.unit is None and source.factor == 1.0
-        if quantity == "command" and bare and position is not None:
-            found[joint, quantity] = replace(source, unit=position.unit, factor=position.factor)
-    return found
-
-
 def _unit(
     meaning: Meaning, quantity: str, reading: Reading, units: Mapping[str, str]
 ) -> Unit | None:
@@ -678,12 +679,3 @@ def time_source(
     unit = _unit(time, "time", reading, units)
     nanoseconds = beside[0].column if beside else None
     return Source(time.column, unit.factor if unit else 1.0, unit, nanoseconds)
-
-
-def _check_joints_of(what: str, named: Iterable[str], joints: Sequence[str]) -> None:
-    for joint in named:
-        if joint not in joints:
-            raise LogError(
-                f"{what} {joint!r}, which is no joint of the log.",
-                advice=f"Its joints are: {listed(joints)}.",
-            )
