@@ -45,6 +45,7 @@ _VECTOR = re.compile(
 )
 _CONTACT = re.compile(r"(?P<frame>.+?)[./](?:in_)?contact(?:_state)?", re.IGNORECASE)
 _BESIDE = 0.02  # s, around a touch or a lift within which a frame may be in contact
+_POINTS = 3  # feet that a robot can stand on if they are points
 
 
 def floating_name(column: str) -> str | None:
@@ -98,6 +99,11 @@ class ContactFlags:
     frames: tuple[str, ...]
     time: Array
     flags: NDArray[np.bool_]
+
+    @property
+    def are_soles(self) -> bool:
+        """Whether frames touch by surfaces: nobody stands on the points of one or two feet."""
+        return int(self.flags.any(axis=0).sum()) < _POINTS
 
     def at(self, time: Array) -> NDArray[np.bool_]:
         """Return (N, c) whether frames may touch in the rows beside instants (N,)."""

@@ -33,6 +33,7 @@ TOLERANCE = 1e-9
 
 MOST_SAMPLES = 10_000
 _SPEED, _ACCELERATION = 3.0, 10.0  # rad/s or m/s, and per s
+_UPRIGHT = 0.45  # of half a turn, that a free base pitches by at most
 _SIZES = np.array([1.0, *[0.3] * 3, *[0.1] * 6])  # of parameters per mass: 1, m, m²
 
 
@@ -142,9 +143,12 @@ def _random_states(model: RobotModel, count: int, rng: np.random.Generator) -> S
     middle = np.clip(0.0, np.minimum(lower, upper), np.maximum(lower, upper))
     low, high = np.where(lower <= upper, [lower, upper], middle)  # limits may be farther than π
     q = rng.uniform(low, high, (count, len(low)))
+    pitches = model.base_joints[4::6]
     for joint in moving_joints(model.plant):
+        start = model.own.starts[scoped(joint)][0]
+        if joint.name() in pitches:  # of a free base, whose angles are none at 90°
+            q[:, start] *= _UPRIGHT
         if joint.num_positions() > joint.num_velocities():  # a quaternion
-            start = model.own.starts[scoped(joint)][0]
             q[:, start : start + 4] = rng.normal(size=(count, 4))
             q[:, start : start + 4] /= np.linalg.norm(q[:, start : start + 4], axis=1)[:, None]
     v, vd = rng.uniform(-1.0, 1.0, (2, count, len(model.joints)))

@@ -49,11 +49,15 @@ class ContactFrame:
     center: Array
     radius: float
 
-    def jacobian(self, bodies: RobotBodies) -> Array:
-        """Return the Jacobian (N, 3, nv), in W, of the lowest point of the ball."""
+    def jacobian(self, bodies: RobotBodies, *, sole: bool = False) -> Array:
+        """Return the Jacobian (N, 3, nv), in W, of the lowest point of the ball.
+
+        Of a sole, which moments act on too, it has the link's turning below, (N, 6, nv).
+        """
         motion = bodies.motion(self.body)
         arm = motion.rotation @ self.center - self.radius * upwards(bodies.gravity)
-        return motion.linear + np.cross(motion.angular, arm[:, :, None], axis=1)
+        point = motion.linear + np.cross(motion.angular, arm[:, :, None], axis=1)
+        return np.concatenate([point, motion.angular], axis=1) if sole else point
 
     def height(self, bodies: RobotBodies) -> Array:
         """Return heights (N,) of the lowest point of the ball over the world's origin, m."""
@@ -134,9 +138,15 @@ def with_ground(log: JointLog, model: RobotModel) -> JointLog:
     elif not flagged:
         flags[:] = True
     told = "as the log says" if flagged else "the ends of the robot's limbs"
-    words = f"unknown forces at {', '.join(names)} ({told}) are taken out"
     contacts = ContactFlags(names, log.time, flags)
+    what = "forces and moments" if on_soles(contacts, frames) else "forces"
+    words = f"unknown {what} at {', '.join(names)} ({told}) are taken out"
     return replace(log, contacts=contacts, notes=(*log.notes, words))
+
+
+def on_soles(contacts: ContactFlags, frames: Sequence[ContactFrame]) -> bool:
+    """Return whether a robot stands on soles, which have no balls either."""
+    return contacts.are_soles and not any(frame.radius for frame in frames)
 
 
 def _bodies(log: JointLog, model: RobotModel) -> tuple[NDArray[np.bool_], RobotBodies]:

@@ -268,19 +268,21 @@ class RobotModel(Short):
 
     @cached_property
     def load_bodies(self) -> tuple[str, ...]:
-        """Names of bodies that loads are put on: those that carry no other, and a free trunk."""
-        mobilizers, carrying = self.joint_tree.mobilizers, set[int]()
+        """Names of bodies that loads are put on.
+
+        These are bodies that carry no other, and trunks and palms, from which limbs branch.
+        """
+        mobilizers = self.joint_tree.mobilizers
+        limbs = [0] * len(mobilizers)
         for index in range(len(mobilizers) - 1, -1, -1):  # outboard first
             mobilizer = mobilizers[index]
-            if mobilizer.parent >= 0 and (mobilizer.body >= 0 or index in carrying):
-                carrying.add(mobilizer.parent)
+            if mobilizer.parent >= 0 and (mobilizer.body >= 0 or limbs[index]):
+                limbs[mobilizer.parent] += 1
         trunks = {joints[-1].child_body().name() for joints in base_joints(self.plant)}
-        return tuple(
-            self.bodies[mobilizer.body]
-            for index, mobilizer in enumerate(mobilizers)
-            if mobilizer.body >= 0
-            and (index not in carrying or self.bodies[mobilizer.body] in trunks)
-        )
+        bodies = [
+            (self.bodies[m.body], n) for m, n in zip(mobilizers, limbs, strict=True) if m.body >= 0
+        ]
+        return tuple(name for name, n in bodies if n != 1 or name in trunks)
 
     @cached_property
     def joint_pairs(self) -> tuple[tuple[str, str], ...]:

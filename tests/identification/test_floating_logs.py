@@ -31,10 +31,11 @@ from geodrake.identification.logs.compare import compare
 from geodrake.identification.logs.contact_rows import rows_without
 from geodrake.logs import read_log
 from geodrake.logs.files.base_messages import base_sources, base_tables
+from geodrake.logs.floating import ContactFlags
 from geodrake.logs.motion import JointLog
 from geodrake.logs.preparation import prepare_logs
 from geodrake.model.base_logs import with_base
-from geodrake.model.ground_contacts import contact_frames
+from geodrake.model.ground_contacts import contact_frames, on_soles
 from geodrake.model.logged_joints import reading_for
 from geodrake.model.robot_model import load_description
 from geodrake.robot.regressor import inverse_dynamics_regressor
@@ -282,10 +283,13 @@ class PinocchioDog:
         needed = pin.rnea(self.model, self.data, full, speed, rate)[order]
         pin.computeJointJacobians(self.model, self.data, full)
         pin.updateFramePlacements(self.model, self.data)
-        world = pin.ReferenceFrame.LOCAL_WORLD_ALIGNED
-        feet = [self.model.getFrameId(foot) for foot in FEET]
-        J = [pin.getFrameJacobian(self.model, self.data, foot, world)[:3] for foot in feet]
-        return needed, np.vstack(J)[:, order]
+        return needed, np.vstack([self.jacobian(foot)[:3] for foot in FEET])
+
+    def jacobian(self, foot):
+        """Return the Jacobian (6, 18) of a foot's place and turning, in the last state."""
+        world, order = pin.ReferenceFrame.LOCAL_WORLD_ALIGNED, [way for _, way in self.at]
+        frame = self.model.getFrameId(foot)
+        return pin.getFrameJacobian(self.model, self.data, frame, world)[:, [*range(6), *order]]
 
 
 class MujocoDog:
@@ -337,6 +341,42 @@ def test_rows_without_contact_forces_are_those_of_other_engines(model, engine):
         np.testing.assert_allclose(
             N[k] @ Y[k] @ model.total_phi.ravel(), N[k] @ effort, rtol=0.0, atol=1e-9
         )
+
+
+def test_moments_at_the_soles_of_a_biped_are_taken_out_too(model):
+    """N (Y φ) = N (τ + Jᵀ w) for forces and moments w at two feet, by Pinocchio's τ and J."""
+    rng, time = np.random.default_rng(4), np.arange(20) / RATE
+    q, v, a = rng.uniform(-0.7, 0.7, (3, 20, 18))
+    two = ContactFlags(FEET[:2], time, np.ones((20, 2), bool))
+    bodies = RobotBodies(model.tree, model.positions(q), model.total_phi)
+    frames = contact_frames(model, two.frames)
+    assert on_soles(two, frames)
+    assert not on_soles(ContactFlags(FEET, time, np.ones((20, 4), bool)), frames)
+    J = np.stack([frame.jacobian(bodies, sole=True) for frame in frames], 1)
+    N = rows_without(J, two.flags, np.ones(18), range(6))
+    Y, dog = (
+        inverse_dynamics_regressor(model.tree, model.positions(q), v, a),
+        PinocchioDog(model.path),
+    )
+    for k in range(20):
+        needed, _ = dog.efforts(q[k], v[k], a[k])
+        theirs = np.vstack([dog.jacobian(foot) for foot in two.frames])
+        effort = needed - theirs.T @ rng.normal(size=12)
+        assert np.abs(N[k]).any(axis=1).sum() == 6
+        np.testing.assert_allclose(
+            N[k] @ Y[k] @ model.total_phi.ravel(), N[k] @ effort, rtol=0.0, atol=1e-9
+        )
+
+
+def test_loads_are_put_on_trunks_and_where_limbs_branch(model, tmp_path):
+    assert model.load_bodies == ("trunk", *(f"{leg}_calf" for leg in LEGS))
+    links = ["base", "arm", "palm", "thumb", "finger"]
+    parts = [_link(name, 1.0, (0.1, 0.1, 0.1)) for name in links]
+    for parent, child in (("base", "arm"), ("arm", "palm"), ("palm", "thumb"), ("palm", "finger")):
+        parts.append(_joint(f"to_{child}", parent, child, "0 0 0.1", "0 1 0"))
+    (tmp_path / "hand.urdf").write_text(f'<robot name="r">{"".join(parts)}</robot>')
+    hand = load_description(tmp_path / "hand.urdf")
+    assert set(hand.load_bodies) == {"palm", "thumb", "finger"}
 
 
 @pytest.mark.parametrize("wrenches", [True, False])

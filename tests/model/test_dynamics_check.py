@@ -151,6 +151,11 @@ def test_an_sdf_is_read_once_more_as_it_stands(tmp_path, mass):
     assert found.by.startswith("Drake") and found.second is not None
 
 
+def test_a_free_base_is_never_asked_about_where_its_angles_are_none():
+    """Of 500 random pitches in half a turn either way, some would be within 0.5° of 90°."""
+    assert check_dynamics(load_model(MODELS / "arm6.urdf", floating=True), samples=500).holds
+
+
 @pytest.mark.parametrize("floating", [False, True])
 def test_an_sdf_with_a_free_base_and_a_ball_has_drakes_opinion(tmp_path, floating):
     weld = SDF[SDF.index('<joint name="w"') : SDF.index('<link name="a">')]

@@ -21,7 +21,7 @@ from geodrake.compiling import compiled, contiguous
 from geodrake.effects.body_motion import RobotBodies
 from geodrake.logs.motion import Trajectory
 from geodrake.logs.smoothing import Segment
-from geodrake.model.ground_contacts import contact_frames
+from geodrake.model.ground_contacts import contact_frames, on_soles
 from geodrake.model.robot_model import RobotModel
 
 Array = NDArray[np.float64]
@@ -41,7 +41,8 @@ def contact_rows(model: RobotModel, trajectory: Trajectory, segment: Segment) ->
         return None
     bodies = RobotBodies(model.tree, model.positions(segment.position), model.total_phi)
     frames = contact_frames(model, contacts.frames)
-    J = np.stack([frame.jacobian(bodies) for frame in frames], 1)  # (N, c, 3, nv)
+    sole = on_soles(contacts, frames)
+    J = np.stack([frame.jacobian(bodies, sole=sole) for frame in frames], 1)  # (N, c, 3 or 6, nv)
     base = [model.joints.index(joint) for joint in model.base_joints]
     return rows_without(J, contacts.at(segment.time), row_scales(model, trajectory), base)
 
@@ -157,7 +158,7 @@ def row_scales(model: RobotModel, trajectory: Trajectory) -> Array:
 
 
 def rows_without(J: Array, flags: NDArray[np.bool_], scales: Array, base: Sequence[int]) -> Array:
-    """Return N (N, nv, nv) for Jacobians (N, c, 3, nv) of frames, of which some touch (N, c).
+    """Return N (N, nv, nv) for Jacobians (N, c, k, nv) of frames, of which some touch (N, c).
 
     Args:
         scales: (nv,) noise of the rows of velocities, N·m or N.
