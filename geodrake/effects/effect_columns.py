@@ -92,7 +92,7 @@ class EffectColumns:
             seen: Makes of it what effects of several joints or of bodies see; called only if there
                 are such effects.
         """
-        Y = self._together_at(motion)
+        Y = self._together_at(motion, self._together)
         if self._alone:
             _put(Y, self._alone, seen(motion))
         return Y
@@ -105,7 +105,8 @@ class EffectColumns:
             mu: (k,) parameters.
         """
         rest, moved = (replace(motion, vd=np.full(len(self.joints), x)) for x in (0.0, 1.0))
-        added = np.diag((self._together_at(moved) - self._together_at(rest)) @ mu)
+        groups = self._together_of_acceleration
+        added = np.diag((self._together_at(moved, groups) - self._together_at(rest, groups)) @ mu)
         if self._alone_of_acceleration:
             vd = np.vstack([rest.vd, np.eye(len(self.joints))])
             along = seen(replace(motion, vd=vd))
@@ -160,13 +161,21 @@ class EffectColumns:
         return tuple((e, part) for e, part in both if e.parameters and part.start not in together)
 
     @cached_property
-    def _alone_of_acceleration(self) -> tuple[tuple[Effect, slice], ...]:
-        moving = {e for e, names in zip(self.effects, self._signals, strict=True) if "vd" in names}
-        return tuple((effect, part) for effect, part in self._alone if effect in moving)
+    def _moving(self) -> frozenset[Effect]:
+        both = zip(self.effects, self._signals, strict=True)
+        return frozenset(effect for effect, names in both if "vd" in names)
 
-    def _together_at(self, motion: JointMotion) -> Array:
+    @cached_property
+    def _alone_of_acceleration(self) -> tuple[tuple[Effect, slice], ...]:
+        return tuple((effect, part) for effect, part in self._alone if effect in self._moving)
+
+    @cached_property
+    def _together_of_acceleration(self) -> tuple[_Together, ...]:
+        return tuple(g for g in self._together if g.members[0][0] in self._moving)
+
+    def _together_at(self, motion: JointMotion, groups: Sequence[_Together]) -> Array:
         Y = np.zeros((len(self.joints), self.count))
-        for group in self._together:
+        for group in groups:
             group.put(Y, motion)
         return Y
 

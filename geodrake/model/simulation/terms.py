@@ -96,7 +96,8 @@ class PlantMotion:
 
     def split(self, state: Array) -> tuple[Array, Array]:
         """Return the q and v that effects see, of a state of the plant."""
-        return tuple(np.split(state, [self.plant.num_positions()]))  # type: ignore[return-value]
+        nq = self.plant.num_positions()
+        return state[:nq], state[nq:]
 
     @cached_property
     def tree(self) -> KinematicTree:
