@@ -44,7 +44,7 @@ from geodrake.robot.regressor import inverse_dynamics
 _SHORTEST_STEP, _LONGEST_STEP = 1e-3, 5e-3  # s
 _TURNS = 0.3  # rad that the fastest swing takes in a step
 _FINER, _FINEST = 4, 16  # times shorter steps, at once and at most, of robots that are thrown about
-_MOST_TURNED = 0.5  # rad or m of a joint in a step, before it is such a robot
+_MOST_TURNED, _LOST = 0.5, 30.0  # rad or m of a joint in a step, of such a robot and at most
 _GAMMA = 1.0 - np.sqrt(0.5)
 _SETTLED = 3e-3  # of the speeds below which dry friction fades, by which velocities change at last
 _MOST_ROUNDS, _CROSSING_ROUNDS = 40, 10  # of Newton, and in which friction is taken at rest
@@ -110,7 +110,10 @@ class Stepping:
         rows = zip(self.acting, self.passages, times, strict=True)
         acts = np.stack([acting.told(passage, own) for acting, passage, own in rows], axis=2)
         nodes, a = [state], np.zeros_like(state.velocity)
+        lost = np.zeros((count + 1, len(h)), bool)  # thrown about so that no step is short enough
         for k in range(count):
+            if lost[k].all():
+                break
             base, mass = state, self._mass(state)
             for stage in (2 * k, 2 * k + 1):
                 now = Instant(times[:, stage], _GAMMA * h, mass, acts[:, stage])
@@ -119,22 +122,24 @@ class Stepping:
                 shift = (1.0 - _GAMMA) / _GAMMA
                 base = State(*(x + shift * r for x, r in zip(base, rates, strict=True)))
             nodes.append(state)
+            speed = np.abs(state.velocity)
+            lost[k + 1 :] |= ((speed >= self._most) | (speed * h >= _LOST)).any(axis=1)
         q, v = (np.array([node[i] for node in nodes]) for i in range(2))
-        fast = (np.abs(v) >= self._most).any(axis=2).cumsum(axis=0) > 0
-        q[fast] = np.nan
         found = []
         for i, passage in enumerate(self.passages):
-            own, kept = first[i] + h[i] * np.arange(count + 1), ~fast[:, i]
+            own, kept = first[i] + h[i] * np.arange(len(q)), ~lost[: len(q), i]
             found.append(np.full((len(passage.time), q.shape[2]), np.nan))
             if kept.sum() > 1:
                 curve = CubicHermiteSpline(own[kept], q[kept, i], v[kept, i], extrapolate=False)
                 # The last node may be less than the last instant by rounding.
                 end = own[-1] if kept.all() else passage.time[-1]
                 found[-1] = curve(np.minimum(passage.time, end))
-        turned = (np.abs(v) * h).max(axis=(0, 2), initial=0.0)
-        rough = np.flatnonzero(~(turned < _MOST_TURNED)).tolist()
-        if rough and self.finer < _FINEST:
-            for i, own in zip(rough, self._finer(rough).positions(), strict=True):
+        rough = ~((np.abs(v) * h).max(axis=(0, 2)) < _MOST_TURNED)
+        if 2 * lost[-1].sum() > len(h):  # it is the model that is beyond simulation
+            rough &= ~lost[-1]
+        if rough.any() and self.finer < _FINEST:
+            few = np.flatnonzero(rough).tolist()
+            for i, own in zip(few, self._finer(few).positions(), strict=True):
                 found[i] = own
         return found
 
