@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from contextlib import suppress
+from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
@@ -29,7 +30,6 @@ from geodrake.report.explaining import (
 )
 from geodrake.report.json_output import (
     comparison_dict,
-    correlates_list,
     diagnosis_dict,
     draft_dict,
     explanation_dict,
@@ -157,5 +157,5 @@ def _numbers(found: Explained) -> dict[str, Any]:
         return numbers | {"draft": draft_dict(found.draft)}
     if found.added:
         return numbers
-    correlates = correlates_list(found.correlates)
+    correlates = [asdict(correlate) for correlate in found.correlates]
     return {**numbers, "correlates": correlates, **motions_dict(found.motions)}

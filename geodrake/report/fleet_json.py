@@ -28,7 +28,6 @@ from geodrake.fleet.fleet_result import (
     RobotResult,
 )
 from geodrake.fleet.log_places import date_text
-from geodrake.fleet.type_layout import FleetParameter
 from geodrake.report.json_output import number_or, picked
 
 _DIGITS = 6
@@ -87,10 +86,16 @@ def finding_dict(finding: FleetFinding) -> dict[str, Any]:
 
 def finding_line(finding: FleetFinding) -> str:
     """Return a finding as one line of JSON."""
+    said = {"finding": _without_reasons(finding)}
+    return json_text(json.dumps(said, ensure_ascii=False, allow_nan=False))
+
+
+def _without_reasons(finding: FleetFinding) -> dict[str, Any]:
+    """Return a finding with nothing, and no reason, where a change is no share of anything."""
     said = finding_dict(finding)
     for own in said["parameters"].values():
         own["share"] = own["share"] if isinstance(own["share"], float) else None
-    return json_text(json.dumps({"finding": said}, ensure_ascii=False, allow_nan=False))
+    return said
 
 
 def _robot(robot: RobotResult) -> dict[str, Any]:
@@ -103,14 +108,10 @@ def _robot(robot: RobotResult) -> dict[str, Any]:
     }
 
 
-def _named(parameter: FleetParameter) -> dict[str, str]:
-    return dict(vars(parameter))
-
-
 def _history(history: ParameterHistory) -> dict[str, Any]:
     pairs = list(zip(history.values.tolist(), history.deviations.tolist(), strict=True))
     return {
-        **_named(history.parameter),
+        **vars(history.parameter),
         "values": [rounded(value, deviation) for value, deviation in pairs],
         "deviations": [rounded(deviation) for _, deviation in pairs],
         "shown": history.shown.tolist(),
@@ -119,7 +120,7 @@ def _history(history: ParameterHistory) -> dict[str, Any]:
 
 def _own(own: OwnParameter) -> dict[str, Any]:
     return {
-        **_named(own.parameter),
+        **vars(own.parameter),
         "value": rounded(own.value, own.deviation),
         "deviation": rounded(own.deviation),
         "common": rounded(own.common, own.spread),
@@ -175,21 +176,17 @@ def _finding_rows(result: FleetResult) -> list[dict[str, Any]]:
     return [
         {
             "type": robot.type,
-            **picked(finding, "robot", "effect", "where", "kind"),
+            **said,
             "since": round(finding.date),
             "earliest": round(finding.interval[0]),
             "latest": round(finding.interval[1]),
-            "parameter": each.name,
-            "unit": each.unit,
-            "change": rounded(each.size, each.deviation),
-            "deviation": rounded(each.deviation),
-            "share": rounded(each.share) if math.isfinite(each.share) else None,
-            "probability": rounded(finding.probability, 1.0),
-            "false_alarm_probability": rounded(max(finding.false_alarm_probability, _LEAST_CHANCE)),
+            "parameter": name,
+            **change,
         }
         for robot in result.robots
         for finding in robot.findings
-        for each in finding.parameters
+        for said in (_without_reasons(finding),)
+        for name, change in said["parameters"].items()
     ]
 
 
@@ -199,10 +196,8 @@ def _parameter_rows(result: FleetResult) -> list[dict[str, Any]]:
         {
             "robot": robot.robot,
             "type": robot.type,
-            "effect": history.parameter.effect,
-            "where": history.parameter.where,
+            **vars(history.parameter),
             "parameter": history.parameter.name,
-            "unit": history.parameter.unit,
             "date": round(date),
             "value": rounded(value, deviation),
             "deviation": rounded(deviation),

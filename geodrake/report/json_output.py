@@ -13,7 +13,7 @@ from typing import Any
 
 from geodrake.boundary.escaping import json_text
 from geodrake.control.rollout import Rollout, RolloutFit
-from geodrake.diagnosis.drafting import Correlate, Draft
+from geodrake.diagnosis.drafting import Draft
 from geodrake.diagnosis.results import Diagnosis, Explanation, Step
 from geodrake.effects import FittedEffect
 from geodrake.identification.fit import Certificate
@@ -151,15 +151,10 @@ def draft_dict(draft: Draft) -> dict[str, Any]:
             }
             for effect in draft.effects
         ],
-        "correlates": correlates_list(draft.correlates),
+        "correlates": [asdict(correlate) for correlate in draft.correlates],
         "needless": [{"effect": e.name, "where": e.where} for e in draft.needless],
         "error": _errors(before=draft.before, after=draft.after),
     }
-
-
-def correlates_list(correlates: Iterable[Correlate]) -> list[dict[str, Any]]:
-    """What the error left varies with: joint, words, share of its squared error."""
-    return [asdict(correlate) for correlate in correlates]
 
 
 def rollout_dict(rollout: Rollout) -> dict[str, Any]:
