@@ -638,8 +638,8 @@ def _check_against_mujoco(model: RobotModel, text: MjcfText, held: Mapping[str, 
     rng, units, m = np.random.default_rng(0), joint_units(model.plant), text.compiled
     if not {m.joint(k).name for k in range(m.njnt)}.issuperset(held):
         return  # as a part of a free base is held
-    low, high = (np.clip(ends, -1.0, 1.0) for ends in model.position_limits)
-    q = model.coordinates.inside(rng.uniform(low, high, (_STATES, len(low))))
+    q = rng.uniform(-1.0, 1.0, (_STATES, model.coordinates.num_positions))
+    q = model.coordinates.inside(q)
     motion = Motion(q, *rng.uniform(-2.0, 2.0, (2, _STATES, len(model.joints))))
     check_loops(
         text, model.plant, held, *model.coordinates.tree_samples(q, motion.v, motion.vd)[:2]

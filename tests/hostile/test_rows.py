@@ -47,7 +47,7 @@ def test_what_must_not_be_read(tmp_path):
 
 @pytest.mark.parametrize(
     ("name", "content", "much"),
-    [("x.npz", npz(), r"120\d\d numbers"), ("x.csv", BODY, "of 5 numbers")],
+    [("x.npz", npz(), "12000 numbers"), ("x.csv", BODY, "of 5 numbers")],
 )
 def test_more_than_memory_is_refused_before_it_is_read(tmp_path, monkeypatch, name, content, much):
     monkeypatch.setattr(table, "machine_memory", lambda: 100_000)

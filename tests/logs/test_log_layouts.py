@@ -501,6 +501,14 @@ def test_day_and_month_are_told_once_for_a_column(tmp_path, monkeypatch, kind, s
     assert ("day/month" in note) == (form == "%d/%m/%Y" and kind != "one day")
 
 
+def test_dates_elsewhere_say_nothing_of_the_order_in_a_column(tmp_path):
+    """Neither those of a comment nor those of another column."""
+    rows = (f"05/06/2026 00:00:{k:02d},{0.1 * k},{k % 3},14/03/2026 10:00" for k in range(20))
+    head = ("# exported 15/05/2026 10:00", "time,a.position,a.effort,calibrated")
+    (tmp_path / "log.csv").write_text("\n".join([*head, *rows]))
+    assert any("since 2026-05-06" in note for note in read_log(tmp_path / "log.csv").notes)
+
+
 @pytest.mark.parametrize("stamp", ["yesterday", "2026-02-30T12:00:00", "12"])
 def test_texts_that_are_no_dates(tmp_path, stamp):
     time, q, _, tau = motion(("a",))

@@ -158,6 +158,13 @@ def test_joints_that_cannot_be_held_are_refused(held, words):
         holding(load_model(path), held)
 
 
+def test_coordinates_of_a_free_base_are_not_held():
+    path = MODELS / "double_pendulum.urdf"
+    (first, *_) = load_model(path, floating=True).base_joints
+    with pytest.raises(ModelError, match=f"'{first}' is a coordinate of the free base"):
+        load_model(path, floating=True, lock={first: 0.0})
+
+
 SWAY = np.sin(np.arange(200))  # an effort that changes at rest
 
 

@@ -18,6 +18,7 @@ from functools import cached_property
 from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy.interpolate import CubicHermiteSpline
 
 from geodrake.control.rollout.acting import Acting
@@ -44,7 +45,7 @@ from geodrake.robot.regressor import inverse_dynamics
 _SHORTEST_STEP, _LONGEST_STEP = 1e-3, 5e-3  # s
 _TURNS = 0.3  # rad that the fastest swing takes in a step
 _FINER, _FINEST = 4, 16  # times shorter steps, at once and at most, of robots that are thrown about
-_MOST_TURNED, _LOST = 0.5, 30.0  # rad or m of a joint in a step, of such a robot and at most
+_MOST_TURNED, _LOST = 0.5, 30.0  # rad or m of a joint in a usual step: of such a robot, and most
 _GAMMA = 1.0 - np.sqrt(0.5)
 _SETTLED = 3e-3  # of the speeds below which dry friction fades, by which velocities change at last
 _MOST_ROUNDS, _CROSSING_ROUNDS = 40, 10  # of Newton, and in which friction is taken at rest
@@ -110,20 +111,20 @@ class Stepping:
         rows = zip(self.acting, self.passages, times, strict=True)
         acts = np.stack([acting.told(passage, own) for acting, passage, own in rows], axis=2)
         nodes, a = [state], np.zeros_like(state.velocity)
-        lost = np.zeros((count + 1, len(h)), bool)  # thrown about so that no step is short enough
+        lost = np.zeros((count + 1, len(h)), bool)  # too fast for the shortest steps, too
         for k in range(count):
             if lost[k].all():
                 break
             base, mass = state, self._mass(state)
             for stage in (2 * k, 2 * k + 1):
                 now = Instant(times[:, stage], _GAMMA * h, mass, acts[:, stage])
-                state, a = self._stage(base, now, a)
+                state, a = self._stage(base, now, a, ~lost[k])
                 rates = (x - y for x, y in zip(state, base, strict=True))
                 shift = (1.0 - _GAMMA) / _GAMMA
                 base = State(*(x + shift * r for x, r in zip(base, rates, strict=True)))
             nodes.append(state)
             speed = np.abs(state.velocity)
-            lost[k + 1 :] |= ((speed >= self._most) | (speed * h >= _LOST)).any(axis=1)
+            lost[k + 1 :] |= ((speed >= self._most) | (self.finer * speed * h >= _LOST)).any(axis=1)
         q, v = (np.array([node[i] for node in nodes]) for i in range(2))
         found = []
         for i, passage in enumerate(self.passages):
@@ -135,8 +136,7 @@ class Stepping:
                 end = own[-1] if kept.all() else passage.time[-1]
                 found[-1] = curve(np.minimum(passage.time, end))
         rough = ~((np.abs(v) * h).max(axis=(0, 2)) < _MOST_TURNED)
-        if 2 * lost[-1].sum() > len(h):  # it is the model that is beyond simulation
-            rough &= ~lost[-1]
+        rough &= ~lost[-1] | (self.finer == 1)  # what shorter steps did not help is beyond all
         if rough.any() and self.finer < _FINEST:
             few = np.flatnonzero(rough).tolist()
             for i, own in zip(few, self._finer(few).positions(), strict=True):
@@ -207,8 +207,13 @@ class Stepping:
         by = effort_slopes(model.tree, model.positions(q), v, a, model.total_phi)
         return np.asarray(by.acceleration + h * (by.velocity + h * by.position))
 
-    def _stage(self, base: State, now: Instant, a: Array) -> tuple[State, Array]:
-        """Return the state after an implicit step, and the accelerations (N, n) that lead there."""
+    def _stage(
+        self, base: State, now: Instant, a: Array, counted: NDArray[np.bool_]
+    ) -> tuple[State, Array]:
+        """Return the state after an implicit step, and the accelerations (N, n) that lead there.
+
+        Newton's steps end when the robots that are counted (N,) have settled.
+        """
         width, step = self.sign_width, now.step
         for round_ in range(_MOST_ROUNDS):
             v = base.velocity + step * a
@@ -225,7 +230,7 @@ class Stepping:
             if round_ < _CROSSING_ROUNDS:  # from rest on, Newton's steps reach no other side
                 ahead[(v * ahead < 0.0) & (np.abs(v) > _SETTLED * width)] = 0.0
             a = (ahead - base.velocity) / step
-            if (np.abs(ahead - v) < _SETTLED * width).all():
+            if (np.abs(ahead - v) < _SETTLED * width)[counted].all():
                 break
         return State(base.position + step * ahead, ahead, integral, hidden), a
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 import re
 import zipfile
 from collections.abc import Iterator, Mapping, Sequence
@@ -283,24 +284,33 @@ def read_npz(path: Path, reading: Reading) -> LogTable:
     ):
         entries = {e: e.filename.removesuffix(".npy").strip() for e in archive.infolist()}
         check_once(path, [*entries.values()])
-        size = sum(entry.file_size for entry in entries)
-        check_room(path, size // 8, f"{size // 8} numbers")
+        declared = {entry: _declared(archive, entry) for entry in entries}
+        wanted = {e: said for e, said in declared.items() if len(said[0]) in (1, 2)}
+        size = sum(math.prod(shape) for shape, _ in wanted.values())
+        check_room(path, size, f"{size} numbers")
         for entry, name in entries.items():
-            try:
-                with archive.open(entry) as member, np.errstate(over="ignore"):  # of long doubles
-                    array = npy.read_array(member, allow_pickle=False)
-                    array = np.asarray(array, float) if array.dtype.kind in "fiu" else array
-            except ValueError as error:
-                if not str(error).startswith("Object arrays"):
-                    raise
-                objects.append(name)
-                continue
-            if is_used(name) and array.ndim != 1:
+            shape, dtype = declared[entry]
+            if is_used(name) and len(shape) != 1:
                 raise LogError(
-                    f"Array {name!r} of log {str(path)!r} is not 1-D: its shape is {array.shape}.",
+                    f"Array {name!r} of log {str(path)!r} is not 1-D: its shape is {shape}.",
                     advice=_NPZ_ADVICE,
                 )
-            if array.ndim in (1, 2):
-                arrays[name] = array
+            if dtype.hasobject:
+                objects.append(name)
+            elif entry in wanted:
+                with archive.open(entry) as member, np.errstate(over="ignore"):  # of long doubles
+                    array = npy.read_array(member, allow_pickle=False)
+                    if member.read(1):
+                        raise ValueError(f"array {name!r} is longer than its header says")
+                arrays[name] = np.asarray(array, float) if array.dtype.kind in "fiu" else array
     table = numeric_table(path, arrays, rows_of(arrays))
     return replace(table, silent={**table.silent, **dict.fromkeys(objects, "holds objects")})
+
+
+def _declared(archive: zipfile.ZipFile, entry: zipfile.ZipInfo) -> tuple[tuple[int, ...], Any]:
+    """Return the shape and the type of an array by its header."""
+    with archive.open(entry) as file:
+        version = npy.read_magic(file)
+        read = npy.read_array_header_1_0 if version == (1, 0) else npy.read_array_header_2_0
+        shape, _, dtype = read(file)
+    return shape, dtype

@@ -57,7 +57,7 @@ class TextLayout:
     Attributes:
         units: Units of columns, where the line after the header has them.
         dates: Columns of dates -> the first.
-        day_first: Whether days come before months in these.
+        day_first: Those of them in which days come before months.
         lists: Columns whose cells are lists of numbers -> how many each has.
         unnamed: Cells of the first row, where nobody names the columns; see `LogTable`.
     """
@@ -68,7 +68,7 @@ class TextLayout:
     lines: int
     units: Mapping[str, str] = field(default_factory=dict)
     dates: Mapping[str, str] = field(default_factory=dict)
-    day_first: bool = False
+    day_first: frozenset[str] = frozenset()
     lists: Mapping[str, int] = field(default_factory=dict)
     texts: tuple[str, ...] = ()
     unnamed: tuple[str, ...] = ()
@@ -76,11 +76,11 @@ class TextLayout:
     @cached_property
     def origins(self) -> dict[str, int | None]:
         """Columns of dates -> the first, ns since 1970."""
-        return {name: self.date(text) for name, text in self.dates.items()}
+        return {name: self.date(text, name) for name, text in self.dates.items()}
 
-    def date(self, text: str) -> int | None:
-        """Return the date that a text is, ns since 1970; None if it is none."""
-        return date_of(text, day_first=self.day_first)
+    def date(self, text: str, column: str) -> int | None:
+        """Return the date that a text of a column is, ns since 1970; None if it is none."""
+        return date_of(text, day_first=column in self.day_first)
 
     @property
     def columns(self) -> list[str]:
@@ -459,13 +459,24 @@ def _text_table(path: Path, reading: Reading, opened: Opener) -> LogTable:
         lines = list(map(_count, _blocks(path, opened)))
     with opened() as file, TextIOWrapper(file, "utf-8-sig", newline="") as text:
         layout, _ = text_layout(path, text, reading)
-    day_first, note = False, ""
-    if any("/" in date for date in layout.dates.values()):
-        day_first, note = order_of_days(block.decode() for block in _blocks(path, opened))
-    layout, notes = replace(layout, day_first=day_first), (note,) if note else ()
+    orders = _orders_of_days(path, opened, layout)
+    layout = replace(layout, day_first=frozenset(k for k, (first, _) in orders.items() if first))
+    notes = dict.fromkeys(note for _, note in orders.values() if note)
     table = TextTable(path, layout, lines, reading, opened).noting(*notes)
     names_rows = any(map(names_joints, layout.texts)) or any(map(numbers_joints, layout.names))
     return table.loaded() if names_rows and reading.mapping is None else table
+
+
+def _orders_of_days(path: Path, opened: Opener, layout: TextLayout) -> dict[str, tuple[bool, str]]:
+    """Return `order_of_days` of every column of dates with strokes."""
+    places = {name: cell for name, (cell, _) in layout.places.items()}
+    found: dict[str, dict[str, None]] = {k: {} for k, date in layout.dates.items() if "/" in date}
+    for block in _blocks(path, opened, layout.lines) if found else ():
+        with suppress(csv.Error):  # which is told when the cells are read
+            for _, cells in layout.cells(block.decode(errors="replace").splitlines()):
+                for name, texts in found.items():
+                    texts.update(dict.fromkeys(cells[places[name] :][:1]))
+    return {name: order_of_days(texts) for name, texts in found.items()}
 
 
 def _blocks(path: Path, opened: Opener, skip: int = 0) -> Iterator[bytes]:
@@ -609,7 +620,7 @@ def _numbers_of(cell: str, path: Path, row: int, layout: TextLayout, place: int)
         is_none = f"no list of {count} numbers as above it"
         advice = "Write all lists of a column equally long, or leave the cell empty."
     elif origin is not None and text:
-        date = layout.date(cell)
+        date = layout.date(cell, column)
         numbers, wrong = [((date or 0) - origin) / 1e9], date is None
         is_none = "no date as above it"
         advice = "Write dates as 2026-05-01T12:00:00.25Z, or leave the cell empty."
