@@ -95,12 +95,12 @@ def pytest_collection_modifyitems(items):
 @pytest.hookimpl(tryfirst=True)
 def pytest_collection_finish(session):
     workers = int(os.environ.get("PYTEST_XDIST_WORKER_COUNT", "1"))
-    session.items[:] = assign_folds(session.items, workers)
+    session.items[:] = deal_out(session.items, workers)
     gc.freeze()  # what is imported and collected stays; no search for garbage needs to look there
     gc.set_threshold(20_000, 20, 20)  # what tests leave is mostly freed by counting references
 
 
-def assign_folds(items, workers):
+def deal_out(items, workers):
     """The tests in the order in which processes, each with an equal share, are done soonest.
 
     Each begins with modules of its own that search and simulate, whose fixtures are then made

@@ -94,7 +94,7 @@ _SMALL = (
 
 
 def standing_robot(shared: Path | None) -> RobotModel:
-    """Return atlas on its left foot, of the folder `shared`; our small robot if None.
+    """Return Atlas on its left foot, of the folder `shared`; our small robot if None.
 
     Its neck, which is not among the source's 29 joints, is held.
     """

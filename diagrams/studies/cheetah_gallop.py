@@ -133,7 +133,7 @@ def gallop(plant: MultibodyPlant, time: Array) -> Motion:
 
 
 def gearing(joints: tuple[str, ...], actuators: tuple[str, ...]) -> LinearTransmission:
-    """Return joints turn with their actuators, rotors by the gear ratio."""
+    """Return the gears: joints turn with their actuators, rotors by the gear ratio."""
     ratios = {name: {name: 1.0} for name in actuators}
     gears = GEARS * (len(actuators) // len(GEARS))
     ratios |= {f"{n}_rotor": {n: gear} for n, gear in zip(actuators, gears, strict=True)}

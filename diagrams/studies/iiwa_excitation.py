@@ -179,7 +179,7 @@ def family(modes: int) -> FourierMotion:
 
 
 def limits(model: RobotModel) -> MotionLimits:
-    """Return positions and speeds alone are limited, as in the source."""
+    """Return limits of positions and speeds alone, as in the source."""
     return motion_limits(model, acceleration=np.inf, effort=np.inf)
 
 

@@ -112,7 +112,7 @@ def _keys(fit: Fit) -> set[Key]:
 
 
 def nrms_of(model: LogModel, fit: Fit) -> float:
-    """Return root mean square over joints of a fit's error over the deviation of the efforts."""
+    """Return the RMS over joints of a fit's error over the deviation of the efforts."""
     deviation = model.dataset.effort_std
     moving = deviation > 0.0
     return float(np.sqrt(np.mean(fit.variance[moving] / np.square(deviation[moving]))))

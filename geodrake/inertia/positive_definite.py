@@ -148,7 +148,7 @@ def congruent(G: Array, V: Array) -> Array:
 
 
 def from_root(side: Array, half_logs: Array) -> Array:
-    """Return the side exp(2 half_logs) sideᵀ, exactly symmetric, of (..., n, n) and (..., n)."""
+    """Return S exp(2 half_logs) Sᵀ, exactly symmetric, of S (..., n, n) and (..., n)."""
     root = side * np.exp(half_logs)[..., None, :]
     return np.asarray(root @ np.swapaxes(root, -1, -2))
 

@@ -103,7 +103,7 @@ class ContactFlags:
     @property
     def are_soles(self) -> bool:
         """Whether frames touch by surfaces: nobody stands on the points of one or two feet."""
-        return int(self.flags.any(axis=0).sum()) < _POINTS
+        return int(self.flags.sum(axis=1).max(initial=0)) < _POINTS
 
     def at(self, time: Array) -> NDArray[np.bool_]:
         """Return (N, c) whether frames may touch in the rows beside instants (N,)."""

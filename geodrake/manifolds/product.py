@@ -205,7 +205,7 @@ class Product(Manifold):
         return frame
 
     def calc_mirror_line(self, x: Array, b: Array) -> MirrorLine:
-        """Return the factor by factor; those that b has nothing of stay."""
+        """Return the line factor by factor; those that b has nothing of stay."""
         lines = []
         for group in self._groups:
             used = group.part(b).any(-1)

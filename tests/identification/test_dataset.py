@@ -330,7 +330,7 @@ def test_effort_ratio_of_a_right_model_is_one(model):
     np.testing.assert_allclose(ratio[moving], 1.0, rtol=0.02)
 
 
-class TestSharedRows:
+class TestRowCache:
     """Reductions that share filtered rows are those that do not."""
 
     def reductions(self, model, trajectories, folds, shared):

@@ -57,7 +57,7 @@ def _strongest(time: Array, residual: Array) -> float:
 
 
 def _share(columns: Array, residual: Array, fold: Array) -> float:
-    """Return share of the squared residual that columns (N, k) take away from folds left out."""
+    """Return the share of the squared residual columns (N, k) take away from folds left out."""
     count = int(fold.max()) + 1
     gram = np.array([columns[fold == f].T @ columns[fold == f] for f in range(count)])
     rhs = np.array([columns[fold == f].T @ residual[fold == f] for f in range(count)])

@@ -412,7 +412,7 @@ def _check_efforts(logs: Sequence[JointLog]) -> None:
 
 @contextmanager
 def _naming_units(hints: Sequence[str]) -> Iterator[None]:
-    """Yield units that look wrong are named where a log is refused: they may be the reason."""
+    """Name units that look wrong where a log is refused: they may be the reason."""
     try:
         yield
     except LogError as error:

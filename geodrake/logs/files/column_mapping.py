@@ -343,8 +343,12 @@ def columns_of(
     try:
         chosen = found.dated(table.origins).chosen(joints, partial=partial)
     except LogError as error:
-        proposal = proposed_mapping(path, names, joints, motorless=reading.motorless)
-        raise with_proposal(error, path, proposal if by_names else None) from error
+        proposal = None
+        if by_names:
+            proposal = proposed_mapping(path, names, joints, motorless=reading.motorless)
+        if proposal is None:
+            raise
+        raise with_proposal(error, path, proposal) from error
     return chosen.read(joints)
 
 

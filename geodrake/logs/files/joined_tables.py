@@ -63,6 +63,12 @@ def joined_tables(log: Path, tables: Sequence[LogTable], reading: Reading) -> Lo
     known = [time for time in times if time is not None]
     steps = [np.diff(time[np.isfinite(time)]) for time in known]
     periods = [float(np.median(step)) if len(step) else np.inf for step in steps]
+    if still := [str(t.path) for t, p in zip(tables, periods, strict=True) if not p > 0.0]:
+        raise LogError(
+            f"Log {str(log)!r} has parts in most rows of which time is that of the row before: "
+            f"{', '.join(still)}.",
+            advice="Write their time with more digits.",
+        )
     quick = [period for period in periods if period <= _MIXED * min(periods)]
     base = next(k for k, p in enumerate(periods) if p in quick and p >= _ALIKE * max(quick))
     tables, slow_notes, rare = _slow_parts(log, tables, periods)
