@@ -120,7 +120,7 @@ def checked_held(
         if name not in joints:
             raise ModelError(
                 f"{path} has no joint {name!r} that could be held.",
-                advice=f"Joints are: {', '.join(each for each in joints if each not in leaders)}.",
+                advice=f"Joints are: {', '.join(joints)}.",
                 joint=name,
             )
         if name in leaders:
