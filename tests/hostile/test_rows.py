@@ -8,7 +8,7 @@ from good_files import DIRECTIVES, SAVED
 from hostile import Row, put
 from makers import BODY, HEAD, damage, effect, log, npz, read_rows
 
-from geodrake.control.rollout import simulation
+from geodrake.control.rollout import stepping
 from geodrake.effects import load_effect_file
 from geodrake.errors import GeodrakeError, LogError
 from geodrake.logs.files import read_log, table
@@ -32,8 +32,7 @@ def test_row(row, tmp_path):
 
 def test_efforts_in_other_units_are_simulated(tmp_path, monkeypatch):
     """The robot flies apart, in ever smaller steps, of which there are fewer here."""
-    monkeypatch.setattr(simulation, "_STEPS", 500)
-    monkeypatch.setattr(simulation, "_TIMES", 1)
+    monkeypatch.setattr(stepping, "_FINEST", 1)
     command, says = "rollout robot.urdf x.csv --json new.json", ("in other units", "breaks off")
     row = Row("in N·mm", command, says, {"x.csv": log("e *= 1e3")}, code=0)
     replace(row, writes=("new.json",)).check(tmp_path)
