@@ -45,7 +45,6 @@ _VECTOR = re.compile(
 )
 _CONTACT = re.compile(r"(?P<frame>.+?)[./](?:in_)?contact(?:_state)?", re.IGNORECASE)
 _BESIDE = 0.02  # s, around a touch or a lift within which a frame may be in contact
-_POINTS = 3  # feet that a robot can stand on if they are points
 
 
 def floating_name(column: str) -> str | None:
@@ -99,11 +98,6 @@ class ContactFlags:
     frames: tuple[str, ...]
     time: Array
     flags: NDArray[np.bool_]
-
-    @property
-    def are_soles(self) -> bool:
-        """Whether frames touch by surfaces: nobody stands on the points of one or two feet."""
-        return int(self.flags.sum(axis=1).max(initial=0)) < _POINTS
 
     def at(self, time: Array) -> NDArray[np.bool_]:
         """Return (N, c) whether frames may touch in the rows beside instants (N,)."""

@@ -25,6 +25,7 @@ from geodrake.robot.files.xml_text import parse_xml_bytes
 
 Array = NDArray[np.float64]
 
+_POINTS = 3  # feet that a robot can stand on if they are points
 _NEAR = 0.02  # m over the ground, within which a frame may touch it
 _LOWEST = 5.0  # per cent of the lowest heights, which are taken for the ground's
 _UNLIKE = 0.2  # of the weight, by which mean forces at feet may differ from it
@@ -145,8 +146,9 @@ def with_ground(log: JointLog, model: RobotModel) -> JointLog:
 
 
 def on_soles(contacts: ContactFlags, frames: Sequence[ContactFrame]) -> bool:
-    """Return whether a robot stands on soles, which have no balls either."""
-    return contacts.are_soles and not any(frame.radius for frame in frames)
+    """Return whether frames touch by surfaces: nobody stands on the points of two feet."""
+    most = int(contacts.flags.sum(axis=1).max(initial=0))
+    return most < _POINTS and not any(frame.radius for frame in frames)
 
 
 def _bodies(log: JointLog, model: RobotModel) -> tuple[NDArray[np.bool_], RobotBodies]:

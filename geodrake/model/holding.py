@@ -115,12 +115,6 @@ def _check_names(model: RobotModel, held: Mapping[str, float]) -> None:
                 advice="Load the model file again to hold it elsewhere.",
                 joint=joint,
             )
-        if joint in model.base_joints:
-            raise ModelError(
-                f"{joint!r} is a coordinate of the free base, and cannot be held by itself.",
-                advice="Leave `floating` out for a base that stands still.",
-                joint=joint,
-            )
         for drive in model.transmission:
             if joint in drive.joints and joint in model.joints_behind:
                 raise ModelError(

@@ -187,8 +187,7 @@ def load_model(
     drives, notes = _transmission(path, transmission, given)
     notes = [*origin, *notes]
     model = load_description(path, floating=floating, given=given, transmission=drives)
-    of_base = set(lock or ()).intersection(model.base_joints)  # which `holding` refuses
-    if lock and not of_base and all(drive.is_loop for drive in model.transmission):
+    if lock and all(drive.is_loop for drive in model.transmission):
         model = load_description(path, floating=floating, held=lock, given=given)
         return replace(model, notes=(*model.notes, *notes, *held_notes(model.held)))
     return holding(replace(model, notes=(*model.notes, *notes)), lock or {})

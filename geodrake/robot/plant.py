@@ -10,6 +10,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
+from itertools import chain
 from pathlib import Path
 
 import numpy as np
@@ -23,7 +24,7 @@ from geodrake.boundary.arguments import instance, number, real_array, typed
 from geodrake.errors import ModelError
 from geodrake.inertia import PARAMETERS_PER_BODY, Array, inertial_parameters, to_spatial_inertia
 from geodrake.inertia.bodies import Member, lumped_bodies
-from geodrake.robot.base_joints import add_base_joints
+from geodrake.robot.base_joints import add_base_joints, base_joints
 from geodrake.robot.cut_joints import ends_of, open_loops
 from geodrake.robot.files import Given, ModelDescription
 from geodrake.robot.files.checks import check_poses
@@ -214,6 +215,13 @@ def _draft(
     stated = description.terms.fixed
     fixed = {name: stated[scoped(j)] for name, j in joints.items() if scoped(j) in stated}
     held = {**fixed, **held}
+    base = {joint.name() for joint in chain(*base_joints(draft.plant))}
+    if of_base := sorted(base.intersection(held)):
+        raise ModelError(
+            f"{of_base[0]!r} is a coordinate of the free base, and cannot be held by itself.",
+            advice="Leave `floating` out for a base that stands still.",
+            joint=of_base[0],
+        )
     first = (*held, *given.leading)
     loops = _loops(description, draft, LoopJoints(followers, first=first))
     start, still = loops.places(held, description.path)

@@ -44,8 +44,9 @@ from geodrake.robot.regressor import inverse_dynamics
 
 _SHORTEST_STEP, _LONGEST_STEP = 1e-3, 5e-3  # s
 _TURNS = 0.3  # rad that the fastest swing takes in a step
-_FINER, _FINEST = 4, 16  # times shorter steps, at once and at most, of robots that are thrown about
-_MOST_TURNED, _LOST = 0.5, 30.0  # rad or m of a joint in a usual step: of such a robot, and most
+_TURNED = 0.5  # rad or m, by which a joint that is thrown about moves in a step
+_FINER, _FINEST = 4, 16  # times shorter steps follow it, by turns and at last
+_LOST = 30.0  # rad or m in a step of usual length, from which on no shorter one follows it
 _GAMMA = 1.0 - np.sqrt(0.5)
 _SETTLED = 3e-3  # of the speeds below which dry friction fades, by which velocities change at last
 _MOST_ROUNDS, _CROSSING_ROUNDS = 40, 10  # of Newton, and in which friction is taken at rest
@@ -102,6 +103,30 @@ class Stepping:
 
     def positions(self) -> list[Array]:
         """Return positions (K, n) of each passage; NaN from where a robot flies apart."""
+        times, q, v, lost = self._nodes()
+        found = []
+        for passage, own, *node, kept in zip(self.passages, times, q, v, ~lost, strict=True):
+            found.append(np.full((len(passage.time), q.shape[2]), np.nan))
+            if kept.sum() > 1:
+                curve = CubicHermiteSpline(own[kept], *(x[kept] for x in node), extrapolate=False)
+                # The last node may be less than the last instant by rounding.
+                end = own[-1] if kept.all() else passage.time[-1]
+                found[-1] = curve(np.minimum(passage.time, end))
+        turned = (np.abs(v) * (times[:, 1] - times[:, 0])[:, None, None]).max(axis=(1, 2))
+        rough = ~(turned < _TURNED)
+        rough &= ~lost[:, -1] | (self.finer == 1)  # what shorter steps lose too is given up
+        if rough.any() and self.finer < _FINEST:
+            few = np.flatnonzero(rough).tolist()
+            for i, own in zip(few, self._finer(few).positions(), strict=True):
+                found[i] = own
+        return found
+
+    def _nodes(self) -> tuple[Array, Array, Array, NDArray[np.bool_]]:
+        """Return times (N, K), positions and velocities (N, K, n) at the ends of steps.
+
+        With them comes whether a robot has become too fast (N, K). The rest is left out once all
+        have.
+        """
         first = np.array([[passage.time[0]] for passage in self.passages])
         spans = np.array([[passage.time[-1]] for passage in self.passages]) - first
         state = self._begin()
@@ -111,37 +136,23 @@ class Stepping:
         rows = zip(self.acting, self.passages, times, strict=True)
         acts = np.stack([acting.told(passage, own) for acting, passage, own in rows], axis=2)
         nodes, a = [state], np.zeros_like(state.velocity)
-        lost = np.zeros((count + 1, len(h)), bool)  # too fast for the shortest steps, too
+        lost = [np.zeros(len(h), bool)]
         for k in range(count):
-            if lost[k].all():
+            if lost[-1].all():
                 break
             base, mass = state, self._mass(state)
             for stage in (2 * k, 2 * k + 1):
                 now = Instant(times[:, stage], _GAMMA * h, mass, acts[:, stage])
-                state, a = self._stage(base, now, a, ~lost[k])
+                state, a = self._stage(base, now, a, ~lost[-1])
                 rates = (x - y for x, y in zip(state, base, strict=True))
                 shift = (1.0 - _GAMMA) / _GAMMA
                 base = State(*(x + shift * r for x, r in zip(base, rates, strict=True)))
             nodes.append(state)
             speed = np.abs(state.velocity)
-            lost[k + 1 :] |= ((speed >= self._most) | (self.finer * speed * h >= _LOST)).any(axis=1)
-        q, v = (np.array([node[i] for node in nodes]) for i in range(2))
-        found = []
-        for i, passage in enumerate(self.passages):
-            own, kept = first[i] + h[i] * np.arange(len(q)), ~lost[: len(q), i]
-            found.append(np.full((len(passage.time), q.shape[2]), np.nan))
-            if kept.sum() > 1:
-                curve = CubicHermiteSpline(own[kept], q[kept, i], v[kept, i], extrapolate=False)
-                # The last node may be less than the last instant by rounding.
-                end = own[-1] if kept.all() else passage.time[-1]
-                found[-1] = curve(np.minimum(passage.time, end))
-        rough = ~((np.abs(v) * h).max(axis=(0, 2)) < _MOST_TURNED)
-        rough &= ~lost[-1] | (self.finer == 1)  # what shorter steps did not help is beyond all
-        if rough.any() and self.finer < _FINEST:
-            few = np.flatnonzero(rough).tolist()
-            for i, own in zip(few, self._finer(few).positions(), strict=True):
-                found[i] = own
-        return found
+            fast = (speed >= self._most) | (self.finer * speed * h >= _LOST)
+            lost.append(lost[-1] | fast.any(axis=1))
+        q, v = (np.stack([node[i] for node in nodes], axis=1) for i in range(2))
+        return first + h * np.arange(len(nodes)), q, v, np.stack(lost, axis=1)
 
     def _finer(self, few: Sequence[int]) -> Stepping:
         """Return the simulation of some of the passages by shorter steps."""
