@@ -53,7 +53,7 @@ class AxisOptions(ReadingOptions):
 
 @contextmanager
 def written_axis(options: AxisOptions, model: Path, log: Path) -> Iterator[None]:
-    """MODEL is there, written if options ask for an axis; what fails takes it away again."""
+    """Write MODEL if options ask for an axis; what fails takes it away again."""
     if options.axis is None:
         if options.mass is not None:
             raise ArgumentError("--mass is for --axis.", advice="Add --axis prismatic.")
@@ -68,7 +68,7 @@ def written_axis(options: AxisOptions, model: Path, log: Path) -> Iterator[None]
 
 
 def _text(options: AxisOptions, model: Path, log: Path) -> str:
-    """The URDF, its joint named as that of the first log."""
+    """Return the URDF, its joint named as that of the first log."""
     from geodrake.logs.files import read_log
 
     kind, mass = options.axis, options.mass

@@ -30,7 +30,7 @@ def found_columns(
 
 
 def column_words(columns: Sequence[ColumnFinding], *, corrected: bool) -> list[str]:
-    """Findings, and what is done about them, in sentences."""
+    """Return findings, and what is done about them, in sentences."""
     if not columns:
         return []
     able = any(finding.is_correctable for finding in columns)
@@ -52,7 +52,7 @@ def unchecked_words(model: RobotModel) -> list[str]:
 
 
 def columns_list(columns: Sequence[ColumnFinding]) -> list[dict[str, Any]]:
-    """Findings as plain data, for JSON."""
+    """Return findings as plain data, for JSON."""
     return [
         {
             **asdict(finding),

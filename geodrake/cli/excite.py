@@ -152,7 +152,7 @@ def family_of(options: ExciteOptions) -> MotionFamily:
 
 
 def _check(options: ExciteOptions) -> None:
-    """Refuses what can be refused before the model is read."""
+    """Refuse what can be refused before the model is read."""
     for what, given, known in (
         ("criterion", options.criterion, CRITERIA),
         ("normalization", options.normalization, NORMALIZATIONS),
@@ -258,7 +258,7 @@ def _objective(
 
 
 def noise_of(text: str | None, model: RobotModel) -> tuple[np.ndarray, tuple[str, ...]]:
-    """(nv,) noise of the measured efforts, and where it comes from if nobody said so."""
+    """Return (nv,) noise of the measured efforts, and where it comes from if nobody said so."""
     if text is not None:
         return joint_values(text, model, "--noise"), ()
     if model.effort_noise is not None:
@@ -352,7 +352,7 @@ def _replay(result: ExcitationResult) -> str:
 
 
 def check_alone(options: ExciteOptions, names: Sequence[str]) -> None:
-    """Refuses what says otherwise than --tell-apart what a motion is for."""
+    """Refuse what says otherwise than --tell-apart what a motion is for."""
     if options.tell_apart is None:
         return
     usual = {name: getattr(ExciteOptions, name) for name in ("criterion", "normalization")}
@@ -386,7 +386,7 @@ def rivals_in(text: str) -> tuple[tuple[str, tuple[str, ...]], tuple[str, tuple[
 def placed_rivals(
     text: str, model: RobotModel, limits: MotionLimits, *, extra: Sequence[type[Effect]] = ()
 ) -> tuple[Rival, Rival]:
-    """The two effects at their places.
+    """Return the two effects at their places.
 
     Args:
         text: What the option was given. A place said of one is that of the other too, if both are
@@ -409,7 +409,7 @@ def separation_of(
     noise: ArrayLike,
     extra: Sequence[type[Effect]] = (),
 ) -> tuple[Separation, tuple[str, ...]]:
-    """What distinguishing two effects amounts to, and what to say of it."""
+    """Return what distinguishing two effects amounts to, and what to say of it."""
     rivals = placed_rivals(text, model, limits, extra=extra)
     first, second = (rival.name for rival in rivals)
     width = _SIGN_SHARE * limits.velocity

@@ -132,7 +132,7 @@ def _explained(given: Input) -> Explained:
 
 
 def _motions(given: Input, found: Explanation) -> tuple[Rollout, ...] | None:
-    """Motions under commands before, after the steps, and after the last; None without."""
+    """Return motions under commands before, after the steps, and after the last; None without."""
     between = [step.model for step in found.steps if step.model is not None]
     for models in (between, []):  # an effect on the way may be one that no simulation has
         with suppress(LogError, ModelError):  # as where nothing moves for as long as a window

@@ -44,7 +44,7 @@ class _Handler:
         raise (FirstInterrupt if is_first else Interruption)(self.arrived.name)
 
     def unraisable(self, lost: sys.UnraisableHookArgs) -> None:
-        """Raises an interruption again that came in a destructor or the like."""
+        """Raise an interruption again that came in a destructor or the like."""
         if not issubclass(lost.exc_type, Interruption) or self.arrived is None:
             sys.__unraisablehook__(lost)
             return

@@ -24,7 +24,7 @@ _FORM = (
 def with_known_payloads(
     files: Sequence[Path], logs: Sequence[JointLog], given: Sequence[str], model: RobotModel
 ) -> tuple[JointLog, ...]:
-    """The logs with their known payloads.
+    """Return the logs with their known payloads.
 
     Args:
         given: `LOG:BODY:MASS[:X,Y,Z]`: path or name of a log, link of the robot, kg, and the centre
@@ -53,7 +53,7 @@ def known_payloads(
 def with_facts(
     logs: Sequence[JointLog], facts: Mapping[str, Any], reading: Reading
 ) -> tuple[JointLog, ...]:
-    """The logs with what is known of all of them.
+    """Return the logs with what is known of all of them.
 
     Args:
         facts: Fields of `JointLog` by name; of gains whose deviations were stated, these count.
@@ -69,7 +69,7 @@ def with_facts(
 
 
 def _parsed(text: str, logs: Sequence[Path]) -> tuple[Path, KnownPayload]:
-    """The log and the payload of one option."""
+    """Return the log and the payload of one option."""
     names = {name: _named(name, logs) for log in logs for name in (str(log), log.name, log.stem)}
     name = max((n for n in names if text.startswith(f"{n}:")), key=len, default=None)
     if name is None:
@@ -94,7 +94,7 @@ def _parsed(text: str, logs: Sequence[Path]) -> tuple[Path, KnownPayload]:
 
 
 def _named(name: str, logs: Sequence[Path]) -> list[Path]:
-    """The logs that a path, a file's name or that without its ending stands for."""
+    """Return the logs that a path, a file's name or that without its ending stands for."""
     exact = [log for log in logs if str(log) == name]
     return exact or [log for log in logs if name in (log.name, log.stem)]
 

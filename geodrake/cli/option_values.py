@@ -22,14 +22,14 @@ _EXAMPLE = "Write 0.5, velocity=1.5, velocity=50% or JOINT.position=-1:0.5."
 
 
 def split_effects(given: Sequence[Path] | None) -> tuple[list[Path], list[str]]:
-    """The files among what --effects was given, and the names."""
+    """Return the files among what --effects was given, and the names."""
     files = [path for path in given or () if path.suffix == ".py"]
     names = [path for path in given or () if path.suffix != ".py"]
     return files, [name for path in names for name in str(path).split(",") if name]
 
 
 def joint_values(text: str, model: RobotModel, option: str) -> Array:
-    """(nv,) values from `0.1`, which is for all joints, or `a=0.1,b=0.2`."""
+    """Return (nv,) values from `0.1`, which is for all joints, or `a=0.1,b=0.2`."""
     if "=" not in text and "," not in text:
         return np.full(len(model.joints), _number(text, option))
     values: dict[str, float] = {}
@@ -58,7 +58,7 @@ class _Limits:
     signals: dict[str, float] = field(default_factory=dict)
 
     def add(self, text: str) -> None:
-        """Takes one limit in; see `limits_of`."""
+        """Take one limit in; see `limits_of`."""
         key, equals, value = (part.strip() for part in text.partition("="))
         if not equals:
             self.scale *= _share(text)
@@ -88,7 +88,7 @@ class _Limits:
             self.absolute.setdefault(quantity, {}).update(numbers)
 
     def _add_signal(self, kind: str, joint: str, value: float) -> None:
-        """Takes in the limit of a current, voltage or duty cycle, of one joint or of all such."""
+        """Take in the limit of a current, voltage or duty cycle, of one joint or of all such."""
         own = [each.joint for each in self.model.effort_signals if each.kind == kind]
         if not own or (joint and joint not in own):
             raise ArgumentError(
@@ -102,7 +102,7 @@ class _Limits:
 def limits_of(
     given: Sequence[str] | None, model: RobotModel, *, bounded: bool = False
 ) -> MotionLimits:
-    """The model's limits with others in their place.
+    """Return the model's limits with others in their place.
 
     Args:
         given: `0.5` for a share of all limits; `velocity=1.5` for all joints, `velocity=50%` for a

@@ -56,7 +56,7 @@ class _Clock:
         return time.monotonic() - self.begin
 
     def words(self, share: float | None) -> str:
-        """`12 s`, or `40 %, 12 s, about 18 s left`."""
+        """Return `12 s`, or `40 %, 12 s, about 18 s left`."""
         if share is None or not _LEAST_SHARE <= share <= 1.0:
             return f"{self.passed:.0f} s"
         left = self.passed * (1.0 - share) / share

@@ -123,7 +123,7 @@ class ReadingOptions:
 def _of_all_and_named(
     option: str, given: Sequence[str], example: str
 ) -> tuple[list[tuple[str, str]], list[tuple[str, str]]]:
-    """What an option says of all joints, by the name "", and of single ones."""
+    """Return what an option says of all joints, by the name "", and of single ones."""
     parts = [part.strip() for part in ",".join(given).split(",")]
     of_all = [part for part in parts if part and "=" not in part]
     if len(of_all) > 1:
@@ -136,7 +136,7 @@ def _of_all_and_named(
 
 
 def _pairs(option: str, given: Sequence[str], example: str) -> list[tuple[str, str]]:
-    """What is before and after each equals sign; each name once."""
+    """Return what is before and after each equals sign; each name once."""
     found: dict[str, str] = {}
     for part in filter(None, ",".join(given).split(",")):
         name, sign, value = (word.strip() for word in part.rpartition("="))

@@ -308,7 +308,7 @@ def _with_columns(
 
 
 def own_effects(paths: Iterable[Path]) -> tuple[type[Effect], ...]:
-    """Effects of all files, each name once."""
+    """Return effects of all files, each name once."""
     found: dict[str, type[Effect]] = {}
     for path in paths:
         for effect in load_effect_file(path):

@@ -29,7 +29,7 @@ PIPE_CLOSED = 141  # 128 + SIGPIPE, as shells have it
 
 @contextmanager
 def settled_surroundings() -> Iterator[None]:
-    """Surroundings in which nothing but the input decides what a command does.
+    """Make surroundings in which nothing but the input decides what a command does.
 
     Standard streams that are closed are opened to nothing, and take every letter. Memory has a
     limit. Figures look alike whatever matplotlib is told elsewhere. What standard output still
@@ -128,7 +128,7 @@ def print_whole(text: str) -> None:
 
 @contextmanager
 def printing() -> Iterator[None]:
-    """Results are being printed, and nothing else is done: what fails is standard output.
+    """Tell that results are being printed, so that what fails is standard output.
 
     Raises:
         GeodrakeError: It takes no more.

@@ -85,7 +85,7 @@ def _check_kind(name: str, path: Path, suffixes: tuple[str, ...]) -> None:
 
 
 def _obstacle(path: Path) -> tuple[str, str]:
-    """Why a file cannot be written, and what to do about it; nothing if it can."""
+    """Return why a file cannot be written, and what to do about it; nothing if it can."""
     try:
         if not path.parent.is_dir():
             return f"is in {path.parent}, which is no folder", "Choose a folder that exists."

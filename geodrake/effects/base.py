@@ -230,7 +230,7 @@ class Effect(CheckedFields, abc.ABC):
 
     @classmethod
     def unit_of(cls, name: str) -> str:
-        """Return SI unit of a reported value at joints that turn; "1" for plain numbers."""
+        """Return the SI unit of a reported value at joints that turn; "1" for plain numbers."""
         units = {shape.name: shape.unit for shape in cls.shapes}
         units |= {parameter.name: parameter.unit for parameter in cls.parameters}
         return units.get(name, "1")

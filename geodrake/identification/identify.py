@@ -259,7 +259,7 @@ def build_problem(
 
 
 def _extra_priors(extra_prior: ArrayLike | None, bounds: Array) -> dict[int, tuple[float, float]]:
-    """Return number of an extra parameter -> its prior value and weight."""
+    """Return the number of an extra parameter -> its prior value and weight."""
     if extra_prior is None:
         return {}
     count = len(bounds)

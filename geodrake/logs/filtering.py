@@ -176,7 +176,7 @@ class ZeroPhaseFilter:
         return float(np.linalg.norm(self.kernel))
 
     def response(self, frequency: ArrayLike) -> Array:
-        """Amplitude that is left of sines at some frequencies, Hz."""
+        """Return the amplitude that is left of sines at some frequencies, Hz."""
         return np.interp(np.abs(frequency), *self._passed, right=0.0)
 
     @cached_property
@@ -191,7 +191,7 @@ class ZeroPhaseFilter:
         return max(0, (n - 2 * self.halfwidth - 1) // self.decimation + 1)
 
     def output_indices(self, n: int) -> NDArray[np.intp]:
-        """(K,) index, among `n` input samples, of the instant of each output of `apply`."""
+        """Return (K,) index, among `n` input samples, of the instant of each output of `apply`."""
         return self.halfwidth + self.decimation * np.arange(self.output_count(n))
 
     def apply(self, columns: ArrayLike) -> Array:
@@ -340,7 +340,7 @@ def choose_bandwidth(pieces: Sequence[tuple[Array, float]]) -> float:
 
 
 def _acceleration_power(pieces: Sequence[tuple[Array, float]], edges: Array) -> Array:
-    """(m,) spectrum of the acceleration in bands, the geometric mean over joints, peak 1."""
+    """Return (m,) spectrum of the acceleration in bands, the geometric mean over joints, peak 1."""
     bands = np.diff(edges)[:, None]
     total = np.zeros((len(bands), pieces[0][0].shape[1]))
     for position, period in pieces:

@@ -161,7 +161,7 @@ def _redealt(
 
 
 def _merged(windows: Sequence[tuple[int, float, float]]) -> list[tuple[int, float, float]]:
-    """Windows of which those that overlap are one."""
+    """Return windows of which those that overlap are one."""
     found: list[tuple[int, float, float]] = []
     for log, start, end in sorted(windows):
         if found and found[-1][0] == log and start <= found[-1][2]:
@@ -174,7 +174,7 @@ def _merged(windows: Sequence[tuple[int, float, float]]) -> list[tuple[int, floa
 def _outputs_within(
     block: Block, trajectory: Trajectory, windows: Sequence[tuple[int, float, float]]
 ) -> Iterator[tuple[int, int]]:
-    """First and last filtered sample of each window in a block."""
+    """Yield the first and last filtered sample of each window in a block."""
     low_pass, segment = trajectory.filter, trajectory.segments[block.segment]
     began, here = trajectory.began, float(segment[:1].time[0])
     for log, *window in windows:

@@ -223,7 +223,7 @@ def _columns(raw: JointLog, log: JointLog, columns: Columns) -> Iterator[Underst
 
 
 def _rests(log: JointLog, period: float) -> Iterator[tuple[float, float]]:
-    """Stretches in which the positions of all joints stay."""
+    """Yield stretches in which the positions of all joints stay."""
     rows = int(np.clip(_WINDOW / period, 2, len(log))) if period > 0 else 2
     count = len(log) // rows
     blocks = log.position[: count * rows].reshape(count, rows, len(log.joints))

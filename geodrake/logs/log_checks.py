@@ -75,7 +75,7 @@ def check_saturation(log: JointLog) -> None:
 
 
 def _moving(log: JointLog, at: int) -> NDArray[np.bool_]:
-    """(N,) rows in which a joint moves."""
+    """Return (N,) rows in which a joint moves."""
     time, position = log.time, log.position[:, at]
     steps = np.diff(time[np.isfinite(time)])
     rows = max(1, round(_WINDOW / float(np.median(steps)))) if len(steps) else 1

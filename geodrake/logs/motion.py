@@ -336,7 +336,7 @@ class Trajectory:
         return self.contacts is not None or any(s[:1].ground is not None for s in self.segments)
 
     def temperature(self, time: Array) -> Array | None:
-        """(N, n) temperatures at time stamps (N,), s, NaN at joints without; None of all."""
+        """Return (N, n) temperatures at time stamps (N,), s, NaN at joints without; None of all."""
         courses = self.temperatures
         return None if courses is None else courses.at(time - self.began, self.joints)
 

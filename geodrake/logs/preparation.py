@@ -246,13 +246,13 @@ def _measured_lag(
 
 
 def _speed_noise(uniform: UniformLog, smoother: ZeroPhaseFilter) -> Array:
-    """(n,) deviation of white noise of the positions, low-passed and differentiated."""
+    """Return (n,) deviation of white noise of the positions, low-passed and differentiated."""
     cutoff = smoother.bandwidth
     return uniform.noise * 2 * np.pi * cutoff * np.sqrt(2 * cutoff * uniform.period / 3)
 
 
 def _acceleration_noise(uniform: UniformLog, low_pass: ZeroPhaseFilter, *, derived: bool) -> Array:
-    """(n,) deviation of the noise of accelerations from white noise of what they come from.
+    """Return (n,) deviation of the noise of accelerations from white noise of what they come from.
 
     That is of themselves where they are measured.
     """
@@ -309,7 +309,7 @@ def _of_use(
 
 
 def _first_and_last_moving(stretch: Stretch, threshold: Array) -> tuple[int, int] | None:
-    """First and last sample at which a joint is faster than its threshold (n,)."""
+    """Return the first and last sample at which a joint is faster than its threshold (n,)."""
 
     def moving(chunks: Iterator[tuple[int, Segment]]) -> Iterator[NDArray[np.intp]]:
         for first, chunk in chunks:

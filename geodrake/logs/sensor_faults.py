@@ -110,7 +110,7 @@ class _Sensor:
         return column, notes
 
     def _faults(self) -> Iterator[tuple[Indices | slice, str]]:
-        """Readings that are none, and what is wrong with them."""
+        """Yield readings that are none, and what is wrong with them."""
         jumps = self._jumps()
         spikes = self._spikes(jumps)
         if len(spikes):
@@ -169,7 +169,7 @@ class _Sensor:
         return self.values, ""
 
     def _jumps(self) -> Indices:
-        """Readings right before a step that no robot makes."""
+        """Return readings right before a step that no robot makes."""
         steps = np.abs(np.diff(self.values))
         ratio, rate = _JUMP[self.quantity]
         if not steps.max(initial=0.0) > rate * self.period:
@@ -178,7 +178,7 @@ class _Sensor:
         return np.flatnonzero(steps > np.maximum(limit, ratio * _typical(steps)))
 
     def _spikes(self, jumps: Indices) -> Indices:
-        """Readings between a jump and the way back, and those at an end of the log."""
+        """Return readings between a jump and the way back, and those at an end of the log."""
         values, last = self.values, len(self.values) - 1
         steps = np.abs(np.diff(values)) if len(jumps) else np.zeros(0)
         found, free = [np.zeros(0, int)], 0
@@ -201,7 +201,7 @@ class _Sensor:
         return np.concatenate(found)
 
     def _stays(self, jumps: Indices) -> Iterator[tuple[slice, str]]:
-        """Readings right before jumps that do not come back and that nothing announces."""
+        """Yield readings right before jumps that do not come back and that nothing announces."""
         steps = np.abs(np.diff(self.values)) if len(jumps) else np.zeros(0)
         for before in jumps.tolist():
             beside = steps[max(0, before - 1) : before], steps[before + 1 : before + 2]
@@ -211,7 +211,7 @@ class _Sensor:
                 yield slice(before, before + 1), f"{words}, the row before it"
 
     def _frozen(self, jumps: Indices) -> Iterator[tuple[int, int]]:
-        """First and last reading of stretches that are the same while the joint moves."""
+        """Yield the first and last reading of stretches that are the same while the joint moves."""
         steps = np.abs(np.diff(self.values))
         edges = np.concatenate([[-1], np.flatnonzero(steps), [len(steps)]])
         lengths = np.diff(edges)

@@ -54,7 +54,7 @@ class Piece:
         return int((self.time[-1] - self.time[0]) / self.period + 1e-3) + 1
 
     def __getitem__(self, samples: slice) -> Piece:
-        """Some of its samples, resampled."""
+        """Return some of its samples, resampled."""
         start, stop, _ = samples.indices(len(self))
         grid = self.time[0] + self.period * np.arange(start, stop)
         grid = np.minimum(grid, self.time[-1])
@@ -135,7 +135,7 @@ class SmoothPiece:
         return len(self.piece)
 
     def __getitem__(self, samples: slice) -> Segment:
-        """Some of the samples, in memory."""
+        """Return some of the samples, in memory."""
         return self._all[samples] if self.kept else self._made(samples)
 
     @cached_property
@@ -146,7 +146,7 @@ class SmoothPiece:
         return segment
 
     def velocity(self, samples: slice) -> Array:
-        """Velocities (N, n) of some of the samples."""
+        """Return velocities (N, n) of some of the samples."""
         if self.kept:
             return self._all.velocity[samples]
         _, inner, _, velocity = self._near(samples)
@@ -221,7 +221,7 @@ class Stretch:
         return self.stop - self.first
 
     def __getitem__(self, samples: slice) -> Segment:
-        """Some of the samples, in memory."""
+        """Return some of the samples, in memory."""
         start, stop, _ = samples.indices(len(self))
         return self.piece[self.first + start : self.first + max(start, stop)]
 
@@ -233,7 +233,7 @@ class Stretch:
         return np.max([np.abs(self.piece.velocity(part)).max(axis=0) for part in parts], axis=0)
 
     def chunks(self, *, backwards: bool = False) -> Iterator[tuple[int, Segment]]:
-        """First sample and samples of one slice after another, from either end."""
+        """Yield the first sample and samples of one slice after another, from either end."""
         starts = range(0, len(self), CHUNK)
         for first in reversed(starts) if backwards else starts:
             yield first, self[first : first + CHUNK]

@@ -51,7 +51,7 @@ class Temperatures:
 
 
 def _without_failed(readings: Array) -> Array:
-    """Readings (N,) with NaN in the place of those of a sensor that fails."""
+    """Return readings (N,) with NaN in the place of those of a sensor that fails."""
     failed = {value: np.isclose(readings, value, rtol=0.0, atol=_ROUNDING) for value in _FAILED}
     true = ~np.any([*failed.values()], axis=0) & np.isfinite(readings)
     for value in _FAILED:
@@ -61,7 +61,7 @@ def _without_failed(readings: Array) -> Array:
 
 
 def _averaged(time: Array, readings: Array) -> tuple[Array, Array]:
-    """Means (K,) of time and readings (N,) over every second in which there are any."""
+    """Return means (K,) of time and readings (N,) over every second in which there are any."""
     known = np.isfinite(readings) & np.isfinite(time)
     seconds = np.floor(time[known] / _SECOND)
     _, second, counts = np.unique(seconds, return_inverse=True, return_counts=True)

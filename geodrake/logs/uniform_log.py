@@ -110,7 +110,7 @@ class UniformLog:
         return sum(map(len, self.pieces)) * self.period
 
     def sample_parts(self) -> Iterator[Piece]:
-        """Parts of the pieces, evenly spread over a long log, by which choices are made."""
+        """Return parts of the pieces, evenly spread over a long log, by which choices are made."""
         return _sample_parts(self.pieces)
 
     @property
@@ -305,7 +305,7 @@ def _edges(length: int, parts: int) -> list[int]:
 def _find_moving(
     log: JointLog, pieces: Sequence[Piece], period: float
 ) -> tuple[Array, NDArray[np.bool_]]:
-    """Noise deviation (n,) of each position, and which joints (n,) move."""
+    """Return noise deviation (n,) of each position, and which joints (n,) move."""
     if not pieces:
         raise LogError(
             f"Log {log.name!r} has no {_LEAST_ROWS} rows in a row without a gap or an empty cell.",

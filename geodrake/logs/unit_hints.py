@@ -164,7 +164,7 @@ def row_order_hint(log: JointLog) -> str | None:
 
 
 def _peaks(values: Array) -> Array:
-    """(n,) largest magnitude of each column, 0 where nothing was measured."""
+    """Return (n,) largest magnitude of each column, 0 where nothing was measured."""
     peaks = np.zeros(values.shape[1])
     for first in range(0, len(values), _ROWS):
         part = np.abs(values[first : first + _ROWS])

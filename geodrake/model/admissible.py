@@ -23,7 +23,7 @@ _LEAST = 1e-9  # of a parameter beyond a bound, in its unit
 
 
 def check_body(what: str, phi: Array) -> None:
-    """Refuses inertial parameters (10,) of no body."""
+    """Refuse inertial parameters (10,) of no body."""
     _check_finite(what, PARAMETER_NAMES, phi)
     if phi[0] < 1.0 / LARGEST:
         raise ModelError(f"{what} have a mass of {phi[0]:g} kg.")
@@ -36,7 +36,7 @@ def check_body(what: str, phi: Array) -> None:
 
 
 def check_effect(fitted: FittedEffect) -> None:
-    """Refuses parameters beyond the manifold of their effect, as negative friction is."""
+    """Refuse parameters beyond the manifold of their effect, as negative friction is."""
     effect, what = fitted.effect, f"parameters of {named(fitted)}"
     names = [parameter.name for parameter in effect.parameters]
     for key, value in effect.shape.items():
@@ -70,5 +70,5 @@ def _check_finite(what: str, names: Sequence[str], values: Array) -> None:
 
 
 def named(fitted: FittedEffect) -> str:
-    """An effect and where it is, in words."""
+    """Return an effect and where it is, in words."""
     return f"{fitted.effect.name} at {fitted.effect.place}"

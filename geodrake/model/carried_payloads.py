@@ -57,7 +57,7 @@ def joints_with_known_gain(model: RobotModel, logs: Sequence[Payloads]) -> tuple
 
 
 def payload_notes(model: RobotModel, logs: Sequence[JointLog]) -> list[str]:
-    """What is done about known payloads, in words."""
+    """Return what is done about known payloads, in words."""
     notes = [
         f"{log.name}: the effort of {payload.mass:g} kg known at {payload.body} is taken off the "
         "measured one"
@@ -74,7 +74,7 @@ def payload_notes(model: RobotModel, logs: Sequence[JointLog]) -> list[str]:
 
 
 def _in_frame_of_body(bodies: Sequence[LumpedBody], payload: KnownPayload) -> tuple[int, Array]:
-    """Index of the body that a payload's link belongs to, and its parameters (10,) there."""
+    """Return the index of the body of a payload's link, and its parameters (10,) there."""
     for index, body in enumerate(bodies):
         for member in body.members:
             if member.name == payload.body:

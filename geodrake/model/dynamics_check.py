@@ -137,7 +137,7 @@ def check_dynamics(model: RobotModel, *, samples: int = 100, seed: int = 0) -> D
 
 
 def _random_states(model: RobotModel, count: int, rng: np.random.Generator) -> States:
-    """Positions (N, nq), velocities and accelerations (N, nv) within the robot's limits."""
+    """Return positions (N, nq), velocities and accelerations (N, nv) within the robot's limits."""
     lower, upper = model.position_limits
     lower, upper = np.maximum(lower, -np.pi), np.minimum(upper, np.pi)
     middle = np.clip(0.0, np.minimum(lower, upper), np.maximum(lower, upper))

@@ -165,7 +165,7 @@ def repair_comments(model: RobotModel) -> list[str]:
 
 
 def distributed(body: LumpedBody, stated: Array, phi: Array) -> tuple[Array, str]:
-    """Share an identified body among the k links that make it up.
+    """Return the share an identified body among the k links that make it up.
 
     Args:
         stated: (k, 10) what the file states for each, in its own frame.

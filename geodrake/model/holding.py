@@ -92,7 +92,7 @@ def holding(
 
 
 def held_notes(held: Mapping[str, float], why: str = "so that they do not move") -> list[str]:
-    """That joints are held, and where (rad or m), in words."""
+    """Return that joints are held, and where (rad or m), in words."""
     words = ", ".join(f"{joint} at {value:.4g}" for joint, value in held.items())
     return [f"Held, {why}: {words}."] if words else []
 

@@ -231,7 +231,7 @@ def _of_loop(log: JointLog, drive: Drive, loop: LoopTransmission) -> tuple[Array
 
 
 def _noise(positions: Array) -> float:
-    """Deviation of the noise of positions (N,), by their third differences."""
+    """Return the deviation of noise of positions (N,), by third differences."""
     differences = np.diff(readings(positions), 3)
     return float(np.median(np.abs(differences)) / 0.6745 / np.sqrt(20.0)) if len(differences) else 0
 
@@ -246,7 +246,7 @@ def _travels(log: JointLog, joint: str) -> bool:
 
 
 def _check_sides(model: RobotModel, logs: Sequence[JointLog], silent: Sequence[str]) -> None:
-    """Refuses logs of joints where the model has actuators in their place."""
+    """Refuse logs of joints where the model has actuators in their place."""
     for drive in model.transmission:
         for log in logs:
             missing = [name for name in drive.actuators if name in silent]

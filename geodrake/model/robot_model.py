@@ -179,11 +179,11 @@ class RobotModel(Short):
         return tuple(self.actuation.behind)
 
     def plant_positions(self, q: Array) -> Array:
-        """(N, nq of the plant) positions, of those of the model (N, nq)."""
+        """Return (N, nq of the plant) positions, of those of the model (N, nq)."""
         return self.coordinates.tree_positions(q)
 
     def plant_velocities(self, q: Array, v: Array) -> Array:
-        """(N, nv of the plant) velocities, of positions (N, nq) and velocities (N, nv)."""
+        """Return (N, nv of the plant) velocities, of positions (N, nq) and velocities (N, nv)."""
         return times(self.coordinates.jacobian(q), v)
 
     def driving(
@@ -208,7 +208,7 @@ class RobotModel(Short):
         return DrivenPlant(self, plant, sign_width, log, temperatures)
 
     def robot_gradient(self, q: Array, gradient: Array) -> Array:
-        """(N, nq) gradient with the positions q (N, nq), of that with the plant's (N, ·)."""
+        """Return (N, nq) gradient with the positions q (N, nq), of that with the plant's (N, ·)."""
         return self.coordinates.robot_gradient(q, gradient)
 
     def place_of(self, joint: Joint) -> int | None:
@@ -354,7 +354,7 @@ class RobotModel(Short):
         return replace(seen, effort=cache(lambda: self.unscaled_effort(seen)))
 
     def _by_velocity(self, q: Array) -> Array:
-        """(N, nv) positions by velocity, of q (N, nq); NaN for joints of several degrees."""
+        """Return (N, nv) positions by velocity, of q (N, nq); NaN for joints of several degrees."""
         found = np.full((len(q), len(self.joints)), np.nan)
         at_velocity, at_position = self.single_places
         found[:, at_velocity] = q[:, at_position]
@@ -379,7 +379,7 @@ class RobotModel(Short):
         return effort
 
     def unscaled_effort(self, seen: RobotMotion) -> Array:
-        """Effort (N, nv) of the bodies and all effects but scales."""
+        """Return the effort (N, nv) of the bodies and all effects but scales."""
         columns, mu = self._unscaled_effects
         return seen.load + columns.effort(seen, mu)
 
@@ -474,7 +474,7 @@ class RobotModel(Short):
         sign_width: ArrayLike = 1e-2,
         log: str | None = None,
     ) -> RobotInDiagram:
-        """Adds the model to a Drake diagram: inertias, payloads, effects and delays, each once.
+        """Add the model to a Drake diagram: inertias, payloads, effects and delays, each once.
 
             builder = DiagramBuilder()
             robot = model.add_to_builder(builder)
@@ -517,7 +517,7 @@ class RobotModel(Short):
         sign_width: ArrayLike = 1e-2,
         log: str | None = None,
     ) -> RobotInDiagram:
-        """Makes a robot in a larger plant move as this model: inertias, effects and delays.
+        """Make a robot in a larger plant move as this model: inertias, effects and delays.
 
             robot = model.add_to_scene(builder, RobotInstance(plant, "arm"))
             builder.Connect(controller.get_output_port(), robot.effort)

@@ -511,7 +511,7 @@ def _ordered(field: str, values: dict[str, T], names: Sequence[str]) -> dict[str
 
 
 def check_model(model: RobotModel) -> None:
-    """Refuses a model whose numbers no robot can have.
+    """Refuse a model whose numbers no robot can have.
 
     Inertial parameters φ of every body need P(φ) ⪰ 0 and a mass, parameters of effects must lie on
     the effect's manifold or its edge, deviations and noise must not be negative, bandwidths

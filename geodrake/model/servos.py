@@ -11,13 +11,13 @@ from geodrake.model.robot_model import RobotModel
 
 
 def servos_of(model: RobotModel) -> tuple[EffortSignal | None, ...]:
-    """The servo of each of a model's joints; None where efforts come from something else."""
+    """Return the servo of each of a model's joints; None where efforts come from something else."""
     signals = (signal_of(model.effort_signals, joint) for joint in model.joints)
     return tuple(each if each and each.kind == COMMAND else None for each in signals)
 
 
 def servo_gains(model: RobotModel) -> tuple[Array, Array, Array, Array]:
-    """Stiffness, damping, integral gain and largest effort (n,) of the servos.
+    """Return stiffness, damping, integral gain and largest effort (n,) of the servos.
 
     They are 0, 0, 0 and ∞ where there is none.
     """
@@ -39,5 +39,5 @@ def servo_gains(model: RobotModel) -> tuple[Array, Array, Array, Array]:
 
 
 def command_delays(model: RobotModel) -> Array:
-    """(n,) times by which commands act late, s; 0 at joints without a servo."""
+    """Return (n,) times by which commands act late, s; 0 at joints without a servo."""
     return np.array([servo.delay if servo else 0.0 for servo in servos_of(model)])

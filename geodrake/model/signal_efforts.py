@@ -175,7 +175,7 @@ def limited_integral(time: Array, error: Array, effort: Array, gain: float, limi
 
 @compiled
 def calc_limited_integral(rows: Array, gain: float, limit: float, out: Array) -> None:
-    """Writes the integral into zeros (N,), of rows (N, 3): instants, errors, other efforts."""
+    """Write the integral into zeros (N,), of rows (N, 3): instants, errors, other efforts."""
     for k in range(len(rows) - 1):
         effort, error = rows[k, 2] + gain * out[k], 0.5 * (rows[k, 1] + rows[k + 1, 1])
         beyond = (effort > limit and error > 0.0) or (effort < -limit and error < 0.0)

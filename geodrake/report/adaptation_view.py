@@ -93,7 +93,7 @@ class AdaptationView(LeafSystem):
         path: str = "adaptation",
         period: float = FRAME_PERIOD,
     ) -> AdaptationView:
-        """Adds a view of an adaptive loop and connects it.
+        """Add a view of an adaptive loop and connect it.
 
         Args:
             period: Time between two pictures, s.

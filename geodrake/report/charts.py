@@ -149,7 +149,7 @@ class Chart:
         return low, (high if high > low else low + 1.0)
 
     def color_of(self, key: str) -> str:
-        """The colour of a stage, by its key."""
+        """Return the colour of a stage, by its key."""
         return next(stage.color for stage in self.stages if stage.key == key)
 
     @property
@@ -228,7 +228,7 @@ def _encoded(values: NDArray[Any]) -> str:
 
 
 def packed(values: Array) -> tuple[float, float, str]:
-    """Values as 16 bit integers: offset and scale to float, and the integers in base64.
+    """Return values as 16 bit integers: offset and scale to float, and the integers in base64.
 
     A value is offset + scale · integer; −32768 stands for a missing one.
     """
@@ -368,13 +368,13 @@ class LogAxis:
         return cls(0.6 * min(known), 1.01 * max(known))
 
     def at(self, value: float) -> float:
-        """A value's place, from 0 to 1."""
+        """Return a value's place, from 0 to 1."""
         return log(max(value, _LEAST) / self.low) / log(self.high / self.low)
 
     def bar(self, color: Color, value: float) -> Bar:
-        """A bar that ends at a value."""
+        """Return a bar that ends at a value."""
         return Bar(color, self.at(value), number(value)) if isfinite(value) else Bar(color, 0, "–")
 
     def marks(self, floor: float) -> tuple[Bar, ...]:
-        """That of the noise, if it is known."""
+        """Return the noise's, if it is known."""
         return (Bar(NOISE, self.at(floor)),) if isfinite(floor) and floor > 0 else ()

@@ -44,7 +44,7 @@ def ellipsoid_figure(
     *,
     context: Context | None = None,
 ) -> Figure:
-    """The equivalent uniform ellipsoids of every body over the robot, a panel for each set.
+    """Return the equivalent uniform ellipsoids of every body over the robot, a panel for each set.
 
     Bodies at the boundary of physical consistency are red, with their edges drawn. All panels
     have the same scale.
@@ -94,7 +94,7 @@ def ellipsoid_figure(
 
 @style.own_look()
 def figure_bytes(figure: Figure, kind: str = "png") -> bytes:
-    """A figure as the bytes of a file: "png", "pdf" or "svg"."""
+    """Return a figure as the bytes of a file: "png", "pdf" or "svg"."""
     FigureCanvasAgg(figure)
     buffer = io.BytesIO()
     dated = {"svg": "Date", "pdf": "CreationDate"}

@@ -49,7 +49,7 @@ class EllipsoidSet:
     def of(
         cls, name: str, phi: Array, *, color: str = IDENTIFIED, at_boundary: Sequence[int] = ()
     ) -> EllipsoidSet:
-        """A set in which the bodies of some numbers are at the boundary.
+        """Return a set in which the bodies of some numbers are at the boundary.
 
         Raises:
             ArgumentError: phi is not (nb, 10).
@@ -62,7 +62,7 @@ class EllipsoidSet:
         return cls(name, color, phi, marks)
 
     def body_color(self, body: int) -> str:
-        """Colour of a body: the set's, or that of the boundary."""
+        """Return the colour of a body: the set's, or that of the boundary."""
         return BOUNDARY if self.at_boundary[body] else self.color
 
 
@@ -81,7 +81,7 @@ class PlacedEllipsoids:
     rotation: Array
 
     def points(self, around: int = 20) -> Array:
-        """(nb, around // 2 + 1, around + 1, 3) points of the surfaces, a net of angles."""
+        """Return (nb, around // 2 + 1, around + 1, 3) points of the surfaces, a net of angles."""
         polar = np.linspace(0.0, np.pi, around // 2 + 1)[:, None]
         azimuth = np.linspace(0.0, 2 * np.pi, around + 1)
         sphere = np.stack(
@@ -97,7 +97,7 @@ class PlacedEllipsoids:
 
 
 def placed(plant: MultibodyPlant, context: Context, phi: Array) -> PlacedEllipsoids:
-    """The equivalent ellipsoids of bodies where a plant's configuration puts them.
+    """Return the equivalent ellipsoids of bodies where a plant's configuration puts them.
 
     Args:
         phi: (nb, 10) physical inertial parameters in the order of `lumped_bodies`.
@@ -120,7 +120,7 @@ def placed(plant: MultibodyPlant, context: Context, phi: Array) -> PlacedEllipso
 
 
 def skeleton(plant: MultibodyPlant, context: Context) -> Array:
-    """The robot as lines: (k, 2, 3) ends in the world, m, from joint to joint."""
+    """Return the robot as lines: (k, 2, 3) ends in the world, m, from joint to joint."""
     lines = []
     for index in plant.GetJointIndices():
         joint = plant.get_joint(JointIndex(index))

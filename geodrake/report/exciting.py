@@ -451,7 +451,7 @@ def _beyond(found: LogIdentifiability) -> str:
 
 
 def _identifiable_share(found: LogIdentifiability) -> str:
-    """`9 of 12 directions are identifiable to within 10 %; hand in full`."""
+    """Return `9 of 12 directions are identifiable to within 10 %; hand in full`."""
     most = percent(found.identifiable.threshold**0.5)
     share = f"{found.count} of {found.possible} directions are identifiable to within {most}"
     return share + _whose_bodies(found)
@@ -554,7 +554,7 @@ def _combinations_table(found: LogIdentifiability) -> Table:
 
 
 def excitation_dict(result: ExcitationResult) -> dict[str, Any]:
-    """A designed motion: its coefficients, what it is worth, what it uses of the limits.
+    """Return a designed motion: its coefficients, what it is worth, what it uses of the limits.
 
     Args:
         result: The result of `geodrake.excitation.design_excitation`; of a `Separation`, its value
@@ -628,7 +628,7 @@ def excitation_dict(result: ExcitationResult) -> dict[str, Any]:
 
 
 def identifiable_dict(found: LogIdentifiability) -> dict[str, Any]:
-    """What is identifiable from logs: directions, bodies, effects and base parameters.
+    """Return what is identifiable from logs: directions, bodies, effects and base parameters.
 
     Returns:
         `told` of `possible` directions, `threshold`, and `directions`, `bodies`, `effects`,

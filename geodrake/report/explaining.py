@@ -513,7 +513,7 @@ def footer(comparison: Comparison) -> str:
 
 
 def errors_table(stages: Mapping[str, ErrorTable], units: Units) -> Table:
-    """Errors of every joint, the noise floor, and the share that is removable in the end.
+    """Return errors of every joint, the noise floor, and the share that is removable in the end.
 
     Errors in N·m or N come first, and what they are of the effort's deviation after them. Where the
     logs show no noise, it and what is removable are unknown.
@@ -615,7 +615,7 @@ def effect_cell(name: str, units: Units) -> Cell:
 
 
 def parameters_table(step: Step, units: Units) -> Table:
-    """Places by parameters; a column's unit stands in its head where all places share it."""
+    """Return places by parameters; a column's unit stands in its head where all places share it."""
     names = list(dict.fromkeys(name for values in step.parameters.values() for name in values))
     places = words.ordered_places(step)
     head, columns = ["where"], []
@@ -674,7 +674,7 @@ def _limit(signal: EffortSignal, units: Units) -> str:
 
 
 def formulas_table(draft: Draft) -> Table:
-    """Drafted effects with their coefficients."""
+    """Return drafted effects with their coefficients."""
     rows = tuple(
         cells(
             Cell(effect.formula.joint, typed=draft.names[effect.formula.joint]),
@@ -717,12 +717,12 @@ def bodies_table(bodies: Sequence[BodyChange]) -> Table:
 
 
 def _place(com: Array) -> str:
-    """A point in whole millimetres."""
+    """Return a point in whole millimetres."""
     return ", ".join(f"{x:.0f}".replace("-", "−") for x in np.round(_MILLIMETRES * com) + 0.0)
 
 
 def _centre(body: BodyChange) -> Cell:
-    """The centre of mass found, and every coordinate with its deviation."""
+    """Return the centre of mass found, and every coordinate with its deviation."""
     com, deviation = _MILLIMETRES * body.com[1], _MILLIMETRES * body.com_deviation
     pairs = zip(com.tolist(), deviation.tolist(), strict=True)
     each = ", ".join(with_deviation(x, sigma) for x, sigma in pairs)

@@ -421,7 +421,7 @@ def log_chart(found: LogInspection) -> Chart:
 
 
 def _effort_curve(found: LogInspection, row: int) -> tuple[NDArray[np.float64], str]:
-    """(N,) what a joint has for its effort, and what it is."""
+    """Return (N,) what a joint has for its effort, and what it is."""
     log = found.log
     kind = log.effort_kinds.get(log.joints[row], "effort")
     effort = log.effort[:, row]
@@ -432,7 +432,7 @@ def _effort_curve(found: LogInspection, row: int) -> tuple[NDArray[np.float64], 
 
 
 def export_dict(found: ProvenExport) -> dict[str, Any]:
-    """An export: its files, what they hold and lack, and what simulators make of them.
+    """Return an export: its files, what they hold and lack, and what simulators make of them.
 
     Returns:
         `format`, `files`; `holds`, the effects in them with their parameters; `lacks`, each with
@@ -527,7 +527,7 @@ def _digest_row(row: DigestRow, settings: DigestSettings | None) -> dict[str, An
 
 
 def inspection_dict(found: LogInspection) -> dict[str, Any]:
-    """What was understood of a log, as numbers and names."""
+    """Return what was understood of a log, as numbers and names."""
     return {
         "name": found.log.name,
         "joints": list(found.log.joints),

@@ -153,7 +153,7 @@ def _since(finding: FleetFinding) -> str:
 
 
 def _changed(parameter: ChangedParameter) -> str:
-    """`mass + 0.60 ± 0.01 kg`, with the share where there is one."""
+    """Return `mass + 0.60 ± 0.01 kg`, with the share where there is one."""
     size = with_deviation(parameter.size, parameter.deviation)
     sign = "" if size.startswith(("−", "(")) else "+"
     share = f", {percent(parameter.share)}" if parameter.share == parameter.share else ""
@@ -220,14 +220,14 @@ def _robots_table(robots: Sequence[RobotResult]) -> Table:
 
 
 def _parameter(parameter: FleetParameter) -> str:
-    """Such as `Coulomb friction of elbow, coulomb`; of bodies the combination itself."""
+    """Return `Coulomb friction of elbow, coulomb`, say; of bodies the combination itself."""
     if parameter.effect == BODIES:
         return parameter.name
     return f"{effect_label(parameter.effect)} of {parameter.where}, {parameter.name}"
 
 
 def _glance_tables(robots: Sequence[RobotResult]) -> tuple[Table, ...]:
-    """Robots × joints for each type: what changed there, or how far it is from others."""
+    """Return robots × joints for each type: what changed there, or how far it is from others."""
     tables = []
     for kind in dict.fromkeys(robot.type for robot in robots):
         own = [robot for robot in robots if robot.type == kind]
@@ -352,7 +352,7 @@ def _plot(history: ParameterHistory, changes: Sequence[FleetFinding], dates: Arr
 
 
 def _levels(history: ParameterHistory, changes: Sequence[FleetFinding], dates: Array) -> Array:
-    """(T,) weighted mean of a parameter between its changes."""
+    """Return (T,) weighted mean of a parameter between its changes."""
     stretch = np.sum([dates >= each.date for each in changes], axis=0) if changes else 0
     number_of = np.broadcast_to(stretch, dates.shape)
     weights = 1.0 / np.maximum(history.deviations, 1e-300) ** 2

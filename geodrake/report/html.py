@@ -75,7 +75,7 @@ def _asset(name: str) -> str:
 
 
 def _policy(scripts: Sequence[str]) -> str:
-    """What a browser may load for a page: nothing; and run: these scripts and no other."""
+    """Return what a browser may load for a page: nothing; and run: these scripts and no other."""
     hashes = (base64.b64encode(hashlib.sha256(s.encode()).digest()).decode() for s in scripts)
     allowed = " ".join(f"'sha256-{each}'" for each in hashes)
     return (

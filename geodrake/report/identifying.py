@@ -87,7 +87,7 @@ def _lead(found: ModelIdentification) -> tuple[str, ...]:
 
 
 def _effects_table(found: ModelIdentification, units: Units) -> Table:
-    """Parameters of the effects that were fitted, without payloads, which are bodies."""
+    """Return parameters of the effects that were fitted, without payloads, which are bodies."""
     rows = []
     for fitted in found.model.effects:
         if fitted.effect.role is Role.BODY:
@@ -108,7 +108,7 @@ def _effects_table(found: ModelIdentification, units: Units) -> Table:
 
 
 def _regularizers_table(found: ModelIdentification) -> Table:
-    """What every regularizer makes of the same training residual."""
+    """Return what every regularizer makes of the same training residual."""
     rows = tuple(
         cells(
             other.regularizer,
@@ -124,5 +124,5 @@ def _regularizers_table(found: ModelIdentification) -> Table:
 
 
 def _gamma(value: float) -> str:
-    """The weight of a regularizer, which a loose bound leaves as large as one likes."""
+    """Return the weight of a regularizer, which a loose bound leaves as large as one likes."""
     return number(value) if isfinite(value) else "without end"

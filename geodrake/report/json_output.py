@@ -35,7 +35,7 @@ class NoNumber:
 
 
 def number_or(value: float | None, reason: str) -> float | NoNumber:
-    """A finite number, or why there is none."""
+    """Return a finite number, or why there is none."""
     return NoNumber(reason) if value is None or not math.isfinite(value) else value
 
 
@@ -45,7 +45,7 @@ def picked(value: object, *names: str) -> dict[str, Any]:
 
 
 def comparison_dict(comparison: Comparison) -> dict[str, Any]:
-    """A comparison: errors of the whole and of each joint, and where they are concentrated.
+    """Return a comparison: errors of the whole and of each joint, and where they are concentrated.
 
     Returns:
         `error` (nrms, floor_nrms, pooled_rms, noise_is_known), `joints` by name (rms, std, nrms,
@@ -70,7 +70,7 @@ def comparison_dict(comparison: Comparison) -> dict[str, Any]:
 
 
 def diagnosis_dict(diagnosis: Diagnosis) -> dict[str, Any]:
-    """A diagnosis: verdict, candidates from the best on, and errors before any of them."""
+    """Return a diagnosis: verdict, candidates from the best on, and errors before any of them."""
     return {
         "verdict": diagnosis.verdict,
         "candidates": [asdict(candidate) for candidate in diagnosis.candidates],
@@ -96,14 +96,14 @@ def explanation_dict(explanation: Explanation) -> dict[str, Any]:
 
 
 def _signal(signal: EffortSignal) -> dict[str, Any]:
-    """What makes efforts of a signal; an infinite limit is none."""
+    """Return what makes efforts of a signal; an infinite limit is none."""
     limit = number_or(signal.limit, "no limit is known")
     speed = number_or(signal.no_load_speed, "the limit is the same at every speed")
     return {**asdict(signal), "limit": limit, "no_load_speed": speed}
 
 
 def certificate_dict(certificate: Certificate | None) -> dict[str, Any] | NoNumber:
-    """What the MathematicalProgram of a fit says of it; the gap as a share of the cost."""
+    """Return what the MathematicalProgram of a fit says of it; the gap as a share of the cost."""
     if certificate is None:
         return NoNumber("the model stays as it is")
     return {
@@ -130,7 +130,7 @@ def bodies_dict(bodies: Sequence[BodyChange]) -> dict[str, Any]:
 
 
 def draft_dict(draft: Draft) -> dict[str, Any]:
-    """Drafted formulas: where, in words, coefficients, held-out RMS before and after."""
+    """Return drafted formulas: where, in words, coefficients, held-out RMS before and after."""
     return {
         "effects": [
             {
@@ -158,7 +158,7 @@ def draft_dict(draft: Draft) -> dict[str, Any]:
 
 
 def rollout_dict(rollout: Rollout) -> dict[str, Any]:
-    """A rollout: departures of every joint from the measured motion."""
+    """Return a rollout: departures of every joint from the measured motion."""
     return {
         **picked(rollout, "under", "horizon"),
         "windows": [{"log": w.log, "start": float(w.time[0])} for w in rollout.windows],
@@ -178,7 +178,7 @@ def rollout_dict(rollout: Rollout) -> dict[str, Any]:
 
 
 def rollout_fit_dict(found: RolloutFit) -> dict[str, Any]:
-    """A fit of rollouts: values before and after, and departures in all windows."""
+    """Return a fit of rollouts: values before and after, and departures in all windows."""
     stages = {"fitted": found.fitted, "held_out": found.held_out}
     return {
         **picked(found, "taken", "chance"),
@@ -192,7 +192,7 @@ def rollout_fit_dict(found: RolloutFit) -> dict[str, Any]:
 
 
 def motions_dict(motions: Sequence[Rollout] | None) -> dict[str, Any]:
-    """Rollouts under commands, by the key `motion`; nothing without commands.
+    """Return rollouts under commands, by the key `motion`; nothing without commands.
 
     Those before and after the fit, and after each step but the last.
     """
@@ -203,7 +203,7 @@ def motions_dict(motions: Sequence[Rollout] | None) -> dict[str, Any]:
 
 
 def identification_dict(found: ModelIdentification) -> dict[str, Any]:
-    """An identification as plain numbers, for JSON."""
+    """Return an identification as plain numbers, for JSON."""
     names = [joint.joint for joint in found.after.joints]
     model = found.model
     return {
@@ -251,7 +251,7 @@ def _effect_dict(fitted: FittedEffect) -> dict[str, Any]:
 
 
 def to_json(result: Mapping[str, Any]) -> str:
-    """Text of a result; every number in it is finite, or null with a reason.
+    """Return the text of a result; every number in it is finite, or null with a reason.
 
     Where there is a null, the key `nulls` says of each why: its place as a JSON pointer, such as
     `/steps/0/deviations/flange/mass`, and the reason in words.
@@ -297,7 +297,7 @@ def _errors(**tables: ErrorTable) -> dict[str, Any]:
 
 
 def _plain(value: Any, place: str, nulls: dict[str, str]) -> Any:
-    """The value in dictionaries, lists, strings, Python numbers and None."""
+    """Return the value in dictionaries, lists, strings, Python numbers and None."""
     if isinstance(value, Mapping):
         return {str(k): _plain(v, f"{place}/{_token(k)}", nulls) for k, v in value.items()}
     if hasattr(value, "tolist"):  # numpy arrays and scalars
@@ -315,10 +315,10 @@ def _plain(value: Any, place: str, nulls: dict[str, str]) -> Any:
 
 
 def _token(key: object) -> str:
-    """A key in a JSON pointer (RFC 6901)."""
+    """Return a key in a JSON pointer (RFC 6901)."""
     return str(key).replace("~", "~0").replace("/", "~1")
 
 
 def _failing(case: Failing) -> dict[str, Any]:
-    """A circumstance in numbers; efforts are in N·m or N by the kind of the joint."""
+    """Return a circumstance in numbers; efforts are in N·m or N by the kind of the joint."""
     return {name: value for name, value in asdict(case).items() if name != "unit"}

@@ -85,7 +85,7 @@ class MeshcatEllipsoids:
 def ellipsoid_page(
     plant: MultibodyPlant, sets: Sequence[EllipsoidSet], *, context: Context | None = None
 ) -> str:
-    """One HTML page that loads nothing from elsewhere, with the sets side by side."""
+    """Return one HTML page that loads nothing from elsewhere, with the sets side by side."""
     context = plant.CreateDefaultContext() if context is None else context
     lines = skeleton(plant, context)
     ends = lines.reshape(-1, 3)
@@ -110,7 +110,7 @@ def ellipsoid_page(
 
 
 def legend(page: str, entries: Sequence[tuple[str, str]]) -> str:
-    """A page of MeshCat's with what its colours mean over the scene."""
+    """Return a page of MeshCat's with what its colours mean over the scene."""
     spans = "".join(
         f'<div><span style="display:inline-block;width:12px;height:12px;margin-right:8px;'
         f'border-radius:6px;background:{color}"></span>{html_text(name)}</div>'

@@ -38,7 +38,7 @@ def number(value: float, digits: int = 3) -> str:
 
 
 def with_deviation(value: float, deviation: float, systematic: float = math.nan) -> str:
-    """`3.084 ± 0.012`: both to the last digit that the standard deviation leaves certain.
+    """Return `3.084 ± 0.012`: both to the last digit that the standard deviation leaves certain.
 
     With a systematic one that is not small beside it `3.084 ± 0.012 ± 0.154`.
 
@@ -68,7 +68,7 @@ def if_known(value: float, deviation: float) -> str:
 
 
 def is_noticed(deviation: float, systematic: float) -> bool:
-    """Whether a systematic deviation is shown beside another one."""
+    """Return whether a systematic deviation is shown beside another one."""
     return math.isfinite(systematic) and 0.0 < deviation < systematic / _NOTICED
 
 
@@ -85,7 +85,7 @@ def estimate(value: float, deviation: float, systematic: float = math.nan) -> st
 
 
 def percent(share: float) -> str:
-    """A share in percent, with more digits where it is close to none or all of it."""
+    """Return a share in percent, with more digits where it is close to none or all of it."""
     if not math.isfinite(share):
         return UNKNOWN
     if 0.9995 <= share < 1:
@@ -97,12 +97,12 @@ def percent(share: float) -> str:
 
 
 def chance(probability: float) -> str:
-    """A probability, those below a millionth as `< 10⁻⁶`."""
+    """Return a probability, those below a millionth as `< 10⁻⁶`."""
     return "< 10⁻⁶" if probability < _LEAST_CHANCE else number(probability, 2)
 
 
 def relative(deviation: float) -> str:
-    """A relative deviation: `12 %`, or `3.1 times its size`."""
+    """Return a relative deviation: `12 %`, or `3.1 times its size`."""
     if not math.isfinite(deviation):
         return "unknown"
     return percent(deviation) if deviation < 1 else f"{number(deviation)} times its size"
@@ -135,7 +135,7 @@ class Units:
 
     @classmethod
     def of(cls, model: RobotModel, extra: Sequence[type[Effect]] = ()) -> Units:
-        """The units of a model's joints, and of its effects.
+        """Return the units of a model's joints, and of its effects.
 
         Args:
             extra: Effects of the user's own that the model need not have.
@@ -144,13 +144,13 @@ class Units:
         return cls(model.joints, frozenset(model.sliding_joints), {**cls().effects, **own})
 
     def at(self, joint: str, unit: str) -> str:
-        """A unit that is written for a revolute joint, at a joint."""
+        """Return a unit that is written for a revolute joint, at a joint."""
         if joint in self.prismatic:
             return when_sliding(unit)
         return unit
 
     def effort(self, joints: Collection[str] | None = None) -> str:
-        """The unit of the efforts of several joints, or of all: `N·m`, `N` or `N·m or N`."""
+        """Return the unit of the efforts of several joints, or of all: `N·m`, `N` or `N·m or N`."""
         names = self.joints if joints is None else joints
         found = {self.at(joint, "N·m") for joint in names} or {"N·m"}
         return " or ".join(sorted(found, reverse=True))
@@ -167,29 +167,29 @@ class Units:
         return "" if unit == "1" else self.at(place.partition(" & ")[0], unit)
 
     def shown(self, effect: str, name: str, value: float) -> float:
-        """A parameter's value in the unit in which it is shown, `parameter`."""
+        """Return a parameter's value in the unit in which it is shown, `parameter`."""
         return 1e3 * value if self._in_milliseconds(effect, name) else value
 
     def _in_milliseconds(self, effect: str, name: str) -> bool:
-        """Whether a parameter is a time by which efforts are late, which is short."""
+        """Return whether a parameter is a time by which efforts are late, which is short."""
         kind = self.effects.get(effect)
         late = effect == SERVO if kind is None else kind.role is Role.DELAY
         return late and self._unit(effect, name) == "s"
 
     def _unit(self, effect: str, name: str) -> str:
-        """SI unit at a joint that turns; 1 for what nothing is known of."""
+        """Return the SI unit at a joint that turns; 1 for what nothing is known of."""
         if effect in self.effects:
             return self.effects[effect].unit_of(name)
         return _SERVO_UNITS.get(name, "1") if effect == SERVO else "1"
 
 
 def _exponent(value: float, digits: int) -> int:
-    """The power of ten of a value's first digit, after rounding to so many digits."""
+    """Return the power of ten of a value's first digit, after rounding to so many digits."""
     return int(f"{value:.{digits - 1}e}".partition("e")[2])
 
 
 def _fixed(value: float, decimals: int) -> str:
-    """A value rounded to decimals, which may be negative, with a true minus sign."""
+    """Return a value rounded to decimals, which may be negative, with a true minus sign."""
     text = f"{round(value, decimals):.{max(decimals, 0)}f}"
     return text.replace("-", "−") if float(text) else text.lstrip("-")
 

@@ -66,7 +66,7 @@ def play_page(
     speed: float = 1.0,
     shapes: RobotShapes | None = None,
 ) -> str:
-    """One HTML page that loads nothing from elsewhere and plays logs over the robot.
+    """Return one HTML page that loads nothing from elsewhere and plays logs over the robot.
 
     Links have the colour of the error of their joint. A panel names the worst moments, and jumps to
     them; strips show the errors of all joints over time.
@@ -189,7 +189,7 @@ def _model_words(copy: _RobotCopy, number_: int) -> dict[str, Any]:
 
 
 def _by_place(marks: Sequence[Mark]) -> list[tuple[str, str]]:
-    """Places, and the effects that are there."""
+    """Return places, and the effects that are there."""
     found: dict[str, list[str]] = {}
     for mark in marks:
         found.setdefault(mark.place, []).append(mark.words)
@@ -215,7 +215,7 @@ def _several(playback: Playback) -> bool:
 
 
 def levels(playback: Playback, played: PlayedModel) -> np.ndarray[Any, np.dtype[np.uint8]]:
-    """(F, nv) colours of a model's joints in all frames, from 0 for no error to 254."""
+    """Return (F, nv) colours of a model's joints in all frames, from 0 for no error to 254."""
     scaled = np.clip(played.relative / playback.top, 0.0, 1.0) * _LEVELS
     return np.where(np.isfinite(scaled), np.rint(scaled), UNKNOWN).astype(np.uint8)
 
@@ -258,7 +258,7 @@ def _data(
 
 
 def _labels(marks: Sequence[Mark]) -> list[dict[str, str]]:
-    """One label a place: where several effects are, the first and how many more."""
+    """Return one label a place: where several effects are, the first and how many more."""
     found: dict[str, list[str]] = {}
     for mark in marks:
         found.setdefault(mark.path, []).append(printable(mark.words))
@@ -273,7 +273,7 @@ def _packed(values: Array | np.ndarray[Any, np.dtype[np.uint8]]) -> str:
 
 
 def _script(data: dict[str, Any]) -> str:
-    """JSON that may stand in a script of a page."""
+    """Return JSON that may stand in a script of a page."""
     return json.dumps(data).replace("<", "\\u003c")
 
 

@@ -120,7 +120,7 @@ class Playback:
         return np.concatenate([excerpt.q for excerpt in self.excerpts])
 
     def own_time(self, frame: int) -> tuple[str, float]:
-        """The log of a frame, and the time there, s."""
+        """Return the log of a frame, and the time there, s."""
         for excerpt in self.excerpts:
             if frame < len(excerpt.time):
                 return excerpt.log, float(excerpt.time[frame])
@@ -146,7 +146,7 @@ def play_back(
     ghost: float | None = None,
     progress: Callable[[str, float], None] | None = None,
 ) -> Playback:
-    """What to play of logs: all of them, or the passages in which the models err most.
+    """Return what to play of logs: all of them, or the passages in which the models err most.
 
     A ghost is the model's robot alone with the measured efforts. It begins at the measured state
     again and again, as a robot under efforts drifts away soon. Where a joint of it is
@@ -200,7 +200,7 @@ def play_back(
 def _excerpts(
     case: Case, found: Sequence[Comparison], seconds: float
 ) -> tuple[tuple[Excerpt, ...], float]:
-    """What is played, and the seconds that are not."""
+    """Return what is played, and the seconds that are not."""
     stretches = [(t, s) for t in case.trajectories for s in t.segments]
     parts = []  # (stretch, first sample, first one after it, score)
     whole = sum(len(s) * s.period for _, s in stretches) <= seconds
@@ -231,7 +231,7 @@ def _excerpts(
 
 
 def _score(log: str, ends: tuple[float, float], found: Sequence[Comparison]) -> float:
-    """How far the models err between two instants, each measured by its own error."""
+    """Return how far the models err between two instants, each measured by its own error."""
     score = 0.0
     for one in found:
         stds = {joint.joint: joint.std for joint in one.errors.joints}
@@ -322,7 +322,7 @@ def _around(frames: Array, time: Array, measured: Array, predicted: Array) -> Ar
 
 
 def _worst(number: int, error: Array, played: PlayedModel) -> Iterable[Moment]:
-    """The instants of largest relative error, apart from each other."""
+    """Yield the instants of largest relative error, apart from each other."""
     left = np.nan_to_num(played.relative, nan=-1.0)
     counts = np.zeros(left.shape[1], int)
     for _ in range(_MOST_MOMENTS):

@@ -56,7 +56,7 @@ def _moment_words(moment: Moment, playback: Playback, units: Units) -> str:
 
 
 def playback_dict(found: Played) -> dict[str, Any]:
-    """What is played, and where the models err most, as JSON has it."""
+    """Return what is played, and where the models err most, as JSON has it."""
     playback = found.playback
     return {
         "models": [

@@ -36,7 +36,7 @@ _BEFORE, _AFTER = ("simulated before", style.BEFORE, 0.6), ("simulated", style.A
 
 @typed
 def replay_page(model: RobotModel, times: Array, q: Array) -> str:
-    """One HTML page that loads nothing from elsewhere and replays a motion.
+    """Return one HTML page that loads nothing from elsewhere and replays a motion.
 
     The robot looks as its file says, meshes included; links that cannot be shown are sticks.
 
@@ -91,7 +91,7 @@ def _replayed(
 
 
 def _frames(found: Rollout, name: str) -> Array:
-    """(F, nv) positions of all windows, one after another, at the rate of recordings."""
+    """Return (F, nv) positions of all windows, one after another, at the rate of recordings."""
     parts = []
     for window in found.windows:
         values = getattr(window, name)

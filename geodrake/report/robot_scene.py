@@ -100,15 +100,15 @@ class RobotScene:
                 meshcat.SetTransform(self.link_path(body), X_WB)
 
     def link_path(self, body: RigidBody) -> str:
-        """The folder of a link, whose frame is the link's."""
+        """Return the folder of a link, whose frame is the link's."""
         return f"{self.path}/{path_part(body.scoped_name().get_full())}"
 
     def body_path(self, name: str) -> str:
-        """The folder of a body of the model, links welded together counting as one."""
+        """Return the folder of a body of the model, links welded together counting as one."""
         return self.link_path(self.body(name))
 
     def body(self, name: str) -> RigidBody:
-        """The link whose frame is that of a body of the model."""
+        """Return the link whose frame is that of a body of the model."""
         lump = self._lumps[self._model.bodies.index(name)]
         return self._model.plant.get_body(lump.body_index)
 
@@ -134,7 +134,7 @@ class RobotScene:
         return self._place(next(j for j in moving if names[j.velocity_start()] == name), name)
 
     def joint_places(self) -> tuple[JointPlace, ...]:
-        """The joints of one degree of freedom, in the model's order."""
+        """Return the joints of one degree of freedom, in the model's order."""
         plant, places = self._model.plant, {}
         for index in plant.GetJointIndices():
             joint = plant.get_joint(JointIndex(index))
@@ -167,7 +167,7 @@ class RobotScene:
 
 
 def draw_ellipsoid(meshcat: Meshcat, path: str, phi: Array, color: Rgba) -> None:
-    """Draws the uniform ellipsoid that has the inertia of a body.
+    """Draw the uniform ellipsoid that has the inertia of a body.
 
     Args:
         path: Where in the scene; the folder above has the body's frame.
@@ -179,7 +179,7 @@ def draw_ellipsoid(meshcat: Meshcat, path: str, phi: Array, color: Rgba) -> None
 
 
 def calm_meshcat() -> Meshcat:
-    """A MeshCat for a page: light, without axes; where it listens does not matter."""
+    """Return a MeshCat for a page: light, without axes; where it listens does not matter."""
     meshcat = Meshcat(MeshcatParams(host="localhost", show_stats_plot=False))
     meshcat.SetProperty("/Background/<object>", "top_color", [1.0, 1.0, 1.0])
     meshcat.SetProperty("/Background/<object>", "bottom_color", [0.93, 0.95, 0.97])
@@ -210,7 +210,7 @@ class Extent:
 
     @classmethod
     def of(cls, model: RobotModel, q: Array) -> Extent:
-        """The extent of some postures.
+        """Return the extent of some postures.
 
         Args:
             q: (N, nq) positions of the model.
@@ -234,14 +234,14 @@ class Extent:
 
 
 def draw_floor(meshcat: Meshcat, path: str, extent: Extent) -> None:
-    """Draws a disc for a robot to stand on."""
+    """Draw a disc for a robot to stand on."""
     disc = Cylinder(0.3 * extent.size, _FLOOR_THICKNESS)
     meshcat.SetObject(f"{path}/floor", disc, Rgba(0.87, 0.89, 0.92, 1.0))
     meshcat.SetTransform(f"{path}/floor", RigidTransform([0.0, 0.0, -_FLOOR_THICKNESS]))
 
 
 def place_camera(meshcat: Meshcat, extent: Extent, *, copies: int = 1) -> None:
-    """Looks at where a robot goes."""
+    """Look at where a robot goes."""
     meshcat.SetCameraPose(*camera_place(extent, copies))
 
 

@@ -205,7 +205,7 @@ def _fit_table(found: RolloutFit, units: Units) -> Table:
 
 
 def rollout_chart(after: Rollout, before: Rollout | None, units: Units) -> Chart:
-    """Measured and simulated positions of every joint over time, window after window."""
+    """Return measured and simulated positions of every joint over time, window after window."""
     starts = np.arange(len(after.windows)) * 1.1 * after.horizon
     times = [s + w.time - w.time[0] for s, w in zip(starts, after.windows, strict=True)]
     time = gap_filled(_joined([[t] for t in times])[0])
@@ -236,12 +236,12 @@ def rollout_chart(after: Rollout, before: Rollout | None, units: Units) -> Chart
 
 
 def _within(span: tuple[float, float], values: Array) -> Array:
-    """Values with NaN where they are so far away that they leave the plot anyway."""
+    """Return values with NaN where they are so far away that they leave the plot anyway."""
     low, high = span
     return np.where(np.abs(values - 0.5 * (low + high)) < 2.0 * (high - low), values, np.nan)
 
 
 def _joined(parts: Sequence[Array | Sequence[Array]]) -> Array:
-    """Rows of all windows, one after the other, with a NaN behind each."""
+    """Return rows of all windows, one after the other, with a NaN behind each."""
     gap = np.full((len(parts[0]), 1), np.nan)
     return np.concatenate([each for part in parts for each in (np.asarray(part), gap)], axis=1)

@@ -159,7 +159,7 @@ class EffectMarks:
         return marks or [Mark(f"{self._scene.path}/floor", words, effect.place)]
 
     def _draw_contact(self, effect: PointEpisode, fitted: FittedEffect, own: str) -> str:
-        """An arrow of the force that the robot applies, at the point where it does."""
+        """Return an arrow of the force that the robot applies, at the point where it does."""
         above = self._scene.body_path(effect.body) if effect.turning else self._scene.path
         path, force = f"{above}/{own}", fitted.parameters[:3]
         if effect.turning:
@@ -174,7 +174,7 @@ class EffectMarks:
 
 
 def effect_words(fitted: FittedEffect, units: Units) -> str:
-    """An effect and its most telling value, such as `payload 2.49 kg`."""
+    """Return an effect and its most telling value, such as `payload 2.49 kg`."""
     effect = fitted.effect
     label = printable(effect.label or effect_label(effect.name))
     values, _ = effect.reported(fitted.parameters, np.full(len(fitted.parameters), np.nan))
@@ -189,7 +189,7 @@ def effect_words(fitted: FittedEffect, units: Units) -> str:
 
 
 def draw_arrow(meshcat: Meshcat, path: str, length: float, color: str) -> None:
-    """Draws an arrow from the origin of a folder along its z."""
+    """Draw an arrow from the origin of a folder along its z."""
     head, width = 0.3 * length, 0.028 * length
     meshcat.SetObject(f"{path}/shaft", Cylinder(width, length - head), _rgba(color))
     middle = RigidTransform([0.0, 0.0, 0.5 * (length - head)])
@@ -200,7 +200,7 @@ def draw_arrow(meshcat: Meshcat, path: str, length: float, color: str) -> None:
 
 
 def ring(radius: float, thickness: float) -> tuple[Array, NDArray[np.int32]]:
-    """A ring about z.
+    """Return a ring about z.
 
     Args:
         radius: From the axis to the middle of the ring, m.
@@ -224,7 +224,7 @@ def ring(radius: float, thickness: float) -> tuple[Array, NDArray[np.int32]]:
 
 
 def _during(effect: Episode, excerpt: Excerpt) -> NDArray[np.bool_]:
-    """(F,) whether what acts in a window of one log is there."""
+    """Return (F,) whether what acts in a window of one log is there."""
     since = excerpt.time - excerpt.began
     return np.asarray((effect.weight(since) >= 0.5) & effect.is_of(log_number(excerpt.log)))
 

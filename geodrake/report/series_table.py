@@ -24,7 +24,7 @@ Columns = Mapping[str, Sequence[str] | Array]
 
 
 def comparison_series(now: Comparison, before: Comparison | None = None) -> Columns:
-    """Efforts of a comparison, N·m or N; NaN where a joint's sample was left out.
+    """Return efforts of a comparison, N·m or N; NaN where a joint's sample was left out.
 
     Returns:
         `time`, `log`, and of every joint `measured`, `predicted` and `residual`, measured −
@@ -47,7 +47,7 @@ def comparison_series(now: Comparison, before: Comparison | None = None) -> Colu
 
 
 def rollout_series(now: Rollout, before: Rollout | None = None) -> Columns:
-    """Positions of a rollout, rad or m, window after window.
+    """Return positions of a rollout, rad or m, window after window.
 
     Returns:
         `time`, `log`, `window`, and of every joint `measured`, `predicted` and `residual`, measured
@@ -71,7 +71,7 @@ def rollout_series(now: Rollout, before: Rollout | None = None) -> Columns:
 
 
 def series_content(columns: Columns, path: Path) -> Content:
-    """What goes into a file of samples, by its suffix.
+    """Return what goes into a file of samples, by its suffix.
 
     Args:
         path: The file, CSV or Parquet; empty entries of a CSV are samples that were left out.
@@ -93,7 +93,7 @@ def check_series(path: Path) -> None:
 
 
 def optional(module: str, extra: str) -> Any:
-    """A module of a package that results can do without."""
+    """Return a module of a package that results can do without."""
     return optional_package(module, extra, "tables of results", ArgumentError)
 
 
@@ -122,5 +122,5 @@ def _texts(values: Sequence[str] | Array) -> list[str]:
 
 
 def _field(text: str) -> str:
-    """A field of a CSV, in quotes where it must be."""
+    """Return a field of a CSV, in quotes where it must be."""
     return '"{}"'.format(text.replace('"', '""')) if set(text) & set(',"\r\n') else text

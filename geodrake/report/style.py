@@ -58,7 +58,7 @@ _SETTINGS = {
 
 @contextmanager
 def own_look() -> Iterator[None]:
-    """A figure is made or drawn: with matplotlib's own settings, not those of the user.
+    """Make or draw a figure with matplotlib's own settings, not those of the user.
 
     Dollars in names of joints are letters, not the signs of mathematics.
     """
@@ -67,12 +67,12 @@ def own_look() -> Iterator[None]:
 
 
 def new_figure(height: float) -> Figure:
-    """An empty figure of the common width and a height in inches."""
+    """Return an empty figure of the common width and a height in inches."""
     return Figure(figsize=(WIDTH, height), dpi=DPI, facecolor="white", layout="constrained")
 
 
 def polish(ax: Axes, *, grid: str = "both") -> Axes:
-    """Gives axes the common look."""
+    """Give axes the common look."""
     ax.spines[["top", "right"]].set_visible(False)
     ax.spines[["left", "bottom"]].set_color(RULE)
     ax.tick_params(labelcolor=QUIET, labelsize=SMALL, length=3, color=RULE)
@@ -89,7 +89,7 @@ def plain(size: float = NORMAL, color: str = INK, **more: Any) -> dict[str, Any]
 
 
 def joint_title(ax: Axes, joint: str, detail: str = "") -> None:
-    """Puts a joint's name above its axes, and a detail at the right."""
+    """Put a joint's name above its axes, and a detail at the right."""
     ax.set_title(label(joint, 48), loc="left", pad=4, **plain(fontweight="bold"))
     if detail:
         ax.set_title(label(detail), loc="right", pad=4, **plain(SMALL, QUIET))
@@ -102,7 +102,7 @@ def label(text: str, most: int = _MOST_LETTERS) -> str:
 
 
 def log_scale(ax: Axes, axis: str) -> None:
-    """Makes an axis logarithmic, its ticks written as plain numbers."""
+    """Make an axis logarithmic, its ticks written as plain numbers."""
     of: XAxis | YAxis = ax.xaxis if axis == "x" else ax.yaxis
     ax.set(**{f"{axis}scale": "log"})
     low, high = of.get_view_interval()

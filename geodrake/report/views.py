@@ -60,12 +60,12 @@ def page_of(result: object, about: About | None = None) -> Page:
 
 
 def html(result: object) -> str:
-    """A sentence and the tables of a result."""
+    """Return a sentence and the tables of a result."""
     return notebook_html(page_of(result))
 
 
 def dataframe(result: object, *, series: bool) -> Any:
-    """A result as a pandas DataFrame; see `Shown.to_dataframe`."""
+    """Return a result as a pandas DataFrame; see `Shown.to_dataframe`."""
     pandas = optional("pandas", "notebook")
     if series:
         return pandas.DataFrame(dict(samples(result)))
@@ -76,7 +76,7 @@ def dataframe(result: object, *, series: bool) -> Any:
 
 
 def samples(result: object) -> Columns:
-    """The samples behind a result."""
+    """Return the samples behind a result."""
     make = _view(result, "samples").samples
     if make is None:
         raise ArgumentError(f"{type(result).__name__} has no samples.")
@@ -84,7 +84,7 @@ def samples(result: object) -> Columns:
 
 
 def figure(result: object) -> Figure:
-    """The figure that says most of a result."""
+    """Return the figure that says most of a result."""
     from geodrake.report.figures import bars_figure, chart_figure
 
     name = _view(result, "figure").figure

@@ -37,7 +37,7 @@ _NOTHING = {
 
 
 def listed(names: Sequence[str], last: str = "and") -> str:
-    """`a`, `a and b`, `a, b and c`."""
+    """Return `a`, `a and b`, `a, b and c`."""
     head, tail = ", ".join(names[:-1]), "".join(names[-1:])
     return f"{head} {last} {tail}" if head else tail
 
@@ -134,7 +134,7 @@ def _amount(step: Step, name: str, units: Units) -> str:
 
 
 def _by_name(step: Step) -> Mapping[str, Mapping[str, float]]:
-    """Parameter name -> place -> value, places in the order of the step."""
+    """Return parameter name -> place -> value, places in the order of the step."""
     values: dict[str, dict[str, float]] = {}
     for place in ordered_places(step):
         for name, value in step.parameters[place].items():
@@ -223,7 +223,7 @@ def explained_share(before: float, after: float) -> float:
 
 
 def removable_share(errors: ErrorTable) -> float:
-    """Share of the squared error, summed over joints as in nrms, that is not sensor noise.
+    """Return the share of the squared error, summed as in nrms, that is not sensor noise.
 
     NaN where the logs show no noise, as nobody knows then.
     """

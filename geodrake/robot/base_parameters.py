@@ -72,11 +72,11 @@ class BaseParameters(Short):
         return np.asarray(self.matrix @ real_array(flat, "phi", (self.matrix.shape[1],)))
 
     def metric(self, prior: ArrayLike, *, extra: ArrayLike | None = None) -> Array:
-        """H₀ (n_B, n_B) at a prior; see `pushforward_metric`."""
+        """Return H₀ (n_B, n_B) at a prior; see `pushforward_metric`."""
         return pushforward_metric(self.matrix, prior, extra=extra)
 
     def labels(self, bodies: Sequence[str], *, extra: Sequence[str] = ()) -> tuple[str, ...]:
-        """Every combination in words, such as "Izz of column + Iyy of arm + 0.09 m of arm".
+        """Return every combination in words, such as "Izz of column + Iyy of arm + 0.09 m of arm".
 
         Coefficients are in SI units and given with three digits.
 
@@ -96,7 +96,7 @@ class BaseParameters(Short):
 def base_parameters(
     regressor: ArrayLike, *, extra: int = 0, tolerance: float = 1e-9
 ) -> BaseParameters:
-    """Base parameters of the motions that a regressor was made of.
+    """Return base parameters of the motions that a regressor was made of.
 
     Of motions that excite everything, these are the robot's own (`structural_base_parameters`); of
     a measured motion, they are what it excites. Units of length and time are scaled out before
@@ -137,7 +137,7 @@ def base_parameters(
 
 
 def structural_base_parameters(plant: MultibodyPlant | KinematicTree) -> BaseParameters:
-    """Base parameters that efforts identify with the best of motions, from random ones."""
+    """Return base parameters that efforts identify with the best of motions, from random ones."""
     tree = checked_tree(plant)
     random, nv = np.random.default_rng(0), tree.num_velocities
     count = 3 * PARAMETERS_PER_BODY * len(tree.bodies) // max(nv, 1) + 10
@@ -193,7 +193,7 @@ def pushforward_metric(
 
 
 def _scales(factor: Array, bodies: int) -> Array:
-    """(p,) size of each column's kind: one for all masses, one for all h, one for all I.
+    """Return (p,) size of each column's kind: one for all masses, one for all h, one for all I.
 
     With a_m, a_h, a_I the sizes of the three kinds, a_h² ~ a_m a_I in units; where one kind has
     no influence (only rounding), the other two say how large it would be.
@@ -215,7 +215,7 @@ def _scales(factor: Array, bodies: int) -> Array:
 
 
 def _independent(scaled: Array, rank: int, bodies: int, tolerance: float) -> Indices:
-    """(rank,) independent columns, by preference those of bodies near the base, I before m.
+    """Return (rank,) independent columns, by preference those of bodies near the base, I before m.
 
     A column that the ones before it nearly give, by the chance of a frame, would lose digits: it
     waits, and what is still missing at the end is taken in the order of size.
@@ -247,7 +247,7 @@ def _outside(basis: Array, columns: Array) -> Array:
 
 
 def _sum(row: Array, names: Sequence[str]) -> str:
-    """A row of coefficients as a sum, the parameter with the coefficient one first."""
+    """Return a row of coefficients as a sum, the parameter with the coefficient one first."""
     columns = np.flatnonzero(row)
     first = int(np.argmin(np.abs(row[columns] - 1.0)))
     text = ""

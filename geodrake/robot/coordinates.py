@@ -123,7 +123,7 @@ class RobotCoordinates:
         return self._jacobian(np.zeros((1, self.num_positions)))[0]
 
     def tree_positions(self, q: Array) -> Array:
-        """(N, nq of the tree) positions, of those of the robot (N, nq)."""
+        """Return (N, nq of the tree) positions, of those of the robot (N, nq)."""
         whole, _ = self._kept(q)
         for place in self.places:
             whole[:, place.joint_q] = place.drive.map.joint_positions(q[:, place.actuator_q])
@@ -145,7 +145,7 @@ class RobotCoordinates:
         return rate
 
     def jacobian_rate_slope(self, q: Array, v: Array) -> Array:
-        """∂(J̇ v)/∂q (N, nv of the tree, nv), by differences of J̇ along v.
+        """Return ∂(J̇ v)/∂q (N, nv of the tree, nv), by differences of J̇ along v.
 
         J̇ v has all v twice, so that its slope is the rate of J̇ itself.
         """
@@ -192,7 +192,7 @@ class RobotCoordinates:
         return theta, rates, accelerations, J
 
     def all_samples(self, q: Array, v: Array, vd: Array) -> tuple[Array, Array, Array, Array]:
-        """`tree_samples` with joints beyond the tree, which close loops; see `behind`."""
+        """Return `tree_samples` with joints beyond the tree, which close loops; see `behind`."""
         theta, rates, accelerations, J = self.tree_samples(q, v, vd)
         for place, loop in self._loops:
             at, own = list(loop.cut), place.actuator_v
@@ -212,7 +212,7 @@ class RobotCoordinates:
         return [(p, m) for p, m in maps if isinstance(m, LoopTransmission) and m.cut]
 
     def inside(self, q: Array) -> Array:
-        """Positions (N, nq) of the robot with its actuators where their maps are known."""
+        """Return positions (N, nq) of the robot with its actuators where their maps are known."""
         q = q.copy()
         for place in self.places:
             low, high = place.drive.limits
@@ -236,7 +236,7 @@ class RobotCoordinates:
         return q
 
     def robot_gradient(self, q: Array, gradient: Array) -> Array:
-        """(N, nq) gradient with the robot's positions q, of that with the tree's (N, ·)."""
+        """Return (N, nq) gradient with the robot's positions q, of that with the tree's (N, ·)."""
         found = np.zeros_like(q)
         own, tree = self.kept_q
         found[:, own] = gradient[:, tree]
@@ -256,7 +256,7 @@ class RobotCoordinates:
         return sorted(found), [found[at] for at in sorted(found)]
 
     def moved_by(self, velocities: Sequence[int]) -> tuple[int, ...]:
-        """The robot's velocities that move some velocities of the tree."""
+        """Return the robot's velocities that move some velocities of the tree."""
         return tuple(np.flatnonzero(self._moves[list(velocities)].any(axis=0)).tolist())
 
     @property
@@ -321,7 +321,7 @@ class RobotCoordinates:
         return self._each(limits, within, lambda J, most: _box(np.abs(J).max(axis=0), most))
 
     def effort_limits(self, limits: Array, within: tuple[Array, Array]) -> Array:
-        """Largest efforts (nv,) of the robot's actuators, of those of joints; see `rates`.
+        """Return largest efforts (nv,) of the robot's actuators, of those of joints; see `rates`.
 
         Free joints of a closed loop have their own: a motor at another joint adds to what is
         possible.
@@ -335,7 +335,7 @@ class RobotCoordinates:
     def _each(
         self, limits: Array, within: tuple[Array, Array], of: Callable[[Array, Array], Array]
     ) -> Array:
-        """Limits (nv,) of the robot, of those (nv of the tree,) of its joints.
+        """Return limits (nv,) of the robot, of those (nv of the tree,) of its joints.
 
         `of` makes those (n,) of a drive's actuators of its J (N, k, n) where they may be, and of
         the limits (k,) of its joints.
@@ -360,7 +360,7 @@ class RobotCoordinates:
         return moves
 
     def _kept(self, q: Array) -> tuple[Array, Array]:
-        """Positions (N, nq of the tree) and J with those of joints without a drive alone."""
+        """Return positions (N, nq of the tree) and J with those of joints without a drive alone."""
         whole, J = (
             np.zeros((len(q), *shape))
             for shape in (self.sizes[:1], (self.sizes[1], self.num_velocities))
@@ -421,7 +421,7 @@ def seated_at(drive: Drive, joints: Sequence[int]) -> list[int]:
 
 
 def _check(drives: Sequence[Drive], by_name: Mapping[str, int]) -> None:
-    """Refuses names that do not fit, of joints and actuators."""
+    """Refuse names that do not fit, of joints and actuators."""
     joints = [joint for drive in drives for joint in drive.joints]
     actuators = [name for drive in drives for name in drive.actuators]
     for joint in joints:
@@ -448,13 +448,13 @@ def _check(drives: Sequence[Drive], by_name: Mapping[str, int]) -> None:
 
 
 def middle(low: Array, high: Array) -> Array:
-    """(n,) positions in the middle of a range; 0 where there is none."""
+    """Return (n,) positions in the middle of a range; 0 where there is none."""
     bounded = np.isfinite(low) & np.isfinite(high)
     return np.asarray(0.5 * (np.where(bounded, low, 0.0) + np.where(bounded, high, 0.0)))
 
 
 def _efforts(J: Array, most: Array) -> Array:
-    """Largest efforts (n,) of actuators, of J (N, k, n) and the largest (k,) of joints."""
+    """Return largest efforts (n,) of actuators, of J (N, k, n) and the largest (k,) of joints."""
     if J.shape[1] == J.shape[2] > 1:
         return _box(np.abs(np.linalg.inv(J)).max(axis=0).T, most)
     J, shares = np.abs(J), np.full(J.shape, np.inf)
@@ -472,7 +472,7 @@ def _jacobians(place: Places, within: tuple[Array, Array]) -> Array:
 
 
 def _positions(drive: Drive, lower: Array, upper: Array) -> tuple[Array, Array]:
-    """Least and greatest positions (n,) of the actuators."""
+    """Return the least and greatest positions (n,) of the actuators."""
     low, high = (ends.copy() for ends in drive.limits)
     J = drive.map.constant_jacobian
     if J is None:
@@ -522,6 +522,6 @@ def _of_curve(drive: Drive, lower: Array, upper: Array) -> tuple[Array, Array]:
 
 
 def _grid(low: Array, high: Array) -> Array:
-    """(N, 1) positions through the range of one actuator, its ends left out."""
+    """Return (N, 1) positions through the range of one actuator, its ends left out."""
     ends = max(float(low[0]), -_FAR), min(float(high[0]), _FAR)
     return np.linspace(*ends, _POINTS + 2)[1:-1, None]

@@ -36,7 +36,7 @@ def open_loops(plant: MultibodyPlant) -> tuple[Closure, ...]:
     actuators, far = _actuators(plant), _steps(plant, joints)
 
     def rank(joint: Joint) -> tuple[int, float]:
-        """How gladly a joint closes a loop, and how far it is from the base."""
+        """Return how gladly a joint closes a loop, and how far it is from the base."""
         driven = _is_driven(actuators.get(int(joint.index()), []))
         kind = {WeldJoint: 0, RevoluteJoint: 2 - driven, PrismaticJoint: 2 - driven}
         return kind.get(type(joint), 3), sum(far[body] for body in ends_of(joint))
@@ -67,7 +67,7 @@ def ends_of(joint: Joint) -> tuple[int, int]:
 
 
 def _closing(plant: MultibodyPlant, joints: list[Joint]) -> list[Joint]:
-    """Joints between bodies that those before them connect already."""
+    """Return joints between bodies that those before them connect already."""
     connected = DisjointSet(range(plant.num_bodies()))
     return [joint for joint in joints if not connected.merge(*ends_of(joint))]
 

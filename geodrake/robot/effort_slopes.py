@@ -145,7 +145,7 @@ def _at_actuators(
 
 @compiled
 def calc_effort_slopes(tree: TreeRecords, samples: Samples, phi: Array, out: Array) -> None:
-    """Adds the slopes with q, v and v̇ of all bodies' efforts to (3, N, nv, nv), or the first."""
+    """Add the slopes with q, v and v̇ of all bodies' efforts to (3, N, nv, nv), or the first."""
     mobilizers, dofs = tree
     motions, features, most = np.empty(len(mobilizers), MOTION), np.empty(9), dofs.shape[1]
     turn, slide = subspace_room(dofs)
@@ -189,7 +189,7 @@ def look_inboard(
     place: tuple[Samples, int, int],
     out: Array,
 ) -> None:
-    """Writes ω_P, α_P, a_P, ω_r and v_r (5, k, 3) of each velocity of a body, as seen from it.
+    """Write ω_P, α_P, a_P, ω_r and v_r (5, k, 3) of each velocity of a body, as seen from it.
 
     The place is the sample, of which motion, and the body's mobilizer.
     """
@@ -226,7 +226,7 @@ def look_inboard(
 def motion_changes(
     s: Vector, t: Vector, inboard: Array, j: int
 ) -> tuple[tuple[Vector, Vector, Vector], ...]:
-    """What ω, α and a of a body change with q, v and v̇ of its velocity j."""
+    """Return what ω, α and a of a body change with q, v and v̇ of its velocity j."""
     w_P, wd_P, a_P = row(inboard, 0, j), row(inboard, 1, j), row(inboard, 2, j)
     w_r, v_r = row(inboard, 3, j), row(inboard, 4, j)
     turned, slid = cross(w_P, s), cross(w_P, t)
@@ -243,7 +243,7 @@ def motion_changes(
 def wrench_change(
     phi: Array, b: int, w: Vector, change: tuple[Vector, Vector, Vector]
 ) -> tuple[Vector, Vector]:
-    """The first-order change of `wrench_of` with changes of ω, α and a."""
+    """Return the first-order change of `wrench_of` with changes of ω, α and a."""
     dw, dwd, da = change
     h = phi[b, 1], phi[b, 2], phi[b, 3]
     force = add(scale(phi[b, 0], da), cross(dwd, h))

@@ -39,7 +39,7 @@ def base_wrench_regressor(
     *,
     X_WP: RigidTransform | ArrayLike | None = None,
 ) -> Array:
-    """Regressor of the wrench that a motion needs from outside.
+    """Return the regressor of the wrench that a motion needs from outside.
 
     Of a robot with a floating base, these are the first six rows of inverse dynamics, without the
     work for the others. Of a robot that is fixed to the world, they are its reaction.
@@ -111,7 +111,7 @@ def on_a_free_world(tree: KinematicTree) -> KinematicTree:
 
 
 def _poses(X: RigidTransform | ArrayLike, count: int) -> Array:
-    """A pose, or one for each sample, as homogeneous matrices."""
+    """Return a pose, or one for each sample, as homogeneous matrices."""
     poses = real_array(X.GetAsMatrix4() if isinstance(X, RigidTransform) else X, "X_WP")
     if poses.shape not in ((4, 4), (count, 4, 4)):
         raise ArgumentError(

@@ -36,7 +36,7 @@ def joints_of(plant: MultibodyPlant) -> list[Joint]:
 
 @typed
 def joint_names(plant: MultibodyPlant) -> tuple[str, ...]:
-    """Names of the velocities (nv): the joint's, with a suffix where it has several.
+    """Return names of the velocities (nv): the joint's, with a suffix where it has several.
 
     A name that several model instances use is preceded by its instance, `left_elbow`; also where
     the joint is held in the others.
@@ -68,7 +68,7 @@ class Follower:
 
 
 def resolved(stated: Sequence[Follower], joints: Sequence[str]) -> tuple[Follower, ...]:
-    """Followers whose leaders follow none; those that cannot follow are left out.
+    """Return followers whose leaders follow none; those that cannot follow are left out.
 
     Args:
         joints: Scoped names of the joints that there are, of one degree of freedom.

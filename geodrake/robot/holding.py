@@ -107,7 +107,7 @@ def checked_held(
     held: Mapping[str, float],
     path: Path,
 ) -> dict[str, float]:
-    """Scoped names of joints that are to be held, and of those that follow them -> where.
+    """Return scoped names of joints that are to be held, and of those that follow them -> where.
 
     Args:
         joints: Joints of one degree of freedom by their names, as users know them.
@@ -147,7 +147,7 @@ def checked_held(
 def poses_of(
     plant: MultibodyPlant, joints: Collection[str], places: Mapping[str, float] | None = None
 ) -> dict[str, RigidTransform]:
-    """Scoped joint name -> pose of the joint's frame M in its frame F.
+    """Return scoped joint name -> pose of the joint's frame M in its frame F.
 
     Args:
         places: Scoped names of joints of one degree of freedom -> their positions, rad or m; the
@@ -183,7 +183,7 @@ def weld_joints(
 
 
 def welds_of(plant: MultibodyPlant, *, aside: bool = False) -> dict[str, RigidTransform]:
-    """Scoped names of the welded joints of a plant -> their poses X_FM; see `weld_joints`.
+    """Return scoped names of the welded joints of a plant -> their poses X_FM; see `weld_joints`.
 
     Args:
         aside: Those of other robots than the one in question.
@@ -194,5 +194,5 @@ def welds_of(plant: MultibodyPlant, *, aside: bool = False) -> dict[str, RigidTr
 
 
 def moving_joints(plant: MultibodyPlant) -> list[Joint]:
-    """The joints of a plant that are no welds."""
+    """Return the joints of a plant that are no welds."""
     return [joint for joint in joints_of(plant) if joint.num_velocities()]

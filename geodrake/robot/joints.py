@@ -71,7 +71,7 @@ class FrameMotion:
     ratio: float = 1.0
 
     def following(self, ratio: float, offset: float) -> FrameMotion:
-        """The motion of a joint of one position ratio q + offset, as one of q."""
+        """Return the motion of a joint of one position ratio q + offset, as one of q."""
         rotation = self.rotation
         if self.features is Features.ANGLE:  # cos and sin of a sum
             c, s = np.cos(offset), np.sin(offset)
@@ -87,7 +87,7 @@ class FrameMotion:
         )
 
     def between(self, X_PF: RigidTransform, R_MB: Array) -> FrameMotion:
-        """The same motion, of a frame turned by R_MB, seen from P.
+        """Return the same motion, of a frame turned by R_MB, seen from P.
 
         Args:
             X_PF: Pose in P of the frame F that the motion is seen from.
@@ -106,7 +106,7 @@ class FrameMotion:
 
 
 def joint_motions(joint: Joint, sign: float) -> list[FrameMotion]:
-    """One motion for most joints, two for a universal one; sign -1 swaps the frames F and M.
+    """Return one motion for most joints, two for a universal one; sign -1 swaps the frames F and M.
 
     Only the joints about or along one axis can be swapped (Drake refuses the others), and for
     them a swap is a change of the axis' sign.
@@ -168,7 +168,7 @@ def slide_motion(axis: Array) -> FrameMotion:
 
 
 def _screw_axis(joint: ScrewJoint) -> Array:
-    """The axis of a screw, which Drake keeps to itself, from its motion at 1 rad/s."""
+    """Return the axis of a screw, which Drake keeps to itself, from its motion at 1 rad/s."""
     context = joint.GetParentPlant().CreateDefaultContext()
     joint.set_angular_velocity(context, 1.0)
     frame_F = joint.frame_on_parent()

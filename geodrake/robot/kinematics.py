@@ -79,7 +79,7 @@ class KinematicTree(Short):
 
     @classmethod
     def from_plant(cls, plant: MultibodyPlant, followers: Sequence[Follower] = ()) -> KinematicTree:
-        """Reads the tree of a finalized plant, with its default parameters.
+        """Read the tree of a finalized plant, with its default parameters.
 
         Args:
             plant: Any finalized plant; it is not kept.
@@ -128,7 +128,7 @@ class KinematicTree(Short):
         )
 
     def driven(self, actuation: RobotCoordinates) -> KinematicTree:
-        """The same tree behind a transmission."""
+        """Return the same tree behind a transmission."""
         sizes = actuation.num_positions, actuation.num_velocities
         return replace(self, actuation=actuation, num_positions=sizes[0], num_velocities=sizes[1])
 
@@ -156,15 +156,15 @@ class KinematicTree(Short):
         return self.joints, (q, v, v, vd), J
 
     def joint_positions(self, q: Array) -> Array:
-        """(N, ·) positions of the tree's joints, of positions (N, nq)."""
+        """Return (N, ·) positions of the tree's joints, of positions (N, nq)."""
         return q if self.actuation is None else self.actuation.tree_positions(q)
 
     def inside(self, q: Array) -> Array:
-        """Positions (N, nq), those of actuators moved to where their maps are known."""
+        """Return positions (N, nq), those of actuators moved to where their maps are known."""
         return q if self.actuation is None else self.actuation.inside(q)
 
     def moving_velocities(self, velocities: Sequence[int]) -> tuple[int, ...]:
-        """The robot's velocities that move some of the joints' velocities."""
+        """Return the robot's velocities that move some of the joints' velocities."""
         if self.actuation is None:
             return tuple(dict.fromkeys(velocities))  # a leader moves a body and its follower
         return self.actuation.moved_by(velocities)
@@ -174,7 +174,7 @@ class KinematicTree(Short):
         return jacobian if self.actuation is None else jacobian @ self.actuation.jacobian(q)
 
     def branch(self, body: int) -> KinematicTree:
-        """The same tree with only the mobilizers between the world and a body."""
+        """Return the same tree with only the mobilizers between the world and a body."""
         index = next(i for i, mobilizer in enumerate(self.mobilizers) if mobilizer.body == body)
         path: list[Mobilizer] = []
         while index >= 0:
@@ -211,7 +211,7 @@ class KinematicTree(Short):
         return any(len(set(m.dofs)) < len(m.dofs) for m in self.mobilizers)
 
     def columns(self, dof: int) -> NDArray[np.intp]:
-        """Columns of the regressor that can differ from zero in the row of one velocity."""
+        """Return columns of the regressor that can differ from zero in the row of one velocity."""
         moved = sorted(m.body for m in self.mobilizers if m.body >= 0 and dof in m.dofs)
         columns = np.arange(PARAMETERS_PER_BODY * len(self.bodies))
         return columns.reshape(-1, PARAMETERS_PER_BODY)[moved].ravel()
@@ -230,7 +230,7 @@ Frames between the joints of a free base have numbers from −2 down.
 
 
 def _edges(plant: MultibodyPlant, bodies: tuple[LumpedBody, ...]) -> Iterator[_Edge]:
-    """The moving joints, inboard before outboard."""
+    """Yield the moving joints, inboard before outboard."""
     context, world = plant.CreateDefaultContext(), plant.world_frame()
     places = {
         body.index(): (_WORLD, body.body_frame().CalcPose(context, world))
@@ -270,7 +270,7 @@ def _edges(plant: MultibodyPlant, bodies: tuple[LumpedBody, ...]) -> Iterator[_E
 
 
 def _has_gravity(plant: MultibodyPlant, body: LumpedBody) -> bool:
-    """Whether gravity acts on a body's members, which must agree."""
+    """Return whether gravity acts on a body's members, which must agree."""
     instances = {plant.get_body(member.index).model_instance() for member in body.members}
     enabled = {plant.is_gravity_enabled(instance) for instance in instances}
     if len(enabled) > 1:

@@ -60,7 +60,7 @@ how far joints go that move as far as a radian, with the size of the loop behind
 
 @inlined
 def _frame(closure: Record, side: int, world: Record, R: Array, p: Array) -> None:
-    """Writes the rotation and origin of a closure's frame into R (2, 3, 3) and p (2, 3)."""
+    """Write the rotation and origin of a closure's frame into R (2, 3, 3) and p (2, 3)."""
     at, place = closure.mobilizers[side], vector(closure.positions[side])
     if at >= 0:
         place = vector(world[at].p_WoBo_W)
@@ -75,7 +75,7 @@ def _frame(closure: Record, side: int, world: Record, R: Array, p: Array) -> Non
 
 @inlined
 def _axis(mobilizer: Record, motion: Record, world: Record) -> tuple[Vector, Vector, Vector]:
-    """ω and the velocity of Mo where a joint moves at 1, and where Mo is, in the world."""
+    """Return ω and the velocity of Mo where a joint moves at 1, and where Mo is, in the world."""
     z, t = column(mobilizer.angular, 0), column(mobilizer.linear, 0)
     place, parent = vector(motion.p_PMo), mobilizer.parent
     if parent >= 0:
@@ -101,7 +101,7 @@ def _put(out: Array, first: int, at: int, factor: float, values: Vector) -> None
 
 @compiled
 def _find_misses(loop: Any, x: Array, room: Any, c: Array, J: Array) -> None:
-    """Writes by how much closures miss, (m,), and J (m, k), at x (1, k)."""
+    """Write by how much closures miss, (m,), and J (m, k), at x (1, k)."""
     (mobilizers, _), closures, sides, couplings = loop[0], loop[1], loop[2], loop[3]
     size = loop[7][-1]
     motions, world, features, R, p = room
@@ -138,7 +138,7 @@ def _find_misses(loop: Any, x: Array, room: Any, c: Array, J: Array) -> None:
 
 @inlined
 def _add_couplings(couplings: Array, x: Array, first: int, c: Array, J: Array) -> None:
-    """Adds sums of polynomials in the joints, and their slopes."""
+    """Add sums of polynomials in the joints, and their slopes."""
     for row in range(len(couplings)):
         for k in range(J.shape[1]):
             power, slope = 1.0, 0.0
@@ -150,7 +150,7 @@ def _add_couplings(couplings: Array, x: Array, first: int, c: Array, J: Array) -
 
 @compiled
 def _find_rates(loop: Any, motion: Any, rooms: Any, rate: Array) -> None:
-    """Writes J̇ (m, k) at x (k,) and ẋ (k,), by differences of J of the fourth order."""
+    """Write J̇ (m, k) at x (k,) and ẋ (k,), by differences of J of the fourth order."""
     (at, xd), (room, _, c, J, x), speed = motion, rooms, 0.0
     rate[:] = 0.0
     for j in range(len(xd)):
@@ -167,7 +167,7 @@ def _find_rates(loop: Any, motion: Any, rooms: Any, rate: Array) -> None:
 
 @inlined
 def _solve_least(A: Array, B: Array, T: Array, X: Array) -> None:
-    """Writes X (d, ·) with the least |A X − B|, by modified Gram–Schmidt; A and B are used up."""
+    """Write X (d, ·) with the least |A X − B|, by modified Gram–Schmidt; A and B are used up."""
     m, d = A.shape
     for j in range(d):
         square = 0.0
@@ -199,7 +199,7 @@ def _solve_least(A: Array, B: Array, T: Array, X: Array) -> None:
 
 @compiled
 def _follow(loop: Any, J: Array, B: Array, rooms: Any, out: Array) -> None:
-    """Writes the rows of joints that follow of what solves J out = B with the others' rows."""
+    """Write the rows of joints that follow of what solves J out = B with the others' rows."""
     free, following = loop[4], loop[5]
     A, rest, T, X = rooms
     for i in range(len(J)):
@@ -231,7 +231,7 @@ def _rooms(loop: Any) -> Any:
 
 @compiled
 def _close(loop: Any, rooms: Any, most: float) -> bool:
-    """Closes the loop near the posture in the last room by Newton's method, if that is near it.
+    """Close the loop near the posture in the last room by Newton's method, if that is near it.
 
     Its joints move by `most` at most, rad or shares of the size.
     """
@@ -255,7 +255,7 @@ def _close(loop: Any, rooms: Any, most: float) -> bool:
 
 @compiled
 def _go(loop: Any, wanted: Array, x: Array, rooms: Any) -> float:
-    """Takes the posture x (k,) to where the free joints are as wanted (n,).
+    """Take the posture x (k,) to where the free joints are as wanted (n,).
 
     Each step goes along the tangent, and then to where the loop is closed; where that is far, the
     step is shorter.
@@ -293,7 +293,7 @@ def _go(loop: Any, wanted: Array, x: Array, rooms: Any) -> float:
 
 @compiled
 def calc_misses(loop: LoopRecords, x: Array, out: Array) -> None:
-    """Writes by how much closures miss, and J, into out (m, 1 + k), at x (1, k)."""
+    """Write by how much closures miss, and J, into out (m, 1 + k), at x (1, k)."""
     room, _, c, J, _ = _rooms(loop)
     _find_misses(loop, x, room, c, J)
     _copy(c, out[:, 0])
@@ -303,7 +303,7 @@ def calc_misses(loop: LoopRecords, x: Array, out: Array) -> None:
 
 @compiled
 def calc_loop(loop: LoopRecords, wanted: Array, theta: Array, G: Array, reached: Array) -> None:
-    """Writes postures θ (N, k) of a loop with its free joints where wanted (N, n), and G (N, k, n).
+    """Write postures θ (N, k) of a loop with its free joints where wanted (N, n), and G (N, k, n).
 
     `reached` (N,) gets the share of the way from the posture of the file that was possible: 1 where
     the loop closes at what is wanted.
@@ -335,7 +335,7 @@ def calc_loop(loop: LoopRecords, wanted: Array, theta: Array, G: Array, reached:
 
 @compiled
 def calc_loop_rates(loop: LoopRecords, theta: Array, G: Array, v: Array, out: Array) -> None:
-    """Writes Ġ into zeros (N, k, n), at positions θ (N, k) with G, of velocities v (N, n)."""
+    """Write Ġ into zeros (N, k, n), at positions θ (N, k) with G, of velocities v (N, n)."""
     rooms = _rooms(loop)
     room, solving, c, J, x = rooms
     (m, k), n = J.shape, v.shape[1]

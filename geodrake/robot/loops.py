@@ -395,7 +395,7 @@ class _Shape:
         return float(self.units[-1])
 
     def records(self, free: Collection[int], following: Collection[int], x: Array) -> LoopRecords:
-        """The loop with a choice of free joints, at a posture (k,)."""
+        """Return the loop with a choice of free joints, at a posture (k,)."""
         indices = (np.array(sorted(each), np.int64) for each in (free, following))
         return (*self.parts, *indices, x, self.units)  # type: ignore[return-value]
 
@@ -442,7 +442,7 @@ def _free_and_following(
 
 
 def _following(J: Array, order: Sequence[Sequence[int]]) -> list[int]:
-    """Joints whose columns of J (m, k) are a basis of them all.
+    """Return joints whose columns of J (m, k) are a basis of them all.
 
     Those of the last ranks follow if they can, in a rank the last ones that others leave most of.
     """
@@ -465,7 +465,7 @@ def _following(J: Array, order: Sequence[Sequence[int]]) -> list[int]:
 
 
 def _size(mobilizers: Sequence[Mobilizer], closures: NDArray[np.void]) -> float:
-    """Length of the longest part of a loop, m; 1 where all of it is at one point."""
+    """Return the length of the longest part of a loop, m; 1 where all of it is at one point."""
     at_base = [m.motion.offset for m in mobilizers if m.parent < 0]
     arms = [m.p_MoBo_B for m in mobilizers]
     arms += [m.motion.offset - (at_base[0] if m.parent < 0 else 0.0) for m in mobilizers]
@@ -476,6 +476,6 @@ def _size(mobilizers: Sequence[Mobilizer], closures: NDArray[np.void]) -> float:
 
 
 def _alone(mobilizer: Mobilizer, local: Mapping[int, int], at: int) -> Mobilizer:
-    """The mobilizer in the loop: its parent's number there, and that of its joint."""
+    """Return the mobilizer in the loop: its parent's number there, and that of its joint."""
     parent, place = local.get(mobilizer.parent, -1), slice(at, at + 1)
     return replace(mobilizer, parent=parent, body=-1, positions=place, velocities=place, dofs=())

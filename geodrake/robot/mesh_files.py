@@ -188,7 +188,7 @@ def _collada(path: Path) -> Surface:
 def _instances(
     node: Element, X: Array, nodes: Mapping[str | None, Element]
 ) -> Iterator[tuple[str, Array]]:
-    """Names of the meshes at a node and below it, with their 4×4 poses in the scene."""
+    """Yield names of the meshes at a node and below it, with their 4×4 poses in the scene."""
     for child in node:
         if child.tag in _TRANSFORMS:
             X = X @ _TRANSFORMS[child.tag](np.array((child.text or "").split(), float))
@@ -211,7 +211,7 @@ _TRANSFORMS: dict[str, Callable[[Array], Array]] = {
 
 
 def _mesh(mesh: Element) -> Surface:
-    """Vertices and triangles of a mesh, polygons cut into triangles."""
+    """Return vertices and triangles of a mesh, polygons cut into triangles."""
     sources = {source.get("id"): source for source in mesh.findall("source")}
     place = mesh.find("vertices/input[@semantic='POSITION']")
     if place is None:
@@ -232,7 +232,7 @@ def _mesh(mesh: Element) -> Surface:
 
 
 def _fans(corners: Faces, counts: Faces) -> Faces:
-    """(m, 3) triangles of polygons with so many corners each, one polygon after another."""
+    """Return (m, 3) triangles of polygons with so many corners each, one polygon after another."""
     first = np.repeat(np.cumsum(counts) - counts, np.maximum(counts - 2, 0))
     step = np.concatenate([np.zeros(0, int), *(np.arange(1, count - 1) for count in counts)])
     return np.stack([corners[first], corners[first + step], corners[first + step + 1]], -1)

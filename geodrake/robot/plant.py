@@ -114,7 +114,7 @@ def load_plant(
     phi: ArrayLike | None = None,
     into: MultibodyPlant | None = None,
 ) -> LoadedPlant:
-    """Reads a robot from a URDF, SDF, MJCF or Drake directives file.
+    """Read a robot from a URDF, SDF, MJCF or Drake directives file.
 
     Geometry does not matter and is not loaded, so meshes and packages may be missing. Closed
     loops are open in the plant, and closed by `loops`; joints that follow others are `followers`.
@@ -371,7 +371,7 @@ def _build(
 
 
 def _write_inertias(description: ModelDescription, plant: MultibodyPlant, phi: ArrayLike) -> None:
-    """Writes inertial parameters (nb, 10) into a description whose plant is known."""
+    """Write inertial parameters (nb, 10) into a description whose plant is known."""
     lumps = lumped_bodies(plant)
     phi = real_array(phi, "phi", (len(lumps), PARAMETERS_PER_BODY))
     for body, parameters in zip(lumps, phi, strict=True):
@@ -381,7 +381,7 @@ def _write_inertias(description: ModelDescription, plant: MultibodyPlant, phi: A
 
 
 def _check_inertias(plant: MultibodyPlant, phi: ArrayLike, path: Path) -> None:
-    """Refuses a plant that has other inertial parameters than were written: no text took them."""
+    """Refuse a plant that has other inertial parameters than were written: no text took them."""
     there, wanted = inertial_parameters(plant), np.asarray(phi, float)
     size = np.abs(wanted).max(axis=1)
     wrong = np.flatnonzero(np.abs(there - wanted).max(axis=1) > _SAME * size)
@@ -457,7 +457,7 @@ def motor_joints(plant: MultibodyPlant) -> frozenset[str]:
 
 
 def _limit_efforts(plant: MultibodyPlant, description: ModelDescription) -> None:
-    """Gives the joints the effort limits that the file states without an actuator of Drake's."""
+    """Give the joints the effort limits that the file states without an actuator of Drake's."""
     actuators = {int(a.joint().index()): a for a in _actuators(plant)}
     efforts, driven = description.terms.effort, {n for _, n in _motors(description)}
     for joint in joints_of(plant):
@@ -477,7 +477,7 @@ def _actuators(plant: MultibodyPlant) -> list[JointActuator]:
 
 
 def set_inertial_parameters(plant: MultibodyPlant, context: Context, phi: ArrayLike) -> None:
-    """Writes inertial parameters into a plant's context.
+    """Write inertial parameters into a plant's context.
 
     The representative of each lumped body gets all of it; the links welded to it become massless.
 
@@ -491,7 +491,7 @@ def set_inertial_parameters(plant: MultibodyPlant, context: Context, phi: ArrayL
 def set_lump_inertias(
     plant: MultibodyPlant, context: Context, lumps: Sequence[Sequence[Member]], phi: ArrayLike
 ) -> None:
-    """Writes inertial parameters (nb, 10) of groups of links into their first links."""
+    """Write inertial parameters (nb, 10) of groups of links into their first links."""
     phi = real_array(phi, "phi", (len(lumps), PARAMETERS_PER_BODY))
     for members, parameters in zip(lumps, phi, strict=True):
         inertias = [to_spatial_inertia(parameters)] + [SpatialInertia.Zero()] * (len(members) - 1)
@@ -500,7 +500,7 @@ def set_lump_inertias(
 
 
 def scoped_joint_names(plant: MultibodyPlant) -> tuple[str, ...]:
-    """Names of the joints (nv) that velocities belong to, as `robot::joint`."""
+    """Return names of the joints (nv) that velocities belong to, as `robot::joint`."""
     names = {
         joint.velocity_start() + k: scoped(joint)
         for joint in joints_of(plant)

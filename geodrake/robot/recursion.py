@@ -107,7 +107,7 @@ Of the velocities, as many as the record counts.
 
 @inlined
 def features_of(mobilizer: Record, q: Numbers, n: int, out: Numbers) -> int:
-    """Writes the functions of a joint's positions that its rotation is linear in; how many."""
+    """Write the functions of a joint's positions that its rotation is linear in; how many."""
     kind = mobilizer.features
     first, number = mobilizer.positions
     if kind == _CONSTANT:
@@ -193,21 +193,21 @@ def move(mobilizers: Record, samples: Samples, n: int, features: Array, motions:
 
 @inlined
 def carried(mobilizer: Record, motion: Record, s: Vector, t: Vector) -> tuple[Vector, Vector]:
-    """A motion (s, t) about Mo in P, as the same about Bo in B."""
+    """Return a motion (s, t) about Mo in P, as the same about Bo in B."""
     s, t = transposed_times(motion.R_PB, s), transposed_times(motion.R_PB, t)
     return s, add(t, cross(s, vector(mobilizer.p_MoBo_B)))
 
 
 @inlined
 def subspace_room(dofs: Indices) -> tuple[Array, Array]:
-    """Room for the angular and linear parts (m, k, 3) of the motion subspaces."""
+    """Return room for the angular and linear parts (m, k, 3) of the motion subspaces."""
     shape = len(dofs), dofs.shape[1], 3
     return np.empty(shape), np.empty(shape)
 
 
 @inlined
 def find_subspaces(mobilizers: Record, motions: Record, turn: Array, slide: Array) -> None:
-    """Writes the angular and linear parts (m, k, 3) of the motion subspaces, once poses are known.
+    """Write the angular and linear parts (m, k, 3) of the motion subspaces, once poses are known.
 
     About Bo, in B.
     """
@@ -228,7 +228,7 @@ def find_subspaces(mobilizers: Record, motions: Record, turn: Array, slide: Arra
 
 @inlined
 def put_block(motion: Motion, s: Vector, t: Vector, out: Array, place: Any) -> None:
-    """Writes the ten factors of φ in the effort that a body asks of a velocity.
+    """Write the ten factors of φ in the effort that a body asks of a velocity.
 
     The place is that of the first of them in out (N, rows, columns).
     """
@@ -253,7 +253,7 @@ def put_block(motion: Motion, s: Vector, t: Vector, out: Array, place: Any) -> N
 def calc_regressor(
     tree: TreeRecords, samples: Samples, which: tuple[int, int, bool], out: Array
 ) -> None:
-    """Writes the regressor into zeros (N, rows, 10 nb); of one body alone into (N, rows, 10).
+    """Write the regressor into zeros (N, rows, 10 nb); of one body alone into (N, rows, 10).
 
     Args:
         which: First velocity that has a row; the body, of a tree that may be its branch, −1 for
@@ -283,7 +283,7 @@ def calc_regressor(
 
 @inlined
 def wrench_of(phi: Array, b: int, motion: Record) -> tuple[Vector, Vector]:
-    """Force and moment about Bo that give body b of φ (nb, 10) its motion."""
+    """Return the force and moment about Bo that give body b of φ (nb, 10) its motion."""
     w, u, wd, a = motion_of(motion)
     h = phi[b, 1], phi[b, 2], phi[b, 3]
     force = add(scale(phi[b, 0], a), add(cross(wd, h), cross(u, cross(w, h))))
@@ -294,7 +294,7 @@ def wrench_of(phi: Array, b: int, motion: Record) -> tuple[Vector, Vector]:
 
 @compiled
 def calc_inverse_dynamics(tree: TreeRecords, samples: Samples, phi: Array, out: Array) -> None:
-    """Adds the efforts that a motion needs, N·m or N, for φ (nb, 10), to zeros (N, nv)."""
+    """Add the efforts that a motion needs, N·m or N, for φ (nb, 10), to zeros (N, nv)."""
     mobilizers, _ = tree
     bodies = len(mobilizers)
     motions, features = np.empty(bodies, MOTION), np.empty(9)
@@ -327,7 +327,7 @@ def calc_inverse_dynamics(tree: TreeRecords, samples: Samples, phi: Array, out: 
 
 @inlined
 def put_pose(mobilizer: Record, motion: Record, world: Record, own: Record) -> None:
-    """Writes R_WB and the position of Bo in W, from those of the body inboard."""
+    """Write R_WB and the position of Bo in W, from those of the body inboard."""
     place = add(vector(motion.p_PMo), times(motion.R_PB, vector(mobilizer.p_MoBo_B)))
     if mobilizer.parent < 0:
         for k in range(3):
@@ -345,7 +345,7 @@ def put_pose(mobilizer: Record, motion: Record, world: Record, own: Record) -> N
 def calc_kinematics(
     tree: TreeRecords, q: Array, poses: Array, angular: Array, linear: Array
 ) -> None:
-    """Writes poses X_WB (N, nb, 4, 4) of all bodies into zeros, and their Jacobians (N, nb, 3, nv).
+    """Write poses X_WB (N, nb, 4, 4) of all bodies into zeros, and their Jacobians (N, nb, 3, nv).
 
     Those are of ω and of the velocity of Bo, in W; none if they have no samples.
     """

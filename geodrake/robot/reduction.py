@@ -21,7 +21,7 @@ _PANEL = 16
 
 
 def triangular_factor(blocks: Iterable[ArrayLike]) -> Array:
-    """Factor of rows that arrive in blocks; memory does not grow with their number.
+    """Return the factor of rows that arrive in blocks; memory does not grow with their number.
 
     Args:
         blocks: Arrays (n_i, p); a factor of earlier rows is a block like any other.

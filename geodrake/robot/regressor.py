@@ -27,7 +27,7 @@ _PIECE = 1 << 18  # numbers of a piece: two megabytes stay in a core's cache
 def inverse_dynamics_regressor(
     plant: MultibodyPlant | KinematicTree, q: ArrayLike, v: ArrayLike, vd: ArrayLike
 ) -> Array:
-    """Regressor of the effort that a motion needs, without friction and joint damping.
+    """Return the regressor of the effort that a motion needs, without friction and joint damping.
 
     `Y @ inertial_parameters(plant).ravel()` is M v̇ + C v − τ_g: what Drake's
     `CalcInverseDynamics` gives with gravity as the only applied force.
@@ -52,7 +52,7 @@ def inverse_dynamics_regressor(
 def body_regressor(
     plant: MultibodyPlant | KinematicTree, q: ArrayLike, v: ArrayLike, vd: ArrayLike, body: int
 ) -> Array:
-    """The columns (N, nv, 10) of `inverse_dynamics_regressor` for one body, by its index."""
+    """Return the columns (N, nv, 10) of `inverse_dynamics_regressor` for one body, by its index."""
     tree, samples, J = checked_samples(plant, q, v, vd)
     integer(body, "body", lower=0, upper=len(tree.bodies) - 1)
     regressor = np.zeros((len(samples[0]), tree.num_velocities, PARAMETERS_PER_BODY))
@@ -68,7 +68,7 @@ def inverse_dynamics(
     vd: ArrayLike,
     phi: ArrayLike,
 ) -> Array:
-    """Efforts (N, nv) that a motion needs, Y φ of parameters φ (nb, 10), without Y."""
+    """Return efforts (N, nv) that a motion needs, Y φ of parameters φ (nb, 10), without Y."""
     tree, samples, J = checked_samples(plant, q, v, vd)
     phi = contiguous(real_array(phi, "phi", (len(tree.bodies), PARAMETERS_PER_BODY)))
     effort = np.zeros((len(samples[0]), tree.num_velocities))
@@ -79,7 +79,7 @@ def inverse_dynamics(
 def regressor_pieces(
     plant: MultibodyPlant | KinematicTree, q: ArrayLike, v: ArrayLike, vd: ArrayLike
 ) -> Iterator[tuple[slice, Array]]:
-    """The regressor in pieces that a core's cache holds, for reductions over long logs.
+    """Yield the regressor in pieces that a core's cache holds, for reductions over long logs.
 
     Yields:
         The samples, as a slice, and their Y (n, nv, 10 nb). The next piece overwrites the array.
@@ -116,5 +116,5 @@ def checked_samples(
 
 
 def checked_tree(plant: MultibodyPlant | KinematicTree) -> KinematicTree:
-    """The tree of a plant, or the tree that it is."""
+    """Return the tree of a plant, or the tree that it is."""
     return plant if isinstance(plant, KinematicTree) else KinematicTree.from_plant(plant)

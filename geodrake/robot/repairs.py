@@ -137,7 +137,7 @@ def _counts(phi: Array) -> NDArray[np.bool_]:
 
 
 def _has_size(phi: Array) -> bool:
-    """Whether the mass of parameters (10,) is not all in one point, the body's origin."""
+    """Return whether the mass of parameters (10,) is not all in one point, the body's origin."""
     second_moments = np.diagonal(pseudo_inertia(phi))[:3]
     return bool(second_moments.max() > LEAST_SIZE**2 * phi[0])
 
@@ -145,7 +145,7 @@ def _has_size(phi: Array) -> bool:
 def _stated_parameters(
     description: ModelDescription, plant: MultibodyPlant, body: LumpedBody
 ) -> Array:
-    """What the file states for each member (k, 10), in the representative's frame."""
+    """Return what the file states for each member (k, 10), in the representative's frame."""
     rows = []
     for member in body.members:
         spatial = plant.get_body(member.index).default_spatial_inertia()
@@ -158,7 +158,7 @@ def _stated_parameters(
 
 
 def _joint_points(plant: MultibodyPlant, body: LumpedBody) -> Array:
-    """Origins of the moving joints of a body, in its frame, m; shape (k, 3)."""
+    """Return origins of the moving joints of a body, in its frame, m; shape (k, 3)."""
     context = plant.CreateDefaultContext()
     indices = {int(member.index) for member in body.members}
     frame = plant.get_body(body.body_index).body_frame()
@@ -193,7 +193,7 @@ def _problem(phi: Array) -> str:
 def _write(
     description: ModelDescription, plant: MultibodyPlant, body: LumpedBody, phi: Array
 ) -> None:
-    """Gives the representative all of a body, and the links welded to it nothing."""
+    """Give the representative all of a body, and the links welded to it nothing."""
     for k, member in enumerate(body.members):
         if not description.set_inertia(_scoped(plant, member.index), phi if k == 0 else None):
             raise ModelError(

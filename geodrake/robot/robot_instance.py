@@ -316,7 +316,7 @@ class RobotInstance:
         return list(map(self.plant.get_joint_actuator, indices))
 
     def _to_actuators(self, joints: Sequence[str]) -> Array:
-        """(n, n) matrix that puts efforts at joints to the robot's actuators."""
+        """Return (n, n) matrix that puts efforts at joints to the robot's actuators."""
         at = [joints.index(self._name(actuator.joint())) for actuator in self._actuators]
         without = [joint for k, joint in enumerate(joints) if k not in at]
         if without or len(at) != len(joints):
@@ -330,7 +330,7 @@ class RobotInstance:
 
 @typed
 def take_out_stated(plant: MultibodyPlant, name: str) -> None:
-    """Takes damping and rotor inertia out of a robot, as they are to be effects of a model."""
+    """Take damping and rotor inertia out of a robot, as they are to be effects of a model."""
     if plant.is_finalized() or not plant.HasModelInstanceNamed(name):
         raise ArgumentError(
             f"The plant is finalized, or has no model instance {name!r}.",
@@ -348,7 +348,7 @@ def take_out_stated(plant: MultibodyPlant, name: str) -> None:
 def add_generalized_force(
     builder: DiagramBuilder, plant: MultibodyPlant, force: OutputPort
 ) -> None:
-    """Connects a generalized force (nv), N·m or N, to a plant, beside those that act on it."""
+    """Connect a generalized force (nv), N·m or N, to a plant, beside those that act on it."""
     port = plant.get_applied_generalized_force_input_port()
     if builder.IsConnectedOrExported(port):
         place = (plant, port.get_index())

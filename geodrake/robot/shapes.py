@@ -187,7 +187,7 @@ def geometries_of(
 
 
 def _prepare(root: Element, where: Where, folder: Path, lost: dict[str, str]) -> None:
-    """Leaves one kind of shape for each link, and of meshes those that are there, readable."""
+    """Leave one kind of shape for each link, and of meshes those that are there, readable."""
     for link in root.iter("link"):
         for kind in ("visual", "collision"):
             for shape in link.findall(kind):

@@ -12,67 +12,67 @@ Vector = tuple[float, float, float]
 
 @inlined
 def vector(x: Array) -> Vector:
-    """An array (3,) as a vector."""
+    """Return an array (3,) as a vector."""
     return x[0], x[1], x[2]
 
 
 @inlined
 def put(out: Array, x: Vector) -> None:
-    """Writes a vector into an array (3,)."""
+    """Write a vector into an array (3,)."""
     out[0], out[1], out[2] = x
 
 
 @inlined
 def row(array: Array, i: int, k: int) -> Vector:
-    """The vector at (i, k) of an array (m, n, 3)."""
+    """Return the vector at (i, k) of an array (m, n, 3)."""
     return array[i, k, 0], array[i, k, 1], array[i, k, 2]
 
 
 @inlined
 def put_row(array: Array, i: int, k: int, x: Vector) -> None:
-    """Writes a vector to (i, k) of an array (m, n, 3)."""
+    """Write a vector to (i, k) of an array (m, n, 3)."""
     array[i, k, 0], array[i, k, 1], array[i, k, 2] = x
 
 
 @inlined
 def column(matrix: Array, k: int) -> Vector:
-    """Column k of a matrix (3, m)."""
+    """Return column k of a matrix (3, m)."""
     return matrix[0, k], matrix[1, k], matrix[2, k]
 
 
 @inlined
 def add(x: Vector, y: Vector) -> Vector:
-    """The sum x + y."""
+    """Return the sum x + y."""
     return x[0] + y[0], x[1] + y[1], x[2] + y[2]
 
 
 @inlined
 def subtract(x: Vector, y: Vector) -> Vector:
-    """The difference x − y."""
+    """Return the difference x − y."""
     return x[0] - y[0], x[1] - y[1], x[2] - y[2]
 
 
 @inlined
 def scale(factor: float, x: Vector) -> Vector:
-    """A number times x."""
+    """Return a number times x."""
     return factor * x[0], factor * x[1], factor * x[2]
 
 
 @inlined
 def dot(x: Vector, y: Vector) -> float:
-    """The inner product x · y."""
+    """Return the inner product x · y."""
     return x[0] * y[0] + x[1] * y[1] + x[2] * y[2]
 
 
 @inlined
 def cross(x: Vector, y: Vector) -> Vector:
-    """The cross product x × y."""
+    """Return the cross product x × y."""
     return x[1] * y[2] - x[2] * y[1], x[2] * y[0] - x[0] * y[2], x[0] * y[1] - x[1] * y[0]
 
 
 @inlined
 def times(R: Array, x: Vector) -> Vector:
-    """R x of a matrix (3, 3)."""
+    """Return R x of a matrix (3, 3)."""
     return (
         R[0, 0] * x[0] + R[0, 1] * x[1] + R[0, 2] * x[2],
         R[1, 0] * x[0] + R[1, 1] * x[1] + R[1, 2] * x[2],
@@ -82,7 +82,7 @@ def times(R: Array, x: Vector) -> Vector:
 
 @inlined
 def transposed_times(R: Array, x: Vector) -> Vector:
-    """Rᵀ x of a matrix (3, 3)."""
+    """Return Rᵀ x of a matrix (3, 3)."""
     return (
         R[0, 0] * x[0] + R[1, 0] * x[1] + R[2, 0] * x[2],
         R[0, 1] * x[0] + R[1, 1] * x[1] + R[2, 1] * x[2],
@@ -92,7 +92,7 @@ def transposed_times(R: Array, x: Vector) -> Vector:
 
 @inlined
 def combination(columns: Array, factors: Array, n: int, span: Any) -> Vector:
-    """Σ_k columns[:, k] factors[n, first + k] of arrays (3, m) and (N, ·).
+    """Return Σ_k columns[:, k] factors[n, first + k] of arrays (3, m) and (N, ·).
 
     The span has the first of the factors, and how many there are.
     """

@@ -137,7 +137,7 @@ class DrakeEngine(Engine):
         return found, np.full(v.shape, True)
 
     def roll_out(self, q: Array, v: Array, effort: Array, step: float) -> Array | None:
-        """Positions by a fifth-order integrator, a step at a time; see `Engine.roll_out`."""
+        """Return positions by a fifth-order integrator, a step at a time; see `Engine.roll_out`."""
         if self._held:
             return None  # nothing holds these joints
         simulator = Simulator(self._diagram)
@@ -235,7 +235,7 @@ class MujocoEngine(Engine):
         return found, meant
 
     def roll_out(self, q: Array, v: Array, effort: Array, step: float) -> Array | None:
-        """Positions by MuJoCo's Runge–Kutta integrator; see `Engine.roll_out`."""
+        """Return positions by MuJoCo's Runge–Kutta integrator; see `Engine.roll_out`."""
         if self._held:
             return None  # nothing holds these joints
         model, off = self._model, self._mj.mjtDisableBit
@@ -338,7 +338,7 @@ class PinocchioEngine(Engine):
         self.name = self._efforts(still, still, still)[0]
 
     def effort(self, q: Array, v: Array, vd: Array) -> tuple[Array, Mask]:
-        """Inverse dynamics of the bodies; see `Engine.effort`."""
+        """Return inverse dynamics of the bodies; see `Engine.effort`."""
         back = np.argsort(self._order)
         found = self._efforts(*(x[:, back] for x in (q, v, vd)))[1]
         return found[:, self._order], np.full(v.shape, True)
@@ -364,7 +364,7 @@ class PythonEngine(Engine):
         self._positions = model.single_places[1]
 
     def effort(self, q: Array, v: Array, vd: Array) -> tuple[Array, Mask]:
-        """The function's efforts; see `Engine.effort`."""
+        """Return the function's efforts; see `Engine.effort`."""
         own = np.empty_like(q)
         own[:, self._positions] = q
         rows = zip(own.tolist(), v.tolist(), vd.tolist(), strict=True)

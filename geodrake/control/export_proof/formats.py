@@ -123,7 +123,7 @@ def _holding(
 
 
 def _file(kind: str) -> Write:
-    """Writes one file of a format."""
+    """Write one file of a format."""
 
     def write(model: RobotModel, held: HeldModel, folder: Path) -> Exported:
         stands = stands_as_it_is(model, kind)
@@ -134,7 +134,7 @@ def _file(kind: str) -> Write:
 
 
 def _source(language: str) -> Write:
-    """Writes the effort as a function in a language."""
+    """Write the effort as a function in a language."""
 
     def write(model: RobotModel, held: HeldModel, folder: Path) -> Exported:
         source = effort_source(held.model, language)

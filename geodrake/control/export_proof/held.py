@@ -142,7 +142,7 @@ def _stand_ins(
     seen: Sequence[RobotMotion],
     bases: Sequence[type[Basis]],
 ) -> tuple[dict[Effect, FittedEffect], dict[Effect, tuple[str, ...]]]:
-    """Held effects of a joint that are changed so that they stand for what is lost.
+    """Return held effects of a joint that are changed so that they stand for what is lost.
 
     Returns:
         They; and by each effect that is lost, the names of those that stand for it.
@@ -182,7 +182,7 @@ def _stand_ins(
 
 
 def _bounded(A: Array, b: Array, have: Array) -> Array:
-    """The x of least |A x − b| with have + x ≥ 0, columns scaled to one size."""
+    """Return the x of least |A x − b| with have + x ≥ 0, columns scaled to one size."""
     size = np.linalg.norm(A, axis=0)
     usable = size > 0
     x = np.zeros(len(have))
@@ -194,7 +194,7 @@ def _bounded(A: Array, b: Array, have: Array) -> Array:
 
 
 def _named(lost: Sequence[FittedEffect], into: dict[Effect, tuple[str, ...]]) -> tuple[Lost, ...]:
-    """What is lost, the places of one effect together."""
+    """Return what is lost, the places of one effect together."""
     found: dict[str, Lost] = {}
     for fitted in lost:
         name = fitted.effect.name

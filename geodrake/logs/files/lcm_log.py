@@ -79,14 +79,14 @@ def _check_sizes(path: Path, file: BinaryIO) -> None:
 
 
 def _types() -> Mapping[bytes, type]:
-    """Types of messages about joints, by what their messages begin with."""
+    """Return types of messages about joints, by what their messages begin with."""
     drake = importlib.import_module("drake")
     found = [getattr(drake, name) for name in _TYPES]
     return {kind._get_packed_fingerprint(): kind for kind in found}
 
 
 def _topics(events: Any, types: Mapping[bytes, type]) -> list[Topic]:
-    """All channels with what their messages say."""
+    """Return all channels with what their messages say."""
     topics: dict[str, Topic] = {}
     rows: dict[str, MessageRows] = {}
     for event in events:

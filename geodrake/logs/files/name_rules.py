@@ -191,7 +191,7 @@ def _split(text: str) -> Words:
 
 
 def _own(name: str) -> Meaning | None:
-    """`time` and `<joint>.<quantity>`, the names of geodrake's own format."""
+    """Return `time` and `<joint>.<quantity>`, the names of geodrake's own format."""
     if name == "time":
         return Meaning(name, "time", role=MEASURED, style=("time",))
     joint, dot, quantity = name.rpartition(".")
@@ -391,7 +391,7 @@ def _by_their_own_words(meanings: Sequence[Meaning]) -> dict[str, str]:
 
 
 def _match_style(style: Sequence[Meaning], joints: Sequence[str]) -> tuple[dict[str, str], bool]:
-    """Column -> joint of columns that are named alike, and whether it is by their order."""
+    """Return column -> joint of columns that are named alike, and whether it is by their order."""
     exact = {m.column: m.joint for m in style if m.joint in set(joints)}
     if len(exact) == len(style):
         return exact, False

@@ -71,7 +71,7 @@ class ColumnMapping:
                 )
 
     def __iter__(self) -> Iterator[tuple[str, MappedColumn]]:
-        """Every column, by `time` or `<joint>.<quantity>`."""
+        """Yield every column, by `time` or `<joint>.<quantity>`."""
         if self.time is not None:
             yield "time", self.time
         for joint, quantities in self.joints.items():

@@ -225,6 +225,6 @@ def _problems() -> tuple[type[Exception], ...]:
 
 
 def _stamp(message: Any) -> int:
-    """When a message was measured, ns; 0 if it does not say."""
+    """Return when a message was measured, ns; 0 if it does not say."""
     stamp = getattr(getattr(message, "header", None), "stamp", None)
     return 0 if stamp is None else stamp.sec * 1_000_000_000 + stamp.nanosec

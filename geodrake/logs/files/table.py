@@ -254,7 +254,7 @@ def rows_out_of_order(time: Array) -> NDArray[np.intp]:
 
 
 def _runs(rows: Sequence[int]) -> str:
-    """Rows from 0 on as numbers from 1 on, runs of them as such."""
+    """Return rows from 0 on as numbers from 1 on, runs of them as such."""
     edges = [k for k, (one, other) in enumerate(pairwise(rows), 1) if other > one + 1]
     runs = [rows[i:j] for i, j in pairwise([0, *edges, len(rows)])]
     words = [
@@ -294,7 +294,7 @@ class LogTable:
     unnamed: tuple[str, ...] = ()
 
     def __len__(self) -> int:
-        """Number of rows."""
+        """Return the number of rows."""
         return len(next(iter(self.columns.values()), ()))
 
     @property

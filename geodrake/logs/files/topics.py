@@ -146,7 +146,7 @@ def topic_table(path: Path, topic: Topic, others: Sequence[Topic]) -> LogTable:
 
 
 def _named(path: Path, topics: Sequence[Topic], name: str, *, alone: bool) -> Topic:
-    """A topic by its name, which has all of the log if it is alone."""
+    """Return a topic by its name, which has all of the log if it is alone."""
     found = [topic for topic in topics if topic.name.strip("/") == name.strip("/")]
     if found and (found[0].fits if alone else found[0].part):
         return found[0]
@@ -229,7 +229,7 @@ def _commands(columns: Mapping[str, Array]) -> dict[str, Array]:
 
 
 def _named_by_motion(columns: Mapping[str, Array]) -> tuple[dict[str, Array], list[str]]:
-    """Commands without names get that of the joint which follows them, if that is clear."""
+    """Name commands without names by the joint that follows them, if that is clear."""
     joints = [name.removesuffix(".position") for name in columns if name.endswith(".position")]
     told = {name: meaning_of(name) for name in columns}
     bare = [n for n, m in told.items() if m is not None and m.quantity == "command" and not m.joint]

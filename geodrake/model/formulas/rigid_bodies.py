@@ -95,7 +95,7 @@ class BodyFormulas(RobotBodies):
         return theta[None], rates, accelerations, J[None]
 
     def kinematics(self) -> tuple[Array, Array, Array]:
-        """Poses and Jacobians of all bodies, with the velocities of the joints."""
+        """Return poses and Jacobians of all bodies, with the velocities of the joints."""
         tree = self.tree.joints
         q = np.array([joint_formulas(self.tree, Symbols.of(self.q)[0])], object)
         poses = np.zeros((1, len(tree.bodies), 4, 4), object)

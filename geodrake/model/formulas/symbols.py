@@ -91,7 +91,7 @@ def record(name: str, *operands: Operand) -> Operand:
 
 
 def _simplified(name: str, operands: tuple[Operand, ...]) -> Operand | None:
-    """What an operation comes to where one of its operands is 0 or 1; None for no less."""
+    """Return what an operation comes to where one of its operands is 0 or 1; None for no less."""
     first, last = operands[0], operands[-1]
     found = None
     match name, *operands:
@@ -153,7 +153,7 @@ class Symbol:
         return _recorded(ufunc, method, inputs, options)
 
     def __getattr__(self, name: str) -> Callable[[], Operand]:
-        """What NumPy calls for a function of an array that it knows for one of objects."""
+        """Return what NumPy calls for a function of an array that it knows for one of objects."""
         if name in _UNARY or name in _MADE_OF:
             return lambda: record(name, self)
         raise AttributeError(name)
@@ -220,7 +220,7 @@ class Symbols(np.ndarray):
 
     @classmethod
     def of(cls, values: Any) -> Symbols:
-        """An array of symbols and numbers in nested sequences or an array."""
+        """Return an array of symbols and numbers in nested sequences or an array."""
         return np.array(values, object).view(cls)
 
     @classmethod
@@ -237,7 +237,7 @@ class Symbols(np.ndarray):
     def __array_function__(
         self, func: Callable[..., Any], types: Any, args: Any, kwargs: Any
     ) -> Any:
-        """NumPy's other functions do as they do; a choice is recorded."""
+        """Do as NumPy's other functions do; a choice is recorded."""
         if func is np.where and len(args) == 3:
             return _entrywise("where", args)
         found = super().__array_function__(func, types, args, kwargs)
@@ -266,7 +266,7 @@ def _entrywise(name: str, inputs: Sequence[Operand]) -> Operand:
 
 
 def _boxed(x: Operand) -> Any:
-    """An operand in a plain array, which NumPy asks nothing."""
+    """Return an operand in a plain array, which NumPy asks nothing."""
     box = np.empty((), object)
     if isinstance(x, Symbol):
         box[()] = x

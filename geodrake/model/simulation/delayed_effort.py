@@ -35,7 +35,7 @@ class DelayedEffort(LeafSystem):
     """
 
     def __init__(self, delays: ArrayLike, *, period: float = 1e-3) -> None:
-        """Constructs the system.
+        """Construct the system.
 
         Args:
             delays: (n,) delays δ of the n efforts, s; each is zero or at least a period.
@@ -77,7 +77,7 @@ class DelayedEffort(LeafSystem):
         )
 
     def _history(self, context: Context) -> tuple[float, np.ndarray]:
-        """Time of the last sample and the samples, (samples, size)."""
+        """Return the time of the last sample and the samples, (samples, size)."""
         state = context.get_discrete_state_vector().value()
         return state[0], state[1:].reshape(self._samples, self._size)
 

@@ -50,7 +50,7 @@ class DrivenPlant(PlantMotion):
         log: str | None,
         temperatures: Temperatures | None,
     ) -> None:
-        """Refuses effects that give way; see `RobotModel.driving`."""
+        """Refuse effects that give way; see `RobotModel.driving`."""
         for effect in (fitted.effect for fitted in model.effects):
             if effect.role is Role.DEFLECTION:
                 raise ModelError(

@@ -129,7 +129,7 @@ class EffectForce(LeafSystem):
         temperatures: Temperatures | None = None,
         spring_damping: float = SPRING_DAMPING,
     ) -> None:
-        """Constructs the system."""
+        """Construct the system."""
         LeafSystem.__init__(self, converter=self._converter)
         number = 0 if log is None else log_number(instance(log, "log", str))
         motion = plant
@@ -204,7 +204,7 @@ class EffectForce(LeafSystem):
         context.get_mutable_numeric_parameter(_PHI).SetFromVector(phi.ravel())
 
     def set_hidden_states(self, context: Context, states: Mapping[Effect, ArrayLike]) -> None:
-        """Sets hidden states (s,), such as `Effect.states_along` leaves them; others keep theirs.
+        """Set hidden states (s,), such as `Effect.states_along` leaves them; others keep theirs.
 
         Raises:
             ArgumentError: An effect has no hidden states here, or not as many.
@@ -221,7 +221,7 @@ class EffectForce(LeafSystem):
         context.SetContinuousState(whole)
 
     def set_motors(self, context: Context, lag: ArrayLike, speed: ArrayLike) -> None:
-        """Sets where the motors of `soft_joints` are, by lags and speeds (m,).
+        """Set where the motors of `soft_joints` are, by lags and speeds (m,).
 
         A lag is the position of a motor less that of its link, rad or m.
         """
@@ -251,7 +251,7 @@ class EffectForce(LeafSystem):
         return self.law.lags(q, v, vd, self._values(context))
 
     def deflect(self, root: Context) -> None:
-        """Takes the plant's state for that of the motors, and puts links where a load has them.
+        """Take the plant's state for that of the motors, and put links where a load has them.
 
         That is the load of a steady motion; their velocities are those of the motors. Without soft
         joints nothing changes.
@@ -342,7 +342,7 @@ class EffectForce(LeafSystem):
         effects: Iterable[EffectWithValues],
         **options: Any,
     ) -> EffectForce:
-        """Adds the system and connects it to a plant's state and generalized force ports.
+        """Add the system and connect it to a plant's state and generalized force ports.
 
         `RobotModel.add_to_builder` does this with a plant that has the model's inertias.
 

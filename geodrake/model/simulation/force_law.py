@@ -86,7 +86,7 @@ class ForceLaw:
         *,
         spring_damping: float,
     ) -> None:
-        """Checks effects, and sorts them by what they depend on; see `EffectForce`."""
+        """Check effects, and sort them by what they depend on; see `EffectForce`."""
         self.plant = plant
         self.phi = plant.phi if phi is None else real_array(phi, "phi", plant.phi.shape).copy()
         given = list(map(_fitted, instances(effects, "effects", (tuple, FittedEffect))))
@@ -112,7 +112,7 @@ class ForceLaw:
             self.soft = self._softened(soft, at, damping)
 
     def _check(self, *, known_phi: bool) -> None:
-        """Refuses effects that are no forces here, and those that do not fit the plant."""
+        """Refuse effects that are no forces here, and those that do not fit the plant."""
         still = self.plant.trial(*np.zeros((3, 1, len(self.plant.joints))))
         for effect in self.effects:
             if effect.role is Role.DELAY:

@@ -71,12 +71,12 @@ class RobotInDiagram:
         return RobotPorts(self.joints, self.state, None, self.effort)
 
     def set_inertias(self, root: Context) -> None:
-        """Gives the robot the model's inertial parameters, payloads included."""
+        """Give the robot the model's inertial parameters, payloads included."""
         if self.driving is None:  # else the plant has them by default
             self.set_parameters(root, phi=self.total_phi)
 
     def set_state(self, root: Context, q: ArrayLike, v: ArrayLike | None = None) -> None:
-        """Sets where the robot starts, as it is measured, in the whole diagram's Context.
+        """Set where the robot starts, as it is measured, in the whole diagram's Context.
 
         Links of soft joints are where a steady load has them.
 
@@ -143,7 +143,7 @@ def add_robot(
     sign_width: Array,
     log: str | None,
 ) -> RobotInDiagram:
-    """Adds a model to a builder; see `RobotModel.add_to_builder`."""
+    """Add a model to a builder; see `RobotModel.add_to_builder`."""
     plant = MultibodyPlant(time_step)
     plant.set_name(name)
     scene = scene_graph or None
@@ -180,7 +180,7 @@ def make_act(
     sign_width: Array,
     log: str | None,
 ) -> RobotInDiagram:
-    """Connects a model's effects and delays with a robot in a plant of the builder."""
+    """Connect a model's effects and delays with a robot in a plant of the builder."""
     plant, joints, phi = robot.plant, model.joints, model.total_phi
     if robot.name is not None and (stated := robot.stated_terms):
         raise ArgumentError(

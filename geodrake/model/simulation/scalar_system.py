@@ -75,7 +75,7 @@ class _LazyTemplate(TemplateSystem):
     """
 
     def __init__(self, made: type, other: Callable[[], type], constructor: Any) -> None:
-        """Gives the class a constructor that begins the template."""
+        """Give the class a constructor that begins the template."""
         kind: Any = made
         types, scope = [float, AutoDiffXd], sys.modules[made.__module__]
         super().__init__(f"{made.__name__}_", types, scope=scope)
@@ -102,7 +102,7 @@ class _LazyTemplate(TemplateSystem):
 
 
 def differenced(made: System) -> System:
-    """Lets a LeafSystem class be cloned, and converted to AutoDiffXd.
+    """Let a LeafSystem class be cloned, and converted to AutoDiffXd.
 
     A clone is made of the arguments of the constructor. AutoDiffXd has derivatives with inputs,
     states, numeric parameters and time, by differences: exact to some 1e-9, where the

@@ -51,7 +51,7 @@ class PlantMotion:
         log: int = 0,
         temperatures: Temperatures | None = None,
     ) -> None:
-        """Reads a plant.
+        """Read a plant.
 
         Args:
             sign_width: Speed below which dry friction fades, rad/s or m/s; one or (nv,), of a robot

@@ -153,4 +153,4 @@ class ModelText(abc.ABC):
 
     @abc.abstractmethod
     def _inertia(self, link: Element) -> Array | None:
-        """Inertial parameters that the file states for a link."""
+        """Return inertial parameters that the file states for a link."""

@@ -109,7 +109,7 @@ MJCF_NUMBERS: Numeric = {
 
 
 def check_numbers(root: Element, numeric: Numeric, path: Path) -> None:
-    """Refuses numbers that are none, too few or too many, or out of bounds.
+    """Refuse numbers that are none, too few or too many, or out of bounds.
 
     Those of an `inertial` are left to the repair of inertias.
     """
@@ -124,14 +124,14 @@ def check_numbers(root: Element, numeric: Numeric, path: Path) -> None:
 
 
 def check_links(links: Mapping[str, Element], path: Path) -> None:
-    """Refuses names that Drake takes for a link of another model."""
+    """Refuse names that Drake takes for a link of another model."""
     for link in links.values():
         if "::" in link.get("name", ""):
             raise _wrong(link, path, f"has name={link.get('name')!r}: :: separates model and link")
 
 
 def check_inertia(link: Element, phi: Array, path: Path) -> None:
-    """Refuses inertial parameters (10,) that are numbers, but larger than anything of a robot.
+    """Refuse inertial parameters (10,) that are numbers, but larger than anything of a robot.
 
     What is not finite passes.
     """
@@ -142,7 +142,7 @@ def check_inertia(link: Element, phi: Array, path: Path) -> None:
 
 
 def check_limits(root: Element, path: Path) -> None:
-    """Refuses lower limits above upper ones."""
+    """Refuse lower limits above upper ones."""
     for element in root.iter():
         limits = []
         if element.tag == "limit":
@@ -161,7 +161,7 @@ def check_limits(root: Element, path: Path) -> None:
 
 
 def check_poses(plant: MultibodyPlant, path: Path) -> None:
-    """Refuses joints at places that are no numbers, or beyond all that is a robot."""
+    """Refuse joints at places that are no numbers, or beyond all that is a robot."""
     for joint in (plant.get_joint(index) for index in plant.GetJointIndices()):
         frames = (joint.frame_on_parent(), joint.frame_on_child())
         poses = [frame.GetFixedPoseInBodyFrame() for frame in frames]

@@ -74,7 +74,7 @@ class ModelDescription:
         return tuple(part for text in self.texts for part in text.motors())
 
     def named_packages(self) -> set[str]:
-        """Packages that the files name, geometry included."""
+        """Return packages that the files name, geometry included."""
         files = {self.path, *(text.path for text in self.texts)}
         texts = (read_expanded(file, self.given).decode(errors="replace") for file in files)
         return {name for text in texts for name in named_packages(text)}
@@ -191,7 +191,7 @@ def model_files(directives: Iterable[ModelDirective], includes: Includes) -> Ite
 
 
 def _load_directives(path: Path, includes: Includes, chain: tuple[Path, ...]) -> ModelDirectives:
-    """Directives of a file, once it is clear that they do not add themselves.
+    """Return directives of a file, once it is clear that they do not add themselves.
 
     The packages that they name are known to `includes` afterwards.
     """
@@ -211,7 +211,7 @@ def drake_errors(
     how: str = "",
     advice: str = f"Correct the file there. {SUPPORTED_FORMATS}",
 ) -> Iterator[None]:
-    """Turns what Drake raises about a model file into a `ModelError` with Drake's first words.
+    """Turn what Drake raises about a model file into a `ModelError` with Drake's first words.
 
     Drake ends a program that breaks its preconditions, which is SystemExit in Python.
 
@@ -239,7 +239,7 @@ def drake_errors(
 
 @contextmanager
 def drake_messages() -> Iterator[list[str]]:
-    """Collects what Drake logs, which would otherwise be printed."""
+    """Collect what Drake logs, which would otherwise be printed."""
     messages: list[str] = []
 
     def collect(record: logging.LogRecord) -> bool:

@@ -85,7 +85,7 @@ class Includes:
         return (*chain, file)
 
     def insert(self, root: Element, folder: Path, chain: tuple[Path, ...] = ()) -> None:
-        """Puts models that an SDF includes by relative paths in the place of the include.
+        """Put models that an SDF includes by relative paths in the place of the include.
 
         Those that it includes by a URL are left to Drake, but followed too.
         """
@@ -117,7 +117,7 @@ class Includes:
         return False
 
     def insert_elements(self, root: Element, chain: tuple[Path, ...] = ()) -> None:
-        """Puts what the files hold that an MJCF includes in the place of the includes.
+        """Put what the files hold that an MJCF includes in the place of the includes.
 
         Paths are relative to the folder of the model file, whichever file they are in.
         """
@@ -174,7 +174,7 @@ def _models_of(place: Path, by_url: bool) -> list[Path]:
 
 
 def _replace(parent: Element, include: Element, model: Element) -> None:
-    """Puts an included model in the place of its include, which may move and rename it."""
+    """Put an included model in the place of its include, which may move and rename it."""
     model.set("name", include.findtext("name", model.get("name", "")).strip())
     for element in (e for tag in ("pose", "static") for e in include.findall(tag)):
         for old in model.findall(element.tag):

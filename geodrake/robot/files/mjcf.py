@@ -66,7 +66,7 @@ class MjcfText(ModelText):
                 terms.between.add(link)
 
     def motors(self) -> tuple[Statement, ...]:
-        """Gears of actuators, and fixed tendons."""
+        """Return gears of actuators, and fixed tendons."""
         return mjcf_motors(self.compiled, self.path)
 
     def _inertia(self, link: Element) -> Array | None:

@@ -136,7 +136,7 @@ class _Compiler:
         return found
 
     def _prepare(self, root: Element, path: Path, prefix: str, chain: tuple[Path, ...]) -> Sizes:
-        """Leaves what bears on dynamics; return how many elements each attached model has."""
+        """Leave what bears on dynamics; return how many elements each attached model has."""
         drop(root, *_NO_DYNAMICS)
         self._take_plugins(root)
         folders = _take_folders(root)
@@ -173,7 +173,7 @@ class _Compiler:
     def _attach(
         self, element: Element, path: Path, chain: tuple[Path, ...]
     ) -> tuple[str, tuple[int, int]]:
-        """Makes a model known under a key, and return its name and how many elements it has."""
+        """Make a model known under a key, and return its name and how many elements it has."""
         file = path.parent / element.get("file", "")
         data = parse_xml(file)
         if data.tag != "mujoco":
@@ -229,7 +229,7 @@ class _Compiler:
 
     @contextmanager
     def _refusals(self, places: Sequence[str]) -> Iterator[None]:
-        """Turns what MuJoCo raises into a `ModelError` with its words, the file and the line."""
+        """Turn what MuJoCo raises into a `ModelError` with its words, the file and the line."""
         try:
             yield
         except (ModelError, OSError, MemoryError):
@@ -320,7 +320,7 @@ def _drop_idle_geoms(root: Element) -> None:
 
 
 def _name_bodies(root: Element, prefix: str) -> None:
-    """Gives bodies and joints names where they have none."""
+    """Give bodies and joints names where they have none."""
     every = [body for body in root.iter("body") if body.get("name") or len(body)]
     taken = {body.get("name") for body in every}
     free = unused(taken)
@@ -364,7 +364,7 @@ def unused(taken: set[str | None]) -> Callable[[str], str]:
 
 
 def _check_size(root: Element, sizes: Sizes, path: Path) -> None:
-    """Refuses files of which MuJoCo would make more than a robot has, before it does."""
+    """Refuse files of which MuJoCo would make more than a robot has, before it does."""
     for element in root.iter():
         if element.tag in ("composite", "flexcomp"):
             made = 1

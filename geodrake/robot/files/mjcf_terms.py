@@ -414,7 +414,7 @@ class _Terms:
         return True
 
     def _free_root(self, body: int) -> int:
-        """Number of the free body that a body hangs from, or is; 0 for none."""
+        """Return the number of the free body that a body hangs from, or is; 0 for none."""
         m, free = self.m, self.mujoco.mjtJoint.mjJNT_FREE
         for each in chain_to_world(m, body):
             joints = range(m.body_jntadr[each], m.body_jntadr[each] + m.body_jntnum[each])
@@ -485,7 +485,7 @@ class _Terms:
 
 
 def _row(m: Any, name: str, at: int) -> Array:
-    """A row of a compiled model's table, (k,); zeros in versions of MuJoCo without it."""
+    """Return a row of a compiled model's table, (k,); zeros in versions of MuJoCo without it."""
     table = getattr(m, name, None)
     return np.zeros(2) if table is None else np.atleast_1d(np.array(table[at], float))
 

@@ -62,7 +62,7 @@ class EditedFile:
     """
 
     def __init__(self, data: bytes, path: Path) -> None:
-        """Reads what is, or will be, in a file."""
+        """Read what is, or will be, in a file."""
         self._data, self.path, self.root = data, path, parse_xml_bytes(data, path)
         if self.root.tag not in _FORMATS:
             raise ModelError(
@@ -180,7 +180,7 @@ def put_numbers(root: Element, joint: Element, change: Change) -> None:
 
 
 def _references(root: Element) -> Iterator[tuple[Element, str]]:
-    """Elements that name files, with the attribute that does; "" for their text."""
+    """Yield elements that name files, with the attribute that does; "" for their text."""
     settings = root.findall("compiler") if root.tag == "mujoco" else []
     kinds = ("assetdir", "meshdir", "texturedir")
     folders = {name for each in settings for name in kinds if name in each.attrib}
@@ -241,7 +241,7 @@ def _of_sdf(tag: str) -> Callable[[Element, Path], _Named]:
 
 
 def _mjcf_links(root: Element, path: Path) -> _Named:
-    """Bodies, nameless ones as geodrake calls them."""
+    """Return bodies, nameless ones as geodrake calls them."""
     scope = root.get("model") or path.stem
     numbered = {id(body): k for k, body in enumerate(root.iter("body"))}
     for world in root.findall("worldbody"):
@@ -338,7 +338,7 @@ def _put_rotor(root: Element, joint: str, armature: float) -> None:
 
 
 def _gear(text: str) -> float:
-    """A gear ratio; 0 where it is none."""
+    """Return a gear ratio; 0 where it is none."""
     gear = float(numbers(text, 1)[0])
     return gear if np.isfinite(gear) else 0.0
 

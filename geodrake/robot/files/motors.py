@@ -32,7 +32,7 @@ _REDUCTIONS = ("mechanicalReduction", "mechanical_reduction")
 
 
 def urdf_motors(elements: Sequence[Element], path: Path) -> tuple[Statement, ...]:
-    """What transmissions of a URDF state."""
+    """Return what transmissions of a URDF state."""
     return tuple(part for e in elements for part in _transmission(e, path))
 
 
@@ -67,7 +67,7 @@ def _transmission(element: Element, path: Path) -> Iterator[Statement]:
 
 
 def mjcf_motors(m: Any, path: Path) -> tuple[Statement, ...]:
-    """What actuators of a compiled MJCF state: gears at joints, and fixed tendons."""
+    """Return what actuators of a compiled MJCF state: gears at joints, and fixed tendons."""
     gears, pulled = list[Gear](), dict[str, dict[str, float]]()
     for at in range(len(m.actuator_trntype)):
         if not (shares := {m.joint(j).name: x for j, x in actuator_shares(m, at).items()}):
@@ -111,7 +111,7 @@ def _terms(
 
 
 def _in_roles(element: Element, tag: str) -> list[Element]:
-    """Its joints or actuators in the order of their roles, such as joint1 and joint2."""
+    """Return its joints or actuators in the order of their roles, such as joint1 and joint2."""
     found = element.findall(tag)
     return sorted(found, key=lambda e: (e.get("role") or e.findtext("role") or "").strip())
 

@@ -26,7 +26,7 @@ _MARKERS = frozenset({"AMENT_IGNORE", "CATKIN_IGNORE", "COLCON_IGNORE"})
 
 
 def named_packages(text: str) -> set[str]:
-    """Names of the packages that URLs in a text lead to."""
+    """Return names of the packages that URLs in a text lead to."""
     return set(_URL.findall(text))
 
 
@@ -36,7 +36,7 @@ def add_packages(
     names: Iterable[str],
     folders: Mapping[str, Path] | None = None,
 ) -> None:
-    """Makes packages known: given ones, those around a file, and those on ROS' paths.
+    """Make packages known: given ones, those around a file, and those on ROS' paths.
 
     Only those that are asked for are looked up: a manifest that cannot be read does no harm to
     models that do not need it.
@@ -67,7 +67,7 @@ def folder_of_package(name: str, path: Path, folders: Mapping[str, Path]) -> Pat
 
 
 def _around(path: Path, names: Iterable[str]) -> Iterator[Path]:
-    """Folders that may be packages of some names, the nearest first."""
+    """Yield folders that may be packages of some names, the nearest first."""
     yield from path.resolve().parents
     for prefix in os.environ.get("AMENT_PREFIX_PATH", "").split(os.pathsep):
         if prefix:

@@ -98,7 +98,7 @@ class UrdfText(ModelText):
         self._take_weightless(off)
 
     def motors(self) -> tuple[Statement, ...]:
-        """The transmissions of ros_control."""
+        """Return the transmissions of ros_control."""
         return urdf_motors(self._transmissions, self.path)
 
     def _inertia(self, link: Element) -> Array | None:

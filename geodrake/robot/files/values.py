@@ -23,7 +23,7 @@ def drop(element: Element, *tags: str) -> None:
 
 
 def numbers(text: str, count: int) -> Array:
-    """Numbers of a text, NaN where there are none; an empty text means zeros."""
+    """Return numbers of a text, NaN where there are none; an empty text means zeros."""
     parts = text.split()
     if not parts:
         return np.zeros(count)
@@ -41,14 +41,14 @@ def number(parent: Element, tag: str, attribute: str) -> float:
 
 
 def symmetric(texts: Iterable[str]) -> Array:
-    """Symmetric matrix (3, 3) of six numbers in the order of `TENSOR`."""
+    """Return the symmetric matrix (3, 3) of six numbers in the order of `TENSOR`."""
     matrix = np.zeros((3, 3))
     matrix[UPPER] = [numbers(text, 1)[0] for text in texts]
     return matrix + np.triu(matrix, 1).T
 
 
 def rotation(values: Array) -> Array:
-    """Rotation matrix of roll, pitch, yaw (3,) or of a quaternion w, x, y, z (4,)."""
+    """Return the rotation of roll, pitch, yaw (3,) or of a quaternion w, x, y, z (4,)."""
     if not np.isfinite(values).all() or (len(values) == 4 and not values.any()):
         return np.full((3, 3), np.nan)
     if len(values) == 3:
@@ -63,10 +63,10 @@ def inertial_parameters_of(mass: float, com: Array, R: Array, inertia: Array) ->
 
 
 def tensor_words(inertia: Array) -> dict[str, str]:
-    """The six entries of an inertia matrix by their name in `TENSOR`."""
+    """Return the six entries of an inertia matrix by their name in `TENSOR`."""
     return dict(zip(TENSOR, words(inertia[UPPER]).split(), strict=True))
 
 
 def words(values: Array | float) -> str:
-    """Text of numbers that reads back exactly."""
+    """Return a text of numbers that reads back exactly."""
     return " ".join(repr(float(value)) for value in np.atleast_1d(values))

@@ -127,7 +127,7 @@ def numbered_text(root: Element) -> tuple[str, list[str]]:
 
 
 def _lines(root: Element) -> Iterator[tuple[str, Element]]:
-    """Lines of text with the element that each is of; depth first, without recursion."""
+    """Yield lines of text with the element that each is of; depth first, without recursion."""
     waiting: list[tuple[Element, bool]] = [(root, True)]
     while waiting:
         element, opens = waiting.pop()

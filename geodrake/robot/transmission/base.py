@@ -91,7 +91,7 @@ class Transmission(abc.ABC):
         return np.swapaxes(self.jacobian(q), 1, 2) @ rows
 
     def _q(self, q: ArrayLike, sizes: Sizes | None = None) -> Array:
-        """Checked coordinates (N, n) of the actuators."""
+        """Return checked coordinates (N, n) of the actuators."""
         return real_array(q, "q", ("N", self.num_actuators), sizes)
 
     def actuator_positions(self, theta: Array, *, start: ArrayLike = 0.0) -> Array:
@@ -121,7 +121,7 @@ class Transmission(abc.ABC):
 
 
 def times(matrices: Array, vectors: Array) -> Array:
-    """Products (N, m) of matrices (N, m, n) and vectors (N, n)."""
+    """Return products (N, m) of matrices (N, m, n) and vectors (N, n)."""
     return np.einsum("nij,nj->ni", matrices, vectors)
 
 
@@ -252,22 +252,22 @@ class SideBySide(Transmission):
         return np.asarray(block_diag(*given)) if len(given) == len(self.parts) else None
 
     def joint_positions(self, q: Array) -> Array:
-        """The parts' positions, one after another."""
+        """Return the parts' positions, one after another."""
         inputs = zip(self.parts, self._split(q), strict=True)
         return np.hstack([part.joint_positions(x) for part, x in inputs])
 
     def jacobian(self, q: Array) -> Array:
-        """The parts' Jacobians as blocks."""
+        """Return the parts' Jacobians as blocks."""
         inputs = zip(self.parts, self._split(q), strict=True)
         return self._blocks([part.jacobian(x) for part, x in inputs])
 
     def jacobian_rate(self, q: Array, v: Array) -> Array:
-        """The parts' rates as blocks."""
+        """Return the parts' rates as blocks."""
         inputs = zip(self.parts, self._split(q), self._split(v), strict=True)
         return self._blocks([part.jacobian_rate(x, xd) for part, x, xd in inputs])
 
     def inside(self, q: Array) -> Array:
-        """The parts' own."""
+        """Return the parts' own."""
         inputs = zip(self.parts, self._split(q), strict=True)
         return np.hstack([part.inside(x) for part, x in inputs])
 
@@ -326,13 +326,13 @@ class InSequence(Transmission):
         return product
 
     def joint_positions(self, q: Array) -> Array:
-        """The stages' maps in turn."""
+        """Return the stages' maps in turn."""
         for stage in self.stages:
             q = stage.joint_positions(q)
         return q
 
     def jacobian(self, q: Array) -> Array:
-        """The product of the stages' Jacobians."""
+        """Return the product of the stages' Jacobians."""
         J = self.stages[0].jacobian(q)
         for inner, outer in pairwise(self.stages):
             q = inner.joint_positions(q)

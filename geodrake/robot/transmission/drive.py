@@ -67,7 +67,7 @@ class Drive(Short):
 
     @classmethod
     def of(cls, statement: Statement) -> Drive:
-        """The drive that a part of a transmission file states."""
+        """Return the drive that a part of a transmission file states."""
         range_, slides = statement.range(), statement.slides()
         return cls(
             statement.actuator_names(),

@@ -78,7 +78,7 @@ class LoopTransmission(Transmission, Short):
         return theta[:, self.shown], G[:, self.shown], rate[:, self.shown]
 
     def of_all(self, q: Array, v: Array) -> tuple[Array, Array, Array]:
-        """Positions (N, k) of all k joints, G and Ġ (N, k, n)."""
+        """Return positions (N, k) of all k joints, G and Ġ (N, k, n)."""
         theta, G = self._closed(self._q(q))
         rate = np.zeros_like(G)
         calc_loop_rates(self.records, theta, G, contiguous(v), rate)
@@ -97,12 +97,12 @@ class LoopTransmission(Transmission, Short):
         return self.along(q, v)[2]
 
     def actuator_positions(self, theta: Array, *, start: object = 0.0) -> Array:
-        """Q (N, n): those of the free joints, whatever the others'."""
+        """Return Q (N, n): those of the free joints, whatever the others'."""
         del start
         return np.array(theta[:, np.searchsorted(self.shown, self.free)])
 
     def inside(self, q: Array) -> Array:
-        """Positions moved towards the posture of the file to where the loop closes."""
+        """Return positions moved towards the posture of the file to where the loop closes."""
         share, there = self.solved(q)[2], self.reference[self.free]
         moved = there + (1.0 - _OFF_THE_END) * share[:, None] * (q - there)
         return np.where((share < 1.0)[:, None], moved, q)
@@ -126,7 +126,7 @@ class LoopTransmission(Transmission, Short):
         return ends[0], ends[1]
 
     def _closed(self, q: Array) -> tuple[Array, Array]:
-        """Positions and G."""
+        """Return positions and G."""
         theta, G, reached = self.solved(q)
         if (open_ := reached < 1.0).any():
             at = int(np.argmax(open_))

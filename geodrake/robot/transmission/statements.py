@@ -73,7 +73,7 @@ class ScalarTransmission(Transmission, Short):
         return rate[:, None, None]
 
     def inside(self, q: Array) -> Array:
-        """Positions moved to where f is known, a little off its ends."""
+        """Return positions moved to where f is known, a little off its ends."""
         low, high = self.range
         if not np.isfinite([low, high]).all():
             return q
@@ -245,7 +245,7 @@ def _of_polynomial(c: Array, q: Array, order: int) -> Array:
 
 
 def _along(spline: CubicSpline, q: Array, order: int) -> Array:
-    """A spline, or its derivative, that goes straight on beyond its ends."""
+    """Return a spline, or its derivative, that goes straight on beyond its ends."""
     inside = np.clip(q, spline.x[0], spline.x[-1])
     found = spline(inside, order)
     return np.asarray(found if order else found + spline(inside, 1) * (q - inside))
@@ -396,7 +396,7 @@ class FourBarLinkage(OneJoint):
         return np.asarray((driven - driving) / lever)
 
     def _angles(self, q: Array) -> tuple[Array, Array, Array]:
-        """Angles (N,) of crank, rocker and coupler."""
+        """Return angles (N,) of crank, rocker and coupler."""
         crank = q + self.crank_angle
         x, y = self.crank * np.cos(crank) - self.ground, self.crank * np.sin(crank)
         diagonal = np.hypot(x, y)
@@ -446,7 +446,7 @@ class LinearActuator(OneJoint):
         return self._opening
 
     def _known(self) -> tuple[float, float]:
-        """Between which q the triangle closes, m."""
+        """Return between which q the triangle closes, m."""
         return abs(self.base - self.lever) - self.length, self.base + self.lever - self.length
 
     def _opening(self, q: Array, order: int) -> Array:
@@ -501,7 +501,7 @@ class Stated(Schema):
                 yield f"{name}[{k}]", part
 
     def add(self, part: Statement) -> None:
-        """Adds a part to the list of its kind."""
+        """Add a part to the list of its kind."""
         for name, kind in get_type_hints(type(self)).items():
             if get_args(kind)[0] is type(part):
                 getattr(self, name).append(part)
