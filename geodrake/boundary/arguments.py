@@ -210,7 +210,7 @@ def _numbers(value: Any, name: str, shape: Shape | None) -> Array:
         # NumPy cannot make an array of ragged lists, or of objects that refuse.
         raise _wrong(name, shape, None, f"it is {shown(value)}") from error
     if array.dtype.kind not in _REAL_KINDS and array.size:
-        what = shown(value) if array.dtype.kind == "O" else f"of type {array.dtype}"
+        what = shown(value) if array.dtype.kind in "OU" else f"of type {array.dtype}"
         raise _wrong(name, shape, None, f"it is {what}")
     with np.errstate(over="ignore"):  # numbers of more digits that are too large become infinite
         return np.asarray(array, _FLOAT)

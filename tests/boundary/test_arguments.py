@@ -26,7 +26,7 @@ from geodrake.model import EffortSignal
         (lambda: instances(("elbow", 2), "joints", str), "number 1 is 2"),
         (lambda: one_or_each([1.0, 2.0], "width", 3), r"one number or 3; .* \(2,\)"),
         (lambda: one_or_each(-1.0, "width", 3), "at least 0; it is -1.0"),
-        (lambda: EffortSignal("a", "command", 1.0, limit="5"), "limit of a must be .* type <U1"),
+        (lambda: EffortSignal("a", "command", 1.0, limit="5"), "limit of a must be .* it is '5'"),
     ],
 )
 def test_messages_name_what_is_expected_and_what_came(check, message):

@@ -113,9 +113,15 @@ class Simulation:
         own = np.concatenate([self._order, len(places) + np.arange(nv)])
         self._driving = model.driving(plant, sign_width, log, temperatures)
         effects = [fitted for fitted in model.effects if fitted.effect.role in FORCES]
-        known = {"sign_width": sign_width, "phi": phi, "log": log, "temperatures": temperatures}
-        robot = self._driving or plant
-        self._force = force = EffectForce.AddToBuilder(builder, robot, effects, **known)
+        self._force = force = EffectForce.AddToBuilder(
+            builder,
+            self._driving or plant,
+            effects,
+            sign_width=sign_width,
+            phi=phi,
+            log=log,
+            temperatures=temperatures,
+        )
         self._soft = bool(force.soft_joints)
         state = plant.get_state_output_port()
         self._apart = self._soft or self._driving is not None

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
-from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -340,7 +339,12 @@ class EffectForce(LeafSystem):
         builder: DiagramBuilder,
         plant: MultibodyPlant | RobotInstance | PlantMotion,
         effects: Iterable[EffectWithValues],
-        **options: Any,
+        *,
+        sign_width: ArrayLike = 1e-2,
+        phi: ArrayLike | None = None,
+        log: str | None = None,
+        temperatures: Temperatures | None = None,
+        spring_damping: float = SPRING_DAMPING,
     ) -> EffectForce:
         """Add the system and connect it to a plant's state and generalized force ports.
 
@@ -351,7 +355,16 @@ class EffectForce(LeafSystem):
         of the constructor, with a plant that was added to the builder.
         """
         instance(builder, "builder", DiagramBuilder)
-        system = builder.AddSystem(EffectForce(plant, effects, **options))
+        made = EffectForce(
+            plant,
+            effects,
+            sign_width=sign_width,
+            phi=phi,
+            log=log,
+            temperatures=temperatures,
+            spring_damping=spring_damping,
+        )
+        system = builder.AddSystem(made)
         whole = system.law.plant.plant
         builder.Connect(whole.get_state_output_port(), system.GetInputPort("state"))
         add_generalized_force(builder, whole, system.GetOutputPort("generalized_force"))

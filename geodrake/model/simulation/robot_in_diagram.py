@@ -202,8 +202,9 @@ def make_act(
     force, notes = None, tuple[str, ...]()
     if forces or driving is not None:
         own = None if robot.name is None else robot.plant_parameters(phi)
-        options = {"sign_width": sign_width, "phi": own, "log": log}
-        force = EffectForce.AddToBuilder(builder, driving or robot, forces, **options)
+        force = EffectForce.AddToBuilder(
+            builder, driving or robot, forces, sign_width=sign_width, phi=own, log=log
+        )
         force.set_name(f"{name}_effects")
         builder.Connect(acting, force.GetInputPort("applied_effort"))
         notes = force.notes
