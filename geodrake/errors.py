@@ -21,7 +21,7 @@ class GeodrakeError(Exception):
         self.evidence = evidence
 
     def __reduce__(self) -> tuple[Any, ...]:
-        """How errors of other processes come whole, with advice and evidence."""
+        """Return how pickle rebuilds the error, with advice and evidence."""
         return _remade, (type(self), self.problem, self.advice, self.evidence)
 
 

@@ -60,7 +60,7 @@ def follow(
     inertia: Array,
     given: Callable[[Array, Array], Array],
 ) -> Limited:
-    """Return forward dynamics under a computed torque, of which the motors give a part.
+    """Return forward dynamics under a computed torque that the motors give in part.
 
     Accelerations solve (M + h F') a = given − bias − friction, by the slope F' of the friction over
     a step h; M and the bias are inverse dynamics of unit accelerations and of none.
@@ -103,7 +103,7 @@ RATE, DURATION = 125.0, 20.0  # 1/s, s
 class WrongLog:
     """What is drawn."""
 
-    mistake: str  # name of the mistake, of `MISTAKES`, or of what is right, of `RIGHT`
+    mistake: str  # a name in `MISTAKES`, or in `RIGHT` where nothing is wrong
     robot: str
     engine: str
     motion: str

@@ -53,7 +53,7 @@ class Writer:
         return f'{kind}="{self.numbers(ways[kind], 0.1, high)}"'
 
     def classes(self, depth: int = 0) -> str:
-        """Return nested default classes, some of which say nothing."""
+        """Return nested default classes, some of them empty."""
         joint = self.joint_numbers() if self.chance(0.6) else ""
         parts = [f"<joint {joint}/>"] if joint else []
         if self.chance(0.5):
@@ -116,7 +116,7 @@ class Writer:
         return f"<joint {own}/>"
 
     def body(self, depth: int) -> str:
-        """Return a body with what is in it, perhaps in frames within frames."""
+        """Return a body with its contents, perhaps in frames within frames."""
         joints = [self.joint("slide" if self.chance(0.25) else "hinge")]
         if self.chance(0.2):
             joints.append(self.joint("hinge"))

@@ -199,7 +199,7 @@ def positive_definite(value: Any, name: str, shape: Shape, sizes: Sizes | None =
 
 
 def _numbers(value: Any, name: str, shape: Shape | None) -> Array:
-    """An array of floats; complex numbers, texts, objects, truth values and masks are none."""
+    """Return an array of floats; refuse complex numbers, texts, objects, booleans and masks."""
     if type(value) is np.ndarray and value.dtype == _FLOAT:
         return value
     if isinstance(value, np.ma.MaskedArray):
@@ -243,7 +243,7 @@ def _fits(found: tuple[int, ...], shape: Shape, sizes: Sizes | None) -> bool:
 
 
 def _within(array: Array) -> bool:
-    """Whether all values are finite and not beyond `LARGEST`, without a copy of a long array."""
+    """Return whether all values are finite and within ±`LARGEST`, without copying the array."""
     least = np.minimum.reduce(array, axis=None, initial=0.0)  # NaN if any value is
     return bool(least >= -LARGEST and np.maximum.reduce(array, axis=None, initial=0.0) <= LARGEST)
 

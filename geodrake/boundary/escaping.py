@@ -17,7 +17,7 @@ _LONGEST = 300  # letters of what errors of others say
 
 
 def printable(text: str) -> str:
-    r"""A name as one line that people can read: `\x1b` for what moves, colours, turns or breaks it.
+    r"""Return a name as one readable line: `\x1b` for what moves, colours, turns or breaks it.
 
     Every letter that Unicode does not count as printable is written as Python writes it.
     """
@@ -27,7 +27,7 @@ def printable(text: str) -> str:
 
 
 def one_line(error: BaseException) -> str:
-    """What an error of somebody else's says, in a line without its full stop; else its kind."""
+    """Return the text of a foreign error in a line without its full stop; else its kind."""
     return " ".join(str(error).split())[:_LONGEST].rstrip(".") or type(error).__name__
 
 
@@ -58,7 +58,7 @@ def docstring_text(text: str) -> str:
 
 
 def identifier(name: str) -> str:
-    """A Python identifier for a name, in the form in which Python compares them: `elbow_joint`."""
+    """Return a Python identifier for a name, in the form that Python compares: `elbow_joint`."""
     plain = unicodedata.normalize("NFKC", unicodedata.normalize("NFKC", name).lower())
     letters = "".join(c if f"a{c}".isidentifier() else " " for c in plain)
     words = re.sub(r"[ _]+", "_", letters).strip("_") or "joint"
@@ -87,7 +87,7 @@ def identifiers(
 
 
 def path_part(name: str) -> str:
-    """A name as one part of a path, of a file or in MeshCat: no separators, no `.` and `..`."""
+    """Return a name as one part of a path, of a file or in MeshCat: no separators, `.` or `..`."""
     part = "".join(c if c.isprintable() and c not in "/\\%" else _percent(c) for c in name)
     return part.replace(".", "%2E") if set(part) <= {"."} else part
 

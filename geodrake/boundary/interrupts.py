@@ -13,7 +13,7 @@ class StopSearch(BaseException):  # as KeyboardInterrupt, it is no error
 
 
 def is_stop(error: BaseException | None) -> bool:
-    """Whether an error is `StopSearch`, or what an extension such as a compiler made of it."""
+    """Return whether an error is `StopSearch`, or one that an extension raised from it."""
     while error is not None:
         if isinstance(error, StopSearch):
             return True

@@ -120,7 +120,7 @@ def _check_places(places: Sequence[str], model: RobotModel, *, on_bodies: bool) 
 
 
 def _makers(found: ModelIdentification, options: IdentifyOptions) -> Mapping[str, Maker]:
-    """Return what makes the files that only this command writes."""
+    """Return the writers of the files that only this command writes."""
     from geodrake.report.ellipsoids import identification_sets
 
     def figure() -> bytes:

@@ -57,7 +57,7 @@ class _Handler:
 
 
 def was_interrupted() -> bool:
-    """Whether a signal came that `interruptible` looks after; errors after it are of its making."""
+    """Return whether a signal came that `interruptible` handles; it causes the errors after it."""
     handlers = map(signal.getsignal, _WORDS)
     return any(isinstance(h, _Handler) and h.arrived is not None for h in handlers)
 

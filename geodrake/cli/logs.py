@@ -102,7 +102,7 @@ def _beyond_limits(model: RobotModel, logs: Sequence[JointLog]) -> list[str]:
 
 
 def _columns(model: RobotModel, logs: Sequence[JointLog]) -> tuple[tuple[ColumnFinding, ...], str]:
-    """Return mistakes in columns; of logs that say nothing of the model none, and why."""
+    """Return mistakes in columns; for logs that do not fit the model, none and the reason."""
     try:
         return found_columns(model_of_logs(model, logs), logs, {}), ""
     except GeodrakeError as error:
@@ -118,7 +118,7 @@ def _numbers(found: InspectedLogs) -> dict[str, Any]:
 
 
 def _makers(found: InspectedLogs, options: LogCommandOptions) -> Mapping[str, Maker]:
-    """Return what makes the files: the log, its preview, and a mapping that reads it so."""
+    """Return the writers of the files: the log, its preview, and a mapping that reads it so."""
     (_, first), *_ = found.logs
 
     def mapping() -> str:

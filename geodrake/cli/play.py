@@ -91,7 +91,7 @@ def run_play(options: PlayOptions) -> None:
 
 
 def _before(options: PlayOptions, given: Input) -> RobotModel | None:
-    """The model to compare with: the one named, or the file that a saved model is based on."""
+    """Return the model to compare with: the one named, or the file behind a saved model."""
     if options.before is not None:
         return other_model(options.before, given)
     return read_again(given.model) if is_saved_model(options.model) else None

@@ -36,13 +36,13 @@ class Activity(Protocol):
     """Shows what is going on."""
 
     def __call__(self, words: str, share: float | None = None) -> None:
-        """What is being done, and the share of it that is done; None where that is unknown."""
+        """Show what is being done, and the share of it that is done; None where that is unknown."""
 
     def history(self, line: str) -> None:
-        """A line that stays."""
+        """Print a line that stays."""
 
     def warning(self, line: str) -> None:
-        """A line that stays and is shown even to those who want to see no progress."""
+        """Print a line that stays, also where progress is not shown."""
 
 
 @dataclass

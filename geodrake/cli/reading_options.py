@@ -166,7 +166,7 @@ def proposing(logs: Sequence[Path]) -> Iterator[None]:
 
 
 def _beside(path: Path, logs: Sequence[Path]) -> Path:
-    """Where the proposal for a log goes: the working folder; files that were joined share one."""
+    """Return where a log's proposal goes: the working folder; joined files share one."""
     first = Path(str(next((log for log in logs if log.name == path.name), path)).split("+")[0])
     from geodrake.logs.files.packed_files import log_name
 

@@ -291,7 +291,7 @@ def _holds_resting(options: Any) -> bool:
 def _with_columns(
     options: Any, given: Input, update: Activity
 ) -> tuple[Input, tuple[ColumnFinding, ...] | None, bool]:
-    """What to work on, mistakes in columns (None if nobody looked), if they are corrected."""
+    """Return the input, mistakes in columns (None if not looked for), and if they are corrected."""
     if not isinstance(options, Options):
         return given, None, False
     update("Checking the columns")
@@ -335,7 +335,7 @@ def check_logs(logs: Sequence[Path]) -> None:
 
 
 def make_console(*, stderr: bool = False) -> Console:
-    """A console that prints names and numbers as they are, without reading markup into them."""
+    """Return a console that prints names and numbers as they are, without markup."""
     file = sys.stderr if stderr else results()
     console = ResultsConsole(file=file, markup=False, emoji=False, highlight=False)
     if not console.is_terminal:

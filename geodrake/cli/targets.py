@@ -74,7 +74,7 @@ class Targets:
 
 
 def _place(path: Path) -> str:
-    """Where a path leads, also one whose links lead nowhere."""
+    """Return where a path leads, also one whose links lead nowhere."""
     return os.path.realpath(path)
 
 

@@ -96,7 +96,7 @@ def _placed(name: str, where: Sequence[str]) -> tuple[str, str, str] | None:
 
 
 def _class(name: str) -> type[Effect] | None:
-    """The effect that a motion can be designed for; None if it cannot, whatever the place."""
+    """Return the effect that a motion can be designed for; None if it cannot, at any place."""
     try:
         cls = effect_class(name)
     except ArgumentError:  # an effect of the user's own

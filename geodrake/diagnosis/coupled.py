@@ -37,7 +37,7 @@ class _Sharing:
     effective: float  # how many independent samples the residual is worth
 
     def left(self, at: int, sizes: Array) -> Array:
-        """(2,) share of the squared error left by parameters (2, k) of one partner, by sign."""
+        """Return (2,) share of squared error left by one partner's parameters (2, k), by sign."""
         gone = 2.0 * np.einsum("sk,sk->s", self.cross[at], sizes)
         return np.asarray(1.0 - gone + np.einsum("skl,sk,sl->s", self.gram[at], sizes, sizes))
 
@@ -136,7 +136,7 @@ def _together(places: Sequence[tuple[_Sharing, int]]) -> tuple[float, float]:
 
 
 def _least_squares(gram: Array, cross: Array) -> Array:
-    """(k,) solution of the normal equations of one or two columns that is nowhere negative."""
+    """Return the (k,) nonnegative solution of the normal equations of one or two columns."""
     alone = np.maximum(cross, 0.0) / np.maximum(np.diag(gram), np.finfo(float).tiny)
     both = np.linalg.lstsq(gram, cross, rcond=1e-9)[0]
     tried = [*np.diag(alone), *([both] if np.all(both >= 0.0) else [])]

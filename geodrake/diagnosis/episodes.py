@@ -224,6 +224,6 @@ def _contact(
 
 
 def _explains_all(found: Predicted) -> bool:
-    """Whether nothing unusual is left at any joint, and not at one only, as friction could do."""
+    """Return whether several joints' residuals vanish; friction could explain one joint's."""
     explained = (found.before > _LOW) & (found.after < 0.5 * found.before)
     return bool(explained.sum() >= _LEAST_JOINTS and np.all(found.after <= _LOW))

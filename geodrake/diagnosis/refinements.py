@@ -173,7 +173,7 @@ def fitted_loads(case: Case, model: LogModel, fit: Fit) -> Array | None:
 
 
 def _change_of_load(dataset: Dataset, step: Array) -> float:
-    """What a step of all inertial parameters changes at most of a joint's effort, by its RMS."""
+    """Return how much a step of all inertial parameters changes a joint's effort, by its RMS."""
     most = 0.0
     for data, deviation in zip(dataset.data, dataset.effort_std, strict=True):
         local = data.local(np.arange(len(step)))

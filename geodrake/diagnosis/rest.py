@@ -109,7 +109,7 @@ def _predictable(
 
 
 def _signals(segment: Segment, speeds: Array) -> Array:
-    """(N, 3 n) position, velocity and direction of motion of all joints, with peak speeds (n,)."""
+    """Return (N, 3 n) position, velocity and direction of all joints, with peak speeds (n,)."""
     v, slow = segment.velocity, np.maximum(SLOW * speeds, np.finfo(float).tiny)
     return np.concatenate([segment.position, v, np.tanh(v / slow)], axis=1)
 

@@ -145,7 +145,7 @@ class Search:
         return Found(self.case, self.model, self.fit, self._start())
 
     def _with_best(self, kind: type[Effect], places: Places | None) -> Fit:
-        """The most probable explanation with one effect at some places, in its best shape."""
+        """Return the most probable fit with one effect at some places, in its best shape."""
         model, was = self.model, self._start()
         if kind.role is Role.DELAY:
             return self._latest(was, places)
@@ -376,7 +376,7 @@ class Search:
         return offered
 
     def _fades(self) -> bool:
-        """Whether dry friction fades at other speeds than was thought, as suits what was found."""
+        """Return whether dry friction fades at other speeds than assumed, as fits the finding."""
         if len(self._faded) >= _MOST_FADINGS or self.fit.terms in self._faded:
             return False
         self._faded.append(self.fit.terms)

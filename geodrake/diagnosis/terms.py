@@ -202,7 +202,7 @@ def _wrong_bodies(model: RobotModel, dataset: Dataset, beliefs: Beliefs) -> list
 
 
 def _column_sizes(dataset: Dataset) -> Array:
-    """(p,) RMS of every column where it is largest, over the deviation of the joint's effort."""
+    """Return (p,) largest RMS of every column, over the deviation of the joint's effort."""
     width = 1 + max(int(data.columns.max(initial=0)) for data in dataset.data)
     sizes = np.zeros(width)
     for data, deviation in zip(dataset.data, dataset.effort_std, strict=True):

@@ -273,7 +273,7 @@ class Effect(CheckedFields, abc.ABC):
         return np.zeros(len(self.parameters))
 
     def course(self, along: Array) -> Array:
-        """How it varies with time or along a way, for the proposers that try that on a residual.
+        """Return how it varies with time or along a path, for proposers that try it on a residual.
 
         Args:
             along: (N,) instants since the log began, s, or positions of the joint, by `proposer`.

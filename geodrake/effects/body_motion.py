@@ -28,7 +28,7 @@ class BodyMotion:
     dofs: tuple[int, ...]  # indices of the velocities that move B
 
     def jacobian_at(self, p_BoP_B: Array) -> Array:
-        """(N, 3, nv) Jacobian, in W, of the velocity of the point P of B at p_BoP_B (3,), m."""
+        """Return (N, 3, nv) Jacobian, in W, of the velocity of B's point P at p_BoP_B (3,), m."""
         arm = self.rotation @ np.asarray(p_BoP_B, float)
         return self.linear + np.cross(self.angular, arm[:, :, None], axis=1)
 

@@ -107,7 +107,7 @@ def telling(name: str, line: str) -> Iterator[None]:
 
 
 def line_of(effect: type[Any], *methods: str) -> str:
-    """The line and file of the last of some methods of an effect that is a user's own, in words.
+    """Return line and file of the last of some methods of a user's own effect, in words.
 
     Args:
         *methods: Names of methods, of which the effect may have some.

@@ -86,7 +86,7 @@ class Give:
 
 
 def _smooth(lag: Array, time: Array) -> Array:
-    """A lag (N,) without what only noise of the motion makes of it, which ṡ and s̈ would amplify.
+    """Return a lag (N,) without the motion's noise, which ṡ and s̈ would amplify.
 
     A short series, as a slice of a log sampled at kilohertz is, stays as it is: it does not say
     what is noise, and would be wrong near its ends.

@@ -62,7 +62,7 @@ class EffectColumns:
         return frozenset().union(*self._signals)
 
     def rows(self, motion: RobotMotion) -> list[dict[int, Array]]:
-        """The columns (N, ·) of each effect along a motion of N samples, by velocity acted at."""
+        """Return each effect's columns (N, ·) along a motion of N samples, by velocity acted at."""
         return [
             {self._indices[joint]: columns for joint, columns in rows_of(effect, motion).items()}
             for effect in self.effects

@@ -67,7 +67,7 @@ class GravityTilt(RobotEffect):
         return {}
 
     def expanded_about(self, parameters: Array, bodies: RobotBodies) -> GravityTilt:
-        """The tilt with columns that are exact at its parameters; itself if they are so already."""
+        """Return the tilt with columns exact at its parameters; itself if they already are."""
         del bodies
         step = np.linalg.norm(parameters - self._about[:2])
         if step * max(np.linalg.norm(parameters), step) < _LEAST_CHANGE:
@@ -201,7 +201,7 @@ class AerodynamicDrag(BodyEffect):
         return np.array([mean if value is None else value for value, mean in given])
 
     def expanded_about(self, parameters: Array, bodies: RobotBodies) -> AerodynamicDrag:
-        """The drag about the centre of pressure that its parameters say; itself if that is here."""
+        """Return the drag about its parameters' centre of pressure; itself if that is here."""
         drag, lever = float(parameters[0]), parameters[1:]
         if not _LEAST_STEP * drag < np.linalg.norm(lever) < _LARGEST_STEP * drag:
             return self

@@ -144,6 +144,6 @@ class PointEpisode(Episode):
 
     @classmethod
     def in_window(cls, body: str, start: float, end: float, **shape: Any) -> tuple[Self, ...]:
-        """What may act on a body in a window: what keeps its direction, and what turns with it."""
+        """Return what may act on a body in a window: forces fixed in W, or turning with it."""
         make: Callable[..., Self] = cls
         return tuple(make(body, start, end, **shape, turning=turning) for turning in (0, 1))

@@ -110,7 +110,7 @@ class AsymmetricFriction(JointEffect):
         return [np.maximum(s, 0.0), np.minimum(s, 0.0), np.maximum(v, 0.0), np.minimum(v, 0.0)]
 
     def slopes(self, joint: JointMotion) -> Slopes:
-        """Where each direction is, one by sgn v or v."""
+        """Return where each direction is, one by sgn v or v."""
         s, v = joint.sign_v, joint.v
         return [{"sign_v": s > 0}, {"sign_v": s < 0}, {"v": v > 0}, {"v": v < 0}]
 

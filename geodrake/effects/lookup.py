@@ -21,7 +21,7 @@ FAMILIES = ("friction", "sensors", "motor_and_transmission", "bodies", "environm
 
 @cache
 def catalogue() -> tuple[type[Effect], ...]:
-    """The effects that come with geodrake, family by family, in the order of their definition."""
+    """Return the effects that come with geodrake, by family, in the order of definition."""
     modules = [import_module(f"{__package__}.{name}") for name in FAMILIES]
     return tuple(effect for module in modules for effect in effects_in(module))
 
@@ -33,7 +33,7 @@ def file_effects() -> tuple[type[Effect], ...]:
 
 
 def effects_in(module: ModuleType) -> list[type[Effect]]:
-    """Return the effects that a module defines; classes left abstract are none."""
+    """Return the effects that a module defines, abstract classes left out."""
     return [effect for effect in classes_in(module) if not inspect.isabstract(effect)]
 
 

@@ -148,7 +148,7 @@ class RobotMotion(Short):
         return self.joints.index(name)
 
     def warmer(self, name: str, reference: float) -> Array:
-        """(N,) degrees by which a joint is warmer than a reference, °C; 0 where nobody knows."""
+        """Return (N,) degrees by which a joint is warmer than a reference, °C; 0 where unknown."""
         if self.temperature is None:
             return np.zeros(len(self.v))
         own = self.temperature[:, self.index(name)]

@@ -249,7 +249,7 @@ def delays_of(effects: Sequence[Effect], joints: Sequence[str]) -> Array:
 
 
 def effort_delays(delays: ArrayLike, joints: Sequence[str]) -> list[EffortDelay]:
-    """The effects that make delays (n,), s, at n joints: one of all efforts if they are alike.
+    """Return the effects that delay n joints by (n,) s: one of all efforts if they are equal.
 
     Args:
         delays: (n,) delays, s.

@@ -285,7 +285,7 @@ def _hull(vertices: Array) -> tuple[Array, NDArray[np.intp]]:
 
 
 def _readable(name: str, where: Where, replacement: Path) -> Path:
-    """Return the file of a mesh, or what is written in the place of an STL file."""
+    """Return the file of a mesh, or the file that replaces an STL file."""
     path: str | Path = name
     try:
         path = where(name)

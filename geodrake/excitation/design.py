@@ -391,7 +391,7 @@ class _Run:
         return within_limits(self.problem, nearest, guess, budget)
 
     def for_a_closer_look(self, budget: Budget) -> Budget:
-        """Return time to look at limits: what is left, or little once the design was stopped."""
+        """Return the time to check limits, s: the rest, or little once the design was stopped."""
         return Budget.of(min(budget.left, _AFTER_STOP)) if self.is_stopped else budget
 
     def _stop(self, number: int, value: float) -> None:

@@ -85,7 +85,7 @@ class MotionFamily(abc.ABC):
         return self.times(max(2, int(np.ceil(needed)) + 1))
 
     def conditions(self, *, rest: bool, start: bool) -> Array:
-        """Return independent rows E (k, count) of what is fixed at the ends: E c is given.
+        """Return independent rows E (k, count) of the end conditions, which fix E c.
 
         Args:
             rest: Whether velocity and acceleration are zero at start and end.
@@ -258,7 +258,7 @@ class FreeSamples(MotionFamily):
         return np.zeros(self.samples)
 
     def basis(self, times: ArrayLike, *, orders: int = 3) -> Array:
-        """(3, samples, count): each picks its third of the coefficients, whatever the time."""
+        """Return (3, samples, count): each picks its third of the coefficients, at every time."""
         real_array(times, "times")
         if orders > 3:
             raise ArgumentError("Samples that do not follow each other have no jerk.")

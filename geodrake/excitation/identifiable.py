@@ -263,7 +263,7 @@ class IdentifiableBlock:
     # body.
     value: float = np.nan
     # Of an effect's parameter, the deviation of an estimate from these logs alone, in its own unit;
-    # infinite where they say nothing, NaN for a body.
+    # infinite where they do not determine it, NaN for a body.
     deviation: float = np.nan
     effect: str = ""  # name of the effect; "" for a body
     parameter: str = ""  # name of the effect's parameter; "" for a body
@@ -291,7 +291,7 @@ class ParameterCombination:
 
     words: str  # the combination, such as "Izz of column + Iyy of arm"
     value: float  # its value in the model, SI units
-    # Deviation of an estimate from the logs alone; infinite where they say nothing.
+    # Deviation of an estimate from the logs alone; infinite where they do not determine it.
     deviation: float
     # The deviation over the size that such a parameter has, which is geometric: it depends neither
     # on frames nor on units.

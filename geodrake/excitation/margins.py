@@ -145,7 +145,7 @@ def _passes(q: Array) -> Iterator[tuple[int, Array]]:
 
 
 def _peak(signals: Array, timed: bool) -> Array:
-    """(nv,) largest size of signals (n, nv); between instants too, as their curvature tells."""
+    """Return (nv,) largest size of signals (n, nv), between instants too, by their curvature."""
     sizes = np.abs(signals)
     if timed and len(signals) > 2:
         sizes[1:-1] += np.abs(np.diff(signals, 2, axis=0)) / 8.0

@@ -268,7 +268,7 @@ class DesignProblem(Short):
         return np.flatnonzero(near & np.isfinite(limits.effort))
 
     def efforts(self, variables: Array) -> tuple[Array, Array]:
-        """(n k,) efforts of `loaded` joints as shares of their limits, and Jacobian (n k, f nv)."""
+        """Return (n k,) efforts of `loaded` joints over their limits, and Jacobian (n k, f nv)."""
         trajectory, basis = self.trajectory(variables), self.effort_basis
         motion, width = trajectory.motion_of(basis @ trajectory.coefficients), self.sign_width
         (n, nv), k, limits = motion.v.shape, len(self.loaded), self.limits.effort[self.loaded]

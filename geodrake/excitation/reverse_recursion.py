@@ -207,7 +207,7 @@ def add_block(
 
 @inlined
 def turning_rate(mobilizer: Record, motion: Record, q: Array, n: int, j: int) -> Vector:
-    """The angular rate of B, in B, at which its rotation changes with its joint's position j."""
+    """Return B's angular rate, in B, per change of its joint's position j."""
     moved, slopes = np.empty((1, q.shape[1]), np.complex128), np.empty(9, np.complex128)
     for k in range(q.shape[1]):
         moved[0, k] = q[n, k]

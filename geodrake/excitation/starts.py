@@ -193,7 +193,7 @@ def _from_corners(problem: DesignProblem, rng: np.random.Generator) -> Array:
 
 
 def _room(problem: DesignProblem, around: Array, direction: Array) -> Array:
-    """(nv,) by how much of a direction each joint can leave a motion within its own limits."""
+    """Return (nv,) multiples of a direction by which each joint can move within its limits."""
     states = problem.limit_basis @ problem.coefficients(around)
     change = problem.limit_basis @ (problem.free @ (problem.scale * direction))
     rooms = [
@@ -204,7 +204,7 @@ def _room(problem: DesignProblem, around: Array, direction: Array) -> Array:
 
 
 def _multiple(change: Array, above: Array, below: Array) -> Array:
-    """(nv,) largest multiple of a change (n, nv) that stays within the room on either side."""
+    """Return (nv,) largest multiple of a change (n, nv) within the room on either side."""
     size = np.abs(change)
     moving = size > _NOTHING * size.max(axis=0)
     room = np.where(change > 0, above, below)

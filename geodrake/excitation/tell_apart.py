@@ -472,7 +472,7 @@ class DistinguishedPair:
 
     pair: Pair
     deviations: float  # √Δ, by how many standard deviations of the noise of all samples together
-    # RMS of what the rival does not explain, at the joint where that is most, N·m or N.
+    # RMS effort that the rival does not explain, at the worst joint, N·m or N.
     effort: float
 
 

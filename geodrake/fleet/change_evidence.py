@@ -193,7 +193,7 @@ def calc_change_evidence(
 
 
 def _ratios(fit: RobotFit, profiles: Profiles, factor: Array, size: int) -> Array:
-    """(h, K) logarithms of ratios of hypotheses (p, h · size) that have as many columns each."""
+    """Return (h, K) log ratios of hypotheses (p, h · size) that have as many columns each."""
     count, T = factor.shape[1] // size, len(profiles.days)
     cross, side = profiles.sums(fit.seen_along(factor)), profiles.sums(fit.score @ factor)
     K, n = cross.shape[:2]
@@ -207,7 +207,7 @@ def _ratios(fit: RobotFit, profiles: Profiles, factor: Array, size: int) -> Arra
 
 
 def calc_log_ratio(information: Array, score: Array) -> Array:
-    """(...) logarithms of mean ratios of marginal likelihoods over the sizes that are thought of.
+    """Return (...) logs of mean ratios of marginal likelihoods over the sizes considered.
 
     Args:
         information: (..., d, d) what is known of z, with all else let go.

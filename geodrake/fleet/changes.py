@@ -127,7 +127,7 @@ class RobotSearch(Short):
         return calc_change_evidence(state.fit, self.history.days, self.hypotheses, scale)
 
     def instead(self, state: SearchState, others: Sequence[ChangePlace]) -> ChangeEvidence:
-        """What logs say for a change beside some of a state's, where logs are as odd as in it."""
+        """Return the logs' evidence for a change beside some of a state's, with its odd logs."""
         fit = self.model.with_changes(state.fit, self.design(others))
         return self.evidence(replace(state, fit=fit))
 

@@ -90,7 +90,7 @@ class JointDigest(Short):
         return float(effective_by_covariance(self.autocovariances.sum(axis=0), count))
 
     def normal_matrix(self, *, delay: int = 0, block: int | None = None) -> Array:
-        """(p_j + 1, p_j + 1) G = [A | b]ᵀ[A | b] over the columns of this joint.
+        """Return (p_j + 1, p_j + 1) G = [A | b]ᵀ[A | b] over the columns of this joint.
 
         Args:
             delay: Index of the settings' delay by which b is advanced.
@@ -212,7 +212,7 @@ class Digest(Short):
         return np.asarray(1.0 - self.samples / np.maximum(seen, 1))
 
     def normal_matrices(self, *, delay: int = 0, block: int | None = None) -> Array:
-        """(nv, p + 1, p + 1) G_j = [A | b]ᵀ[A | b] of every joint over all columns.
+        """Return (nv, p + 1, p + 1) G_j = [A | b]ᵀ[A | b] of every joint over all columns.
 
         The last row and column are the effort's. Rows of columns that are zero at a joint are zero.
 

@@ -122,7 +122,7 @@ class LogFacts:
 
 
 def said_of_reading(reading: Reading) -> dict[str, Any]:
-    """How all logs are read, as settings have it; which episode of a dataset is each log's own."""
+    """Return how logs are read, as plain data, without what each log has of its own."""
     said = asdict(reading)
     for name in ("episode", "ignored", "motorless"):
         said.pop(name)
@@ -342,7 +342,7 @@ def _about(
 
 
 def _joint(name: str, data: JointData, settings: DigestSettings) -> JointDigest:
-    """What blocks say of a joint, numbered as digests number columns; autocovariances are none."""
+    """Return a joint's sums over blocks, in the digests' order of columns; no autocovariances."""
     inertial, base = settings.base_matrix.shape[1], len(settings.independent)
     bodies = data.columns[data.columns < inertial]
     effects = data.columns[len(bodies) :] - inertial + base
@@ -377,7 +377,7 @@ def _with_passive(digest: Digest, scale: Array, inertia: Array) -> Digest:
 
 
 def model_of_digests(model: RobotModel, settings: DigestSettings) -> RobotModel:
-    """The model that digests have the columns of: without the joints that their logs lack."""
+    """Return the model whose columns digests have: without the joints that their logs lack."""
     instance(model, "model", RobotModel)
     instance(settings, "settings", DigestSettings)
     if (own := model_hash(model)) != settings.model:
@@ -529,7 +529,7 @@ def _with_residuals(digest: Digest, data: Sequence[JointData], x: Array) -> Dige
 
 
 def _of_block(residuals: Sequence[Array], samples: int, lags: int) -> Array:
-    """(lags,) sums of r_t r_{t+k} over stretches without gaps, as if all samples had been kept."""
+    """Return (lags,) sums of r_t r_{t+k} over stretches without gaps, scaled to all samples."""
     total, kept = np.zeros(lags), sum(map(len, residuals))
     for r in residuals:
         size = next_fast_len(len(r) + lags, real=True)

@@ -55,8 +55,8 @@ class LogRecord:
     robot: str
     address: str
     stamp: str  # its size and when it was changed; empty if it is to be digested again
-    said: str  # hash of what the fleet file says of it: how it is dated, and what the robot carried
-    digest: str = ""  # name of its digest's file; empty if there is none
+    said: str  # hash of its entry in the fleet file: how it is dated, and what the robot carried
+    digest: str = ""  # name of its digest's file; empty without one
     date: float = 0.0  # when it began, s since 1970; 0 if nobody knows
     reason: str = ""
 
@@ -68,7 +68,7 @@ def robot_folder(folder: Path, robot: str) -> Path:
 
 
 def said_of(robot: FleetRobot) -> str:
-    """Return the hash of what the fleet file says of a robot's logs."""
+    """Return the hash of a robot's logs as the fleet file lists them."""
     return text_hash((robot.dates, robot.payloads))[:_LETTERS]
 
 

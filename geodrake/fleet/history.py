@@ -139,7 +139,7 @@ class KeptHistory(Short):
     days: Array  # (T,) when each log was recorded, days, ascending
     temperature: Array  # (T,) mean temperature of each log, °C; NaN where it is not known
     effort: Array  # (n,) root of the mean square of the robot's efforts, N·m or N
-    logs: int  # how many logs are in it, of which those of a time count as one
+    logs: int  # number of logs; those of one time count as one
     reference: Array | None = None  # as that of `RobotHistory`
 
     @property
@@ -184,7 +184,7 @@ def read_history(task: HistoryTask) -> tuple[KeptHistory | None, list[tuple[LogR
 
 @dataclass(eq=False)
 class _HistorySums:
-    """Sums of what a robot's logs say, in C times."""
+    """Sums over a robot's logs, at C times."""
 
     stamps: list[str]  # what says which logs these are of, in their order
     joints: list[JointGrams]  # (C, m + 1, m + 1) sums of each joint's matrices

@@ -31,7 +31,7 @@ class UnreachableLogError(LogError):
 
 @dataclass(frozen=True)
 class LogPlace:
-    """A log of which nothing is read yet."""
+    """A log that is not read yet."""
 
     address: str
     stamp: str  # its size and when it, or who may read it, was changed: another one is another log
@@ -100,7 +100,7 @@ def fits(address: str, pattern: str) -> bool:
 
 
 def _fit(parts: Sequence[str], patterns: Sequence[str]) -> bool:
-    """Whether parts between slashes fit patterns, of which `**` stands for any number of them."""
+    """Return whether parts between slashes fit patterns; `**` stands for any number of them."""
     if not patterns:
         return not parts
     if patterns[0] == "**":
@@ -149,7 +149,7 @@ def _file_system(address: str) -> tuple[Any, str]:
 
 
 def _address(fs: Any, path: str, pattern: str) -> str:
-    """The address of what a pattern finds, in the same archive or by the same cache as that."""
+    """Return the address of a pattern's match, in the pattern's archive or cache."""
     links = pattern.split("::")
     if len(links) == 1:
         return str(fs.unstrip_protocol(path))

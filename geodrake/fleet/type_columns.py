@@ -70,7 +70,7 @@ class TypeColumns(Short):
         return np.asarray(units[:, None] == units)
 
     def parts(self, values: Array) -> Array:
-        """(..., K + 1) sums of (..., n) over the parameters of each spread, and of the response."""
+        """Return (..., K + 1) sums of (..., n) over each spread's parameters and the response."""
         ends = np.cumsum([0, *self.sizes])
         sums = np.zeros((*values.shape[:-1], ends[-1] + 1))
         kept = values[..., : ends[-1]]

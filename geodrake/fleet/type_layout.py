@@ -255,7 +255,7 @@ def _model_values(model: RobotModel, settings: DigestSettings) -> dict[int, tupl
 def _parameters(
     settings: DigestSettings, kept: Indices, model: RobotModel
 ) -> tuple[FleetParameter, ...]:
-    """What columns are of; units of effects are those of joints that turn, unless theirs slides."""
+    """Return the parameters of columns, units as their joints turn or slide."""
     found = []
     for at in kept.tolist():
         column = settings.columns[at]
@@ -273,7 +273,7 @@ def _parameters(
 def _joint_changes(
     parameters: Sequence[FleetParameter], relative: NDArray[np.bool_], sizes: Array
 ) -> list[ChangeHypothesis]:
-    """Each effect at each place changes; frictions of a joint also together."""
+    """Return what may change: each effect at each place, and a joint's frictions together."""
     p, found = len(parameters), []
     effects: dict[tuple[str, str], list[int]] = {}
     for at, each in enumerate(parameters):

@@ -59,7 +59,7 @@ def _sums(logs: Logs) -> tuple[Array, Array]:
 
 
 def _begun(team: Workers, logs: Sequence[Logs], columns: TypeColumns) -> TypeModel:
-    """Return pooled least squares, with the prior where logs say nothing."""
+    """Return pooled least squares, and the prior where logs determine nothing."""
     K, p, free = len(columns.spreads), len(columns.prior), columns.free
     information, right = pooled(team, logs)
     mean = columns.prior.copy()
@@ -81,7 +81,7 @@ def _begun(team: Workers, logs: Sequence[Logs], columns: TypeColumns) -> TypeMod
 
 @dataclass(frozen=True, eq=False)
 class _RobotStatistics:
-    """What one robot tells of all that is learnt."""
+    """One robot's statistics, for everything that is learnt."""
 
     own: Array  # (p,) its own parameters
     seen: Array  # (p, p) what it knows of μ
@@ -121,7 +121,7 @@ def _told(piece: tuple[TypeModel, Logs, Array | None]) -> _RobotStatistics:
 
 
 def _scattered(model: TypeModel, scale: Array, fit: RobotFit, scores: LogScores) -> Array:
-    """Return (3, K) what a robot's logs tell of their scatter, as `_RobotStatistics` has it."""
+    """Return (3, K) statistics of the scatter of a robot's logs, as in `_RobotStatistics`."""
     along, trace, norm = scores
     squares, norm = along.sum(axis=0), np.maximum(norm.sum(axis=0), 1e-300)
     expected = model.columns.parts(fit.expected_squares(scale[:, None] * model.factor))[:-1]
@@ -173,7 +173,7 @@ def _improved(
 def _spread_ratio(
     columns: TypeColumns, told: Sequence[_RobotStatistics], covariance: Array
 ) -> Array:
-    """(K + 1,) squares of θ over their expectations, of all robots; μ is not known but learnt."""
+    """Return (K + 1,) squares of θ over their expectations, of all robots, with μ learnt."""
     squares, expected = np.stack([each.spread for each in told], axis=1)
     for robot, each in enumerate(told):
         taken = np.einsum("na,ab,nb->n", each.links, covariance, each.links)
@@ -210,12 +210,12 @@ def least_squares(information: Array, right: Array) -> Array:
 
 
 def _inverse(matrix: Array) -> Array:
-    """The inverse of a matrix of columns in several units; 0 for those of which it has nothing."""
+    """Return the inverse of a matrix of columns in several units; 0 for empty columns."""
     unit = _units(matrix)
     return np.linalg.pinv(matrix * unit[:, None] * unit, hermitian=True) * unit[:, None] * unit
 
 
 def _units(matrix: Array) -> Array:
-    """(p,) units in which columns of a normal matrix are of size 1; 0 for those of size 0."""
+    """Return (p,) scales that give a normal matrix's columns size 1; 0 for those of size 0."""
     size = np.diagonal(matrix)
     return np.where(size > 0.0, 1.0 / np.sqrt(np.where(size > 0.0, size, 1.0)), 0.0)

@@ -287,7 +287,7 @@ class TypeModel(Short):
         return replace(self, own=self.own[one], odd=self.odd[one])
 
     def scale(self, robot: int) -> Array:
-        """(p,) what a share of each column is to a robot: its own value, for relative columns."""
+        """Return (p,) each column's unit for a robot: its own value, for relative columns."""
         typical = self.typical
         own = np.clip(np.abs(self.own[robot]), typical / _FAR, _FAR * typical)
         return np.where(self.columns.relative, own, 1.0)
@@ -372,7 +372,7 @@ class TypeModel(Short):
         return np.asarray(values * self.scale(robot))
 
     def parameters(self, robot: int, logs: LogEquations, fit: RobotFit) -> Array:
-        """(T, p) a robot's parameters at its logs by a fit, without the logs' own scatter."""
+        """Return (T, p) a robot's parameters at its logs by a fit, without the logs' scatter."""
         return np.asarray(self.mean + self.together(robot, logs) + fit.deviation)
 
     def _scattered(self, scale: Array, odd: Array) -> Array:
@@ -391,7 +391,7 @@ class TypeModel(Short):
 
 
 def kept_share(directions: Array) -> Array:
-    """(...) share of logs' squared scores that is left where odd ones count less, if none is odd.
+    """Return (...) share of squared scores left where odd logs count less, if none is odd.
 
     Args:
         directions: (...) in how many directions of a spread a log tells of it.

@@ -41,7 +41,7 @@ class LumpedBody:
 
 
 def check_plant(plant: MultibodyPlant) -> None:
-    """Refuse what is no finalized plant."""
+    """Refuse anything but a finalized plant."""
     if not instance(plant, "plant", MultibodyPlant).is_finalized():
         raise ModelError("The plant is not finalized.", advice="Call plant.Finalize() first.")
 
@@ -90,7 +90,7 @@ def is_base_frame(plant: MultibodyPlant, body: RigidBody) -> bool:
 
 
 def body_names(plant: MultibodyPlant) -> tuple[str, ...]:
-    """A name for every body by BodyIndex; `instance::name` where the name alone is ambiguous."""
+    """Return a name for every body by BodyIndex; `instance::name` where names are ambiguous."""
     bodies = [plant.get_body(BodyIndex(i)) for i in range(plant.num_bodies())]
     count = Counter(body.name() for body in bodies)
     return tuple(
@@ -99,7 +99,7 @@ def body_names(plant: MultibodyPlant) -> tuple[str, ...]:
 
 
 def _representatives(plant: MultibodyPlant) -> list[tuple[RigidBody, list[RigidBody]]]:
-    """The most inboard link of every moving group, with its group; breadth first from the world."""
+    """Return every moving group's most inboard link and the group, breadth first."""
     neighbours: dict[int, list[RigidBody]] = {i: [] for i in range(plant.num_bodies())}
     for joint_index in plant.GetJointIndices():
         joint = plant.get_joint(joint_index)

@@ -13,7 +13,7 @@ _IDENTITY = np.eye(3)
 
 
 def _bases() -> tuple[Array, Array]:
-    """The matrices P(eᵢ) and X(eᵢ), (10, 4, 4) each, with tr(P(φ) X(a)) = aᵀφ."""
+    """Return the matrices P(eᵢ) and X(eᵢ), (10, 4, 4) each, with tr(P(φ) X(a)) = aᵀφ."""
     P, X = np.zeros((2, PARAMETERS_PER_BODY, 4, 4))
     P[0, 3, 3] = X[0, 3, 3] = 1.0
     for k in range(3):

@@ -61,7 +61,7 @@ def from_pseudo_inertia(matrix: ArrayLike) -> Array:
 
 
 def pseudo_inertia_basis() -> Array:
-    """The ten matrices P(e_i), so that P(φ) = Σ φ_i P(e_i); shape (10, 4, 4)."""
+    """Return the ten matrices P(e_i), so that P(φ) = Σ φ_i P(e_i); shape (10, 4, 4)."""
     return BASIS.copy()
 
 
@@ -74,7 +74,7 @@ def dual(covector: ArrayLike) -> Array:
 
 
 def from_dual(matrix: ArrayLike) -> Array:
-    """The covectors tr(P(eᵢ) X) (..., 10) of symmetric X (..., 4, 4), the inverse of `dual`."""
+    """Return the covectors tr(P(eᵢ) X) (..., 10) of symmetric X (..., 4, 4); inverts `dual`."""
     matrix = real_array(matrix, "matrix", ("...", 4, 4))
     return np.asarray(np.einsum("...ab,iab->...i", matrix, BASIS))
 

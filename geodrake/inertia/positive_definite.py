@@ -37,7 +37,7 @@ def inner_product(P: ArrayLike, X: ArrayLike, Y: ArrayLike) -> Array:
 
 
 def exponential(P: ArrayLike, V: ArrayLike) -> Array:
-    """Where the geodesic that leaves P with velocity V, symmetric, is at time one.
+    """Return the point at time 1 of the geodesic from P with velocity V, symmetric.
 
     P^½ exp(P^-½ V P^-½) P^½ ([Lee2019] Eq. (2.2.9)), symmetric and, as far as rounding lets it,
     positive definite however long V is.
@@ -59,7 +59,7 @@ def logarithm(P1: ArrayLike, P2: ArrayLike) -> Array:
 
 
 def geodesic(P1: ArrayLike, P2: ArrayLike, t: ArrayLike) -> Array:
-    """The minimal geodesic from P1 at t = 0 to P2 at t = 1, which goes on before and after.
+    """Return the minimal geodesic from P1 at t = 0 to P2 at t = 1, which goes on before and after.
 
     P1^½ (P1^-½ P2 P1^-½)ᵗ P1^½ at times t (...) ([Lee2019] Eq. (2.2.7)).
     """

@@ -161,7 +161,7 @@ def _redealt(
 
 
 def _merged(windows: Sequence[tuple[int, float, float]]) -> list[tuple[int, float, float]]:
-    """Return windows of which those that overlap are one."""
+    """Merge windows that overlap."""
     found: list[tuple[int, float, float]] = []
     for log, start, end in sorted(windows):
         if found and found[-1][0] == log and start <= found[-1][2]:

@@ -87,7 +87,7 @@ def _moving(log: JointLog, at: int) -> NDArray[np.bool_]:
 
 
 def _is_coarse(effort: Array) -> bool:
-    """Whether a largest value may be one by rounding: of so few steps, and nothing beside."""
+    """Return whether rounding alone may give a largest value: few steps, nothing beside."""
     levels = np.unique(effort)
     if len(levels) == 2 and levels[0] == -levels[1]:
         return False  # a switch

@@ -215,7 +215,7 @@ class JointLog(Short):
         return digest.hexdigest()[:16]
 
     def select(self, joints: Sequence[str]) -> JointLog:
-        """The log of some of its joints, in the order given; itself if that is its own order.
+        """Return the log of some of its joints, in the order given; itself if nothing changes.
 
         Raises:
             LogError: If the log lacks one of them; the message offers the nearest names.

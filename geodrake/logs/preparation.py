@@ -84,7 +84,7 @@ def prepare_logs(
 
 
 def motion_bandwidth_of(uniform: Sequence[UniformLog], *, time_scale: float = 1.0) -> float:
-    """Return the bandwidth of the motion in logs, Hz, whose time may be of another scale."""
+    """Return the bandwidth of the motion in logs, Hz; their time may be on another scale."""
     moving = np.any([each.moving for each in uniform], axis=0)
     parts = [(each.period * time_scale, part) for each in uniform for part in each.sample_parts()]
     chosen = choose_bandwidth([(part.position[:, moving], period) for period, part in parts])
@@ -211,7 +211,7 @@ def _smooth(
 def _measured_lag(
     uniform: UniformLog, smoother: ZeroPhaseFilter
 ) -> tuple[Array | None, str | None]:
-    """(n,) lag of measured velocities, s; None if there are none that agree with the positions."""
+    """Return (n,) lag of measured velocities, s; None if none agree with the positions."""
     truths, measured, slopes = [], [], []
     inner = slice(smoother.halfwidth, -smoother.halfwidth)  # free of reflected data
     for part in uniform.sample_parts():
@@ -252,7 +252,7 @@ def _speed_noise(uniform: UniformLog, smoother: ZeroPhaseFilter) -> Array:
 
 
 def _acceleration_noise(uniform: UniformLog, low_pass: ZeroPhaseFilter, *, derived: bool) -> Array:
-    """Return (n,) deviation of the noise of accelerations from white noise of what they come from.
+    """Return (n,) deviation of the accelerations' noise, for white noise of the positions.
 
     That is of themselves where they are measured.
     """

@@ -43,7 +43,7 @@ _MOST_FROZEN = 0.5  # of a log, above which the rest says nothing of the robot
 
 
 def without_faults(log: JointLog) -> JointLog:
-    """A log without what its sensors did wrong, and with notes of it; itself if that is nothing.
+    """Return a log without its sensor faults, with notes on them; itself if it has none.
 
     Positions that wrap at a full turn are unwrapped. Readings that jump by orders of magnitude and
     come back within a few rows become NaN, and so do positions and efforts that stay exactly the
@@ -110,7 +110,7 @@ class _Sensor:
         return column, notes
 
     def _faults(self) -> Iterator[tuple[Indices | slice, str]]:
-        """Yield readings that are none, and what is wrong with them."""
+        """Yield readings that are invalid, and what is wrong with them."""
         jumps = self._jumps()
         spikes = self._spikes(jumps)
         if len(spikes):
@@ -269,7 +269,7 @@ class _Sensor:
         return float(np.abs(self._velocity).max())
 
     def _is_frozen_effort(self, run: slice) -> bool:
-        """Whether the joint moves; at its largest efforts a drive saturates, at 0 it may be off."""
+        """Return whether the joint moves; a drive may saturate at its largest effort, or be off."""
         if self.values[run.start] in (0.0, *self._extremes):
             return False
         position = self.log.position[:, self.joint][self.rows][run]

@@ -51,7 +51,7 @@ class Temperatures:
 
 
 def _without_failed(readings: Array) -> Array:
-    """Return readings (N,) with NaN in the place of those of a sensor that fails."""
+    """Return readings (N,), NaN where the sensor fails."""
     failed = {value: np.isclose(readings, value, rtol=0.0, atol=_ROUNDING) for value in _FAILED}
     true = ~np.any([*failed.values()], axis=0) & np.isfinite(readings)
     for value in _FAILED:

@@ -47,7 +47,7 @@ def step_notes(log: JointLog) -> Iterator[str]:
 
 
 def effort_steps(log: JointLog) -> Array:
-    """(n,) steps of the efforts of each joint, in their unit; 0 where none dominates the noise."""
+    """Return (n,) quantization steps of each joint's efforts; 0 where noise hides them."""
     return np.array([_step(column) for column in log.effort[:_STEP_ROWS].T])
 
 

@@ -27,7 +27,7 @@ _ROWS = 100_000  # of a log that are looked at together
 def effort_unit_hint(log: JointLog, effort_limits: ArrayLike) -> str | None:
     """Return a sentence for the user if efforts look like another unit than N·m or N; else None.
 
-    They are compared with the (n,) limits of the model, of which zeros and infinities say nothing.
+    They are compared with the model's (n,) limits; zeros and infinities count as unknown.
     """
     limits = np.broadcast_to(np.asarray(effort_limits, float), (len(log.joints),))
     known = np.isfinite(limits) & (limits > _LEAST_LIMIT) & ~np.isin(log.joints, log.passive)

@@ -50,7 +50,7 @@ class Manifold(abc.ABC):
         return self.calc_gradient(self._points(x))
 
     def metric(self, x: ArrayLike) -> Array:
-        """The metric g(x) = ∇²h(x), (..., n, n) ([Lee2019] Eq. (5.3.17))."""
+        """Return the metric g(x) = ∇²h(x), (..., n, n) ([Lee2019] Eq. (5.3.17))."""
         return self.calc_metric(self._points(x))
 
     def inverse_metric_times(self, x: ArrayLike, b: ArrayLike) -> Array:
@@ -63,11 +63,11 @@ class Manifold(abc.ABC):
         return self.calc_divergence(self._points(x, "x", sizes), self._points(y, "y", sizes))
 
     def longest_step(self, x: ArrayLike, v: ArrayLike) -> Array:
-        """The time (...) at which the straight line x + t v leaves the set, inf for never."""
+        """Return the time (...) at which the line x + t v leaves the set, inf for never."""
         return self.calc_longest_step(*self._point_and(x, v, "v"))
 
     def retract(self, x: ArrayLike, v: ArrayLike) -> Array:
-        """The point (..., n) that a step v (..., n) from x leads to, inside however long v is.
+        """Return the point (..., n) after a step v (..., n) from x, inside for every v.
 
         It agrees with x + v to first order, and does not depend on units and frames, except for
         parameters without any bound. `PhysicalInertia`, `Positive` and `Free` follow their
@@ -139,7 +139,7 @@ class Manifold(abc.ABC):
         return np.asarray(scale[:, None] * np.linalg.inv(L).T)
 
     def calc_mirror_line(self, x: Array, b: Array) -> MirrorLine:
-        """The points y(t) with ∇h(y(t)) = ∇h(x) + t b, for all points and covectors (..., n)."""
+        """Return the points y(t) with ∇h(y(t)) = ∇h(x) + t b, for points and covectors (..., n)."""
         span = self.calc_mirror_span(x, b[None])
 
         def point(t: float) -> Array:
@@ -154,7 +154,7 @@ class Manifold(abc.ABC):
         return np.inf
 
     def calc_mirror_span(self, x: Array, rows: Array) -> MirrorSpan:
-        """The points y(λ) with ∇h(y(λ)) = ∇h(x) + Aᵀ λ, for all points and rows A (k, ..., n)."""
+        """Return points y(λ) with ∇h(y(λ)) = ∇h(x) + Aᵀ λ, for points and rows A (k, ..., n)."""
         flat = rows.reshape(len(rows), x.size)
         pulls = self.calc_inverse_metric_times(x, rows).reshape(flat.shape)
         start = self.calc_gradient(x)
@@ -166,7 +166,7 @@ class Manifold(abc.ABC):
         return MirrorSpan(((flat, pulls),), point)
 
     def calc_point_of_gradient(self, gradient: Array, near: Array) -> Array:
-        """The points y (..., n) with gradients ∇h(y), looked for from points near: the mirror map.
+        """Return the points y (..., n) with gradients ∇h(y), searched from points near them.
 
         Where there is no such point, what comes is outside of the manifold, or not a number.
         """
@@ -176,7 +176,7 @@ class Manifold(abc.ABC):
         return y
 
     def lift(self) -> Lift | None:
-        """A manifold with easier mirror lines that this one is a flat part of; None if none."""
+        """Return a manifold with easier mirror lines of which this is a flat part, or None."""
         return None
 
     def calc_retract(self, x: Array, v: Array) -> Array:
@@ -209,13 +209,13 @@ class Manifold(abc.ABC):
 
 
 def slowed_time(edge: Array) -> Array:
-    """Return T (1 − exp(−1/T)) for the time T > 0 of an edge, which is one if there is none."""
+    """Return T (1 − exp(−1/T)) for the time T > 0 of an edge; 1 without an edge."""
     safe = np.where(np.isfinite(edge) & (edge > 0), edge, 1.0)
     return np.where(np.isfinite(edge), -safe * np.expm1(-1.0 / safe), 1.0)
 
 
 def excess(step: Array) -> Array:
-    """What one logarithm adds to a divergence: r − 1 − log r of the ratio r = 1 + step."""
+    """Return what one logarithm adds to a divergence: r − 1 − log r of the ratio r = 1 + step."""
     # Of a small step the difference would be rounding.
     series = step**2 * (0.5 - step * (1 / 3 - step * (1 / 4 - step * (1 / 5 - step / 6))))
     return np.where(np.abs(step) < _SMALL, series, step - np.log1p(step))
@@ -241,7 +241,7 @@ class Lift:
 
 
 def _with_gradient(manifold: Manifold, wanted: Array, y: Array) -> Array:
-    """The point (n,) with a wanted gradient, from a first guess y; NaN if it is not found."""
+    """Return the point (n,) with a wanted gradient, from a first guess y; NaN if not found."""
     try:
         for _ in range(_MOST_STEPS):
             off = wanted - manifold.calc_gradient(y)

@@ -135,13 +135,13 @@ class Interval(Manifold):
         return np.diag(1.0 / np.sqrt(self._curvature(x)))
 
     def _longest_line(self, x: Array, b: Array) -> float:
-        """Where the inverse slack of a parameter with one bound, linear in time, is zero."""
+        """Return where the inverse slack of a parameter with one bound, linear in time, is zero."""
         one = self._one_sided
         most = float(((x[..., one] - self._only_bound) * b[..., one]).max(initial=0.0))
         return 1.0 / most if most > 0 else np.inf
 
     def calc_mirror_span(self, x: Array, rows: Array) -> MirrorSpan:
-        """Each parameter by itself; NaN where there is no point of one."""
+        """Treat each parameter by itself; NaN where one has no such point."""
         if self.only_lower:
             return robot_span(contiguous(x), contiguous(rows), self._factors(x))
         flat, start = rows.reshape(len(rows), x.size), self.calc_gradient(x)
@@ -154,7 +154,7 @@ class Interval(Manifold):
         return MirrorSpan(((scaled, scaled),), point)
 
     def calc_point_of_gradient(self, gradient: Array, near: Array) -> Array:
-        """Each parameter by itself; NaN where there is no point of one."""
+        """Treat each parameter by itself; NaN where one has no such point."""
         lower, upper = self._bounds
         if self.only_lower:
             return np.asarray(lower + 1.0 / _positive(-gradient))
@@ -166,7 +166,7 @@ class Interval(Manifold):
         return y
 
     def calc_natural_step(self, x: Array, b: Array, time: float) -> Array:
-        """Where all have a lower bound only, the geodesic without its cautions, if it is short."""
+        """Follow the geodesic without safeguards, if it is short and all bounds are lower ones."""
         if self.only_lower and x.shape == b.shape:
             stepped, each = np.empty(x.shape), (contiguous(x).ravel(), contiguous(b).ravel())
             if calc_natural_steps(*each, self._factors(x), float(time), stepped.reshape(-1)):
@@ -182,7 +182,7 @@ class Interval(Manifold):
         return self.calc_contains(x) & (np.abs(x) < LARGEST).all(-1)
 
     def _retract(self, x: Array, v: Array) -> Array:
-        """Each parameter by itself: geodesic with one bound, the slowed line with two."""
+        """Treat each parameter by itself: the geodesic with one bound, the slowed line with two."""
         lower, upper = self._bounds
         below, above = self._slacks(x)
         bounded = self._one_sided
@@ -207,7 +207,7 @@ def _positive(x: Array) -> Array:
 
 
 def _balanced(lower: Array, upper: Array, force: Array) -> Array:
-    """Where 1/(u − y) − 1/(y − l) = force, precise in the smaller slack."""
+    """Return where 1/(u − y) − 1/(y − l) = force, precise in the smaller slack."""
     half = 0.5 * (upper - lower)
     q = np.abs(half * force)
     root = np.hypot(1.0, q)

@@ -36,7 +36,7 @@ class MirrorLine:
     def time_of(
         self, target: float, *, most: float = np.inf, enough: tuple[float, float] | None = None
     ) -> float:
-        """The time at which the value reaches a target, or the last one that the line can go.
+        """Return the time at which the value reaches a target, or the end of the line.
 
         Args:
             enough: How far the value at t = 1 may be from the target, below and above, so that this
@@ -117,5 +117,5 @@ def joined(lines: list[tuple[NDArray[np.intp], float, MirrorLine]], x: Array) ->
 
 
 def scale_of(speed: float) -> float:
-    """The time in which a line of a speed ≥ 0 goes about one; large if it stays where it is."""
+    """Return the time in which a line of a speed ≥ 0 moves about 1; large if it stays."""
     return 1.0 / max(speed, _LEAST_SPEED)

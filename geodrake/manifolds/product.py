@@ -232,7 +232,7 @@ class Product(Manifold):
         )
 
     def calc_mirror_span(self, x: Array, rows: Array) -> MirrorSpan:
-        """Each factor by itself; those of robots in one loop."""
+        """Treat each factor by itself; those of robots in one loop."""
         if self.robot is not None and x.ndim == 1:
             return robot_span(contiguous(x), contiguous(rows), self.robot)
         points, halves = [], []
@@ -251,7 +251,7 @@ class Product(Manifold):
         return MirrorSpan(tuple(halves), point)
 
     def calc_point_of_gradient(self, gradient: Array, near: Array) -> Array:
-        """Each factor by itself."""
+        """Treat each factor by itself."""
         y = np.empty(near.shape)
         for group in self._groups:
             own = group.light(group.part(gradient))
@@ -259,11 +259,11 @@ class Product(Manifold):
         return y
 
     def calc_retract(self, x: Array, v: Array) -> Array:
-        """Each factor by itself."""
+        """Treat each factor by itself."""
         return self._filled(lambda g, x, v: g.manifold.calc_retract(x, v), x, v)
 
     def calc_natural_step(self, x: Array, b: Array, time: float) -> Array:
-        """Each factor by itself; of one point, those of robots in one loop."""
+        """Treat each factor by itself; of one point, those of robots in one loop."""
         if self.robot is not None and x.ndim == b.ndim == 1:
             stepped, (x, b) = np.empty(x.shape), (contiguous(x), contiguous(b))
             if calc_natural_steps(x, b, self.robot, float(time), stepped):

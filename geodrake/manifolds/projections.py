@@ -65,13 +65,13 @@ def halfspace(a: ArrayLike, b: float) -> Polyhedron:
 
 
 def affine_set(A: ArrayLike, b: ArrayLike) -> Polyhedron:
-    """The points y with A y = b, for A (k, n) and b (k,), or one row (n,) and a number."""
+    """Return the points y with A y = b, for A (k, n) and b (k,), or one row (n,) and a number."""
     A, b = np.atleast_2d(real_array(A, "A")), np.atleast_1d(real_array(b, "b"))
     return Polyhedron(A, b, b)
 
 
 def slab(a: ArrayLike, lower: float, upper: float) -> Polyhedron:
-    """Return the points y with lower ≤ aᵀ y ≤ upper, for a (n,); infinite limits are none."""
+    """Return the points y with lower ≤ aᵀ y ≤ upper, for a (n,); infinite limits do not bound."""
     limits = (number(lower, "lower", finite=False), number(upper, "upper", finite=False))
     return Polyhedron(real_array(a, "a", ("n",))[None], *(np.array([limit]) for limit in limits))
 
@@ -185,7 +185,7 @@ class _State:
         return np.inf if d is None else float(np.linalg.norm(d @ self.rows))
 
     def newton_step(self) -> _State | None:
-        """The state along Newton's step where the dual is great enough; None if there is none."""
+        """Return the state along Newton's step where the dual suffices, or None."""
         d, near = self.direction, self.newton_length < _NEAR
         b = np.zeros(1) if d is None else self.limits.matrix.T @ d
         if d is None or not b.any():  # rows that contradict each other: the dual rises, and y stays
@@ -230,7 +230,7 @@ def _solved(state: _State, max_iterations: int) -> _State:
 
 
 def _along_path(start: _State, max_iterations: int) -> _State:
-    """The optimum by way of those for points whose gradient is w ∇h(x), with w from small to 1.
+    """Return the optimum by those for gradients w ∇h(x), w from small to 1.
 
     Where the optimum has to be much greater than x, ∇h(x) outweighs the barrier so far that the
     quadratic model of a Newton step is good for small steps only. A small w makes x great, and then
@@ -364,7 +364,7 @@ def _certificate(
 
 
 def _without_zeros(constraints: Polyhedron) -> Polyhedron:
-    """Return the polyhedron without rows that say nothing."""
+    """Return the polyhedron without rows that bound nothing."""
     A, lower, upper = constraints.matrix, constraints.lower, constraints.upper
     used = A.any(1)
     if ((lower > 0) | (upper < 0))[~used].any():

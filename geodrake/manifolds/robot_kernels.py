@@ -128,7 +128,7 @@ def put_exponential(Z: Array, size: float, room: Array, E: Array) -> None:
 
 @inlined
 def put_root(P: Array, L: Array) -> float:
-    """Write the lower triangular L (4, 4) with P = L Lᵀ; det P, or zero where there is none."""
+    """Write the lower triangular L (4, 4) with P = L Lᵀ; return det P, or 0 without such an L."""
     determinant = 1.0
     for j in range(4):
         pivot = P[j, j]
@@ -162,7 +162,7 @@ def put_units(P: Array, d: Array) -> bool:
 
 @compiled
 def put_body_root(phi: Array, P: Array, d: Array, L: Array) -> bool:
-    """Write the lower triangular L (4, 4) with P(φ) = L Lᵀ; False where there is none."""
+    """Write the lower triangular L (4, 4) with P(φ) = L Lᵀ; return False without such an L."""
     put_pseudo_inertia(phi, P)
     if not (put_units(P, d) and put_root(P, L) > 0.0):
         return False
@@ -297,7 +297,7 @@ def put_combination(rows: Array, multipliers: Array, share: float, M: Array) -> 
 def calc_spanned(
     x: Array, span: tuple[Array, Array], multipliers: Array, factors: Factors, out: Array
 ) -> None:
-    """Write the point with the gradient ∇h(x) + Aᵀ λ; where there is none, what is no number.
+    """Write the point with the gradient ∇h(x) + Aᵀ λ; NaN where there is no such point.
 
     Of a body, P⁺ = L (𝟙 − Σ λ W)⁻¹ Lᵀ from P⁻¹ − X(Aᵀ λ), with λ (r,) and L and W those of
     `calc_whitened`. Above a lower bound, the inverse slack is linear in λ.

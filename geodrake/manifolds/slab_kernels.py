@@ -195,7 +195,7 @@ def put_solution(products: Array, gaps: Array, rows: Places, found: Array) -> No
 
 @compiled
 def calc_kink(held: Array, d: Array, lower: Array, upper: Array) -> tuple[float, int]:
-    """The share of a step d at which a multiplier changes its sign first, and which; inf if none.
+    """Return the share of a step d at which a multiplier first changes sign, and which; or inf.
 
     The limits of an equation are the same: its multiplier has either sign.
     """

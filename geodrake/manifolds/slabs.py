@@ -25,7 +25,7 @@ class SlabProjection(NamedTuple):
     point: Array  # (n,) the projection
     # Greatest error of the conditions of optimality at it, in lengths of the metric: how far it is
     # outside of a slab, or of one whose multiplier is not zero inside of its edge, and the length
-    # of what multipliers leave of ∇h(y) − ∇h(x). Infinite if none was found.
+    # of ∇h(y) − ∇h(x) less the multipliers' part. Infinite if none was found.
     error: float
     steps: int  # Newton steps that were taken; −1 if that is not known
 
@@ -77,7 +77,7 @@ def slab_projection(
 
 
 def half_space_projection(manifold: Manifold, x: Array, a: Array, limit: float) -> Array:
-    """The projection of x onto aᵀ y ≤ limit: ∇h(y) = ∇h(x) − λ a, with λ ≥ 0 where aᵀ y = limit.
+    """Project x onto aᵀ y ≤ limit: ∇h(y) = ∇h(x) − λ a, with λ ≥ 0 where aᵀ y = limit.
 
     For every sample: it trusts its arrays, x outside of the half-space and a not zero, and what
     comes out carries no certificate as that of `bregman_projection` does: it is the last point on

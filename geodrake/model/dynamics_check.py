@@ -146,7 +146,7 @@ def _random_states(model: RobotModel, count: int, rng: np.random.Generator) -> S
     pitches = model.base_joints[4::6]
     for joint in moving_joints(model.plant):
         start = model.own.starts[scoped(joint)][0]
-        if joint.name() in pitches:  # of a free base, whose angles are none at 90°
+        if joint.name() in pitches:  # of a free base, whose angles are singular at 90°
             q[:, start] *= _UPRIGHT
         if joint.num_positions() > joint.num_velocities():  # a quaternion
             q[:, start : start + 4] = rng.normal(size=(count, 4))
@@ -156,7 +156,7 @@ def _random_states(model: RobotModel, count: int, rng: np.random.Generator) -> S
 
 
 def _random_bodies(phi: Array, count: int, rng: np.random.Generator) -> Array:
-    """(N, nb, 10) inertial parameters of no particular bodies, in which each entry matters."""
+    """Return (N, nb, 10) random inertial parameters, with every entry used."""
     mass = float(np.abs(phi[:, 0]).mean()) or 1.0
     others = mass * _SIZES * rng.uniform(-1.0, 1.0, (count, *phi.shape))
     others[..., 0] += 2.0 * mass  # Drake divides by it
@@ -164,7 +164,7 @@ def _random_bodies(phi: Array, count: int, rng: np.random.Generator) -> Array:
 
 
 def _by_recursion(model: RobotModel, states: States, phi: Array, others: Array) -> Quantities:
-    """What geodrake makes of states (N, ·), bodies (nb, 10), and random bodies (N, nb, 10)."""
+    """Return geodrake's dynamics of states (N, ·), bodies (nb, 10) and random ones (N, nb, 10)."""
     (q, v, vd), tree = states, model.tree
     still, (count, nv) = np.zeros_like(v), v.shape
     regressors = (

@@ -153,5 +153,5 @@ class EffortSignal:
 
 
 def signal_of(signals: Iterable[EffortSignal], joint: str) -> EffortSignal | None:
-    """Return the signal in the place of a joint's efforts; None where these are measured."""
+    """Return the signal that replaces a joint's efforts; None where efforts are measured."""
     return next((signal for signal in signals if signal.joint == joint), None)

@@ -127,7 +127,7 @@ def _check_names(model: RobotModel, held: Mapping[str, float]) -> None:
 def _at_joints(
     model: RobotModel, held: Mapping[str, float]
 ) -> tuple[dict[str, float], tuple[Drive, ...]]:
-    """Where joints of the plant are held when some of the model's are, and the drives that stay."""
+    """Return where the plant's joints are held with the model's, and the drives that stay."""
     places, stay = dict(held), []
     for drive in model.transmission:
         own = [name for name in drive.actuators if name in held]
@@ -205,7 +205,7 @@ def _effects_after(
 
 
 def schur_complement(information: Array, A: Array) -> Array:
-    """(q, q) information about y = A x, A (q, p) of rank q, of that Λ (p, p) ⪰ 0 about x."""
+    """Return the (q, q) information on y = A x, A (q, p) of rank q, from Λ (p, p) ⪰ 0 on x."""
     size = np.sqrt(np.maximum(np.diagonal(information), 0.0))
     scale = np.divide(1.0, size, out=np.ones_like(size), where=size > 0.0)  # parameters have units
     information = scale[:, None] * information * scale

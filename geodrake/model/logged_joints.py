@@ -54,7 +54,7 @@ def reading_for(model: RobotModel, reading: Reading | None = None) -> Reading:
 def model_of_logs(
     model: RobotModel, logs: Sequence[JointLog], *, hold_resting: bool = True
 ) -> RobotModel:
-    """The model with those joints held that no log says anything of; itself if there are none.
+    """Return the model with joints held that no log records; itself if there are none.
 
     They are held where they stand, if their positions were logged, and else where the model file
     has them by default. A joint that stands still all the time under an effort that never changes
@@ -144,7 +144,7 @@ def _resting_places(model: RobotModel, logs: Sequence[JointLog]) -> dict[str, fl
 
 
 def log_of_model(log: JointLog, model: RobotModel) -> JointLog:
-    """The log with its joints in the model's order, without those that are held or follow others.
+    """Return the log with joints in the model's order, without held and following ones.
 
     The effort of a joint that follows another one is added to the other one's.
 
@@ -185,7 +185,7 @@ def _with_followers(log: JointLog, model: RobotModel) -> JointLog:
 
 
 def _of_loop(log: JointLog, drive: Drive, loop: LoopTransmission) -> tuple[Array, list[str]]:
-    """What efforts of the other joints of a closed loop are at its free ones, and what is odd."""
+    """Return a closed loop's efforts at its free joints, and notes on what is odd."""
     free = [log.joints.index(name) for name in drive.actuators]
     others = [joint for joint in loop.joints if joint not in drive.actuators]
     at = {joint: log.joints.index(joint) for joint in others if joint in log.joints}

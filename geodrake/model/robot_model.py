@@ -208,11 +208,11 @@ class RobotModel(Short):
         return DrivenPlant(self, plant, sign_width, log, temperatures)
 
     def robot_gradient(self, q: Array, gradient: Array) -> Array:
-        """Return (N, nq) gradient with the positions q (N, nq), of that with the plant's (N, ·)."""
+        """Return the (N, nq) gradient by q (N, nq) from that by the plant's positions (N, ·)."""
         return self.coordinates.robot_gradient(q, gradient)
 
     def place_of(self, joint: Joint) -> int | None:
-        """Which velocity of the model a joint of the plant has; None if it has none of its own."""
+        """Return a plant joint's velocity in the model; None if it has none of its own."""
         return self.coordinates.standing.get(int(joint.velocity_start()))
 
     @cached_property
@@ -313,7 +313,7 @@ class RobotModel(Short):
         return phi
 
     def sign_widths(self, least: ArrayLike) -> Array:
-        """(nv,) speeds below which dry friction fades, at least those given, rad/s or m/s."""
+        """Return (nv,) speeds below which dry friction fades, at least `least`, rad/s or m/s."""
         width = one_or_each(least, "a sign width", len(self.joints))
         return np.maximum(width, 0.0 if self.fading_speed is None else self.fading_speed)
 
@@ -391,7 +391,7 @@ class RobotModel(Short):
         return columns, np.concatenate([np.zeros(0), *(fitted.parameters for fitted in some)])
 
     def positions(self, by_joint: Array) -> Array:
-        """(N, nq) positions in Drake's order from (N, nv) positions of single-degree joints."""
+        """Return (N, nq) positions in Drake's order from those of single-degree joints (N, nv)."""
         by_joint = real_array(by_joint, "by_joint", ("N", len(self.joints)))
         at_velocity, at_position = self.single_places
         if len(at_velocity) < len(self.joints):
@@ -456,7 +456,7 @@ class RobotModel(Short):
         return self.actuation.single_places
 
     def create_context(self) -> Context:
-        """A default Context of the plant with the model's inertial parameters, payloads included.
+        """Return a default Context of the plant with the model's inertias, payloads included.
 
         The plant itself keeps the inertias of its file; effects are for `add_to_builder`.
         """

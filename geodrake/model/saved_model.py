@@ -336,7 +336,7 @@ def _read(path: Path, extra: Sequence[type[Effect]], given: Given) -> RobotModel
 
 
 def _given_with(path: Path, saved: SavedModel, given: Given) -> Given:
-    """How a saved model's file is to be read: as it remembers, packages from where they are now."""
+    """Return how to read a saved model's file: as saved, with packages where they are now."""
     robot, folder = saved.robot or None, path.resolve().parent
     if given.robot not in (None, robot) or given.xacro:
         what = "arguments of a xacro file" if given.xacro else f"robot {given.robot!r}"

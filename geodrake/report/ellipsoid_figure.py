@@ -103,7 +103,7 @@ def figure_bytes(figure: Figure, kind: str = "png") -> bytes:
 
 
 def _draw(ax: Axes3D, one: EllipsoidSet, bodies: PlacedEllipsoids, lines: Array) -> None:
-    """All faces of a panel in one collection, so that matplotlib sorts them by depth together."""
+    """Draw a panel's faces as one collection, so that matplotlib sorts them by depth together."""
     points = bodies.points()
     corners = [points[:, :-1, :-1], points[:, 1:, :-1], points[:, 1:, 1:], points[:, :-1, 1:]]
     faces = np.stack(corners, 3)

@@ -47,7 +47,7 @@ def rounded(value: float, deviation: float = 0.0) -> float:
 
 
 def fleet_dict(result: FleetResult) -> dict[str, Any]:
-    """A result: robots worst first, with their findings and parameters; logs that are not used."""
+    """Return a result: robots worst first, with findings and parameters; logs left out."""
     return {
         "false_alarms": result.false_alarms,
         "counts": {state: result.count(state) for state in (CHANGED, STEADY, UNKNOWN)},

@@ -334,7 +334,7 @@ def _begins(finding: FleetFinding, dates: Array) -> tuple[float, float]:
 
 
 def _plot(history: ParameterHistory, changes: Sequence[FleetFinding], dates: Array) -> Plot:
-    """A parameter, log by log: each log has three points, the last of which ends its interval."""
+    """Return a parameter's plot: three points a log, the last of which ends its interval."""
     parameter, values = history.parameter, history.values
     half = _WITHIN * history.deviations
     interval = np.stack([values - half, values + half, np.full(len(values), np.nan)], -1)

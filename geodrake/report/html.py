@@ -45,7 +45,7 @@ def render(page: Page) -> str:
 
 
 def templates() -> Environment:
-    """The templates of all pages: what they show is escaped, and what is not there is an error."""
+    """Return the templates of all pages, which escape values; a missing one is an error."""
     return Environment(
         loader=PackageLoader("geodrake", "report"),
         autoescape=True,

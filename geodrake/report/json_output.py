@@ -35,7 +35,7 @@ class NoNumber:
 
 
 def number_or(value: float | None, reason: str) -> float | NoNumber:
-    """Return a finite number, or why there is none."""
+    """Return a finite number, or the word for one that is not."""
     return NoNumber(reason) if value is None or not math.isfinite(value) else value
 
 
@@ -80,7 +80,7 @@ def diagnosis_dict(diagnosis: Diagnosis) -> dict[str, Any]:
 
 
 def explanation_dict(explanation: Explanation) -> dict[str, Any]:
-    """An explanation: verdict, steps, and errors at the start, after refitting and at the end."""
+    """Return an explanation: verdict, steps, and errors at the start, refitted and at the end."""
     tables = {"start": explanation.start, "refit": explanation.refitted, "end": explanation.end}
     return {
         "verdict": explanation.verdict,
@@ -96,7 +96,7 @@ def explanation_dict(explanation: Explanation) -> dict[str, Any]:
 
 
 def _signal(signal: EffortSignal) -> dict[str, Any]:
-    """Return what makes efforts of a signal; an infinite limit is none."""
+    """Return how a signal becomes efforts; an infinite limit is left out."""
     limit = number_or(signal.limit, "no limit is known")
     speed = number_or(signal.no_load_speed, "the limit is the same at every speed")
     return {**asdict(signal), "limit": limit, "no_load_speed": speed}

@@ -26,7 +26,7 @@ _NOTICED = 0.3
 
 
 def number(value: float, digits: int = 3) -> str:
-    """A value with so many significant digits; as a multiple of 10ⁿ if very small or large."""
+    """Return a value with so many significant digits; times 10ⁿ if very small or large."""
     if not math.isfinite(value):
         return UNKNOWN
     if value == 0:
@@ -73,7 +73,7 @@ def is_noticed(deviation: float, systematic: float) -> bool:
 
 
 def estimate(value: float, deviation: float, systematic: float = math.nan) -> str:
-    """A value with its standard deviation; where there is none, as for a shape, plain digits.
+    """Return a value with its standard deviation; plain digits without one, as for a shape.
 
     Args:
         deviation: Its standard deviation in the same unit; not finite if there is none.
@@ -109,7 +109,7 @@ def relative(deviation: float) -> str:
 
 
 def shortened(text: str, most: int) -> str:
-    """A printable text of at most so many characters, its middle left out where it is longer."""
+    """Return a printable text of at most so many characters, its middle left out if longer."""
     text = printable(text)
     if len(text) <= most:
         return text

@@ -258,7 +258,7 @@ def _ghost(
     horizon: float | None,
     progress: Callable[[str, float], None] | None,
 ) -> Array:
-    """(F, nv) positions of a model's robot under the measured efforts; NaN where it is not."""
+    """Return (F, nv) simulated positions under the measured efforts; NaN outside windows."""
     parts = [np.full_like(excerpt.q, np.nan) for excerpt in excerpts]
     if horizon is not None:
         spans = [(e.log, float(e.time[0]), float(e.time[-1])) for e in excerpts]
@@ -275,7 +275,7 @@ def _ghost(
 
 
 def _stopped(window: Window) -> Array:
-    """(K, nv) simulated positions, which stay where one of them is too far from the measured."""
+    """Return (K, nv) simulated positions, which stop once one is too far from the measured."""
     near = np.nan_to_num(np.abs(window.departure), nan=np.inf).max(1) <= _FARTHEST
     count = len(near) if near.all() else max(1, int(near.argmin()))
     last = np.minimum(np.arange(len(near)), count - 1)
@@ -309,7 +309,7 @@ def _played(
 
 
 def _around(frames: Array, time: Array, measured: Array, predicted: Array) -> Array:
-    """(3, F) efforts, and the RMS of their difference around each frame; NaN where no sample is."""
+    """Return (3, F) efforts and the RMS of their difference at each frame; NaN without samples."""
     period = float(np.median(np.diff(time))) if len(time) > 1 else _MEAN_OVER
     half = max(0.5 * _MEAN_OVER, 1.01 * period)
     first, stop = (np.searchsorted(time, frames + sign * half) for sign in (-1.0, 1.0))

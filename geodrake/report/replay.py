@@ -49,7 +49,7 @@ def replay_page(model: RobotModel, times: Array, q: Array) -> str:
 
 @typed
 def rollout_replay_page(model: RobotModel, after: Rollout, before: Rollout | None = None) -> str:
-    """One HTML page with the windows of a rollout: the measured robot, and the simulated one.
+    """Return an HTML page of a rollout's windows: the measured and the simulated robot.
 
     A simulated robot that breaks off stays where it was.
     """

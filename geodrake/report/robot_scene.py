@@ -127,7 +127,7 @@ class RobotScene:
             self._meshcat.SetTransform(self.link_path(body), X_WB, time)
 
     def place_behind(self, name: str) -> JointPlace:
-        """Where a joint of the plant is that follows others, in a closed loop say."""
+        """Return the place of a plant joint that follows others, as in a closed loop."""
         plant, names = self._model.plant, joint_names(self._model.plant)
         joints = (plant.get_joint(index) for index in plant.GetJointIndices())
         moving = (joint for joint in joints if joint.num_velocities() == 1)

@@ -113,7 +113,7 @@ def log_scale(ax: Axes, axis: str) -> None:
 
 
 def legend_above(figure: Figure, handles: Sequence[Any], *, columns: int = 5) -> None:
-    """One legend for the whole figure, above it."""
+    """Add one legend for the whole figure, above it."""
     figure.legend(
         handles=list(handles),
         loc="outside upper left",
@@ -127,14 +127,14 @@ def legend_above(figure: Figure, handles: Sequence[Any], *, columns: int = 5) ->
 
 
 def note_below(figure: Figure, text: str) -> None:
-    """A remark under a figure."""
+    """Add a remark under a figure."""
     if text:
         figure.supxlabel(text, x=0.01, ha="left", **plain(SMALL, QUIET))
 
 
 @own_look()
 def png(figure: Figure) -> bytes:
-    """A figure as PNG of 256 colours, a third of the size; the same figure gives the same bytes."""
+    """Return a figure as PNG of 256 colours, a third of the size; bytes are reproducible."""
     canvas = FigureCanvasAgg(figure)
     canvas.draw()  # type: ignore[no-untyped-call]
     pixels = np.asarray(canvas.buffer_rgba())  # type: ignore[no-untyped-call]

@@ -186,7 +186,7 @@ def rivals(step: Step) -> str:
 
 
 def worst_joint(errors: ErrorTable) -> JointError:
-    """The joint of largest error over standard deviation; one that has no number is worst."""
+    """Return the joint of largest error over standard deviation; one without a number is worst."""
     return max(errors.joints, key=lambda joint: np.nan_to_num(joint.nrms, nan=np.inf))
 
 
@@ -200,7 +200,7 @@ def failing_words(case: Failing) -> str:
 
 
 def failing_list(comparison: Comparison) -> tuple[str, ...]:
-    """Where a model fails, in sentences; the worst joint is among them, even if it errs evenly."""
+    """Return where a model fails, in sentences; the worst joint is always among them."""
     words = tuple(map(failing_words, comparison.failing))
     worst = worst_joint(comparison.errors)
     named = {case.joint for case in comparison.failing}

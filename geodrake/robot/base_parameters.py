@@ -240,7 +240,7 @@ def _independent(scaled: Array, rank: int, bodies: int, tolerance: float) -> Ind
 
 
 def _outside(basis: Array, columns: Array) -> Array:
-    """The part of columns that is orthogonal to a basis; two passes are enough for rounding."""
+    """Return the part of columns orthogonal to a basis; two passes are enough for rounding."""
     for _ in range(2):
         columns = columns - basis @ (basis.T @ columns)
     return columns

@@ -159,7 +159,7 @@ class RobotCoordinates:
         return np.asarray((ahead - behind) / (2.0 * _STEP) * speed[:, :, None])
 
     def bend(self, q: Array, products: Array) -> Array:
-        """(N, nq) Σ_ij ∂J_ij/∂q_l P_ij of weights P (N, nv of the tree, nv), at q (N, nq)."""
+        """Return (N, nq) Σ_ij ∂J_ij/∂q_l P_ij for P (N, nv of the tree, nv), at q (N, nq)."""
         found = np.zeros_like(q)
         for place in self.places:
             for at_q, at_v in zip(place.actuator_q, place.actuator_v, strict=True):
@@ -221,7 +221,7 @@ class RobotCoordinates:
         return q
 
     def nearest(self, theta: Array) -> Array:
-        """(N, nq) positions of the robot whose joints are nearest to those of the tree (N, ·)."""
+        """Return (N, nq) positions of the robot whose joints are nearest to the tree's (N, ·)."""
         q = np.zeros((len(theta), self.num_positions))
         own, tree = self.kept_q
         q[:, own] = theta[:, tree]
@@ -236,7 +236,7 @@ class RobotCoordinates:
         return q
 
     def robot_gradient(self, q: Array, gradient: Array) -> Array:
-        """Return (N, nq) gradient with the robot's positions q, of that with the tree's (N, ·)."""
+        """Return the (N, nq) gradient by the robot's positions q from that by the tree's (N, ·)."""
         found = np.zeros_like(q)
         own, tree = self.kept_q
         found[:, own] = gradient[:, tree]
@@ -399,7 +399,7 @@ def plant_coordinates(
 def _leading(
     drive: Drive, led: Mapping[str, Sequence[Follower]], named: Mapping[str, str]
 ) -> Drive:
-    """The drive with what follows its joints, θ = r θ_leader + θ₀, as further joints."""
+    """Return the drive with its followers, θ = r θ_leader + θ₀, as further joints."""
     more = [(k, f) for k, joint in enumerate(drive.joints) for f in led.get(joint, ())]
     if not more:
         return drive
@@ -448,7 +448,7 @@ def _check(drives: Sequence[Drive], by_name: Mapping[str, int]) -> None:
 
 
 def middle(low: Array, high: Array) -> Array:
-    """Return (n,) positions in the middle of a range; 0 where there is none."""
+    """Return (n,) positions in the middle of their ranges; 0 without a range."""
     bounded = np.isfinite(low) & np.isfinite(high)
     return np.asarray(0.5 * (np.where(bounded, low, 0.0) + np.where(bounded, high, 0.0)))
 
@@ -495,7 +495,7 @@ def _positions(drive: Drive, lower: Array, upper: Array) -> tuple[Array, Array]:
 
 
 def _box(A: Array, most: Array) -> Array:
-    """The box (n,) x ≥ 0 with A x ≤ most (k,), A ≥ 0: what each may be alone, by one share."""
+    """Return the box (n,) x ≥ 0 with A x ≤ most (k,), A ≥ 0: one share of each alone."""
     ratios = np.divide(most[:, None], A, out=np.full(A.shape, np.inf), where=A > 0.0)
     alone = ratios.min(axis=0, initial=np.inf)
     rows = np.isfinite(most) & (A[:, np.isfinite(alone)] > 0.0).any(axis=1)
@@ -505,7 +505,7 @@ def _box(A: Array, most: Array) -> Array:
 
 
 def _of_curve(drive: Drive, lower: Array, upper: Array) -> tuple[Array, Array]:
-    """The interval around the middle of one actuator's range in which all joints keep limits."""
+    """Return the interval around an actuator's middle in which all joints keep their limits."""
     low, high = drive.limits
     grid = _grid(low, high)
     theta = drive.map.joint_positions(grid)

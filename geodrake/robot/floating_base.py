@@ -89,7 +89,7 @@ def body_poses(plant: MultibodyPlant | KinematicTree, q: ArrayLike) -> Array:
 
 
 def on_a_free_world(tree: KinematicTree) -> KinematicTree:
-    """The tree on a world that could move, at rest; efforts are asked of its six velocities only.
+    """Return the tree on a movable world at rest; only its six velocities' efforts are used.
 
     The virtual work of the robot's efforts on a rigid motion of everything is that of the wrench
     about the world's origin.

@@ -143,7 +143,7 @@ class KinematicTree(Short):
     def joint_samples(
         self, q: Array, v: Array, vd: Array
     ) -> tuple[KinematicTree, Samples, Array | None]:
-        """The tree of the joints, their motion, and J if there is one; values are not checked.
+        """Return the joints' tree, their motion, and J if there is one, without checking values.
 
         Returns:
             The tree; positions, velocities twice and accelerations of its joints; and, behind a

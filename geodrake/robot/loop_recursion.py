@@ -199,7 +199,7 @@ def _solve_least(A: Array, B: Array, T: Array, X: Array) -> None:
 
 @compiled
 def _follow(loop: Any, J: Array, B: Array, rooms: Any, out: Array) -> None:
-    """Write the rows of joints that follow of what solves J out = B with the others' rows."""
+    """Write the followers' rows of the solution of J out = B from the other joints' rows."""
     free, following = loop[4], loop[5]
     A, rest, T, X = rooms
     for i in range(len(J)):

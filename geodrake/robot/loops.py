@@ -400,13 +400,13 @@ class _Shape:
         return (*self.parts, *indices, x, self.units)  # type: ignore[return-value]
 
     def misses(self, x: Array) -> tuple[Array, Array]:
-        """What closures miss by (m,) and its slopes (m, k) with the joints, in their units."""
+        """Return the closures' gaps (m,) and their slopes (m, k) by the joints, in their units."""
         out = np.zeros((self.rows, 1 + len(x)))
         calc_misses(self.records((), (), x), contiguous(x[None]), out)
         return out[:, 0], out[:, 1:] * self.units[:-1]
 
     def closed(self, x: Array, following: Sequence[int]) -> tuple[Array, float]:
-        """The posture (k,) near another one in which the loop closes, and by how much it misses."""
+        """Return the posture (k,) near another in which the loop closes, and the gap left."""
         x = x.copy()
         for _ in range(_MOST_ITERATIONS):
             c, J = self.misses(x)

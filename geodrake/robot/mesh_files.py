@@ -144,7 +144,7 @@ def _merged(vertices: Array, faces: Faces, number: Faces) -> Surface:
 
 
 def stl_vertices(path: Path) -> Array:
-    """(3 n, 3) vertices of the n triangles of an STL file, binary or text, in the file's unit."""
+    """Return (3 n, 3) vertices of an STL file's n triangles, binary or text, in its unit."""
     data = read_regular(path, "mesh", ModelError, empty=True)
     start = _HEADER + _COUNT
     count = int.from_bytes(data[_HEADER:start], "little")

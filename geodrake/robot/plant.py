@@ -272,7 +272,7 @@ def _loops(description: ModelDescription, built: BuiltPlant, how: LoopJoints) ->
 
 
 def _single_joints(plant: MultibodyPlant) -> dict[str, Joint]:
-    """The joints of one degree of freedom by their names, in the order of their velocities."""
+    """Return the joints of one degree of freedom by name, in the order of their velocities."""
     names = joint_names(plant)
     single = [j for j in joints_of(plant) if j.num_velocities() == j.num_positions() == 1]
     single.sort(key=lambda joint: int(joint.velocity_start()))

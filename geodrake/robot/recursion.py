@@ -136,7 +136,7 @@ def features_of(mobilizer: Record, q: Numbers, n: int, out: Numbers) -> int:
 
 @inlined
 def pose(mobilizer: Record, q: Array, n: int, features: Array, out: Record) -> None:
-    """The rotation R_PB and the position of Mo in P at sample n; `features` is room (9,)."""
+    """Return the rotation R_PB and the position of Mo in P at sample n; `features` is room (9,)."""
     number = features_of(mobilizer, q, n, features)
     C, R = mobilizer.rotation, out.R_PB
     for j in range(3):

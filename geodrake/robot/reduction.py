@@ -54,7 +54,7 @@ def triangular_factor(blocks: Iterable[ArrayLike]) -> Array:
 
 
 def _with_rows(factor: Array, rows: Array) -> Array:
-    """The factor of [R; A], a cache-sized piece of A at a time, so that R is never refilled."""
+    """Return the factor of [R; A], a cache-sized piece of A at a time; R stays in the cache."""
     if not factor.size:
         return factor
     for start in range(0, len(rows), _ROWS):

@@ -132,7 +132,7 @@ def _spare_mass(usable: list[Array]) -> float:
 
 
 def _counts(phi: Array) -> NDArray[np.bool_]:
-    """Whether parameters (..., 10) are finite with a mass that is one, so that they can be used."""
+    """Return whether parameters (..., 10) are finite with a usable mass."""
     return np.asarray(np.isfinite(phi).all(-1) & (phi[..., 0] > LEAST_MASS))
 
 

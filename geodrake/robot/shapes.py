@@ -165,7 +165,7 @@ def scene_of(
 
 
 def move_meshes(element: Element, moved: Callable[[str], Path]) -> None:
-    """Have a part of a URDF or SDF name other files, of what it calls meshes."""
+    """Replace the mesh files that a part of a URDF or SDF names."""
     for mesh in element.iter("mesh"):
         uri = mesh.find("uri")
         name = mesh.get("filename", "") if uri is None else uri.text or ""

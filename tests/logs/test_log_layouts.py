@@ -268,7 +268,7 @@ def test_two_files_that_do_not_fit(tmp_path):
     for table, words in (
         ([time[::50], tau[::50]], "mixed rates: positions.csv 500 Hz, efforts.csv 10 Hz"),
         ([time + 1e3, tau], "times that do not meet"),
-        ([np.floor(time), tau], "most rows of which time is that of the row before: .*efforts.csv"),
+        ([np.floor(time), tau], "time does not advance in most rows: .*efforts.csv"),
     ):
         write(path, ["time", "a"], table)
         with pytest.raises(LogError, match=words):

@@ -86,7 +86,7 @@ def _is_inside(hidden: HiddenChange, found: FleetFinding) -> bool:
 
 
 def _in_rivals(kind: str, hidden: HiddenChange, found: Sequence[FleetFinding]) -> bool:
-    """Return whether the truth is among what is said to be possible in the place of a finding."""
+    """Return whether the truth is among a finding's alternatives."""
     where, families = _where(kind, hidden), FAMILIES[hidden.what]
     return any(
         _effects(rival) in families and rival.where == where

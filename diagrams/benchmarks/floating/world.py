@@ -37,7 +37,7 @@ class Draw:
     contacts: str = FLAGS
     wrenches: bool = False
     efforts: bool = True
-    noise: float = 1.0  # noise of all sensors, as a share of what is usual; 0 for exact logs
+    noise: float = 1.0  # noise of all sensors, relative to the usual; 0 for exact logs
     rate: float = 200.0
     duration: float = 40.0
     number: int = 0

@@ -232,7 +232,7 @@ def compensator(site: Site) -> Hidden:
 
 
 def cogging(site: Site) -> Hidden:
-    """Return waves over the position, of which the motion passes a few."""
+    """Return waves over the position; the motion passes a few of them."""
     waves, phase = site.rng.uniform(2.5, 12.0), site.rng.uniform(0.0, 2.0 * np.pi)
 
     def law(own: Signals, other: Signals) -> Array:
@@ -413,7 +413,7 @@ def _play(load: Array, inertia: Array, *, gap: float, time: Array) -> tuple[Arra
 
 
 def _with_lag(seen: Seen, joint: int, *, lag: Array, rate: Array, acceleration: Array) -> Array:
-    """Return (N, n) effort that it makes a difference of that a link lags behind its motor."""
+    """Return the (N, n) change in effort because links lag behind their motors."""
     motion = [seen.q.copy(), seen.v.copy(), seen.a.copy()]
     for signal, behind in zip(motion, (lag, rate, acceleration), strict=True):
         signal[:, joint] -= behind

@@ -191,7 +191,7 @@ def _drake_files(model: RobotModel, held: HeldModel, folder: Path) -> Exported:
 
 
 def _stands_free(model: RobotModel) -> bool:
-    """Whether the robot's own file leaves it free, so that directives decide how it stands."""
+    """Return whether the robot's own file leaves it free, so that directives place it."""
     if own_kind(model) not in _DRAKE_KINDS:
         return False
     plant = model.plant

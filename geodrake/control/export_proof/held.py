@@ -112,7 +112,7 @@ def _folded(effects: Sequence[FittedEffect], holds: Holds, keep: Holds) -> list[
 
 
 def _merged(effects: Sequence[FittedEffect]) -> dict[Effect, FittedEffect]:
-    """One effect for all that differ in nothing but their parameters; springs in their rest."""
+    """Merge effects that differ only in their parameters; springs also in their rest."""
     found: dict[Effect, FittedEffect] = {}
     for fitted in effects:
         effect, values = fitted.effect, fitted.parameters

@@ -162,7 +162,7 @@ class Blind:
     basis: Array  # (N nv, k) orthonormal: what other states make, each joint over its scale
 
     def __call__(self, departure: Array) -> Array:
-        """(N nv,) what of a departure (N, nv) no other start explains; its square is a mean."""
+        """Return (N nv,) the part of a departure (N, nv) that no other start explains."""
         whole = np.ravel(departure / self.scale)
         whole = whole - self.basis @ (self.basis.T @ whole)
         return np.asarray(whole / np.sqrt(len(departure)))
@@ -194,7 +194,7 @@ def blinds(slopes: Sequence[Array], departures: Sequence[Array]) -> list[Blind]:
 
 
 def _noise(departures: Sequence[Array]) -> Array:
-    """(nv,) RMS of what differs from sample to sample: of fourth differences, 70 times as much."""
+    """Return (nv,) RMS of the noise between samples, from fourth differences, which amplify it."""
     steps = [np.mean(np.square(np.diff(d, 4, axis=0)), axis=0) for d in departures if len(d) > 4]
     if not steps:
         return np.zeros(departures[0].shape[1])

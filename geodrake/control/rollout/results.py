@@ -36,7 +36,7 @@ class JointDeparture:
 
     joint: str
     rms: float  # RMS of simulated − measured position over all windows, rad or m
-    moved: float  # RMS of what the joint moved since the start of its window, rad or m
+    moved: float  # RMS of the joint's motion since the start of its window, rad or m
     worst: tuple[str, float]  # log and start of the window in which it departs most, s
 
     @property

@@ -136,7 +136,7 @@ def forces_at_motors(
 
 
 def values_at(values: Sequence[RolloutValue], x: Array) -> tuple[Array, Array]:
-    """(k,) values after some steps x (k,) of each, and by how much one more step changes each.
+    """Return (k,) values after steps x (k,) of each, and how much one more step changes each.
 
     Gains of servos take along what of these is known beside them.
     """

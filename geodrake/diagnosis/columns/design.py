@@ -145,7 +145,7 @@ def _columns(
 
 
 def _unknown_function(joint: str, q: Array, v: Array, width: float) -> Array:
-    """(K, UNKNOWN) columns of a smooth function of a joint's motion, none larger than about one."""
+    """Return (K, UNKNOWN) columns of a smooth function of a joint's motion, at most about 1."""
     reach, speed = 0.5 * float(np.ptp(q)), float(np.abs(v).max())
     middle = 0.5 * float(q.max() + q.min())
     function = UnknownFunction(joint, middle, max(reach, 1e-300), max(speed, 1e-300))

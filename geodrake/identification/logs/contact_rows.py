@@ -158,7 +158,7 @@ def row_scales(model: RobotModel, trajectory: Trajectory) -> Array:
 
 
 def rows_without(J: Array, flags: NDArray[np.bool_], scales: Array, base: Sequence[int]) -> Array:
-    """Return N (N, nv, nv) for Jacobians (N, c, k, nv) of frames, of which some touch (N, c).
+    """Return N (N, nv, nv) for the Jacobians (N, c, k, nv) of frames; (N, c) says which touch.
 
     Args:
         scales: (nv,) noise of the rows of velocities, N·m or N.

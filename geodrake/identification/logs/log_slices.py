@@ -175,7 +175,7 @@ class Layout:
         return replace(self, columns=kept, base=base)
 
     def visible_parameters(self, phi: Array) -> Array:
-        """Return (10·nb,) inertial parameters of which the columns alone make the efforts of φ."""
+        """Return (10·nb,) inertial parameters whose columns alone give the efforts of φ."""
         if self.base is None:
             return phi
         parameters = np.zeros_like(phi)

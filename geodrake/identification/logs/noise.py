@@ -114,7 +114,7 @@ def _carried(
     sign_width: ArrayLike,
     rows: Array | None,
 ) -> Array:
-    """(n,) mean square that noise of the accelerations makes of a segment's predicted efforts."""
+    """Return (n,) mean square of a segment's predicted efforts due to acceleration noise."""
     some = slice(None, None, max(1, len(segment) // _POSES))
     motion, rows = motion_of(segment[some], model, trajectory), None if rows is None else rows[some]
     power, needed = np.zeros(len(trajectory.joints)), model.effort(motion, sign_width=sign_width)

@@ -197,7 +197,7 @@ _PLAIN = re.compile(r"float|double|u?int\d+")
 
 
 class ParquetTable(LogTable):
-    """Columns of numbers of a Parquet file, of which those are read that are needed."""
+    """Columns of numbers of a Parquet file; only those needed are read."""
 
     def __init__(self, path: Path, file: Any) -> None:
         super().__init__(path, {})

@@ -650,7 +650,7 @@ class Columns:
 
 
 def _mapped_kind(quantity: str, gain: float, unit: Unit | None, said: str | None) -> str:
-    """What a mapped column is: as its key says; of an effort, as the user or its unit says."""
+    """Return what a mapped column is: by its key; for an effort, by the user or its unit."""
     if said not in (None, "command", quantity) and quantity != "effort":
         raise LogError(
             f"A mapping has a column as {quantity}, and --kind says that it is {said}.",

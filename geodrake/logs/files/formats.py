@@ -127,7 +127,7 @@ _TOLD = re.compile(r"(?<![a-z])controls?(?![a-z])")  # in the name of a file of 
 
 @typed
 def parts_of(path: Path) -> tuple[Path, ...]:
-    """The files of a log: itself, or those that `+` joins, as in `positions.csv+efforts.csv`."""
+    """Return the files of a log: itself, or those joined by `+`, as in `q.csv+efforts.csv`."""
     if "+" not in str(path) or path.exists():
         return (path,)
     return tuple(Path(part) for part in str(path).split("+") if part)

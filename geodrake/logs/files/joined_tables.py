@@ -42,7 +42,7 @@ _ALIKE = 0.9  # of the longest period, from which on parts are as slow, and the 
 
 
 def joined_tables(log: Path, tables: Sequence[LogTable], reading: Reading) -> LogTable:
-    """The columns of several tables, at the time stamps of the first with the fewest a second.
+    """Join several tables at the time stamps of the first of those with the lowest rate.
 
     Of tables with far fewer than others only what changes slowly is used; see `_slow_parts`.
     """
@@ -65,7 +65,7 @@ def joined_tables(log: Path, tables: Sequence[LogTable], reading: Reading) -> Lo
     periods = [float(np.median(step)) if len(step) else np.inf for step in steps]
     if still := [str(t.path) for t, p in zip(tables, periods, strict=True) if not p > 0.0]:
         raise LogError(
-            f"Log {str(log)!r} has parts in most rows of which time is that of the row before: "
+            f"Log {str(log)!r} has parts whose time does not advance in most rows: "
             f"{', '.join(still)}.",
             advice="Write their time with more digits.",
         )
@@ -102,7 +102,7 @@ def _what(column: str) -> str:
 def _slow_parts(
     log: Path, tables: Sequence[LogTable], periods: Sequence[float]
 ) -> tuple[list[LogTable], list[str], dict[str, str]]:
-    """Return tables of which slow ones have only what may be interpolated, with notes of that.
+    """Return the tables, slow ones reduced to columns that may be interpolated, and notes.
 
     Columns that are left out come with why.
 

@@ -103,7 +103,7 @@ class JointFields:
 
     @classmethod
     def of(cls, message: Any) -> JointFields | None:
-        """The fields of messages such as this one; None if it has nothing that a log needs."""
+        """Return the fields of messages such as this one; None if no log needs them."""
         names = next(
             (n for n in _NAMES if isinstance(getattr(message, n, None), list | tuple)), None
         )
@@ -226,7 +226,7 @@ class MessageRows:
         has its instants, at which tables are joined.
 
         Args:
-            part: Whether it is a part of a log, of which nothing is left out.
+            part: Whether it is a part of a log; nothing of a part is left out.
         """
         groups = {k: g for k, g in self._groups.items() if (k[1] if part else is_complete(k[1]))}
         notes, found = list[str](), dict[JointKey, list[tuple[Stamps, dict[str, Array]]]]()

@@ -135,7 +135,7 @@ def proposed_mapping(
     headed: bool = True,
     motorless: Collection[str] = (),
 ) -> str | None:
-    """A mapping as text, to be edited, filled in as far as the names of columns are understood.
+    """Return a mapping as text to edit, filled in as far as column names are understood.
 
     Args:
         headed: Whether the file has these names; columns of others are given by their numbers.
@@ -191,7 +191,7 @@ def proposed_mapping(
 def _guess(
     names: Sequence[str], joints: Sequence[str], *, headed: bool
 ) -> dict[tuple[str, str], str]:
-    """(joint, quantity) -> column, if there are as many as time and quantities of all joints."""
+    """Map (joint, quantity) to columns, if their number is that of time and all quantities."""
     for timed in (True, False):
         for quantities in (_ASKED, ("position", "effort")):
             if len(names) == timed + len(joints) * len(quantities):

@@ -312,7 +312,7 @@ def _without_brackets(name: str, quantity: str) -> tuple[str, Unit | None]:
 
 
 def _without_unit(name: str, quantity: str) -> tuple[str, Unit | None]:
-    """A name without its unit, in brackets or as a part of its own: `q_deg_1`, `torque_Nmm`."""
+    """Return a name without its unit, in brackets or its own part: `q_deg_1`, `torque_Nmm`."""
     plain, unit = _without_brackets(name, quantity)
     if unit is not None:
         return plain, unit
@@ -335,7 +335,7 @@ ONLY = "joint"  # what a joint is called whose columns name none
 def matched(
     meanings: Sequence[Meaning], joints: Sequence[str] | None
 ) -> tuple[dict[str, str], tuple[str, ...]]:
-    """Return the joint of each column that is of one, and notes of what names did not tell."""
+    """Return the joint of each column that belongs to one, and notes on ambiguous names."""
     if joints is None:
         return _by_their_own_words(meanings), ()
     styles: dict[tuple[str, ...], list[Meaning]] = defaultdict(list)
@@ -443,7 +443,7 @@ def _numbers(keys: Sequence[Words]) -> dict[Words, int]:
 
 
 def _by_number(numbers: Mapping[Words, int], joints: Sequence[str]) -> dict[Words, str] | None:
-    """The joints whose names end in these numbers, counted from 0 or from 1; None if not all do."""
+    """Return the joints whose names end in these numbers, from 0 or 1; None if not all do."""
     ends: dict[int, list[tuple[int, str]]] = defaultdict(list)
     for joint in joints:
         words = words_of(joint)

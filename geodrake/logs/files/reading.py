@@ -181,7 +181,7 @@ class Reading:
 
 
 def parsed_gain(text: str, what: str) -> tuple[float, float | None]:
-    """A gain and its standard deviation, if one was given, as in `13.2±0.5` or `13.2+-0.5`."""
+    """Return a gain and its standard deviation, if given, as in `13.2±0.5` or `13.2+-0.5`."""
     parts = re.split(r"±|\+/?-", text)
     try:
         numbers = [float(part) for part in parts]

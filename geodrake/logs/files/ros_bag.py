@@ -89,7 +89,7 @@ def read_bag(path: Path, reading: Reading) -> LogTable:
 
 
 def _base_sources(connections: Sequence[Any], reading: Reading) -> tuple[list[list[str]], Reading]:
-    """Return topics of a free base and its feet, of which one each is read, and what is left."""
+    """Return the topics to read of a free base and its feet, one each, and the other topics."""
     if not reading.of_base:
         return [], reading
     asked = {name.strip("/") for name in reading.topics}
@@ -219,7 +219,7 @@ def _store(kind: str, definition: str, form: str) -> Any:
 
 
 def _problems() -> tuple[type[Exception], ...]:
-    """What types raise that cannot be understood, and messages that are not of their type."""
+    """Return the errors of unreadable types and of messages that do not fit their type."""
     serde, typesys = map(importlib.import_module, ("rosbags.serde", "rosbags.typesys"))
     return serde.SerdeError, typesys.TypesysError, LogError, TypeError, ValueError, RecursionError
 

@@ -486,7 +486,7 @@ def _is_nothing(value: Any) -> bool:
 
 
 def _date_text(value: Any) -> str:
-    """Return the text of a date, which may be an object; "" for what is none."""
+    """Return the text of a date, which may be an object; "" for anything else."""
     text = value.isoformat() if isinstance(value, datetime) else value
     return text if isinstance(text, str) else ""
 

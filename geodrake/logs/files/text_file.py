@@ -79,7 +79,7 @@ class TextLayout:
         return {name: self.date(text, name) for name, text in self.dates.items()}
 
     def date(self, text: str, column: str) -> int | None:
-        """Return the date that a text of a column is, ns since 1970; None if it is none."""
+        """Parse a column's text as a date, ns since 1970; None if it is not a date."""
         return date_of(text, day_first=column in self.day_first)
 
     @property
@@ -229,7 +229,7 @@ def _pointed(cell: str) -> str:
 
 
 def list_of(cell: str) -> list[float] | None:
-    """The numbers of a cell such as `[0.1, 0.2]` or `(0.1 0.2)`; None if it is no list of some."""
+    """Return the numbers of a cell such as `[0.1, 0.2]` or `(0.1 0.2)`; None if not a list."""
     found = _LIST.fullmatch(cell.strip())
     try:
         return [float(number) for number in _BETWEEN.split(found[1].strip())] if found else None
@@ -238,7 +238,7 @@ def list_of(cell: str) -> list[float] | None:
 
 
 def _with_contents(layout: TextLayout, lines: Iterator[str]) -> tuple[TextLayout, Iterator[str]]:
-    """The layout with columns of dates, lists and words, by the first cell that is not empty."""
+    """Return the layout with columns of dates, lists and words, by their first full cell."""
     ahead = list(islice(lines, _LINES_AHEAD))
     first: dict[str, str] = {}
     with suppress(csv.Error):  # said when the rows are read
@@ -573,7 +573,7 @@ def _cells(
     before: tuple[int, int],
     torn: TornRows,
 ) -> Array:
-    """(K, used columns) of lines read cell by cell: slower, but exact about what is wrong where.
+    """Read lines cell by cell into (K, used columns): slower, but errors name the cell.
 
     `before` counts the rows and the lines of the file that come before them.
     """

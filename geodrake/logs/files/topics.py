@@ -104,7 +104,7 @@ def _best(topics: Sequence[Topic]) -> Sequence[Topic]:
 
 
 def _parts(path: Path, topics: Sequence[Topic]) -> tuple[Topic, Topic]:
-    """The topic of positions, and that of efforts or commands, which no topic has both of."""
+    """Return the topics of positions and of efforts or commands, where no topic has both."""
     named = [t for t in topics if t.rows and any(isinstance(j, str) for j in t.rows.joints)]
     moved = _best([topic for topic in named if "position" in topic.part])
     heard = _best([t for t in topics if is_complete(("position", *t.part)) and t not in moved])
@@ -187,7 +187,7 @@ _CLOSER = 2.0  # times as close to its joint as to any other a command is that h
 
 
 def joined_topics(path: Path, topics: Sequence[Topic], reading: Reading) -> LogTable:
-    """The columns of several topics, at the instants of the one with the fewest messages a second.
+    """Join several topics at the time stamps of the one with the lowest rate.
 
     Of a column that two have, that of the first is taken. Messages without stamps are put on the
     clock of those with: on average they take no time from there to the recorder.

@@ -105,7 +105,7 @@ def find_unit(text: str, quantity: str) -> Unit | None:
 
 @lru_cache(1024)
 def _spelled(text: str) -> tuple[str, ...]:
-    """How a unit may be written here: as it is, without dots, with a stroke, in small letters."""
+    """Return ways to write a unit: as it is, without dots, with a slash, in small letters."""
     plain = re.sub(r"[·*\s.⋅-]", "", text).replace("^2", "²").replace("s2", "s²")
     over = re.sub(r"(?:_|per)(s|min)", r"/\1", plain)
     over = over.replace("/s/s", "/s²").replace("/sec", "/s")

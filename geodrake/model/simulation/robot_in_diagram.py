@@ -67,7 +67,7 @@ class RobotInDiagram:
         return self.robot.plant
 
     def ports(self) -> RobotPorts:
-        """Where `add_adaptive_loop` meets the robot."""
+        """Return the ports where `add_adaptive_loop` meets the robot."""
         return RobotPorts(self.joints, self.state, None, self.effort)
 
     def set_inertias(self, root: Context) -> None:

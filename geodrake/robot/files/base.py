@@ -89,7 +89,7 @@ class ModelText(abc.ABC):
         return True
 
     def text(self) -> tuple[str, list[str]]:
-        """The simplified description, and for each of its lines where that is in the file."""
+        """Return the simplified description, and each of its lines' place in the file."""
         return numbered_text(self.root)
 
     def _take_balls(self, scope: str, model: Element) -> None:

@@ -109,7 +109,7 @@ MJCF_NUMBERS: Numeric = {
 
 
 def check_numbers(root: Element, numeric: Numeric, path: Path) -> None:
-    """Refuse numbers that are none, too few or too many, or out of bounds.
+    """Refuse text that is no number, too few or too many numbers, and numbers out of bounds.
 
     Those of an `inertial` are left to the repair of inertias.
     """

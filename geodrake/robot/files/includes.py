@@ -85,7 +85,7 @@ class Includes:
         return (*chain, file)
 
     def insert(self, root: Element, folder: Path, chain: tuple[Path, ...] = ()) -> None:
-        """Put models that an SDF includes by relative paths in the place of the include.
+        """Replace an SDF's includes by relative paths with the models that they name.
 
         Those that it includes by a URL are left to Drake, but followed too.
         """
@@ -117,7 +117,7 @@ class Includes:
         return False
 
     def insert_elements(self, root: Element, chain: tuple[Path, ...] = ()) -> None:
-        """Put what the files hold that an MJCF includes in the place of the includes.
+        """Replace an MJCF's includes with the contents of the files that they name.
 
         Paths are relative to the folder of the model file, whichever file they are in.
         """
@@ -174,7 +174,7 @@ def _models_of(place: Path, by_url: bool) -> list[Path]:
 
 
 def _replace(parent: Element, include: Element, model: Element) -> None:
-    """Put an included model in the place of its include, which may move and rename it."""
+    """Replace an include with its model, which the include may move and rename."""
     model.set("name", include.findtext("name", model.get("name", "")).strip())
     for element in (e for tag in ("pose", "static") for e in include.findall(tag)):
         for old in model.findall(element.tag):
@@ -186,7 +186,7 @@ def _replace(parent: Element, include: Element, model: Element) -> None:
 
 
 def check_geometry(files: Iterable[Path], packages: PackageMap, given: Given) -> None:
-    """Raise if Drake would open what is no file, for the geometry of model files."""
+    """Raise if Drake would open something other than a file for a model's geometry."""
     for path in files:
         root = parse_xml_bytes(read_expanded(path, given), path)
         includes = Includes(path, given.packages)

@@ -364,7 +364,7 @@ def unused(taken: set[str | None]) -> Callable[[str], str]:
 
 
 def _check_size(root: Element, sizes: Sizes, path: Path) -> None:
-    """Refuse files of which MuJoCo would make more than a robot has, before it does."""
+    """Refuse files from which MuJoCo would make more than a robot has, before it does."""
     for element in root.iter():
         if element.tag in ("composite", "flexcomp"):
             made = 1

@@ -54,7 +54,7 @@ _MJCF_FILES = ("file", "fileright", "fileleft", "fileup", "filedown", "fileback"
 
 
 class EditedFile:
-    """A URDF, SDF or MJCF of which some elements are changed; the rest of its text stays.
+    """A URDF, SDF or MJCF with some elements changed; the rest of its text stays.
 
     Attributes:
         path: The file, for messages and for the name of a model that has none.
@@ -338,7 +338,7 @@ def _put_rotor(root: Element, joint: str, armature: float) -> None:
 
 
 def _gear(text: str) -> float:
-    """Return a gear ratio; 0 where it is none."""
+    """Return a gear ratio; 0 if it is invalid."""
     gear = float(numbers(text, 1)[0])
     return gear if np.isfinite(gear) else 0.0
 

@@ -142,7 +142,7 @@ class _Edits:
         return tag.end()
 
     def _attributes(self, element: LocatedElement) -> Mapping[str, re.Match[bytes]]:
-        """Each attribute with the space before it; groups are its name and its quoted value."""
+        """Find each attribute with the space before it; groups are its name and quoted value."""
         at, found = self._named(element), {}
         while match := _ATTRIBUTE.match(self._data, at):
             found[match[1].decode()] = match

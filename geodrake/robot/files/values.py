@@ -35,7 +35,7 @@ def numbers(text: str, count: int) -> Array:
 
 
 def number(parent: Element, tag: str, attribute: str) -> float:
-    """A number in an attribute of a child; zero where it is left out, NaN where it is none."""
+    """Return the number in a child's attribute; 0 where it is left out, NaN if invalid."""
     child = parent.find(tag)
     return float(numbers("" if child is None else child.get(attribute, ""), 1)[0])
 

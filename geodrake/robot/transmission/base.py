@@ -312,7 +312,7 @@ class InSequence(Transmission):
         return self.stages[-1].num_joints, self.stages[0].num_actuators
 
     def inside(self, q: Array) -> Array:
-        """Where the first stage is known."""
+        """Return the interval where the first stage is known."""
         return self.stages[0].inside(q)
 
     @property
