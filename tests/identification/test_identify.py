@@ -102,7 +102,7 @@ BAD = {
     "both": ({"residual_bound": 1.0}, "Exactly one of gamma and residual_bound"),
     "gamma": ({"gamma": 0.0}, "gamma must be .* above 0; it is 0"),
     "b": ({"b": np.ones(3)}, r"b must be \(24,\) .* \(3,\)"),
-    "words": ({"b": ["1", "two"]}, "b must be .* it is of type"),
+    "words": ({"b": ["1", "two"]}, r"b must be \(24,\) finite real numbers; it is \['1', 'two'\]"),
     "ragged": ({"A": [[1.0, 2.0], [3.0]]}, "A must be .* it is"),
     "solver": ({"solver": "simplex"}, "No conic solver 'simplex' here; there are clarabel"),
     "no bodies": ({"prior": np.zeros((0, 10))}, "The prior has no bodies"),
