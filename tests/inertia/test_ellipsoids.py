@@ -1,4 +1,4 @@
-"""Ellipsoids: what fits into them, what is like them, what they enclose."""
+"""Ellipsoids: what fits into them, what is like them, and bodies that are drawn in them."""
 
 import numpy as np
 import pytest
@@ -6,30 +6,27 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from pydrake.geometry.optimization import Hyperellipsoid
 from pydrake.multibody.tree import SpatialInertia
+from random_points import random_rotation
 
 from geodrake.errors import ArgumentError
 from geodrake.inertia import (
+    Ellipsoid,
+    bounding_ellipsoid,
     change_frame,
+    equivalent_ellipsoid,
     from_mass_com_inertia,
     from_point_masses,
     from_spatial_inertia,
-)
-from geodrake.inertia.ellipsoids import (
-    Ellipsoid,
-    bounding_ellipsoid,
-    ellipsoid_of_quadric,
-    equivalent_ellipsoid,
+    is_physical,
     is_realizable,
-    realizability_row,
+    perturb,
+    pseudo_inertia,
+    riemannian_distance,
 )
+from geodrake.inertia.ellipsoids import ellipsoid_of_quadric, realizability_row
 
 SEEDS = st.integers(0, 2**32 - 1)
-EXAMPLES = settings(max_examples=40)
-
-
-def random_rotation(rng):
-    axes = np.linalg.qr(rng.normal(size=(3, 3)))[0]
-    return axes * np.sign(np.linalg.det(axes))
+EXAMPLES = settings(max_examples=20)
 
 
 def random_ellipsoid(rng):
@@ -38,47 +35,46 @@ def random_ellipsoid(rng):
 
 @EXAMPLES
 @given(SEEDS)
-def test_quadric_is_positive_inside(seed):
+def test_ellipsoids_are_drakes(seed):
     rng = np.random.default_rng(seed)
-    ellipsoid = random_ellipsoid(rng)
-    points = ellipsoid.center + rng.normal(0, 0.3, (200, 3))
-    lifted = np.column_stack([points, np.ones(200)])
-    level = np.einsum("ki,ij,kj->k", lifted, ellipsoid.quadric, lifted)
-    np.testing.assert_array_equal(level >= 0, ellipsoid.contains(points))
-    again = ellipsoid_of_quadric(7.0 * ellipsoid.quadric)
-    np.testing.assert_allclose(again.center, ellipsoid.center, atol=1e-9)
-    np.testing.assert_allclose(np.sort(again.semi_axes), np.sort(ellipsoid.semi_axes), rtol=1e-9)
-    np.testing.assert_allclose(again.quadric, ellipsoid.quadric, atol=1e-9 * np.abs(level).max())
-
-
-@EXAMPLES
-@given(SEEDS)
-def test_contains_and_volume_are_drakes(seed):
-    rng = np.random.default_rng(seed)
-    ellipsoid = random_ellipsoid(rng)
+    ellipsoid, mass = random_ellipsoid(rng), rng.uniform(0.1, 10.0)
     A = np.diag(1 / ellipsoid.semi_axes) @ ellipsoid.rotation.T
     theirs = Hyperellipsoid(A, ellipsoid.center)
     np.testing.assert_allclose(ellipsoid.volume, theirs.CalcVolume(), rtol=1e-12)
     points = ellipsoid.center + rng.normal(0, 0.3, (50, 3))
-    expected = [theirs.PointInSet(point) for point in points]
-    np.testing.assert_array_equal(ellipsoid.contains(points), expected)
+    inside = ellipsoid.contains(points)
+    np.testing.assert_array_equal(inside, [theirs.PointInSet(point) for point in points])
+    lifted = np.column_stack([points, np.ones(50)])
+    level = np.einsum("ki,ij,kj->k", lifted, ellipsoid.quadric, lifted)
+    np.testing.assert_array_equal(level >= 0, inside)
+    solid = SpatialInertia.SolidEllipsoidWithMass(mass, *ellipsoid.semi_axes)
+    expected = change_frame(from_spatial_inertia(solid), ellipsoid.rotation, ellipsoid.center)
+    np.testing.assert_allclose(ellipsoid.uniform_body(mass), expected, rtol=1e-12, atol=1e-13)
 
 
 @EXAMPLES
 @given(SEEDS)
-def test_uniform_body_is_drakes_and_its_own_equivalent(seed):
+def test_ellipsoids_come_back_from_their_quadrics_and_bodies(seed):
     rng = np.random.default_rng(seed)
-    ellipsoid, mass = random_ellipsoid(rng), rng.uniform(0.1, 10.0)
-    phi = ellipsoid.uniform_body(mass)
-    a, b, c = ellipsoid.semi_axes
-    theirs = SpatialInertia.SolidEllipsoidWithMass(mass, a, b, c)
-    own_frame = from_spatial_inertia(theirs)
-    expected = change_frame(own_frame, ellipsoid.rotation, ellipsoid.center)
-    np.testing.assert_allclose(phi, expected, rtol=1e-12, atol=1e-13)
-    again = equivalent_ellipsoid(phi)
-    np.testing.assert_allclose(again.quadric, ellipsoid.quadric, rtol=1e-7, atol=1e-7)
-    assert np.linalg.det(again.rotation) == pytest.approx(1.0)
-    np.testing.assert_allclose(realizability_row(ellipsoid.quadric) @ phi, 0.4 * phi[0], rtol=1e-9)
+    one, two = random_ellipsoid(rng), random_ellipsoid(rng)
+    both = Ellipsoid(
+        np.stack([one.center, two.center]),
+        np.stack([one.semi_axes, two.semi_axes]),
+        np.stack([one.rotation, two.rotation]),
+    )
+    bodies = both.uniform_body([1.0, 2.0])
+    for again in (ellipsoid_of_quadric(7.0 * both.quadric), equivalent_ellipsoid(bodies)):
+        np.testing.assert_allclose(again.quadric[0], one.quadric, rtol=1e-7, atol=1e-7)
+        np.testing.assert_allclose(again.quadric[1], two.quadric, rtol=1e-7, atol=1e-7)
+        np.testing.assert_allclose(again.center, both.center, atol=1e-9)
+        np.testing.assert_allclose(np.linalg.det(again.rotation), 1.0)
+    rows = realizability_row(both.quadric)
+    np.testing.assert_allclose((rows * bodies).sum(-1), [0.4, 0.8], rtol=1e-9)
+    assert is_realizable(bodies, both.quadric).all()
+    # One shape at two places, and one ellipsoid of two masses.
+    places = Ellipsoid(both.center, one.semi_axes, one.rotation)
+    assert places.rotation.shape == (2, 3, 3)
+    assert places.uniform_body(1.0).shape == one.uniform_body([1.0, 2.0]).shape == (2, 10)
 
 
 @EXAMPLES
@@ -96,71 +92,74 @@ def test_mass_inside_is_realizable(seed):
     assert not is_realizable(-phi, ellipsoid.quadric)
 
 
-def test_several_at_once():
-    rng = np.random.default_rng(1)
-    one, two = random_ellipsoid(rng), random_ellipsoid(rng)
-    both = Ellipsoid(
-        np.stack([one.center, two.center]),
-        np.stack([one.semi_axes, two.semi_axes]),
-        np.stack([one.rotation, two.rotation]),
-    )
-    np.testing.assert_allclose(both.quadric[1], two.quadric)
-    np.testing.assert_allclose(both.uniform_body([1.0, 2.0])[1], two.uniform_body(2.0))
-    assert both.random_points(rng, (5, 2)).shape == (5, 2, 3)
-    assert both.contains(both.random_points(rng, (5, 2))).all()
-    like = equivalent_ellipsoid(both.uniform_body([1.0, 2.0]))
-    np.testing.assert_allclose(like.quadric[0], one.quadric, rtol=1e-7, atol=1e-7)
-    assert is_realizable(both.uniform_body([1.0, 2.0]), both.quadric).all()
-    np.testing.assert_allclose(ellipsoid_of_quadric(both.quadric).center, both.center)
-    # One shape at two places, and one ellipsoid of two masses.
-    places = Ellipsoid(both.center, one.semi_axes, one.rotation)
-    assert places.rotation.shape == (2, 3, 3)
-    assert places.uniform_body(1.0).shape == one.uniform_body([1.0, 2.0]).shape == (2, 10)
+@EXAMPLES
+@given(SEEDS, st.integers(4, 60))
+def test_bounding_ellipsoid_contains_all_and_is_tight(seed, count):
+    rng = np.random.default_rng(seed)
+    points = rng.normal(0, [0.5, 0.1, 0.02], (count, 3)) @ random_rotation(rng) + 1.0
+    ellipsoid = bounding_ellipsoid(points)
+    assert ellipsoid.contains(points).all()
+    theirs = Hyperellipsoid.MinimumVolumeCircumscribedEllipsoid(points.T)
+    np.testing.assert_allclose(ellipsoid.volume, theirs.CalcVolume(), rtol=1e-3)
 
 
-class TestBounding:
-    @EXAMPLES
-    @given(SEEDS, st.integers(4, 60))
-    def test_contains_all_and_is_tight(self, seed, count):
-        rng = np.random.default_rng(seed)
-        points = rng.normal(0, [0.5, 0.1, 0.02], (count, 3)) @ random_rotation(rng) + 1.0
-        ellipsoid = bounding_ellipsoid(points)
-        assert ellipsoid.contains(points).all()
-        theirs = Hyperellipsoid.MinimumVolumeCircumscribedEllipsoid(points.T)
-        np.testing.assert_allclose(ellipsoid.volume, theirs.CalcVolume(), rtol=1e-3)
-
-    def test_of_a_box(self):
-        corners = np.array([[x, y, z] for x in (-1, 1) for y in (-2, 2) for z in (-3, 3)])
-        ellipsoid = bounding_ellipsoid(corners)
-        np.testing.assert_allclose(
-            np.sort(ellipsoid.semi_axes), np.sqrt(3) * np.array([1, 2, 3]), rtol=1e-6
-        )
+def test_impossible_bodies():
+    flat = from_mass_com_inertia(1.0, np.ones(3), np.diag([1.0, 0.3, 0.3]))
+    with pytest.raises(ArgumentError, match="No body"):
+        equivalent_ellipsoid(flat)
+    drawn = equivalent_ellipsoid(flat, least_semi_axis=0.01)
+    assert drawn.semi_axes[0] == pytest.approx(0.01)
+    for phi, least, message in (
+        (-flat, 0.01, "No body"),
+        (np.full(10, np.nan), 0.01, "nan"),
+        (drawn.uniform_body(1.0), -1.0, "at least 0"),
+    ):
+        with pytest.raises(ArgumentError, match=message):
+            equivalent_ellipsoid(phi, least_semi_axis=least)
 
 
-class TestBadInput:
-    def test_impossible_body(self):
-        flat = from_mass_com_inertia(1.0, np.ones(3), np.diag([1.0, 0.3, 0.3]))
-        with pytest.raises(ArgumentError, match="No body"):
-            equivalent_ellipsoid(flat)
-        drawn = equivalent_ellipsoid(flat, least_semi_axis=0.01)
-        assert drawn.semi_axes[0] == pytest.approx(0.01)
-        with pytest.raises(ArgumentError, match="No body"):
-            equivalent_ellipsoid(-flat, least_semi_axis=0.01)
-        with pytest.raises(ArgumentError, match="nan"):
-            equivalent_ellipsoid(np.full(10, np.nan), least_semi_axis=0.01)
-        with pytest.raises(ArgumentError, match="at least 0"):
-            equivalent_ellipsoid(drawn.uniform_body(1.0), least_semi_axis=-1.0)
+def test_wrong_quadrics():
+    Q = Ellipsoid(np.zeros(3), np.ones(3), np.eye(3)).quadric
+    for wrong, message in (
+        (-Q, "turn its sign"),
+        (Q - 2.0 * np.diag([0, 0, 0, Q[3, 3]]), "nowhere"),
+        (Q + np.eye(4, k=1), "symmetric"),
+        (np.nan * Q, "finite"),
+    ):
+        with pytest.raises(ArgumentError, match=message):
+            ellipsoid_of_quadric(wrong)
+    with pytest.raises(ArgumentError, match=r"\(3, 3\)"):
+        is_realizable(np.ones(10), np.eye(3))
 
-    def test_wrong_sign_of_quadric(self):
-        Q = Ellipsoid(np.zeros(3), np.ones(3), np.eye(3)).quadric
-        with pytest.raises(ArgumentError, match="turn its sign"):
-            ellipsoid_of_quadric(-Q)
-        Q[3, 3] = -1.0
-        with pytest.raises(ArgumentError, match="nowhere"):
-            ellipsoid_of_quadric(Q)
-        with pytest.raises(ArgumentError, match="symmetric"):
-            ellipsoid_of_quadric(Q + np.eye(4, k=1))
-        with pytest.raises(ArgumentError, match="finite"):
-            ellipsoid_of_quadric(np.nan * Q)
-        with pytest.raises(ArgumentError, match=r"\(3, 3\)"):
-            is_realizable(np.ones(10), np.eye(3))
+
+class TestPerturbedBodies:
+    PHI = Ellipsoid(
+        np.array([[0.0, 0.0, 0.1], [0.2, 0.0, 0.0], [0.0, -0.1, 0.05]]),
+        np.array([[0.05, 0.06, 0.2], [0.2, 0.05, 0.05], [0.1, 0.1, 0.1]]),
+        np.eye(3)[None].repeat(3, 0),
+    ).uniform_body([4.0, 2.5, 0.5])
+
+    def drawn(self, count, seed=0, **options):
+        return perturb(self.PHI, count, rng=np.random.default_rng(seed), **options)
+
+    def test_all_are_physical_and_as_far_as_said(self):
+        made = self.drawn(100)
+        assert made.phi.shape == (100, 3, 10)
+        assert is_physical(made.phi).all()
+        np.testing.assert_allclose(made.distances, riemannian_distance(made.phi, self.PHI))
+        assert (made.distances > 0).all()
+        np.testing.assert_array_equal(self.drawn(100).phi, made.phi)
+
+    def test_only_mass_inside_of_the_support_is_added_or_taken(self):
+        own = equivalent_ellipsoid(self.PHI)
+        for support, asked in ((own, None), (own.scaled(0.1), own.scaled(0.1))):
+            change = self.drawn(100, mass_uncertainty=0.3, support=asked).phi - self.PHI
+            # Ten point masses of one sign inside of the ellipsoid are a body that fits into it.
+            body = np.sign(change[..., :1]) * change
+            assert (np.linalg.eigvalsh(pseudo_inertia(body)) > -1e-12).all()
+            assert is_realizable(body, support.quadric).all()
+
+    def test_impossible_draws_are_counted_and_replaced(self):
+        made = self.drawn(200, mass_uncertainty=0.9, point_masses=3)
+        assert made.rejected > 0
+        assert is_physical(made.phi).all()

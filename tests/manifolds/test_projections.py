@@ -5,18 +5,11 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from pydrake.solvers import ClarabelSolver, MathematicalProgram, SolverOptions
-from scipy.optimize import brentq
+from random_points import other_view, random_inertia, random_point, round_inertia
 
 from geodrake.errors import ArgumentError, ConvergenceError
-from geodrake.inertia import (
-    change_frame,
-    change_units,
-    dual,
-    from_pseudo_inertia,
-    pseudo_inertia,
-    pseudo_inertia_basis,
-)
-from geodrake.inertia.ellipsoids import Ellipsoid, realizability_row
+from geodrake.inertia import Ellipsoid, pseudo_inertia_basis
+from geodrake.inertia.ellipsoids import realizability_row
 from geodrake.manifolds import (
     ConstrainedInertia,
     Free,
@@ -35,102 +28,52 @@ from geodrake.manifolds.projections import (
 from geodrake.manifolds.slabs import half_space_projection
 
 SEEDS = st.integers(0, 2**32 - 1)
-EXAMPLES = settings(max_examples=25)
 HULL = Ellipsoid(np.array([0.2, -0.1, 0.0]), np.array([14.0, 15.0, 16.0]), np.eye(3))
 CONSTRAINED = ConstrainedInertia(realizability_row(HULL.quadric)[None], np.zeros(1), 0.7)
-PRODUCT = Product((PhysicalInertia(), Positive(2), Free(1)), (2.0, 0.5, 1.0))
 MANIFOLDS = {
-    "positive": Positive(3),
     "interval": Interval((-1.0, 0.0, 0.0), (1.0, 5.0, 2.0)),
     "inertia": PhysicalInertia(),
     "constrained": CONSTRAINED,
-    "product": PRODUCT,
+    "product": Product((PhysicalInertia(), Positive(2), Free(1)), (2.0, 0.5, 1.0)),
 }
 
 
-def random_inertia(rng, size=()):
-    root = rng.normal(size=(*size, 4, 4))
-    return from_pseudo_inertia(root @ np.swapaxes(root, -1, -2) + 0.1 * np.eye(4))
-
-
-def random_point(manifold, rng):
-    if isinstance(manifold, Product):
-        return np.concatenate([random_point(factor, rng) for factor in manifold.manifolds])
-    if isinstance(manifold, PhysicalInertia | ConstrainedInertia):
-        return random_inertia(rng)
-    lower = np.maximum(manifold.lower, -5.0)
-    return rng.uniform(lower + 0.05, np.minimum(manifold.upper, lower + 5.0) - 0.05)
-
-
 def random_set(inside, rng):
-    """A polyhedron of any kind around a point."""
+    """A polyhedron of any kind around a point, and whether it is flat."""
     k, kind = rng.integers(1, 4), rng.integers(0, 4)
     A = rng.normal(size=(k, len(inside)))
     value, width = A @ inside, rng.uniform(0.01, 0.5, (2, k))
     if kind == 0:
-        return affine_set(A[:2], value[:2])
+        return affine_set(A[:2], value[:2]), True
     lower, upper = value - width[0], value + width[1]
     if kind == 1:
-        return Polyhedron(A, lower, np.full(k, np.inf))
+        return Polyhedron(A, lower, np.full(k, np.inf)), False
     if kind == 2:
-        return slab(A[0], lower[0], upper[0])
+        return slab(A[0], lower[0], upper[0]), False
     lower[0] = upper[0] = value[0]
-    return Polyhedron(np.concatenate([A, A]), np.tile(lower, 2), np.tile(upper, 2))
+    return Polyhedron(np.concatenate([A, A]), np.tile(lower, 2), np.tile(upper, 2)), False
 
 
 @pytest.mark.parametrize("manifold", MANIFOLDS.values(), ids=MANIFOLDS)
-class TestEverywhere:
-    @EXAMPLES
-    @given(SEEDS)
-    def test_pythagorean_inequality(self, manifold, seed):
-        rng = np.random.default_rng(seed)
-        x, truth = random_point(manifold, rng), random_point(manifold, rng)
-        constraints = random_set(truth, rng)
-        y = bregman_projection(manifold, x, constraints)
-        assert manifold.contains(y)
-        assert constraints.violation(y).max() < 1e-9
-        before, after = manifold.divergence(truth, x), manifold.divergence(truth, y)
-        moved = manifold.divergence(y, x)
-        assert before >= after + moved - 1e-9 * (1 + before)  # [Lee2019] Eq. (2.2.12)
-        stays = bregman_projection(manifold, truth, constraints)
-        np.testing.assert_allclose(stays, truth, atol=1e-12 * np.abs(truth).max())
-
-    @EXAMPLES
-    @given(SEEDS)
-    def test_projection_onto_affine_sets_is_orthogonal(self, manifold, seed):
-        """Where (2.2.12) is an equation."""
-        rng = np.random.default_rng(seed)
-        x, truth = random_point(manifold, rng), random_point(manifold, rng)
-        A = rng.normal(size=(2, manifold.dimension))
-        y = bregman_projection(manifold, x, affine_set(A, A @ truth))
-        sides = manifold.divergence(truth, y) + manifold.divergence(y, x)
-        np.testing.assert_allclose(sides, manifold.divergence(truth, x), rtol=1e-8)
-
-
-@EXAMPLES
-@given(SEEDS)
-def test_halfspace_of_inertias_in_closed_form(seed):
-    """P(y)⁻¹ = P(x)⁻¹ − λ X(a), with λ a root."""
+@settings(max_examples=25)
+@given(seed=SEEDS)
+def test_pythagorean_inequality(manifold, seed):
     rng = np.random.default_rng(seed)
-    x, inside, a = random_inertia(rng), random_inertia(rng), rng.normal(size=10)
-    b = a @ inside
-    a, b = (a, b) if a @ x < b else (-a, -b)
-    inverse = np.linalg.inv(pseudo_inertia(x))
-    L = np.linalg.cholesky(pseudo_inertia(x))
-    rates = np.linalg.eigvalsh(L.T @ dual(a) @ L)
-    most = 1 / rates.max() if rates.max() > 0 else np.inf
-
-    def value(multiplier):
-        return (rates / (1 - multiplier * rates)).sum() - b
-
-    low = most * (1 - 1e-15) if np.isfinite(most) else 1e12
-    multiplier = brentq(value, 0.0, low, xtol=1e-300, rtol=1e-15)
-    expected = from_pseudo_inertia(np.linalg.inv(inverse - multiplier * dual(a)))
-    y = bregman_projection(PhysicalInertia(), x, halfspace(a, b))
-    np.testing.assert_allclose(y, expected, atol=1e-9 * np.abs(expected).max(), rtol=0)
+    x, truth = random_point(manifold, rng, 2)
+    constraints, flat = random_set(truth, rng)
+    y = bregman_projection(manifold, x, constraints)
+    assert manifold.contains(y)
+    assert constraints.violation(y).max() < 1e-9
+    before, after = manifold.divergence(truth, x), manifold.divergence(truth, y)
+    moved = manifold.divergence(y, x)
+    assert before >= after + moved - 1e-9 * (1 + before)  # [Lee2019] Eq. (2.2.12)
+    if flat:  # there it is an equation
+        assert before == pytest.approx(after + moved, rel=1e-8)
+    stays = bregman_projection(manifold, truth, constraints)
+    np.testing.assert_allclose(stays, truth, atol=1e-12 * np.abs(truth).max())
 
 
-@EXAMPLES
+@settings(max_examples=15)
 @given(SEEDS)
 def test_half_space_projections_are_those_onto_polyhedra(seed):
     """Of one body, of all bodies, and of parameters of all kinds together."""
@@ -143,7 +86,7 @@ def test_half_space_projections_are_those_onto_polyhedra(seed):
         CONSTRAINED,
     )
     manifold = Product(factors, (1.0, 1.0, 2.0, 0.5, 1.0))
-    n, x = manifold.dimension, np.concatenate([random_point(factor, rng) for factor in factors])
+    n, x = manifold.dimension, random_point(manifold, rng)
     mass, total, skewed, everything = np.zeros((4, n))
     mass[0] = total[[0, 11]] = 1.0
     skewed[:10], skewed[11:21] = rng.normal(size=(2, 10))
@@ -156,10 +99,10 @@ def test_half_space_projections_are_those_onto_polyhedra(seed):
         assert manifold.divergence(y, nearest) < 1e-12
 
 
-@pytest.mark.parametrize("seed", range(4))
+@pytest.mark.parametrize("seed", range(2))
 def test_polyhedra_of_inertias_against_clarabel(seed):
     rng = np.random.default_rng(seed)
-    x, inside = random_inertia(rng, (2,))
+    x, inside = random_inertia(rng, 2)
     A = rng.normal(size=(4, 10))
     lower, upper = A @ inside - 0.05, A @ inside + 0.1
     program = MathematicalProgram()
@@ -182,21 +125,16 @@ def test_polyhedra_of_inertias_against_clarabel(seed):
     assert divergence(ours, x) <= divergence(theirs, x) * (1 + 1e-10)
 
 
-@EXAMPLES
+@settings(max_examples=10)
 @given(SEEDS, st.floats(1e-3, 1e3), st.floats(1e-3, 1e3))
 def test_projection_knows_no_frame_and_no_units(seed, metre, kilogram):
     rng = np.random.default_rng(seed)
-    R, p = np.linalg.qr(rng.normal(size=(3, 3)))[0], rng.uniform(-1, 1, 3)
-
-    def seen(phi):
-        return change_units(change_frame(phi, R, p), metre=metre, kilogram=kilogram)
-
-    x, inside = from_pseudo_inertia(np.eye(4) + 0.1 * pseudo_inertia(random_inertia(rng, (2,))))
-    A, matrix = rng.normal(size=(2, 10)), seen(np.eye(10)).T
+    view, (x, inside) = other_view(rng, metre, kilogram), round_inertia(rng, 2)
+    A = rng.normal(size=(2, 10))
     lower, upper = A @ inside - 0.01, A @ inside + 0.01
     y = bregman_projection(PhysicalInertia(), x, Polyhedron(A, lower, upper))
-    turned = Polyhedron(A @ np.linalg.inv(matrix), lower, upper)
-    back = np.linalg.solve(matrix, bregman_projection(PhysicalInertia(), seen(x), turned))
+    seen = Polyhedron(A @ np.linalg.inv(view), lower, upper)
+    back = np.linalg.solve(view, bregman_projection(PhysicalInertia(), view @ x, seen))
     np.testing.assert_allclose(back, y, atol=1e-8 * np.abs(y).max())
 
 
@@ -204,7 +142,7 @@ def test_rows_that_barely_bind():
     """Where an interior-point method alone is only as precise as the root of its gap."""
     rng = np.random.default_rng(5)
     for _ in range(10):
-        x, inside = random_inertia(rng, (2,))
+        x, inside = random_inertia(rng, 2)
         a, other = rng.normal(size=(2, 10))
         a *= np.sign(a @ inside - a @ x)
         y = bregman_projection(PhysicalInertia(), x, halfspace(a, a @ inside))

@@ -1,0 +1,42 @@
+"""Random bodies, points of manifolds, and ways to state bodies."""
+
+import numpy as np
+
+from geodrake.inertia import change_frame, change_units, from_pseudo_inertia
+from geodrake.manifolds import ConstrainedInertia, PhysicalInertia, Product
+
+
+def random_rotation(rng):
+    axes = np.linalg.qr(rng.normal(size=(3, 3)))[0]
+    return axes * np.sign(np.linalg.det(axes))
+
+
+def random_matrices(rng, *size, n=4):
+    """Symmetric positive-definite ones."""
+    root = rng.normal(size=(*size, n, n))
+    return root @ np.swapaxes(root, -1, -2) + 0.1 * np.eye(n)
+
+
+def random_inertia(rng, *size):
+    return from_pseudo_inertia(random_matrices(rng, *size))
+
+
+def round_inertia(rng, *size):
+    """Bodies close to a ball, of which rounding stays small in other frames and units."""
+    return from_pseudo_inertia(np.eye(4) + 0.1 * random_matrices(rng, *size))
+
+
+def random_point(manifold, rng, *size):
+    if isinstance(manifold, Product):
+        return np.concatenate([random_point(m, rng, *size) for m in manifold.manifolds], -1)
+    if isinstance(manifold, PhysicalInertia | ConstrainedInertia):
+        return random_inertia(rng, *size)
+    lower = np.maximum(manifold.lower, np.minimum(np.subtract(manifold.upper, 5.0), -5.0))
+    upper = np.minimum(manifold.upper, lower + 5.0)
+    return rng.uniform(lower + 0.1, upper - 0.1, (*size, manifold.dimension))
+
+
+def other_view(rng, metre, kilogram):
+    """The matrix (10, 10) that states φ in another frame and other units."""
+    seen = change_frame(np.eye(10), random_rotation(rng), rng.uniform(-1, 1, 3))
+    return change_units(seen, metre=metre, kilogram=kilogram).T
