@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from identified_bodies import THREE as PRIOR
-from test_newton import constrained, cost, example
+from identified_bodies import constrained, cost, entropic_fit, random_data
 
 from geodrake.errors import IdentificationError
 from geodrake.identification import BodyConstraints, conic_fit, identify
@@ -15,14 +15,6 @@ from geodrake.identification.conic_fit import build_fit, certified
 from geodrake.identification.identify import REGULARIZERS
 from geodrake.identification.newton import solve_newton
 from geodrake.inertia import pseudo_inertia_basis
-
-
-def data(seed, rows=45):
-    """(A, b) of three bodies and two scalars of which one will be at its bound."""
-    rng = np.random.default_rng(seed)
-    A = rng.normal(size=(rows, PRIOR.size + 2))
-    truth = np.append((PRIOR * rng.uniform(0.6, 1.5, (3, 1))).ravel(), [1.0, 2.0])
-    return A, A @ truth + 0.3 * rng.normal(size=rows)
 
 
 def moved(fit, share):
@@ -33,36 +25,35 @@ def moved(fit, share):
 
 
 @pytest.mark.parametrize("regularizer", REGULARIZERS)
-@pytest.mark.parametrize("form", ["gamma", "residual_bound"])
-def test_what_is_reported_is_certified(regularizer, form):
-    A, b = data(2)
+def test_what_is_reported_is_certified(regularizer):
+    A, b = random_data(2, PRIOR, rows=45, extra=2, scale=(0.6, 1.5))
+    b -= A[:, 30]  # of a scalar that is 1, and will be at its bound
     options = {"regularizer": regularizer, "extra_bounds": [[0.0, 0.5], [0.0, 9.0]]}
-    found = identify(A, b, PRIOR, gamma=0.5, **options)
-    if form == "residual_bound":
-        found = identify(A, b, PRIOR, residual_bound=1.2 * found.residual, **options)
-    told = found.certificate
-    assert told.holds and not told.replaced and told.solver == "clarabel"
-    assert told.scope == ("local" if regularizer == "riemannian" else "global")
-    assert told.gap < 1e-6 * told.cost and "certified by clarabel" in found.notes[-1]
+    first = identify(A, b, PRIOR, gamma=0.5, **options)
+    bound = identify(A, b, PRIOR, residual_bound=1.2 * first.residual, **options)
+    for found in (first, bound):
+        told = found.certificate
+        assert told.holds and not told.replaced and told.solver == "clarabel"
+        assert told.scope == ("local" if regularizer == "riemannian" else "global")
+        assert told.gap < 1e-6 * told.cost and "certified by clarabel" in found.notes[-1]
     assert identify(A, b, PRIOR, gamma=0.5, certify=False, **options).certificate is None
 
 
-@pytest.mark.parametrize("share", [1e-2, -1e-2])
-def test_a_fit_that_is_no_minimum_gives_way_to_that_of_the_program(share):
-    problem = constrained(example(1, gamma=0.5, rows=40))
+def test_a_fit_that_is_no_minimum_gives_way_to_that_of_the_program():
+    problem = constrained(entropic_fit(1, gamma=0.5, rows=40))
     fit = solve_newton(problem)
-    told = certified(problem, moved(fit, share))  # the total mass is wrong
+    told = certified(problem, moved(fit, 1e-2))  # the total mass is wrong
     assert told.certificate.replaced and told.certificate.holds and told.solver == "clarabel"
     assert "outside constraints" in told.note
     np.testing.assert_allclose(told.x, fit.x, rtol=1e-5, atol=1e-7)
-    free = example(1, gamma=0.5, rows=40)
-    better = certified(free, moved(solve_newton(free), share))
+    free = entropic_fit(1, gamma=0.5, rows=40)
+    better = certified(free, moved(solve_newton(free), 1e-2))
     assert better.certificate.replaced and "above the least cost" in better.note
-    assert cost(free, better.x) < cost(free, moved(solve_newton(free), share).x)
+    assert cost(free, better.x) < cost(free, moved(solve_newton(free), 1e-2).x)
 
 
 def test_no_fit_is_certified_without_a_solution_of_the_program(monkeypatch):
-    problem = example(1, gamma=0.5, rows=40)
+    problem = entropic_fit(1, gamma=0.5, rows=40)
     fit = solve_newton(problem)
 
     def fails(*_):
@@ -75,10 +66,10 @@ def test_no_fit_is_certified_without_a_solution_of_the_program(monkeypatch):
     assert "No digits are left" in told.notes[-1]
 
 
-@settings(max_examples=8)
+@settings(max_examples=4)
 @given(st.integers(0, 999), st.floats(-4.0, 4.0), st.floats(1e-5, 0.3))
 def test_the_gap_bounds_how_far_any_parameters_are_from_the_least_cost(seed, log_gamma, share):
-    problem = example(seed, gamma=10.0**log_gamma, rows=40)
+    problem = entropic_fit(seed, gamma=10.0**log_gamma, rows=40)
     fit = solve_newton(problem)
     wrong = moved(fit, share)
     program = build_fit(problem, centre=fit.x)
@@ -93,7 +84,7 @@ def test_the_gap_bounds_how_far_any_parameters_are_from_the_least_cost(seed, log
 
 def test_cvxpy_finds_no_lower_cost_than_the_certificate_says():
     cp = pytest.importorskip("cvxpy")
-    problem = constrained(example(4, gamma=0.2, rows=40))
+    problem = constrained(entropic_fit(4, gamma=0.2, rows=40))
     told = certified(problem, solve_newton(problem)).certificate
     x = cp.Variable(problem.size)
     value = cp.sum_squares(problem.factor[:, :-1] @ x - problem.factor[:, -1])
@@ -120,23 +111,10 @@ def test_a_minimum_around_which_the_cost_is_not_convex_is_not_certified():
     assert told.scope == "local" and not told.holds and "not convex" in told.failure
 
 
-@pytest.mark.parametrize("regularizer", ["euclidean", "pullback", "entropic", "riemannian"])
+@pytest.mark.parametrize("regularizer", REGULARIZERS)
 def test_a_prior_that_fits_already_is_certified(regularizer):
     """The cost is rounding, which is nothing beside γ."""
     A = np.random.default_rng(6).normal(size=(40, 30))
     found = identify(A, A @ PRIOR.ravel(), PRIOR, regularizer=regularizer, gamma=1.0)
     np.testing.assert_allclose(found.phi, PRIOR, atol=1e-9)
     assert found.certificate.holds
-
-
-def test_costs_that_drake_evaluates_are_those_of_the_source():
-    problem = constrained(example(1, gamma=0.3, rows=40))
-    program = build_fit(problem)
-    points = [solve_newton(problem).x, problem.prior_mean]
-    values = [program.point(x) for x in points]
-    drakes = [
-        sum(program.program.EvalBinding(c, v)[0] for c in program.program.GetAllCosts())
-        for v in values
-    ]
-    own = cost(problem, points[0]) - cost(problem, points[1])
-    assert program.cost_scale * (drakes[0] - drakes[1]) == pytest.approx(own, rel=1e-10)

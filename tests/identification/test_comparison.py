@@ -7,6 +7,7 @@ from identified_bodies import random_data
 
 from geodrake.errors import ArgumentError, IdentificationError
 from geodrake.identification import (
+    REGULARIZERS,
     PointMasses,
     PointMassEuclidean,
     PointMassKL,
@@ -35,27 +36,18 @@ def test_a_regularizer_has_its_own_prior_of_scalars():
         compare_regularizers(A, b, PRIOR, extra_priors={"pulback": [3.0]}, **kinds)
 
 
-@pytest.mark.parametrize(
-    ("reference", "gamma"), [("euclidean", 2000.0), ("entropic", 20.0), ("riemannian", 20.0)]
-)
+@pytest.mark.parametrize(("reference", "gamma"), [("euclidean", 2000.0), ("riemannian", 20.0)])
 def test_all_residuals_are_equal(reference, gamma):
     A, b = data(0, rows=40, extra=1, noise=0.1)
     points = PointMasses.of_bodies(PRIOR, 30)
     kinds = ["euclidean", "pullback", "entropic", "riemannian"]
+    regularizers = [*kinds, PointMassEuclidean(points), PointMassKL(points)]
+    options = {"gamma": gamma, "sigma": 0.3, "extra_bounds": [[0.0, np.inf]]}
     found = compare_regularizers(
-        A,
-        b,
-        PRIOR,
-        gamma=gamma,
-        reference=reference,
-        regularizers=[*kinds, PointMassEuclidean(points), PointMassKL(points)],
-        extra_bounds=[[0.0, np.inf]],
-        sigma=0.3,
+        A, b, PRIOR, reference=reference, regularizers=regularizers, **options
     )
     assert list(found.results) == [*kinds, "point_mass_euclidean", "point_mass_kl"]
-    alone = identify(
-        A, b, PRIOR, regularizer=reference, gamma=gamma, sigma=0.3, extra_bounds=[[0.0, np.inf]]
-    )
+    alone = identify(A, b, PRIOR, regularizer=reference, **options)
     assert found.residual == pytest.approx(alone.residual, rel=1e-9)
     for name, result in found.results.items():
         x = np.append(result.phi.ravel(), result.extra)
@@ -68,21 +60,10 @@ def test_each_regularizer_is_best_by_its_own_measure():
     """Among solutions of one residual, none is closer to the prior in a regularizer's distance."""
     A, b = data(1)
     found = compare_regularizers(A, b, PRIOR, gamma=0.5)
-    from geodrake.identification import REGULARIZERS
-
     for name, own in found.results.items():
         measure = REGULARIZERS[name]().divergence
         others = [measure(other.phi, PRIOR) for other in found.results.values()]
         assert own.divergence <= min(others) * (1 + 1e-6)
-
-
-def test_least_squares_is_that_of_numpy():
-    A, b = data(3, rows=60)
-    result = least_squares(A, b, bodies=2)
-    expected, residual = np.linalg.lstsq(A, b)[:2]
-    np.testing.assert_allclose(result.x, expected, rtol=1e-9)
-    assert result.residual == pytest.approx(residual[0], rel=1e-9)
-    assert result.rank == 20 and result.directions.shape == (0, 20)
 
 
 def test_open_directions_are_named():
@@ -112,7 +93,10 @@ def test_physical_least_squares_is_the_limit_of_a_weak_prior():
     assert is_physical(result.x.reshape(2, 10)).all() and result.active_blocks
     weak = identify(A, b, PRIOR, regularizer="pullback", gamma=1e-6)
     assert result.residual == pytest.approx(weak.residual, rel=1e-4)
-    assert result.residual > least_squares(A, b).residual
+    free, (expected, residual) = least_squares(A, b, bodies=2), np.linalg.lstsq(A, b)[:2]
+    np.testing.assert_allclose(free.x, expected, rtol=1e-9)
+    assert result.residual > free.residual == pytest.approx(residual[0], rel=1e-9)
+    assert free.rank == 20 and free.directions.shape == (0, 20)
     easy = data(6, rows=60, noise=1e-6)
     inside = physical_least_squares(*easy, PRIOR)
     np.testing.assert_allclose(inside.x, least_squares(*easy).x, rtol=1e-6)

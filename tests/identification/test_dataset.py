@@ -137,9 +137,8 @@ def test_factors_are_those_of_the_dense_columns(model, trajectories, folds, data
             )
 
 
-@pytest.mark.parametrize("chunk", [300, 1111])
-def test_chunks_change_nothing(model, trajectories, folds, dataset, chunk, monkeypatch):
-    monkeypatch.setattr(reduce, "CHUNK", chunk)
+def test_chunks_change_nothing(model, trajectories, folds, dataset, monkeypatch):
+    monkeypatch.setattr(reduce, "CHUNK", 300)
     pieces = reduce_logs(model, trajectories, folds, effects=EFFECTS)
     np.testing.assert_array_equal(pieces.samples, dataset.samples)
     np.testing.assert_allclose(pieces.effort_std, dataset.effort_std)
@@ -185,14 +184,11 @@ def test_joint_at_rest_has_no_rows_of_that_time(model):
     assert ((shoulder > 15.5) & (shoulder < 24.5)).sum() > 80
 
 
-@pytest.mark.parametrize("value", [0.0, 3.3])
-def test_effort_that_never_changes_is_refused(model, value):
+def test_effort_that_never_changes_is_refused(model):
     log = pendulum_log(5, seconds=20.0)
-    flat = replace(log, effort=np.column_stack([log.effort[:, 0], np.full(len(log), value)]))
+    flat = replace(log, effort=np.column_stack([log.effort[:, 0], np.full(len(log), 3.3)]))
     trajectories = prepare_logs([flat], bandwidth=8.0)
-    with pytest.raises(
-        LogError, match=rf"effort of elbow never changes in the log: it is {value:g} "
-    ):
+    with pytest.raises(LogError, match=r"effort of elbow never changes in the log: it is 3\.3 "):
         reduce_logs(model, trajectories, validation_blocks(trajectories), effects=())
 
 
@@ -206,15 +202,14 @@ def test_joint_that_does_not_move_has_no_peak_speed():
     assert elbow == 0.0
 
 
-@pytest.mark.parametrize("seed", range(3))
 @pytest.mark.parametrize("bandwidth", [4.0, 15.0])
-def test_noise_floor_of_white_noise(seed, bandwidth):
+def test_noise_floor_of_white_noise(bandwidth):
     """Known noise under much larger efforts, some of which no model has."""
 
     def hidden(q, v, vd, load):
         return 0.5 * np.tanh(v / 0.2) + 0.3 * np.sin(3.0 * q)
 
-    logs = [pendulum_log(10 + seed, hidden), pendulum_log(20 + seed, hidden)]
+    logs = [pendulum_log(10, hidden), pendulum_log(20, hidden)]
     trajectories = prepare_logs(logs, bandwidth=bandwidth)
     expected = NOISE * trajectories[0].filter.noise_gain
     np.testing.assert_allclose(noise_floor(trajectories), expected, rtol=0.1)
@@ -234,17 +229,16 @@ def test_noise_floor_behind_dry_friction(model):
     assert np.all(found - expected < 0.35 * (without - expected))
 
 
-@pytest.mark.parametrize("cutoff", [10.0, 25.0])
-def test_noise_floor_of_efforts_that_were_filtered_before(model, cutoff):
+def test_noise_floor_of_efforts_that_were_filtered_before(model):
     """Above the cutoff there is nothing to see; below, noise is what a fitted model leaves."""
-    log, sections = pendulum_log(12), butter(8, cutoff, fs=200.0, output="sos")
+    log, sections = pendulum_log(12), butter(8, 10.0, fs=200.0, output="sos")
     smooth = replace(log, effort=sosfiltfilt(sections, log.effort, axis=0))
     plain, filtered = (prepare_logs([each], bandwidth=5.0) for each in (log, smooth))
     expected = NOISE * plain[0].filter.noise_gain
     np.testing.assert_allclose(noise_floor(filtered, model, fitted=True), expected, rtol=0.25)
     assert np.all(noise_floor(filtered, model) < 0.01 * expected)  # nothing is taken for noise yet
     assert filtered_below(plain[0]) == np.inf
-    assert filtered_below(filtered[0]) == pytest.approx(cutoff, rel=0.4)
+    assert filtered_below(filtered[0]) == pytest.approx(10.0, rel=0.4)
 
 
 def test_noise_floor_is_never_more_than_a_model_leaves(model):
@@ -330,44 +324,33 @@ def test_effort_ratio_of_a_right_model_is_one(model):
     np.testing.assert_allclose(ratio[moving], 1.0, rtol=0.02)
 
 
-class TestRowCache:
-    """Reductions that share filtered rows are those that do not."""
-
-    def reductions(self, model, trajectories, folds, shared):
-        heavier = replace(model, phi=1.1 * model.phi)
-        late = replace(model, effects=(FittedEffect(EffortDelay(0.007), np.empty(0)),))
-        scaled = replace(model, effects=(FittedEffect(EFFECTS[0], np.array([0.3])),))
-        scale = EffortScale("elbow")
-        calls = [
-            (model, EFFECTS[:3], (0.0,)),
-            (model, EFFECTS, (0.0, 0.01)),
-            (model, EFFECTS[::-1], (0.0, -0.01)),
-            (heavier, EFFECTS, (0.0,)),
-            (late, EFFECTS, (0.0, 0.01)),
-            (model, (scale, *EFFECTS[:2]), (0.0,)),
-            (scaled, (scale, *EFFECTS[:2]), (0.0,)),
-        ]
-        for which, effects, delays in calls:
-            options = {} if shared is None else {"shared": shared}
-            yield reduce_logs(which, trajectories, folds, effects=effects, delays=delays, **options)
-
-    @pytest.mark.sampled(2)
-    @pytest.mark.parametrize("room", [0, 3_000, pytest.param(10**8, marks=pytest.mark.thorough)])
-    def test_change_nothing(self, model, trajectories, folds, room, monkeypatch):
-        monkeypatch.setattr(reduce, "CHUNK", 1111)
-        alone = self.reductions(model, trajectories, folds, None)
-        together = self.reductions(model, trajectories, folds, RowCache(room))
-        for one, other in zip(alone, together, strict=True):
-            assert one.effects == other.effects
-            np.testing.assert_array_equal(one.samples, other.samples)
-            for a, b in zip(one.data, other.data, strict=True):
-                np.testing.assert_array_equal(a.columns, b.columns)
-                for few, many in zip(a.rows, b.rows, strict=True):
-                    for x, y in zip(few, many, strict=True):
-                        np.testing.assert_array_equal(x.time, y.time)
-                        np.testing.assert_allclose(x.motion, y.motion, atol=1e-9)
-                        np.testing.assert_allclose(x.A, y.A, atol=1e-9)
-                        np.testing.assert_allclose(x.b, y.b, atol=1e-9)
+def test_reductions_that_share_filtered_rows_are_those_that_do_not(
+    model, trajectories, folds, monkeypatch
+):
+    monkeypatch.setattr(reduce, "CHUNK", 1111)
+    cache, scale = RowCache(3_000), EffortScale("elbow")  # room for a part of the rows
+    late = replace(model, effects=(FittedEffect(EffortDelay(0.007), np.empty(0)),))
+    scaled = replace(model, effects=(FittedEffect(EFFECTS[0], np.array([0.3])),))
+    for which, effects, delays in (
+        (model, EFFECTS[:3], (0.0,)),
+        (model, EFFECTS, (0.0, 0.01)),
+        (model, EFFECTS[::-1], (0.0, -0.01)),
+        (replace(model, phi=1.1 * model.phi), EFFECTS, (0.0,)),
+        (late, EFFECTS, (0.0, 0.01)),
+        (model, (scale, *EFFECTS[:2]), (0.0,)),
+        (scaled, (scale, *EFFECTS[:2]), (0.0,)),
+    ):
+        options = {"effects": effects, "delays": delays}
+        one = reduce_logs(which, trajectories, folds, **options)
+        other = reduce_logs(which, trajectories, folds, shared=cache, **options)
+        assert one.effects == other.effects
+        np.testing.assert_array_equal(one.samples, other.samples)
+        for a, b in zip(one.data, other.data, strict=True):
+            np.testing.assert_array_equal(a.columns, b.columns)
+            for few, many in zip(sum(a.rows, ()), sum(b.rows, ()), strict=True):
+                np.testing.assert_array_equal(few.time, many.time)
+                for part in ("motion", "A", "b"):
+                    np.testing.assert_allclose(getattr(few, part), getattr(many, part), atol=1e-9)
 
 
 def test_noise_is_not_known_from_a_model_that_leaves_less(model):

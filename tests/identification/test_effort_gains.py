@@ -31,7 +31,7 @@ def friction(seen):
 
 @pytest.fixture(scope="module")
 def torques():
-    return effort_log("arm6", 3, friction, off=0.05, duration=20.0, rate=100.0).log
+    return effort_log("arm6", 3, friction, off=0.05, duration=12.0, rate=100.0).log
 
 
 def currents(log, gains):
@@ -39,9 +39,13 @@ def currents(log, gains):
     return replace(log, effort=log.effort / gains, effort_kinds=kinds)
 
 
-def test_gains_lie_in_their_intervals_and_near(arm, torques):
+@pytest.fixture(scope="module")
+def found(arm, torques):
+    return calibrated(arm, [currents(torques, GAINS)], ["current"] * 6)
+
+
+def test_gains_lie_in_their_intervals_and_near(found):
     """Bodies 5 % off in the geometric distance, friction of every joint, one sign turned round."""
-    found = calibrated(arm, [currents(torques, GAINS)], ["current"] * 6)
     ratio = np.array([s.gain for s in found]) / GAINS
     spread = np.array([s.uncertainty for s in found])
     told = spread < 0.4  # light wrists hardly show theirs
@@ -50,16 +54,15 @@ def test_gains_lie_in_their_intervals_and_near(arm, torques):
     assert (np.abs(np.log(np.abs(ratio))) < 2.0 * spread).all()
 
 
-def test_unit_and_signs_of_currents_do_not_matter(arm, torques):
-    one = calibrated(arm, [currents(torques, GAINS)], ["current"] * 6)
+def test_unit_and_signs_of_currents_do_not_matter(arm, torques, found):
     units = 1e3 * np.array([1.0, -1.0, -1.0, 1.0, 1.0, 1.0])
     other = calibrated(arm, [currents(torques, GAINS * units)], ["current"] * 6)
-    for a, b, unit in zip(one, other, units, strict=True):
+    for a, b, unit in zip(found, other, units, strict=True):
         assert b.gain == pytest.approx(unit * a.gain, rel=1e-3)
         assert b.uncertainty == pytest.approx(a.uncertainty, rel=1e-2)
 
 
-def test_measured_efforts_tell_the_scale_of_the_others(arm, torques):
+def test_measured_efforts_tell_the_scale_of_the_others(arm, torques, found):
     log = currents(torques, GAINS)
     effort = log.effort.copy()
     effort[:, 1] *= GAINS[1]
@@ -67,7 +70,7 @@ def test_measured_efforts_tell_the_scale_of_the_others(arm, torques):
     mixed = replace(log, effort=effort, effort_kinds=kinds)
     names = ["current", "effort", *["current"] * 4]
     known = {s.joint: s.uncertainty for s in calibrated(arm, [mixed], names)}
-    alone = {s.joint: s.uncertainty for s in calibrated(arm, [log], ["current"] * 6)}
+    alone = {s.joint: s.uncertainty for s in found}
     assert log.joints[1] not in known
     assert known[log.joints[2]] < alone[log.joints[2]]
 

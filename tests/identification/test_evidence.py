@@ -21,7 +21,7 @@ def autoregressive(rng, n, rho):
     return lfilter([1.0], [1.0, -rho], drive)
 
 
-@pytest.mark.parametrize("rho", [0.3, 0.6, 0.8, 0.9])
+@pytest.mark.parametrize("rho", [0.3, 0.9])
 def test_effective_samples_of_autoregressive_series(rho):
     """The mean of an AR(1) series has the variance of n (1 − ρ)/(1 + ρ) independent samples."""
     rng, n = np.random.default_rng(1), 200_000
@@ -40,24 +40,16 @@ def test_effective_samples_of_blocks_of_all_lengths():
     assert effective_samples(blocks) == pytest.approx(expected, rel=1e-9)
 
 
-def fits_with_irrelevant_regressors(rng, runs, n, k):
-    """Mean squared errors before and after fitting k irrelevant regressors, and held out."""
-    before, after, held_out = np.empty((3, runs))
-    for i in range(runs):
-        A, b = rng.normal(size=(2 * n, k)), rng.normal(size=2 * n)
-        x = np.linalg.lstsq(A[:n], b[:n])[0]
-        before[i], after[i] = np.mean(b[:n] ** 2), np.mean((b[:n] - A[:n] @ x) ** 2)
-        held_out[i] = np.mean((b[n:] - A[n:] @ x) ** 2) / np.mean(b[n:] ** 2)
-    return before, after, held_out
-
-
-@pytest.mark.parametrize("parameters", [1, 2, 10])
+@pytest.mark.parametrize("parameters", [1, 10])
 def test_false_alarms_are_as_frequent_as_stated(parameters):
-    """Training gains are the worst case: the stated probability is then the true one."""
-    rng, runs, n = np.random.default_rng(6), 1500, 400
-    before, after, _ = fits_with_irrelevant_regressors(rng, runs, n, parameters)
-    gains = n * np.log(before / after)
-    stated = np.array([false_alarm_probability(gain, parameters, 1) for gain in gains])
+    """Of irrelevant regressors; training gains are the worst case."""
+    rng, runs, n = np.random.default_rng(6), 1000, 200
+    stated = np.empty(runs)
+    for i in range(runs):
+        A, b = rng.normal(size=(n, parameters)), rng.normal(size=n)
+        x = np.linalg.lstsq(A, b)[0]
+        gain = n * np.log((b @ b) / np.square(b - A @ x).sum())
+        stated[i] = false_alarm_probability(gain, parameters, 1)
     for level in (0.3, 0.05):
         spread = np.sqrt(level * (1 - level) / runs)
         assert np.mean(stated < level) == pytest.approx(level, abs=4 * spread)
@@ -65,7 +57,7 @@ def test_false_alarms_are_as_frequent_as_stated(parameters):
 
 def test_coloured_residuals_raise_no_false_alarms():
     """A smooth irrelevant regressor and residuals of lag-1 correlation 0.8."""
-    rng, runs, n, rho = np.random.default_rng(9), 1000, 400, 0.8
+    rng, runs, n, rho = np.random.default_rng(9), 500, 400, 0.8
     naive, counted = np.empty((2, runs))
     for i in range(runs):
         a, b = autoregressive(rng, n, rho), autoregressive(rng, n, rho)
@@ -83,7 +75,7 @@ def test_coloured_residuals_raise_no_false_alarms():
 )
 def test_ties_of_equals_are_evenly_spread(folds):
     """Paired losses that differ by chance only: the p-value is uniform, but for its steps."""
-    rng, runs = np.random.default_rng(10), 4000
+    rng, runs = np.random.default_rng(10), 2000
     pairs = 5.0 + rng.normal(size=(runs, 2, folds))
     p = np.array([tie_probability(a, b) for a, b in pairs])
     for level in (0.05, 0.5, 0.95):
@@ -93,7 +85,7 @@ def test_ties_of_equals_are_evenly_spread(folds):
         assert np.mean(p < level) == pytest.approx(level, abs=4 * spread + step)
 
 
-@pytest.mark.parametrize("folds", [5, 8, 10])
+@pytest.mark.parametrize("folds", [5, 10])
 def test_ties_are_those_of_the_signed_rank_test(folds):
     rng = np.random.default_rng(12)
     for shift in (0.0, 0.05, 0.2):
@@ -101,18 +93,6 @@ def test_ties_are_those_of_the_signed_rank_test(folds):
         b = a + np.sign(rng.normal(shift, 0.1, folds)) * rng.uniform(0.05, 0.5, folds)
         expected = wilcoxon(b - a, alternative="greater", method="exact").pvalue
         assert tie_probability(a, b) == pytest.approx(expected)
-
-
-def test_folds_that_hardly_change_count_half():
-    before = np.full(8, 100.0)
-    falls, stays, rises = 50.0, 100.2, 130.0
-    assert fold_agreement(before, np.array([falls] * 5 + [stays] * 3)) == 6.5 / 8
-    assert fold_agreement(before, np.array([falls] * 5 + [rises] * 3)) == 5 / 8
-    # One fold in which much is gone is no agreement.
-    assert fold_agreement(before, np.array([falls] + [stays] * 7)) == 1 / 8
-    assert fold_agreement(before[:2], np.array([falls, stays])) == 0.5
-    assert fold_agreement(np.append(before, 0.0), np.array([falls] * 8 + [0.0])) == 1.0
-    assert fold_agreement(np.zeros(2), np.zeros(2)) == 0.0
 
 
 @pytest.mark.parametrize(
@@ -124,12 +104,22 @@ def test_folds_that_hardly_change_count_half():
         # Two are halved, each predicted by the others: those that hardly rise do not speak against.
         ([0.3, 0.3, 1.02, 1.02], 1.0),
         ([0.3, 0.3, 1.02, 1.2], 0.75),
-        # One may be an accident.
+        # One may be an accident, and one fold in which much is gone is no agreement.
         ([0.1, 1.02, 1.02, 1.02], 0.25),
+        ([0.5] + [1.002] * 7, 1 / 8),
+        ([0.5] * 5 + [1.002] * 3, 6.5 / 8),
+        ([0.5] * 5 + [1.3] * 3, 5 / 8),
+        ([0.5, 1.002], 0.5),
     ],
 )
 def test_agreement_of_folds(after, agreement):
-    assert fold_agreement(np.ones(4), np.array(after)) == agreement
+    assert fold_agreement(np.ones(len(after)), np.array(after)) == agreement
+
+
+def test_folds_without_errors_agree_to_nothing():
+    before = np.array([1.0, 1.0, 0.0])
+    assert fold_agreement(before, np.array([0.5, 0.5, 0.0])) == 1.0
+    assert fold_agreement(np.zeros(2), np.zeros(2)) == 0.0
 
 
 @pytest.mark.parametrize(

@@ -14,16 +14,13 @@ from scipy.optimize import NonlinearConstraint, minimize
 from geodrake.errors import ArgumentError, ConvergenceError
 from geodrake.identification import geodesic_least_squares
 from geodrake.identification.coordinates import SYMMETRIC_BASIS
-from geodrake.identification.geodesic_least_squares import (
-    _GeodesicPoint,
-    project,
-    spectral,
-)
+from geodrake.identification.geodesic_least_squares import project, spectral
 from geodrake.inertia import (
     dual,
     from_pseudo_inertia,
     is_physical,
     pseudo_inertia,
+    riemannian_distance,
 )
 from geodrake.inertia.positive_definite import distance
 from geodrake.model.robot_model import load_description
@@ -47,7 +44,7 @@ def covectors(A):
 
 
 @given(seed=st.integers(0, 10_000), noise=st.floats(0.01, 5.0))
-@settings(max_examples=25)
+@settings(max_examples=10)
 def test_projections_are_on_the_plane_and_geodesics_meet_it_at_right_angles(seed, noise):
     A, b = data(seed, noise=noise)
     X = covectors(A)
@@ -111,77 +108,29 @@ def test_the_cost_is_the_source_one_and_stationary():
         assert abs(ends[1] - ends[0]) / 2e-4 < 1e-3 * result.cost
 
 
-def problem_at(seed, rows=12):
-    """A point off the prior, and the problem there."""
-    A, b = data(seed, rows=rows)
-    point = _GeodesicPoint.of(np.column_stack([A, b]) / 0.1, PRIOR, 3.0)
+@pytest.mark.parametrize(("gamma", "seed", "most"), [(1.0, 0, 1.5), (10.0, 2, 4.0)])
+def test_an_arm_from_few_samples(gamma, seed, most):
+    """Rows of all joints in random motion, little noise, and a prior that is off."""
+    model = load_description(Path(__file__).parents[2] / "models" / "arm6.urdf")
     rng = np.random.default_rng(seed)
-    change = np.einsum("bk,kij->bij", 0.1 * rng.normal(size=(2, 10)), SYMMETRIC_BASIS)
-    return point.moved(change), rng.normal(size=20)
-
-
-@pytest.mark.parametrize("seed", range(3))
-def test_gradient_and_hessian_of_the_cost_by_differences(seed):
-    point, direction = problem_at(seed)
-    V, h = np.einsum("bk,kij->bij", direction.reshape(2, 10), SYMMETRIC_BASIS), 1e-4
-    below, above = point.moved(-h * V), point.moved(h * V)
-    assert np.array_equal(below.used, point.used) and np.array_equal(above.used, point.used)
-    slope, bend = -point.downhill @ direction, direction @ hessian_of(point) @ direction
-    assert (above.cost - below.cost) / (2 * h) == pytest.approx(slope, rel=1e-5)
-    second = (above.cost - 2 * point.cost + below.cost) / h**2
-    assert second == pytest.approx(bend, rel=1e-4)
-
-
-def hessian_of(point):
-    values, vectors = point.spectrum
-    return (vectors * values) @ vectors.T
-
-
-# What failed: few data, little noise, and a weak prior
-
-
-def wrong(phi, rng, size=0.15):
-    """A prior that is off by congruences."""
-    G = np.eye(4) + size * rng.normal(size=(len(phi), 4, 4))
-    return from_pseudo_inertia(G @ pseudo_inertia(phi) @ G.transpose(0, 2, 1))
-
-
-def check(result, rows):
-    """A minimum: physical, stationary and convex around."""
+    q, v, a = rng.normal(size=(3, 10, len(model.joints)))
+    Y = inverse_dynamics_regressor(model.plant, q, v, a)
+    effort = Y @ model.phi.ravel()
+    sigma = 0.02 * effort.std(0)
+    b = (effort + sigma * rng.normal(size=effort.shape)).ravel()
+    G = np.eye(4) + 0.1 * rng.normal(size=(len(model.phi), 4, 4))
+    prior = from_pseudo_inertia(G @ pseudo_inertia(model.phi) @ G.transpose(0, 2, 1))
+    A = Y.reshape(-1, model.phi.size)
+    result = geodesic_least_squares(A, b, prior, gamma=gamma, sigma=np.tile(sigma, 10))
     assert is_physical(result.phi).all()
     assert result.distance <= 1e-6
     assert result.curvature > 0
-    assert len(result.rejected) < 0.1 * rows
-
-
-@pytest.fixture(scope="module")
-def arm():
-    return load_description(Path(__file__).parents[2] / "models" / "arm6.urdf")
-
-
-def arm_data(model, seed, *, samples=10, noise=0.02):
-    """Rows of all joints in random motion, and a prior that is off."""
-    rng = np.random.default_rng(seed)
-    q, v, a = rng.normal(size=(3, samples, len(model.joints)))
-    Y = inverse_dynamics_regressor(model.plant, q, v, a)
-    effort = Y @ model.phi.ravel()
-    sigma = noise * effort.std(0)
-    b = effort + sigma * rng.normal(size=effort.shape)
-    A = Y.reshape(-1, model.phi.size)
-    return A, b.ravel(), wrong(model.phi, rng, 0.1), np.tile(sigma, samples)
-
-
-@pytest.mark.parametrize(("gamma", "seed", "most"), [(1.0, 0, 1.5), (10.0, 2, 4.0)])
-def test_an_arm_from_few_samples(arm, gamma, seed, most):
-    A, b, prior, sigma = arm_data(arm, seed)
-    result = geodesic_least_squares(A, b, prior, gamma=gamma, sigma=sigma)
-    check(result, len(b))
+    assert len(result.rejected) < 0.1 * len(b)
     assert result.residual < most * len(b)
     assert result.iterations < 100
 
 
-@pytest.mark.parametrize("noise", [1e-1, 1e-5, 1e-9])
-@pytest.mark.parametrize("gamma", [1e-3, 10.0, 1e5])
+@pytest.mark.parametrize(("noise", "gamma"), [(1e-1, 1e5), (1e-5, 10.0), (1e-9, 1e-3)])
 def test_it_ends_where_rounding_hides_the_rest(noise, gamma):
     """However small the cost is, a tolerance that cannot be reached is no error."""
     rng = np.random.default_rng(10)
@@ -210,21 +159,20 @@ def test_invariance_under_frames_and_units(seed, length, mass):
     first = geodesic_least_squares(A, b, PRIOR, gamma=2.0)
     other = geodesic_least_squares(A @ np.linalg.inv(T), b, moved, gamma=2.0)
     back = np.linalg.solve(T, other.phi.ravel()).reshape(2, 10)
-    assert distance(pseudo_inertia(back), pseudo_inertia(first.phi)).max() < 1e-6
+    assert riemannian_distance(back, first.phi).max() < 1e-6
 
 
 def test_bad_arguments_are_refused():
     A, b = data(6)
-    with pytest.raises(ArgumentError, match=r"newton.*cyclic.*gradient"):
-        geodesic_least_squares(A, b, PRIOR, gamma=1.0, method="gradient")
-    with pytest.raises(ArgumentError, match="gamma must be a finite number above 0; it is -1"):
-        geodesic_least_squares(A, b, PRIOR, gamma=-1.0)
-    with pytest.raises(ArgumentError, match="max_iterations must be"):
-        geodesic_least_squares(A, b, PRIOR, gamma=1.0, max_iterations=0)
-    with pytest.raises(ArgumentError, match="A has 21 columns, but 2 bodies of the prior have 20"):
-        geodesic_least_squares(np.hstack([A, A[:, :1]]), b, PRIOR, gamma=1.0)
-    with pytest.raises(ArgumentError, match="None of the 1 rows has a projection"):
-        geodesic_least_squares(np.eye(20)[:1], [-1.0], PRIOR, gamma=1.0)
+    for rows, values, options, message in (
+        (A, b, {"method": "gradient"}, r"newton.*cyclic.*gradient"),
+        (A, b, {"gamma": -1.0}, "gamma must be a finite number above 0; it is -1"),
+        (A, b, {"max_iterations": 0}, "max_iterations must be"),
+        (A[:, [*range(20), 0]], b, {}, "A has 21 columns, but 2 bodies of the prior have 20"),
+        (np.eye(20)[:1], [-1.0], {}, "None of the 1 rows has a projection"),
+    ):
+        with pytest.raises(ArgumentError, match=message):
+            geodesic_least_squares(rows, values, PRIOR, **({"gamma": 1.0} | options))
     with pytest.raises(ConvergenceError, match="from its minimum after 2 iterations"):
         geodesic_least_squares(A, b, PRIOR, gamma=1e-3, method="cyclic", max_iterations=2)
 
@@ -233,7 +181,7 @@ def test_a_projection_is_the_nearest_point_by_slsqp():
     A, b = data(1)
     X = covectors(A)
     found = project(ROOTS, X, b)
-    for i in range(4):
+    for i in range(2):
 
         def velocity(y):
             return np.einsum("bk,kij->bij", y.reshape(2, 10), SYMMETRIC_BASIS)

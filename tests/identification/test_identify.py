@@ -9,11 +9,7 @@ from identified_bodies import random_data, restated
 
 from geodrake.errors import ArgumentError, IdentificationError
 from geodrake.identification import BodyConstraints, identify
-from geodrake.inertia import (
-    Ellipsoid,
-    is_physical,
-    pseudo_inertia,
-)
+from geodrake.inertia import Ellipsoid, is_physical, pseudo_inertia
 
 REGULARIZERS = ("euclidean", "pullback", "entropic", "riemannian")
 
@@ -45,7 +41,7 @@ def test_results_say_what_was_found(regularizer):
 
 
 @pytest.mark.parametrize("gamma", [0.3, pytest.param(1e-5, marks=pytest.mark.thorough)])
-@pytest.mark.parametrize("regularizer", ["pullback", "entropic", "riemannian"])
+@pytest.mark.parametrize("regularizer", ["pullback", "riemannian"])
 @given(seed=st.integers(0, 10_000), length=st.floats(0.05, 20.0), mass=st.floats(0.05, 20.0))
 @settings(max_examples=3)
 def test_invariance_under_frames_and_units(regularizer, gamma, seed, length, mass):
@@ -64,13 +60,17 @@ def test_invariance_under_frames_and_units(regularizer, gamma, seed, length, mas
 
 @pytest.mark.parametrize("regularizer", REGULARIZERS)
 def test_point_to_set_is_the_regularized_form_of_its_gamma(regularizer):
-    A, b = data(4)
-    first = identify(A, b, PRIOR, regularizer=regularizer, gamma=3.0)
-    bound = identify(A, b, PRIOR, regularizer=regularizer, residual_bound=first.residual)
+    A, b = data(4, rows=60, extra=1)
+    options = {"regularizer": regularizer, "extra_prior": [3.0]}
+    first = identify(A, b, PRIOR, gamma=3.0, **options)
+    bound = identify(A, b, PRIOR, residual_bound=first.residual, **options)
     assert bound.residual == pytest.approx(first.residual, rel=1e-6)
     assert bound.divergence == pytest.approx(first.divergence, rel=1e-5)
     assert bound.gamma == pytest.approx(3.0, rel=1e-3)
     np.testing.assert_allclose(bound.phi, first.phi, atol=1e-4)
+    np.testing.assert_allclose(bound.extra, first.extra, rtol=1e-5)
+    assert first.certificate.holds and bound.certificate.holds
+    assert not first.certificate.replaced and not bound.certificate.replaced
 
 
 @pytest.mark.parametrize("regularizer", REGULARIZERS)
@@ -141,10 +141,9 @@ def test_a_residual_bound_that_no_physical_body_reaches():
         assert reached.residual == pytest.approx(1.01, rel=1e-6)
 
 
-@pytest.mark.parametrize("regularizer", ["euclidean", "pullback"])
-def test_the_conic_solver_stands_in_where_newtons_method_gives_up(regularizer, monkeypatch):
+def test_the_conic_solver_stands_in_where_newtons_method_gives_up(monkeypatch):
     A, b = data(12, rows=40, extra=1, noise=2.0)
-    options = {"regularizer": regularizer, "total_mass": 7.0, "extra_bounds": [[0.0, 1.5]]}
+    options = {"regularizer": "pullback", "total_mass": 7.0, "extra_bounds": [[0.0, 1.5]]}
     first = identify(A, b, PRIOR, gamma=0.05, **options)
     bound = identify(A, b, PRIOR, residual_bound=first.residual, **options)
     assert first.solver == bound.solver == "newton"
@@ -161,23 +160,16 @@ def test_the_conic_solver_stands_in_where_newtons_method_gives_up(regularizer, m
     np.testing.assert_allclose(alone.phi, first.phi, atol=1e-5)
 
 
-@pytest.mark.sampled(3)
-@pytest.mark.parametrize("solver", [None, "newton", "clarabel"])
-@pytest.mark.parametrize("regularizer", REGULARIZERS)
+@pytest.mark.parametrize(
+    ("regularizer", "solver"),
+    [("euclidean", "newton"), ("pullback", None), ("entropic", "clarabel"), ("riemannian", None)],
+)
 def test_contradictory_constraints_are_named(regularizer, solver):
-    for seed in (7, 8):
-        A, b = data(seed)
-        with pytest.raises(IdentificationError, match="contradict"):
-            identify(
-                A,
-                b,
-                PRIOR,
-                regularizer=regularizer,
-                gamma=1.0,
-                total_mass=1.0,
-                constraints=BodyConstraints(mass_bounds=[[4, 5], [0, 1], [0, 1]]),
-                solver=solver,
-            )
+    A, b = data(7)
+    heavy = BodyConstraints(mass_bounds=[[4, 5], [0, 1], [0, 1]])
+    options = {"regularizer": regularizer, "gamma": 1.0, "solver": solver}
+    with pytest.raises(IdentificationError, match="contradict"):
+        identify(A, b, PRIOR, total_mass=1.0, constraints=heavy, **options)
 
 
 @pytest.mark.parametrize("regularizer", REGULARIZERS)

@@ -1,4 +1,4 @@
-"""The Riemannian regularizer: derivatives, a second optimizer, invariance, and local minima."""
+"""The Riemannian regularizer: derivatives, a second optimizer, constraints, and local minima."""
 
 import numpy as np
 import pytest
@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 from identified_bodies import TWO as PRIOR
 from identified_bodies import random_data
 from scipy.linalg import block_diag, expm
-from scipy.optimize import NonlinearConstraint, minimize
+from scipy.optimize import minimize
 
 from geodrake.identification import BodyConstraints, Riemannian, identify
 from geodrake.identification.coordinates import SYMMETRIC_BASIS
@@ -46,15 +46,11 @@ def cost(x, A, b, gamma):
     return np.sum((A @ x - b) ** 2) + gamma * squared_distance(x[:20].reshape(2, 10))
 
 
-def positive_matrices(seed, n=5, spread=1.0):
-    V = np.random.default_rng(seed).normal(size=(n, 4, 4)) * spread
-    return np.array([expm(0.5 * (v + v.T)) for v in V])
-
-
 @given(seed=st.integers(0, 10_000), spread=st.floats(1e-3, 1.5))
-@settings(max_examples=20)
+@settings(max_examples=6)
 def test_derivatives_are_those_of_finite_differences(seed, spread):
-    S, h = positive_matrices(seed, spread=spread), 1e-5
+    V = np.random.default_rng(seed).normal(size=(5, 4, 4)) * spread
+    S, h = np.array([expm(0.5 * (v + v.T)) for v in V]), 1e-5
     gradient, hessian = log_derivatives(S)
     for k, basis in enumerate(SYMMETRIC_BASIS):
         size = h * np.linalg.eigvalsh(S)[:, 0, None]
@@ -67,10 +63,9 @@ def test_derivatives_are_those_of_finite_differences(seed, spread):
         np.testing.assert_allclose(hessian[:, k], change, atol=1e-6 * np.abs(hessian).max())
 
 
-@pytest.mark.parametrize("seed", range(3))
-def test_another_optimizer_finds_the_same(seed):
+def test_another_optimizer_finds_the_same():
     """BFGS on the source's own cost, in the parameters themselves."""
-    A, b = data(seed, extra=1)
+    A, b = data(0, extra=1)
     result = identify(A, b, PRIOR, regularizer="riemannian", gamma=0.3)
     x = np.append(result.phi.ravel(), result.extra)
     found = result.residual + 0.3 * result.divergence
@@ -107,7 +102,7 @@ def test_constraints_hold_and_are_optimal():
     )
     assert (slack[rows.lower < rows.upper] < 1e-6).any(), "no inequality is active: a weak test"
     tried = 0
-    for _ in range(4000):
+    for _ in range(1000):
         step = random.normal(size=PRIOR.shape) * SIZES * 10.0 ** random.uniform(-6, -2)
         step[1, 0] = -step[0, 0]
         x = (phi + step).ravel()
@@ -140,23 +135,3 @@ def test_several_minima_are_found_and_reported():
         np.unique(result.minima.costs.round(6)), np.sort(costs[lowest]), rtol=1e-4
     )
     assert len(result.minima.starts) == 4
-
-
-def test_the_point_to_set_form_against_slsqp():
-    A, b = data(4)
-    first = identify(A, b, PRIOR, regularizer="riemannian", gamma=2.0)
-    bound = identify(A, b, PRIOR, regularizer="riemannian", residual_bound=first.residual)
-    assert bound.gamma == pytest.approx(2.0, rel=1e-6)
-    np.testing.assert_allclose(bound.phi, first.phi, rtol=1e-6, atol=1e-8)
-    root = block_diag(*np.linalg.inv(np.linalg.cholesky(pullback_metric(PRIOR)))).T
-    other = minimize(
-        lambda y: squared_distance((PRIOR.ravel() + root @ y).reshape(2, 10)),
-        np.zeros(20),
-        method="SLSQP",
-        constraints=NonlinearConstraint(
-            lambda y: np.sum((A @ (PRIOR.ravel() + root @ y) - b) ** 2), -np.inf, first.residual
-        ),
-        options={"ftol": 1e-12, "maxiter": 500},
-    )
-    assert bound.divergence <= other.fun * (1 + 1e-6)
-    assert bound.divergence == pytest.approx(other.fun, rel=1e-5)
