@@ -58,9 +58,9 @@ def test_closed_form_is_the_solution_of_the_normal_equations():
     assert result.active_blocks == result.active_bounds == ()
 
 
-@pytest.mark.parametrize("friction", [20.0, -5.0])
+@pytest.mark.parametrize("friction", [20.0, -1.0])
 def test_shortcuts_agree_with_the_conic_program(friction):
-    problem = example(3, friction=friction, **WELL_INSIDE)
+    problem = example(2, friction=friction, **WELL_INSIDE)
     quick, conic = solve_fit(problem), solve_fit(problem, shortcuts=False)
     name = "closed form" if friction > 0 else "bounded least squares"
     assert (quick.solver, conic.solver) == (name, "clarabel")
