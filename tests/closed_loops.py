@@ -128,6 +128,8 @@ class Constrained:
         others = [k for k in range(m.nv) if k not in self.free]
         for _ in range(20):
             J, c = self.equations(data)
+            if np.abs(c).max() < 1e-15:
+                break
             step = np.zeros(m.nv)
             step[others] = -np.linalg.lstsq(J[:, others], c, rcond=None)[0]
             mujoco.mj_integratePos(m, data.qpos, step, 1.0)

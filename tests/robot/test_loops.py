@@ -1,8 +1,8 @@
 """Closed loops against MuJoCo's constrained dynamics, and against differences of positions."""
 
+import re
 from dataclasses import replace
 
-import mujoco
 import numpy as np
 import pytest
 from closed_loops import (
@@ -17,7 +17,6 @@ from closed_loops import (
     sdf,
     underactuated,
 )
-from pydrake.systems.analysis import Simulator
 from pydrake.systems.framework import DiagramBuilder
 
 from geodrake import load_model, save_model
@@ -25,8 +24,6 @@ from geodrake.errors import ArgumentError, ModelError
 from geodrake.logs import Motion
 from geodrake.model import holding
 from geodrake.model.dynamics_check import check_dynamics
-from geodrake.model.simulation.force_law import ForceLaw
-from geodrake.model.simulation.terms import PlantState
 
 COUPLER, ROCKER = 'diaginertia=".003 .004 .0025"/>', 'diaginertia=".005 .004 .0035"/>'
 
@@ -74,11 +71,9 @@ def states(model, count=6, seed=0, spread=0.6):
 def in_mujoco(model, constrained, q):
     """Positions in MuJoCo's order of a posture (nq,) of the model, whose joints have its names."""
     qpos, places = np.array(constrained.m.qpos0), model.plant_positions(q[None])[0]
-    for index in model.plant.GetJointIndices():
-        joint = model.plant.get_joint(index)
-        if joint.num_positions() == 1:
-            at = constrained.m.joint(joint.name()).qposadr[0]
-            qpos[at] = places[joint.position_start()]
+    for k in range(constrained.m.njnt):
+        joint = constrained.m.joint(k)
+        qpos[joint.qposadr[0]] = places[model.plant.GetJointByName(joint.name).position_start()]
     return qpos
 
 
@@ -102,86 +97,19 @@ def test_efforts_are_those_of_mujoco_through_its_own_constraints(tmp_path, name)
     assert_as_mujoco(model, Constrained.of(text, free.split()), states(model))
 
 
-def rod_motion(angles, rates, accelerations, axes):
-    """Quaternion, ω and α of a body in itself, turned about three of its axes in turn."""
-    R, w, wd = np.eye(3), np.zeros(3), np.zeros(3)
-    for axis, angle, rate, acceleration in zip(axes, angles, rates, accelerations, strict=True):
-        K = np.cross(np.eye(3), axis)
-        turn = np.eye(3) + np.sin(angle) * K + (1 - np.cos(angle)) * K @ K
-        R, w, wd = R @ turn, turn.T @ w, turn.T @ wd
-        wd, w = wd + acceleration * axis + np.cross(w, rate * axis), w + rate * axis
-    quaternion = np.zeros(4)
-    mujoco.mju_mat2Quat(quaternion, R.ravel())
-    return quaternion, w, wd
-
-
 def test_a_leg_with_a_rod_between_balls_is_mujocos(tmp_path):
-    model = load(tmp_path, leg())
-    constrained = Constrained.of(leg(), ())
-    m = constrained.m
-    free = ("hip", "knee", "shin", "heel", "crank", "rod_spin")
-    assert set(model.joints) == set(free)
+    """MuJoCo's has three hinges about the same axes in the place of the ball."""
+    model, rod = load(tmp_path, leg()), ("rod_1", "rod_2", "rod_spin")
+    assert set(model.joints) == {"hip", "knee", "shin", "heel", "crank", "rod_spin"}
     assert any("rod_1, rod_2, rod_spin" in note for note in model.notes)
-    axis = np.array([0.31, -0.02, -0.41]) / np.linalg.norm([0.31, -0.02, -0.41])
-    names = [j.name() for j in (model.plant.get_joint(i) for i in model.plant.GetJointIndices())]
-    axes = [
-        model.plant.GetJointByName(name).revolute_axis() for name in ("rod_1", "rod_2", "rod_spin")
-    ]
-    assert np.allclose(axes[2], axis) and len(names) == len(set(names))
-    ball, dof = m.joint("rod").qposadr[0], m.joint("rod").dofadr[0]
-    for q, v, vd in zip(*states(model, spread=0.15), strict=True):
-        theta, rates, acc, J = model.actuation.tree_samples(q[None], v[None], vd[None])
-        at = {name: k for k, name in enumerate(model.tree_joints)}
-        qpos, qvel, qacc = np.array(m.qpos0), np.zeros(m.nv), np.zeros(m.nv)
-        for name, k in at.items():
-            if not name.startswith("rod"):
-                own = m.joint(name)
-                qpos[own.qposadr[0]] = theta[0, k]
-                qvel[own.dofadr[0]], qacc[own.dofadr[0]] = rates[0, k], acc[0, k]
-        three = [at[name] for name in ("rod_1", "rod_2", "rod_spin")]
-        turned = [x[0, three] for x in (theta, rates, acc)]
-        qpos[ball : ball + 4], qvel[dof : dof + 3], qacc[dof : dof + 3] = rod_motion(*turned, axes)
-        data = mujoco.MjData(m)
-        data.qpos[:] = qpos
-        rows, misses = constrained.equations(data)
-        assert np.abs(misses).max() < 1e-12
-        assert np.abs(rows @ qvel).max() < 1e-11
-        near = []
-        for sign in (1.0, -1.0):
-            data.qpos[:] = qpos
-            mujoco.mj_integratePos(m, data.qpos, qvel, sign * 1e-5)
-            near.append(constrained.equations(data)[0] @ qvel)
-        assert np.abs(rows @ qacc + (near[0] - near[1]) / 2e-5).max() < 1e-7
-        effort = constrained.inverse(qpos, qvel, qacc)
-        # Along a motion that the constraints allow, the efforts do the same work.
-        expected = []
-        for k in range(len(model.joints)):
-            own = np.zeros(m.nv)
-            for name, row in at.items():
-                if not name.startswith("rod"):
-                    own[m.joint(name).dofadr[0]] = J[0, row, k]
-            own[dof : dof + 3] = rod_motion(turned[0], J[0, three, k], np.zeros(3), axes)[1]
-            assert np.abs(rows @ own).max() < 1e-11
-            expected.append(effort @ own)
-        found = model.effort(Motion(q[None], v[None], vd[None]))[0]
-        assert np.abs(found - expected).max() <= 1e-9 * np.abs(expected).max()
-
-
-@pytest.mark.parametrize("name", ["a four-bar", "fingers that follow by a polynomial"])
-def test_g_and_its_rate_are_derivatives_of_the_positions(tmp_path, name):
-    model = load(tmp_path, ROBOTS[name][0])
-    (drive,) = model.transmission
-    n, h = drive.map.num_actuators, 1e-5
-    q = np.random.default_rng(0).uniform(-0.5, 0.5, (5, n))
-    v = np.random.default_rng(1).uniform(-1, 1, (5, n))
-    theta, J, rate = drive.map.along(q, v)
-    np.testing.assert_array_equal(theta, drive.map.joint_positions(q))
-    for k in range(n):
-        step = h * np.eye(n)[k]
-        slopes = drive.map.joint_positions(q + step) - drive.map.joint_positions(q - step)
-        np.testing.assert_allclose(J[:, :, k], slopes / (2 * h), atol=1e-9)
-    near = drive.map.jacobian(q + h * v) - drive.map.jacobian(q - h * v)
-    np.testing.assert_allclose(rate, near / (2 * h), atol=1e-8)
+    axes = [model.plant.GetJointByName(name).revolute_axis() for name in rod]
+    assert np.allclose(axes[2] * np.linalg.norm([0.31, -0.02, -0.41]), [0.31, -0.02, -0.41])
+    hinges = "".join(
+        f'<joint name="{name}" axis="{" ".join(map(repr, axis.tolist()))}"/>'
+        for name, axis in zip(rod, axes, strict=True)
+    )
+    text = leg().replace('<joint name="rod" type="ball"/>', hinges)
+    assert_as_mujoco(model, Constrained.of(text, model.joints), states(model, spread=0.15))
 
 
 def test_a_loop_keeps_its_branch_whatever_the_order_of_samples(tmp_path):
@@ -236,41 +164,26 @@ def test_a_loop_that_reaches_its_end_says_where(tmp_path):
 
 
 @pytest.mark.parametrize("name", ROBOTS)
-def test_forward_dynamics_are_those_with_mujocos_constraint_forces(tmp_path, name):
+def test_a_plant_in_a_diagram_moves_with_mujocos_constraint_forces(tmp_path, name):
     text, free = ROBOTS[name]
     model, constrained = load(tmp_path, text), Constrained.of(text, free.split())
-    driving = model.driving(model.plant, np.full(len(model.joints), 1e-9))
-    law = ForceLaw(driving, model.effects, spring_damping=0.0)
+    builder = DiagramBuilder()
+    robot = model.add_to_builder(builder)
+    root = builder.Build().CreateDefaultContext()
+    at_motors = robot.effort.get_system().GetMyMutableContextFromRoot(root)
+    joints = [robot.plant.GetJointByName(name) for name in model.tree_joints]
+    theirs = [constrained.m.joint(name).dofadr[0] for name in model.tree_joints]
     for q, v, effort in zip(*states(model, 3), strict=True):
         qpos, G = constrained.closed(in_mujoco(model, constrained, q))
         applied = np.zeros(constrained.m.nv)
         applied[constrained.free] = effort
-        expected = constrained.acceleration(qpos, G @ v, applied)[constrained.free]
-        at = PlantState(q, v, 0.0, np.zeros(0))
-        found = law.response(at, effort, (law.mu, law.phi)).acceleration
+        expected = constrained.acceleration(qpos, G @ v, applied)[theirs]
+        robot.set_state(root, q, v)
+        robot.effort.FixValue(at_motors, effort)
+        port = robot.plant.get_generalized_acceleration_output_port()
+        found = port.Eval(robot.plant.GetMyContextFromRoot(root))
+        found = found[[joint.velocity_start() for joint in joints]]
         np.testing.assert_allclose(found, expected, rtol=1e-6, atol=1e-6 * np.abs(expected).max())
-
-
-def test_a_simulation_goes_with_mujocos(tmp_path):
-    model = load(tmp_path, four_bar())
-    builder = DiagramBuilder()
-    robot = model.add_to_builder(builder)
-    diagram = builder.Build()
-    simulator = Simulator(diagram)
-    context = simulator.get_mutable_context()
-    robot.effort.FixValue(robot.effort.get_system().GetMyContextFromRoot(context), [0.2])
-    simulator.AdvanceTo(0.5)
-    m = mujoco.MjModel.from_xml_string(four_bar())
-    m.opt.timestep, m.opt.integrator = 1e-5, mujoco.mjtIntegrator.mjINT_IMPLICITFAST
-    m.eq_solref[:], m.eq_solimp[:] = [1e-4, 1], [0.9999, 0.9999, 0.001, 0.5, 2]
-    data = mujoco.MjData(m)
-    data.ctrl[0] = 0.2
-    for _ in range(50_000):
-        mujoco.mj_step(m, data)
-    state = robot.state.Eval(robot.state.get_system().GetMyContextFromRoot(context))
-    crank = data.joint("crank")
-    assert abs(crank.qpos[0]) > 0.1
-    np.testing.assert_allclose(state, [crank.qpos[0], crank.qvel[0]], rtol=1e-3, atol=1e-4)
 
 
 def test_check_holds_and_sees_a_loop_that_is_not_mujocos(tmp_path, monkeypatch):
@@ -297,18 +210,16 @@ def test_a_saved_model_has_its_loop_and_terms_again(tmp_path):
 
 
 def test_a_held_joint_holds_all_of_its_loop(tmp_path):
-    model, constrained = load(tmp_path, gripper()), Constrained.of(gripper(), ["left"])
+    model = load(tmp_path, gripper())
     q, v, vd = states(model, 3)
+    at = [np.column_stack([x[:, :1], np.full(3, y)]) for x, y in ((q, 0.3), (v, 0), (vd, 0))]
+    own, expected = Motion(q[:, :1], v[:, :1], vd[:, :1]), model.effort(Motion(*at))[:, :1]
     for held in (holding(model, {"left": 0.3}), load(tmp_path, gripper(), lock={"left": 0.3})):
         assert held.joints == ("arm",)
-        at = [np.column_stack([x[:, :1], np.full(3, y)]) for x, y in ((q, 0.3), (v, 0), (vd, 0))]
-        expected = model.effort(Motion(*at))[:, :1]
-        found = held.effort(Motion(q[:, :1], v[:, :1], vd[:, :1]))
-        np.testing.assert_allclose(found, expected, rtol=1e-12)
-        save_model(held, tmp_path / "held.yaml")
-        again = load_model(tmp_path / "held.yaml").effort(Motion(q[:, :1], v[:, :1], vd[:, :1]))
-        np.testing.assert_array_equal(again, found)
-    assert constrained.m.neq == 3
+        np.testing.assert_allclose(held.effort(own), expected, rtol=1e-12)
+    save_model(held, tmp_path / "held.yaml")
+    again = load_model(tmp_path / "held.yaml")
+    np.testing.assert_array_equal(again.effort(own), held.effort(own))
     with pytest.raises(ModelError, match=r"not close with left at 0\.3, left_bar at 0\.9"):
         load(tmp_path, gripper(), lock={"left": 0.3, "left_bar": 0.9})
 
@@ -406,27 +317,21 @@ def test_what_holds_a_free_body_is_left_out(tmp_path):
     assert any("<weld> of cup and coupler" in words for words in model.left_out)
 
 
-def twins(folder, text, tail="", **options):
-    """A model of an SDF, and the one of the four-bar of its names in MJCF."""
+def assert_twins(folder, text, tail=""):
+    """A model of an SDF is the four-bar of its names in MJCF."""
     (folder / "robot.sdf").write_text(text)
+    model = load_model(folder / "robot.sdf")
     other = four_bar(rocker='damping=".1"').replace("</mujoco>", f"{tail}</mujoco>")
-    return load_model(folder / "robot.sdf", **options), Constrained.of(other, ["crank"])
-
-
-def assert_twins(model, constrained):
     assert model.joints == ("crank",) and not model.left_out
-    assert_as_mujoco(model, constrained, states(model, 5))
+    assert_as_mujoco(model, Constrained.of(other, ["crank"]), states(model, 5))
+    return model
 
 
 @pytest.mark.parametrize("pin", ["revolute", "ball"])
 def test_a_loop_of_an_sdf_is_that_of_its_twin(tmp_path, pin):
-    model, constrained = twins(tmp_path, four_bar_sdf((pin, "")))
-    assert_twins(model, constrained)
+    model = assert_twins(tmp_path, four_bar_sdf((pin, "")))
     assert any("the joint pin" in note for note in model.notes)
     assert check_dynamics(model).holds
-    save_model(model, tmp_path / "saved.yaml")
-    again, motion = load_model(tmp_path / "saved.yaml"), Motion(*states(model))
-    np.testing.assert_array_equal(again.effort(motion), model.effort(motion))
 
 
 def test_a_prismatic_joint_may_close_a_loop(tmp_path):
@@ -448,13 +353,12 @@ def test_a_prismatic_joint_may_close_a_loop(tmp_path):
     )
     plain = text[:at] + slider + text[text.index("</worldbody>") :]
     plain = plain.replace('damping=".02"', "")
-    (tmp_path / "robot.xml").write_text(plain)
-    other = load_model(tmp_path / "robot.xml")
+    other, motion = load(tmp_path, plain), states(model)
     assert model.joints == other.joints == ("crank",) and "slide" in model.sliding_joints
-    motion = Motion(*states(model))
-    np.testing.assert_allclose(model.effort(motion), other.effort(motion), rtol=1e-9)
-    constrained = Constrained.of(plain, ["crank"])
-    assert_as_mujoco(other, constrained, states(model))
+    np.testing.assert_allclose(
+        model.effort(Motion(*motion)), other.effort(Motion(*motion)), rtol=1e-9
+    )
+    assert_as_mujoco(other, Constrained.of(plain, ["crank"]), motion)
 
 
 BALL = (
@@ -489,17 +393,9 @@ def four_bar_urdf(ball=BALL):
 def test_drakes_ball_constraint_closes_a_loop_of_a_urdf(tmp_path):
     (tmp_path / "robot.urdf").write_text(four_bar_urdf())
     model = load_model(tmp_path / "robot.urdf")
-    bare = [(name, "revolute", ends, at, "0 1 0", "") for name, ends, at in (
-        ("crank", ("base", "crank_link"), "0 0 0"),
-        ("coupler", ("crank_link", "coupler_link"), "0.1 0 0"),
-        ("rocker", ("base", "rocker_link"), "0.3 0 -0.1"),
-        ("pin", ("coupler_link", "rocker_link"), "0.25 0 0.1"),
-    )]  # fmt: skip
-    (tmp_path / "robot.sdf").write_text(sdf(BARS, bare))
-    other = load_model(tmp_path / "robot.sdf")
-    assert model.joints == other.joints == ("crank",) and not model.left_out
-    motion = Motion(*states(model))
-    np.testing.assert_allclose(model.effort(motion), other.effort(motion), rtol=1e-9)
+    assert model.joints == ("crank",) and not model.left_out
+    bare = re.sub(r'(damping|stiffness|springref|armature)="[^"]*"', "", four_bar())
+    assert_as_mujoco(model, Constrained.of(bare, ["crank"]), states(model))
     (tmp_path / "robot.urdf").write_text(four_bar_urdf(BALL.replace("rocker_link", "nobody")))
     with pytest.raises(ModelError, match="has a body 'nobody', which there is not"):
         load_model(tmp_path / "robot.urdf")
@@ -508,32 +404,30 @@ def test_drakes_ball_constraint_closes_a_loop_of_a_urdf(tmp_path):
         load_model(tmp_path / "robot.urdf")
 
 
-def test_the_joint_with_a_motor_leads(tmp_path):
-    (tmp_path / "robot.sdf").write_text(four_bar_sdf(limits={"pin": 5.0}))
-    model = load_model(tmp_path / "robot.sdf")
-    assert model.joints == ("pin",)
-    (tmp_path / "robot.sdf").write_text(four_bar_sdf(limits={"rocker": 5.0}))
-    assert load_model(tmp_path / "robot.sdf").joints == ("rocker",)
+@pytest.mark.parametrize("name", ["pin", "rocker"])
+def test_the_joint_with_a_motor_leads(tmp_path, name):
+    (tmp_path / "robot.sdf").write_text(four_bar_sdf(limits={name: 5.0}))
+    assert load_model(tmp_path / "robot.sdf").joints == (name,)
 
 
 def test_two_robots_in_directives_have_their_own_loops(tmp_path):
     damped = four_bar_sdf(("revolute", dynamics(damping=0.2)))
     (tmp_path / "robot.sdf").write_text(damped)
     (tmp_path / "robot.xml").write_text(four_bar())
+    files = {"a": "robot.sdf", "b": "robot.sdf", "c": "robot.xml"}
     models = "".join(
         f"- add_model: {{name: {name}, file: file://{tmp_path / file}}}\n"
-        for name, file in (("a", "robot.sdf"), ("b", "robot.sdf"), ("c", "robot.xml"))
+        for name, file in files.items()
     )
     (tmp_path / "all.dmd.yaml").write_text(f"directives:\n{models}")
     model = load_model(tmp_path / "all.dmd.yaml")
-    assert set(model.joints) == {"a_crank", "b_crank", "c_crank"}
+    assert model.joints == ("a_crank", "b_crank", "c_crank")
     assert {"a_pin", "b_pin"} <= {f.effect.place for f in model.effects}
-    motion = Motion(*states(model))
-    found = model.effort(motion)
-    for name, file in (("a", "robot.sdf"), ("b", "robot.sdf"), ("c", "robot.xml")):
-        at = [model.joints.index(f"{name}_crank")]
-        own = load_model(tmp_path / file).effort(Motion(*(x[:, at] for x in states(model))))
-        np.testing.assert_allclose(found[:, at], own, rtol=1e-9)
+    motion = states(model)
+    found = model.effort(Motion(*motion))
+    for at, file in enumerate(files.values()):
+        own = load_model(tmp_path / file).effort(Motion(*(x[:, [at]] for x in motion)))
+        np.testing.assert_allclose(found[:, [at]], own, rtol=1e-9)
 
 
 def test_a_loop_of_an_sdf_that_cannot_be_used_is_refused(tmp_path):
@@ -609,7 +503,7 @@ def random_robot(seed):
     )
 
 
-@pytest.mark.parametrize("seed", range(8))
+@pytest.mark.parametrize("seed", range(5))
 def test_random_loops_in_space_are_mujocos(tmp_path, seed):
     text = random_robot(seed)
     model = load(tmp_path, text)
@@ -643,8 +537,6 @@ def test_what_the_file_states_of_the_joint_that_closes_a_loop_counts(tmp_path):
     turns = (("rocker", 1), ("crank", -1), ("coupler", -1))  # how far the pin does
     joints = "".join(f'<joint joint="{name}" coef="{share}"/>' for name, share in turns)
     tendon = f'<fixed name="pin" damping=".3" stiffness="1.5" springlength=".1">{joints}</fixed>'
-    model, constrained = twins(
-        tmp_path, four_bar_sdf(("revolute", terms)), f"<tendon>{tendon}</tendon>"
-    )
+    tail = f"<tendon>{tendon}</tendon>"
+    model = assert_twins(tmp_path, four_bar_sdf(("revolute", terms)), tail)
     assert {f.effect.place for f in model.effects} == {"coupler", "rocker", "pin"}
-    assert_twins(model, constrained)

@@ -1,12 +1,7 @@
 """Xacro files: expanded as the package xacro expands them, unless they ask for more than values."""
 
-import contextlib
 import os
-import random
 from pathlib import Path
-from types import SimpleNamespace
-from xml.etree import ElementTree
-from xml.sax.saxutils import quoteattr
 
 import pytest
 
@@ -46,48 +41,36 @@ def package(tmp_path):
 
 
 CONSTRUCTS = {
-    "arithmetic": '<a v="${1+2*3-4/5} ${7//2} ${7%4} ${2**10} ${-x} ${1e3} ${6^3} ${1&lt;&lt;4}"/>',
-    "comparisons": '<a v="${1 &lt; x &lt;= 3} ${x == 2 and not x > 3} ${None is None} ${x or 1}"/>',
-    "conditional": "<a v=\"${'one' if x == 1 else 'more'}\"/>",
-    "mathematics": '<a v="${sin(pi/6)} ${math.radians(90)} ${radians(30)} ${atan2(1,2)} ${inf}"/>',
-    "functions": '<a v="${max(1, x)} ${len([1, 2])} ${round(2.345, 1)} ${python.sum((1, 2))}"/>',
-    "keywords": "<a v=\"${dict(a=1, **dict(b=2))['b']} ${sorted([2, 1], reverse=True)}\"/>",
-    "lists": '<a v="${[1, *[2, 3]][1:]} ${(x, 2)[-1]} ${[0]*3} ${list(range(3))[::-1]}"/>',
-    "comprehensions": "<a v=\"${[(i, j) for i in range(3) if i for j in 'ab']}"
-    " ${dict((k, 2*k) for k in [x])} ${' '.join(str(i*x) for i in range(3))}\"/>",
-    "literals in arguments": '<a v="${$(arg mapping)[1]} ${list($(arg mapping))}"/>',
-    "strings": "<a v=\"${'a,b'.split(',')[1]} ${'%.3f %s' % (x, 'y')}"
-    " ${'A'.lower()+'b'.replace('b', 'c')} ${'r' in 'arm'}\"/>",
+    "expressions": '<a v="${1+2*3-4/5} ${7//2} ${2**10} ${6^3} ${1&lt;&lt;4} ${x or 1}"/>'
+    "<a v=\"${'one' if x == 1 else 'more'} ${[1, *[2, 3]][1:]} ${'%.3f %s' % (x, 'y')}\"/>"
+    "<a v=\"${'a,b'.split(',')[1]} ${'A'.lower()+'b'.replace('b', 'c')} ${'r' in 'arm'}\"/>",
+    "functions": '<a v="${sin(pi/6)} ${math.radians(90)} ${atan2(1,2)} ${python.sum((1, 2))}"/>'
+    "<a v=\"${dict(a=1, **dict(b=2))['b']} ${sorted([2, 1], reverse=True)} ${round(2.345, 1)}\"/>"
+    "<a v=\"${[(i, j) for i in range(3) if i for j in 'ab']} ${dict((k, 2*k) for k in [x])}\"/>"
+    "<a v=\"${xacro.tokenize('1, 2;3')} ${xacro.warning('seen')}\"/>",
     "loop": '<xacro:macro name="loop" params="items:=^"><xacro:if value="${items}"><xacro:property '
     'name="item" value="${items.pop(0)}"/><item>${item}</item><xacro:loop/></xacro:if>'
     '</xacro:macro><xacro:loop items="${[1,2,3]}"/>',
     "yaml": '<xacro:property name="v" value="${xacro.load_yaml(\'../config/v.yaml\')}"/>'
-    "<a v=\"${v.a.x} ${v['a']['names'][1]} ${v.b} ${v.a.angle} ${list(v.keys())} ${'b' in v}\"/>",
-    "dotify": '<xacro:property name="v" value="${xacro.dotify(dict(k=dict(x=4)))}"/>'
-    '<a v="${v.k.x}"/>',
-    "tokens": "<a v=\"${xacro.tokenize('1, 2;3')} ${[float(s) for s in '1 2'.split()]}\"/>",
-    "message": "<a v=\"${xacro.warning('seen')}\"/>",
-    "include": '<xacro:include filename="i.xacro"/><a v="${inner}"/>',
-    "include in a namespace": '<xacro:include filename="i.xacro" ns="n"/><a v="${n.inner + 1}"/>',
-    "include by wildcard": '<xacro:include filename="[i].xacro"/>',
-    "optional include": '<xacro:include filename="none.xacro" optional="true"/>',
+    "<a v=\"${v.a.x} ${v['a']['names'][1]} ${v.b} ${v.a.angle} ${list(v.keys())} ${'b' in v}\"/>"
+    '<xacro:property name="d" value="${xacro.dotify(dict(k=dict(x=4)))}"/><a v="${d.k.x}"/>',
+    "includes": '<xacro:include filename="i.xacro"/><a v="${inner}"/>'
+    '<xacro:include filename="i.xacro" ns="n"/><a v="${n.inner + 1}"/>'
+    '<xacro:include filename="[i].xacro"/><xacro:include filename="none.xacro" optional="true"/>',
     "macro": '<xacro:include filename="m.xacro"/><xacro:part name="l" mass="${x}"><o xyz="0 0 1"/>'
     "<all><visual/></all></xacro:part><xacro:call macro=\"part\" name='k'><o/><all/></xacro:call>",
-    "arguments": '<xacro:arg name="side" default="left"/><a v="$(arg side) $(arg given)"/>',
-    "environment": '<a v="$(env HOME) $(optenv NO_SUCH_NAME none)"/>',
-    "substitutions": '<a v="$(cwd) $$(arg x) $${x} $(eval 1 + 2)"/>',
-    "names in eval": '<a v="$(eval given + 1) $(eval [given, 2*pi][1]) $(eval True)"/>',
+    "arguments": '<xacro:arg name="side" default="left"/><a v="$(arg side) $(arg given)"/>'
+    '<a v="${$(arg mapping)[1]} ${list($(arg mapping))}"/>'
+    '<a v="$(env HOME) $(optenv NO_SUCH_NAME none) $(cwd) $$(arg x) $${x} $(eval 1 + 2)"/>'
+    '<a v="$(eval given + 1) $(eval [given, 2*pi][1]) $(eval True)"/>',
     "elements": '<xacro:element xacro:name="e${x}"><xacro:attribute name="k" value="v${x}"/>'
-    "</xacro:element>",
-    "conditions": '<xacro:if value="${x == 2}"><yes/></xacro:if><xacro:unless value="1"><no/>'
-    "</xacro:unless>",
+    '</xacro:element><xacro:if value="${x == 2}"><yes/></xacro:if><xacro:unless value="1"><no/>'
+    '</xacro:unless><xacro:property name="b"><o/><p/></xacro:property>'
+    '<xacro:insert_block name="b"/><!-- ${x} --><!-- xacro:eval-comments --><!-- ${x} -->'
+    "<a>${x} text größer ∞</a>",
     "properties": '<xacro:property name="x" default="9"/><xacro:property name="lazy" '
     'value="${later}"/><xacro:property name="later" value="5"/><a v="${lazy}"/>'
-    '<xacro:property name="later" '
-    'remove="true"/>',
-    "block": '<xacro:property name="b"><o/><p/></xacro:property><xacro:insert_block name="b"/>',
-    "comments": "<!-- ${x} --><!-- xacro:eval-comments --><!-- ${x} --><a>${x} text</a>",
-    "letters": '<a v="größer ${x} ∞"/>',
+    '<xacro:property name="later" remove="true"/>',
 }
 
 
@@ -118,29 +101,19 @@ def test_packages_are_found_as_elsewhere(package, tmp_path):
 CLIMB = "__class__.__base__.__subclasses__()"
 ESCAPES = (
     f"(lambda: [c for c in ().{CLIMB}][0])()",
-    f"list(c for c in ().{CLIMB})",
     "'x'.format(1)",
     "'x'.format_map(dict())",
-    "list(map('x'.format, [1]))",
-    "str.format('x', 1)",
     "(i for i in [1]).gi_frame",
-    "[g.gi_frame for g in [(i for i in [1])]]",
     "(i for i in [1]).gi_code.co_consts",
     "[f.f_back for f in [1]]",
     "python.type(1)",
-    "python.type('X', (), dict())",
-    "list(map(python.type, [1]))",
     "python['type'](1)",
     "list(map(*[list((python | dict()).values())[-3:-2], [[1]]][0], [1]))",
-    "(python | dict()).get('type')('')",
     "python.vars(math)",
     "math.sin.__self__",
     "xacro.load_yaml.__globals__",
-    "xacro.print_location.__globals__",
-    "'%s' % str.__mro__",
     "str.mro()",
     "__import__('os')",
-    "math.__dict__",
 )
 
 
@@ -162,10 +135,9 @@ def test_a_file_that_asks_for_more_than_values_is_refused(tmp_path, monkeypatch,
     assert [each.name for each in tmp_path.iterdir()] == [path.name]
 
 
-@pytest.mark.parametrize("name", ["open", "eval", "exec", "getattr"])
-@pytest.mark.parametrize("form", ["${{{}}}", "$(eval [{}][0])"])
-def test_builtins_of_python_are_unknown(tmp_path, name, form):
-    path = written(tmp_path, f'<a v="{form.format(name)}"/>')
+@pytest.mark.parametrize("text", ["${open}", "$(eval [getattr][0])"])
+def test_builtins_of_python_are_unknown(tmp_path, text):
+    path = written(tmp_path, f'<a v="{text}"/>')
     with pytest.raises(ModelError, match=r"name '\w+' is not defined"):
         read_expanded(path, Given())
 
@@ -247,9 +219,6 @@ def doubling(levels: int) -> str:
     ("body", "words"),
     [
         (doubling(28), "the processor's time"),
-        ("<a v=\"${'%0*d' % (10**10, 1)}\"/>", "more than 2 GB"),
-        ('<a v="${math.factorial(10**8)}"/>', "the processor's time"),
-        ('<a v="${9**9**9}"/>', "the processor's time|more than 2 GB"),
         ('<a v="${[0] * 10**10}"/>', "more than 2 GB"),
     ],
 )
@@ -282,35 +251,3 @@ def test_a_file_is_expanded_again_only_if_something_in_it_has_changed(tmp_path, 
     part.unlink()
     with pytest.raises(ModelError, match=r"part\.xacro"):
         read_expanded(top, given)
-
-
-LITERALS = ("0", "7", "0.5", "'ab'", "[1, 2]", "(3, 'b')", "dict([(1, 'a')])", "True", "None", "x")
-SHAPES = (
-    *("({} + {})", "({} * {})", "({} - {})", "({} / {})", "({} // {})", "({} % {})"),
-    *("({} < {})", "({} == {} != {})", "({} in {})", "({} and {})", "({} or {})"),
-    *("(not {})", "(-{})", "({} if {} else {})", "({} or x)[{} or x]", "({} or x)[{}:]"),
-    *("[{}, *{}]", "len({})", "[i for i in {} if {}]", "[(i, j) for i in {} for j in {}]"),
-    *("str({}).upper()", "({},)", "dict(a={})['a']", "python.sorted({}, reverse={})"),
-    *("list(map(str, {}))", "python.any(i for i in {})", "({} & {})", "({} | {})"),
-    *("max({}, {})", "'%s-%s' % ({}, {})"),
-)
-
-
-def grown(rng: random.Random, depth: int) -> str:
-    if not depth:
-        return rng.choice(LITERALS)
-    shape = rng.choice(SHAPES)
-    count = shape.count("{}")
-    return shape.format(*(grown(rng, rng.randrange(depth)) for _ in range(count)))
-
-
-def test_random_expressions_have_the_values_that_python_gives(tmp_path):
-    rng, values = random.Random(43), {}
-    names = {"x": 2, "python": SimpleNamespace(sorted=sorted, any=any)}
-    while len(values) < 500:
-        text = grown(rng, 4)
-        with contextlib.suppress(Exception):
-            values[text] = str(eval(text, dict(names)))
-    body = "".join(f"<a v={quoteattr(f'${{{text}}}')}/>" for text in values)
-    found = ElementTree.fromstring(read_expanded(written(tmp_path, body), Given())).iter("a")
-    assert {text: each.get("v") for text, each in zip(values, found, strict=True)} == values
