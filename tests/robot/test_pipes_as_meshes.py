@@ -14,32 +14,28 @@ from geodrake.robot.shapes import robot_shapes
 
 URDF = """<robot name="r"><link name="base"/><link name="arm"><inertial><mass value="1"/>
 <inertia ixx="1" iyy="1" izz="1" ixy="0" ixz="0" iyz="0"/></inertial>
-<{kind}><geometry><mesh filename="{place}"/></geometry></{kind}></link>
+<collision><geometry><mesh filename="{place}"/></geometry></collision></link>
 <joint name="j" type="revolute"><parent link="base"/><child link="arm"/><axis xyz="0 0 1"/>
 <limit lower="-1" upper="1" effort="1" velocity="1"/></joint></robot>"""
-MJCF = """<mujoco><compiler meshdir="meshes"/><asset><mesh name="m" file="{place}"/></asset>
+MJCF = """<mujoco><compiler meshdir="meshes"/><asset><mesh name="m" file="m.obj"/></asset>
 <worldbody><body name="arm"><joint name="j" type="hinge"/><inertial mass="1" pos="0 0 0"
 diaginertia="1 1 1"/><geom type="mesh" mesh="m"/></body></worldbody></mujoco>"""
+FORMATS = ("stl", "dae", "obj", "gltf", "vtk")
 OBJ = "mtllib a.mtl\nv 0 0 0\nv 1 0 0\nv 0 1 0\nv 0 0 1\nf 1 2 3\nf 1 2 4\nf 1 3 4\nf 2 3 4\n"
 
 
-@pytest.mark.parametrize("suffix", ["stl", "dae", "obj", "gltf", "vtk"])
-@pytest.mark.parametrize("kind", ["visual", "collision"])
-def test_a_pipe_in_the_place_of_a_mesh_is_told(tmp_path, suffix, kind):
-    path = tmp_path / "r.urdf"
-    path.write_text(URDF.format(kind=kind, place=f"m.{suffix}"))
-    os.mkfifo(tmp_path / f"m.{suffix}")
-    assert any("is a pipe" in note for note in robot_shapes(path, Given()).notes)
-    if kind == "collision":
-        with pytest.raises(ModelError, match="is a pipe"):
-            CollisionWorld(load_model(path))
-
-
-def test_a_pipe_that_a_mesh_of_mujoco_is_is_told(tmp_path):
-    path = tmp_path / "r.xml"
-    path.write_text(MJCF.format(place="m.obj"))
+@pytest.mark.parametrize(
+    ("name", "text", "mesh"),
+    [
+        *(("r.urdf", URDF.format(place=f"m.{end}"), f"m.{end}") for end in FORMATS),
+        ("r.xml", MJCF, "meshes/m.obj"),
+    ],
+)
+def test_a_pipe_in_the_place_of_a_mesh_is_told(tmp_path, name, text, mesh):
+    path = tmp_path / name
+    path.write_text(text)
     (tmp_path / "meshes").mkdir()
-    os.mkfifo(tmp_path / "meshes" / "m.obj")
+    os.mkfifo(tmp_path / mesh)
     assert any("is a pipe" in note for note in robot_shapes(path, Given()).notes)
     with pytest.raises(ModelError, match="is a pipe"):
         CollisionWorld(load_model(path))

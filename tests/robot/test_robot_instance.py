@@ -18,17 +18,9 @@ from geodrake.robot.robot_instance import add_generalized_force
 JOINTS = ("shoulder", "elbow")
 
 
-def diagram_of(ports, builder, plant, efforts):
-    """The diagram with constant efforts and the plant at a random state; its Contexts."""
-    source = builder.AddSystem(ConstantVectorSource(efforts))
-    builder.Connect(source.get_output_port(), ports.effort)
-    diagram = builder.Build()
-    root = diagram.CreateDefaultContext()
-    return diagram, root, plant.GetMyMutableContextFromRoot(root)
-
-
-@pytest.mark.parametrize("joints", [JOINTS, JOINTS[::-1]])
-@pytest.mark.parametrize("actuated", [(), JOINTS, JOINTS[::-1]])
+@pytest.mark.parametrize(
+    ("joints", "actuated"), [(JOINTS, ()), (JOINTS[::-1], JOINTS), (JOINTS, JOINTS[::-1])]
+)
 def test_ports_have_the_joints_in_the_order_asked_for(joints, actuated):
     """State, acceleration and efforts against the plant's own, joint by joint."""
     builder = DiagramBuilder()
@@ -36,7 +28,10 @@ def test_ports_have_the_joints_in_the_order_asked_for(joints, actuated):
     arm = plant.GetModelInstanceByName("arm")
     ports = RobotInstance(plant, "arm").ports(builder, joints)
     efforts = np.array([1.5, -0.7])
-    _, root, context = diagram_of(ports, builder, plant, efforts)
+    source = builder.AddSystem(ConstantVectorSource(efforts))
+    builder.Connect(source.get_output_port(), ports.effort)
+    root = builder.Build().CreateDefaultContext()
+    context = plant.GetMyMutableContextFromRoot(root)
     of_joints = [plant.GetJointByName(joint, arm) for joint in joints]
     for k, joint in enumerate(of_joints):
         joint.set_angle(context, 0.3 + k)

@@ -36,43 +36,66 @@ def held(model):
     return model.effort(Motion(zero, zero, zero))[0]
 
 
-def test_gravity_of_a_world(tmp_path):
+def test_gravity_of_a_world_and_what_is_no_number(tmp_path):
     earth, moon = load(tmp_path, SDF), load(tmp_path, SDF, world="<gravity>0 0 -1.62</gravity>")
     np.testing.assert_allclose(held(moon), held(earth) * 1.62 / 9.81)
-    with pytest.raises(ModelError, match=r"line 1: <gravity> has '9 81' instead of three numbers"):
-        load(tmp_path, SDF, world="<gravity>9 81</gravity>")
+    for at, wrong, words in (
+        ("world", "<gravity>9 81</gravity>", "line 1: <gravity> has '9 81' instead of three"),
+        (
+            "axis",
+            "<dynamics><spring_stiffness>nan</spring_stiffness></dynamics>",
+            "line 10: <spring_stiffness> has 'nan' instead",
+        ),
+    ):
+        with pytest.raises(ModelError, match=words):
+            load(tmp_path, SDF, **{at: wrong})
 
 
-@pytest.mark.parametrize("word", ["0", "false"])
-def test_gravity_that_is_off(tmp_path, word):
-    off = f"<gravity>{word}</gravity>"
-    model = load(tmp_path, SDF, one=off, two=off)
+def test_gravity_that_is_off(tmp_path):
+    off = "<gravity>{}</gravity>"
+    model = load(tmp_path, SDF, one=off.format("0"), two=off.format("false"))
     assert not held(model).any() and not model.repairs
-    model = load(tmp_path, SDF, two=off)
+    model = load(tmp_path, SDF, two=off.format("false"))
     alone = load(tmp_path, SDF.partition('<link name="l2"')[0] + "</model></world></sdf>")
     q = np.random.default_rng(0).uniform(-1, 1, (5, 2))
     weights, still = model.effort(Motion(q, *np.zeros((2, 5, 2)))), np.zeros((2, 5, 1))
     np.testing.assert_allclose(weights[:, :1], alone.effort(Motion(q[:, :1], *still)))
     np.testing.assert_allclose(weights[:, 1], 0.0, atol=1e-12)
     assert not model.left_out and model.total_phi[1, 0] == 1.0
-    assert not load(tmp_path, SDF, two="<gravity>true</gravity>").left_out
 
 
 @pytest.mark.parametrize(
-    ("parts", "words"),
+    ("text", "parts", "words"),
     [
-        ({"one": "<enable_wind>true</enable_wind>"}, "line 3: <enable_wind> true is"),
-        ({"one": "<velocity_decay><linear>0.1</linear></velocity_decay>"}, "<velocity_decay> 0.1"),
-        ({"inertial": "<fluid_added_mass><xx>3</xx></fluid_added_mass>"}, "<fluid_added_mass> 3"),
+        (SDF, {"one": "<enable_wind>true</enable_wind>"}, "line 3: <enable_wind> true is"),
         (
+            SDF,
+            {"one": "<velocity_decay><linear>0.1</linear></velocity_decay>"},
+            "<velocity_decay> 0.1",
+        ),
+        (
+            SDF,
+            {"inertial": "<fluid_added_mass><xx>3</xx></fluid_added_mass>"},
+            "<fluid_added_mass> 3",
+        ),
+        (
+            SDF,
             {"model": '<plugin name="b" filename="gz-sim-buoyancy-system"/>'},
             "plugin gz-sim-buoyancy",
         ),
+        (URDF, {"joint": '<dynamics damping="1" spring_stiffness="3"/>'}, "ness=3 of <dynamics>"),
+        (
+            URDF,
+            {"robot": '<gazebo reference="l1"><dampingFactor>.1</dampingFactor></gazebo>'},
+            "Factor> .1",
+        ),
+        (URDF, {"link": '<contact><inertia_scaling value="3"/></contact>'}, "<inertia_scaling> 3"),
+        (URDF, {"robot": '<gazebo><plugin name="LiftDragPlugin"/></gazebo>'}, "LiftDragPlugin"),
     ],
 )
-def test_what_an_sdf_states_and_nothing_reads(tmp_path, parts, words):
-    (said,) = load(tmp_path, SDF, **parts).left_out
-    assert words in said and said.endswith("is left out.")
+def test_what_a_file_states_and_nothing_reads(tmp_path, text, parts, words):
+    (said,) = load(tmp_path, text, **parts).left_out
+    assert words in said and ", line " in said and said.endswith("is left out.")
 
 
 @pytest.mark.parametrize(("text", "part"), [(SDF, "model"), (URDF, "robot")], ids=["sdf", "urdf"])
@@ -95,23 +118,6 @@ def test_what_says_nothing_is_not_said(tmp_path):
     assert model.repairs == () and len(model.effects) == 1
 
 
-@pytest.mark.parametrize(
-    ("parts", "words"),
-    [
-        ({"joint": '<dynamics damping="1" spring_stiffness="3"/>'}, "spring_stiffness=3 of <dyn"),
-        (
-            {"robot": '<gazebo reference="l1"><dampingFactor>.1</dampingFactor></gazebo>'},
-            "Factor> .1",
-        ),
-        ({"link": '<contact><inertia_scaling value="3"/></contact>'}, "<inertia_scaling> 3"),
-        ({"robot": '<gazebo><plugin name="LiftDragPlugin"/></gazebo>'}, "plugin LiftDragPlugin"),
-    ],
-)
-def test_what_a_urdf_states_and_nothing_reads(tmp_path, parts, words):
-    (said,) = load(tmp_path, URDF, **parts).left_out
-    assert words in said and ", line " in said
-
-
 def test_a_spring_and_no_weight_of_gazebo(tmp_path):
     spring = "<springStiffness>4</springStiffness><springReference>0.5</springReference>"
     gazebo = f'<gazebo reference="a">{spring}</gazebo>'
@@ -125,7 +131,6 @@ def test_a_spring_and_no_weight_of_gazebo(tmp_path):
     ("spring", "words"),
     [
         ("<springStiffness>abc</springStiffness>", "<springStiffness> has 'abc' instead of a num"),
-        ("<springStiffness>inf</springStiffness>", "<springStiffness> has 'inf' instead of a num"),
         (
             "<springStiffness>4</springStiffness><springReference>0.2 0.3</springReference>",
             "<springReference> has '0.2 0.3' instead of a number",
@@ -135,9 +140,7 @@ def test_a_spring_and_no_weight_of_gazebo(tmp_path):
 def test_a_spring_of_gazebo_that_is_no_number(tmp_path, spring, words):
     with pytest.raises(ModelError, match=f"line 1: {words}"):
         load(tmp_path, URDF, robot=f'<gazebo reference="a">{spring}</gazebo>')
-    (said,) = load(
-        tmp_path, URDF, robot=f'<gazebo reference="l1">{spring.replace("inf", "3")}</gazebo>'
-    ).left_out
+    (said,) = load(tmp_path, URDF, robot=f'<gazebo reference="l1">{spring}</gazebo>').left_out
     assert "line 1: <springStiffness>" in said and "of l1, which is no joint, is left" in said
 
 
@@ -145,9 +148,7 @@ def test_a_spring_of_gazebo_that_is_no_number(tmp_path, spring, words):
     ("name", "scenery"),
     [
         ("Ground%20Plane/2", True),
-        ("my_ground_plane", True),
         ("SunLight", True),
-        ("my_robot_gripper", False),
         ("lightweight_arm", False),
     ],
 )
@@ -175,14 +176,3 @@ def test_what_a_world_includes_and_is_not_there_refuses_no_robot(tmp_path):
 def test_textures_of_a_package_that_is_not_there_refuse_no_robot(tmp_path):
     material = '<material name="m"><texture filename="package://nowhere/m.png"/></material>'
     assert load(tmp_path, URDF, robot=material).joints == ("a",)
-
-
-def test_a_spring_that_is_no_number_is_refused_with_its_line(tmp_path):
-    (path := tmp_path / "m.sdf").write_text(
-        '<sdf version="1.9"><model name="m"><link name="a"/><link name="b"/>\n'
-        '<joint name="j" type="revolute"><parent>a</parent><child>b</child><axis><xyz>0 0 1</xyz>\n'
-        "<dynamics><spring_stiffness>nan</spring_stiffness></dynamics></axis></joint>\n"
-        "</model></sdf>"
-    )
-    with pytest.raises(ModelError, match="line 3: <spring_stiffness> has 'nan' instead"):
-        load_model(path)
