@@ -53,10 +53,8 @@ def rigid():
     model = replace(model, phi=1.2 * model.phi, effects=(payload,))
     other = pin.buildModelFromUrdf(str(DEMO))
     for at in range(1, other.njoints):
-        m, *h = model.phi[at - 1, :4] + (at == other.njoints - 1) * payload.parameters[:4]
-        xx, yy, zz, xy, yz, zx = (
-            model.phi[at - 1, 4:] + (at == other.njoints - 1) * payload.parameters[4:]
-        )
+        phi = model.phi[at - 1] + (at == other.njoints - 1) * payload.parameters
+        m, *h, xx, yy, zz, xy, yz, zx = phi
         about_origin = np.array([[xx, xy, zx], [xy, yy, yz], [zx, yz, zz]])
         com = np.array(h) / m
         shift = m * (com @ com * np.eye(3) - np.outer(com, com))
@@ -77,41 +75,22 @@ def acceleration(model, q, v, u, **options):
     return port.Eval(robot.plant.GetMyContextFromRoot(root))
 
 
-class TestAgainstPinocchio:
-    def test_inertias_and_a_payload_once(self):
-        model, other = rigid()
-        q, v, u = np.random.default_rng(1).normal(size=(3, 6))
-        expected = pin.aba(other, other.createData(), q, v, 10 * u)
-        np.testing.assert_allclose(acceleration(model, q, v, 10 * u), expected, rtol=1e-9)
-
-    def test_rotors_and_damping(self):
-        model, other = rigid()
-        q, v, u = np.random.default_rng(2).normal(size=(3, 6))
-        other.armature[:] = np.linspace(0.1, 0.6, 6)
-        damping = np.linspace(1.0, 2.0, 6)
-        own = [
-            fitted(kind(joint), value)
-            for kind, values in (
-                (effects.RotorInertia, other.armature),
-                (effects.ViscousFriction, damping),
-            )
-            for joint, value in zip(model.joints, values, strict=True)
-        ]
-        model = replace(model, effects=(*model.effects, *own))
-        expected = pin.aba(other, other.createData(), q, v, u - damping * v)
-        np.testing.assert_allclose(acceleration(model, q, v, u), expected, rtol=1e-9)
-
-    def test_a_wrong_gain(self):
-        """The joint feels u / (1 + ε) of what is commanded in units of the log."""
-        model, other = rigid()
-        q, v, u = np.random.default_rng(3).normal(size=(3, 6))
-        model = replace(
-            model, effects=(*model.effects, fitted(effects.EffortScale("elbow_pitch"), 0.25))
-        )
-        u_there = u.copy()
-        u_there[model.joints.index("elbow_pitch")] /= 1.25
-        expected = pin.aba(other, other.createData(), q, v, u_there)
-        np.testing.assert_allclose(acceleration(model, q, v, u), expected, rtol=1e-9)
+def test_inertias_a_payload_rotors_damping_and_a_gain_are_pinocchios():
+    """A joint feels u / (1 + ε) of what is commanded in units of the log."""
+    model, other = rigid()
+    q, v, u = np.random.default_rng(2).normal(size=(3, 6))
+    damping, rotors = np.linspace(1.0, 2.0, 6), np.linspace(0.1, 0.6, 6)
+    own = [
+        fitted(kind(joint), value)
+        for kind, values in ((effects.RotorInertia, rotors), (effects.ViscousFriction, damping))
+        for joint, value in zip(model.joints, values, strict=True)
+    ]
+    gain = fitted(effects.EffortScale("elbow_pitch"), 0.25)
+    model = replace(model, effects=(*model.effects, *own, gain))
+    other.armature[:] = rotors
+    share = np.where(np.array(model.joints) == "elbow_pitch", 1.25, 1.0)
+    expected = pin.aba(other, other.createData(), q, v, 10 * u / share - damping * v)
+    np.testing.assert_allclose(acceleration(model, q, v, 10 * u), expected, rtol=1e-9)
 
 
 def with_effects(delay):
