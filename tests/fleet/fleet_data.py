@@ -9,6 +9,7 @@ from geodrake.fleet.type_columns import ChangeHypothesis, Spread, TypeColumns
 
 P, NOISE = 4, 0.1
 MEAN = np.array([2.0, -1.0, 0.5, 0.8])  # two of bodies, two of friction
+UNIT = np.array([1.0, 1.0, *MEAN[2:]])  # friction differs in shares
 DEVIATION, SCATTER = 0.1, 0.03
 
 
@@ -54,8 +55,7 @@ def hypotheses():
 
 def robot(rng, logs=20, rows=30, change=None, together=0.0):
     """A robot with its own parameters; change(t) and together (T,) are shares of its friction."""
-    unit = np.array([1.0, 1.0, *MEAN[2:]])
-    own = MEAN + DEVIATION * unit * rng.normal(size=P)
+    own = MEAN + DEVIATION * UNIT * rng.normal(size=P)
     x = own + SCATTER * np.array([1.0, 1.0, *own[2:]]) * rng.normal(size=(logs, P))
     x[:, 2:] += own[2:] * np.broadcast_to(together, logs)[:, None]
     if change is not None:

@@ -38,7 +38,7 @@ def made(model, tmp_path_factory):
     here = tmp_path_factory.mktemp("logs")
     for seed in (1, 2, 3):
         write_log(pendulum_log(seed, seconds=20.0), here / f"log_{seed}.csv")
-    run = digested(model, [here / "log_1.csv", here / "log_2.csv"], here / "digests")
+    run = digest_logs(model, [here / "log_1.csv", here / "log_2.csv"], here / "digests")
     assert [row.status for row in run.rows] == ["made", "made"]
     assert run.chosen
     return here
@@ -54,14 +54,6 @@ def folder(made, tmp_path):
     return copy
 
 
-def digested(model, logs, to, **how):
-    return digest_logs(model, logs, to, **how)
-
-
-def bytes_of(folder):
-    return {path.name: path.read_bytes() for path in sorted(folder.iterdir())}
-
-
 def files_of(folder):
     """Which files there are, and when they were written: reading changes nothing of it."""
     return {
@@ -73,19 +65,19 @@ def files_of(folder):
 def test_a_digest_that_is_there_is_not_made_again(model, made, folder):
     before = files_of(folder)
     told = []
-    run = digested(
+    run = digest_logs(
         model, [made / "log_2.csv", made / "log_1.csv"], folder, told=lambda *w: told.append(w)
     )
     assert [row.status for row in run.rows] == ["there", "there"]
     assert not run.chosen
     assert [share for _, share in told] == [0.0, 0.5]
     assert files_of(folder) == before
-    more = digested(model, [made / "log_3.csv", made / "log_3.csv"], folder)
+    more = digest_logs(model, [made / "log_3.csv", made / "log_3.csv"], folder)
     assert [row.status for row in more.rows] == ["made", "there"]
     assert len(digest_files(folder)) == 3
     moved = made / "moved.csv"  # what counts are the bytes, not the name
     moved.write_bytes((made / "log_3.csv").read_bytes())
-    assert digested(model, [moved], folder).rows[0].status == "there"
+    assert digest_logs(model, [moved], folder).rows[0].status == "there"
 
 
 def test_logs_that_cannot_be_read_leave_the_others_alone(model, made, tmp_path):
@@ -95,20 +87,20 @@ def test_logs_that_cannot_be_read_leave_the_others_alone(model, made, tmp_path):
     short.write_text("\n".join(lines[:60]), encoding="utf-8")
     pipe.mkdir(exist_ok=True)
     logs = [bad, made / "none.csv", made / "log_1.csv", short, pipe, made / "log_2.csv"]
-    run = digested(model, logs, tmp_path / "digests")
+    run = digest_logs(model, logs, tmp_path / "digests")
     statuses = ["failed", "failed", "made", "failed", "failed", "made"]
     assert [row.status for row in run.rows] == statuses
     assert (run.count("failed"), run.count("made"), run.count("there")) == (4, 2, 0)
     assert all(bool(row.reason) == (row.status == "failed") for row in run.rows)
     assert "does not exist" in run.rows[1].reason
     assert "\n" not in "".join(row.reason for row in run.rows)
-    nothing = digested(model, [bad], tmp_path / "empty")
+    nothing = digest_logs(model, [bad], tmp_path / "empty")
     assert nothing.settings is None
     assert not (tmp_path / "empty").exists()
 
 
 def test_settings_of_something_else_are_refused_by_name(model, made, folder):
-    log, before = [made / "log_3.csv"], bytes_of(folder)
+    log, before = [made / "log_3.csv"], files_of(folder)
     own = read_settings(folder)
     cases = {
         "of another model": {"model": replace(model, phi=1.01 * model.phi)},
@@ -121,15 +113,14 @@ def test_settings_of_something_else_are_refused_by_name(model, made, folder):
     }
     for words, how in cases.items():
         with pytest.raises(DigestError, match=words):
-            digested(how.pop("model", model), log, folder, **how)
+            digest_logs(how.pop("model", model), log, folder, **how)
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(digest_folder, "version", lambda: "77.0")
         with pytest.raises(DigestError, match=r"are of geodrake .*, this is 77\.0"):
-            digested(model, log, folder)
+            digest_logs(model, log, folder)
     same = Wanted(bandwidth=own.bandwidth, blocks=4)
-    assert digested(model, log, folder, wanted=same).rows[0].status == "made"
-    for name, content in before.items():
-        assert (folder / name).read_bytes() == content
+    assert digest_logs(model, log, folder, wanted=same).rows[0].status == "made"
+    assert before.items() <= files_of(folder).items()
 
 
 @pytest.mark.parametrize(
@@ -137,10 +128,8 @@ def test_settings_of_something_else_are_refused_by_name(model, made, folder):
     [
         (lambda text: text[: len(text) // 2], "does not hold settings"),
         (lambda text: "", "is empty"),
-        (lambda text: "[]", "does not hold settings"),
         (lambda text: text.replace("geodrake digest 2", "geodrake digest 9"), "has the format"),
         (lambda text: text.replace('"blocks": 4', '"blocks": "four"'), "does not hold settings"),
-        (lambda text: text.replace('"held"', '"holds"'), "does not hold settings"),
         (lambda text: text.replace('"lags": 200', '"lags": NaN'), "does not hold settings"),
         (lambda text: text.replace("viscous_friction", "nobody's"), "cannot be made"),
     ],
@@ -148,47 +137,47 @@ def test_settings_of_something_else_are_refused_by_name(model, made, folder):
 def test_damaged_settings_are_refused(model, made, folder, change, words):
     path = folder / SETTINGS_FILE
     path.write_text(change(path.read_text(encoding="utf-8")), encoding="utf-8")
-    before = bytes_of(folder)
+    before = files_of(folder)
     with pytest.raises(DigestError, match=words):
-        digested(model, [made / "log_3.csv"], folder)
-    assert bytes_of(folder) == before
+        digest_logs(model, [made / "log_3.csv"], folder)
+    assert files_of(folder) == before
 
 
 def test_a_digest_by_other_settings_is_made_again(model, made, folder, tmp_path):
     other = tmp_path / "other"
     wanted = Wanted(bandwidth=4.0)
-    stranger = digested(model, [made / "log_1.csv"], other, wanted=wanted).rows[0].digest
-    own = digested(model, [made / "log_1.csv"], folder).rows[0].digest
+    stranger = digest_logs(model, [made / "log_1.csv"], other, wanted=wanted).rows[0].digest
+    own = digest_logs(model, [made / "log_1.csv"], folder).rows[0].digest
     assert stranger.name != own.name
     own.write_bytes(stranger.read_bytes())
-    run = digested(model, [made / "log_1.csv"], folder)
+    run = digest_logs(model, [made / "log_1.csv"], folder)
     assert run.rows[0].status == "made"
     assert "differ in bandwidth" in run.rows[0].reason
 
 
 def test_a_full_disk_leaves_nothing_half_written(model, made, folder, monkeypatch):
-    before = bytes_of(folder)
+    before = files_of(folder)
 
     def full(self, target):
         raise OSError(errno.ENOSPC, "No space left on device")
 
     monkeypatch.setattr(Path, "replace", full)
     with pytest.raises(OutputError, match="No space left"):
-        digested(model, [made / "log_3.csv"], folder)
-    assert bytes_of(folder) == before
+        digest_logs(model, [made / "log_3.csv"], folder)
+    assert files_of(folder) == before
     with pytest.raises(OutputError, match="No space left"):
-        digested(model, [made / "log_3.csv"], folder.parent / "new")
+        digest_logs(model, [made / "log_3.csv"], folder.parent / "new")
     assert not digest_files(folder.parent / "new")
     monkeypatch.undo()  # the settings that are there do
-    assert digested(model, [made / "log_3.csv"], folder.parent / "new").count("made") == 1
+    assert digest_logs(model, [made / "log_3.csv"], folder.parent / "new").count("made") == 1
 
 
 def test_settings_that_are_lost_are_not_made_anew(model, made, folder):
     (folder / SETTINGS_FILE).unlink()
-    before = bytes_of(folder)
+    before = files_of(folder)
     with pytest.raises(DigestError, match=rf"{SETTINGS_FILE} is not there, and digests by it are"):
-        digested(model, [made / "log_1.csv"], folder)
-    assert bytes_of(folder) == before
+        digest_logs(model, [made / "log_1.csv"], folder)
+    assert files_of(folder) == before
 
 
 def test_a_folder_that_cannot_be_is_refused_before_the_work(model, made, tmp_path):
@@ -199,9 +188,9 @@ def test_a_folder_that_cannot_be_is_refused_before_the_work(model, made, tmp_pat
         (Path("/proc/digests"), "annot"),
     ):
         with pytest.raises(OutputError, match=words):
-            digested(model, [made / "none.csv"], to)
+            digest_logs(model, [made / "none.csv"], to)
     with pytest.raises(ArgumentError, match="no log to digest"):
-        digested(model, [], tmp_path / "digests")
+        digest_logs(model, [], tmp_path / "digests")
 
 
 def test_settings_that_another_run_has_made_meanwhile_are_taken(model, made, folder, tmp_path):
@@ -218,7 +207,7 @@ def test_settings_that_another_run_has_made_meanwhile_are_taken(model, made, fol
 
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(digest_folder, "write_new", slowly)
-        run = digested(model, [made / "log_3.csv"], other, told=meanwhile)
+        run = digest_logs(model, [made / "log_3.csv"], other, told=meanwhile)
     assert run.settings.hash == read_settings(folder).hash
     assert (run.chosen, run.settings.chosen_from) == (False, "another")
     assert read_digest(digest_files(other)[0]).settings.hash == run.settings.hash
@@ -227,13 +216,13 @@ def test_settings_that_another_run_has_made_meanwhile_are_taken(model, made, fol
 def test_payloads_and_dates_are_kept(model, made, folder):
     log = made / "log_3.csv"
     carried = {log: (KnownPayload("lower_link", 0.3),)}
-    bare = digested(model, [log], folder, date=1.7e9).rows[0]
-    loaded = digested(model, [log], folder, payloads=carried).rows[0]
+    bare = digest_logs(model, [log], folder, date=1.7e9).rows[0]
+    loaded = digest_logs(model, [log], folder, payloads=carried).rows[0]
     assert bare.digest != loaded.digest
     assert (bare.about.date, bare.about.date_from) == (1.7e9, "option")
     assert loaded.about.date_from == "file"
     assert read_digest(loaded.digest).logs[0].payloads == carried[log]
-    again = digested(model, [log], folder, date=1.8e9).rows[0]
+    again = digest_logs(model, [log], folder, date=1.8e9).rows[0]
     assert again.status == "there"
     assert "its date stays 2023-11-14T22:13:20+00:00" in again.reason
 
@@ -243,15 +232,15 @@ def test_logs_without_a_joint_hold_it_for_all(model, tmp_path):
     alone = log.select(("shoulder",))
     write_log(alone, tmp_path / "alone.csv")
     write_log(log, tmp_path / "both.csv")
-    run = digested(model, [tmp_path / "alone.csv", tmp_path / "both.csv"], tmp_path / "digests")
+    run = digest_logs(model, [tmp_path / "alone.csv", tmp_path / "both.csv"], tmp_path / "digests")
     assert [row.status for row in run.rows] == ["made", "failed"]
     assert "hold elbow at 0, where it does not stand in log 'both'" in run.rows[1].reason
     assert run.settings.joints == ("shoulder",)
     assert list(run.settings.held) == ["elbow"]
     digest = read_digest(run.rows[0].digest)
     assert digest_dataset(digest, model).joints == ("shoulder",)
-    other = digested(model, [tmp_path / "both.csv"], tmp_path / "both")
-    lacking = digested(model, [tmp_path / "alone.csv"], tmp_path / "both")
+    other = digest_logs(model, [tmp_path / "both.csv"], tmp_path / "both")
+    lacking = digest_logs(model, [tmp_path / "alone.csv"], tmp_path / "both")
     assert other.settings.joints == model.joints
     assert lacking.rows[0].status == "failed"
     assert "elbow" in lacking.rows[0].reason
@@ -273,14 +262,14 @@ class Wobble(JointEffect):
 def test_effects_of_a_users_own_have_columns(model, made, tmp_path):
     wanted = Wanted(extra=(Wobble,))
     logs = [made / "log_1.csv", made / "log_2.csv"]
-    run = digested(model, logs, tmp_path / "digests", wanted=wanted)
+    run = digest_logs(model, logs, tmp_path / "digests", wanted=wanted)
     merged = merge([read_digest(path) for path in digest_files(tmp_path / "digests")])
     named = [column for column in merged.columns if column.name == "wobble"]
     assert {column.where for column in named} == {("shoulder",), ("elbow",)}
     assert run.count("made") == 2
     with pytest.raises(DigestError, match="of your own: wobble; now there are none"):
-        digested(model, logs, tmp_path / "digests")
-    assert digested(model, logs, tmp_path / "digests", wanted=wanted).count("there") == 2
+        digest_logs(model, logs, tmp_path / "digests")
+    assert digest_logs(model, logs, tmp_path / "digests", wanted=wanted).count("there") == 2
     with pytest.raises(DigestError, match="wobble, which cannot be made"):
         digest_dataset(merged, model)
     assert digest_dataset(merged, model, extra=(Wobble,)).effects
