@@ -69,15 +69,19 @@ def whole(folder):
     return run_fleet(read_fleet(folder / "fleet.yaml"), HERE)
 
 
+def copy_logs(folder, to, robots=FEW, days=(0, 1)):
+    for name in robots:
+        (to / name).mkdir()
+        for day in days:
+            shutil.copy2(folder / name / f"{date_of(day)}.csv", to / name)
+
+
 @pytest.fixture
 def own(folder, tmp_path):
     """A folder of a test's own, with some of the logs."""
 
-    def make(robots=FEW, days=(0, 1)):
-        for name in robots:
-            (tmp_path / name).mkdir()
-            for day in days:
-                shutil.copy2(folder / name / f"{date_of(day)}.csv", tmp_path / name)
+    def make(robots=FEW):
+        copy_logs(folder, tmp_path, robots)
         return write_file(tmp_path, robots)
 
     return make
@@ -143,7 +147,17 @@ def test_what_is_there_is_not_made_again(folder, whole):
     assert text_of(result) == text_of(whole[0])
 
 
-def test_a_run_that_was_killed_goes_on(own, tmp_path):
+@pytest.fixture(scope="module")
+def undisturbed(folder, tmp_path_factory):
+    """Where a run of four logs was, its digests, and what it found."""
+    here = tmp_path_factory.mktemp("undisturbed")
+    copy_logs(folder, here)
+    result, seen = run_fleet(read_fleet(write_file(here, FEW)), HERE)
+    assert seen.made == 4
+    return here, text_of(result)
+
+
+def test_a_run_that_was_killed_goes_on(own, tmp_path, undisturbed):
     path = own()
     command = [sys.executable, "-m", "geodrake", "fleet", str(path), "--workers", "0", "-q"]
     run = subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
@@ -159,20 +173,17 @@ def test_a_run_that_was_killed_goes_on(own, tmp_path):
     result, _ = run_fleet(read_fleet(path), HERE)
     assert left.items() <= digests(tmp_path).items()  # none was made again
     assert len(digests(tmp_path)) == 4
-    shutil.rmtree(tmp_path / "results")
-    undisturbed, seen = run_fleet(read_fleet(path), HERE)
-    assert seen.made == 4
-    assert text_of(undisturbed) == text_of(result)
+    assert text_of(result) == undisturbed[1].replace(str(undisturbed[0]), str(tmp_path))
 
 
-def test_logs_in_other_places_have_the_same_digests(folder, own, tmp_path):
-    path = own(FEW)
-    run_fleet(read_fleet(path), HERE)
+def test_logs_in_other_places_have_the_same_digests(undisturbed, tmp_path):
+    here, _ = undisturbed
     memory = fsspec.filesystem("memory")
     for name in FEW:
         for day in (0, 1):
-            content = (folder / name / f"{date_of(day)}.csv").read_bytes()
+            content = (here / name / f"{date_of(day)}.csv").read_bytes()
             memory.pipe(f"/fleet/{name}/{date_of(day)}.csv", content)
+    shutil.copytree(here / "results", tmp_path / "results")
     before = digests(tmp_path)
     fleet = read_fleet(write_file(tmp_path, FEW, logs="memory://fleet/{}/*.csv"))
     _, seen = run_fleet(fleet, HERE)
@@ -257,17 +268,6 @@ def test_a_damaged_digest_is_a_row_and_made_again(own, tmp_path):
     assert [robot.state for robot in result.robots] == ["no logs"]
 
 
-def test_a_robot_is_of_its_type(own, tmp_path):
-    path = own()
-    other = PENDULUM.read_text(encoding="utf-8").replace("elbow", "knee")
-    (tmp_path / "other.urdf").write_text(other, encoding="utf-8")
-    fleet = read_fleet(path)
-    first, *rest = fleet.robots
-    fleet = replace(fleet, robots=(replace(first, model=tmp_path / "other.urdf"), *rest))
-    with pytest.raises(FleetError, match="joints shoulder, knee, and its type 'pendulum' has"):
-        run_fleet(fleet, HERE)
-
-
 def test_a_model_of_its_own_need_not_have_the_effects_of_its_type(tmp_path):
     """Nor an elbow that moves, which these logs lack."""
     for name in FEW:
@@ -295,23 +295,31 @@ def test_a_model_of_its_own_need_not_have_the_effects_of_its_type(tmp_path):
     assert own["bodies"] == other["bodies"]
 
 
-def test_a_payload_is_of_a_body(own):
-    path = own()
-    text = path.read_text(encoding="utf-8")
-    more = "payloads: [{body: hand, mass: 1}], dates:"
-    path.write_text(text.replace("dates:", more, 1), encoding="utf-8")
-    with pytest.raises(FleetError, match=r"'first' has payloads that cannot be: .*hand"):
-        run_fleet(read_fleet(path), HERE)
-
-
-def test_files_of_a_type_are_files(own, tmp_path):
+@pytest.mark.parametrize(
+    ("of", "changed", "says"),
+    [
+        (str(PENDULUM), "pipe.urdf", "file of type pendulum .*pipe.urdf is a pipe"),
+        (str(PENDULUM), "none.urdf", "file of type pendulum .*none.urdf does not exist"),
+        ("dates:", "model: other.urdf, dates:", "joints shoulder, knee, and its type 'pendulum'"),
+        (
+            "dates:",
+            "payloads: [{body: hand, mass: 1}], dates:",
+            "'first' has payloads that cannot be: .*hand",
+        ),
+        ("first/*.csv", "none/*.csv", r"none/\*\.csv' of robot 'first' matches nothing"),
+        ("first/*.csv", f"{HEAVY}/*.csv", f"is of robot 'first' and of '{HEAVY}'"),
+    ],
+)
+def test_fleets_that_cannot_be_are_refused(own, tmp_path, of, changed, says):
     path = own()
     os.mkfifo(tmp_path / "pipe.urdf")
+    other = PENDULUM.read_text(encoding="utf-8").replace("elbow", "knee")
+    (tmp_path / "other.urdf").write_text(other, encoding="utf-8")
     text = path.read_text(encoding="utf-8")
-    for name, says in (("pipe.urdf", "is a pipe"), ("none.urdf", "does not exist")):
-        path.write_text(text.replace(str(PENDULUM), name), encoding="utf-8")
-        with pytest.raises(FleetError, match=f"file of type pendulum .*{name} {says}"):
-            run_fleet(read_fleet(path), HERE)
+    path.write_text(text.replace(of, changed, 1), encoding="utf-8")
+    with pytest.raises(FleetError, match=says):
+        run_fleet(read_fleet(path), HERE)
+    assert not list((tmp_path / "results").glob("**/*.npz"))
 
 
 @pytest.mark.parametrize(
@@ -398,20 +406,6 @@ def test_paths_of_a_fleet_may_begin_at_home(tmp_path, monkeypatch):
     assert list(map(str, found)) == [f"/somewhere/{each}" for each in ("x", "arm.urdf", "a/*.csv")]
 
 
-def test_a_pattern_that_matches_nothing_is_named(tmp_path):
-    path = write_file(tmp_path, ROBOTS[:1])
-    with pytest.raises(FleetError, match=r"first/\*\.csv' of robot 'first' matches nothing"):
-        run_fleet(read_fleet(path), HERE)
-    assert not list((tmp_path / "results").glob("*"))
-
-
-def test_a_log_is_of_one_robot(own, tmp_path):
-    fleet = read_fleet(own())
-    first, second = fleet.robots
-    with pytest.raises(FleetError, match=f"is of robot 'first' and of '{HEAVY}'"):
-        run_fleet(replace(fleet, robots=(first, replace(second, logs=first.logs))), HERE)
-
-
 def test_patterns_fit_what_they_find(tmp_path):
     (tmp_path / "a" / "b").mkdir(parents=True)
     for name in ("1.csv", "a/2.csv", "a/b/3.csv", "a/b/4.txt", "a/.5.csv"):
@@ -456,9 +450,7 @@ def test_logs_in_archives_and_by_caches_have_addresses_of_their_own():
 def carrier(folder, tmp_path_factory):
     """What there is of a robot of three logs that have digests."""
     here = tmp_path_factory.mktemp("carrier")
-    (here / HEAVY).mkdir()
-    for day in range(3):
-        shutil.copy2(folder / HEAVY / f"{date_of(day)}.csv", here / HEAVY)
+    copy_logs(folder, here, [HEAVY], range(3))
     fleet = read_fleet(write_file(here, [HEAVY]))
     return fleet.folder / "pendulum", run_fleet(fleet, HERE)[1].records[HEAVY]
 

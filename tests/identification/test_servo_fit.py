@@ -33,7 +33,6 @@ from geodrake.model.carried_payloads import carrying
 from geodrake.model.saved_model import load_model as load_saved
 from geodrake.model.saved_model import save_model
 from geodrake.model.signal_efforts import (
-    constants_beside_friction,
     error_integral,
     in_efforts,
     limited_integral,
@@ -70,32 +69,6 @@ def summed():
 @pytest.fixture(scope="module")
 def log():
     return servo_log()
-
-
-def test_simulation_is_that_of_the_equation():
-    """A linear servo whose bodies have b, M, D and K of their own, by SciPy."""
-    period, count = 0.002, 2500
-    time = period * np.arange(count)
-    b, M, K, D = 0.7, 0.5, 3.0, 0.2
-    kp, kr, d, armature, late = 40.0, 2.0, 3.0, 0.1, 0.007
-
-    def told(t):
-        return np.sin(3.0 * t)
-
-    rows = np.zeros((count, 8))
-    rows[:, :4], rows[:, 7] = (b, M, K, D), told(time)
-
-    def rates(t, state):
-        x, v = state
-        c, rate = told(t - late), 3.0 * np.cos(3.0 * (t - late))
-        force = kp * (c - x) + kr * (rate - v) - d * v - b - K * x - D * v
-        return [v, force / (M + armature)]
-
-    exact = solve_ivp(rates, (0.0, time[-1]), [0.0, 0.0], t_eval=time, rtol=1e-9, atol=1e-10)
-    motions = JointMotions((rows,), (exact.y[0],), (period,))
-    residual = motions.residual(motions.servo([kp, kr, d, 0.0, armature, late]))
-    after = time > 2.0  # before the log there was no command
-    assert np.abs(residual[after]).max() < 2e-3 * np.abs(exact.y[0]).max()
 
 
 def test_a_joint_sticks_until_friction_is_overcome():
@@ -188,34 +161,6 @@ def with_gaps(log, instants, length):
     return replace(log, **{name: getattr(log, name)[kept] for name in columns})
 
 
-def slopes_and_differences(motions, at, free):
-    """Of the motion by the free parameters: as the fit has them, and by central differences."""
-    slopes = motions.slopes(at, np.ones(len(at)), np.isin(np.arange(len(at)), free))
-    expected = np.empty_like(slopes)
-    for k, number in enumerate(free):
-        step = 1e-6 * np.abs(at[number]) * np.eye(len(at))[number]
-        both = motions.simulated(at + step) - motions.simulated(at - step)
-        expected[:, k] = both / (2.0 * step[number])
-    return slopes, expected
-
-
-def test_slopes_with_an_integral_are_finite_differences(model, summed):
-    """Of two stretches, each with an effort of its own that the integral begins with."""
-    whole = alone(model, summed)
-    motions = JointMotions(
-        (whole.rows[0][:600], whole.rows[0][900:1400]),
-        (whole.positions[0][:600], whole.positions[0][900:1400]),
-        whole.periods * 2,
-    )
-    at = motions.servo([55.0, 1.0, 3.0, 0.8, 0.1, 0.0123, 0.3, 0.1, 80.0])
-    at[-2:] = 1.5, -0.7
-    slopes, expected = slopes_and_differences(
-        motions, at, np.flatnonzero(np.isfinite(at) & (at != 0.0))
-    )
-    assert (np.abs(slopes - expected) <= 2e-5 * np.abs(expected).max(0)).all()
-    assert not slopes[600:, 9].any() and not slopes[:600, 10].any()
-
-
 def test_it_finds_the_integral_that_mujoco_has(fitted):
     """By a log alone: bodies are those of the file, gains as uncertain as these are."""
     (signal,) = fitted[0].effort_signals
@@ -273,18 +218,6 @@ def test_an_integral_has_grown_to_what_a_payload_needs(model):
     np.testing.assert_allclose(known.effort[3:-3, 0], needed[3:-3], atol=0.02)
 
 
-def test_integrals_of_errors_and_constants():
-    time = np.array([0.0, 1.0, 2.0, 4.0])
-    grown = error_integral(time, np.array([1.0, 3.0, np.nan, 1.0]))
-    np.testing.assert_allclose(grown, [0.0, 2.0, 4.0, 8.0])  # straight over what is not known
-    v, runs = np.sin(np.linspace(0.0, 9.0, 200)), np.repeat([0, 1], 100)
-    effort = 0.7 - 1.1 * runs + 0.2 * v + 0.4 * np.sign(v)
-    effort[3] = np.nan
-    found = constants_beside_friction(effort, v, runs)
-    np.testing.assert_allclose(found, 0.7 - 1.1 * runs)
-    assert not constants_beside_friction(np.full(3, np.nan), np.ones(3), np.arange(3)).any()
-
-
 def test_integrals_begin_anew_after_long_gaps(model, summed):
     """What a joint was behind in a gap of a second is not known, and not made up."""
     signal = EffortSignal("hinge", "command", TRUTH[0], delay=LATE, integral=INTEGRAL)
@@ -336,48 +269,64 @@ def gains(kp, kd, ki, limit):
 
 
 def test_simulation_is_that_of_position_servo():
-    """Its law in SciPy's integration, part of the time at the limit."""
-    period, count = 0.002, 1500
+    """Its law in SciPy's integration, with bodies' b, M, D and K, part of the time at the limit."""
+    period, count = 0.002, 2500
     time = period * np.arange(count)
-    b, M, kp, kr, ki, d, limit = 0.7, 0.5, 40.0, 2.0, 30.0, 3.0, 9.0
+    b, M, K, D, d, armature, late = 0.7, 0.4, 3.0, 0.2, 3.0, 0.1, 0.007
+    kp, kr, ki, limit = 40.0, 2.0, 30.0, 9.0
     servo = gains(kp, kr, ki, limit)
 
     def error(t, state):
         x, v, z = state
-        parts = (np.sin(3.0 * t) - x, 3.0 * np.cos(3.0 * t) - v, z, 0.0)
+        parts = (np.sin(3.0 * (t - late)) - x, 3.0 * np.cos(3.0 * (t - late)) - v, z, 0.0)
         return ServoError(*(np.array([each]) for each in parts))
 
     def rates(t, state):
-        told = error(t, state)
-        force = effort_of(servo, told)[0] - d * state[1] - b
-        return [state[1], force / M, integral_rate(servo, told)[0]]
+        told, (x, v, _) = error(t, state), state
+        force = effort_of(servo, told)[0] - d * v - b - K * x - D * v
+        return [v, force / (M + armature), integral_rate(servo, told)[0]]
 
     exact = solve_ivp(rates, (0.0, time[-1]), np.zeros(3), t_eval=time, max_step=4e-3, rtol=1e-6)
     efforts = [effort_of(servo, error(*each))[0] for each in zip(time, exact.y.T, strict=True)]
     assert 0.1 < np.mean(np.abs(efforts) >= limit) < 0.6
     rows = np.zeros((count, 8))
-    rows[:, :2], rows[:, 7] = (b, M), np.sin(3.0 * time)
+    rows[:, :4], rows[:, 7] = (b, M, K, D), np.sin(3.0 * time)
     motions = JointMotions((rows,), (exact.y[0],), (period,))
-    parameters = [kp, kr, d, 0.0, 0.0, 0.0, 0.0, 0.0, ki]
-    size = np.abs(exact.y[0]).max()
-    assert np.abs(motions.residual(motions.servo(parameters, limit=limit))).max() < 5e-3 * size
+    parameters = [kp, kr, d, 0.0, armature, late, 0.0, 0.0, ki]
+    after, size = time > 2.0, np.abs(exact.y[0]).max()  # before the log there was no command
+    off = motions.residual(motions.servo(parameters, limit=limit))[after]
+    assert np.abs(off).max() < 5e-3 * size
     assert np.abs(motions.residual(motions.servo(parameters))).max() > 0.05 * size
 
 
-@pytest.mark.parametrize("own", [False, True])
-def test_slopes_at_a_limit_are_finite_differences(own, tmp_path):
-    log = servo_log(integral=60.0, limit=7.0, seconds=5.0)
-    motions = alone(pendulum(tmp_path, 7.0), log)
-    at = motions.servo([55.0, 1.0, 3.0, 0.8, 0.1, 0.0123, 0.3, 0.1, 50.0], limit=7.0)
-    at[10:] = own, 1.5
-    free = np.array([0, 1, 2, 3, 4, 5, 6, 7, 8, 11])
-    slopes, expected = slopes_and_differences(motions, at, free)
-    unlimited = np.where(np.arange(len(at)) == 9, np.inf, at)
-    assert np.abs(motions.simulated(at) - motions.simulated(unlimited)).max() > 0.01
+@pytest.mark.parametrize(("limit", "own"), [(np.inf, False), (7.0, False), (7.0, True)])
+def test_slopes_are_finite_differences(limit, own, tmp_path):
+    """Of two stretches, each with an effort of its own that the integral begins with."""
+    log = servo_log(integral=60.0, limit=limit, seconds=7.0)
+    whole = alone(pendulum(tmp_path, 100 if np.isinf(limit) else limit), log)
+    motions = JointMotions(
+        (whole.rows[0][:600], whole.rows[0][900:1400]),
+        (whole.positions[0][:600], whole.positions[0][900:1400]),
+        whole.periods * 2,
+    )
+    at = motions.servo([55.0, 1.0, 3.0, 0.8, 0.1, 0.0123, 0.3, 0.1, 50.0], limit=limit)
+    at[10:] = own, 1.5, -0.7
+    free = np.array([0, 1, 2, 3, 4, 5, 6, 7, 8, 11, 12])
+    slopes = motions.slopes(at, np.ones(len(at)), np.isin(np.arange(len(at)), free))
+    expected = np.empty_like(slopes)
+    for k, number in enumerate(free):
+        step = 1e-6 * np.abs(at[number]) * np.eye(len(at))[number]
+        both = motions.simulated(at + step) - motions.simulated(at - step)
+        expected[:, k] = both / (2.0 * step[number])
+    assert not slopes[600:, 9].any() and not slopes[:600, 10].any()
     error, most = np.abs(slopes - expected), np.abs(slopes).max(0)
-    # Where the limit begins to act within a step, there is no slope: few rows.
-    assert (np.median(error, axis=0) < 1e-3 * most).all()
-    assert (error.max(0) < 0.05 * most).all()
+    if np.isinf(limit):
+        assert (error <= 2e-5 * most).all()
+    else:  # where it begins to act within a step, there is no slope: few rows
+        unlimited = np.where(np.arange(len(at)) == 9, np.inf, at)
+        assert np.abs(motions.simulated(at) - motions.simulated(unlimited)).max() > 0.01
+        assert (np.median(error, axis=0) < 1e-3 * most).all()
+        assert (error.max(0) < 0.05 * most).all()
 
 
 def test_gains_are_those_of_a_servo_at_its_limit(tmp_path):
@@ -430,20 +379,6 @@ def test_an_integral_in_a_log_is_held_as_that_of_position_servo():
     assert np.abs(error_integral(time, error) - z).max() > 0.05
     nothing = np.full(3, np.nan)
     assert not limited_integral(np.arange(3.0), nothing, nothing, 1.0, 1.0).any()
-
-
-def test_a_joint_without_damping_at_an_unknown_limit():
-    rows, time = np.zeros((3000, 8)), 0.004 * np.arange(3000)
-    rows[:, 1], rows[:, 7] = 0.5, np.sin(2.0 * time) + 0.5 * np.sin(5.1 * time)
-    motions = JointMotions((rows,), (rows[:, 4],), (0.004,))
-    true = [40.0, 3.0, 0.0, 0.3, 0.05, 0.01, 0.0, 0.0, 0.0]
-    moved = motions.simulated(motions.servo(true, limit=6.0))
-    rows[:, 4], rows[:, 5] = moved, np.gradient(moved, time)
-    rows[:, 6] = np.gradient(rows[:, 5], time)
-    rows[:, 0] = 0.5 * rows[:, 6]
-    fit = fit_servo(JointMotions((rows,), (moved,), (0.004,)), EffortSignal("a", "command", 40.0))
-    assert fit.limit / fit.parameters[0] == pytest.approx(6.0 / 40.0, rel=0.02)
-    assert fit.error < 1e-2 * fit.moved
 
 
 def test_an_integral_that_makes_a_joint_swing_up_ends_its_search():
