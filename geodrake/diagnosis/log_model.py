@@ -20,6 +20,7 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.linalg.lapack import dtrtrs
 
 from geodrake.diagnosis.beliefs import Beliefs
 from geodrake.diagnosis.normal_kernels import (
@@ -398,16 +399,20 @@ class LogModel:
 
     def _physical(self, choice: Choice, x: Array, hessian: Array) -> float:
         """Return twice the logarithm of the probability that the fitted payloads are physical."""
-        total = 0.0
-        for term, at in self.spans(choice.terms).items():
-            if term.is_whole:
-                covariance = np.linalg.solve(hessian, np.eye(len(x))[:, at])[at]
-                scale = np.sqrt(np.maximum(np.diag(covariance), 1e-300))
-                ridge = 1e-9 * np.eye(len(scale))
-                factor = np.linalg.cholesky(covariance / scale[:, None] / scale + ridge)
-                matrices = np.tensordot(x[at] + scale * (_DRAWS @ factor.T), _PSEUDO, 1)
-                share = np.mean(np.linalg.eigvalsh(matrices)[:, 0] > 0.0)
-                total += 2.0 * np.log(max(float(share), 0.5 / len(_DRAWS)))
+        total, spans = 0.0, self.spans(choice.terms).items()
+        if not any(term.is_whole for term in choice.terms):
+            return total
+        factor, scale = scaled_cholesky(hessian, RIDGE)
+        for at in (at for term, at in spans if term.is_whole):
+            # Of L⁻¹ columns are zero above their place: those of the last parameters cost little.
+            columns = np.eye(len(x) - at.start, at.stop - at.start)
+            root, _ = dtrtrs(factor[at.start :, at.start :], columns, lower=1)
+            size = scale[at] * np.sqrt(np.square(root).sum(axis=0))
+            correlations = (root.T @ root) * np.outer(scale[at] / size, scale[at] / size)
+            draws = _DRAWS @ np.linalg.cholesky(correlations + 1e-9 * np.eye(len(size))).T
+            matrices = np.tensordot(x[at] + size * draws, _PSEUDO, 1)
+            share = np.mean(np.linalg.eigvalsh(matrices)[:, 0] > 0.0)
+            total += 2.0 * np.log(max(float(share), 0.5 / len(_DRAWS)))
         return total
 
     def efforts(self, delay: Delay) -> Indices:
@@ -433,9 +438,11 @@ class LogModel:
             blocks = [self._residuals(fit, j) for j in range(len(self.rows))]
             found = effective_of_rows(blocks, self.rows)
             worth = np.minimum(found, self.beliefs.discrepancy)
-            # What is more than sensor noise varies with the motion, however often that repeats.
-            noise = np.square(NOISE_MARGIN * self.dataset.noise_floor) / fit.variance
-            more = np.clip(1.0 - noise, 0.0, 1.0)
+            # What is more than noise of efforts varies with the motion, however often that repeats.
+            # That of a base's accelerations does so too, as columns have it in them.
+            data = self.dataset
+            noise = np.square(data.noise_floor) - np.square(data.motion_noise)
+            more = np.clip(1.0 - NOISE_MARGIN**2 * noise / fit.variance, 0.0, 1.0)
             samples = 1.0 / ((1.0 - more) / found + more / worth)
             self._shares[key] = np.clip(samples / self.rows, _LEAST_SHARE, 1.0)
         return self._shares[key]

@@ -11,6 +11,8 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.linalg.blas import dsyrk
+from scipy.linalg.lapack import dtrtrs
 
 from geodrake.diagnosis.log_model import Delay, Fit, LogModel
 from geodrake.diagnosis.normal_kernels import (
@@ -20,6 +22,7 @@ from geodrake.diagnosis.normal_kernels import (
     packed_of,
 )
 from geodrake.diagnosis.terms import Term, Terms
+from geodrake.identification.normal_equations import scaled_cholesky
 from geodrake.model.servos import servos_of
 
 Array = NDArray[np.float64]
@@ -45,11 +48,13 @@ class Neighbourhood:
         packed, moments, _ = model.normal(every, fit.choice.delay)
         gram, right = np.zeros((len(every),) * 2), fit.weights @ moments
         add_normal(packed, fit.weights, gram)
-        columns = fit.columns
-        self._inverse = np.linalg.inv(fit.hessian)
-        self._turned = self._inverse @ gram[columns]
-        self._schur = gram - gram[:, columns] @ self._turned + model.information
-        self._pull = right - gram[:, columns] @ fit.x + model.information @ model.mean
+        self._inverse, self._cross = np.linalg.inv(fit.hessian), gram[fit.columns]
+        self._pull = right - fit.x @ self._cross + model.information @ model.mean
+        factor, scale = scaled_cholesky(fit.hessian, ridge=0.0)
+        root, _ = dtrtrs(factor.T, scale[:, None] * self._cross, lower=0, trans=1)
+        gram += model.information
+        # Of the transpose, which is in Fortran's order, the lower triangle is written.
+        self._schur = dsyrk(-1.0, root, 1.0, gram.T, trans=1, lower=1, overwrite_c=1).T
         spans = model.spans(fit.terms).items()
         self._at = {term: np.arange(span.start, span.stop) for term, span in spans}
 
@@ -94,7 +99,7 @@ class Neighbourhood:
         inverse = np.linalg.inv(covariance)
         known = self._model.prior_scores[np.concatenate([self._model.at[t] for t in terms])].sum()
         loss = -x @ inverse @ x - np.linalg.slogdet(covariance)[1] - known
-        return Dropped(float(loss), self._turned[at], inverse, x)
+        return Dropped(float(loss), self._inverse[at] @ self._cross, inverse, x)
 
     def gains(self, packages: Sequence[Terms], dropped: Dropped | None = None) -> Array:
         """Return (m,) what each package of terms adds to the score, without prior odds.
@@ -108,7 +113,7 @@ class Neighbourhood:
         own = [[model.at[term] for term in package] for package in packages]
         columns = np.concatenate([at for each in own for at in each])
         counts = [sum(map(len, each)) for each in own]
-        gone = (self._turned[:0], np.zeros((0, 0)), np.zeros(0))
+        gone = (self._cross[:0], np.zeros((0, 0)), np.zeros(0))
         if dropped is not None:
             gone = (dropped.rows, dropped.inverse, dropped.x)
         return calc_gains(

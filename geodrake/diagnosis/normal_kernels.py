@@ -179,7 +179,9 @@ def _has_nothing(x: Array, owner: Indices, positive: NDArray[np.bool_]) -> bool:
 
 @compiled
 def calc_gains(
-    around: tuple[Array, Array, Array],  # (P, P) Schur complement, its pull and prior scores (P,)
+    around: tuple[
+        Array, Array, Array
+    ],  # (P, P) upper triangle of the Schur complement, its pull and prior scores (P,)
     owners: tuple[Indices, NDArray[np.bool_]],  # (P,) term of each column; what must be positive
     dropped: tuple[Array, Array, Array],  # (i, P) rows, (i, i) inverse, (i,) values; i may be 0
     packages: tuple[Indices, Indices],  # columns of all packages, and where those of each end
@@ -200,7 +202,7 @@ def calc_gains(
             for i in range(gone):
                 x[a] += rows[i, at[a]] * shift[i]
             for b in range(a + 1):
-                gram[a, b] = schur[at[a], at[b]]
+                gram[a, b] = schur[min(at[a], at[b]), max(at[a], at[b])]
                 for i in range(gone):
                     gram[a, b] += rows[i, at[a]] * turned[i, at[b]]
         square, logarithm = _solve_positive(gram, x)

@@ -364,5 +364,5 @@ def test_noise_is_not_known_from_a_model_that_leaves_less(model):
         (replace(log, effort=log.effort + ripple), False),
         (replace(log, effort=sosfiltfilt(slow, log.effort, axis=0)), False),
     ):
-        _, found = known_noise(prepare_logs([each], bandwidth=5.0), model, fitted=True)
-        assert found.tolist() == [known, known]
+        _, found, of_motion = known_noise(prepare_logs([each], bandwidth=5.0), model, fitted=True)
+        assert found.tolist() == [known, known] and not of_motion.any()

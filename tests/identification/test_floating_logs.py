@@ -27,6 +27,7 @@ from geodrake.effects.body_motion import RobotBodies
 from geodrake.errors import LogError
 from geodrake.identification.logs.compare import compare
 from geodrake.identification.logs.contact_rows import rows_without
+from geodrake.identification.logs.noise import known_noise
 from geodrake.logs import read_log
 from geodrake.logs.files.base_messages import base_sources, base_tables
 from geodrake.logs.floating import ContactFlags
@@ -34,7 +35,7 @@ from geodrake.logs.motion import JointLog
 from geodrake.logs.preparation import prepare_logs
 from geodrake.model.base_logs import with_base
 from geodrake.model.ground_contacts import contact_frames, on_soles
-from geodrake.model.logged_joints import reading_for
+from geodrake.model.logged_joints import log_of_model, reading_for
 from geodrake.model.robot_model import load_description
 from geodrake.robot.regressor import inverse_dynamics_regressor
 
@@ -209,10 +210,15 @@ def test_pose_and_imu_are_the_joints_of_the_base(model, maker):
 
 
 def test_noise_of_the_base_is_that_of_its_imu(model, maker):
-    log = with_base(maker.log(wrenches=False, noise=1.0), model)
+    """Columns have it in them: times the mass, it is a part of the noise floor."""
+    log = log_of_model(maker.log(wrenches=True, noise=1.0), model)
     trajectory = prepare_logs([log])[0]
-    found = trajectory.acceleration_noise[[log.joints.index(j) for j in model.base_joints[:3]]]
-    np.testing.assert_allclose(found, 0.02 * trajectory.filter.noise_gain, rtol=0.15)
+    at = [log.joints.index(joint) for joint in model.base_joints[:3]]
+    expected = 0.02 * trajectory.filter.noise_gain
+    np.testing.assert_allclose(trajectory.acceleration_noise[at], expected, rtol=0.15)
+    floor, _, of_motion = known_noise([trajectory], model)
+    assert (of_motion <= floor).all()
+    np.testing.assert_allclose(of_motion[at], model.phi[:, 0].sum() * expected, rtol=0.2)
 
 
 @pytest.mark.parametrize("wrenches", [True, False])

@@ -282,13 +282,15 @@ def reduced(
     Delays to try on top of the model's, s, of all joints or (nv,) of each, are by default those of
     the case. The noise is that of the case unless its model is another one since.
     """
+    known = case.dataset
+    noise = known.noise_floor, known.noise_known, known.motion_noise
     return reduce_logs(
         case.load_model,
         case.trajectories,
         case.folds,
         effects=effects,
         delays=[*case.dataset.delays] if delays is None else delays,
-        noise=(case.dataset.noise_floor, case.dataset.noise_known) if same_noise else None,
+        noise=noise if same_noise else None,
         shared=case.shared,
     )
 

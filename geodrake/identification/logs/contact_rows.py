@@ -169,16 +169,19 @@ def rows_without(J: Array, flags: NDArray[np.bool_], scales: Array, base: Sequen
     modes, which = np.unique(flags, axis=0, return_inverse=True)
     for number, mode in enumerate(modes):
         at = np.flatnonzero(which.ravel() == number)
-        if not mode.any():
-            found[at] = np.eye(nv)
+        K = J[at][:, mode].reshape(len(at), -1, nv)
+        moved = K.any(axis=(0, 1))  # velocities that move what touches; rows of others are theirs
+        free, moving = np.flatnonzero(~moved), np.flatnonzero(moved)
+        found[at[:, None], free, free] = 1.0
+        if not len(moving):
             continue
-        K = contiguous(J[at][:, mode].reshape(len(at), -1, nv) / scales)
-        middle = K[len(at) // 2]
-        Q = np.linalg.qr(middle.T)[0]
-        own = np.array(_owners(np.eye(nv) - Q @ Q.T, base, nv - Q.shape[1]), np.intp)
-        N = np.zeros((len(at), nv, nv))
-        calc_free_rows(K, own, N)
-        found[at] = scales[:, None] * N / scales
+        K, size = contiguous(K[:, :, moving] / scales[moving]), scales[moving]
+        Q = np.linalg.qr(K[len(at) // 2].T)[0]
+        first = np.flatnonzero(np.isin(moving, base)).tolist()
+        own = _owners(np.eye(len(moving)) - Q @ Q.T, first, len(moving) - Q.shape[1])
+        N = np.zeros((len(at), len(moving), len(moving)))
+        calc_free_rows(K, np.array(own, np.intp), N)
+        found[np.ix_(at, moving, moving)] = size[:, None] * N / size
     return found
 
 

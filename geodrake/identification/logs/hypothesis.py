@@ -18,7 +18,7 @@ from geodrake.boundary.showing import Short
 from geodrake.identification.conic_fit import solve_with_fallback
 from geodrake.identification.logs.dataset import Dataset, Delay
 from geodrake.identification.logs.evidence import effective_samples_of_each
-from geodrake.identification.logs.unknowns import Unknowns, fit_problem
+from geodrake.identification.logs.unknowns import Unknowns, fit_problem, fold_factors
 from geodrake.identification.normal_equations import RIDGE, cholesky, solved
 from geodrake.inertia import PARAMETERS_PER_BODY, is_physical
 
@@ -118,6 +118,12 @@ class CrossValidation:
         (gram, rhs), prior = self._own, self.unknowns.information
         return gram.sum(0) + prior, rhs.sum(0) + prior @ self.unknowns.mean + self.unknowns.pull
 
+    @cached_property
+    def _factors(self) -> list[Array]:
+        """Triangular factor (p + 1, p + 1) of each fold."""
+        columns = self.unknowns.columns
+        return fold_factors(self.dataset, columns, self.weights, delay=self.delay)
+
     def _solved(
         self, grams: Array, rhs: Array, without: Sequence[int | None], *, physical: bool
     ) -> Array:
@@ -129,7 +135,7 @@ class CrossValidation:
             x[f] = _within(free, rhs[f], (scaled[f], scales[f]), self.unknowns)
             if physical and not self._are_physical(x[f]):
                 args = self.dataset, self.unknowns, self.weights
-                problem = fit_problem(*args, without=without[f], delay=self.delay)
+                problem = fit_problem(*args, without=without[f], factors=self._factors)
                 x[f] = solve_with_fallback(problem).x
         return x
 

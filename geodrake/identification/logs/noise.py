@@ -37,8 +37,8 @@ def known_noise(
     *,
     sign_width: ArrayLike = 0.0,
     fitted: bool = False,
-) -> tuple[Array, NDArray[np.bool_]]:
-    """Return the RMS of the sensors' noise in efforts after filtering, and whether it is known.
+) -> tuple[Array, NDArray[np.bool_], Array]:
+    """Return the RMS of the sensors' noise in efforts after filtering, and what is known of it.
 
     The noise is taken to be white.
 
@@ -54,10 +54,12 @@ def known_noise(
     those of a model `fitted` to the logs are; below speeds `sign_width` (nv,) the direction of
     motion is not known. Returned are (n,) floors, N·m or N, and (n,) whether they are known
     whatever a model leaves: not where efforts were filtered before, nor where a model leaves much
-    less than the noise above the bandwidth, which is then not white.
+    less than the noise above the bandwidth, which is then not white; and of the floors the part
+    (n,), N·m or N, that noise of accelerations makes of a free base's efforts, zero of robots that
+    are fixed to the world. Columns have that noise too, so that it goes with the motion.
     """
     power, weight = np.zeros(len(trajectories[0].joints)), 0
-    claimed, silent = power.copy(), np.zeros(len(power), bool)
+    claimed, moving, silent = power.copy(), power.copy(), np.zeros(len(power), bool)
     for trajectory in trajectories:
         robot = None if model is None else carrying(model, trajectory.payloads)
         gain, bandwidth = trajectory.filter.noise_gain, trajectory.filter.bandwidth
@@ -74,14 +76,17 @@ def known_noise(
                 mean, quietest = passband_density(residual, rate, bandwidth)
                 carried = _carried(start, robot, trajectory, sign_width, rows)
                 below = quietest * width if fitted else carried
-                noise = np.where(_is_silent(density, start), below, density * width + carried)
-                claimed += len(segment) * noise
-                noise = np.minimum(noise, mean * width)
+                whole = np.where(_is_silent(density, start), below, density * width + carried)
+                claimed += len(segment) * whole
+                noise = np.minimum(whole, mean * width)
+                if robot.base_joints:
+                    share = np.minimum(carried / np.maximum(whole, np.finfo(float).tiny), 1.0)
+                    moving += len(segment) * share * noise
             silent |= _is_silent(density, start)
             power += len(segment) * noise
             weight += len(segment)
     known = ~silent & (claimed <= JOINT_NOISE_MARGIN**2 * power)
-    return np.sqrt(power / weight), known
+    return np.sqrt(power / weight), known, np.sqrt(moving / weight)
 
 
 def filtered_below(trajectory: Trajectory) -> float:

@@ -29,6 +29,7 @@ from geodrake.robot.reduction import triangular_factor
 from geodrake.robot.regressor import inverse_dynamics, inverse_dynamics_regressor
 
 Array = NDArray[np.float64]
+Noise = tuple[Array, NDArray[np.bool_] | bool, Array | float]
 
 LEAST_SIGN_WIDTH = 0.002  # of a joint's peak speed, below which its direction is not known
 SIGN_NOISE = 1.2  # deviations σ of a speed's noise; the mean sign is erf(v/√2σ) ≈ tanh(v/1.2σ)
@@ -47,7 +48,7 @@ def reduce_logs(
     *,
     effects: Sequence[Effect],
     delays: Sequence[ArrayLike] = (0.0,),
-    noise: tuple[Array, NDArray[np.bool_] | bool] | None = None,
+    noise: Noise | None = None,
     fitted: bool = False,
     shared: RowCache | None = None,
 ) -> Dataset:
@@ -55,8 +56,8 @@ def reduce_logs(
 
     The model's inertial parameters give the load, its delays shift the efforts. Effects get columns
     if they are of the model or to be tried. Further `delays` to try, s, are of all joints or (nv,)
-    of each; the first must be 0. `noise` is the (nv,) noise floor and whether it is known, if that
-    was looked at already; else it depends on whether the model was `fitted` to these logs. `shared`
+    of each; the first must be 0. `noise` is what `known_noise` says, if that was looked
+    at already; else it depends on whether the model was `fitted` to these logs. `shared`
     is what reductions of the same logs by the same robot have in common; it is used and filled.
 
     Raises:
@@ -82,7 +83,7 @@ def reduce_logs(
             )
     passive = {joint for trajectory in trajectories for joint in trajectory.passive}
     deviation = effort_deviation(model.joints, data, {*passive, *model.base_joints})
-    floor, known = noise or known_noise(
+    floor, known, of_motion = noise or known_noise(
         trajectories, model, sign_width=layout.sign_width, fitted=fitted
     )
     return Dataset(
@@ -102,6 +103,7 @@ def reduce_logs(
             model, [t.payloads for t in trajectories], [t.gain_deviations for t in trajectories]
         ),
         known,
+        of_motion,
         passive_inertia(model, layout.tree, trajectories),
         is_mixed=coupling is not None,
     )

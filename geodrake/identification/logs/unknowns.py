@@ -5,6 +5,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -153,6 +154,26 @@ def effect_prior(dataset: Dataset, effect: Effect) -> tuple[Array, Array]:
     return np.zeros(k), np.diag(np.maximum(peak**2, np.maximum(spread**-2.0, 1e-300)))
 
 
+def fold_factors(
+    dataset: Dataset, columns: Indices, weights: Array, *, delay: Delay = 0
+) -> list[Array]:
+    """Return for each fold the triangular factor (p + 1, p + 1) of all joints' weighted [A | b].
+
+    The `weights` (nv,) are those of a squared residual of each joint, and columns (p,) those of A.
+    Rows of a joint are few where it feels few columns, so that each is factored by itself first.
+    """
+    blocks = [list[Array]() for _ in dataset.folds]
+    delays = dataset.delay_of_each(delay)
+    for data, weight, late in zip(dataset.data, weights, delays, strict=True):
+        seen = np.append(np.flatnonzero(data.local(columns) >= 0), len(columns))
+        for fold, rows in zip(blocks, data.factors_of(columns[seen[:-1]], late), strict=True):
+            own = np.linalg.qr(rows, "r") if len(rows) > len(seen) else rows
+            wide = np.zeros((len(own), len(columns) + 1))
+            wide[:, seen] = np.sqrt(weight) * own
+            fold.append(wide)
+    return [triangular_factor([np.vstack(fold)]) for fold in blocks]
+
+
 def fit_problem(
     dataset: Dataset,
     unknowns: Unknowns,
@@ -160,19 +181,17 @@ def fit_problem(
     *,
     without: int | None = None,
     delay: Delay = 0,
+    factors: Sequence[Array] | None = None,
 ) -> FitProblem:
     """Return the convex program of a fit of the unknowns to all folds, or to all but one.
 
-    The `weights` (nv,) are those of a squared residual of each joint, and `delay` is the index of
-    the effort column to fit.
+    The `weights` (nv,) are those of a squared residual of each joint, `delay` is the index of the
+    effort column to fit, and `factors` are those of `fold_factors`, if they are known.
     """
-    p = len(unknowns.columns)
     kept = [fold for fold in range(len(dataset.folds)) if fold != without]
-    triangle = np.zeros((1, p + 1))
-    delays = dataset.delay_of_each(delay)
-    for data, weight, late in zip(dataset.data, weights, delays, strict=True):
-        rows = np.concatenate(data.factors_of(unknowns.columns, late)[kept])
-        triangle = triangular_factor([triangle, np.sqrt(weight) * rows])
+    if factors is None:
+        factors = fold_factors(dataset, unknowns.columns, weights, delay=delay)
+    triangle = triangular_factor([factors[fold] for fold in kept])
     lower, upper = unknowns.scalar_bounds
     return FitProblem(
         factor=triangle,
