@@ -13,6 +13,10 @@ from pydrake.trajectories import PiecewisePolynomial, Trajectory
 from geodrake.control.adaptation import natural_adaptation, parameter_manifold
 from geodrake.control.loops import add_adaptive_loop
 from geodrake.control.regressor import ControlModel
+from geodrake.control.systems import (
+    AdaptiveComputedTorqueController,
+    PassivityBasedAdaptiveController,
+)
 from geodrake.effects import FittedEffect, ViscousFriction
 from geodrake.inertia import (
     from_pseudo_inertia,
@@ -50,7 +54,7 @@ def pendulum_plant(time_step=0.0, *, payload=None, limits=None, reverse=False, d
         joint = plant.get_mutable_joint(index)
         if joint.num_velocities() == 1:
             joint.set_default_damping_vector([damping])
-            effort = np.inf if limits is None else limits
+            effort = (limits or {}).get(joint.name(), np.inf)
             plant.AddJointActuator(f"motor_{joint.name()}", joint, effort)
     if payload is not None:
         body = plant.GetBodyByName(MODEL.bodies[-1])
@@ -79,6 +83,24 @@ def perturbed(size, seed=0, truth=TRUTH, control=CONTROL):
 
 def natural(gamma=1.0):
     return natural_adaptation(MANIFOLD, gamma)
+
+
+START = perturbed(0.15)
+
+
+def passive(law="natural", **options):
+    """A controller by passivity that begins with a wrong estimate and knows the truth."""
+    return _controller(PassivityBasedAdaptiveController, law, options)
+
+
+def computed(law="natural", **options):
+    """The same by computed torque."""
+    return _controller(AdaptiveComputedTorqueController, law, options)
+
+
+def _controller(kind, law, options):
+    law = natural() if law == "natural" else law
+    return kind(CONTROL, law, **{"parameters": START, "truth": TRUTH, **options})
 
 
 def closed_loop(controller, *, plant=None, size=0.8, effects=(), log_period=1e-2, sensor=None):

@@ -2,13 +2,12 @@
 
 from dataclasses import dataclass, replace
 from pathlib import Path
-from xml.etree import ElementTree
 
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from known_robots import PINOCCHIO_ORDER, plant_of
+from known_robots import PINOCCHIO_ORDER, description, plant_of
 from random_plants import JOINTS, random_plant
 
 from geodrake.control.regressor import ControlModel
@@ -65,12 +64,9 @@ class Case:
     a: np.ndarray
     r: np.ndarray
 
-    def sample(self, q=None, qd=None, v=None, a=None):
-        given = (q, qd, v, a)
-        own = (self.q, self.qd, self.v, self.a)
-        return RigidSample.at(
-            self.tree, *(x if x is not None else y for x, y in zip(given, own, strict=True))
-        )
+    def sample(self, **given):
+        states = {"q": self.q, "qd": self.qd, "v": self.v, "a": self.a, **given}
+        return RigidSample.at(self.tree, *states.values())
 
     def regressor(self, **given):
         return self.sample(**given).regressor(self.phi.size)
@@ -152,7 +148,7 @@ def efforts_are_the_rate_of_momentum_less_its_drift(case):
     close(rate - drift, expected, 1e-7)
 
 
-@settings(max_examples=60)
+@settings(max_examples=30)
 @given(
     seed=st.integers(0, 2**32 - 1),
     kinds=st.lists(st.sampled_from(KINDS), max_size=7),
@@ -168,14 +164,9 @@ def test_axioms_hold_on_trees_of_every_joint_type(seed, kinds, last):
     efforts_are_the_rate_of_momentum_less_its_drift(case)
 
 
-@pytest.mark.parametrize("name", ["arm7.urdf", "ambidex_like.urdf"])
-def test_coriolis_matrix_and_regressor_are_pinocchios(name):
+def test_coriolis_matrix_and_regressor_are_pinocchios():
     pin = pytest.importorskip("pinocchio")
-    robot = ElementTree.parse(MODELS / name).getroot()
-    for parent in robot.iter():
-        for child in [c for c in parent if c.tag in ("visual", "collision", "dynamics")]:
-            parent.remove(child)
-    text = ElementTree.tostring(robot, encoding="unicode")
+    text = description("models/ambidex_like.urdf")
     case = case_of(plant_of(text), np.random.default_rng(1))
     model = pin.buildModelFromXML(text)
     data = model.createData()
@@ -235,16 +226,9 @@ def motion_of(arm, seed=0):
 
 
 def test_effects_beside_inertia_are_those_of_the_model(arm):
-    model = fitted(arm, *all_effects(arm))
-    model = replace(
-        model,
-        effects=tuple(
-            replace(f, parameters=0.1 * inertial_parameters(arm.plant)[-1])
-            if f.effect.name == "payload"
-            else f
-            for f in model.effects
-        ),
-    )
+    model = fitted(arm, *(e for e in all_effects(arm) if e.name != "payload"))
+    load = FittedEffect(Payload(arm.bodies[-1]), 0.1 * inertial_parameters(arm.plant)[-1])
+    model = replace(model, effects=(*model.effects, load))
     control = ControlModel.of(model, sign_width=0.3)
     q, qd, _, a, r = motion_of(arm)
     sample = control.at(q, qd, qd, a)
@@ -289,18 +273,3 @@ def test_momentum_regressors_with_effects(arm):
     rate = (momenta(h) - momenta(-h)) / (2 * h)
     drift = control.at(q, qd, zero, zero).momentum_regressors[1]
     close(rate - drift, control.at(q, qd, qd, a).regressor, 1e-7)
-
-
-def test_a_sample_changes_none_of_its_inputs_and_no_other_sample(arm):
-    control = ControlModel.of(fitted(arm, *all_effects(arm)))
-    q, qd, v, a, r = motion_of(arm)
-    given = [x.copy() for x in (q, qd, v, a)]
-    first = control.at(*given)
-    before = first.regressor.copy(), first.covector(r), first.mass_matrix(control.prior)
-    second = control.at(*motion_of(arm, seed=1)[:4])
-    assert not np.array_equal(second.regressor, first.regressor)
-    for x, y in zip(given, (q, qd, v, a), strict=True):
-        np.testing.assert_array_equal(x, y)
-    after = first.regressor, first.covector(r), first.mass_matrix(control.prior)
-    for x, y in zip(before, after, strict=True):
-        np.testing.assert_array_equal(x, y)

@@ -1,118 +1,115 @@
-"""Controllers, residuals and delays: clones, slopes against mass matrices, gains in the Context."""
+"""All systems: clones, slopes of their outputs, and gains in the Context."""
 
 import numpy as np
 import pytest
-from adaptive_loops import CONTROL, TRUTH, closed_loop, natural, perturbed
-from pydrake.autodiffutils import AutoDiffXd, ExtractGradient, InitializeAutoDiff
+from adaptive_loops import CONTROL, START, closed_loop, computed, natural, passive, pendulum_plant
+from pydrake.autodiffutils import AutoDiffXd, InitializeAutoDiff
 from pydrake.systems.analysis import Simulator
 
+from geodrake import effects
 from geodrake.control.systems import (
-    AdaptiveComputedTorqueController,
     DelayedEffort,
+    EffectForce,
     FixedGains,
     LogSource,
     ModelResidual,
-    PassivityBasedAdaptiveController,
+    PositionServo,
     VaryingGains,
 )
 from geodrake.errors import ArgumentError
 from geodrake.logs.motion import JointLog
 from geodrake.model.simulation.scalar_system import scalars
 
-START = perturbed(0.15)
+SPRING = [(effects.JointElasticity("elbow"), [1e-3]), (effects.RotorInertia("elbow"), [0.3])]
+SERVO = PositionServo([20.0, 8.0], kd=[1.5, 0.4], ki=3.0, limit=[5.0, np.inf])
+SYSTEMS = {
+    "passivity": passive(time_step=0.0),
+    "fixed gains": passive(gains=FixedGains(8.0, 6.0), time_step=0.0),
+    "computed torque": computed(time_step=0.0),
+    "residual": ModelResidual(CONTROL),
+    "effects": EffectForce(pendulum_plant(), SPRING, sign_width=0.3),
+    "servo": SERVO,
+    "delays": DelayedEffort([0.0, 2e-3]),
+}
 RNG = np.random.default_rng(3)
-STATE, DESIRED, ACCELERATION = RNG.normal(size=4), RNG.normal(size=4), RNG.normal(size=2)
+INPUTS = {"estimated_state": RNG.normal(size=4), "desired_state": RNG.normal(size=4)}
+OTHER = {4: INPUTS["estimated_state"], 2: RNG.normal(size=2), 22: START}  # by size
 
 
-VARYING = VaryingGains(8.0)
-
-
-def passive(gains=VARYING, law="natural", **options):
-    law = natural() if law == "natural" else law
-    options = {"parameters": START, "truth": TRUTH, "time_step": 0.0, **options}
-    return PassivityBasedAdaptiveController(CONTROL, law, gains=gains, **options)
-
-
-def computed(rate=8.0, **options):
-    options = {"parameters": START, "truth": TRUTH, "time_step": 0.0, **options}
-    return AdaptiveComputedTorqueController(CONTROL, natural(), rate=rate, **options)
-
-
-def seen(system, **inputs):
-    """A Context with a state, a desired one and accelerations."""
-    context = system.CreateDefaultContext()
-    known = {
-        "estimated_state": STATE,
-        "desired_state": DESIRED,
-        "desired_acceleration": ACCELERATION,
-        "acceleration": ACCELERATION,
-        "effort": ACCELERATION,
-        **inputs,
-    }
-    for name, values in known.items():
-        if system.HasInputPort(name):
-            system.GetInputPort(name).FixValue(context, values)
+def seen(system, changed="", values=None):
+    """A Context with all inputs, of which one may have other values."""
+    context, smooth = system.CreateDefaultContext(), values is not None and values.dtype == object
+    for i in range(system.num_input_ports()):
+        port = system.get_input_port(i)
+        given = INPUTS.get(port.get_name(), OTHER[port.size()])
+        if port.get_name() == changed:
+            given = values
+        elif smooth:
+            given = scalars(given, AutoDiffXd)
+        port.FixValue(context, given)
     return context
 
 
-def output(system, context, name):
-    return system.GetOutputPort(name).Eval(context)
+def everything(system, context):
+    """All outputs, and rates."""
+    ports = (system.get_output_port(i) for i in range(system.num_output_ports()))
+    parts = [np.atleast_1d(port.Eval(context)) for port in ports]
+    return np.concatenate([*parts, system.EvalTimeDerivatives(context).CopyToVector()])
 
 
-def smooth(system, name, values):
-    """A Context of AutoDiffXd in which an input has derivatives."""
-    plain = {
-        key: scalars(v, AutoDiffXd)
-        for key, v in (
-            ("estimated_state", STATE),
-            ("desired_state", DESIRED),
-            ("desired_acceleration", ACCELERATION),
-            ("acceleration", ACCELERATION),
-            ("effort", ACCELERATION),
-        )
-    }
-    plain[name] = InitializeAutoDiff(values).ravel()
-    return seen(system, **plain)
-
-
-@pytest.mark.parametrize("make", [passive, computed])
-def test_slopes_of_controllers(make):
-    """∂u/∂q̈_d is the mass matrix of the estimate; ∂u/∂p̂ the regressor, whose product is u."""
-    system = make()
-    other = system.ToAutoDiffXd()
-    context = smooth(other, "desired_acceleration", ACCELERATION)
-    M = CONTROL.at(STATE[:2], STATE[2:], STATE[2:], ACCELERATION).mass_matrix(START)
-    found = output(other, context, "actuation")
-    np.testing.assert_allclose(ExtractGradient(found), M, atol=1e-7)
-    context.SetContinuousState(InitializeAutoDiff(START).ravel())
-    context = _without_input_slopes(other, context)
-    Y = ExtractGradient(output(other, context, "actuation"))
-    u = output(system, seen(system), "actuation")
-    np.testing.assert_allclose(Y @ START, u, atol=1e-6)
-
-
-def _without_input_slopes(system, context):
-    system.GetInputPort("desired_acceleration").FixValue(context, scalars(ACCELERATION, AutoDiffXd))
-    return context
+@pytest.mark.parametrize("name", SYSTEMS)
+def test_clones_and_slopes(name):
+    """A clone does the same, and slopes are those of differences."""
+    system = SYSTEMS[name]
+    clone, smooth = system.Clone(), system.ToAutoDiffXd()
+    assert type(clone) is type(system)
+    np.testing.assert_array_equal(everything(clone, seen(clone)), everything(system, seen(system)))
+    largest = 0.0
+    for i in range(system.num_input_ports()):
+        port = system.get_input_port(i)
+        x = np.asarray(INPUTS.get(port.get_name(), OTHER[port.size()]))
+        context = seen(smooth, port.get_name(), InitializeAutoDiff(x).ravel())
+        slopes = [value.derivatives() for value in everything(smooth, context)]
+        found = np.array([slope if slope.size else 0.0 * x for slope in slopes])
+        ends = [
+            [everything(system, seen(system, port.get_name(), x + h * e)) for e in np.eye(len(x))]
+            for h in (1e-6, -1e-6)
+        ]
+        expected = np.transpose(np.subtract(*ends)) / 2e-6
+        scale = max(1.0, np.abs(expected).max())
+        np.testing.assert_allclose(found, expected, atol=1e-6 * scale, err_msg=port.get_name())
+        largest = max(largest, np.abs(expected).max())
+    assert largest > 0.1
+    with pytest.raises(RuntimeError, match="does not support scalar conversion"):
+        system.ToSymbolic()
 
 
 @pytest.mark.parametrize("make", [passive, computed])
 @pytest.mark.parametrize("time_step", [0.0, 2e-3])
-def test_a_cloned_loop_does_the_same(make, time_step):
+def test_a_loop_goes_on_alike_in_a_clone_and_in_a_copy_of_its_context(make, time_step):
     builder, loop = closed_loop(make(time_step=time_step))
     diagram = builder.Build()
-    clone = diagram.Clone()
+    clone, first = diagram.Clone(), loop.context(diagram)
+    Simulator(diagram, first).AdvanceTo(0.01)
+    there = clone.CreateDefaultContext()
+    there.SetTimeStateAndParametersFrom(first)
     ends = []
-    for each in (diagram, clone):
-        context = each.CreateDefaultContext()
-        context.SetTimeStateAndParametersFrom(loop.context(diagram))
-        simulator = Simulator(each, context)
-        simulator.AdvanceTo(0.02)
-        context = simulator.get_context()
-        ends.append(each.EvalTimeDerivatives(context).CopyToVector())
-        if time_step:
-            ends[-1] = np.concatenate([ends[-1], context.get_discrete_state(0).value()])
-    np.testing.assert_array_equal(*ends)
+    for each, context in ((diagram, first.Clone()), (clone, there), (diagram, first)):
+        Simulator(each, context).AdvanceTo(0.02)
+        rates = each.EvalTimeDerivatives(context).CopyToVector()
+        states = context.get_discrete_state(0).value() if time_step else rates
+        ends.append((rates, states))
+    for end in ends[1:]:
+        np.testing.assert_equal(end, ends[0])
+    controller = loop.controller
+    fresh = controller.GetMyContextFromRoot(diagram.CreateDefaultContext())
+    np.testing.assert_array_equal(controller.parameters(fresh), START)
+
+
+def with_gains(gains, gamma=1.0):
+    if isinstance(gains, list):
+        return computed(natural(gamma), rate=gains, time_step=0.0)
+    return passive(natural(gamma), gains=gains, time_step=0.0)
 
 
 @pytest.mark.parametrize(
@@ -120,71 +117,30 @@ def test_a_cloned_loop_does_the_same(make, time_step):
     [
         (VaryingGains(8.0), VaryingGains(5.0)),
         (FixedGains([8.0, 4.0], 6.0), FixedGains([3.0, 2.0], [5.0, 7.0])),
+        ([8.0, 8.0], [4.0, 6.0]),
     ],
 )
 def test_gains_and_speed_of_a_context_count(before, after):
-    system, fresh = passive(before), passive(after, natural(0.2))
-    context, expected = seen(system), seen(fresh)
+    system, fresh = with_gains(before), with_gains(after, 0.2)
+    context = seen(system)
     system.set_gains(context, after)
     system.set_gamma(context, 0.2)
-    for name in ("actuation", "lyapunov"):
-        np.testing.assert_allclose(
-            output(system, context, name), output(fresh, expected, name), rtol=1e-12
-        )
-    both = (system, context), (fresh, expected)
-    rates = [each.EvalTimeDerivatives(own).CopyToVector() for each, own in both]
-    np.testing.assert_allclose(*rates, rtol=1e-12)
-    assert np.abs(rates[0]).max() > 0.0
-
-
-def test_poles_of_a_context_count():
-    system, fresh = computed(8.0), computed([4.0, 6.0])
-    context, expected = seen(system), seen(fresh)
-    system.set_gains(context, [4.0, 6.0])
-    for name in ("actuation", "lyapunov"):
-        np.testing.assert_allclose(
-            output(system, context, name), output(fresh, expected, name), rtol=1e-12
-        )
+    expected = everything(fresh, seen(fresh))
+    np.testing.assert_allclose(everything(system, context), expected, rtol=1e-12)
 
 
 def test_gains_that_cannot_be_are_refused():
-    system = passive()
+    system = passive(time_step=0.0)
     context = seen(system)
     with pytest.raises(ArgumentError, match="made with varying gains"):
         system.set_gains(context, FixedGains(1.0, 1.0))
     with pytest.raises(ArgumentError, match="gamma"):
         system.set_gamma(context, 0.0)
     with pytest.raises(ArgumentError, match="does not adapt"):
-        passive(law=None).set_gamma(context, 1.0)
+        passive(None, time_step=0.0).set_gamma(context, 1.0)
 
 
-def test_slopes_of_a_residual():
-    """measured − predicted effort: −M by the acceleration, 𝟙 by the effort."""
-    system = ModelResidual(CONTROL)
-    other = system.ToAutoDiffXd()
-    M = CONTROL.at(STATE[:2], STATE[2:], STATE[2:], ACCELERATION).mass_matrix(CONTROL.prior)
-    for name, expected in (("acceleration", -M), ("effort", np.eye(2))):
-        found = output(other, smooth(other, name, ACCELERATION), "residual")
-        np.testing.assert_allclose(ExtractGradient(found), expected, atol=1e-7)
-    clone = system.Clone()
-    assert isinstance(clone, ModelResidual)
-    np.testing.assert_array_equal(
-        output(clone, seen(clone), "residual"), output(system, seen(system), "residual")
-    )
-    with pytest.raises(RuntimeError, match="does not support scalar conversion"):
-        system.ToSymbolic()
-
-
-def test_delays_and_logs_are_cloned():
-    late = DelayedEffort([0.0, 2e-3])
-    other = late.ToAutoDiffXd()
-    context = other.CreateDefaultContext()
-    other.get_input_port().FixValue(context, InitializeAutoDiff(ACCELERATION).ravel())
-    slopes = ExtractGradient(other.get_output_port().Eval(context))
-    np.testing.assert_allclose(slopes, [[1.0, 0.0], [0.0, 0.0]], atol=1e-9)
-    copy = late.Clone()
-    assert isinstance(copy, DelayedEffort)
-    assert copy.get_input_port().size() == 2
+def test_logs_are_cloned():
     time = np.arange(4.0)[:, None]
     log = JointLog("log", ("hinge",), time[:, 0], time**2, time)
     copy = LogSource(log).Clone()

@@ -110,6 +110,8 @@ def test_limits_that_logs_told_are_in_new_files_and_noted_beside_the_users(tmp_p
         path, notes = exported(model, tmp_path / form, form)
         np.testing.assert_array_equal(load_model(path).effort_limits, [10.0, 7.0])
         assert "limits of effort" not in notes
+    notes = " ".join(export_to("sdf", servoed(model), tmp_path / "servos").notes)
+    assert "sdf does not have the gains of servos, such as those of b" in notes
 
 
 def test_a_file_of_the_users_gets_actuators_for_servos_and_delays_alone(tmp_path):
@@ -176,10 +178,8 @@ def test_delays_shorter_than_a_step_are_said(tmp_path):
     path, notes = exported(servoed(fine, delay=0.003), tmp_path / "fine")
     assert mujoco.MjModel.from_xml_path(str(path)).actuator_history[1][0] == 7
     assert "steps of the simulation of 0.0005 s and more" in notes
-    for k, word in enumerate(("0", "-1")):  # MuJoCo's own step, then
-        odd = servoed(loaded(tmp_path, f'<option timestep="{word}"/>'), delay=0.0015)
-        _, notes = exported(odd, tmp_path / f"odd{k}")
-        assert "step of 0.002 s is longer" in notes
+    odd = servoed(loaded(tmp_path, '<option timestep="-1"/>'), delay=0.0015)
+    assert "step of 0.002 s is longer" in exported(odd, tmp_path / "odd")[1]  # MuJoCo's own
     with pytest.raises(ModelError, match="line 2: bad format in attribute 'timestep'"):
         loaded(tmp_path, '<option timestep="fast"/>')
 
@@ -210,16 +210,8 @@ def test_the_proof_tells_efforts_and_commands_to_actuators(tmp_path):
         assert effort.is_rounding and position.is_rounding and position.typical > 0.01
 
 
-@pytest.mark.sampled(2)
 @pytest.mark.parametrize(
-    ("old", "new"),
-    [
-        ('kp="30.0"', 'kp="30.3"'),
-        ('nsample="15"', 'nsample="9"'),
-        ('delay="0.02"', 'delay="0.025"'),
-        pytest.param('kv="2.0"', 'kv="2.1"', marks=pytest.mark.thorough),
-        pytest.param('delay="0.0137"', 'delay="0.0147"', marks=pytest.mark.thorough),
-    ],
+    ("old", "new"), [('kp="30.0"', 'kp="30.3"'), ('delay="0.02"', 'delay="0.025"')]
 )
 def test_the_proof_sees_wrong_actuators(old, new, tmp_path):
     model = servoed(loaded(tmp_path, text=URDF), effects=(delayed(-0.02, "a"),))
@@ -231,15 +223,6 @@ def test_the_proof_sees_wrong_actuators(old, new, tmp_path):
     assert text.count(old) == 1
     path.write_text(text.replace(old, new))
     assert not prove(model, path, *arguments).differences[1].is_rounding
-
-
-def test_isaac_has_gains_and_delays_of_servos(tmp_path):
-    model = servoed(loaded(tmp_path, text=URDF), effects=(delayed(0.012, "a"),))
-    exported(model, tmp_path / "out", "isaac")
-    joints = json.loads((tmp_path / "out" / "arm.actuators.json").read_text())["joints"]
-    keys = ("stiffness", "damping", "delay", "effort_delay", "effort_limit")
-    assert [joints["a"][key] for key in keys] == [0.0, 0.0, 0.0, 0.012, 10.0]
-    assert [joints["b"][key] for key in keys] == [30.0, 2.0, DELAY, 0.0, 20.0]
 
 
 def test_a_joint_that_had_no_motor_in_logs_gets_none(tmp_path):
@@ -266,21 +249,13 @@ def test_a_joint_that_had_no_motor_in_logs_gets_none(tmp_path):
         load_model(tmp_path / "model.yaml")
 
 
-def test_formats_without_servos_say_so(tmp_path):
-    model = servoed(loaded(tmp_path, text=URDF))
-    notes = " ".join(export_to("sdf", model, tmp_path / "out").notes)
-    assert "sdf does not have the gains of servos, such as those of b" in notes
-
-
 def test_a_joint_that_dry_friction_holds_does_not_creep(tmp_path):
     """By MuJoCo's defaults joints creep under a load that friction holds."""
-    (tmp_path / "arm.urdf").write_text(URDF)
-    model = load_model(tmp_path / "arm.urdf")
     friction = [FittedEffect(CoulombFriction(joint), np.array([4.0])) for joint in "ab"]
-    export_to("mjcf", replace(model, effects=tuple(friction)), tmp_path / "out")
-    engine = mujoco.MjModel.from_xml_path(str(next((tmp_path / "out").glob("*.xml"))))
+    model = replace(loaded(tmp_path, text=URDF), effects=tuple(friction))
+    engine = mujoco.MjModel.from_xml_path(str(exported(model, tmp_path / "out")[0]))
     data = mujoco.MjData(engine)
     data.qpos[:] = 0.5, -0.2  # gravity pulls with 3 and 0.6 N·m
-    while data.time < 20.0:
+    while data.time < 5.0:
         mujoco.mj_step(engine, data)
     np.testing.assert_allclose(data.qpos, [0.5, -0.2], atol=2e-3)

@@ -36,6 +36,7 @@ from geodrake.effects import (
 from geodrake.errors import ModelError
 from geodrake.inertia import from_mass_com_inertia
 from geodrake.logs.motion import Motion
+from geodrake.model import EffortSignal
 from geodrake.model.saved_model import load_model
 from geodrake.robot import joint_names
 
@@ -54,6 +55,8 @@ URDF = """<?xml version="1.0"?>
     <inertial><origin xyz="0 0 0.2"/><mass value="1"/>
       <inertia ixx="0.02" iyy="0.02" izz="0.01" ixy="0" ixz="0" iyz="0"/></inertial>
   </link>
+  <link name="pin"/>
+  <joint name="aa" type="fixed"><parent link="one"/><child link="pin"/></joint>
   <joint name="a" type="revolute"><parent link="base"/><child link="one"/><axis xyz="0 1 0"/>
     <limit lower="-3" upper="3" effort="10" velocity="2"/>
     <dynamics damping="0.5"/></joint>
@@ -173,8 +176,12 @@ def dry(model, moved):
     ("kind", "to"), [("urdf", "urdf"), ("urdf", "drake"), ("sdf", "sdf"), ("sdf", "drake")]
 )
 def test_drake_computes_the_same_from_the_files(kind, to, tmp_path):
-    springs = kind == "sdf"
-    model = fitted(loaded(tmp_path, kind), springs=springs)
+    model = fitted(loaded(tmp_path, kind), springs=kind == "sdf")
+    if (kind, to) == ("urdf", "drake"):
+        tilt = FittedEffect(GravityTilt(0.1, 0.05), np.array([0.1, 0.05]))
+        model = replace(model, effects=(*model.effects, tilt))
+        in_their_format = exported(model, kind, tmp_path / "plain")[1]
+        assert [lost.effect for lost in in_their_format.lost] == ["gravity_tilt"]
     path, held = exported(model, to, tmp_path / "out")
     assert held.lost == ()
     moved = motion(model)
@@ -182,16 +189,15 @@ def test_drake_computes_the_same_from_the_files(kind, to, tmp_path):
     np.testing.assert_allclose(drake_effort(path, moved), ours - dry(model, moved), atol=1e-10)
     again = load_model(path)  # every effect counts once
     np.testing.assert_allclose(again.effort(moved), ours, atol=1e-9)
+    assert "<!-- my arm -->" in path.read_text() or to != kind
 
 
 def test_mujoco_computes_the_same_from_the_file(tmp_path):
     for kind in ("mjcf", "radian"):
         (tmp_path / kind).mkdir()
         model = fitted(loaded(tmp_path / kind, kind), springs=True)
-        tilt = GravityTilt(0.06, -0.03)
-        model = replace(
-            model, effects=(*model.effects, FittedEffect(tilt, np.array([0.06, -0.03])))
-        )
+        tilt = FittedEffect(GravityTilt(0.06, -0.03), np.array([0.06, -0.03]))
+        model = replace(model, effects=(*model.effects, tilt))
         path, held = exported(model, "mjcf", tmp_path / kind / "out")
         assert held.lost == ()
         compiled = mujoco.MjModel.from_xml_path(str(path))
@@ -236,12 +242,6 @@ def test_joints_that_follow_others_follow_them_in_all_formats(tmp_path):
         theirs = first.effort(moved)
         if to == "mjcf":
             theirs = followed_in_mujoco(path, model, moved)
-        elif to == "urdf":
-            read = pinocchio.buildModelFromXML(path.read_text(), True)
-            order = [read.joints[read.getJointId(joint)].idx_v for joint in model.joints]
-            rows = np.stack([moved.q, moved.v, moved.vd], axis=1)[:, :, np.argsort(order)]
-            data, model = read.createData(), replace(model, effects=())
-            theirs = np.array([pinocchio.rnea(read, data, *row)[order] for row in rows])
         np.testing.assert_allclose(theirs, model.effort(moved), rtol=1e-6, atol=1e-8)
         plant = MultibodyPlant(time_step=0.001)
         plant.set_discrete_contact_approximation(DiscreteContactApproximation.kSap)
@@ -265,30 +265,9 @@ def test_several_files_become_one(tmp_path):
     assert compiled.nv == len(model.joints)
     again, moved = load_model(path), motion(model)
     order = [again.joints.index(joint) for joint in model.joints]
-    other = Motion(*(_reordered(x, order) for x in (moved.q, moved.v, moved.vd)))
+    back = np.argsort(order)
+    other = Motion(moved.q[:, back], moved.v[:, back], moved.vd[:, back])
     np.testing.assert_allclose(again.effort(other)[:, order], model.effort(moved), atol=1e-9)
-
-
-def _reordered(values, order):
-    found = np.empty_like(values)
-    found[:, order] = values
-    return found
-
-
-def test_a_sliding_joint_with_welds_beside_it_slides(tmp_path):
-    """Welded joints have no velocities, but Drake gives them the start of another's."""
-    (tmp_path / "own").mkdir()
-    path = tmp_path / "own" / "arm.urdf"
-    weld = """<link name="tip"/><joint name="{0}" type="fixed"><parent link="{1}"/>
-      <child link="tip"/></joint>"""
-    path.write_text(URDF.replace('  <joint name="a"', weld.format("aa", "one") + '<joint name="a"'))
-    model = load_model(path)
-    assert model.sliding_joints == ("b",)
-    compiled = mujoco.MjModel.from_xml_path(str(exported(model, "mjcf", tmp_path / "out")[0]))
-    assert compiled.jnt_type.tolist() == [
-        int(mujoco.mjtJoint.mjJNT_HINGE),
-        int(mujoco.mjtJoint.mjJNT_SLIDE),
-    ]
 
 
 def test_pinocchio_reads_the_inertias_damping_and_friction(tmp_path):
@@ -296,8 +275,7 @@ def test_pinocchio_reads_the_inertias_damping_and_friction(tmp_path):
     path, _ = exported(model, "urdf", tmp_path / "out")
     read = pinocchio.buildModelFromUrdf(str(path))
     assert read.damping == pytest.approx([0.7, 1.1])
-    read.damping[:] = 0.0
-    for name in ("friction", "lowerDryFrictionLimit", "upperDryFrictionLimit"):
+    for name in ("damping", "friction", "lowerDryFrictionLimit", "upperDryFrictionLimit"):
         if hasattr(read, name):
             getattr(read, name)[:] = 0.0
     data, moved = read.createData(), motion(model)
@@ -314,63 +292,28 @@ def test_nothing_else_in_the_file_changes(kind, tmp_path):
     to = "mjcf" if kind == "radian" else kind
     path, _ = exported(model, to, tmp_path / "own" / ".." / "own2")  # as it is, on the same level
     there = path.read_text()
+    assert ("../own/meshes/one.stl" in there) == (kind in ("urdf", "sdf"))
     assert re.sub(r"\.\./own/", "", there) == model.path.read_text()
 
 
-def test_comments_stay_and_meshes_lead_to_where_they_were(tmp_path):
-    (tmp_path / "deep").mkdir()
-    for kind in ("urdf", "sdf"):
-        (tmp_path / kind).mkdir()
-        model = fitted(loaded(tmp_path / kind, kind), springs=False)
-        path, _ = exported(model, kind, tmp_path / "deep" / kind)
-        text = path.read_text()
-        assert "<!-- my arm -->" in text
-        assert f"../../{kind}/own/meshes/one.stl" in text
-
-
-def test_a_tilted_base_is_welded_as_it_stands(tmp_path):
-    model = fitted(loaded(tmp_path, "urdf"), springs=False)
-    tilt = FittedEffect(GravityTilt(0.1, 0.05), np.array([0.1, 0.05]))
-    model = replace(model, effects=(*model.effects, tilt))
-    path, held = exported(model, "drake", tmp_path / "out")
-    assert held.lost == ()
-    moved = motion(model)
-    ours = model.effort(moved)
-    np.testing.assert_allclose(drake_effort(path, moved), ours - dry(model, moved), atol=1e-9)
-    np.testing.assert_allclose(load_model(path).effort(moved), ours, atol=1e-9)
-    _, in_urdf = exported(model, "urdf", tmp_path / "plain")
-    assert [lost.effect for lost in in_urdf.lost] == ["gravity_tilt"]
-
-
 @pytest.mark.parametrize(
-    "missed",
-    [
-        lambda a, b: FittedEffect(StribeckFriction(a, 0.5), np.array([0.3])),
-        lambda a, b: FittedEffect(LoadDependentFriction(a), np.array([0.1])),
-        lambda a, b: FittedEffect(AsymmetricFriction(a), np.array([0.3, 0.5, 0.1, 0.2])),
-        lambda a, b: FittedEffect(CoupledRotorInertia((a, b)), np.array([0.04])),
-    ],
+    ("kind", "values"),
+    [(LoadDependentFriction, [0.1]), (AsymmetricFriction, [0.3, 0.5, 0.1, 0.2])],
 )
-def test_what_a_format_lacks_is_fitted_into_what_it_holds(missed, tmp_path):
+def test_what_a_format_lacks_is_fitted_into_what_it_holds(kind, values, tmp_path):
     model = loaded(tmp_path, "urdf")
-    extra = missed(*model.joints)
+    extra = FittedEffect(kind("a"), np.array(values))
     whole = replace(model, effects=(*model.effects, extra))
     moved = motion(whole, 400)
     held = held_by(whole, FORMATS["urdf"].holding(whole), [moved])
     (lost,) = held.lost
-    assert (lost.effect, lost.where) == (extra.effect.name, extra.effect.where)
-    truth = whole.effort(moved)
+    assert (lost.effect, lost.where) == (extra.effect.name, ("a",))
+    assert lost.into == ("viscous_friction", "coulomb_friction")
 
     def error(other):
-        return np.sum((other.effort(moved) - truth) ** 2)
+        return np.sum((other.effort(moved) - whole.effort(moved)) ** 2)
 
-    left_out = error(model)
-    if extra.effect.name == "coupled_rotor_inertia":  # varies with v̇ of the other joint alone
-        assert lost.into == ()
-        assert error(held.model) == left_out
-        return
-    assert lost.into == ("viscous_friction", "coulomb_friction")
-    assert error(held.model) < 0.4 * left_out
+    assert error(held.model) < 0.4 * error(model)
     # No other damping and dry friction of the joint is nearer.
     for k, each in enumerate(held.model.effects):
         for factor in (0.95, 1.05):
@@ -381,43 +324,44 @@ def test_what_a_format_lacks_is_fitted_into_what_it_holds(missed, tmp_path):
 
 def test_what_nothing_resembles_is_left_out(tmp_path):
     model = fitted(loaded(tmp_path, "urdf"), springs=True)
-    a, _ = model.joints
     more = [
         FittedEffect(EffortDelay(0.01), np.zeros(0)),
-        FittedEffect(TorqueRipple(a, 6), np.array([0.2, 0.1])),
+        FittedEffect(TorqueRipple("a", 6), np.array([0.2, 0.1])),
+        FittedEffect(CoupledRotorInertia(("a", "b")), np.array([0.04])),
     ]
     whole = replace(model, effects=(*model.effects, *more))
     held = held_by(whole, FORMATS["urdf"].holding(whole), [motion(whole)])
-    names = {lost.effect: lost.into for lost in held.lost}
-    assert names == dict.fromkeys(
-        ("joint_spring", "effort_offset", "effort_delay", "torque_ripple"), ()
-    )
+    assert {lost.into for lost in held.lost} == {()}
+    left_out = {"joint_spring", "effort_offset", *(each.effect.name for each in more)}
+    assert {lost.effect for lost in held.lost} == left_out
     assert "payload" in {each.effect.name for each in held.model.effects}
 
 
 def test_isaac_has_a_value_for_everything_that_it_would_read_elsewhere(tmp_path):
     model = fitted(loaded(tmp_path, "urdf"), springs=False)
-    a, b = model.joints
     more = [
         FittedEffect(EffortDelay(0.012), np.zeros(0)),
-        FittedEffect(StribeckFriction(a, 0.3), np.array([0.2])),
+        FittedEffect(StribeckFriction("a", 0.3), np.array([0.2])),
     ]
-    model = replace(model, effects=(*model.effects, *more))
+    servo = EffortSignal("b", "command", 30.0, damping=2.0, delay=0.02, limit=8.0, deviation=1.0)
+    model = replace(model, effects=(*model.effects, *more), effort_signals=(servo,))
     exported(model, "isaac", tmp_path / "out", [motion(model)])
     joints = json.loads((tmp_path / "out" / "arm.actuators.json").read_text())["joints"]
-    assert joints[b] == {
-        "effort_limit": 10.0,
+    assert joints["b"] == {
+        "effort_limit": 8.0,
         "velocity_limit": 2.0,
-        "stiffness": 0.0,
-        "damping": 0.0,
+        "stiffness": 30.0,
+        "damping": 2.0,
         "armature": pytest.approx(0.3),
         "friction": 0.0,
         "dynamic_friction": 0.0,
         "viscous_friction": pytest.approx(1.1),
-        "delay": 0.0,
+        "delay": 0.02,
         "effort_delay": 0.012,
     }
-    assert joints[a]["friction"] == pytest.approx(joints[a]["dynamic_friction"] + 0.2)
+    a = joints["a"]
+    assert (a["effort_limit"], a["stiffness"], a["effort_delay"]) == (10.0, 0.0, 0.012)
+    assert a["friction"] == pytest.approx(a["dynamic_friction"] + 0.2)
 
 
 def test_joints_of_included_files_are_refused(tmp_path):

@@ -6,67 +6,72 @@ import json
 import numpy as np
 import pytest
 from flexible_arm import arm_log, soft_arm
-from two_masses import FRICTION, GAP, ROTOR, STIFFNESS, having, loose, springy, swung
+from two_masses import (
+    FRICTION,
+    GAP,
+    ROTOR,
+    STIFFNESS,
+    followed,
+    having,
+    loose,
+    springy,
+    swung,
+)
 from typer.testing import CliRunner
 
-from geodrake import load_model, save_model
+from geodrake import effects, load_model, save_model
 from geodrake.cli.app import app
-from geodrake.control.rollout import fit_rollouts
+from geodrake.control.rollout import (
+    FittedValue,
+    RolloutFit,
+    fit_rollouts,
+    roll_out,
+)
 from geodrake.control.rollout.fit_rollouts import better_model, held_out
 from geodrake.control.rollout.linearized_motion import LinearizedMotion
 from geodrake.control.rollout.motion_search import blinds
 from geodrake.control.rollout.passages import chosen_passages
-from geodrake.control.rollout.rollout_values import rollout_values
+from geodrake.control.rollout.rollout_values import (
+    rollout_values,
+    values_at,
+    with_values,
+)
 from geodrake.control.rollout.simulation import simulations
-from geodrake.errors import LogError, ModelError
+from geodrake.errors import ArgumentError, LogError, ModelError
 from geodrake.identification.logs.case import open_case
 from geodrake.logs.files import write_log
+from geodrake.model import EffortSignal
+from geodrake.report import page_of, render
+from geodrake.report.json_output import rollout_fit_dict
+from geodrake.report.page import About
+from geodrake.report.words import rollout_fit_words
 
 
-def never_worse(found):
-    """Whether held-out windows of the model that comes back depart no more than before."""
-    before, after = found.held_out
-    return not found.taken or after.relative <= before.relative
-
-
-@pytest.mark.thorough
-@pytest.mark.parametrize("seed", range(6))
-def test_a_gap_that_is_too_wide_is_found(pendulum, seed):
-    """Its sides are not those of the log, so that it is known less well."""
-    found = fit_rollouts(loose(pendulum, 1.3), [swung(seed, stiffness=2e3, gap=GAP)])
-    (value,) = found.values
-    assert abs(value.after / GAP - 1.0) < 0.25
-    assert abs(value.after - GAP) < 3.0 * value.deviation
-    assert never_worse(found)
-    if found.taken:
-        assert found.model.effects[-1].effect.half_width == value.after
-
-
-def linearized_motion(model, log, most=2):
-    """Windows of a log, and how they are simulated near their motion."""
-    case = open_case(model, [log], candidates=False)
-    passages = chosen_passages(case, 0.4, most)
-    simulation = simulations(case, passages)(log.name)
+def departures(case, *, horizon=0.4, most=2, commands=False):
+    """In the diagram and near the motion, window by window, and whether servos have no more."""
+    passages = chosen_passages(case, horizon, most)
+    made = simulations(case, passages, commands=commands)(case.asked.logs[0].name)
+    couplings = made.law.soft.couplings(made.law.mu)
     for passage in passages:
-        near, soft = LinearizedMotion.of(simulation, passage), simulation.law.soft
-        yield passage, simulation, near, soft.couplings(simulation.law.mu)
+        found, _ = LinearizedMotion.of(made, passage).departure(case.model.effects, couplings)
+        exact = made.positions(passage) - passage.segment.position
+        along = made.acting.along(passage) if commands else None
+        yield exact, found, along and bool((np.abs(along.effort) > along.gains.limit).any())
 
 
-def test_near_the_motion_is_as_in_the_diagram():
-    model = soft_arm(0.8)
-    for passage, simulation, near, couplings in linearized_motion(model, arm_log(2000.0)):
-        exact = simulation.positions(passage) - passage.segment.position
-        found, _ = near.departure(model.effects, couplings)
-        assert np.sqrt(np.mean((found - exact) ** 2)) < 0.12 * np.sqrt(np.mean(exact**2))
+def rms(departure):
+    return np.sqrt(np.mean(departure**2))
 
 
-def test_play_near_the_motion_is_as_in_the_diagram(pendulum):
-    """Both begin with links where the motion before leaves them in their dead bands."""
-    for passage, simulation, near, couplings in linearized_motion(loose(pendulum, 1.0), swung(0)):
-        exact = simulation.positions(passage) - passage.segment.position
-        found, _ = near.departure(loose(pendulum, 1.0).effects, couplings)
-        assert np.sqrt(np.mean(exact**2)) > 0.2 * GAP
-        assert np.sqrt(np.mean((found - exact) ** 2)) < 0.03 * np.sqrt(np.mean(exact**2))
+def test_near_the_motion_is_as_in_the_diagram(pendulum):
+    """Play, too: both begin with links where the motion before leaves them in their dead bands."""
+    for model, log, share, least in (
+        (soft_arm(0.8), arm_log(2000.0, seconds=5.0), 0.12, 1e-4),
+        (loose(pendulum, 1.0), swung(0), 0.03, 0.2 * GAP),
+    ):
+        for exact, found, _ in departures(open_case(model, [log], candidates=False)):
+            assert rms(exact) > least
+            assert rms(found - exact) < share * rms(exact)
 
 
 def test_what_cannot_be_fitted_is_said(pendulum):
@@ -81,7 +86,7 @@ def files(pendulum, tmp_path_factory):
     folder = tmp_path_factory.mktemp("command")
     save_model(springy(pendulum, 0.8), folder / "soft.yaml")
     save_model(having(pendulum, ROTOR, FRICTION), folder / "stiff.yaml")
-    write_log(swung(0, seconds=10.0), folder / "log.csv")
+    write_log(swung(0, seconds=6.0), folder / "log.csv")
     return folder
 
 
@@ -156,3 +161,116 @@ def test_what_is_known_of_other_parameters_stays(pendulum):
     assert better.information[12, 12] == pytest.approx(1e8)
     assert np.linalg.eigvalsh(better.information).min() > 0.0
     assert better.effects[-1].effect.damping == 0.1
+
+
+# Under commands
+
+
+PD = EffortSignal("hinge", "command", 100.0, damping=6.0, delay=0.013)
+SERVOS = {
+    "pid": dataclasses.replace(PD, integral=200.0),
+    "limited": dataclasses.replace(PD, limit=6.5),
+}
+
+
+def servoed(model, share, *servos):
+    """A pendulum with a spring of a share of the true compliance, and servos."""
+    return dataclasses.replace(springy(model, share), effort_signals=servos)
+
+
+@pytest.mark.parametrize("name", SERVOS)
+def test_near_the_motion_servos_are_as_in_the_diagram(pendulum, name):
+    """How departures change with the compliance; a tenth less is given than servos mean to."""
+    scale = effects.FittedEffect(effects.EffortScale("hinge"), np.array([0.1]))
+    log, ends = followed(0, SERVOS[name], seconds=1.5), []
+    for share in (2.0, 2.2):
+        model = servoed(pendulum, share, SERVOS[name])
+        model = dataclasses.replace(model, effects=(*model.effects, scale))
+        case = open_case(model, [log], candidates=False, bandwidth=12.0)
+        ends.append(list(departures(case, horizon=0.15, most=3, commands=True)))
+    for (exact, found, _), (exact_next, found_next, _) in zip(*ends, strict=True):
+        change = exact_next - exact
+        assert rms(found_next - found - change) < 0.02 * rms(change)
+    held = [at_limit for *_, at_limit in ends[0]]
+    assert any(held) == (name == "limited") and not all(held)
+
+
+def test_a_spring_under_commands_is_found(pendulum):
+    servo = dataclasses.replace(SERVOS["pid"], limit=6.5)
+    log = followed(0, servo, noise=1e-4, seconds=5.0)
+    assert not np.isfinite(log.effort).any()
+    found = fit_rollouts(servoed(pendulum, 2.0, servo), [log], most=4, commands=True)
+    before, after = found.held_out
+    assert before.commands and after.commands
+    assert after.relative < before.relative
+    value, *_ = found.values
+    assert abs(STIFFNESS * value.after - 1.0) < max(0.02, 3.5 * STIFFNESS * value.deviation)
+
+
+UNSURE = dataclasses.replace(PD, deviation=10.0, damping_deviation=0.6)
+
+
+def test_what_is_free_of_a_servo(pendulum):
+    """All that is not exact, and then the delay; the gain takes along what is beside it."""
+    pid = dataclasses.replace(UNSURE, integral=200.0, integral_deviation=9.0)
+    model = servoed(pendulum, 2.0, pid)
+    springs = rollout_values(model)
+    values = rollout_values(model, commands=True)
+    assert values[: len(springs)] == springs
+    names = [value.name for value in values[len(springs) :]]
+    assert names == ["gain", "damping", "integral", "delay"]
+    assert rollout_values(servoed(pendulum, 2.0, PD), commands=True) == springs
+    new, _ = values_at(values, np.array([np.log(0.5), 0.0, 1.0, -1.0, 0.5, -2.0]))
+    expected = [1.0 / STIFFNESS, 0.05, 110.0, 1.1 * (6.0 - 0.6), 1.1 * 210.0, 0.013 / 30.0]
+    np.testing.assert_allclose(new, expected, rtol=1e-12)
+    (servo,) = with_values(model, values, new, np.full(6, 0.1)).effort_signals
+    assert (servo.gain, servo.damping, servo.integral, servo.delay) == tuple(new[2:])
+    deviations = servo.deviation, servo.damping_deviation, servo.integral_deviation
+    assert deviations == pytest.approx((11.0, 0.1, 0.1))
+
+
+def test_what_is_free_of_a_motor(pendulum):
+    """Friction and the rotor, as far as they are not exact; nothing that may be of either sign."""
+    beside = (
+        (effects.AsymmetricFriction("hinge"), [1.0, 0.5, 0.0, 0.2], [0.1, 0.0, 0.1, 0.1]),
+        (effects.EffortOffset("hinge"), [0.3], [0.1]),
+        (effects.GravityCompensator("hinge"), [2.0, 0.1], [0.1, 0.1]),
+        (effects.RotorInertia("hinge"), [0.4], [0.1]),
+    )
+    motors = [effects.FittedEffect(e, np.array(x), np.array(unsure)) for e, x, unsure in beside]
+    model = servoed(pendulum, 1.0, EffortSignal("hinge", "command", 100.0, deviation=10.0))
+    model = dataclasses.replace(model, effects=(model.effects[-1], *motors))
+    values = rollout_values(model, commands=True)
+    assert [(value.effect, value.name) for value in values[4:]] == [
+        ("asymmetric_friction", "coulomb_positive"),
+        ("asymmetric_friction", "viscous_negative"),
+        ("rotor_inertia", "inertia"),
+    ]
+
+
+def test_what_cannot_follow_commands_is_said(pendulum):
+    log = followed(0, PD, seconds=1.5)
+    with pytest.raises(LogError, match="commands of a servo"):
+        fit_rollouts(servoed(pendulum, 0.5, PD), [swung(0)], commands=True)
+    with pytest.raises(ArgumentError, match="commands"):
+        fit_rollouts(servoed(pendulum, 0.5, PD), [log], commands="all")
+
+
+def test_results_say_what_they_are_under(pendulum):
+    model, log = servoed(pendulum, 0.5, PD), followed(0, PD, seconds=1.5)
+    rollout = roll_out(model, [log], horizon=0.1, most=2, bandwidth=12.0, commands=True)
+    late = FittedValue("servo", "hinge", "delay", 5.1e-3, 13e-3, 1e-5)
+    for values, words in (
+        ((), ("arm under the commands of log", "under the logged commands")),
+        ((late,), ("Soft joints, play, their servos and motors", "delay, ms", "5.10", "13.000")),
+    ):
+        found = RolloutFit(model, values, rollout, rollout, (False, True), 0.2, False)
+        page = render(page_of(found, About("arm", ("log",))))
+        assert all(word in page for word in words) and "logged efforts" not in page
+    assert "(probability 0.20, 1 windows): further logs or more" in rollout_fit_words(found)
+    unsure = servoed(pendulum, 0.5, dataclasses.replace(PD, deviation=1.0))
+    unfitted = dataclasses.replace(found, model=unsure, values=())
+    assert "servos of hinge are not known exactly" in unfitted.notes[-1]
+    told = rollout_fit_dict(found)
+    for part in ("fitted", "held_out"):
+        assert {stage["under"] for stage in told[part].values()} == {"commands"}

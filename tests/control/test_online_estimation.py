@@ -129,7 +129,7 @@ def slabs(rng, rows=3, size=0.3):
     return x, Y, Y @ truth + rng.uniform(-1, 1, rows) * tolerance, tolerance, truth
 
 
-@settings(max_examples=30)
+@settings(max_examples=15)
 @given(st.integers(0, 2**31), st.integers(1, 6), st.sampled_from([0.3, 0.5, 1.0]))
 def test_no_step_leads_away_from_the_truth(seed, rows, relaxation):
     """D(p‖y) ≤ D(p‖x) if p is in the slabs, whatever share is carried out."""
@@ -140,11 +140,10 @@ def test_no_step_leads_away_from_the_truth(seed, rows, relaxation):
 
 
 def test_steps_end_in_the_slabs():
-    for seed in range(5):
-        x, Y, effort, tolerance, _ = slabs(np.random.default_rng(seed))
-        for _ in range(200):
-            x = slab_step(MIXED, x, Y, effort, tolerance)
-        assert (np.abs(Y @ x - effort) < 1.01 * tolerance).all()
+    x, Y, effort, tolerance, _ = slabs(np.random.default_rng(0))
+    for _ in range(200):
+        x = slab_step(MIXED, x, Y, effort, tolerance)
+    assert (np.abs(Y @ x - effort) < 1.01 * tolerance).all()
 
 
 # Samples
@@ -154,10 +153,9 @@ def update(tolerance=2e-3, **options):
     return SampleUpdate(MANIFOLD, np.full(2, tolerance), **options)
 
 
-@pytest.mark.parametrize("seed", range(4))
-def test_a_sample_is_explained_at_once(seed):
+def test_a_sample_is_explained_at_once():
     """The estimate is in the slabs of a sample after it; a nudge leaves much of its error."""
-    rng, p = np.random.default_rng(seed), perturbed(0.3, seed)
+    rng, p = np.random.default_rng(0), perturbed(0.3)
     q, v, a = rng.normal(size=(3, 2))
     Y = CONTROL.at(q, v, v, a).regressor
     u, left = Y @ TRUTH, {}
@@ -204,18 +202,11 @@ def test_a_nudge_goes_a_little_toward_efforts_that_no_body_has():
     moved = update(method="nudge").updated(p, Y, np.full(2, -3.0), STEP).point
     assert 0 < moved[0] < p[0]
     assert MANIFOLD.contains(moved)
-    for wrong in (np.nan, np.inf):
-        assert update().updated(p, Y, np.array([0.0, wrong]), STEP).point is p
-
-
-def test_efforts_that_no_body_has_are_left_out_by_a_projection():
-    """No certificate, no step: there is no mass of −3 kg."""
-    p = perturbed(0.2)
-    Y = np.zeros((2, len(p)))
-    Y[:, 0] = 1.0
-    found = update().updated(p, Y, np.full(2, -3.0), STEP)
-    assert found.point is p
-    assert found.error == np.inf
+    # No certificate, no step of a projection: there is no mass of −3 kg.
+    for effort in ([-3.0, -3.0], [0.0, np.nan], [0.0, np.inf]):
+        found = update().updated(p, Y, np.array(effort), STEP)
+        assert found.point is p
+        assert found.error == np.inf
 
 
 def test_constraints_hold_after_every_sample():

@@ -14,7 +14,7 @@ from pydrake.math import RigidTransform, RollPitchYaw
 from pydrake.multibody.plant import MultibodyPlant
 from pydrake.multibody.tree import FixedOffsetFrame, RevoluteJoint, SpatialInertia, UnitInertia
 from pydrake.systems.framework import DiagramBuilder
-from pydrake.systems.primitives import FirstOrderTaylorApproximation, Linearize
+from pydrake.systems.primitives import FirstOrderTaylorApproximation
 
 from geodrake import effects
 from geodrake.control.systems import EffectForce
@@ -117,40 +117,6 @@ def test_linear_dynamics_are_those_of_differences(terms):
         return rates(diagram, context_at(diagram, u), start)
 
     np.testing.assert_allclose(linear.B(), slopes(of_effort, EFFORT), atol=1e-6 * scale)
-
-
-@pytest.mark.parametrize("terms", [MANY, SPRING], ids=["many", "spring"])
-def test_a_clone_does_the_same(terms):
-    diagram, force = diagram_with(terms)
-    context = context_at(diagram)
-    force.set_effect_parameters(force.GetMyMutableContextFromRoot(context), {terms[0][0]: [2e-3]})
-    clone = diagram.Clone()
-    other = clone.CreateDefaultContext()
-    other.SetTimeStateAndParametersFrom(context)
-    clone.get_input_port(0).FixValue(other, EFFORT)
-    np.testing.assert_array_equal(
-        clone.EvalTimeDerivatives(other).CopyToVector(),
-        diagram.EvalTimeDerivatives(context).CopyToVector(),
-    )
-    alone = clone.GetSubsystemByName("effects").Clone()
-    assert isinstance(alone, EffectForce)
-    assert alone.get_name() == "effects"
-    assert alone.effects == force.effects
-
-
-def test_viscous_friction_is_a_damping_matrix():
-    """A = [[0, 𝟙], [0, −M⁻¹ D]] of an arm at rest without gravity."""
-    damping = np.array([0.5, 0.7, 0.3])
-    terms = [(effects.ViscousFriction(f"joint{i}"), [d]) for i, d in enumerate(damping)]
-    diagram, force = diagram_with(terms, gravity=False)
-    context = context_at(diagram, np.zeros(3))
-    context.SetContinuousState(np.concatenate([STATE[:3], np.zeros(3)]))
-    plant = force.law.plant.plant
-    M = plant.CalcMassMatrix(plant.GetMyContextFromRoot(context))
-    A = Linearize(diagram, context).A()
-    np.testing.assert_allclose(A[3:, 3:], -np.linalg.solve(M, np.diag(damping)), atol=1e-8)
-    np.testing.assert_allclose(A[:3], np.eye(6)[3:], atol=1e-12)
-    np.testing.assert_allclose(A[3:, :3], 0.0, atol=1e-8)
 
 
 @pytest.mark.parametrize("terms", [MANY, SPRING], ids=["many", "spring"])

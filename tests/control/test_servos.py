@@ -7,11 +7,9 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from pydrake.autodiffutils import AutoDiffXd, ExtractGradient, InitializeAutoDiff
 from pydrake.systems.analysis import Simulator
 from pydrake.systems.framework import DiagramBuilder
 from pydrake.systems.primitives import (
-    LogVectorOutput,
     TrajectorySource,
 )
 from pydrake.trajectories import PiecewisePolynomial
@@ -22,7 +20,6 @@ from geodrake.effects import FittedEffect, RotorInertia, ViscousFriction
 from geodrake.errors import ArgumentError, ModelError
 from geodrake.model import EffortSignal
 from geodrake.model.saved_model import load_model
-from geodrake.model.simulation.scalar_system import scalars
 
 GAINS = {
     "kp": [20.0, 8.0],
@@ -65,18 +62,20 @@ def test_a_servo_by_hand():
     context = seen(servo)
     servo.set_gains(context, limit=np.inf)
     np.testing.assert_allclose(everything(servo, context), [first, second, 0.18, -0.6])
+    gains = servo.gains(context)
+    np.testing.assert_array_equal([gains.kp, gains.limit], [[20.0, 8.0], [np.inf, np.inf]])
 
 
 def test_an_integral_does_not_wind_up():
     servo = PositionServo([20.0, 20.0], ki=1.0, limit=2.0)
-    context = seen(servo, feedforward=[0.0, 0.0], commanded_velocity=[0.0, 0.0])
+    still = {"feedforward": [0.0, 0.0], "commanded_velocity": [0.0, 0.0]}
+    context = seen(servo, commanded_position=[0.9, 0.2], **still)  # errors 0.8, −0.2
     context.SetContinuousState([0.0, 9.0])
-    servo.GetInputPort("commanded_position").FixValue(context, [0.9, 0.2])  # errors 0.8, −0.2
     rates = servo.EvalTimeDerivatives(context).CopyToVector()
     np.testing.assert_allclose(rates, [0.0, -0.2])  # the second effort is at +2 and falls
 
 
-@settings(max_examples=30)
+@settings(max_examples=15)
 @given(
     st.tuples(*[st.floats(-3.0, 3.0)] * 4),
     st.floats(0.1, 200.0),
@@ -164,7 +163,6 @@ def test_servos_of_a_model_take_late_commands(arm):
     servo = PositionServo.AddToBuilder(
         builder, model, robot, command.get_output_port(), rate.get_output_port()
     )
-    log = LogVectorOutput(servo.get_output_port(), builder, 0.01)
     simulator = Simulator(builder.Build())
     root = simulator.get_mutable_context()
     gains = servo.gains(servo.GetMyContextFromRoot(root))
@@ -177,49 +175,16 @@ def test_servos_of_a_model_take_late_commands(arm):
     q, v = servo.GetInputPort("estimated_state").Eval(own)
     effort = servo.get_output_port().Eval(own)
     assert effort == pytest.approx(np.clip(60.0 * (told - q) + 4.0 * (2.0 - v), -9.0, 9.0))
-    assert np.abs(log.FindLog(simulator.get_context()).data()).max() <= 9.0
 
 
 def test_models_without_servos_have_none(arm):
-    with pytest.raises(ModelError, match="no servos"):
-        PositionServo.of(arm)
-    current = replace(arm, effort_signals=(EffortSignal("elbow", "current", 0.7),))
-    with pytest.raises(ModelError, match="no servos"):
-        PositionServo.of(current)
-
-
-def test_clones_do_the_same():
-    system = PositionServo(**GAINS)
-    context = seen(system)
-    wanted = everything(system, context)
-    clone = system.Clone()
-    np.testing.assert_array_equal(everything(clone, seen(clone)), wanted)
-
-
-def test_slopes_are_those_of_differences():
-    system = PositionServo(**GAINS)
-    other, x = system.ToAutoDiffXd(), np.array(SEEN["estimated_state"])
-    plain = {
-        key: scalars(values, AutoDiffXd) for key, values in SEEN.items() if key != "estimated_state"
-    }
-    context = seen(other, **plain, estimated_state=InitializeAutoDiff(x).ravel())
-    found = ExtractGradient(everything(other, context))
-
-    def at(y):
-        return everything(system, seen(system, estimated_state=y))
-
-    steps = 1e-6 * np.eye(4)
-    wanted = np.stack([(at(x + e) - at(x - e)) / 2e-6 for e in steps], axis=1)
-    np.testing.assert_allclose(found, wanted, atol=1e-7)
-    assert np.abs(wanted).max() > 0.1
+    for signals in ((), (EffortSignal("elbow", "current", 0.7),)):
+        with pytest.raises(ModelError, match="no servos"):
+            PositionServo.of(replace(arm, effort_signals=signals))
 
 
 def test_numbers_of_the_context():
     servo = PositionServo([1.0, 2.0])
-    context = seen(servo)
-    servo.set_gains(context, kp=[5.0, 6.0], limit=1.5)
-    gains = servo.gains(context)
-    np.testing.assert_array_equal([gains.kp, gains.limit], [[5.0, 6.0], [1.5, 1.5]])
     with pytest.raises(ArgumentError, match="without an integral"):
         servo.set_gains(seen(servo), ki=1.0)
     with pytest.raises(ArgumentError, match="no stiffness"):

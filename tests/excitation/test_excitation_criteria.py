@@ -81,26 +81,6 @@ class TestValues:
         above = 0.0 if name in ("a_optimality", "d_optimality") else np.log(kept or 6) / 16.0
         assert exact - 1e-12 <= value <= exact + above + 1e-12
 
-    @pytest.mark.parametrize("name", CRITERIA)
-    def test_multiple_eigenvalues_are_no_corner(self, name):
-        """Along any line of matrices through a multiple eigenvalue, slopes agree on both sides."""
-        rng, criterion = np.random.default_rng(2), Criterion(name)
-        base = np.diag([1.0, 1.0, 1.0, 4.0, 9.0, 9.0])
-        for _ in range(5):
-            turn = rng.normal(size=(6, 6))
-            turn = turn + turn.T
-
-            def value(t, turn=turn):
-                return criterion.objective(np.log(np.linalg.eigvalsh(base + t * turn)))[0]
-
-            h = 1e-5
-            right, left = (value(h) - value(0.0)) / h, (value(0.0) - value(-h)) / h
-            assert right == pytest.approx(left, abs=2e-3)
-            logs, axes = np.linalg.eigh(base)
-            slope = criterion.objective(np.log(logs))[1] / logs
-            analytic = np.einsum("i,ai,ab,bi->", slope, axes, turn, axes)
-            assert analytic == pytest.approx(0.5 * (right + left), abs=1e-6)
-
     def test_kept(self):
         eigenvalues = np.array([1e-9, 2.0, 8.0])
         assert Criterion(kept=2).value(eigenvalues) == 0.5
@@ -178,16 +158,6 @@ class TestInvariance:
         second = self.values(model, motion, 1.0, base=rng.normal(size=(len(B), len(B))) @ B)
         np.testing.assert_allclose(second, first, rtol=1e-9)
 
-    def test_the_others_are_not(self):
-        rng = np.random.default_rng(1)
-        model = arm()
-        turned, motion = arm(frames=[random_pose(rng) for _ in range(3)]), motion_of(model)
-        for normalization in ("none", "diagonal"):
-            first, second = (
-                self.values(m, motion, 0.1, normalization=normalization) for m in (model, turned)
-            )
-            assert abs(np.log(second / first))[[0, 2, 3]].min() > 0.01
-
 
 class TestGradient:
     @staticmethod
@@ -260,48 +230,32 @@ class TestTarget:
         model = arm(effects=[payload, *friction(1)])
         known = make_target(model)
         np.testing.assert_allclose(known.inertial_prior, model.total_phi)
-        assert [f.effect.name for f in known.effects] == [
-            "coulomb_friction",
-            "viscous_friction",
-            "rotor_inertia",
-        ]
+        assert "payload" not in {f.effect.name for f in known.effects}
         unknown = make_target(model, effects=[*friction(1), payload], bodies=("body_2",))
-        assert unknown.effects[0].effect.name == "payload"
         np.testing.assert_allclose(unknown.inertial_prior, [model.phi[2], BODY])
-        assert unknown.size == 23
         assert unknown.base.rank == make_target(model, bodies=("body_2",)).base.rank
-        other = make_target(arm(), bodies=(), effects=[payload])
-        np.testing.assert_allclose(other.inertial_prior, [BODY])
 
     def test_effects_of_unknown_size(self):
-        target = make_target(
-            arm(), effects=[CoulombFriction("joint_1"), ViscousFriction("joint_1")]
-        )
-        load = np.abs(target.model.motion(target.random_motion).load[:, 1])
+        model = arm()
+        target = make_target(model, effects=[CoulombFriction("joint_1"), Payload("body_2")])
+        load = np.abs(model.motion(target.random_motion).load[:, 1])
         assert 0.03 * load.mean() < target.effect_sizes[0] < 0.3 * load.mean()
+        assert target.inertial_prior[-1, 0] == pytest.approx(0.1 * model.phi[:, 0].sum())
         given = make_target(arm(effects=friction(1)))
         np.testing.assert_array_equal(given.effect_sizes, [1.5, 0.4, 0.3])
 
-    def test_payload_of_unknown_size(self):
-        model = arm()
-        target = make_target(model, bodies=(), effects=[Payload("body_2")])
-        assert target.inertial_prior[0, 0] == pytest.approx(0.1 * model.phi[:, 0].sum())
-
     def test_bad_arguments(self):
         model = arm(effects=friction())
-        for noise in (0.0, [0.1, -1.0, 0.1], np.nan, np.inf):
-            with pytest.raises(ArgumentError, match="not a positive number"):
-                make_target(model, noise=noise)
-        with pytest.raises(ArgumentError, match=r"of joint_1 is not a positive"):
-            make_target(model, noise=[0.1, 0.0, 0.1])
-        with pytest.raises(ArgumentError, match=r"one number or 3; got the shape \(2,\)"):
-            make_target(model, noise=[0.1, 0.2])
-        with pytest.raises(ArgumentError, match=r"body must be .*body_0.*'hand'"):
-            make_target(model, bodies=("hand",))
-        with pytest.raises(ArgumentError, match="nothing to identify"):
-            make_target(model, bodies=(), effects=())
-        with pytest.raises(ArgumentError, match="inside a robot"):
-            make_target(model, effects=friction(), X_WP=RigidTransform())
+        for arguments, message in (
+            ({"noise": np.inf}, "not a positive number"),
+            ({"noise": [0.1, 0.0, 0.1]}, r"of joint_1 is not a positive"),
+            ({"noise": [0.1, 0.2]}, r"one number or 3; got the shape \(2,\)"),
+            ({"bodies": ("hand",)}, r"body must be .*body_0.*'hand'"),
+            ({"bodies": (), "effects": ()}, "nothing to identify"),
+            ({"effects": friction(), "X_WP": RigidTransform()}, "inside a robot"),
+        ):
+            with pytest.raises(ArgumentError, match=message):
+                make_target(model, **arguments)
 
     def test_too_few_samples(self):
         target = make_target(arm())

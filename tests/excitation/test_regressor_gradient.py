@@ -56,17 +56,14 @@ def assert_equals_differences(plant, rng):
     assert_gradient(gradient, differences(value, motion))
 
 
-@pytest.mark.parametrize("kind", sorted(set(JOINTS) - {"weld", "weld, reversed"}))
-def test_every_joint_type_alone_and_inside_a_chain(kind):
+def test_a_chain_of_every_joint_type():
     rng = np.random.default_rng(0)
-    assert_equals_differences(random_plant(rng, [kind]), rng)
-    if kind != "none":
-        kinds = ["revolute", kind, "revolute"]
-        assert_equals_differences(random_plant(rng, kinds, chain=True), rng)
+    kinds = ("revolute", *sorted(set(JOINTS) - {"none"}), "revolute")
+    assert_equals_differences(random_plant(rng, kinds, chain=True), rng)
 
 
-@settings(max_examples=20)
-@given(st.lists(st.sampled_from(sorted(JOINTS)), min_size=1, max_size=7), st.integers(0, 2**32 - 1))
+@settings(max_examples=12)
+@given(st.lists(st.sampled_from(sorted(JOINTS)), min_size=1, max_size=5), st.integers(0, 2**32 - 1))
 def test_random_trees(kinds, seed):
     rng = np.random.default_rng(seed)
     assert_equals_differences(random_tree(rng, kinds), rng)
@@ -109,19 +106,3 @@ def test_base_wrench(base):
 
         gradient = base_wrench_regressor_gradient(plant, *motion, weights, X_WP=X_WP)
         assert_gradient(gradient, differences(value, motion))
-
-
-def test_samples_do_not_mix():
-    rng = np.random.default_rng(4)
-    plant = random_plant(rng, ("revolute", "ball", "revolute"), chain=True)
-    tree = KinematicTree.from_plant(plant)
-    count = 20
-    motion = random_motion(plant, rng, count)
-    weights = rng.normal(size=(count, 5, 30))
-    whole = inverse_dynamics_regressor_gradient(tree, *motion, weights)
-    for i in (0, 7, count - 1):
-        one = (x[[i]] for x in (*motion, weights))
-        alone = inverse_dynamics_regressor_gradient(tree, *one)
-        for name in NAMES:
-            found = getattr(whole, name)[i]
-            np.testing.assert_allclose(found, getattr(alone, name)[0], rtol=1e-12, atol=1e-12)
