@@ -246,6 +246,10 @@ def test_what_is_free_of_a_motor(pendulum):
         ("asymmetric_friction", "viscous_negative"),
         ("rotor_inertia", "inertia"),
     ]
+    new, _ = values_at(values, np.full(len(values), 0.5))
+    found = with_values(model, values, new, np.full(len(values), 0.01)).effects
+    np.testing.assert_allclose(found[1].parameters, [new[4], 0.5, 0.0, new[5]])
+    np.testing.assert_allclose(found[1].deviations, [0.01, 0.0, 0.1, 0.01])
 
 
 def test_what_cannot_follow_commands_is_said(pendulum):
