@@ -13,18 +13,13 @@ from pydrake.multibody.plant import MultibodyPlant
 MODELS = Path(__file__).parents[1] / "models"
 
 ARMS = (
-    "models/arm6.urdf",
     "models/arm7.urdf",
-    "reference/panda_arm.urdf",
     "reference/tx40.urdf",
     "reference/ur10e.urdf",
-    "robots/ur_description/urdf/ur5_robot.urdf",
     "robots/panda_description/urdf/panda.urdf",
-    "robots/kinova_description/robots/kinova.urdf",
 )
 HUMANOIDS = (
     "reference/atlas_v5.urdf",
-    "robots/talos_data/robots/talos_reduced.urdf",
     "robots/g1_description/urdf/g1_29dof_rev_1_0.urdf",
 )
 PINOCCHIO_ORDER = [0, 1, 2, 3, 4, 6, 9, 5, 8, 7]  # its [m, h, Ixx, Ixy, Iyy, Ixz, Iyz, Izz]
@@ -81,12 +76,6 @@ def plant_of(text, *, floating=False):
         plant.WeldFrames(plant.world_frame(), plant.GetFrameByName(base))
     plant.Finalize()
     return plant
-
-
-def random_motion(plant, count, seed=0):
-    rng = np.random.default_rng(seed)
-    sizes = plant.num_positions(), plant.num_velocities(), plant.num_velocities()
-    return tuple(rng.uniform(-2.0, 2.0, (count, size)) for size in sizes)
 
 
 def moving_joints(plant):

@@ -89,14 +89,6 @@ def assert_as_mujoco(model, constrained, motion, close=1e-10, share=1e-6):
         assert np.abs(found - expected).max() <= share * np.abs(expected).max()
 
 
-@pytest.mark.parametrize("name", ROBOTS)
-def test_efforts_are_those_of_mujoco_through_its_own_constraints(tmp_path, name):
-    text, free = ROBOTS[name]
-    model = load(tmp_path, text)
-    assert model.joints == tuple(free.split()) and not model.left_out
-    assert_as_mujoco(model, Constrained.of(text, free.split()), states(model))
-
-
 def test_a_leg_with_a_rod_between_balls_is_mujocos(tmp_path):
     """MuJoCo's has three hinges about the same axes in the place of the ball."""
     model, rod = load(tmp_path, leg()), ("rod_1", "rod_2", "rod_spin")
@@ -164,15 +156,17 @@ def test_a_loop_that_reaches_its_end_says_where(tmp_path):
 
 
 @pytest.mark.parametrize("name", ROBOTS)
-def test_a_plant_in_a_diagram_moves_with_mujocos_constraint_forces(tmp_path, name):
+def test_efforts_and_motions_are_mujocos_through_its_own_constraints(tmp_path, name):
     text, free = ROBOTS[name]
     model, constrained = load(tmp_path, text), Constrained.of(text, free.split())
+    assert model.joints == tuple(free.split()) and not model.left_out
+    assert_as_mujoco(model, constrained, states(model))
     builder = DiagramBuilder()
     robot = model.add_to_builder(builder)
     root = builder.Build().CreateDefaultContext()
     at_motors = robot.effort.get_system().GetMyMutableContextFromRoot(root)
-    joints = [robot.plant.GetJointByName(name) for name in model.tree_joints]
-    theirs = [constrained.m.joint(name).dofadr[0] for name in model.tree_joints]
+    plant, theirs = robot.plant, [constrained.m.joint(name).dofadr[0] for name in model.tree_joints]
+    ours = [plant.GetJointByName(name).velocity_start() for name in model.tree_joints]
     for q, v, effort in zip(*states(model, 3), strict=True):
         qpos, G = constrained.closed(in_mujoco(model, constrained, q))
         applied = np.zeros(constrained.m.nv)
@@ -180,9 +174,8 @@ def test_a_plant_in_a_diagram_moves_with_mujocos_constraint_forces(tmp_path, nam
         expected = constrained.acceleration(qpos, G @ v, applied)[theirs]
         robot.set_state(root, q, v)
         robot.effort.FixValue(at_motors, effort)
-        port = robot.plant.get_generalized_acceleration_output_port()
-        found = port.Eval(robot.plant.GetMyContextFromRoot(root))
-        found = found[[joint.velocity_start() for joint in joints]]
+        port = plant.get_generalized_acceleration_output_port()
+        found = port.Eval(plant.GetMyContextFromRoot(root))[ours]
         np.testing.assert_allclose(found, expected, rtol=1e-6, atol=1e-6 * np.abs(expected).max())
 
 

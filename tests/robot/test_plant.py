@@ -4,7 +4,6 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from measurements import REFERENCE
 
 from geodrake.effects import CoulombFriction, ViscousFriction
 from geodrake.errors import ArgumentError, ModelError
@@ -320,23 +319,3 @@ def test_several_roots_are_each_welded(load):
     loaded = load(urdf(inertial(), extra=f'<link name="ball">{inertial()}</link>'))
     assert loaded.plant.num_velocities() == 1
     assert any("ball" in note for note in loaded.notes)
-
-
-@pytest.mark.measurements("reference/*.urdf", "reference/iiwa14.sdf")
-@pytest.mark.parametrize(
-    ("name", "nv", "repaired"),
-    [
-        ("ur10e.urdf", 6, set()),
-        ("tx40.urdf", 6, {"link_6"}),
-        ("panda_arm.urdf", 7, set()),
-        ("atlas_v5.urdf", 30, set()),
-        ("iiwa14.sdf", 7, set()),
-    ],
-)
-def test_reference_models(name, nv, repaired, capfd):
-    loaded = load_plant(REFERENCE / name)
-    assert capfd.readouterr() == ("", "")
-    assert loaded.plant.num_velocities() == nv
-    assert {repair.body for repair in loaded.repairs} == repaired
-    assert is_physical(inertial_parameters(loaded.plant), tolerance=1e-6).all()
-    assert np.isfinite(effort_limits(loaded.plant)).all()

@@ -1,12 +1,24 @@
-"""Regressors, slopes of efforts and poses against Drake on random trees of every joint type."""
+"""Regressors, slopes and poses against Drake on random trees, and others on known robots."""
 
 import weakref
 
+import mujoco
 import numpy as np
 import pytest
 from chain_logs import inverse_dynamics as drakes_efforts
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from known_robots import (
+    ARMS,
+    HUMANOIDS,
+    PINOCCHIO_ORDER,
+    assert_close,
+    cases,
+    description,
+    moving_joints,
+    plant_of,
+)
+from mujoco_efforts import mujoco_efforts
 from pydrake.autodiffutils import AutoDiffXd, ExtractGradient, InitializeAutoDiff
 from pydrake.multibody.plant import MultibodyPlant
 from pydrake.multibody.tree import MultibodyForces_, RevoluteJoint
@@ -19,6 +31,7 @@ from geodrake.robot.effort_slopes import effort_slopes
 from geodrake.robot.floating_base import base_wrench_regressor, body_poses
 from geodrake.robot.joints import joint_motions
 from geodrake.robot.kinematics import KinematicTree
+from geodrake.robot.reduction import triangular_factor
 from geodrake.robot.regressor import (
     body_regressor,
     inverse_dynamics,
@@ -171,3 +184,64 @@ def test_gravity_is_read_at_the_call():
     assert_equals_drake(plant, rng)
     plant.mutable_gravity_field().set_gravity_vector([1.0, 2.0, 3.0])
     assert_equals_drake(plant, rng)
+
+
+@pytest.mark.parametrize("name", cases(*ARMS, *HUMANOIDS))
+def test_every_entry_is_pinocchios(name):
+    pinocchio = pytest.importorskip("pinocchio")
+    text = description(name)
+    plant, model = plant_of(text), pinocchio.buildModelFromXML(text)
+    motion = random_motion(plant, np.random.default_rng(0), 5)
+    data, (q, v, vd) = model.createData(), motion
+    joints = moving_joints(plant)
+    drake = [joint.velocity_start() for joint in joints]
+    ids = [model.getJointId(joint.name()) for joint in joints]
+    pins = [model.joints[index].idx_v for index in ids]
+    columns = [10 * (index - 1) + k for index in ids for k in PINOCCHIO_ORDER]
+    bodies = np.argsort(np.argsort([int(joint.child_body().index()) for joint in joints]))
+    ours = inverse_dynamics_regressor(plant, q, v, vd).reshape(5, len(joints), -1, 10)
+    for i in range(5):
+        state = tuple(np.zeros(model.nv) for _ in range(3))
+        for theirs, sample in zip(state, (q, v, vd), strict=True):
+            theirs[pins] = sample[i, drake]
+        expected = pinocchio.computeJointTorqueRegressor(model, data, *state)[np.ix_(pins, columns)]
+        assert_close(ours[i][drake][:, bodies].reshape(len(joints), -1), expected)
+
+
+# MuJoCo refuses the last link of tx40, which has no mass.
+@pytest.mark.parametrize("name", cases(*sorted({*ARMS} - {"reference/tx40.urdf"})))
+def test_efforts_of_arms_are_mujocos(name):
+    text = description(name)
+    plant, model = plant_of(text), mujoco.MjModel.from_xml_string(text)
+    motion, joints = random_motion(plant, np.random.default_rng(0), 5), moving_joints(plant)
+    efforts = inverse_dynamics(plant, *motion, inertial_parameters(plant))
+    ours = [joint.velocity_start() for joint in joints]
+    names = [joint.name() for joint in joints]
+    assert_close(efforts[:, ours], mujoco_efforts(model, names, *(x[:, ours] for x in motion)))
+
+
+def test_the_factor_is_triangular_and_has_the_gram_matrix():
+    matrix = np.random.default_rng(0).normal(size=(10_000, 30))
+    factor = triangular_factor(np.split(matrix, [3, 3, 4500, 9000]))
+    assert factor.shape == (30, 30)
+    np.testing.assert_array_equal(factor, np.triu(factor))
+    np.testing.assert_allclose(factor.T @ factor, matrix.T @ matrix, rtol=1e-12, atol=1e-9)
+
+
+def test_small_singular_values_survive_where_the_gram_matrix_loses_them():
+    rng = np.random.default_rng(1)
+    left = np.linalg.qr(rng.normal(size=(5000, 20)))[0]
+    right = np.linalg.qr(rng.normal(size=(20, 20)))[0]
+    singular = np.logspace(0, -10, 20)
+    matrix = left * singular @ right.T
+    found = np.linalg.svd(triangular_factor(np.array_split(matrix, 7)), compute_uv=False)
+    np.testing.assert_allclose(found, singular, rtol=1e-4)
+    smallest = np.linalg.eigvalsh(matrix.T @ matrix)[0]
+    assert abs(smallest / singular[-1] ** 2 - 1.0) > 1.0
+
+
+def test_a_factor_continues_as_a_block():
+    matrix = np.random.default_rng(3).normal(size=(500, 8))
+    once = triangular_factor([matrix])
+    twice = triangular_factor([triangular_factor([matrix[:200]]), matrix[200:]])
+    np.testing.assert_allclose(np.abs(once), np.abs(twice), atol=1e-12)
