@@ -98,6 +98,8 @@ def test_messages_of_drake_have_the_line_of_the_file_it_is_in(tmp_path):
 
 def test_only_packages_that_are_named_are_looked_for(tmp_path, monkeypatch):
     near = package(tmp_path / "near", "near")
+    package(tmp_path, "near")  # which is farther
+    package(tmp_path, "near")  # which is farther
     far = package(tmp_path / "path" / "deep" / "far", "far")
     package(far / "within", "within")
     package(tmp_path / "path" / ".hidden", "hidden")
@@ -111,11 +113,3 @@ def test_only_packages_that_are_named_are_looked_for(tmp_path, monkeypatch):
     assert packages.GetPath("near") == str(near)
     assert packages.GetPath("far") == str(far)
     assert not any(packages.Contains(name) for name in ("x y", "within", "hidden", "inner"))
-
-
-def test_nearest_package_of_a_name_counts(tmp_path):
-    outer = package(tmp_path / "a", "p")
-    inner = package(outer / "b", "p")
-    packages = PackageMap()
-    add_packages(packages, inner / "robot.urdf", {"p"})
-    assert packages.GetPath("p") == str(inner)

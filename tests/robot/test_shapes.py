@@ -114,9 +114,8 @@ def test_meshes_that_are_none_are_refused(tmp_path, name, text):
 ROBOT = """<robot name="r"><link name="base"/>
 <link name="arm"><inertial><mass value="1"/>
 <inertia ixx="1" ixy="0" ixz="0" iyy="1" iyz="0" izz="1"/></inertial>{shapes}</link>
-<joint name="j" type="continuous"><parent link="base"/><child link="arm"/><axis xyz="0 0 1"/>
-</joint>
-</robot>"""
+<joint name="j" type="revolute"><parent link="base"/><child link="arm"/><axis xyz="0 0 1"/>
+<limit lower="-1" upper="1" effort="1" velocity="1"/></joint></robot>"""
 MESH = '<{kind}><geometry><mesh filename="{file}" scale="0.5 1 1"/></geometry></{kind}>'
 BOX = '<collision><geometry><box size="1 1 1"/></geometry></collision>'
 
@@ -159,14 +158,10 @@ def test_without_any_shape_links_are_sticks_and_the_page_says_so(tmp_path):
     assert "meshes that are not shown: gone.stl" in page
 
 
-URDF = """<robot name="r"><link name="base"/><link name="arm"><inertial><mass value="1"/>
-<inertia ixx="1" iyy="1" izz="1" ixy="0" ixz="0" iyz="0"/></inertial>
-<collision><geometry><mesh filename="{place}"/></geometry></collision></link>
-<joint name="j" type="revolute"><parent link="base"/><child link="arm"/><axis xyz="0 0 1"/>
-<limit lower="-1" upper="1" effort="1" velocity="1"/></joint></robot>"""
 MJCF = """<mujoco><compiler meshdir="meshes"/><asset><mesh name="m" file="m.obj"/></asset>
 <worldbody><body name="arm"><joint name="j" type="hinge"/><inertial mass="1" pos="0 0 0"
 diaginertia="1 1 1"/><geom type="mesh" mesh="m"/></body></worldbody></mujoco>"""
+COLLIDING = MESH.format(kind="collision", file="m.{}")
 FORMATS = ("stl", "dae", "obj", "gltf", "vtk")
 OBJ = "mtllib a.mtl\nv 0 0 0\nv 1 0 0\nv 0 1 0\nv 0 0 1\nf 1 2 3\nf 1 2 4\nf 1 3 4\nf 2 3 4\n"
 
@@ -174,7 +169,7 @@ OBJ = "mtllib a.mtl\nv 0 0 0\nv 1 0 0\nv 0 1 0\nv 0 0 1\nf 1 2 3\nf 1 2 4\nf 1 3
 @pytest.mark.parametrize(
     ("name", "text", "mesh"),
     [
-        *(("r.urdf", URDF.format(place=f"m.{end}"), f"m.{end}") for end in FORMATS),
+        *(("r.urdf", ROBOT.format(shapes=COLLIDING.format(end)), f"m.{end}") for end in FORMATS),
         ("r.xml", MJCF, "meshes/m.obj"),
     ],
 )

@@ -84,20 +84,6 @@ def test_files_expand_as_the_package_expands_them(package, construct, monkeypatc
         assert read_expanded(path, Given(xacro=given, trust_xacro=trust)) == expected
 
 
-def test_packages_are_found_as_elsewhere(package, tmp_path):
-    path = written(
-        tmp_path / "model",
-        '<xacro:include filename="$(find parts)/urdf/m.xacro"/><xacro:part name="l"><o/><all/>'
-        '</xacro:part><xacro:property name="v" value="${xacro.load_yaml(\'$(find parts)/config/'
-        'v.yaml\')}"/><a v="${v.b}"/>',
-    )
-    text = read_expanded(path, Given(packages={"parts": package})).decode()
-    assert '<link m="2" name="l">' in text
-    assert 'v="3"' in text
-    with pytest.raises(ModelError, match="names the package 'parts', which is not found"):
-        read_expanded(path, Given())
-
-
 CLIMB = "__class__.__base__.__subclasses__()"
 ESCAPES = (
     f"(lambda: [c for c in ().{CLIMB}][0])()",
