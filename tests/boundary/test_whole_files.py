@@ -54,11 +54,14 @@ def test_what_is_another_users_is_refused_before_the_work_and_nothing_is_left(st
     assert sticky.read_text(encoding="utf-8") == "theirs"
 
 
-def test_folders_that_were_made_in_vain_go(tmp_path):
-    (tmp_path / "there").mkdir()
-    with pytest.raises(OutputError, match="No space"), made_folder(tmp_path / "there" / "x" / "y"):
-        write_together({tmp_path / "there" / "x" / "y" / "z": full})
-    assert files_in(tmp_path) == ["there"]
+def test_folders_that_were_made_in_vain_go_and_others_stay(tmp_path):
+    folder = tmp_path / "there" / "x" / "y"
+    for written in ([], ["there/x/a"]):
+        (tmp_path / "there").mkdir(exist_ok=True)
+        with pytest.raises(OutputError, match="No space"), made_folder(folder):
+            write_together({tmp_path / name: "whole" for name in written})
+            write_together({folder / "z": full})
+        assert files_in(tmp_path) == ["there", *(["there/x", *written] if written else [])]
 
 
 def test_a_folder_below_a_file_cannot_be_made(tmp_path):
@@ -131,13 +134,6 @@ def test_content_that_cannot_be_made_leaves_what_was_there(tmp_path):
         write_together({tmp_path / "new": "all", tmp_path / "kept": broken})
     assert files_in(tmp_path) == ["kept"]
     assert (tmp_path / "kept").read_text(encoding="utf-8") == "before"
-
-
-def test_folders_with_something_in_them_stay(tmp_path):
-    with pytest.raises(OutputError, match="No space"), made_folder(tmp_path / "x" / "y"):
-        write_together({tmp_path / "x" / "a": "whole"})
-        write_together({tmp_path / "x" / "y" / "z": full})
-    assert files_in(tmp_path) == ["x", "x/a"]
 
 
 @pytest.mark.skipif(os.geteuid() != 0, reason="only root may give files away")

@@ -13,7 +13,6 @@ from geodrake.effects import FittedEffect, ViscousFriction
 from geodrake.errors import ArgumentError, ModelError
 from geodrake.logs import Motion
 from geodrake.model import Given, save_export
-from geodrake.robot.shapes import robot_shapes
 
 MODELS = Path(__file__).parents[2] / "models"
 PENDULUM = MODELS / "double_pendulum.urdf"
@@ -136,14 +135,10 @@ class TestXacro:
         assert name == "arm.urdf" and b'damping="0.7"' in data
         assert any("expands to" in note for note in notes)
 
-    @pytest.mark.parametrize("variable", ["ROS_PACKAGE_PATH", "AMENT_PREFIX_PATH"])
-    def test_packages_are_found_where_ros_finds_them(self, robot, tmp_path, variable, monkeypatch):
-        folder = tmp_path / "ws"
-        if variable == "AMENT_PREFIX_PATH":
-            (tmp_path / "install" / "share").mkdir(parents=True)
-            folder.joinpath("parts").rename(tmp_path / "install" / "share" / "parts")
-            folder = tmp_path / "install"
-        monkeypatch.setenv(variable, f"/nowhere:{folder}")
+    def test_packages_are_found_where_ros_finds_them(self, robot, tmp_path, monkeypatch):
+        (tmp_path / "install" / "share").mkdir(parents=True)
+        (tmp_path / "ws" / "parts").rename(tmp_path / "install" / "share" / "parts")
+        monkeypatch.setenv("AMENT_PREFIX_PATH", f"/nowhere:{tmp_path / 'install'}")
         assert load_model(robot).phi[0, 0] == pytest.approx(2.0)
 
     def test_what_is_missing_is_said(self, robot, tmp_path, monkeypatch):
@@ -168,21 +163,3 @@ def test_what_cannot_be_given_is_refused(tmp_path):
             Given.of_words(None, words, [])
     with pytest.raises(ArgumentError, match="'a' is there twice"):
         Given.of_words(None, [], ["a:=1", "a:=2"])
-
-
-def test_meshes_that_are_not_found_are_named(tmp_path):
-    shapes = ("package://parts/a.obj", "b.stl", "package://nowhere/c.dae", "http://x/d.obj")
-    visual = "".join(
-        f'<visual><geometry><mesh filename="{s}"/></geometry></visual>' for s in shapes
-    )
-    text = PENDULUM.read_text().replace(
-        '<link name="upper_link">', f'<link name="upper_link">{visual}'
-    )
-    robot = write(tmp_path / "here" / "robot.urdf", text)
-    given = Given(packages={"parts": write(tmp_path / "parts" / "package.xml", MANIFEST).parent})
-    (note,) = robot_shapes(robot, given).notes
-    assert note.startswith(f"meshes that are not shown: {shapes[0]} (") and " and 3 more" in note
-    triangle = "v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3\n"
-    write(tmp_path / "parts" / "a.obj", triangle)
-    (note,) = robot_shapes(robot, given).notes
-    assert f"{shapes[1]} (" in note and " and 2 more" in note

@@ -139,13 +139,14 @@ def test_an_stl_visual_is_shown_and_hides_collisions(tmp_path):
     np.testing.assert_allclose(turned[-1], [0, 0, np.sin(0.25), np.cos(0.25)], atol=1e-9)
 
 
-def test_a_missing_mesh_is_said_and_its_collision_shape_shown(tmp_path):
-    model = robot(tmp_path, MESH.format(kind="visual", file="package://nowhere/arm.dae"), BOX)
+def test_missing_meshes_are_said_and_collision_shapes_shown(tmp_path):
+    gone = (MESH.format(kind="visual", file=f"package://nowhere/{k}.dae") for k in range(2))
+    model = robot(tmp_path, *gone, BOX)
     shapes = robot_shapes(model.path, model.given)
     ((only,),) = shapes.links.values()
     assert isinstance(only.shape, Box)
     (note,) = shapes.notes
-    assert "package://nowhere/arm.dae (unknown package 'nowhere')" in note
+    assert "package://nowhere/0.dae (unknown package 'nowhere') and 1 more" in note
     assert note.endswith("--package nowhere=FOLDER")
 
 
