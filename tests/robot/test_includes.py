@@ -63,13 +63,14 @@ def test_mjcf_includes(tmp_path):
 
 
 def test_a_file_may_be_included_twice_beside_itself(tmp_path):
-    write(tmp_path / "b.sdf", sdf(body("b")))
+    write(tmp_path / "b.sdf", sdf(body("b")).replace("<mass>", "<mass>-"))
     both = "".join(
         f"<include><name>{name}</name><uri>b.sdf</uri></include>" for name in ("left", "right")
     )
     model = load_model(write(tmp_path / "robot.sdf", sdf(body() + both)))
     found = {joint.removeprefix("robot::") for joint in model.joints}
     assert found == {"a_joint", "left_b_joint", "right_b_joint"}
+    assert any("left::b has a mass of -1 kg" in each for each in model.repairs)
 
 
 def test_directives_that_add_directives_of_a_package(tmp_path):

@@ -148,15 +148,6 @@ def test_sdf_inertia_is_repaired_in_the_frame_of_the_link(load):
     np.testing.assert_allclose(inertial_parameters(loaded.plant)[0], repair.after, rtol=1e-9)
 
 
-def test_sdf_world_that_includes_a_model(load, tmp_path):
-    (tmp_path / "sub.sdf").write_text(SDF.format(mass=1.0, ixx=0.9))
-    text = """<sdf version="1.7"><world name="w"><include><name>one</name><uri>sub.sdf</uri>
-    </include><include><name>two</name><uri>sub.sdf</uri></include></world></sdf>"""
-    loaded = load(text, "w.sdf")
-    assert joint_names(loaded.plant) == ("one_j1", "two_j1")
-    assert [repair.body for repair in loaded.repairs] == ["one::l1", "two::l1"]
-
-
 MJCF = """<mujoco model="m"><compiler meshdir="absent"/><asset><mesh name="x" file="x.stl"/>
 <mesh file="y.obj"/></asset>
 <default><joint damping="0.3" armature="0.2"/><default class="stiff"><joint frictionloss="2"/>
