@@ -1,9 +1,10 @@
-"""What a page of MeshCat's holds, decoded by an independent reader of MessagePack."""
+"""What MeshCat and its pages hold, decoded by an independent reader of MessagePack."""
 
 import base64
 import re
 
 import msgpack
+import numpy as np
 
 
 def commands(page):
@@ -28,3 +29,9 @@ def tracks(page):
 def drawn(page):
     """Paths of the objects of a page."""
     return {c["path"] for c in commands(page) if c["type"] == "set_object"}
+
+
+def transform(meshcat, path):
+    """The 4×4 matrix that MeshCat was last told: doubles of nine bytes each, by columns."""
+    packed = np.frombuffer(meshcat._GetPackedTransform(path)[-16 * 9 :], np.uint8).reshape(16, 9)
+    return packed[:, 1:].copy().view(">f8").reshape(4, 4).T

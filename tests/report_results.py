@@ -1,6 +1,8 @@
-"""Results without a robot behind them, for tests of reports."""
+"""Results without a robot behind them, and the files of the demo, for tests of reports."""
 
 from dataclasses import replace
+from importlib.resources import files
+from pathlib import Path
 from types import SimpleNamespace
 
 import numpy as np
@@ -15,6 +17,8 @@ from geodrake.identification.logs.model_errors import (
 )
 from geodrake.report import About, page_of, render
 
+DEMO = Path(str(files("geodrake") / "demo"))
+URDF, LOG, JOINT = DEMO / "demo.urdf", DEMO / "demo.csv", "shoulder_pitch"
 ABOUT = About("arm.urdf", ("a.csv", "b.csv"), "explain")
 BLOCKS = (("a 0.00–4.00 s", 0.0), ("a 5.00–9.00 s", 5.0), ("b 2.00–6.00 s", 2.0))
 

@@ -4,6 +4,7 @@ import pytest
 
 
 @pytest.fixture(autouse=True)
-def folder(tmp_path_factory, monkeypatch):
+def working_folder(tmp_path, monkeypatch):
     """Change to an empty folder."""
-    monkeypatch.chdir(tmp_path_factory.mktemp("working"))
+    monkeypatch.chdir(tmp_path)
+    return tmp_path

@@ -1,110 +1,241 @@
-"""The command on what it cannot use: one clear message, exit code 2, and no file touched."""
+"""What no command can use: one clear line, exit code 2, and no file touched."""
 
-import re
+import shlex
+import shutil
 from pathlib import Path
 
 import numpy as np
 import pytest
-from pendulum_logs import PENDULUM, body_effort
-from typer.testing import CliRunner
+from commands import contents, refused, run, told
+from pendulum_logs import PENDULUM, pendulum_log
 
-from geodrake.cli.app import app
+from geodrake.logs.files import write_log
 from geodrake.model.saved_model import load_model, save_model
 
-HEADER = "time,shoulder.position,elbow.position,shoulder.effort,elbow.effort"
+FINGERS = "".join(
+    f"""<link name="{name}"><inertial><mass value="0.2"/><inertia ixx="1e-4" iyy="1e-4" izz="1e-4"
+ixy="0" ixz="0" iyz="0"/></inertial></link><joint name="{name}" type="prismatic"><parent
+link="lower_link"/><child link="{name}"/><limit lower="0" upper="0.04" effort="9" velocity="1"/>
+{more}</joint>"""
+    for name, more in (("left", ""), ("right", '<mimic joint="left"/>'))
+)
+BAD = {
+    "compare robot.urdf log.csv": {
+        "--bandwidth 0": "Hz",
+        "--bandwidth 1000": "Hz",
+        "--bandwidth wide": "Usage",
+        "--blocks 0": "Ask for 2 to 1000 blocks",
+        "--units position=furlong": "no known unit of position",
+        "--units position": "--units has 'position'",
+        "--units time=s,time=ms": "names 'time' twice",
+        "--gain shoulder": "--gain has 'shoulder'",
+        "--gain shoulder=much": "which is not a number",
+        "--gain wrist=2": "gain of 'wrist'",
+        "--gain shoulder=0": "other than 0",
+        "--gain shoulder=2±3": "less than the gain",
+        "--gain shoulder=2±": "which is not a number",
+        "--kind shoulder=power": "no known kind of efforts of 'shoulder'",
+        "--kind power": "no known kind of efforts",
+        "--kind current,voltage": "--kind is current and voltage of all joints",
+        "--kind shoulder=": "--kind has 'shoulder='",
+        "--kind wrist=current": "kind of 'wrist'",
+        "--kind shoulder=command": "no column of 'shoulder' that could be 'command'",
+        "--kind voltage --units effort=mA": "a unit of current",
+        "--passive wrist": "--passive names 'wrist'",
+        "--passive shoulder": "'shoulder' is said to have no motor",
+        "--passive shoulder --kind shoulder=current": "and --kind that it is",
+        "--rate -1": "a finite number above",
+        "--columns time,a": "2 are named",
+        "--mapping missing.yaml": "missing.yaml does not exist",
+        "--mapping log.csv": "log.csv",
+        "--mass 3": "--mass is for --axis",
+        "--axis prismatic --mass 3": "is there",
+        "--robot other": "no robot 'other'. It has double_pendulum",
+        "--package x": "Write --package",
+        "--package x=/nowhere": "/nowhere of package 'x' is not there",
+        "--xacro-arg a=1": "Write --xacro-arg",
+        "--xacro-arg a:=1": "is no xacro file",
+        "--lock finger=0": "no joint 'finger'",
+        "--lock left=1": "'left' cannot be held at 1: its limits are 0 … 0.04",
+        "--lock left=nan": "finite",
+        "--lock right=0": "'right' cannot be held, as it follows 'left'",
+        "--lock left": "--lock has 'left', which cannot be read",
+        "--lock left=0 --lock left=0": "names 'left' twice",
+        "--lock left=0 --lock shoulder=0 --lock elbow=0": "All joints",
+        "--json none/x.json": "no folder",
+        "--report log.csv/x.html": "no folder",
+        "--json folder.json": "is no file",
+        "--json /proc/x.json": "--json /proc/x.json",
+        "--json log.csv": "does not end in .json",
+        "--save x.json": "does not end in .yaml or .yml",
+        "--report x.pdf": "does not end in .html",
+        f"--save {'x' * 300}.yaml": "cannot be written",
+        "--series x.txt": "does not end in .csv or .parquet",
+        "--effects none.py": "none.py does not exist",
+        "--effects folder.json": "is a folder",
+    },
+    "compare saved.yaml log.csv": {
+        "--save base.dmd.yaml": "is an input",
+        "--save link.yaml": "is an input",
+    },
+    "log log.csv": {
+        "--units position=furlong": "no known unit of position",
+        "--convert x.bag": "does not end in",
+        "--convert log.csv": "is an input",
+        "log_2.csv --figure x.png": "is for one log; 2 are given",
+        "--model robot.urdf --lock nope=0.3": "nope",
+    },
+    "add": {
+        "colomb_friction robot.urdf log.csv": "Did you mean coulomb_friction",
+        "coulomb_friction robot.urdf log.csv --where elbw": "'elbw'",
+        "payload@flange robot.urdf log.csv --where hand": "payload@flange names a place",
+    },
+    "identify robot.urdf log.csv --save kept.yaml": {
+        "--regularizer ridge": 'regularizer must be one of "euclidean", "pullback"',
+        "--gamma 0": "gamma must be a finite number above 0; it is 0",
+        "--gamma 1 --residual-bound 1.1": "Give one of them",
+        "--residual-bound 0.9": "must be above 1",
+        "--residual-bound nan": "The residual bound must be a finite number",
+        "--total-mass -1": "The total mass, in kg, must be a finite number above 0",
+        "--effects friction": "Did you mean",
+        "--effects payload": "payload cannot be everywhere. Say on which body it is",
+        "--effects payload@hand": "no body 'hand'",
+        "--effects coulomb_friction@wrist": "no joint 'wrist'",
+        "--effects stribeck_friction": "geodrake add stribeck_friction MODEL LOG",
+        "--export out.sdf": "robot.urdf is a URDF",
+        "--export out.txt": "does not end in .urdf",
+        "--export robot.urdf": "is an input of this command",
+        "--ellipsoids e.gif": "does not end in .png",
+        "--meshcat nowhere/e.html": "which is no folder",
+        "--meshcat a.html --report a.html": "already the target",
+    },
+    "identifiable robot.urdf log.csv": {
+        "--threshold 1e-12": "keeps nothing: the most certain direction",
+        "--threshold 0": "threshold is a positive variance",
+        "--noise 0": "The noise of shoulder, elbow is not a positive number",
+        "--noise elbow=0.1": "--noise says nothing of shoulder",
+        "--noise knee=0.1,elbow=1": "names 'knee', which is no joint",
+        "--noise much": "'much', which is not a number",
+    },
+    "excite pendulum.urdf --json n.json": {
+        "--trajectory circle": "no trajectory 'circle'",
+        "--criterion f_optimality": "no criterion 'f_optimality'",
+        "--normalization some": "no normalization 'some'",
+        "--points 9": "--points is for --trajectory spline",
+        "--trajectory spline --harmonics 3": "--harmonics is for --trajectory fourier",
+        "--trajectory free --save m.csv": "nothing for --save to write",
+        "--obstacle wall": "'wall' is no obstacle. Write box:",
+        "--obstacle none.obj": "does not exist",
+        "--stand 99": "robot's stand is outside the limits: joint 'shoulder'",
+        "--start 99": "start is outside the limits: joint 'shoulder'",
+        "--duration -1": "duration must be",
+        "--harmonics 0": "modes must be",
+        "--seeds 0": "--seeds is a positive number",
+        "--samples 0": "--samples is a positive number",
+        "--clearance -1": "--clearance is a distance",
+        "--rate nan": "--rate is a positive number",
+        "--solver magic": "No nonlinear solver 'magic'",
+        "--save motion.bag": "does not end in .csv or .npz",
+        "--meshcat m.png": "does not end in .html",
+        "--limits half": "'half', which is not a number",
+        "--limits speed=1": "no limit 'speed'",
+        "--limits knee.velocity=1": "'knee', which is no joint",
+        "--limits elbow.position=1": "has the position '1'",
+        "--limits elbow.position=1:0": "'elbow' has no room to move",
+        "--limits velocity=0": "'shoulder' has no room to move",
+        "--limits velocity=inf": "speed of joint 'shoulder' is not limited",
+        "--limits -1": "share must be a finite number above 0",
+        "--limits acceleration=inf,effort=0.001": "hold still within its limits, but hardly move",
+        "--tell-apart coulomb_friction": "takes two effects; got 'coulomb_friction'",
+        "--tell-apart ,viscous_friction": "takes two effects",
+        "--tell-apart coulomb,viscous_friction": "'coulomb'. Did you mean coulomb_friction",
+        "--tell-apart coulomb_friction,viscous_friction@knee": "joint must be one of",
+        "--tell-apart payload,viscous_friction@elbow": "payload cannot be everywhere",
+        "--tell-apart coulomb_friction,coulomb_friction": "cannot be distinguished from itself",
+        "--tell-apart effort_delay,viscous_friction": "no linear parameters",
+        "--tell-apart drag,viscous_friction --criterion d_optimality": "Leave --criterion out",
+        "--tell-apart drag,viscous_friction --normalization none": "Leave --normalization out",
+        "--tell-apart drag,viscous_friction --effects effort_offset": "brings a FILE.py alone",
+    },
+    "play pendulum.urdf log.csv": {
+        "--out p.png": "does not end in .html",
+        "--speed 0": "--speed must be",
+        "--seconds -1": "--seconds must be",
+        "--live 99999": "is no port",
+        "--before none.urdf": "does not exist",
+        "--video p.avi": "does not end in .mp4 or .gif",
+        "--to foxglove p.mcap": "--to must be",
+        "--to rerun p.mcap": "does not end in .rrd",
+        "--video no/p.gif": "which is no folder",
+    },
+    "export robot.urdf --to": {
+        "usd out": "urdf, sdf, mjcf",
+        "urdf . --force": "is an input",
+        "urdf log.csv": "no folder",
+        "urdf log.csv/out": "log.csv",
+        "urdf out --json no/x.json": "no folder",
+        "urdf": "--to-dir",
+    },
+    "demo": {"--report no_folder/page.html": "Cannot write"},
+    "compare": {
+        "nothing.urdf log.csv": "nothing.urdf",
+        "robot.urdf nothing.csv": "nothing.csv",
+        "log.csv log_2.csv": "not a robot description",
+        "page.urdf log.csv": "page.urdf",
+        "folder.json log.csv": "is a folder",
+        "robot.urdf log.csv ./log.csv": "given twice",
+        "robot.urdf": "Usage",
+    },
+}
 
 
-def rows(seconds=30.0, period=0.01):
-    time = np.arange(0.0, seconds, period)
-    angle = np.outer(time, [2.0, 3.1]) + np.outer(np.sin(0.7 * time), [1.0, 2.0])
-    rate = np.array([2.0, 3.1]) + np.outer(0.7 * np.cos(0.7 * time), [1.0, 2.0])
-    change = np.outer(-0.49 * np.sin(0.7 * time), [1.0, 2.0])
-    q, v = 0.5 * np.sin(angle), 0.5 * rate * np.cos(angle)
-    vd = 0.5 * (change * np.cos(angle) - rate**2 * np.sin(angle))
-    return np.column_stack([time, q, body_effort(q, v, vd)])
-
-
-def write(path, table, header=HEADER):
-    lines = [header, *(",".join(map(str, row)) for row in table)]
-    path.write_text("\n".join(lines) + "\n")
-    return path
+@pytest.fixture(scope="module")
+def files(tmp_path_factory):
+    """A robot with and without a gripper, a saved model, logs, and what is none of them."""
+    folder = tmp_path_factory.mktemp("files")
+    text = PENDULUM.read_text()
+    (folder / "pendulum.urdf").write_text(text)
+    (folder / "robot.urdf").write_text(text.replace("</robot>", f"{FINGERS}</robot>"))
+    (folder / "base.dmd.yaml").write_text(
+        f"directives: [{{add_model: {{name: robot, file: file://{PENDULUM}}}}}]\n"
+    )
+    save_model(load_model(folder / "base.dmd.yaml"), folder / "saved.yaml")
+    (folder / "link.yaml").symlink_to("base.dmd.yaml")
+    (folder / "page.urdf").write_text("<html><body/></html>")
+    (folder / "folder.json").mkdir()
+    for seed in (1, 2):
+        log = pendulum_log(seed, seconds=10.0, rate=100.0)
+        write_log(log, folder / ("log.csv" if seed == 1 else "log_2.csv"))
+    return folder
 
 
 @pytest.fixture
-def log(tmp_path):
-    return write(tmp_path / "log.csv", rows())
-
-
-def refused(*arguments, code=2):
-    """Run a command that must fail without a traceback; returns its message."""
-    result = CliRunner().invoke(app, [str(a) for a in arguments])
-    assert result.exit_code == code, result.output
-    assert "Traceback" not in result.output
-    assert result.stdout == ""
-    # On a busy machine, what is being done is told every five seconds.
-    lines = [line for line in result.stderr.splitlines() if not re.search(r" \(\d+ s\)$", line)]
-    assert len(lines) == 1 or "Usage" in result.stderr
-    return result.stderr
-
-
-def contents(folder):
-    return {path.name: path.read_bytes() for path in folder.iterdir() if path.is_file()}
+def folder(files, working_folder):
+    shutil.copytree(files, working_folder, dirs_exist_ok=True, symlinks=True)
+    return working_folder
 
 
 @pytest.mark.parametrize(
-    ("header", "words"),
-    [
-        (HEADER.replace("effort", "colour"), "without effort"),
-        (HEADER.replace("elbow", "elbw"), "(nearest: 'elbow')"),
-        (HEADER.replace("time", "instant"), "no column 'time'"),
-        (HEADER.replace("elbow.effort", "elbow.colour"), "without effort of elbow"),
-        ("0,0.1,0.1,0.1,0.1", "has no header"),
-    ],
+    ("words", "says"),
+    [(f"{given} {options}", says) for given, rows in BAD.items() for options, says in rows.items()],
 )
-def test_columns_must_be_those_of_the_robot(tmp_path, header, words):
-    log = write(tmp_path / "log.csv", rows(), header)
-    assert words in refused("compare", PENDULUM, log)
+def test_one_line_and_no_file(folder, words, says):
+    before = contents(folder)
+    assert says in refused(*shlex.split(words))
+    assert contents(folder) == before
 
 
-def test_what_is_not_there_or_not_a_robot(tmp_path, log):
-    assert "nothing.urdf" in refused("compare", tmp_path / "nothing.urdf", log)
-    assert "nothing.csv" in refused("compare", PENDULUM, tmp_path / "nothing.csv")
-    other = write(tmp_path / "other.csv", rows())
-    assert "not a robot description" in refused("compare", log, other)
-    page = tmp_path / "page.urdf"
-    page.write_text("<html><body/></html>")
-    assert "page.urdf" in refused("compare", page, log)
-    assert "is a folder" in refused("compare", tmp_path, log)
-    assert "given twice" in refused("compare", PENDULUM, log, tmp_path / "." / log.name)
-    refused("compare", PENDULUM)
-    refused("compare")
-
-
-def test_settings_must_make_sense(log):
-    for bandwidth in ("0", "-1", "nan", "1000"):
-        assert "Hz" in refused("compare", PENDULUM, log, "--bandwidth", bandwidth)
-    refused("compare", PENDULUM, log, "--bandwidth", "wide")
-    refused("compare", PENDULUM, log, "--blocks", "0")
-
-
-def test_effects_and_places_must_exist(tmp_path, log):
-    message = refused("add", "colomb_friction", PENDULUM, log)
-    assert "Did you mean coulomb_friction" in message
-    assert "'elbw'" in refused("add", "coulomb_friction", PENDULUM, log, "--where", "elbw")
-    own = tmp_path / "own.py"
-    message = refused("explain", PENDULUM, log, "--effects", own)
-    assert f"The file of effects {own} does not exist. Check the path." in message
-    assert "is a folder" in refused("explain", PENDULUM, log, "--effects", tmp_path)
-    own.write_text("x = 1 / 0\n")
-    assert "ZeroDivisionError" in refused("explain", PENDULUM, log, "--effects", own)
-    own.write_text(RAISING)
-    message = refused("add", "odd_friction", PENDULUM, log, "--effects", own)
-    assert "line 12 of" in message
-    assert "KeyError" in message
-    twin = tmp_path / "twin.py"
-    twin.write_text(RAISING)
-    both = ("--effects", own, "--effects", twin)
-    assert "another --effects file" in refused("explain", PENDULUM, log, *both)
+def test_columns_must_be_those_of_the_robot(folder):
+    header, rows = Path("log.csv").read_text().split("\n", 1)
+    for changed, says in (
+        (header.replace("effort", "colour"), "without effort"),
+        (header.replace("elbow", "elbw"), "(nearest: 'elbow')"),
+        (header.replace("time", "instant"), "no column 'time'"),
+        (header.replace("elbow.effort", "elbow.colour"), "without effort of elbow"),
+        ("0,0.1,0.1,0.1,0.1", "has no header"),
+    ):
+        Path("wrong.csv").write_text(f"{changed}\n{rows}")
+        assert says in refused("compare", "pendulum.urdf", "wrong.csv")
 
 
 RAISING = """
@@ -122,86 +253,63 @@ class OddFriction(JointEffect):
 """
 
 
-def test_an_effect_that_does_not_exist_is_refused_before_anything_is_read(tmp_path, monkeypatch):
-    def read(*args, **more):
+def test_effects_of_files_that_fail(folder):
+    for name, text in (("zero", "x = 1 / 0\n"), ("own", RAISING), ("twin", RAISING)):
+        Path(f"{name}.py").write_text(text)
+    given = ("explain", "pendulum.urdf", "log.csv", "--effects")
+    assert "ZeroDivisionError" in refused(*given, "zero.py")
+    assert "another --effects file" in refused(*given, "own.py", "--effects", "twin.py")
+    said = refused("add", "odd_friction", *given[1:], "own.py")
+    assert "line 12 of" in said and "KeyError" in said
+
+
+def test_what_is_wrong_in_the_words_is_refused_before_anything_is_read(folder, monkeypatch):
+    def read(*_, **__):
         raise AssertionError("a model or a log was read")
 
     monkeypatch.setattr("geodrake.cli.session.read_model", read)
-    (log := tmp_path / "log.csv").write_text("no,log\n")
-    assert "nonsense" in refused("add", "nonsense", PENDULUM, log)
+    for words in ("add nonsense", "compare --json none/x.json", "compare --save x.json"):
+        command, *options = words.split()
+        refused(command, *options[:1], "pendulum.urdf", "log.csv", *options[1:])
 
 
-def test_targets_are_refused_before_the_work(tmp_path, log, monkeypatch):
-    def never(*_arguments, **_settings):
-        raise AssertionError("the model was loaded before the targets were checked")
-
-    monkeypatch.setattr("geodrake.cli.session.read_model", never)
-    folder = tmp_path / "folder.json"
-    folder.mkdir()
-    (tmp_path / "link.yaml").symlink_to(tmp_path / "robot.yaml")
-    robot = tmp_path / "robot.yaml"
-    robot.write_text("a model")
-    before = contents(tmp_path)
-    for target, words in [
-        (("--json", tmp_path / "none" / "x.json"), "no folder"),
-        (("--report", log / "x.html"), "no folder"),
-        (("--json", folder), "is no file"),
-        (("--save", tmp_path / "x.json"), "does not end in .yaml or .yml"),
-        (("--report", tmp_path / "x.pdf"), "does not end in .html"),
-        (("--save", robot), "is an input"),
-        (("--save", tmp_path / "link.yaml"), "is an input"),
-        (("--json", log), "does not end in .json"),
-        (("--save", tmp_path / ("x" * 300 + ".yaml")), "cannot be written"),
-        (("--json", Path("/proc/x.json")), "--json /proc/x.json"),
-    ]:
-        assert words in refused("compare", robot, log, *target)
-    assert contents(tmp_path) == before
+def test_a_saved_model_says_where_its_base_was(folder):
+    save_model(load_model("pendulum.urdf"), "pendulum.yaml")
+    Path("pendulum.urdf").unlink()
+    message = refused("explain", "pendulum.yaml", "log.csv")
+    assert "pendulum.urdf" in message and "base_model" in message
 
 
-def test_a_saved_model_is_not_written_over_the_file_it_is_based_on(tmp_path, log):
-    (tmp_path / "robot.dmd.yaml").write_text(
-        f"directives:\n- add_model:\n    name: robot\n    file: file://{PENDULUM}\n"
-    )
-    base = tmp_path / "robot.dmd.yaml"
-    saved = tmp_path / "saved.yaml"
-    save_model(load_model(base), saved)
-    before = contents(tmp_path)
-    assert "is an input" in refused("compare", saved, log, "--save", base)
-    assert contents(tmp_path) == before
+def test_zero_masses_and_odd_units_are_told_of_and_not_fatal(folder):
+    text = Path("pendulum.urdf").read_text()
+    Path("light.urdf").write_text(text.replace('<mass value="0.6256"/>', '<mass value="0"/>'))
+    table = np.loadtxt("log.csv", delimiter=",", skiprows=1)
+    header = Path("log.csv").read_text().partition("\n")[0]
+    table[:, [name.endswith("effort") for name in header.split(",")]] *= 1000.0
+    np.savetxt("large.csv", table, delimiter=",", header=header, comments="")
+    output = told("compare", "light.urdf", "large.csv")
+    assert "lower_link has a mass of 0 kg" in output
+    assert "Efforts seem to be in other units" in output
 
 
-def test_a_saved_model_says_where_its_base_was(tmp_path, log):
-    base = tmp_path / "robot.urdf"
-    base.write_text(PENDULUM.read_text())
-    saved = tmp_path / "saved.yaml"
-    save_model(load_model(base), saved)
-    base.rename(tmp_path / "moved.urdf")
-    message = refused("explain", saved, log)
-    assert "robot.urdf" in message
-    assert "base_model" in message
-
-
-def test_zero_masses_and_odd_units_are_told_of_and_not_fatal(tmp_path):
-    robot = tmp_path / "robot.urdf"
-    robot.write_text(PENDULUM.read_text().replace('<mass value="0.6256"/>', '<mass value="0"/>'))
-    table = rows()
-    table[:, 3:] *= 1000.0
-    log = write(tmp_path / "log.csv", table)
-    result = CliRunner().invoke(app, ["compare", str(robot), str(log)])
-    assert result.exit_code == 0, result.output
-    assert "lower_link has a mass of 0 kg" in result.output
-    assert "Efforts seem to be in other units" in result.output
-
-
-def test_a_bug_is_told_in_one_line_and_traced_on_demand(log, monkeypatch):
+def test_a_bug_is_told_in_one_line_and_traced_on_demand(folder, monkeypatch):
     def broken(*_arguments, **_settings):
         raise RuntimeError("the sky\nfell")
 
     monkeypatch.setattr("geodrake.cli.session.read_model", broken)
-    message = refused("compare", PENDULUM, log, code=1)
+    words = ("compare", PENDULUM, "log.csv")
+    message = refused(*words, code=1)
     assert message.startswith("Internal error: RuntimeError: the sky fell. ")
-    for settings in ({"args": ["--debug"]}, {"env": {"GEODRAKE_DEBUG": "1"}}):
-        arguments = ["compare", str(PENDULUM), str(log), *settings.get("args", [])]
-        result = CliRunner().invoke(app, arguments, env=settings.get("env"))
-        assert result.exit_code == 1
-        assert "Traceback" in result.stderr
+    for more, environment in ((("--debug",), {}), ((), {"GEODRAKE_DEBUG": "1"})):
+        result = run(*words, *more, env=environment)
+        assert result.exit_code == 1 and "Traceback" in result.stderr
+
+
+def test_robots_that_a_command_cannot_use(folder):
+    ball = '<sdf version="1.9"><model name="m"><link name="l"/><joint name="j" type="ball">'
+    Path("ball.sdf").write_text(
+        f"{ball}<parent>world</parent><child>l</child></joint></model></sdf>"
+    )
+    assert "joint j is of the type" in refused("export", "ball.sdf", "--to", "urdf", "out")
+    assert "floats" in refused("export", "pendulum.urdf", "--floating", "--to", "sdf", "out")
+    assert "does not exist" in refused("excite", "none.urdf")

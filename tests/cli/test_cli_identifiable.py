@@ -4,15 +4,15 @@ import json
 
 import numpy as np
 import pytest
+from commands import told
 from pendulum_logs import PENDULUM as MODEL
 from pendulum_logs import sines
-from typer.testing import CliRunner
 
-from geodrake.cli.app import app
 from geodrake.cli.identify import named_effects
 from geodrake.errors import ArgumentError
 from geodrake.excitation import identifiable_parameters, make_target, measurement_factor
 from geodrake.excitation.identifiable import log_identifiability
+from geodrake.identification.models.identify import with_effects
 from geodrake.logs.files import write_log
 from geodrake.logs.motion import JointLog
 from geodrake.model.saved_model import load_model
@@ -38,10 +38,6 @@ def log(tmp_path_factory):
     return pendulum_log(tmp_path_factory.mktemp("logs") / "log.csv")
 
 
-def command(*arguments):
-    return CliRunner().invoke(app, ["identifiable", *(str(a) for a in arguments)])
-
-
 def found_in(logs, **settings):
     model = load_model(MODEL)
     effects = named_effects(FRICTIONS, model)
@@ -50,41 +46,32 @@ def found_in(logs, **settings):
 
 def test_everything_is_written(log, tmp_path):
     files = ("--json", tmp_path / "n.json", "--report", tmp_path / "r.html")
-    result = command(MODEL, log, "--effects", ",".join(FRICTIONS), *files)
-    assert result.exit_code == 0, result.output
+    output = told("identifiable", MODEL, log, "--effects", ",".join(FRICTIONS), *files)
     assert sorted(path.name for path in tmp_path.iterdir()) == ["n.json", "r.html"]
     numbers = json.loads((tmp_path / "n.json").read_text())
     assert numbers["command"] == "identifiable"
-    assert (
-        f"{numbers['told']} of {numbers['possible']} directions are identifiable" in result.output
-    )
+    assert f"{numbers['told']} of {numbers['possible']} directions are identifiable" in output
     assert numbers["told"] == sum(d["told"] for d in numbers["directions"])
     assert numbers["told"] <= numbers["possible"] == len(numbers["combinations"])
-    told = sum(b["told"] for b in numbers["bodies"].values())
-    told += sum(e["told"] for e in numbers["effects"])
-    assert told == pytest.approx(numbers["told"])
+    told_by = sum(b["told"] for b in numbers["bodies"].values())
+    told_by += sum(e["told"] for e in numbers["effects"])
+    assert told_by == pytest.approx(numbers["told"])
     page = (tmp_path / "r.html").read_text().replace("<wbr>", "")
     assert "chart-directions" in page and "coulomb_friction" in page
 
 
-def test_possible_is_what_the_robot_has(log):
-    found = found_in([log])
-    rank = structural_base_parameters(load_model(MODEL).plant).rank
-    assert found.possible == rank + 4
-    assert sum(b.possible for b in (*found.bodies, *found.effects)) == pytest.approx(rank + 4)
-
-
-def test_noise_that_the_model_leaves_is_that_of_the_sensor(log):
-    """Of a log that the model with its friction explains, whatever the filter."""
-    found = found_in([log])
-    np.testing.assert_allclose(found.noise, found.floor, rtol=0.6)
-    assert found.count_at_floor >= found.count - 1
-
-
 def test_counts_are_those_of_the_motion(log):
-    """The same number of directions as from the exact, unfiltered motion and as much noise."""
+    """The same number of directions as from the exact, unfiltered motion and as much noise.
+
+    The model with its friction explains the log, whatever the filter.
+    """
     found = found_in([log])
     model = found.model
+    rank = structural_base_parameters(model.plant).rank
+    assert found.possible == rank + 4
+    assert sum(b.possible for b in (*found.bodies, *found.effects)) == pytest.approx(rank + 4)
+    np.testing.assert_allclose(found.noise, found.floor, rtol=0.6)
+    assert found.count_at_floor >= found.count - 1
     time, motion = sines(seed=0)
     share = np.sqrt(len(time) / found.samples)  # as much information from more samples
     target = make_target(model, noise=found.noise * share, sign_width=1e-2)
@@ -116,39 +103,8 @@ def test_threshold_and_more_logs(log, tmp_path):
     assert all(b.deviation < o.deviation for b, o in pairs)
 
 
-@pytest.mark.parametrize(
-    ("arguments", "words"),
-    [
-        (("--threshold", "1e-12"), "keeps nothing: the most certain direction"),
-        (("--threshold", "0"), "threshold is a positive variance"),
-        (("--threshold", "nan"), "threshold is a positive variance"),
-        (("--noise", "0"), "The noise of shoulder, elbow is not a positive number"),
-        (("--noise", "elbow=0.1"), "--noise says nothing of shoulder"),
-        (("--noise", "knee=0.1,elbow=1"), "names 'knee', which is no joint"),
-        (("--noise", "much"), "'much', which is not a number"),
-        (("--effects", "friction"), "There is no effect 'friction'"),
-        (("--save", "model.yaml"), "No such option"),
-        (("--json", "numbers.txt"), "does not end in .json"),
-    ],
-)
-def test_bad_input_leaves_no_trace(log, tmp_path, arguments, words):
-    report = tmp_path / "r.html"
-    given = [tmp_path / a if a in ("model.yaml", "numbers.txt") else a for a in arguments]
-    result = command(MODEL, log, "--report", report, *given)
-    assert result.exit_code == 2, result.output
-    assert words in result.stderr
-    assert "Traceback" not in result.output
-    assert not list(tmp_path.iterdir())
-
-
 def test_an_effect_that_the_model_has():
     model = load_model(MODEL)
     effects = named_effects(["coulomb_friction"], model)
     with pytest.raises(ArgumentError, match="already"):
-        log_identifiability(found_model(model, effects), [], effects=effects)
-
-
-def found_model(model, effects):
-    from geodrake.identification.models.identify import with_effects
-
-    return with_effects(model, effects)
+        log_identifiability(with_effects(model, effects), [], effects=effects)

@@ -1,18 +1,12 @@
 """What commands say of inertias that are not the file's, and where users' own prints go."""
 
 import json
-import os
-import subprocess
 import sys
-from pathlib import Path
 
 import pytest
-from typer.testing import CliRunner
+from commands import run
+from processes import ended, start
 
-import geodrake
-from geodrake.cli.app import app
-
-APART = {**os.environ, "PYTHONPATH": str(Path(geodrake.__file__).parents[1])}
 URDF = """<robot name="two">
   <link name="base"/>
   <link name="upper"><inertial><origin xyz="0 0 0.2"/>{mass}
@@ -55,36 +49,29 @@ def model_of(folder, mass):
     return path
 
 
-def run(*arguments):
-    return CliRunner().invoke(app, [str(a) for a in arguments])
+def checked(path):
+    """How `geodrake check` ends, and its numbers."""
+    numbers = path.with_suffix(".json")
+    done = run("check", path, "--samples", 2, "--json", numbers)
+    return done, json.loads(numbers.read_text(encoding="utf-8"))
 
 
 @pytest.mark.parametrize(
     ("mass", "problem"),
     [
         ('<mass value="nan"/>', "upper has a mass or inertia that is not a number"),
-        ('<mass value="inf"/>', "upper has a mass or inertia that is not a number"),
         ('<mass value="abc"/>', "upper has a mass or inertia that is not a number"),
         ('<mass value="-2"/>', "upper has a mass of -2 kg"),
-        ('<mass value=""/>', "upper has a mass of 0 kg"),
         ("", "upper has a mass of 0 kg"),
     ],
 )
 def test_a_mass_that_was_replaced_is_no_agreement(tmp_path, mass, problem):
-    done = run("check", model_of(tmp_path, mass), "--samples", 2, "--json", tmp_path / "c.json")
+    done, numbers = checked(model_of(tmp_path, mass))
     assert done.exit_code == 1
     assert done.output.startswith(f"Warning: two.urdf is not used as it stands. {problem}")
     assert "agree" not in done.output.rpartition("Verdict")[2]
-    numbers = json.loads((tmp_path / "c.json").read_text(encoding="utf-8"))
     assert not numbers["agrees"] and numbers["repaired"]
     assert numbers["notes"][0].startswith(problem)
-
-
-def test_a_mass_that_can_be_is_no_repair(tmp_path):
-    done = run("check", model_of(tmp_path, '<mass value="2"/>'), "--samples", 2)
-    assert done.exit_code == 0
-    assert "Warning" not in done.output
-    assert "agree" in done.output
 
 
 @pytest.mark.parametrize(
@@ -110,12 +97,10 @@ def test_what_is_exported_says_what_was_replaced(tmp_path, form, file):
 
 def test_a_repair_of_a_link_with_any_name_leaves_xml(tmp_path):
     path = model_of(tmp_path, '<mass value="nan"/>')
-    path.write_text(
-        path.read_text("utf-8").replace('"upper"', '"up--per--&gt;-"'), encoding="utf-8"
-    )
-    done = run("export", path, "--to", "urdf", tmp_path / "out", "-q")
-    assert done.exit_code == 0
-    assert run("check", tmp_path / "out" / "two.urdf", "--samples", 2).exit_code == 0
+    text = path.read_text("utf-8").replace('"upper"', '"up--per--&gt;-"')
+    path.write_text(text, encoding="utf-8")
+    assert run("export", path, "--to", "urdf", tmp_path / "out", "-q").exit_code == 0
+    assert checked(tmp_path / "out" / "two.urdf")[0].exit_code == 0
 
 
 def test_many_repairs_are_counted(tmp_path):
@@ -128,7 +113,7 @@ def test_many_repairs_are_counted(tmp_path):
     path = model_of(tmp_path, '<mass value="2"/>')
     text = path.read_text("utf-8").replace("</robot>", f"{links}{joints}</robot>")
     path.write_text(text, encoding="utf-8")
-    done = run("check", path, "--samples", 2)
+    done, _ = checked(path)
     assert done.output.count("Warning") == 6
     assert "4 more of its parts were replaced or left out" in done.output
 
@@ -138,12 +123,10 @@ def test_what_code_of_users_prints_is_no_result(tmp_path):
     own.write_text(PRINTS, encoding="utf-8")
     model = model_of(tmp_path, '<mass value="2"/>')
     command = [sys.executable, "-m", "geodrake", "check", model, "--samples", "2", "--json", "-"]
-    done = subprocess.run(
-        [*command, "--effects", own], env=APART, capture_output=True, text=True, check=True
-    )
-    assert json.loads(done.stdout)["agrees"]
-    said = {"printed", "written", "in C", "in a thread", "at the end", "by a child at the end"}
-    assert said <= set(done.stderr.splitlines())
+    code, out, err = ended(start([*command, "--effects", own]))
+    assert code == 0 and json.loads(out)["agrees"]
+    told = {"printed", "written", "in C", "in a thread", "at the end", "by a child at the end"}
+    assert told <= set(err.splitlines())
 
 
 MJCF = """<mujoco model="m"><option density="{}"/><worldbody><body name="a">
@@ -155,15 +138,11 @@ def test_what_is_left_out_fails_the_check_and_is_told_first(tmp_path):
     path = tmp_path / "m.xml"
     ellipsoid = MJCF.replace("<geom", '<geom fluidshape="ellipsoid"')
     path.write_text(ellipsoid.format(1000), encoding="utf-8")
-    done = run("check", path, "--samples", 2, "--json", tmp_path / "c.json")
+    done, numbers = checked(path)
     assert done.exit_code == 1
     assert done.output.startswith("Warning: m.xml is not used as it stands. The medium of <option")
-    verdict = done.output.rpartition("Verdict")[2]
-    assert (
-        "states forces or parts that geodrake does not model" in " ".join(verdict.split())
-        and "MuJoCo" in verdict
-    )
-    numbers = json.loads((tmp_path / "c.json").read_text(encoding="utf-8"))
+    verdict = " ".join(done.output.rpartition("Verdict")[2].split())
+    assert "states forces or parts that geodrake does not model" in verdict and "MuJoCo" in verdict
     assert not numbers["agrees"] and not numbers["repaired"]
     assert numbers["left_out"] == numbers["notes"][:1]
     assert numbers["second_opinion"]["by"].startswith("MuJoCo")
@@ -174,9 +153,10 @@ def test_what_is_left_out_fails_the_check_and_is_told_first(tmp_path):
 def test_a_program_that_reads_the_file_itself_agrees(tmp_path, monkeypatch, name, program):
     model_of(tmp_path, '<mass value="2"/>')
     (tmp_path / "m.xml").write_text(MJCF.format(0), encoding="utf-8")
-    done = run("check", tmp_path / name, "--samples", 2)
+    done, _ = checked(tmp_path / name)
     assert done.exit_code == 0 and f"as does {program}" in " ".join(done.output.split())
+    assert "Warning" not in done.output
     monkeypatch.setitem(sys.modules, program.lower(), None)
-    done = run("check", tmp_path / "two.urdf", "--samples", 2, "--json", tmp_path / "c.json")
-    by = json.loads((tmp_path / "c.json").read_text(encoding="utf-8"))["second_opinion"]["by"]
+    done, numbers = checked(tmp_path / "two.urdf")
+    by = numbers["second_opinion"]["by"]
     assert ("not installed" in by) == (program == "Pinocchio") and done.exit_code == 0

@@ -4,26 +4,24 @@ import io
 import re
 from dataclasses import replace
 from html import escape
-from importlib.resources import files
 from itertools import product
 
 import numpy as np
 import pytest
+from commands import run
+from report_results import LOG, diagnosis
+from report_results import URDF as MODEL
 from typer.main import get_command
-from typer.testing import CliRunner
 
 from geodrake import load_model
 from geodrake.cli.app import app
-from geodrake.diagnosis import compare, diagnose
+from geodrake.diagnosis import compare
 from geodrake.diagnosis.add import add
 from geodrake.errors import LogError
 from geodrake.logs.files import read_log
 from geodrake.report import About, Units, page_of, render, show_page
 from geodrake.report.numbers import number
 from geodrake.report.terminal import ResultsConsole
-
-DEMO = files("geodrake") / "demo"
-MODEL, LOG = str(DEMO / "demo.urdf"), str(DEMO / "demo.csv")
 
 
 def printed(result, model, *, terminal=True):
@@ -65,7 +63,7 @@ def test_every_joint_has_its_value(added):
 
 
 def test_nothing_is_wider_than_the_terminal_or_cut(model, added, compared):
-    results = added, compared, diagnose(model, LOG)
+    results = added, compared, diagnosis(model.joints)
     for result, terminal in product(results, (True, False)):
         text = printed(result, model, terminal=terminal)
         long = [line for line in text.splitlines() if len(line) > 80 and "excite" not in line]
@@ -86,11 +84,6 @@ def test_terminal_and_page_say_the_same(model, added, compared):
             assert number(value) in text and number(value) in html
 
 
-def test_one_log_need_not_be_in_a_list(model, compared):
-    assert compare(model, LOG).errors.nrms == compare(model, [LOG]).errors.nrms
-    assert compared.errors.nrms == compare(model, read_log(LOG)).errors.nrms
-
-
 def test_degrees_are_named_where_a_log_is_too_short(model):
     log = read_log(LOG)
     part = slice(0, 120)
@@ -105,15 +98,11 @@ def test_degrees_are_named_where_a_log_is_too_short(model):
         compare(model, degrees)
 
 
-def test_demo_says_how_long_it_takes_only_where_it_begins():
-    refused = CliRunner().invoke(app, ["demo", "--report", "no_folder/page.html"])
-    assert refused.exit_code == 2 and refused.stderr.startswith("Error: Cannot write")
-
-
 @pytest.mark.parametrize("name", get_command(app).commands)
 def test_help_of_80_columns_cuts_nothing_and_shows_few_options_first(name):
     command = get_command(app).commands[name]
-    found = CliRunner().invoke(app, [name, "--help"], env={"COLUMNS": "80"})
+    found = run(name, "--help", env={"COLUMNS": "80"})
+    assert "--quiet" in found.output
     said = "".join(f"{each.metavar}{each.help}" for each in command.params)
     assert found.output.count("…") == said.count("…")
     assert max(map(len, found.output.splitlines())) <= 80

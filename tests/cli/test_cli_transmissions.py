@@ -4,20 +4,10 @@ import json
 
 import numpy as np
 import pytest
+from commands import contents, refused, told
 from coupled_arm import WRIST, arm, log_of
-from typer.testing import CliRunner
 
-from geodrake.cli.app import app
 from geodrake.logs import write_log
-
-
-def run(*arguments, code=0):
-    result = CliRunner().invoke(app, [str(a) for a in arguments])
-    assert result.exit_code == code, result.output
-    assert "Traceback" not in result.output
-    if code:
-        assert len(result.stderr.strip().splitlines()) == 1 and not result.stdout
-    return " ".join((result.stderr if code else result.output).split())
 
 
 @pytest.fixture(scope="module")
@@ -30,29 +20,23 @@ def files(tmp_path_factory):
     return folder
 
 
-def test_a_file_beside_the_model_is_taken_and_said(files, tmp_path):
+def test_a_file_beside_the_model_is_taken_and_said_unless_another_or_none_is_given(files, tmp_path):
     robot, log, out = files / "arm.urdf", files / "log.csv", tmp_path / "out.json"
-    shown = run("compare", robot, log, "--json", out)
+    shown = told("compare", robot, log, "--json", out)
     assert "m2, m3 for pitch, roll" in shown and "arm.transmission.yaml beside" in shown
     errors = json.loads(out.read_text())["joints"]
     assert list(errors) == ["m1", "m2", "m3"]
     assert errors["m1"]["nrms"] < 0.1 < errors["m2"]["nrms"]
-    saved = tmp_path / "model.yaml"
-    run("add", "coulomb_friction", robot, log, "--where", "m2", "--save", saved)
-    run("compare", saved, log, "--json", out)
-    assert json.loads(out.read_text())["error"]["nrms"] < 0.1
-
-
-@pytest.mark.thorough
-def test_none_and_another_file_instead(files, tmp_path):
-    robot, log = files / "arm.urdf", files / "log.csv"
-    (tmp_path / "turned.yaml").write_text(WRIST.replace("ratio: -8", "ratio: 8"))
-    assert "actuators" in run("compare", robot, log)
-    shown = run("compare", robot, log, "--transmission", "none", "--bandwidth", 10)
-    assert "actuators" not in shown and "shoulder" in shown
-    out = tmp_path / "out.json"
-    run("compare", robot, log, "--transmission", tmp_path / "turned.yaml", "--json", out)
+    other = tmp_path / "turned.yaml"
+    other.write_text(WRIST.replace("ratio: -8", "ratio: 8"))
+    told("compare", robot, log, "--transmission", other, "--json", out)
     assert json.loads(out.read_text())["joints"]["m1"]["nrms"] > 0.5
+    shown = told("compare", robot, log, "--transmission", "none", "--bandwidth", 10)
+    assert "actuators" not in shown and "shoulder" in shown
+    saved = tmp_path / "model.yaml"
+    told("add", "coulomb_friction", robot, log, "--where", "m2", "--save", saved)
+    told("compare", saved, log, "--json", out)
+    assert json.loads(out.read_text())["error"]["nrms"] < 0.1
 
 
 @pytest.mark.parametrize(
@@ -86,25 +70,15 @@ def test_none_and_another_file_instead(files, tmp_path):
     ],
 )  # fmt: skip
 def test_wrong_transmissions_are_one_line(wrong, problem, files, tmp_path):
-    path = tmp_path / "wrong.yaml"
-    path.write_text(wrong)
-    saved = tmp_path / "saved.yaml"
-    shown = run(
-        "add", "coulomb_friction", files / "arm.urdf", files / "log.csv", "--transmission", path,
-        "--save", saved, code=2,
-    )  # fmt: skip
-    assert problem in shown and not saved.exists()
+    (tmp_path / "wrong.yaml").write_text(wrong)
+    given = ("coulomb_friction", files / "arm.urdf", files / "log.csv", "--save", "saved.yaml")
+    assert problem in refused("add", *given, "--transmission", "wrong.yaml")
+    assert [path.name for path in tmp_path.iterdir()] == ["wrong.yaml"]
 
 
-def test_a_transmission_file_is_never_replaced(files):
-    beside = files / "arm.transmission.yaml"
-    shown = run(
-        "compare", files / "arm.urdf", files / "log.csv", "--transmission", beside, "--json",
-        beside, code=2,
-    )  # fmt: skip
-    assert beside.name in shown and beside.read_text() == WRIST
-
-
-def test_a_model_file_without_motors_has_no_transmission_of_its_own(files):
-    shown = run("compare", files / "arm.urdf", files / "log.csv", "--transmission", "file", code=2)
-    assert "states no transmissions of motors" in shown
+def test_a_transmission_file_is_never_replaced_and_a_model_without_motors_has_none(files):
+    given = ("compare", files / "arm.urdf", files / "log.csv", "--transmission")
+    before, beside = contents(files), files / "arm.transmission.yaml"
+    assert beside.name in refused(*given, beside, "--json", beside)
+    assert contents(files) == before
+    assert "states no transmissions of motors" in refused(*given, "file")

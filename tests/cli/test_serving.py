@@ -8,7 +8,8 @@ import time
 import pytest
 
 from geodrake.cli import serving
-from geodrake.cli.serving import page_server
+from geodrake.cli.serving import page_server, serve_page
+from geodrake.errors import OutputError
 
 
 @pytest.fixture
@@ -43,6 +44,19 @@ def is_hung_up(client):
         return client.recv(1) == b""
     except ConnectionError:
         return True
+
+
+def test_a_page_is_served_on_a_port_of_its_own(capfd):
+    server = page_server(0)
+    with pytest.raises(OutputError, match=f"Port {port_of(server)} cannot be used"):
+        page_server(port_of(server))
+    thread = threading.Thread(target=serve_page, args=(server, "<p>played ✓</p>"))
+    thread.start()
+    assert asked(server)[1].decode() == "<p>played ✓</p>"
+    server.shutdown()
+    thread.join()
+    server.server_close()
+    assert f"Playing at http://localhost:{port_of(server)}/" in capfd.readouterr().err
 
 
 @pytest.mark.parametrize("host", ["localhost", "127.0.0.1:99", "[::1]:99", "LOCALHOST:1"])

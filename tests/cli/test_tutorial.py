@@ -5,10 +5,7 @@ import shlex
 from pathlib import Path
 from runpy import run_path
 
-import pytest
-from typer.testing import CliRunner
-
-from geodrake.cli.app import app
+from commands import told
 
 ROOT = Path(__file__).parents[2]
 PAGE = ROOT / "docs" / "tutorial.md"
@@ -18,14 +15,6 @@ COMMANDS = [
     for line in block.splitlines()
     if line.startswith("geodrake ")
 ]
-
-
-@pytest.fixture(scope="module")
-def folder(tmp_path_factory):
-    """Folder with the files that the tutorial speaks of."""
-    folder = tmp_path_factory.mktemp("tutorial")
-    run_path(str(ROOT / "tools" / "tutorial_files.py"))["write_files"](folder)
-    return folder
 
 
 def test_a_newcomer_runs_all_commands_of_readme_and_tutorial():
@@ -38,18 +27,16 @@ def test_a_newcomer_runs_all_commands_of_readme_and_tutorial():
     assert any(step.text.startswith("geodrake explain robot.urdf log_1.csv") for step in others)
 
 
-def test_commands_do_what_the_tutorial_says(folder, monkeypatch):
-    monkeypatch.chdir(folder)
-    told = {}
+def test_commands_do_what_the_tutorial_says(working_folder):
+    run_path(str(ROOT / "tools" / "tutorial_files.py"))["write_files"](working_folder)
+    said = {}
     for command in COMMANDS:
         words = shlex.split(command)[1:]
         fast = ["--seeds", "1", "--iterations", "5"] if words[0] == "excite" else []
-        result = CliRunner().invoke(app, [*words, *fast, "--quiet"])
-        assert result.exit_code == 0, (command, result.output)
-        told.setdefault(words[0], []).append(result.output)
-    first, weighed, changed = told["explain"]
+        said.setdefault(words[0], []).append(told(*words, *fast, "--quiet"))
+    first, weighed, changed = said["explain"]
     assert "coulomb_friction" in first and "viscous_friction" in first
     assert "payload" not in weighed.split("Verdict")[0]
     assert "payload" in changed and "flange" in changed
     for name in ("robot.yaml", "report.html", "motion.csv", "exported"):
-        assert (folder / name).exists()
+        assert (working_folder / name).exists()

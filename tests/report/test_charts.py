@@ -60,9 +60,9 @@ def unpacked(pack):
     return np.where(whole == -32768, np.nan, offset + scale * whole)
 
 
-@pytest.mark.parametrize("values", [[1.0, np.nan, -3.0, 2.0], [5.0, 5.0], [np.nan], []])
-def test_packed_values_come_back(values):
-    np.testing.assert_allclose(unpacked(packed(np.array(values))), values, atol=5e-5)
+def test_packed_values_come_back():
+    for values in ([1.0, np.nan, -3.0, 2.0], [5.0, 5.0], [np.nan], []):
+        np.testing.assert_allclose(unpacked(packed(np.array(values))), values, atol=5e-5)
 
 
 def test_decimated_curves_keep_their_extremes_and_gaps():
@@ -76,8 +76,6 @@ def test_decimated_curves_keep_their_extremes_and_gaps():
     assert np.isnan(thin).all(0).sum() == 1
     np.testing.assert_array_equal(np.nanmax(thin, 1), np.nanmax(curves, 1))
     np.testing.assert_array_equal(np.nanmin(thin, 1), np.nanmin(curves, 1))
-    same = decimated(time[:100], curves[:, :100], 2000)
-    np.testing.assert_array_equal(same[1], curves[:, :100])
     curves[:, ::3] = np.nan  # too many gaps to show
     time, thin = decimated(time, curves, 2000)
     assert len(time) <= 2000 and np.isfinite(thin).any()
@@ -156,15 +154,11 @@ def test_steps_can_be_chosen_where_their_predictions_are_known():
     assert "after 1: + payload" in html
 
 
-def ends(bars):
-    return [[bar.end for bar in row.bars] for row in bars.rows]
-
-
-@pytest.mark.parametrize("rms", [np.nan, np.inf, 0.0])
-def test_errors_that_are_none_have_bars_of_nothing(rms):
-    bars = joint_bars(errors(joint_names(2), 0.5), [("then", [rms, 0.1])])
-    assert np.isfinite(ends(bars)).all()
-    assert bars.rows[0].bars[1].text == ("0" if rms == 0.0 else "–")
+def test_errors_that_are_none_have_bars_of_nothing():
+    for rms, text in ((np.nan, "–"), (np.inf, "–"), (0.0, "0")):
+        bars = joint_bars(errors(joint_names(2), 0.5), [("then", [rms, 0.1])])
+        assert np.isfinite([bar.end for row in bars.rows for bar in row.bars]).all()
+        assert bars.rows[0].bars[1].text == text
 
 
 def test_steps_fall_and_candidates_are_as_long_as_their_errors():

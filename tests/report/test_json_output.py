@@ -19,10 +19,7 @@ def test_a_number_that_is_none_is_null_with_a_reason():
     }
 
 
-def test_a_reason_that_is_known_is_told():
+def test_a_reason_that_is_known_is_told_and_nothing_where_all_are_finite():
     found = json.loads(to_json({"x": number_or(np.inf, "nobody looked"), "y": number_or(1.0, "")}))
     assert found == {"x": None, "y": 1.0, "nulls": {"/x": "nobody looked"}}
-
-
-def test_nothing_is_said_where_all_numbers_are_finite():
     assert json.loads(to_json({"a": [np.float64(1.5), 2, True, "x"]})) == {"a": [1.5, 2, True, "x"]}

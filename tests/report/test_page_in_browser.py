@@ -176,34 +176,17 @@ def test_tables_sort_and_filter(opened):
     assert table.locator("tbody tr:visible").count() == 3
 
 
-def residuals(page):
-    return page.locator("#chart-residuals")
-
-
 def test_residuals_are_drawn_with_their_means(opened):
-    page = opened()
-    residuals(page).scroll_into_view_if_needed()
-    residuals(page).locator(".panel:visible .place").first.scroll_into_view_if_needed()
-    page.wait_for_selector("#chart-residuals .uplot")
-    chips = residuals(page).locator(".chip[data-stage]")
-    assert chips.evaluate_all("all => all.map((one) => one.getAttribute('aria-pressed'))") == [
-        "false",
-        "true",
-    ]
-    axes = residuals(page).locator(".panel:visible").first.locator(".uplot")
-    assert axes.count() == 3
+    residuals = opened().locator("#chart-residuals")
+    residuals.locator(".panel:visible .place").first.scroll_into_view_if_needed()
+    residuals.locator(".uplot").first.wait_for()
+    chips = residuals.locator(".chip[data-stage]")
+    pressed = chips.evaluate_all("all => all.map((one) => one.getAttribute('aria-pressed'))")
+    assert pressed == ["false", "true"]
+    assert residuals.locator(".panel:visible").first.locator(".uplot").count() == 3
 
 
-@pytest.mark.sampled(2)
-@pytest.mark.parametrize(
-    ("width", "scripts"),
-    [
-        (400, True),
-        (1200, False),
-        pytest.param(1200, True, marks=pytest.mark.thorough),
-        pytest.param(400, False, marks=pytest.mark.thorough),
-    ],
-)
+@pytest.mark.parametrize(("width", "scripts"), [(400, True), (1200, False)])
 def test_nothing_is_wider_than_the_window(opened, width, scripts):
     page = opened(viewport={"width": width, "height": 800}, java_script_enabled=scripts)
     assert page.evaluate("document.documentElement.scrollWidth") <= width
@@ -215,8 +198,7 @@ def test_nothing_is_wider_than_the_window(opened, width, scripts):
     assert all(0 <= left <= right <= width + 0.5 for left, right in sides)
 
 
-@pytest.mark.parametrize("width", [900, pytest.param(1100, marks=pytest.mark.thorough)])
-def test_tables_of_long_names_need_no_scrolling(opened, tmp_path, width):
+def test_tables_of_long_names_need_no_scrolling(opened, tmp_path):
     joints = tuple(f"lbr_iiwa_shoulder_joint_{k}" for k in range(7))
     first = comparison(joints, 0.5).series
     where = ("lbr_iiwa_tool_flange",)
@@ -224,7 +206,7 @@ def test_tables_of_long_names_need_no_scrolling(opened, tmp_path, width):
     html = page(explanation(joints, (payload, friction(joints[:3]))))
     path = tmp_path / "long.html"
     path.write_text(html, encoding="utf-8")
-    shown = opened(path, viewport={"width": width, "height": 900})
+    shown = opened(path, viewport={"width": 900, "height": 900})
     tables = shown.locator(".wide")
     sizes = tables.evaluate_all("all => all.map((one) => [one.scrollWidth, one.clientWidth])")
     assert len(sizes) >= 4
@@ -237,15 +219,13 @@ def luminance(page, selector, name):
     return sum(map(float, re.findall(r"[\d.]+", color)[:3])) / 3
 
 
-@pytest.mark.sampled(2)
-@pytest.mark.parametrize("scheme", ["light", "dark"])
-def test_schemes(opened, scheme):
-    page = opened(color_scheme=scheme)
+def test_schemes(opened):
+    page = opened(color_scheme="dark")
     is_dark = lambda: luminance(page, "section", "backgroundColor") < 100  # noqa: E731
-    assert is_dark() == (scheme == "dark")
+    assert is_dark()
     assert (luminance(page, "h1", "color") > 100) == is_dark()
     page.locator(".scheme").click()
-    assert is_dark() != (scheme == "dark")
+    assert not is_dark()
     page.emulate_media(media="print")
     assert not is_dark()
 

@@ -3,30 +3,22 @@
 import json
 import re
 import shutil
-import threading
-import urllib.error
-import urllib.request
 from dataclasses import replace
-from importlib.resources import files
-from pathlib import Path
 
 import numpy as np
 import pytest
+from commands import told
 from meshcat_pages import drawn, tracks
+from pendulum_logs import PENDULUM
 from pydrake.multibody.parsing import Parser
 from pydrake.multibody.plant import MultibodyPlant
-from typer.testing import CliRunner
+from report_results import JOINT, LOG, URDF
 
 from geodrake import load_model, save_model
-from geodrake.cli.app import app
-from geodrake.cli.serving import page_server, serve_page
 from geodrake.control.rollout import Rollout, roll_out
 from geodrake.control.rollout.results import Window
 from geodrake.diagnosis import compare
-from geodrake.effects import CoulombFriction, FittedEffect, GravityTilt, Payload
-from geodrake.effects.environment import Contact
-from geodrake.errors import ArgumentError, OutputError
-from geodrake.inertia import from_mass_com_inertia
+from geodrake.errors import ArgumentError
 from geodrake.logs import JointLog, read_log
 from geodrake.report.numbers import Units
 from geodrake.report.play_page import COLORS, UNKNOWN, levels, play_page
@@ -34,53 +26,10 @@ from geodrake.report.playback import play_back
 from geodrake.report.replay import rollout_replay_page
 from geodrake.report.robot_scene import FRAMES
 
-DEMO = files("geodrake") / "demo"
-URDF, LOG = Path(str(DEMO / "demo.urdf")), Path(str(DEMO / "demo.csv"))
-JOINT = "shoulder_pitch"
-PAYLOAD = from_mass_com_inertia(2.5, np.array([0.0, 0.0, 0.1]), 0.01 * np.eye(3))
-
-
-@pytest.fixture(scope="module")
-def before():
-    return load_model(URDF)
-
-
-@pytest.fixture(scope="module")
-def after(before):
-    contact = Contact("flange", 1.0, 2.0, x=0.1)
-    return replace(
-        before,
-        effects=(
-            FittedEffect(Payload("flange"), PAYLOAD),
-            FittedEffect(CoulombFriction(JOINT), np.array([8.0])),
-            FittedEffect(contact, np.array([0.0, 0.0, -5.0, 0.0, 0.0, 0.0])),
-            FittedEffect(GravityTilt(), np.array([0.01, 0.0])),
-        ),
-    )
-
 
 @pytest.fixture(scope="module")
 def playback(before, after):
     return play_back(after, [LOG], before=before)
-
-
-@pytest.fixture(scope="module")
-def cut():
-    log = read_log(LOG)
-    few = slice(None, 900)
-    return replace(
-        log,
-        time=log.time[few],
-        position=log.position[few],
-        effort=log.effort[few],
-        velocity=log.velocity[few],
-        acceleration=None,
-    )
-
-
-@pytest.fixture(scope="module")
-def short(before, after, cut):
-    return play_back(after, [cut], before=before)
 
 
 @pytest.fixture(scope="module")
@@ -107,7 +56,7 @@ def test_links_go_where_the_log_says(short, page):
             np.testing.assert_allclose(positions[frame], X_WB.translation(), atol=2e-3)
 
 
-def test_ghosts_go_where_rollouts_do(after, cut):
+def test_ghosts_go_where_rollouts_do_if_asked_for(after, cut, page):
     playback = play_back(after, [cut], ghost=0.2)
     (played,) = playback.models
     there = np.isfinite(played.simulated).all(1)
@@ -129,10 +78,6 @@ def test_ghosts_go_where_rollouts_do(after, cut):
     link = f"{own}/arm6::flange"
     assert len(seen[link, "position"][0]) == there.sum()
     assert 'id="gd-ghosts"' in html
-
-
-def test_there_is_no_ghost_unasked(short, page):
-    assert all(np.isnan(played.simulated).all() for played in short.models)
     assert 'id="gd-ghosts"' not in page and not [p for p, _ in tracks(page) if "ghost" in p]
 
 
@@ -221,70 +166,23 @@ def test_the_page_says_what_is_held_out_and_loads_nothing(page, after, before):
     assert "training data" in play_page(found, title="d", log_names=["d"], units=Units())
 
 
-def test_models_of_other_robots_and_no_time_are_refused(before):
-    other = load_model(Path(__file__).parents[2] / "models" / "double_pendulum.urdf")
+def test_models_of_other_robots_are_refused(before):
     with pytest.raises(ArgumentError, match="Give two models of one robot"):
-        play_back(before, [LOG], before=other)
-    with pytest.raises(ArgumentError, match="seconds"):
-        play_back(before, [LOG], seconds=0.0)
+        play_back(before, [LOG], before=load_model(PENDULUM))
 
 
 def test_the_command_plays_a_saved_model_beside_its_file(tmp_path, after):
-    saved, out = tmp_path / "arm.yaml", tmp_path / "play.html"
+    saved, out, numbers = (tmp_path / name for name in ("arm.yaml", "play.html", "n.json"))
     save_model(after, saved)
-    numbers = tmp_path / "n.json"
-    words = ["play", saved, LOG, "--out", out, "--seconds", "2", "--json", numbers]
-    result = CliRunner().invoke(app, [str(word) for word in words])
-    assert result.exit_code == 0, result.output
-    assert "Saved the page that plays the logs: " in result.output
-    assert "before, nrms 0.8" in result.output and "N·m off" in result.output
+    said = told("play", saved, LOG, "--out", out, "--seconds", 2, "--json", numbers)
+    assert "Saved the page that plays the logs: " in said
+    assert "before, nrms 0.8" in said and "N·m off" in said
     found = json.loads(numbers.read_text())
     assert [m["title"] for m in found["models"]] == ["before", "after"]
     first = found["models"][0]["worst_moments"][0]
-    assert first["joint"] in result.output and first["relative"] > 1
+    assert first["joint"] in said and first["relative"] > 1
     assert "/drake/robot/1 after/arm6::flange" in {path for path, _ in tracks(out.read_text())}
     assert out.stat().st_size < 4e6
-
-
-@pytest.mark.parametrize(
-    ("options", "words"),
-    [
-        (("--out", "p.png"), "does not end in .html"),
-        (("--speed", "0"), "--speed must be"),
-        (("--seconds", "-1"), "--seconds must be"),
-        (("--live", "99999"), "is no port"),
-        (("--before", "none.urdf"), "does not exist"),
-        (("--video", "p.avi"), "does not end in .mp4 or .gif"),
-        (("--to", "foxglove", "p.mcap"), "--to must be"),
-        (("--to", "rerun", "p.mcap"), "does not end in .rrd"),
-        (("--video", "no/p.gif"), "which is no folder"),
-    ],
-)
-def test_bad_input_is_one_line_and_leaves_nothing(tmp_path, monkeypatch, options, words):
-    monkeypatch.chdir(tmp_path)
-    result = CliRunner().invoke(app, ["play", str(URDF), str(LOG), *options])
-    assert result.exit_code == 2
-    assert words in result.stderr and result.stderr.count("\n") == 1
-    assert not list(tmp_path.iterdir())
-
-
-def test_the_page_is_served_on_a_port():
-    server = page_server(0)
-    port = server.server_address[1]
-    with pytest.raises(OutputError, match=f"Port {port} cannot be used"):
-        page_server(port)
-    thread = threading.Thread(target=serve_page, args=(server, "<p>played ✓</p>"))
-    thread.start()
-    try:
-        with urllib.request.urlopen(f"http://localhost:{port}/", timeout=60) as answer:
-            assert answer.read().decode() == "<p>played ✓</p>"
-        with pytest.raises(urllib.error.HTTPError, match="404") as caught:
-            urllib.request.urlopen(f"http://localhost:{port}/other", timeout=60)
-        caught.value.close()
-    finally:
-        server.shutdown()
-        thread.join()
-        server.server_close()
 
 
 def chromium():
@@ -370,7 +268,7 @@ def test_a_browser_opens_it_and_jumps(tmp_path, page, short):
 
 def test_names_that_mean_harm_stay_words(tmp_path):
     name = "</script><b>`${1}\u2028"
-    text = (Path(__file__).parents[2] / "models" / "double_pendulum.urdf").read_text()
+    text = PENDULUM.read_text()
     joint = re.search(r'<joint name="([^"]+)"', text)[1]
     escaped = name.replace("<", "&lt;")
     (tmp_path / "r.urdf").write_text(text.replace(f'"{joint}"', f'"{escaped}"'))
@@ -408,13 +306,10 @@ def test_a_rollout_is_replayed_as_a_measured_and_a_simulated_robot(before):
 
 
 def test_rollout_writes_its_replay(tmp_path):
-    out = tmp_path / "r.html"
-    report = tmp_path / "report.html"
-    words = ["rollout", URDF, LOG, "--windows", "2", "--horizon", "0.2", "--meshcat", out]
-    words += ["--report", report]
-    result = CliRunner().invoke(app, [str(word) for word in words])
-    assert result.exit_code == 0, result.output
-    assert "Saved the replay of measured and simulated motion: " in result.output
+    out, report = tmp_path / "r.html", tmp_path / "report.html"
+    windows = ("--windows", 2, "--horizon", 0.2)
+    said = told("rollout", URDF, LOG, *windows, "--meshcat", out, "--report", report)
+    assert "Saved the replay of measured and simulated motion: " in said
     link = '<a href="r.html">Replay of measured and simulated motion</a>'
     assert link in report.read_text(encoding="utf-8")
     assert ("/drake/measured/arm6::flange", "position") in tracks(out.read_text())

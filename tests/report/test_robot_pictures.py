@@ -3,16 +3,15 @@
 import re
 from base64 import b64decode
 from dataclasses import replace
-from importlib.resources import files
 from io import BytesIO
-from pathlib import Path
 
 import numpy as np
 import pytest
+from pendulum_logs import PENDULUM
 from PIL import Image
 from pydrake.geometry import Box, Rgba
 from pydrake.math import RigidTransform
-from report_results import comparison
+from report_results import URDF, comparison
 
 from geodrake import load_model
 from geodrake.report import page_of, render
@@ -21,8 +20,6 @@ from geodrake.report.played_robots import PlayedRobot
 from geodrake.report.posed_links import PosedLink, link_joints
 from geodrake.report.robot_pictures import error_pictures
 from geodrake.robot.mjcf_shapes import LinkShape
-
-DEMO = files("geodrake") / "demo" / "demo.urdf"
 
 
 def boxes(*places):
@@ -63,7 +60,7 @@ def test_what_is_behind_the_camera_is_not_seen():
 
 
 def test_pages_show_the_robot_before_and_after():
-    model = load_model(DEMO)
+    model = load_model(URDF)
     first, last = (comparison(model.joints, share) for share in (1.0, 0.1))
     pictures = error_pictures(model, {"as it stands": first, "now": last})
     html = render(replace(page_of(first), pictures=pictures))
@@ -88,8 +85,7 @@ def test_a_robot_in_no_posture_of_a_log_has_no_picture(tmp_path):
 
 
 def test_a_free_base_is_drawn_with_its_root_in_the_colour_of_its_joints():
-    path = Path(__file__).parents[2] / "models" / "double_pendulum.urdf"
-    model = load_model(path, floating=True)
+    model = load_model(PENDULUM, floating=True)
     found = comparison(model.joints, 1.0)
     pictures = error_pictures(model, {"": found})
     image = np.asarray(Image.open(BytesIO(pictures.shown[0].png)).convert("RGBA"), int)

@@ -6,19 +6,17 @@ import sys
 from dataclasses import is_dataclass, replace
 from functools import cache
 from importlib import import_module
-from pathlib import Path
 
 import numpy as np
 import pandas
 import pyarrow.parquet
 import pytest
+from commands import refused, told
 from matplotlib.figure import Figure
 from pendulum_logs import PENDULUM, friction, pendulum_log
-from typer.testing import CliRunner
 
 from geodrake import load_model
 from geodrake.boundary.showing import Short, Shown
-from geodrake.cli.app import app
 from geodrake.control.rollout import FittedValue, RolloutFit, roll_out
 from geodrake.diagnosis import compare, diagnose
 from geodrake.diagnosis.add import add
@@ -32,7 +30,6 @@ from geodrake.excitation import (
 )
 from geodrake.identification.models import identify_model
 from geodrake.logs.files import write_log
-from geodrake.report.series_table import check_series
 
 MODEL = str(PENDULUM)
 PACKAGES = (
@@ -81,8 +78,6 @@ MAKERS = {
     "Rollout": lambda: roll_out(load_model(MODEL), [recorded()], horizon=0.1, most=3),
     "RolloutFit": soft,
 }
-SHOWN = [name for name in MAKERS if name[0].isupper()]
-WITH_SAMPLES = [name for name in SHOWN if name != "LogIdentifiability"]
 
 
 @pytest.fixture(scope="module")
@@ -95,6 +90,13 @@ def results():
         return made[name]
 
     return get
+
+
+@pytest.fixture(scope="module")
+def file(tmp_path_factory):
+    path = tmp_path_factory.mktemp("logs") / "log.csv"
+    write_log(recorded(), path)
+    return path
 
 
 def parts(value, seen):
@@ -112,10 +114,24 @@ def parts(value, seen):
 
 
 @pytest.mark.parametrize("name", MAKERS)
-def test_every_repr_is_short(results, name):
-    for part in parts(results(name), {}):
+def test_every_repr_is_short_and_tables_a_figure_and_frames_are_shown(results, name):
+    result = results(name)
+    for part in parts(result, {}):
         if type(part).__module__.startswith("geodrake"):
             assert len(repr(part)) < 1000, type(part)
+    if name[0].islower():
+        return
+    assert isinstance(result, Shown)
+    page = result._repr_html_()
+    assert page.startswith("<div><p>") and page.count("<table>") == page.count("</table>") >= 1
+    assert isinstance(result.plot(), Figure)
+    assert isinstance(result.to_dataframe(), pandas.DataFrame)
+    if name == "LogIdentifiability":
+        with pytest.raises(ArgumentError, match="LogIdentifiability has no samples"):
+            result.to_dataframe(series=True)
+        return
+    frame = result.to_dataframe(series=True)
+    assert len(frame) > 30 and frame["time"].notna().all()
 
 
 def test_public_results_with_arrays_have_a_short_repr():
@@ -129,22 +145,6 @@ def test_public_results_with_arrays_have_a_short_repr():
                 assert not arrays or issubclass(kind, Short), f"geodrake.{package}.{name}"
 
 
-@pytest.mark.parametrize("name", SHOWN)
-def test_tables_and_a_figure(results, name):
-    result = results(name)
-    assert isinstance(result, Shown)
-    page = result._repr_html_()
-    assert page.startswith("<div><p>") and page.count("<table>") == page.count("</table>") >= 1
-    assert isinstance(result.plot(), Figure)
-    assert isinstance(result.to_dataframe(), pandas.DataFrame)
-
-
-@pytest.mark.parametrize("name", WITH_SAMPLES)
-def test_samples_are_a_frame(results, name):
-    frame = results(name).to_dataframe(series=True)
-    assert len(frame) > 30 and frame["time"].notna().all()
-
-
 def test_frame_has_the_numbers_of_the_result(results):
     found = results("Comparison")
     frame = found.to_dataframe().set_index("joint")
@@ -155,34 +155,21 @@ def test_frame_has_the_numbers_of_the_result(results):
         assert np.sqrt((residual**2).mean()) == pytest.approx(rms)
 
 
-def test_without_pandas_it_is_said_how_to_install_it(results, monkeypatch):
+def test_a_package_that_is_not_there_is_named_with_how_to_install_it(results, monkeypatch, file):
     monkeypatch.setitem(sys.modules, "pandas", None)
     with pytest.raises(ArgumentError, match=r'pip install "geodrake\[notebook\]"'):
         results("Comparison").to_dataframe()
-
-
-def test_a_result_without_samples_says_so(results):
-    with pytest.raises(ArgumentError, match="LogIdentifiability has no samples"):
-        results("LogIdentifiability").to_dataframe(series=True)
-
-
-@pytest.fixture(scope="module")
-def file(tmp_path_factory):
-    path = tmp_path_factory.mktemp("logs") / "log.csv"
-    write_log(recorded(), path)
-    return path
+    monkeypatch.setitem(sys.modules, "pyarrow", None)
+    said = refused("compare", MODEL, file, "--series", file.with_suffix(".parquet"))
+    assert 'pip install "geodrake[logs]"' in said
 
 
 class TestSeriesFile:
-    def run(self, *arguments):
-        return CliRunner().invoke(app, [*map(str, arguments), "--quiet"])
-
     def test_csv_and_parquet_agree(self, tmp_path, file):
         table, parquet = tmp_path / "s.csv", tmp_path / "s.parquet"
         for target in (table, parquet):
-            done = self.run("compare", MODEL, file, "--series", target)
-            assert done.exit_code == 0, done.output
-            assert f"Saved the samples: {target}" in done.stdout
+            said = told("compare", MODEL, file, "--series", target, "-q")
+            assert f"Saved the samples: {target}" in said
         with table.open(newline="", encoding="utf-8") as opened:
             rows = list(csv.DictReader(opened))
         columns = pyarrow.parquet.read_table(parquet).to_pydict()
@@ -194,8 +181,7 @@ class TestSeriesFile:
 
     def test_before_and_after_of_an_addition(self, tmp_path, file):
         target = tmp_path / "s.csv"
-        given = ("coulomb_friction", MODEL, file, "--where", "elbow")
-        assert self.run("add", *given, "--series", target).exit_code == 0
+        told("add", "coulomb_friction@elbow", MODEL, file, "--series", target, "-q")
         frame = pandas.read_csv(target)
         before, after = (frame[f"elbow.residual{end}"] for end in ("_before", ""))
         assert (after**2).sum() < 0.5 * (before**2).sum()
@@ -203,24 +189,7 @@ class TestSeriesFile:
     def test_rollout_of_two_models(self, tmp_path, file):
         target = tmp_path / "s.csv"
         windows = ("--windows", 2, "--horizon", 0.05, "--before", MODEL)
-        done = self.run("rollout", MODEL, file, *windows, "--series", target)
-        assert done.exit_code == 0, done.output
+        told("rollout", MODEL, file, *windows, "--series", target, "-q")
         frame = pandas.read_csv(target)
         assert set(frame["window"]) == {0, 1}
-        same = frame["shoulder.residual"] == frame["shoulder.residual_before"]
-        assert same.all()
-
-    def test_other_suffixes_are_refused(self, tmp_path, file):
-        done = self.run("compare", MODEL, file, "--series", tmp_path / "s.txt")
-        assert done.exit_code == 2 and "does not end in .csv or .parquet" in done.stderr
-
-    def test_without_pyarrow_nothing_is_begun(self, tmp_path, monkeypatch, file):
-        monkeypatch.setitem(sys.modules, "pyarrow", None)
-        done = self.run("compare", MODEL, file, "--series", tmp_path / "s.parquet")
-        assert done.exit_code == 2 and 'pip install "geodrake[logs]"' in done.stderr
-
-
-def test_a_package_that_is_not_there_is_named_with_how_to_install_it(monkeypatch):
-    monkeypatch.setitem(sys.modules, "pyarrow", None)
-    with pytest.raises(ArgumentError, match=r"pyarrow is needed.*geodrake\[logs\]"):
-        check_series(Path("samples.parquet"))
+        assert (frame["shoulder.residual"] == frame["shoulder.residual_before"]).all()
