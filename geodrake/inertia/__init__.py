@@ -18,7 +18,6 @@ from geodrake.inertia.body_distances import (
 )
 from geodrake.inertia.ellipsoids import (
     Ellipsoid,
-    bounding_ellipsoid,
     equivalent_ellipsoid,
     is_realizable,
 )
@@ -48,9 +47,7 @@ from geodrake.inertia.perturbation import Perturbation, perturb
 from geodrake.inertia.positive_definite import karcher_mean
 from geodrake.inertia.spatial import (
     from_spatial_inertia,
-    from_spatial_inertia_matrix,
     inertial_parameters,
-    spatial_inertia_matrix,
     to_spatial_inertia,
 )
 
@@ -62,7 +59,6 @@ __all__ = [
     "Ellipsoid",
     "Perturbation",
     "PrincipalAxes",
-    "bounding_ellipsoid",
     "central_second_moment",
     "change_frame",
     "change_units",
@@ -74,7 +70,6 @@ __all__ = [
     "from_point_masses",
     "from_pseudo_inertia",
     "from_spatial_inertia",
-    "from_spatial_inertia_matrix",
     "inertial_parameters",
     "is_physical",
     "is_realizable",
@@ -87,7 +82,6 @@ __all__ = [
     "pullback_metric",
     "riemannian_distance",
     "rotational_inertia",
-    "spatial_inertia_matrix",
     "to_mass_com_inertia",
     "to_spatial_inertia",
     "triangle_margins",

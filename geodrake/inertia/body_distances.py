@@ -46,9 +46,9 @@ def pullback_distance(phi1: ArrayLike, phi2: ArrayLike, reference: ArrayLike) ->
     ([Lee2019] Eq. (3.3.33), with its ½).
     """
     first, second, reference = _together(phi1=phi1, phi2=phi2, reference=reference)
-    step = pseudo_inertia(first - second)
-    squared = positive_definite.inner_product(pseudo_inertia(reference), step, step)
-    return np.asarray(np.sqrt(squared))
+    _, inverse = positive_definite.whitening(pseudo_inertia(reference))
+    step = positive_definite.congruent(inverse, pseudo_inertia(first - second))
+    return np.asarray(np.sqrt(0.5 * np.square(step).sum((-2, -1))))
 
 
 def _together(**phi: ArrayLike) -> list[Array]:

@@ -13,8 +13,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from geodrake.boundary.arguments import Sizes, instance, integers, number, positive, real_array
 from geodrake.boundary.showing import Short
-from geodrake.descent import PRECISION
-from geodrake.errors import ArgumentError, ConvergenceError
+from geodrake.errors import ArgumentError
 from geodrake.inertia.kernels import Array
 from geodrake.inertia.parameters import (
     checked_phi,
@@ -24,9 +23,6 @@ from geodrake.inertia.parameters import (
     principal_axes,
     pseudo_inertia,
 )
-
-_FLAT = 1e-9  # thickness over length at which points are said to lie in a plane
-_MOST_STEPS = 100_000
 
 
 @dataclass(frozen=True, eq=False)
@@ -186,61 +182,3 @@ def is_realizable(phi: ArrayLike, Q: ArrayLike) -> NDArray[np.bool_]:
 def realizability_row(Q: ArrayLike) -> Array:
     """Return coefficients a (..., 10) of the constraint aᵀφ = tr(P(φ) Q) ≥ 0 for Q (..., 4, 4)."""
     return from_dual(real_array(Q, "Q", ("...", 4, 4)))
-
-
-def bounding_ellipsoid(points: ArrayLike, *, tolerance: float = 1e-6) -> Ellipsoid:
-    """Return the smallest ellipsoid around points (k, 3), m, by Khachiyan's algorithm.
-
-    It contains every point.
-
-    Args:
-        tolerance: How much farther out than the smallest ellipsoid's surface a point may be before
-            all is scaled to contain it, in squared relative distance, beyond rounding.
-    """
-    positive(tolerance, "tolerance")
-    points = real_array(points, "points", ("k", 3))
-    middle = points.mean(0) if len(points) else np.zeros(3)
-    _, extent, axes = np.linalg.svd(points - middle, full_matrices=False)
-    if len(extent) < 3 or extent[2] <= _FLAT * extent[0]:
-        raise ArgumentError(
-            f"The {len(points)} points lie in a plane, around which the smallest ellipsoid has no "
-            "volume.",
-            advice="Add points on both sides, such as those of a shape with its thickness.",
-        )
-    scale = extent / np.sqrt(len(points))
-    lifted = np.column_stack([(points - middle) @ axes.T / scale, np.ones(len(points))])
-    weights = _optimal_weights(lifted, tolerance)
-    moment = np.einsum("k,ki,kj->ij", weights, lifted, lifted)
-    center = moment[:3, 3]
-    covariance = moment[:3, :3] - np.outer(center, center)
-    values, turn = np.linalg.eigh(axes.T @ (scale[:, None] * covariance * scale) @ axes)
-    turn[:, 2] *= np.sign(np.linalg.det(turn))
-    center = middle + axes.T @ (scale * center)
-    local = (points - center) @ turn / np.sqrt(values)
-    reach = np.linalg.norm(local, axis=1).max() * (1 + 1e-12)
-    return Ellipsoid(center, reach * np.sqrt(values), turn)
-
-
-def _optimal_weights(lifted: Array, tolerance: float) -> Array:
-    """Return weights (k,) of the points, whose weighted second moment is that of the ellipsoid."""
-    count, n = lifted.shape
-    weights = np.full(count, 1.0 / count)
-    for _ in range(_MOST_STEPS):
-        moment = np.einsum("k,ki,kj->ij", weights, lifted, lifted)
-        reach = (lifted * np.linalg.solve(moment, lifted.T).T).sum(1)
-        far, used = int(np.argmax(reach)), np.flatnonzero(weights)
-        near = used[int(np.argmin(reach[used]))]
-        if reach[far] <= n * (1 + max(tolerance, PRECISION)):
-            return weights
-        # Toward the farthest point, or away from the nearest one that has weight.
-        at = far if reach[far] - n >= n - reach[near] else near
-        least = -weights[at] / (1.0 - weights[at])  # which takes all of its weight
-        step = (reach[at] - n) / (n * (reach[at] - 1.0)) if reach[at] > 1.0 else least
-        step = max(step, least)
-        weights *= 1.0 - step
-        weights[at] = max(weights[at] + step, 0.0)
-    raise ConvergenceError(
-        f"The ellipsoid around {count} points is not found to {tolerance:g} in {_MOST_STEPS} "
-        "steps.",
-        advice="Allow a larger tolerance.",
-    )

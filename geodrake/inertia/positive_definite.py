@@ -3,9 +3,9 @@
 A change of basis P ↦ G P Gᵀ changes no distance, divergence or mean below (Eq. (2.2.4)). For pseudo
 inertias this means: no choice of frame, unit of length or unit of mass does.
 
-The source has a factor ½ in its metric (2.2.5), but none in its distance (2.2.10). Both are kept:
+The source has a factor ½ in its metric ½ tr((P⁻¹ dP)²) (2.2.5), but none in its distance (2.2.10):
 
-    distance(P, P + dP)² ≈ 2 inner_product(P, dP, dP) ≈ 2 log_det_divergence(P + dP, P)
+    distance(P, P + dP)² ≈ tr((P⁻¹ dP)²) ≈ 2 log_det_divergence(P + dP, P)
 
 Matrices are (..., n, n), positive definite if nothing else is said; functions broadcast.
 """
@@ -24,38 +24,6 @@ Array = NDArray[np.float64]
 _ASYMMETRY = 1e-8  # most relative asymmetry of a matrix that counts as rounding
 _CLOSE = 0.5  # relative difference below which it is precise to work with differences
 _SERIES = 1e-3  # logarithm below which eˣ − 1 − x is precise as a series
-
-
-def inner_product(P: ArrayLike, X: ArrayLike, Y: ArrayLike) -> Array:
-    """Affine-invariant metric ⟨X, Y⟩_P = ½ tr(P⁻¹ X P⁻¹ Y) (...), of symmetric X and Y.
-
-    [Lee2019] Eq. (2.2.5), with its ½.
-    """
-    _, inverse = whitening(P)
-    whitened = [congruent(inverse, _tangent(V, inverse)) for V in (X, Y)]
-    return np.asarray(0.5 * np.einsum("...ij,...ji->...", *whitened))
-
-
-def exponential(P: ArrayLike, V: ArrayLike) -> Array:
-    """Return the point at time 1 of the geodesic from P with velocity V, symmetric.
-
-    P^½ exp(P^-½ V P^-½) P^½ ([Lee2019] Eq. (2.2.9)), symmetric and, as far as rounding lets it,
-    positive definite however long V is.
-    """
-    L, inverse = whitening(P)
-    rates, axes = np.linalg.eigh(congruent(inverse, _tangent(V, inverse)))
-    return from_root(L @ axes, 0.5 * rates)
-
-
-def logarithm(P1: ArrayLike, P2: ArrayLike) -> Array:
-    """Velocity at P1 of the geodesic that reaches P2 at time one, the inverse of `exponential`.
-
-    [Lee2019] Eq. (2.2.8).
-    """
-    L, _ = whitening(P1)
-    logs, axes = relative_spectrum(P1, P2)
-    side = L @ axes
-    return np.asarray((side * logs[..., None, :]) @ np.swapaxes(side, -1, -2))
 
 
 def geodesic(P1: ArrayLike, P2: ArrayLike, t: ArrayLike) -> Array:
@@ -133,12 +101,6 @@ def _first(P: Array, good: NDArray[np.bool_]) -> list[list[float]]:
     flat = P.reshape(-1, *P.shape[-2:])
     found: list[list[float]] = flat[int(np.argmin(good.ravel()))].tolist()
     return found
-
-
-def _tangent(V: ArrayLike, L: Array) -> Array:
-    """Return the tangent matrices of the size of L."""
-    n = L.shape[-1]
-    return real_array(V, "a tangent matrix", ("...", n, n), {"...": L.shape[:-2]})
 
 
 def congruent(G: Array, V: Array) -> Array:

@@ -1,4 +1,4 @@
-"""Inertial parameters as 6×6 spatial inertia, as Drake's SpatialInertia, and of a Drake plant."""
+"""Inertial parameters as Drake's SpatialInertia, and of a Drake plant."""
 
 from __future__ import annotations
 
@@ -11,33 +11,7 @@ from pydrake.systems.framework import Context
 from geodrake.boundary.arguments import instance, real_array
 from geodrake.inertia.bodies import Member, check_context, check_plant, lumped_bodies
 from geodrake.inertia.kernels import PARAMETERS_PER_BODY, Array
-from geodrake.inertia.parameters import (
-    change_frame,
-    checked_phi,
-    rotational_inertia,
-)
-
-
-def spatial_inertia_matrix(phi: ArrayLike) -> Array:
-    """Spatial inertia G(φ) = [[I, [h]], [[h]ᵀ, m 𝟙]] (..., 6, 6) about Bo, of φ (..., 10).
-
-    T = ½ Vᵀ G V for V = (ω, v) ([Lee2019] Eq. (3.2.3)): rotation first, as in Drake.
-    """
-    phi = checked_phi(phi)
-    matrix = np.zeros((*phi.shape[:-1], 6, 6))
-    matrix[..., :3, :3] = rotational_inertia(phi)
-    for (i, j), k, sign in (((0, 1), 3, -1), ((0, 2), 2, 1), ((1, 2), 1, -1)):
-        matrix[..., i, 3 + j] = matrix[..., 3 + j, i] = sign * phi[..., k]
-        matrix[..., j, 3 + i] = matrix[..., 3 + i, j] = -sign * phi[..., k]
-    matrix[..., range(3, 6), range(3, 6)] = phi[..., :1]
-    return matrix
-
-
-def from_spatial_inertia_matrix(matrix: ArrayLike) -> Array:
-    """Inertial parameters (..., 10) of G (..., 6, 6), the inverse of `spatial_inertia_matrix`."""
-    matrix = real_array(matrix, "matrix", ("...", 6, 6))
-    places = ((5, 5), (2, 4), (0, 5), (1, 3), (0, 0), (1, 1), (2, 2), (0, 1), (1, 2), (2, 0))
-    return np.stack([matrix[..., i, j] for i, j in places], -1)
+from geodrake.inertia.parameters import change_frame
 
 
 def from_spatial_inertia(spatial: SpatialInertia) -> Array:

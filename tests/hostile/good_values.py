@@ -283,7 +283,6 @@ BY_CALL = {
     "ConstantMetric": {"matrix": 2 * np.eye(2), "inverse": 0.5 * np.eye(2)},
     "PartialLaw": {"law": AdaptationLaw(PhysicalInertia(), 2.0), "adapted": np.arange(22) < 10},
     "FittedEffect": {"effect": friction("elbow"), "parameters": [0.3], "deviations": [0.1]},
-    "from_spatial_inertia_matrix": {"matrix": inertia.spatial_inertia_matrix(PHI)},
     "pushforward_metric": {"matrix": BASE.matrix, "extra": None},
     "RobotInstance.set_state": {"state": np.ones(4)},
     "RobotInstance": {"name": "double_pendulum"},

@@ -11,7 +11,6 @@ from random_points import random_rotation
 from geodrake.errors import ArgumentError
 from geodrake.inertia import (
     Ellipsoid,
-    bounding_ellipsoid,
     change_frame,
     equivalent_ellipsoid,
     from_mass_com_inertia,
@@ -90,17 +89,6 @@ def test_mass_inside_is_realizable(seed):
     # an ellipsoid on whose outside it is on the average.
     assert not is_realizable(phi, ellipsoid.scaled(0.01).quadric)
     assert not is_realizable(-phi, ellipsoid.quadric)
-
-
-@EXAMPLES
-@given(SEEDS, st.integers(4, 60))
-def test_bounding_ellipsoid_contains_all_and_is_tight(seed, count):
-    rng = np.random.default_rng(seed)
-    points = rng.normal(0, [0.5, 0.1, 0.02], (count, 3)) @ random_rotation(rng) + 1.0
-    ellipsoid = bounding_ellipsoid(points)
-    assert ellipsoid.contains(points).all()
-    theirs = Hyperellipsoid.MinimumVolumeCircumscribedEllipsoid(points.T)
-    np.testing.assert_allclose(ellipsoid.volume, theirs.CalcVolume(), rtol=1e-3)
 
 
 def test_impossible_bodies():
