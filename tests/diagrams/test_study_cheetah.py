@@ -10,7 +10,7 @@ from scripts import call
 from diagrams.studies import cheetah_gallop as gallop
 from diagrams.studies.cheetah import leg as cheetah
 from geodrake.inertia import inertial_parameters, is_physical, pseudo_inertia
-from geodrake.robot.base_parameters import base_parameters, structural_base_parameters
+from geodrake.robot.base_parameters import base_parameters
 from geodrake.robot.floating_base import base_wrench_regressor, body_poses
 from geodrake.robot.plant import load_plant
 from geodrake.robot.regressor import inverse_dynamics
@@ -59,11 +59,16 @@ def test_all_samples_tell_the_same_with_every_regularizer(quick_leg):
     assert max(test) < 0.3 * few["median"]
 
 
-def test_motion_of_a_leg_tells_32_combinations():
+def test_motion_of_a_leg_tells_32_combinations_and_its_base_wrench_more():
+    """Of 60, geared rotors counted; on a fixed base the wrench is not measured."""
     leg = cheetah.load_leg(gallop.GEARS)
     time = np.linspace(0.0, 1.0 / gallop.STRIDE, 200, endpoint=False)
     motion = gallop.leg_motion(time, gallop.PHASES["front_left"])
-    assert base_parameters(leg.regressor(motion).reshape(-1, 60)).rank == 32
+    rows = leg.regressor(motion).reshape(-1, 60)
+    assert base_parameters(rows).rank == 32
+    moved = leg.transmission.joint_motion(motion)
+    base = base_wrench_regressor(leg.plant, moved.q, moved.v, moved.vd).reshape(-1, 60)
+    assert base_parameters(np.vstack([rows, base])).rank > 32
 
 
 def test_point_masses_amount_to_the_leg():
@@ -140,26 +145,6 @@ def test_quantities_are_the_inverse_dynamics():
     knee, rotor = order.index("rear_left_knee"), order.index("rear_left_knee_rotor")
     expected = efforts[:, knee] + gallop.GEARS[2] * efforts[:, rotor]
     np.testing.assert_allclose(torque[:, 8], expected, atol=1e-8 * np.abs(efforts).max())
-
-
-def test_what_a_fixed_base_does_not_tell():
-    """A leg on a fixed base tells 32 combinations of 60; the base wrench tells more of them."""
-    leg = cheetah.load_leg()
-    rng = np.random.default_rng(1)
-    q, v, vd = rng.uniform(-2, 2, (3, 60, 3))
-    motion = cheetah.Motion(q, v, vd)
-    structural = structural_base_parameters(leg.plant)  # rotors that turn by themselves
-    base = gallop.base_wrench_regressor(leg.tree, *_joints(leg, motion))
-    geared = cheetah.Condensed.of(leg.regressor(motion).reshape(-1, 60), np.zeros(180))
-    assert len(geared.A) == 32
-    rank = np.linalg.matrix_rank(np.vstack([geared.A, base.reshape(-1, 60)]), 1e-9)
-    assert rank > 32
-    assert structural.rank >= 32
-
-
-def _joints(leg, motion):
-    moved = leg.transmission.joint_motion(motion)
-    return moved.q, moved.v, moved.vd
 
 
 def test_whole_robot_weighs_what_its_parts_do():

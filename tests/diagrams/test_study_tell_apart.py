@@ -5,12 +5,11 @@ import re
 import numpy as np
 import pinocchio
 import pytest
-from typer.testing import CliRunner
+from commands import told
 
 from diagrams.benchmarks import tell_apart as study
 from diagrams.benchmarks.tell_apart import CASES, MOTIONS, Hidden
 from diagrams.harness import script_parser
-from geodrake.cli.app import app
 from geodrake.logs.files import read_log, write_log
 
 
@@ -82,16 +81,6 @@ class TestRobots:
 
 
 class TestTold:
-    @pytest.mark.thorough
-    def test_a_designed_motion_settles_what_the_first_left_open(self):
-        row = study.run(study.Draw(1, 0), iterations=5)
-        assert row["ambiguous"]
-        assert {"coulomb_friction", "load_dependent_friction"} <= set(row["first"]["tied"])
-        assert row["designed"]["told"]
-        assert row["first_deviations"] < 1.0
-        assert row["designed_deviations"] > 5.0
-        assert row["designed_deviations"] > 2.0 * row["random_deviations"]
-
     def test_designed_motions_keep_the_limits(self):
         limits = study.allowed()
         motions = study.motions(CASES[0], 1, 5)
@@ -104,8 +93,8 @@ class TestTold:
     def test_robots_are_drawn_until_enough_are_ambiguous(self, monkeypatch):
         def fake(draw, *, iterations):
             del iterations
-            told = {"told": True, "wrong": False, "tied": []}
-            logs = dict.fromkeys(study.LOGS, told)
+            row = {"told": True, "wrong": False, "tied": []}
+            logs = dict.fromkeys(study.LOGS, row)
             more = {f"{log}_deviations": 1.0 for log in study.LOGS}
             ambiguous = draw.case == 0 and draw.seed % 2 == 1
             return {"case": draw.case, "seed": draw.seed, "ambiguous": ambiguous, **logs, **more}
@@ -127,18 +116,12 @@ def test_the_command_that_diagnose_prints_designs_the_motion(tmp_path):
     motion = case.first_motion(np.random.default_rng(0))
     _, log = robot_log(case.robot(case.size), motion, study.FIRST, noise=study.NOISE)
     write_log(log, tmp_path / "first.csv")
-    told = command_line("diagnose", study.ROBOT, tmp_path / "first.csv")
+    said = told("diagnose", study.ROBOT, tmp_path / "first.csv")
     pair = "coulomb_friction,load_dependent_friction@elbow"
-    (words,) = re.findall(rf"- geodrake (excite \S+ --tell-apart {pair})", told)
+    (words,) = re.findall(rf"- geodrake (excite \S+ --tell-apart {pair})", said)
     words = words.split()
     file = tmp_path / "motion.csv"
     fast = ("--seeds", 1, "--iterations", 5, "--limits", "velocity=1,acceleration=5")
-    told = command_line(*words, *fast, "--noise", study.NOISE, "--save", file)
-    assert "Hardest to distinguish is" in told
+    said = told(*words, *fast, "--noise", study.NOISE, "--save", file)
+    assert "Hardest to distinguish is" in said
     assert np.abs(read_log(file).velocity).max() <= 1.0 + 1e-6
-
-
-def command_line(*arguments):
-    result = CliRunner().invoke(app, [str(a) for a in arguments])
-    assert result.exit_code == 0, result.output
-    return result.output
