@@ -30,11 +30,11 @@ from geodrake.effects import (
     ViscousFriction,
     load_effect_file,
 )
-from geodrake.errors import ModelError, OutputError
+from geodrake.errors import ModelError
 from geodrake.inertia import from_mass_com_inertia
 from geodrake.logs.motion import Motion
 from geodrake.model import EffortSignal
-from geodrake.model.saved_model import is_saved_model, save_model
+from geodrake.model.saved_model import save_model
 
 MODELS = Path(__file__).parents[2] / "models"
 DEMO = Path(str(files("geodrake") / "demo" / "demo.urdf"))
@@ -206,22 +206,6 @@ def test_a_log_of_a_servo_is_known_again(tmp_path):
     assert again.fitted_to == (log.fingerprint,)
     notes = " ".join(compare(again, [log]).notes)
     assert "as the model was fitted at" in notes and "was fitted to servo before" in notes
-
-
-def test_only_saved_models_count_as_such(saved, tmp_path):
-    other = tmp_path / "directives.yaml"
-    other.write_text("directives:\n- add_model: {name: a, file: package://a/b.urdf}\n")
-    assert is_saved_model(saved)
-    assert not is_saved_model(other)
-    assert not is_saved_model(tmp_path / "nothing.yaml")
-
-
-def test_unwritable_target_leaves_nothing_behind(fitted, tmp_path):
-    (tmp_path / "folder.yaml").mkdir()
-    for target in (tmp_path / "no" / "such" / "model.yaml", tmp_path / "folder.yaml"):
-        with pytest.raises(OutputError, match="Choose another place"):
-            save_model(fitted, target)
-    assert sorted(p.name for p in tmp_path.iterdir()) == ["folder.yaml", "robot"]
 
 
 class TestMovedFiles:

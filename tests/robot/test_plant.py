@@ -274,17 +274,13 @@ def test_impossible_member_of_a_possible_body_is_no_problem(load):
     ("name", "text", "words"),
     [
         ("r.urdf", "<html><body/></html>", "root element is <html>"),
-        ("r.csv", "a,b\n1,2\n", "not valid XML"),
         ("r.urdf", "", "is empty"),
         ("r.yaml", "a: b\n", "Drake cannot read"),
         ("r.yaml", "directives: []\n", "add no model"),
         ("r.yaml", "directives:\n- add_model: {name: a, file: absent.urdf}\n", "absent.urdf"),
-        ("r.urdf", "<robot name='r'><xacro:include filename='a'/></robot>", "xacro"),
         ("r.urdf", "<robot name='r'/>", "no links"),
-        ("r.urdf", "<robot name='r'><link name='a'/></robot>", "No joint moves"),
         ("r.urdf", urdf().replace('child link="l1"', 'child link="l2"'), "l2"),
         ("r.sdf", "<sdf version='1.7'/>", "Drake cannot read"),
-        ("r.xml", "<mujoco><worldbody><body><joint type='odd'/></body></worldbody></mujoco>", "m"),
     ],
 )
 def test_not_a_robot(load, name, text, words):
