@@ -110,7 +110,7 @@ def with_effects(delay):
     )
 
 
-def simulated_log(model, seconds=1.0, period=2e-3):
+def simulated_log(model, seconds=1.5, period=2e-3):
     """Needed efforts of some motion, and what the diagram makes of them, as a log has it."""
     time = np.arange(0.0, seconds + period / 2, period)
     phase = np.outer(time, np.linspace(2.0, 4.0, 6))
