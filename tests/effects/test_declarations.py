@@ -112,7 +112,8 @@ class TestDeclarations:
         assert getattr(effects, effect.__name__) is effect and effect.__name__ in effects.__all__
 
     def test_says_what_it_is(self, effect):
-        assert effect.law and effect.signature
+        assert effect.law and effect.signature and "effort" in effect.__doc__
+        assert all(parameter.unit for parameter in effect.parameters)
         assert isinstance(effect.role, Role)
         assert 0 <= effect.complexity <= 3
 

@@ -14,18 +14,6 @@ GAIN = (Parameter("gain", "N·m"),)
 EVERY = tuple(instances())
 
 
-@pytest.mark.parametrize("effect", EVERY, ids=lambda effect: effect.name)
-def test_columns_depend_on_what_is_declared_only(effect):
-    motion = random_motion(width=0.1)
-    other = random_motion(width=0.1, seed=1)
-    base, names = effect.regressor(motion), effect.depends_on
-    fields = [name for name in ("v", "vd", "load", "time", "q") if name not in names]
-    moved = replace(motion, **{name: getattr(other, name) for name in fields})
-    if "bodies" not in names:
-        moved = replace(moved, bodies=None)
-    np.testing.assert_array_equal(effect.regressor(moved), base)
-
-
 def trial(v, vd, load):
     """The hand's columns are like those of gravity and of accelerations."""
     motion = random_motion(len(v), width=0.1)

@@ -15,7 +15,6 @@ from geodrake.effects.lookup import catalogue, file_effects
 from geodrake.errors import ArgumentError
 from geodrake.logs.motion import Motion
 from geodrake.model import check_dynamics, holding
-from geodrake.robot.stated import Spring, Tendon, entries_through
 
 ARM = """<mujoco model="r"><option density="900" viscosity="2" wind=".3 -.1 .2"/><worldbody>
 <site name="w" pos=".4 .3 .8"/><body name="a" pos="0 0 .3" gravcomp=".4"><site name="s"/>
@@ -142,46 +141,3 @@ def test_nobody_proposes_them():
     assert all(effect.law and effect.signature for effect in file_effects())
     with pytest.raises(ArgumentError, match="no effect 'medium_drags'"):
         make_effect("medium_drags", ["a"])
-
-
-def pull(spring, q):
-    """Effort of a spring at positions."""
-    return np.polynomial.Polynomial(spring.coefficients)(q - spring.center)
-
-
-class TestSpring:
-    first = Spring(0.3, (0.1, 2.0, -1.0, 0.5))
-    second = Spring(-0.6, (0.0, 1.0, 0.2, -0.3))
-    q = np.linspace(-2, 2, 9)
-
-    def test_sum_and_change_of_place(self):
-        both = pull(self.first, self.q) + pull(self.second, self.q)
-        np.testing.assert_allclose(pull(self.first + self.second, self.q), both)
-        np.testing.assert_allclose(pull(self.first.about(4.0), self.q), pull(self.first, self.q))
-
-    def test_two_linear_ones_are_one_at_rest(self):
-        assert Spring.linear(1.0, 0.0) + Spring.linear(3.0, 4.0) == Spring.linear(4.0, 3.0)
-
-    def test_behind_a_gear(self):
-        found = pull(self.first.through(-2.5, 0.4), self.q)
-        np.testing.assert_allclose(found, -2.5 * pull(self.first, -2.5 * self.q + 0.4))
-
-
-def test_a_tendon_over_what_joints_follow():
-    tendon = Tendon("t", {"x": 2.0, "y": -1.0, "z": 3.0}, 5.0, 0.3)
-    rows = {"x": {0: 1.0}, "y": {0: 0.5, 1: 2.0}, "z": {}}
-    found = tendon.through(rows, {"y": 0.1, "z": 0.2})
-    assert found.shares == {0: 1.5, 1: -2.0} and found.length == pytest.approx(0.3 + 0.1 - 0.6)
-
-
-def test_entries_of_a_matrix_go_through_a_jacobian():
-    rng = np.random.default_rng(0)
-    J = rng.normal(size=(4, 3))
-    entries = {(0, 1): 0.3, (1, 3): -2.0, (2, 2): 1.5}
-    M = np.zeros((4, 4))
-    for (i, j), value in entries.items():
-        M[i, j] = M[j, i] = value
-    rows = {k: dict(enumerate(row)) for k, row in enumerate(J.tolist())}
-    found = entries_through(((i, j, value) for (i, j), value in entries.items()), rows)
-    for (i, j), value in found.items():
-        assert i <= j and value == pytest.approx((J.T @ M @ J)[i, j])
