@@ -1,5 +1,7 @@
 """An acrobot of MuJoCo, whose shoulder nobody drives or measures, and logs of it."""
 
+from functools import cache
+
 import mujoco
 import numpy as np
 
@@ -17,6 +19,7 @@ def text(shoulder=0.0, friction=0.0, mass=0.8):
     return ACROBOT.format(shoulder=shoulder, friction=friction, mass=mass)
 
 
+@cache
 def simulated(xml, seed, seconds=16.0):
     """(N, 4) time, positions and the elbow's effort with noise, as a servo swings the elbow."""
     model, rng = mujoco.MjModel.from_xml_string(xml), np.random.default_rng(seed)

@@ -3,6 +3,8 @@
 The hidden effort is any function of the motion, written out where it is used.
 """
 
+from functools import partial
+
 import numpy as np
 from pydrake.multibody.tree import MultibodyForces
 
@@ -22,34 +24,38 @@ def multisine(time, rng, *, joints=2, base=0.1, harmonics=8, reach=1.2):
 def inverse_dynamics(plant, q, v, vd, context=None):
     """Efforts (N, nv) of a plant's bodies, by Drake; with the parameters of a Context."""
     context = plant.CreateDefaultContext() if context is None else context
-    rows = []
-    for positions, velocities, accelerations in zip(q, v, vd, strict=True):
-        plant.SetPositions(context, positions)
-        plant.SetVelocities(context, velocities)
-        forces = MultibodyForces(plant)
+    forces, rows = MultibodyForces(plant), []
+    for state, accelerations in zip(np.hstack([q, v]), vd, strict=True):
+        plant.SetPositionsAndVelocities(context, state)
         plant.CalcForceElementsContribution(context, forces)
         rows.append(plant.CalcInverseDynamics(context, accelerations, forces))
     return np.array(rows)
 
 
-def chain_log(model, seed, hidden=None, *, seconds=20.0, rate=200.0, share=0.02, **motion):
-    """A log of the robot of a model, such as those of `excitation_robots.arm`.
+def logged(dynamics, joints, seed, hidden, noise, *, seconds=20.0, rate=200.0, **motion):
+    """A log of a robot.
 
     Args:
-        model: The model; its plant is the robot.
+        dynamics: Function (q, v, vd) -> load (N, nv) of its joints.
+        joints: Their names.
         seed: Of motion and noise.
-        hidden: Function (q, v, vd, load) -> efforts (N, nv) that the plant lacks.
+        hidden: None, or a function (q, v, vd, load) -> efforts (N, nv) beside.
+        noise: Function of the load that gives the deviation (nv,) of the efforts' white noise.
         seconds: Length.
         rate: Sampling rate, Hz.
-        share: Deviation of the effort's noise, as a share of that of the effort.
         motion: Further arguments of `multisine`.
     """
     rng = np.random.default_rng(seed)
     time = np.arange(round(seconds * rate)) / rate
-    q, v, vd = multisine(time, rng, joints=len(model.joints), **motion)
-    effort = load = inverse_dynamics(model.plant, q, v, vd)
+    q, v, vd = multisine(time, rng, joints=len(joints), **motion)
+    effort = load = dynamics(q, v, vd)
     if hidden is not None:
         effort = load + hidden(q, v, vd, load)
-    effort = effort + share * load.std(0) * rng.normal(size=effort.shape)
-    position = q + 1e-6 * rng.normal(size=q.shape)
-    return JointLog(f"log_{seed}", model.joints, time, position, effort)
+    effort = effort + noise(load) * rng.normal(size=effort.shape)
+    return JointLog(f"log_{seed}", joints, time, q + 1e-6 * rng.normal(size=q.shape), effort)
+
+
+def chain_log(model, seed, hidden=None, *, share=0.02, **options):
+    """A log of the robot of a model, whose noise is a share of the deviation of its load."""
+    dynamics = partial(inverse_dynamics, model.plant)
+    return logged(dynamics, model.joints, seed, hidden, lambda u: share * u.std(0), **options)

@@ -1,9 +1,10 @@
 """An arm whose wrist two motors move together, as a model file and transmissions for it."""
 
 import numpy as np
+from chain_logs import logged
 
 from geodrake import load_model
-from geodrake.logs import JointLog, Motion
+from geodrake.logs import Motion
 
 ARM = """<robot name="coupled"><link name="base"/>{links}{joints}</robot>"""
 LINK = (
@@ -69,15 +70,13 @@ def motion_of(model, count=6, seed=0, reach=0.05):
     return Motion(q, *rng.uniform(-1.0, 1.0, (2, count, nv)))
 
 
-def log_of(model, seed, hidden=None, *, seconds=20.0, scale=1.0):
-    """A log of the model's actuators on a multisine, with noise and hidden efforts."""
-    rng, nv = np.random.default_rng(seed), len(model.joints)
-    time = np.arange(round(seconds * 200.0)) / 200.0
-    rate = 0.2 * np.pi * np.arange(1, 9)[:, None]
-    angle = rate[None] * time[:, None, None] + rng.uniform(0, 2 * np.pi, (8, nv))
-    swing = scale * rng.uniform(0.1, 0.4, (8, nv))
-    q, v = (swing * np.sin(angle)).sum(1), (swing * rate * np.cos(angle)).sum(1)
-    load = model.motion(Motion(q, v, -(swing * rate**2 * np.sin(angle)).sum(1))).load
-    effort = load if hidden is None else load + hidden(v)
-    effort = effort + 0.02 * load.std(0) * rng.normal(size=effort.shape)
-    return JointLog(f"log_{seed}", model.joints, time, q, effort)
+def log_of(model, seed, hidden=None, *, seconds=20.0):
+    """A log of the model's actuators on a multisine, with noise and hidden efforts of v."""
+
+    def dynamics(q, v, vd):
+        return model.motion(Motion(q, v, vd)).load
+
+    more = hidden and (lambda q, v, vd, load: hidden(v))
+    return logged(
+        dynamics, model.joints, seed, more, lambda load: 0.02 * load.std(0), seconds=seconds
+    )

@@ -1,47 +1,41 @@
 """Logs of a double pendulum on known motions, with hidden efforts in formulas written out here."""
 
+from functools import cache
 from pathlib import Path
 
 import numpy as np
-from chain_logs import inverse_dynamics, multisine
+from chain_logs import inverse_dynamics, logged
 from pydrake.multibody.parsing import Parser
 from pydrake.multibody.plant import MultibodyPlant
 
-from geodrake.logs.motion import JointLog, Motion
+from geodrake.logs.motion import Motion
 
 PENDULUM = Path(__file__).parents[1] / "models" / "double_pendulum.urdf"
 JOINTS = ("shoulder", "elbow")
 NOISE = np.array([0.03, 0.015])  # deviation of the effort's noise, N·m
 
 
-def body_effort(q, v, vd):
-    """Inverse dynamics (N, 2) of Drake's own reading of the model file, welded to the world."""
+@cache
+def pendulum_plant():
+    """Drake's own reading of the model file, welded to the world."""
     plant = MultibodyPlant(0.0)
     Parser(plant).AddModels(str(PENDULUM))
     plant.WeldFrames(plant.world_frame(), plant.GetFrameByName("base_link"))
     plant.Finalize()
-    return inverse_dynamics(plant, q, v, vd)
+    return plant
 
 
-def pendulum_log(seed, hidden=None, *, seconds=40.0, rate=200.0, noise=NOISE, **motion):
-    """A log of the pendulum.
+def body_effort(q, v, vd):
+    """Inverse dynamics (N, 2) of the pendulum."""
+    return inverse_dynamics(pendulum_plant(), q, v, vd)
 
-    Args:
-        seed: Of motion and noise.
-        hidden: Function (q, v, vd, load) -> efforts (N, 2) that the model file lacks.
-        seconds: Length.
-        rate: Sampling rate, Hz.
-        noise: (2,) deviation of the white noise of the efforts, N·m.
-        motion: Further arguments of `multisine`.
-    """
-    rng = np.random.default_rng(seed)
-    time = np.arange(round(seconds * rate)) / rate
-    q, v, vd = multisine(time, rng, **motion)
-    effort = load = body_effort(q, v, vd)
-    if hidden is not None:
-        effort = load + hidden(q, v, vd, load)
-    effort = effort + np.asarray(noise) * rng.normal(size=effort.shape)
-    return JointLog(f"log_{seed}", JOINTS, time, q + 1e-6 * rng.normal(size=q.shape), effort)
+
+def pendulum_log(seed, hidden=None, *, seconds=40.0, noise=NOISE, **options):
+    """A log of the pendulum: see `logged`; `noise` is the deviation (2,) of its efforts', N·m."""
+    deviation = np.asarray(noise)
+    return logged(
+        body_effort, JOINTS, seed, hidden, lambda _: deviation, seconds=seconds, **options
+    )
 
 
 def friction(coulomb, viscous=(0.0, 0.0)):

@@ -23,6 +23,10 @@ def text_of(page):
     return page.read_text(encoding="utf-8")
 
 
+def cli_commands():
+    return typer.main.get_command(app).commands
+
+
 def blocks(page, language):
     found = re.findall(r"^```(\w*)\n(.*?)^```", text_of(page), re.M | re.S)
     return [block for own, block in found if own == language]
@@ -35,7 +39,7 @@ def anchors(page):
     return {re.sub(r"[-\s]+", "-", word.strip()) for word in words}
 
 
-@pytest.mark.parametrize("page", PAGES, ids=lambda page: page.stem)
+@pytest.mark.parametrize("page", [*PAGES, ROOT / "README.md"], ids=lambda page: page.stem)
 def test_links_lead_somewhere(page):
     for target in re.findall(r"\]\((?!https?:)([^)]+)\)", text_of(page)):
         path, _, anchor = target.partition("#")
@@ -57,7 +61,7 @@ def test_lines_run_one_after_the_other(page, tmp_path, monkeypatch):
 
 @pytest.mark.parametrize("page", [*PAGES, ROOT / "README.md"], ids=lambda page: page.stem)
 def test_commands_take_the_options_that_they_are_given(page):
-    commands = typer.main.get_command(app).commands
+    commands = cli_commands()
     lines = [line for block in blocks(page, "") for line in block.splitlines()]
     for line in lines:
         words = shlex.split(line.split("&&")[-1])
@@ -99,32 +103,24 @@ def test_limits_are_said_on_one_page():
     assert len(text_of(ROOT / "docs" / "limits.md").splitlines()) <= 80
 
 
-class TestSitePages:
-    """Pages of commands and packages, made from the package when the site is built."""
-
-    @pytest.fixture(scope="class")
-    @classmethod
-    def made(cls):
-        pytest.importorskip("mkdocs")
-        return run_path(str(ROOT / "tools" / "site_pages.py"))
-
-    def test_a_command_has_all_that_its_help_says(self, made):
-        commands = typer.main.get_command(app).commands
-        pages = made["command_pages"]()
-        assert set(pages) == {f"commands/{name}.md" for name in commands}
-        for name, command in commands.items():
-            page = pages[f"commands/{name}.md"]
-            assert command.help in page
-            for param in command.params:
-                assert param.param_type_name == "argument" or param.opts[0] in page
-                assert (param.help or "").replace("|", "\\|").split("\n")[0] in page
-
-    def test_a_package_has_all_its_names(self, made):
-        assert {"geodrake.diagnosis", "geodrake.control"} <= set(made["PACKAGES"])
-        for package in made["PACKAGES"]:
-            page = made["package_pages"]()[f"api/{package}.md"]
-            for name in made["package_names"](package):
-                assert f".{name}\n" in page or f"## {name}\n" in page
+def test_pages_of_the_site_have_all_that_help_and_packages_say():
+    """Those that are made from the package when the site is built."""
+    pytest.importorskip("mkdocs")
+    made, commands = run_path(str(ROOT / "tools" / "site_pages.py")), cli_commands()
+    pages = made["command_pages"]()
+    assert set(pages) == {f"commands/{name}.md" for name in commands}
+    for name, command in commands.items():
+        page = pages[f"commands/{name}.md"]
+        assert command.help in page
+        for param in command.params:
+            assert param.param_type_name == "argument" or param.opts[0] in page
+            assert (param.help or "").replace("|", "\\|").split("\n")[0] in page
+    assert {"geodrake.diagnosis", "geodrake.control"} <= set(made["PACKAGES"])
+    pages = made["package_pages"]()
+    for package in made["PACKAGES"]:
+        page = pages[f"api/{package}.md"]
+        for name in made["package_names"](package):
+            assert f".{name}\n" in page or f"## {name}\n" in page
 
 
 def test_every_effect_has_its_picture():

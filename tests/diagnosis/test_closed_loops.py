@@ -16,39 +16,40 @@ from geodrake.identification.logs.compare import compare
 from geodrake.logs import JointLog, read_log
 from geodrake.model.logged_joints import log_of_model, model_of_logs, reading_for
 
-STEP, RATE, GAIN, DAMPING = 2e-4, 200.0, 60.0, 3.0
+STEP, RATE = 2e-4, 200.0
 WAVES = 2 * np.pi * np.array([0.21, 0.33, 0.5, 0.81, 1.1, 1.6])
 SIZES = np.array([0.5, 0.3, 0.2, 0.12, 0.1, 0.05])
 
 
 @cache
-def moved(text, seed):
-    """Time (N,), positions (N, n) of all joints and efforts (N,) at the crank, in 16 s.
+def moved(text, seed, motors=("crank",), gains=(60.0,), size=1.0, seconds=12.0):
+    """MuJoCo's model, and rows of time, efforts at the motors and positions of all joints.
 
-    By MuJoCo's stiff constraints.
+    Its constraints are stiff.
     """
     m, rng = mujoco.MjModel.from_xml_string(text), np.random.default_rng(seed)
     m.opt.timestep, m.opt.integrator = STEP, mujoco.mjtIntegrator.mjINT_IMPLICITFAST
     m.eq_solref[:], m.eq_solimp[:] = [1e-3, 1], [0.9999, 0.9999, 0.001, 0.5, 2]
-    data, phases = mujoco.MjData(m), rng.uniform(0, 2 * np.pi, len(WAVES))
-    crank, rows = data.joint("crank"), []
-    for k in range(int(16.0 / STEP)):
+    data, rows = mujoco.MjData(m), []
+    phases, gains = rng.uniform(0, 2 * np.pi, (len(motors), len(WAVES))), np.array(gains)
+    at = [m.joint(name).dofadr[0] for name in motors]
+    for k in range(int(seconds / STEP)):
         turns = WAVES * k * STEP + phases
-        wanted = SIZES @ (np.sin(turns) - np.sin(phases)), (SIZES * WAVES) @ np.cos(turns)
-        data.ctrl[0] = GAIN * (wanted[0] - crank.qpos[0]) + DAMPING * (wanted[1] - crank.qvel[0])
+        wanted = size * (np.sin(turns) - np.sin(phases)) @ SIZES - data.qpos[at]
+        data.ctrl[:] = gains * (wanted + 0.05 * (size * np.cos(turns) @ (SIZES * WAVES)))
+        data.ctrl[:] -= 0.05 * gains * data.qvel[at]
         if k % round(1.0 / RATE / STEP) == 0:
-            rows.append([k * STEP, data.ctrl[0], *data.qpos])
+            rows.append([k * STEP, *data.ctrl, *data.qpos])
         mujoco.mj_step(m, data)
-    rows = np.array(rows)
-    return rows[:, 0], rows[:, 2:], rows[:, 1]
+    return m, np.array(rows)
 
 
-def simulated(text, seconds=16.0, seed=0, noise=0.002, joints=("crank",)):
+def simulated(text, seconds=12.0, seed=0, noise=0.002, joints=("crank",)):
     """Time, positions (N, n) of joints and efforts (N,) at the crank with noise."""
-    rows, m = slice(int(seconds * RATE)), mujoco.MjModel.from_xml_string(text)
-    time, places, effort = (x[rows] for x in moved(text, seed))
+    m, rows = moved(text, seed)
+    time, effort, *places = rows[: int(seconds * RATE)].T
     effort = effort + noise * np.random.default_rng(seed).normal(size=len(effort))
-    return time, places[:, [m.joint(name).qposadr[0] for name in joints]], effort
+    return time, np.stack([places[m.joint(name).qposadr[0]] for name in joints], 1), effort
 
 
 def log_of(text, name="log", **options):
@@ -185,39 +186,22 @@ def test_a_gripper_that_no_log_has_is_held(tmp_path):
     assert set(held.held) == {"left", "left_tip", "left_bar", "right_tip", "right_bar"}
 
 
-def walking(text, folder, seconds=10.0):
-    """A log of the motors of a leg, and of the positions of its springs, by MuJoCo."""
-    m, rng = mujoco.MjModel.from_xml_string(text), np.random.default_rng(0)
-    m.opt.timestep, m.opt.integrator = STEP, mujoco.mjtIntegrator.mjINT_IMPLICITFAST
-    m.eq_solref[:], m.eq_solimp[:] = [1e-3, 1], [0.9999, 0.9999, 0.001, 0.5, 2]
-    data, motors, springs, rows = mujoco.MjData(m), ("hip", "knee", "crank"), ("shin", "heel"), []
-    phases, gains = rng.uniform(0, 2 * np.pi, (3, 6)), np.array([800.0, 400.0, 80.0])
-    own = [data.joint(name) for name in motors]
-    for k in range(int(seconds / STEP)):
-        turns = WAVES * k * STEP + phases
-        wanted = 0.4 * (np.sin(turns) - np.sin(phases)) @ SIZES
-        rates = 0.4 * np.cos(turns) @ (SIZES * WAVES)
-        q, v = np.array([[j.qpos[0], j.qvel[0]] for j in own]).T
-        data.ctrl[:] = gains * (wanted - q) + 0.05 * gains * (rates - v)
-        if k % round(1.0 / RATE / STEP) == 0:
-            there = [data.joint(name).qpos[0] for name in springs]
-            rows.append([k * STEP, *q, *(data.ctrl + 0.02 * rng.normal(size=3)), *there])
-        mujoco.mj_step(m, data)
-    names = [f"{j}.position" for j in motors] + [f"{j}.effort" for j in motors]
-    head = ",".join(["time", *names, *(f"{j}.position" for j in springs)])
-    np.savetxt(folder / "leg.csv", rows, delimiter=",", header=head, comments="")
-    return folder / "leg.csv"
-
-
 def test_springs_of_a_leg_are_joints_without_a_motor(tmp_path):
-    model = model_of(tmp_path, leg())
-    reading = reading_for(model)
+    motors, springs, text = ("hip", "knee", "crank"), ("shin", "heel"), leg()
+    m, rows = moved(text, 0, motors, (800.0, 400.0, 80.0), 0.4, 8.0)
+    efforts = rows[:, 1:4] + 0.02 * np.random.default_rng(0).normal(size=(len(rows), 3))
+    places = [4 + m.joint(name).qposadr[0] for name in (*motors, *springs)]
+    rows = np.column_stack([rows[:, 0], efforts, rows[:, places]])
+    head = ["time", *(f"{j}.effort" for j in motors)]
+    head += [f"{j}.position" for j in (*motors, *springs)]
+    np.savetxt(tmp_path / "leg.csv", rows, delimiter=",", header=",".join(head), comments="")
+    model = model_of(tmp_path, text)
     log = read_log(
-        walking(leg(), tmp_path), joints=model.known_joints, partial=True, reading=reading
+        tmp_path / "leg.csv", joints=model.known_joints, partial=True, reading=reading_for(model)
     )
     model = model_of_logs(model, [log])
     assert set(model.joints) == {"hip", "knee", "shin", "heel", "crank"}
-    assert set(log.passive) == {"shin", "heel"}
+    assert set(log.passive) == set(springs)
     errors = {joint.joint: joint for joint in compare(model, [log]).errors.joints}
-    for motor in ("hip", "knee", "crank"):
+    for motor in motors:
         assert errors[motor].rms < 1.5 * errors[motor].floor

@@ -79,9 +79,9 @@ def test_nothing_is_found_in_right_columns(pendulum, right):
     assert check_columns(pendulum, [right]) == ()
 
 
-QUICK = ("effort_sign", "swapped_joints", "velocity_factor")
+OFTEN = ("effort_sign", "swapped_joints")
 KINDS = [
-    pytest.param(kind, marks=() if kind in QUICK else pytest.mark.thorough) for kind in MISTAKES
+    pytest.param(kind, marks=() if kind in OFTEN else pytest.mark.thorough) for kind in MISTAKES
 ]
 
 
@@ -150,24 +150,24 @@ def test_another_zero_is_found_within_the_arm():
     (found,) = check_columns(model, [log])
     assert (found.kind, found.joints) == ("position_zero", (model.joints[secret.joints[0]],))
     assert found.values[0] == pytest.approx(secret.value, abs=0.05)
-    assert check_columns(model, [corrected(log, [found])]) == ()
 
 
-def test_a_base_on_a_slope_is_no_mistake_in_columns():
-    """Leaning by up to 0.3 rad, of bodies a fifth off: zeros and gains of wrists would make up."""
-    drawn = WrongLog("tilted base", "arm6", "mujoco", "fast", 6, 9, DURATION)
-    model, made, _ = make_log(drawn)
-    assert check_columns(model, [made]) == ()
-
-
-def test_bodies_far_from_those_of_the_file_are_no_gain():
-    """Of bodies 60 % off, one number for all efforts makes up for the total mass."""
-    drawn = WrongLog("bodies far off", "arm6", "pinocchio", "slow", 1, 61, DURATION)
+@pytest.mark.parametrize(
+    "drawn",
+    [
+        # Leaning by up to 0.3 rad, of bodies a fifth off: zeros and gains of wrists would make up.
+        WrongLog("tilted base", "arm6", "mujoco", "fast", 6, 9, DURATION),
+        # Of bodies 60 % off, one number for all efforts makes up for the total mass.
+        WrongLog("bodies far off", "arm6", "pinocchio", "slow", 1, 61, DURATION),
+    ],
+    ids=lambda drawn: drawn.mistake,
+)
+def test_what_is_not_of_the_columns_is_no_mistake_in_them(drawn):
     model, log, _ = make_log(drawn)
     assert check_columns(model, [log]) == ()
 
 
-@pytest.mark.parametrize("gain", [0.29, 3.18])
+@pytest.mark.parametrize("gain", [0.29, pytest.param(3.18, marks=pytest.mark.thorough)])
 def test_a_gain_is_told_where_its_fit_has_converged(gain):
     """Its value is that of the answer, and no other gains are told beside it."""
     drawn = WrongLog("gain of a joint", "panda", "pinocchio", "point to point", 14, 9, DURATION)
@@ -197,7 +197,6 @@ def test_designs_of_a_leaning_base_are_efforts_under_its_gravity(pendulum, right
             np.testing.assert_allclose(found, efforts[design.rows, j], atol=1e-9)
 
 
-@pytest.mark.thorough
 def test_two_mistakes_are_found_one_after_the_other(pendulum, right):
     wrong = replace(times(right, "effort", 0, 1e3), velocity=-right.velocity)
     found = check_columns(pendulum, [wrong])

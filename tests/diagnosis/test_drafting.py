@@ -1,13 +1,18 @@
-"""Effects that no catalogue has: a formula is found, written out, and runs as it is."""
+"""Effects that no catalogue has: a formula is found, written out, and runs as it is.
 
+What is written is code of one meaning, whatever robots and logs are called.
+"""
+
+import ast
 from dataclasses import replace
-from functools import cache
 
 import numpy as np
 import pytest
+from odd_names import IN_FILES, IN_XML
 from pydrake.systems.framework import DiagramBuilder
 
 from geodrake import load_model
+from geodrake.boundary.escaping import printable
 from geodrake.control.systems import EffectForce
 from geodrake.diagnosis.drafting import Draft, draft_effects, source_of
 from geodrake.diagnosis.drafting.formula import Factor, Formula, FormulaTerm
@@ -26,85 +31,43 @@ JOINTS = load_model(MODELS / "arm6.urdf").joints
 YAW, SHOULDER, ELBOW, ROLL, PITCH, SPIN = JOINTS
 
 
-def smooth_sign(v):
-    return v / np.hypot(v, 5e-3)
+def test_a_written_effect_explains(tmp_path):
+    """Of an arm whose bodies are off, and a gyroscope that the file knows nothing of.
 
-
-GYROSCOPE = "gyroscope that the file knows nothing of"
-INVENTED = {
-    "brake that another joint's position tightens": (
-        lambda q, v: {2: 3.0 * (1.2 + np.sin(q[3])) * smooth_sign(v[2])},
-        ELBOW,
-        {(ELBOW, "sign_v"), (ROLL, "q")},
-    ),
-    "spring that acts past an angle": (
-        lambda q, v: {1: 0.6 * np.log1p(np.exp((q[1] - 0.2) / 0.02))},
-        SHOULDER,
-        {(SHOULDER, "q")},
-    ),
-    "friction that grows with a neighbour's speed": (
-        lambda q, v: {3: 0.9 * abs(v[2]) * smooth_sign(v[3])},
-        ROLL,
-        {(ROLL, "sign_v"), (ELBOW, "v")},
-    ),
-    "hose that hangs from the sum of two angles": (
-        lambda q, v: {4: 0.5 * np.cos(q[4] + q[3])},
-        PITCH,
-        {(PITCH, "q"), (ROLL, "q")},
-    ),
-    "damper that another joint's position opens": (
-        lambda q, v: {0: 4.0 * q[1] * v[0]},
-        YAW,
-        {(YAW, "v"), (SHOULDER, "q")},
-    ),
-    GYROSCOPE: (
-        lambda q, v: {3: 0.3 * v[4] * v[5]},
-        ROLL,
-        {(PITCH, "v"), (SPIN, "v")},
-    ),
-}
-"""Law, joint, and the signals that it is a function of."""
-
-
-@cache
-def drafted(name):
-    """The log of an invented effect of an arm whose bodies are off, and its draft."""
-    law = INVENTED[name][0]
-    log = effort_log("arm6", 3, lambda seen: law(seen.q.T, seen.v.T), off=0.2, share=0.04).log
-    return log, *draft_effects(load_model(MODELS / "arm6.urdf"), [log])
-
-
-@pytest.mark.thorough
-@pytest.mark.parametrize("name", INVENTED)
-def test_invented_effects(name, tmp_path):
-    _, joint, signals = INVENTED[name]
-    _, explanation, draft = drafted(name)
+    The file as `--effects` takes it: the verdict is then that all is explained.
+    """
+    model, file = load_model(MODELS / "arm6.urdf"), tmp_path / "my_effect.py"
+    log = effort_log(
+        "arm6", 3, lambda seen: {3: 0.3 * seen.v[:, 4] * seen.v[:, 5]}, off=0.2, share=0.04
+    ).log
+    explanation, draft = draft_effects(model, [log])
     assert explanation.verdict == "unexplained"
     (effect,) = draft.effects
-    assert effect.formula.joint == joint
-    assert frozenset().union(*(term.signals for term in effect.formula.terms)) == signals
+    assert effect.formula.joint == ROLL
+    signals = frozenset().union(*(term.signals for term in effect.formula.terms))
+    assert signals == {(PITCH, "v"), (SPIN, "v")}
     assert draft.after.nrms < 1.15 * draft.after.floor_nrms
     before, after = np.square([effect.rms_before, effect.rms_after]) - effect.floor**2
     assert after < 0.09 * before  # of what is more than noise
-    assert any(c.joint == joint and c.share > 0.5 for c in draft.correlates)
-
-    file = tmp_path / "my_effect.py"
+    assert any(c.joint == ROLL and c.share > 0.5 for c in draft.correlates)
     file.write_text(source_of(draft))
     (written,) = load_effect_file(file)
-    assert written().where == (joint,)
+    assert written().where == (ROLL,)
     assert written.candidates("another joint", 1.0) == []
-
-
-def test_a_written_effect_explains(tmp_path):
-    """The file as `--effects` takes it: the verdict is then that all is explained."""
-    log, _, draft = drafted(GYROSCOPE)
-    file = tmp_path / "my_effect.py"
-    file.write_text(source_of(draft))
-    (written,) = load_effect_file(file)
-    found = explain(load_model(MODELS / "arm6.urdf"), [log], extra=[written])
-    joint = INVENTED[GYROSCOPE][1]
-    assert [(step.effect, step.where) for step in found.steps] == [(written.name, (joint,))]
+    found = explain(model, [log], extra=[written])
+    assert [(step.effect, step.where) for step in found.steps] == [(written.name, (ROLL,))]
     assert found.verdict == "explained"
+
+
+def draft_of(logs, *formulas):
+    """A draft of formulas with made-up numbers."""
+    size = np.arange(6.0)
+    effects = tuple(
+        DraftedEffect(each, size, size, 2.0, 1.0, 0.9, 0.0, (), size, size, size)
+        for each in formulas
+    )
+    errors = ErrorTable((JointError(ELBOW, 1.0, 3.0, 0.9),))
+    return Draft(effects, (), (), errors, errors, logs)
 
 
 def test_a_written_effect_is_its_formula_and_acts_on_a_plant(tmp_path):
@@ -119,12 +82,9 @@ def test_a_written_effect_is_its_formula_and_acts_on_a_plant(tmp_path):
             FormulaTerm((Factor(SHOULDER, "load", "size"), Factor(YAW, "q", "square"))),
         ),
     )
-    model, six = load_model(MODELS / "arm6.urdf"), np.arange(6.0)
-    drafted = DraftedEffect(formula, six, six, 2.0, 1.0, 0.9, 0.0, (), six, six, six)
-    errors = ErrorTable((JointError(ELBOW, 1.0, 3.0, 0.9),))
-    draft = Draft((drafted,), (), (), errors, errors, ("a log",))
+    model = load_model(MODELS / "arm6.urdf")
     file = tmp_path / "written.py"
-    file.write_text(source_of(draft))
+    file.write_text(source_of(draft_of(("a log",), formula)))
     assert max(map(len, file.read_text().splitlines())) <= 100
     (written,) = load_effect_file(file)
     rng = np.random.default_rng(0)
@@ -152,49 +112,28 @@ def test_a_written_effect_is_its_formula_and_acts_on_a_plant(tmp_path):
     np.testing.assert_allclose(output, wanted, rtol=1e-12)
 
 
-@pytest.mark.thorough
-@pytest.mark.parametrize(
-    ("law", "words"),
-    [
-        (lambda t: 0.6 * np.sin(2 * np.pi * 1.37 * t), "swings at 1.37 Hz"),
-        (lambda t: 2.0 * (t / 24.0) ** 2, "drifts slowly"),
-    ],
-)
-def test_what_follows_the_clock(law, words):
-    log = effort_log("arm6", 6).log
-    effort = log.effort + np.outer(law(log.time), np.eye(6)[4])
-    draft = draft_effects(load_model(MODELS / "arm6.urdf"), [replace(log, effort=effort)])[1]
-    first = next(c for c in draft.correlates if c.joint == PITCH)
-    assert words in first.words
-    assert first.share > 0.9
-
-
-def test_nothing_to_draft():
-    draft = draft_effects(
-        load_model(MODELS / "arm6.urdf"), [effort_log("arm6", 4, duration=16.0).log]
-    )[1]
-    assert draft.effects == ()
-    assert draft.correlates == ()
+def test_nothing_is_drafted_of_noise_or_of_what_follows_the_clock():
+    """A swing at one joint, and coloured noise at the other."""
+    model, recording = load_model(MODELS / "double_pendulum.urdf"), ("double_pendulum", 101)
+    draft = draft_effects(model, [effort_log(*recording, duration=12.0).log])[1]
+    assert draft.effects == draft.correlates == ()
     assert draft.before.nrms == draft.after.nrms
-
-
-def test_coloured_noise_is_no_formula():
-    log = effort_log("double_pendulum", 101, colour=0.8, duration=16.0).log
-    assert draft_effects(load_model(MODELS / "double_pendulum.urdf"), [log])[1].effects == ()
+    log = effort_log(*recording, colour=0.8, duration=16.0).log
+    assert draft_effects(model, [log])[1].effects == ()
+    swing = np.outer(0.6 * np.sin(2 * np.pi * 1.37 * log.time), [1.0, 0.0])
+    drift = np.outer(2.0 * (log.time / 24.0) ** 2, [0.0, 1.0])
+    for extra, joint, words in ((swing, 0, "swings at 1.37 Hz"), (drift, 1, "drifts slowly")):
+        told = draft_effects(model, [replace(log, effort=log.effort + extra)])[1].correlates
+        first = next(c for c in told if c.joint == model.joints[joint])
+        assert words in first.words and first.share > 0.9
 
 
 def test_vocabulary_has_nothing_twice():
-    terms = vocabulary(YAW, JOINTS, dict.fromkeys(JOINTS, (-1.0, 2.0)))
-    assert len({frozenset(term.factors) for term in terms}) == len(terms) > 500
-    assert FormulaTerm(()) in terms
-
-
-def test_the_short_vocabulary_has_nothing_twice_and_nothing_else():
     joints = ("a", "b", "c")
-    short = vocabulary("a", joints)
-    every = vocabulary("a", joints, dict.fromkeys(joints, (-1.0, 1.0)))
-    assert len({frozenset(term.factors) for term in short}) == len(short) < len(every) / 2
-    assert {frozenset(t.factors) for t in short} <= {frozenset(t.factors) for t in every}
+    short, every = vocabulary("a", joints), vocabulary("a", joints, dict.fromkeys(joints, (-1, 2)))
+    some, all_of_them = ({frozenset(term.factors) for term in terms} for terms in (short, every))
+    assert len(some) == len(short) < len(every) / 2 and len(all_of_them) == len(every)
+    assert some <= all_of_them and FormulaTerm(()) in every
 
 
 def test_words_and_units():
@@ -205,3 +144,32 @@ def test_words_and_units():
     assert FormulaTerm((Factor(ELBOW, "q", "above", 0.25),)).words(ELBOW) == (
         "its position beyond 0.25 upwards"
     )
+
+
+def drafted(joints, logs):
+    """A draft with a formula for each joint, in all of them."""
+    terms = (FormulaTerm(tuple(Factor(j, "q") for j in joints)),)
+    return draft_of(logs, *(Formula(joint, terms) for joint in joints))
+
+
+@pytest.mark.parametrize("what", IN_XML)
+def test_a_draft_is_code_of_one_meaning(what, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    name = IN_XML[what]
+    joints, logs = (name, f"{name} ", f"-{name}-"), (name, *IN_FILES.values())
+    source = source_of(drafted(joints, logs))
+    (tmp_path / "draft.py").write_bytes(source.encode())
+    effects = load_effect_file(tmp_path / "draft.py")
+    assert [effect().joint for effect in effects] == list(joints)
+    assert len({effect.name for effect in effects}) == len(joints)
+    assert not (tmp_path / "PWNED").exists()
+    docstring = ast.get_docstring(ast.parse(source), clean=False)
+    assert printable(f"What is missing at {', '.join(joints)}.") in docstring
+    for log in logs:
+        assert printable(log) in docstring
+
+
+def test_joints_that_differ_in_punctuation_alone_have_classes_of_their_own():
+    source = source_of(drafted(("a_1", "a1", "a-1"), ("log",)))
+    classes = [node.name for node in ast.parse(source).body if isinstance(node, ast.ClassDef)]
+    assert len(set(classes)) == 3

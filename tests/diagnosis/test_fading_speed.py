@@ -38,14 +38,11 @@ def faded(model):
     return explain(model, [rubbing(1, 0.02).log])
 
 
-def test_gradual_friction_is_dry_friction_alone(faded):
+def test_gradual_friction_is_dry_friction_alone_with_a_speed_that_is_told(faded):
     (step,) = faded.steps
     assert (step.effect, set(step.where)) == ("coulomb_friction", {"shoulder", "elbow"})
     for joint, height in zip(faded.model.joints, HEIGHT, strict=True):
         assert step.parameters[joint]["coulomb"] == pytest.approx(height, rel=0.03)
-
-
-def test_speed_is_found_and_told(faded):
     # tanh(v / w) is nearest to erf(v / ε) for a w that is a little smaller than ε.
     assert np.all(faded.model.fading_speed > 0.01)
     assert np.all(faded.model.fading_speed < 0.025)
@@ -102,11 +99,3 @@ def test_controllers_know_it(model):
     motion = Motion(still[None], slow[None], still[None])
     expected = fitted.effort(motion, sign_width=1e-2)[0]
     np.testing.assert_allclose(regressor @ control.prior, expected, rtol=1e-9)
-
-
-@pytest.mark.thorough
-def test_friction_that_jumps_is_left_alone(model):
-    found = explain(model, [rubbing(1, 1e-4).log])
-    (step,) = found.steps
-    assert step.effect == "coulomb_friction"
-    assert found.model.fading_speed is None

@@ -15,17 +15,18 @@ from geodrake.diagnosis.findings import (
     INERTIA,
     Unnamed,
     findings_of,
-    holds,
-    unknown_probabilities,
     unknown_probability,
+    verdict_of,
     without_finding,
 )
 from geodrake.diagnosis.notes import unnamed_notes
 from geodrake.diagnosis.posterior import Posterior
+from geodrake.diagnosis.results import Diagnosis
 from geodrake.diagnosis.search import searched
 from geodrake.effects import StribeckFriction
 from geodrake.identification.logs.case import open_case
-from geodrake.identification.logs.model_errors import ErrorTable, JointError
+from geodrake.identification.logs.model_errors import Comparison, ErrorTable, JointError
+from geodrake.report import page_of
 
 PENDULUM = MODELS / "double_pendulum.urdf"
 
@@ -63,15 +64,6 @@ def test_what_needs_a_finding_goes_with_it(found):
     assert {term.name for term in fewer.fit.terms} == {"viscous_friction"}
     fewer, kept = without_finding(whole, findings, named(findings, stribeck))
     assert {each.name for each in kept} == {"coulomb_friction", "viscous_friction"}
-
-
-def test_bodies_that_are_no_finding_stay_at_the_file(found):
-    widest = found.model.widths[-1]
-    whole = with_terms(found, "coulomb_friction", width=widest)
-    findings = findings_of(whole)
-    fewer, kept = without_finding(whole, findings, named(findings, INERTIA))
-    assert [each.name for each in kept] == ["coulomb_friction"]
-    assert fewer.fit.choice.width == found.model.widths[0] < widest
 
 
 def test_bodies_are_the_finding_where_nothing_else_is_left(found):
@@ -136,29 +128,6 @@ def with_load(found, *, width, has_load=True):
     return replace(found, fit=model.unbounded(choice, model.shares(was), was.variance))
 
 
-def test_bodies_that_take_in_a_payload_make_it_no_part_of_an_unknown(found, loaded):
-    """With bodies that go far a payload takes nothing away, whether it is there or not."""
-    errors = [table(0.1, 0.01)] * 3
-    chances = []
-    for each in (found, loaded):
-        whole = with_load(each, width=each.model.widths[-1])
-        left = replace(whole, fit=replace(whole.fit, variance=np.full(2, 0.02**2)))
-        (finding,) = (f for f in findings_of(whole) if f.name == "payload")
-        chances.append(unknown_probability(left, finding, errors))
-    rubbing_alone, carried = chances
-    assert carried < 0.01
-    assert rubbing_alone > 0.5
-
-
-def test_held_out_data_judge_a_payload_by_bodies_that_stay(found, loaded):
-    """Those that go far predict the same without it, so that chance would decide."""
-    for each, is_carried in ((found, False), (loaded, True)):
-        whole = with_load(each, width=each.model.widths[-1])
-        (finding,) = (f for f in findings_of(whole) if f.name == "payload")
-        same = whole.model.validated(whole.fit).held_out
-        assert holds(whole, finding, same, same) is is_carried
-
-
 def test_a_payload_that_bodies_may_have_taken_in_is_said(loaded):
     bodies = with_load(loaded, width=loaded.model.widths[-2], has_load=False)
     loads = Posterior(bodies.model, bodies.fit).of_loads()
@@ -169,39 +138,24 @@ def test_a_payload_that_bodies_may_have_taken_in_is_said(loaded):
     assert "lower_link" not in Posterior(having.model, having.fit).of_loads()
 
 
-def test_every_payload_is_a_finding_of_its_own(found):
-    """One that is there does not make up for one that is none."""
-    model, was = found.model, found.fit
-    bodies = {term.where: term for term in model.terms if term.is_whole}
-    assert len(bodies) == 2
-    choice = model.choice(was.choice, bodies.values())
-    fit = model.unbounded(choice, model.shares(was), was.variance)
-    payloads = [f for f in findings_of(replace(found, fit=fit)) if f.name == "payload"]
-    assert sorted(f.terms[0].where for f in payloads) == sorted(bodies)
-    assert all(len(f.terms) == 1 for f in payloads)
-
-
-def test_what_others_cannot_be_without_is_as_likely_as_they_are(found):
-    """Dry friction takes little of the error away itself; friction that falls with speed does."""
-    whole = with_terms(found, "coulomb_friction", "viscous_friction", StribeckFriction.name)
-    whole = replace(whole, fit=replace(whole.fit, variance=np.full(2, 0.1**2)))
-    names = ["viscous_friction", "coulomb_friction", StribeckFriction.name]
-    findings = [named(findings_of(whole), name) for name in names]
-    tables = [table(rms, 0.01) for rms in (0.9, 0.5, 0.49, 0.1)]
-    viscous, dry, falling = unknown_probabilities(whole, findings, tables)
-    assert dry == falling < unknown_probability(whole, findings[1], [*tables[1:3], tables[-1]])
-    assert viscous == unknown_probability(whole, findings[0], [*tables[:2], tables[-1]])
-
-
-def test_what_is_believed_of_a_payload_is_a_mixture(found):
-    """Of the masses that it may have, by how probable each is."""
-    model, was = found.model, found.fit
-    same = [term for term in model.terms if term.is_whole and term.where == ("lower_link",)]
-    choice = model.choice(was.choice, same[:1])
-    fit = model.unbounded(choice, model.shares(was), was.variance)
-    ((effect, mean, information),) = model.likely_loads(fit, was.choice.width)
-    masses, deviation = [term.mean[0] for term in same], np.linalg.inv(information)[0, 0] ** 0.5
-    assert effect == same[0].effect
-    assert len(masses) > 2 and min(masses) < mean[0] < max(masses)
-    alone = [np.linalg.inv(term.information)[0, 0] ** 0.5 for term in same]
-    assert min(alone) < deviation < np.hypot(max(alone), max(masses))
+@pytest.mark.parametrize(
+    ("noise", "known", "verdict", "words"),
+    [
+        (0.1, True, "adequate", "The model is adequate: nothing worth adding is missing."),
+        (0.1, False, "undecided", "The noise of elbow is not known"),
+        (0.8, True, "undecided", "Noise is as large as what the model explains"),
+    ],
+)
+def test_nothing_is_adequate_where_noise_is_not_known(noise, known, verdict, words):
+    joints = (
+        JointError("shoulder", noise, 1.0, noise),
+        JointError("elbow", noise, 1.0, noise, known),
+    )
+    table = ErrorTable(joints)
+    assert verdict_of(table, found=False) == verdict
+    comparison = Comparison(table, (), (), ())
+    said = page_of(Diagnosis(verdict, (), table, table, comparison, ())).sentence
+    assert words in said
+    assert (
+        verdict_of(ErrorTable((JointError("elbow", 0.9, 1.0, 0.1),)), found=True) == "unexplained"
+    )

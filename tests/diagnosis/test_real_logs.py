@@ -116,9 +116,7 @@ def test_pendulum_has_dry_friction_at_both_joints(pendulum):
     assert step.parameters["elbow"]["coulomb"] == pytest.approx(0.12, rel=0.25)
 
 
-@pytest.mark.parametrize(
-    "robot", ["ur10e_free", "pendulum", pytest.param("tx40", marks=pytest.mark.thorough)]
-)
+@pytest.mark.parametrize("robot", ["ur10e_free", "pendulum"])
 def test_fitted_models_are_physical(robot, request):
     found = request.getfixturevalue(robot)
     model = (found[0] if robot == "ur10e_free" else found).model

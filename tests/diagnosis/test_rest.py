@@ -33,6 +33,27 @@ def test_what_goes_with_time_alone_or_with_nothing_does_not_go_with_the_motion()
     assert max(found.of_motion.values()) < 0.05
 
 
+def brake(seen):
+    """Friction of a joint that another one's position tightens."""
+    return {2: 2.0 * (1.2 + np.sin(2.0 * seen.q[:, 4])) * np.tanh(seen.v[:, 2] / 0.01)}
+
+
+def stop(seen):
+    """A spring that begins past an angle."""
+    q = seen.q[:, 2]
+    return {2: 30.0 * np.logaddexp(0.0, (q - q.min() - 0.6 * np.ptp(q)) / 0.02) * 0.02}
+
+
+@pytest.mark.parametrize(
+    ("hidden", "signal"), [(brake, f"{WORDS}wrist_pitch"), (stop, "its position")]
+)
+def test_signal_is_told_and_no_name(hidden, signal):
+    found = explain(load_model(ARM), [effort_log("arm6", 1, hidden, duration=16.0, share=0.01).log])
+    assert not [step.effect for step in found.steps if step.probability > 0.9]
+    assert found.verdict == "unexplained"
+    assert [note for note in found.notes if f"at elbow_pitch varies with {signal} in a" in note]
+
+
 def run(*arguments):
     result = CliRunner().invoke(app, [str(a) for a in arguments])
     assert result.exit_code == 0, result.output

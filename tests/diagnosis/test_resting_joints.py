@@ -57,7 +57,7 @@ def model():
 
 
 def test_friction_of_the_joints_that_move_is_all_that_is_found(model):
-    found = explain(model, [braked_log(0)])
+    found = explain(model, [braked_log(0, seconds=24.0)])
     assert found.model.joints == ("joint_2", "joint_4")
     assert {step.effect for step in found.steps} == {"coulomb_friction", "viscous_friction"}
     values = {f.effect.name: [] for f in found.model.effects}

@@ -128,15 +128,13 @@ def test_probabilities_are_those_of_all_that_it_may_be(told):
     assert step.probability + sum(step.probabilities_of_rivals) == pytest.approx(0.9)
 
 
-@pytest.mark.parametrize("seed", [1, pytest.param(2, marks=pytest.mark.thorough)])
-def test_rivals_are_weighed_beside_what_else_was_found(seed):
+def test_rivals_are_weighed_beside_what_else_was_found():
     """What a rival leaves is told as it is beside an effect that was found only later."""
 
     def hidden(seen):
         return {0: 2.0 * np.sign(seen.v[:, 0]), 1: 1.5 * seen.q[:, 1]}
 
-    log = effort_log("double_pendulum", seed, hidden, duration=16.0, share=0.02, pace=0.3).log
-    found = explain(MODEL, [log])
+    found = explain(MODEL, [slow_log(hidden)])
     assert len(found.steps) > 1
     for step in found.steps:
         assert step.probability > 0.2

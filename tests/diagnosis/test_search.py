@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from chain_logs import chain_log
 from excitation_robots import arm
-from pendulum_logs import JOINTS, NOISE, PENDULUM, friction, pendulum_log
+from pendulum_logs import JOINTS, PENDULUM, friction, pendulum_log
 
 from geodrake import load_model
 from geodrake.diagnosis import add, diagnose, explain
@@ -18,8 +18,6 @@ from geodrake.effects import (
     JointSpring,
     Parameter,
 )
-from geodrake.inertia import is_physical
-from geodrake.logs.filtering import design_filter
 
 MODEL = load_model(PENDULUM)
 BANDWIDTH = 6.0
@@ -56,15 +54,6 @@ def tied(candidates):
     return {candidate.effect for candidate in candidates if candidate.tied}
 
 
-class TestPlaces:
-    def test_effects_are_named_where_they_are(self):
-        """Dry friction at both joints, viscous friction at one."""
-        found = explained(pendulum_log(1, friction((0.2, 0.1), (0.15, 0.0))))
-        assert places(found) == {"coulomb_friction": JOINTS, "viscous_friction": ("shoulder",)}
-        floor = NOISE * design_filter(1 / 200.0, BANDWIDTH).noise_gain
-        np.testing.assert_allclose([joint.rms for joint in found.end.joints], floor, rtol=0.15)
-
-
 class TestChoice:
     def test_refinements_come_after_what_they_refine(self):
         log = pendulum_log(
@@ -96,22 +85,6 @@ class TestChoice:
         assert all(oil.tied for oil in oils.values())
         assert oils[JOINTS].error_after < first.error_after
 
-    def test_an_effect_of_ones_own_is_found(self):
-        @dataclass(frozen=True)
-        class Hose(JointEffect):
-            name = "hose"
-            parameters = (Parameter("cosine", "N·m"), Parameter("sine", "N·m"))
-
-            def columns(self, joint):
-                return [np.cos(3 * joint.q), np.sin(3 * joint.q)]
-
-        log = pendulum_log(8, at_elbow(lambda q, v, vd: 0.3 * np.cos(3 * q)))
-        (step,) = explained(log, extra=[Hose]).steps
-        assert (step.effect, step.where) == ("hose", ("elbow",))
-        values = step.parameters["elbow"]
-        assert values["cosine"] == pytest.approx(0.3, abs=0.02)
-        assert values["sine"] == pytest.approx(0.0, abs=0.02)
-
     def test_two_simple_effects_take_the_place_of_one_whose_bounds_hide_it(self):
         """An offset pushes as well as it brakes, which friction with a law a direction may not."""
 
@@ -122,16 +95,12 @@ class TestChoice:
         assert places(found) == {"effort_offset": JOINTS, "viscous_friction": JOINTS}
         assert found.verdict == "explained"
 
-    @pytest.mark.sampled(2)
     @pytest.mark.parametrize(("stiffness", "is_spring"), [(0.3, True), (-0.3, False)])
     def test_a_spring_without_stiffness_is_none(self, stiffness, is_spring):
         """Though its preload alone explains an offset."""
-        log = pendulum_log(1, at_elbow(lambda q, v, vd: 0.5 + stiffness * q), seconds=20.0)
-        alone = add("joint_spring", MODEL, [log], where=["elbow"], bandwidth=BANDWIDTH)
-        assert alone.end.nrms < 0.5 * alone.start.nrms
+        log = pendulum_log(1, at_elbow(lambda q, v, vd: 0.5 + stiffness * q), seconds=16.0)
         named = {candidate.effect for candidate in diagnosed(log)}
         assert ("joint_spring" in named) == is_spring
-        assert ("joint_spring" in places(explained(log))) == is_spring
 
     def test_effects_of_the_model_stay(self):
         """Even one that explains nothing, and an elaborate one where a simple one would do."""
@@ -172,41 +141,20 @@ class TestTies:
         assert (candidates[0].effect, candidates[0].where) == ("rotor_inertia", ("shoulder",))
         assert "wrong_inertia" not in tied(candidates)
 
-    @pytest.mark.thorough
-    def test_no_body_is_impossible_for_the_error_s_sake(self):
-        """An effort against the bodies' own, as if they weighed less than nothing."""
-        log = pendulum_log(2, lambda q, v, vd, load: -1.3 * load, seconds=8.0)
-        found = explain(MODEL, [log])
-        assert found.verdict == "unexplained"
-        assert is_physical(found.model.total_phi).all()
-
 
 class TestShapes:
-    @pytest.mark.sampled(2)
-    @pytest.mark.parametrize(
-        "exponent",
-        [
-            1.1,
-            pytest.param(0.9, marks=pytest.mark.xfail(reason="dry and viscous friction are named")),
-        ],
-    )
-    def test_a_power_that_is_nearly_viscous_friction_is_told_beside_it(self, exponent):
-        found = explained(pendulum_log(9, at_elbow(power(exponent))))
+    def test_a_power_that_is_nearly_viscous_friction_is_told_beside_it(self):
+        found = explained(pendulum_log(9, at_elbow(power(1.1))))
         steps = {step.effect: step for step in found.steps}
         assert steps.keys() == {"viscous_friction", "nonlinear_viscous_friction"}
-        told = steps["nonlinear_viscous_friction"].parameters["elbow"]["exponent"]
-        assert (told < 1.0) == (exponent < 1.0)
-        assert abs(np.log(told)) >= np.log(1.25)
+        assert steps["nonlinear_viscous_friction"].parameters["elbow"]["exponent"] >= 1.25
 
-    @pytest.mark.parametrize("speed", [0.07, 3.0])  # 0.02 rad/s pass within a sample
-    def test_a_shape_beyond_the_grid_is_that_at_its_edge(self, speed):
-        log = pendulum_log(
-            1,
-            at_elbow(lambda q, v, vd: np.sign(v) * (0.3 + 0.8 * np.exp(-np.abs(v) / speed))),
-            seconds=20.0,
-        )
+    @pytest.mark.parametrize("speed", [0.07, 0.2, 3.0])  # 0.02 rad/s pass within a sample
+    def test_a_shape_between_those_of_the_grid_or_at_its_edge(self, speed):
+        law = at_elbow(lambda q, v, vd: np.sign(v) * (0.3 + 0.8 * np.exp(-np.abs(v) / speed)))
         known = knowing((CoulombFriction("elbow"), 0.3))
+        log = pendulum_log(1, law, seconds=20.0)
         found = add("stribeck_friction", known, [log], where=["elbow"], bandwidth=BANDWIDTH)
         values = found.steps[0].parameters["elbow"]
-        assert values["stribeck_velocity"] == pytest.approx(speed, rel=0.2)
+        assert values["stribeck_velocity"] == pytest.approx(speed, rel=0.2 if speed != 0.2 else 0.1)
         assert found.verdict == "explained"

@@ -20,13 +20,11 @@ from pinocchio_logs import MODELS, effort_log
 
 from geodrake import load_model
 from geodrake.control.systems import EffectForce
-from geodrake.diagnosis import explain
 from geodrake.effects import FittedEffect, Hysteresis
 from geodrake.identification.logs.noise import prepare_for_model
 from geodrake.identification.logs.reduce import reduce_logs
 from geodrake.logs.folds import validation_blocks
 from geodrake.logs.motion import Motion
-from geodrake.model.saved_model import save_model
 
 PENDULUM = load_model(MODELS / "double_pendulum.urdf")
 
@@ -48,8 +46,7 @@ def dahl(time, angle):
     return solve_ivp(rate, time[[0, -1]], [0.0], "RK45", time, max_step=step, rtol=1e-8).y[0]
 
 
-@pytest.mark.sampled(3)
-@pytest.mark.parametrize("angle", [0.02, 0.1, 0.5])
+@pytest.mark.parametrize("angle", [0.02, 0.5])
 def test_bend(angle):
     time = np.arange(0.0, 6.0, 0.002)
     bend = Hysteresis("joint", angle).bend(swing(time)[0])
@@ -153,46 +150,3 @@ class TestSimulation:
         )
         np.testing.assert_allclose(found.data(), expected.y[:2], atol=2e-5)
         assert found.data()[1].min() < -0.01  # it springs back, which no Coulomb friction does
-
-
-def bristles(time, v, angle, fine=20):
-    """Dahl's friction over its height, by small steps of (1 − z sgn v) dq / θ."""
-    z, now, step = np.sign(v), np.sign(v[0]), (time[1] - time[0]) / fine
-    for k in range(1, len(v)):
-        for w in np.linspace(v[k - 1], v[k], fine, endpoint=False):
-            now += step * w / angle * (1.0 - now * np.sign(w))
-        z[k] = now
-    return z
-
-
-def noise_nrms(model, recording, found):
-    """nrms of the noise that was added to a log."""
-    trajectories, _ = prepare_for_model(model, [recording.log])
-    noise = recording.noise * trajectories[0].filter.noise_gain
-    return np.sqrt(np.mean((noise / [joint.std for joint in found.end.joints]) ** 2))
-
-
-class TestDiagnosis:
-    def test_found_and_saved(self, tmp_path):
-        """Further joints and widths are in the benchmark of hidden effects."""
-        robot, joint, name, size, angle, seed = "double_pendulum", 1, "elbow", 0.2, 0.05, 1
-
-        def hidden(seen):
-            return {joint: size * bristles(seen.time, seen.v[:, joint], angle)}
-
-        recording = effort_log(robot, seed, hidden, off=0.2)
-        model = load_model(MODELS / f"{robot}.urdf")
-        found = explain(model, [recording.log])
-        (step,) = found.steps
-        assert (step.effect, step.where) == ("hysteresis", (name,))
-        assert step.parameters[name]["coulomb"] == pytest.approx(size, rel=0.02)
-        assert step.parameters[name]["breakaway_angle"] == pytest.approx(angle, rel=0.03)
-        assert found.end.nrms < 1.15 * noise_nrms(model, recording, found)
-        assert found.verdict == "explained"
-        save_model(found.model, tmp_path / "arm.yaml")
-        again = load_model(tmp_path / "arm.yaml")
-        assert [fitted.effect for fitted in again.effects] == [
-            fitted.effect for fitted in found.model.effects
-        ]
-        other = effort_log(robot, seed, hidden, off=0.2, share=0.031)
-        assert explain(again, [other.log]).steps == ()
