@@ -16,7 +16,7 @@ from geodrake.identification.logs.compare import compare
 from geodrake.logs import JointLog, read_log
 from geodrake.model.logged_joints import log_of_model, model_of_logs, reading_for
 
-STEP, RATE = 2e-4, 200.0
+STEP, RATE = 5e-4, 200.0
 WAVES = 2 * np.pi * np.array([0.21, 0.33, 0.5, 0.81, 1.1, 1.6])
 SIZES = np.array([0.5, 0.3, 0.2, 0.12, 0.1, 0.05])
 

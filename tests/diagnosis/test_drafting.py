@@ -61,10 +61,10 @@ def test_a_written_effect_explains(tmp_path):
 
 def draft_of(logs, *formulas):
     """A draft of formulas with made-up numbers."""
-    size = np.arange(6.0)
     effects = tuple(
-        DraftedEffect(each, size, size, 2.0, 1.0, 0.9, 0.0, (), size, size, size)
+        DraftedEffect(each, own, own, 2.0, 1.0, 0.9, 0.0, (), own, own, own)
         for each in formulas
+        for own in [np.arange(float(len(each.terms)))]
     )
     errors = ErrorTable((JointError(ELBOW, 1.0, 3.0, 0.9),))
     return Draft(effects, (), (), errors, errors, logs)

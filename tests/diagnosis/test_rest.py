@@ -48,7 +48,7 @@ def stop(seen):
     ("hidden", "signal"), [(brake, f"{WORDS}wrist_pitch"), (stop, "its position")]
 )
 def test_signal_is_told_and_no_name(hidden, signal):
-    found = explain(load_model(ARM), [effort_log("arm6", 1, hidden, duration=16.0, share=0.01).log])
+    found = explain(load_model(ARM), [effort_log("arm6", 1, hidden, share=0.01).log])
     assert not [step.effect for step in found.steps if step.probability > 0.9]
     assert found.verdict == "unexplained"
     assert [note for note in found.notes if f"at elbow_pitch varies with {signal} in a" in note]

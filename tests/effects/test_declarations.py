@@ -27,6 +27,7 @@ FILES = sorted(path for path in PACKAGE.rglob("*.py") if EFFECTS not in path.par
 NAMES = {effect.name for effect in catalogue()}
 LONG_NAMES = re.compile(rf"\b(?:{'|'.join(sorted(name for name in NAMES if '_' in name))})\b")
 CLASSES = {effect.__name__ for effect in catalogue()}
+ANY_NAME = re.compile(rf"\b(?:{'|'.join(sorted(NAMES | CLASSES))})\b")
 
 ALLOWED = {
     "cli/app.py": "examples of help name effects",
@@ -53,7 +54,8 @@ def names_in(text):
 
 def mentions(path):
     """Where a module names an effect or its class, outside of docstrings and comments."""
-    tree = ast.parse(path.read_text(encoding="utf-8"))
+    text = path.read_text(encoding="utf-8")
+    tree = ast.parse(text if ANY_NAME.search(text) else "")
     words, drakes = docstrings(tree), set()
     for node in ast.walk(tree):
         found = set()
