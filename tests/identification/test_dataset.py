@@ -4,7 +4,8 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from pendulum_logs import JOINTS, NOISE, PENDULUM, body_effort, multisine, pendulum_log
+from chain_logs import multisine
+from pendulum_logs import JOINTS, NOISE, PENDULUM, body_effort, pendulum_log
 from scipy.signal import butter, sosfiltfilt
 
 from geodrake import load_model
