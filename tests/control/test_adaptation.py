@@ -1,18 +1,21 @@
 """Update laws: their guarantees, in continuous time and step by step."""
 
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
+from adaptive_loops import CONTROL, MANIFOLD, MODEL, TRUTH, perturbed, run
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
 from scipy.optimize import minimize
 
 from geodrake.control.adaptation import (
+    AdaptationLaw,
     FunctionSet,
     LinearSet,
+    PartialLaw,
     ProjectedLaw,
+    adapted_parameters,
     body_limits,
     center_of_mass_box,
     euclidean_adaptation,
@@ -25,7 +28,8 @@ from geodrake.control.adaptation import (
     pullback_adaptation,
 )
 from geodrake.control.regressor import ControlModel
-from geodrake.effects import CoulombFriction, EffortOffset, FittedEffect, ViscousFriction
+from geodrake.control.systems import PassivityBasedAdaptiveController
+from geodrake.effects import CoulombFriction, EffortOffset, FittedEffect, Payload, ViscousFriction
 from geodrake.errors import ArgumentError, ConvergenceError
 from geodrake.inertia import (
     change_frame,
@@ -40,13 +44,12 @@ from geodrake.manifolds import (
     Free,
     Interval,
     PhysicalInertia,
+    Polyhedron,
     Positive,
     Product,
 )
-from geodrake.manifolds.projections import Polyhedron, bregman_projection
-from geodrake.model.robot_model import load_description
+from geodrake.manifolds.projections import bregman_projection
 
-MODELS = Path(__file__).parents[2] / "models"
 HULL = Ellipsoid(np.array([0.2, -0.1, 0.0]), np.array([14.0, 15.0, 16.0]), np.eye(3))
 CONSTRAINED = ConstrainedInertia(realizability_row(HULL.quadric)[None], np.zeros(1))
 MIXED = Product(
@@ -355,15 +358,9 @@ def test_limits_say_what_they_mean():
 # Robots
 
 
-@pytest.fixture(scope="module")
-def arm():
-    model = load_description(MODELS / "double_pendulum.urdf")
-    effects = [kind(j) for j in model.joints for kind in (CoulombFriction, ViscousFriction)]
-    values = tuple(FittedEffect(effect, np.array([0.2])) for effect in effects)
-    return replace(model, effects=values)
-
-
-def test_the_manifold_of_a_robot(arm):
+def test_the_manifold_of_a_robot():
+    effects = [kind(j) for j in MODEL.joints for kind in (CoulombFriction, ViscousFriction)]
+    arm = replace(MODEL, effects=tuple(FittedEffect(e, np.array([0.2])) for e in effects))
     manifold = parameter_manifold(arm, effect_weight=0.5, weights={"coulomb_friction": 0.25})
     nb = len(arm.bodies)
     assert manifold.weights == (1.0,) * nb + (0.25, 0.5) * 2
@@ -376,3 +373,99 @@ def test_the_manifold_of_a_robot(arm):
         parameter_manifold(arm, weights={"nowhere": 1.0})
     with pytest.raises(ArgumentError, match="instead of ten"):
         parameter_manifold(arm, bodies={arm.bodies[0]: Positive()})
+
+
+# Of some of the parameters
+
+
+LAST = MODEL.bodies[-1]
+BODY = adapted_parameters(MODEL, [LAST])
+"""The parameters of the last body."""
+
+
+def partial(gamma=0.5):
+    return PartialLaw(natural_adaptation(PhysicalInertia(), gamma), BODY)
+
+
+@some
+@given(st.integers(0, 2**31), st.floats(-6, 4))
+def test_it_is_natural_adaptation_on_the_submanifold(seed, size):
+    rng, dt = np.random.default_rng(seed), 10.0**size
+    p, b = perturbed(0.2, seed), rng.normal(size=len(TRUTH))
+    law, own = partial(), natural_adaptation(PhysicalInertia(), 0.5)
+    moved = law.step(p, b, dt)
+    np.testing.assert_array_equal(moved[~BODY], p[~BODY])
+    np.testing.assert_array_equal(moved[BODY], own.step(p[BODY], b[BODY], dt))
+    assert is_physical(moved[10:20])
+    np.testing.assert_array_equal(law.rate(p, b)[BODY], own.rate(p[BODY], b[BODY]))
+    assert law.parameter_error(TRUTH, p) == own.parameter_error(TRUTH[BODY], p[BODY])
+    rows = rng.normal(size=(2, len(p)))
+    assert law.reach(p, rows) == own.reach(p[BODY], rows[:, BODY])
+
+
+@some
+@given(st.integers(0, 2**31))
+def test_it_is_the_whole_law_projected_onto_what_may_vary(seed):
+    """[Lee2019] Eq. (5.4.57) with every held parameter as a limit, whatever is held."""
+    rng = np.random.default_rng(seed)
+    p, b = perturbed(0.2, seed), rng.normal(size=len(TRUTH))
+    whole = natural_adaptation(MANIFOLD, 0.5)
+    for held in (~BODY, rng.random(len(p)) < 0.5):
+        free, g, expected = ~held, MANIFOLD.metric(p), np.zeros(len(p))
+        expected[free] = -np.linalg.solve(g[np.ix_(free, free)], b[free]) / 0.5  # by Lagrange
+        limits = Polyhedron(np.eye(len(p))[held], p[held], p[held])
+        found = ProjectedLaw(whole, limits).rate(p, b)
+        np.testing.assert_allclose(found, expected, rtol=1e-5, atol=1e-7 * np.abs(expected).max())
+        if np.array_equal(free, BODY):
+            np.testing.assert_allclose(partial().rate(p, b), expected, rtol=1e-7, atol=1e-9)
+
+
+def test_a_load_is_learned_while_the_rest_stays():
+    """[Lee2019] §5.5.2: V never rises, and no bit of what is known changes."""
+    start = np.where(BODY, perturbed(0.15), TRUTH)
+    controller = PassivityBasedAdaptiveController(
+        CONTROL, partial(0.05), parameters=start, truth=TRUTH, time_step=2e-3
+    )
+    _, logs = run(controller, 1.0)
+    V = logs["lyapunov"].ravel()
+    assert np.diff(V).max() <= 1e-4 * V[0]
+    assert V[-1] < V[0]
+    held = logs["parameters"][:, ~BODY]
+    np.testing.assert_array_equal(held, np.broadcast_to(TRUTH[~BODY], held.shape))
+    assert is_physical(logs["parameters"][:, BODY]).all()
+    assert np.abs(logs["parameters"][-1] - start).max() > 1e-3
+    with pytest.raises(ArgumentError, match="inside of the law's manifold"):
+        PassivityBasedAdaptiveController(CONTROL, partial(), parameters=-TRUTH)
+
+
+def test_parameters_by_the_names_of_bodies_and_effects():
+    assert np.flatnonzero(BODY).tolist() == list(range(10, 20))
+    friction = adapted_parameters(MODEL, ["viscous_friction"])
+    assert np.flatnonzero(friction).tolist() == [20, 21]
+    load = FittedEffect(Payload(LAST), TRUTH[10:20])
+    loaded = replace(MODEL, effects=(*MODEL.effects, load))
+    assert np.flatnonzero(adapted_parameters(loaded, "payload")).tolist() == list(range(22, 32))
+    for names, message in (
+        ([], "there is none"),
+        (["wrist"], "no wrist"),
+        (["payload"], "payload"),
+    ):
+        with pytest.raises(ArgumentError, match=message):
+            adapted_parameters(MODEL, names)
+
+
+def test_laws_that_do_not_fit_are_refused():
+    for law, adapted, message in (
+        (natural_adaptation(Positive(2)), BODY, "moves 2 parameters; 10 are"),
+        (euclidean_adaptation(9), BODY, "moves 9 parameters"),
+        (natural_adaptation(PhysicalInertia()), np.zeros(22, bool), "some of them true"),
+        (natural_adaptation(PhysicalInertia()), np.arange(10), "booleans"),
+        ("natural", BODY, "law must be"),
+    ):
+        with pytest.raises(ArgumentError, match=message):
+            PartialLaw(law, adapted)
+    longer = PartialLaw(
+        AdaptationLaw(Product((PhysicalInertia(),))), np.repeat([True, False], [10, 13])
+    )
+    with pytest.raises(ArgumentError, match="moves 23 parameters; the robot has 22"):
+        PassivityBasedAdaptiveController(CONTROL, longer)

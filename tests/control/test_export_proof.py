@@ -25,7 +25,6 @@ from geodrake.effects import (
 )
 from geodrake.inertia import from_mass_com_inertia
 from geodrake.model.saved_model import load_model
-from geodrake.robot.plant import position_limits, velocity_limits
 
 MJCF = """<mujoco><worldbody><body name="one"><joint name="shoulder" axis="0 1 0"/>
   <inertial pos="0 0 0" mass="1" diaginertia="1 1 1"/>
@@ -109,18 +108,6 @@ def test_all_effects_at_once(chain, tmp_path):
     assert len(found.lacks) > 15
     assert len(found.proof.differences) == 2
     assert all(difference.is_rounding for difference in found.proof.differences)
-
-
-def test_a_motion_for_want_of_logs_is_within_the_limits(chain):
-    moved = random_motion(chain)
-    low, high = position_limits(chain.plant)
-    assert (moved.q >= low - 1e-9).all() and (moved.q <= high + 1e-9).all()
-    assert (np.abs(moved.v) <= velocity_limits(chain.plant) + 1e-9).all()
-    period = moved.time[1] - moved.time[0]
-    slope = np.gradient(moved.q, period, axis=0)[1:-1]
-    np.testing.assert_allclose(slope, moved.v[1:-1], atol=2e-3)
-    slope = np.gradient(moved.v, period, axis=0)[1:-1]
-    np.testing.assert_allclose(slope, moved.vd[1:-1], atol=2e-2)
 
 
 def test_a_function_in_python_is_the_model(chain, tmp_path):

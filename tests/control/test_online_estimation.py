@@ -139,13 +139,6 @@ def test_no_step_leads_away_from_the_truth(seed, rows, relaxation):
     assert MIXED.divergence(truth, y) <= before * (1 + 1e-9) + 1e-9
 
 
-def test_steps_end_in_the_slabs():
-    x, Y, effort, tolerance, _ = slabs(np.random.default_rng(0))
-    for _ in range(200):
-        x = slab_step(MIXED, x, Y, effort, tolerance)
-    assert (np.abs(Y @ x - effort) < 1.01 * tolerance).all()
-
-
 # Samples
 
 
@@ -228,18 +221,3 @@ def test_forgetting_goes_back_where_no_sample_holds():
         p = made.updated(p, *nothing, STEP).point
     left = MANIFOLD.gradient(p) - MANIFOLD.gradient(TRUTH)
     np.testing.assert_allclose(left, np.exp(-2.0) * gap, rtol=1e-5, atol=1e-7 * np.abs(gap).max())
-
-
-def test_rows_of_held_efforts_are_exact_to_second_order():
-    fine, errors = samples(1201), []
-    for every in (4, 2):
-        filtered = FilteredRegressor(CONTROL, every * STEP, 15.0, held_effort=True)
-        memory, mean = filtered.start(), np.zeros(2)
-        for i in range(0, len(fine[0]), every):
-            if i:
-                held = fine[2][i - every : i + 1]
-                mean = (0.5 * (held[1:] + held[:-1])).mean(0)
-            memory = filtered.advanced(memory, fine[0][i], fine[1][i], mean)
-        Y, u = filtered.rows(memory)
-        errors.append(np.abs(Y @ TRUTH - u).max())
-    assert errors[1] < 0.3 * errors[0] < 1e-3
