@@ -2,6 +2,7 @@
 
 import json
 import sys
+from dataclasses import replace
 from importlib.resources import as_file, files
 
 import numpy as np
@@ -11,7 +12,7 @@ from typer.testing import CliRunner
 from geodrake import load_model, save_model
 from geodrake.cli.app import app
 from geodrake.control.rollout import roll_out
-from geodrake.diagnosis import explain
+from geodrake.effects import CoulombFriction, FittedEffect, ViscousFriction
 from geodrake.errors import ArgumentError, LogError
 from geodrake.logs.files import read_log, write_log
 
@@ -30,13 +31,19 @@ def plain():
 
 @pytest.fixture(scope="module")
 def frictional():
-    """A log of a pendulum with friction, and the model that explains it."""
+    """A log of a pendulum with friction, and the model that has it."""
+    sizes, model = {"shoulder": 0.3, "elbow": 0.15}, load_model(PENDULUM)
 
     def friction(seen):
-        return np.array([0.3, 0.15]) * (np.tanh(seen.v / 5e-3) + seen.v)
+        return np.array([*sizes.values()]) * (np.tanh(seen.v / 5e-3) + seen.v)
 
-    log = effort_log("double_pendulum", 2, friction, share=0.01, duration=16.0).log
-    return log, explain(load_model(PENDULUM), [log]).model
+    effects = [
+        FittedEffect(kind(joint), np.array([size]))
+        for joint, size in sizes.items()
+        for kind in (CoulombFriction, ViscousFriction)
+    ]
+    log = effort_log("double_pendulum", 2, friction, share=0.01, duration=8.0).log
+    return log, replace(model, effects=tuple(effects))
 
 
 def test_the_true_model_stays_with_the_motion(plain):
@@ -48,9 +55,9 @@ def test_the_true_model_stays_with_the_motion(plain):
 
 
 def test_effects_take_the_departure_away(frictional):
-    log, explained = frictional
+    log, having_it = frictional
     before = roll_out(load_model(PENDULUM), [log], most=4)
-    after = roll_out(explained, [log], most=4)
+    after = roll_out(having_it, [log], most=4)
     assert after.relative < 0.1 < before.relative
     assert 10 * after.relative < before.relative
     departed = {joint.joint for joint in before.joints if joint.relative > 0.3}
@@ -58,8 +65,8 @@ def test_effects_take_the_departure_away(frictional):
 
 
 def test_departures_are_those_of_the_windows(frictional):
-    log, explained = frictional
-    rollout = roll_out(explained, [log], most=3, horizon=0.3)
+    log, having_it = frictional
+    rollout = roll_out(having_it, [log], most=3, horizon=0.3)
     departure = np.concatenate([w.departure for w in rollout.windows])
     expected = np.sqrt(np.mean(departure**2, axis=0))
     np.testing.assert_allclose([joint.rms for joint in rollout.joints], expected, rtol=1e-12)
@@ -69,9 +76,9 @@ def test_departures_are_those_of_the_windows(frictional):
 
 
 def test_command(frictional, tmp_path, monkeypatch):
-    log, explained = frictional
+    log, having_it = frictional
     write_log(log, tmp_path / "log.csv")
-    save_model(explained, tmp_path / "arm.yaml")
+    save_model(having_it, tmp_path / "arm.yaml")
     monkeypatch.chdir(tmp_path)
     arguments = ["rollout", "arm.yaml", "log.csv", "--before", str(PENDULUM), "--windows", "2"]
     written = ["--horizon", "0.2", "--json", "r.json", "--report", "r.html"]
