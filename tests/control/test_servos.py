@@ -14,12 +14,11 @@ from pydrake.systems.primitives import (
 )
 from pydrake.trajectories import PiecewisePolynomial
 from scipy.integrate import solve_ivp
+from two_masses import FRICTION, INERTIA, ROTOR, WEIGHT, having
 
 from geodrake.control import PositionServo
-from geodrake.effects import FittedEffect, RotorInertia, ViscousFriction
 from geodrake.errors import ArgumentError, ModelError
 from geodrake.model import EffortSignal
-from geodrake.model.saved_model import load_model
 
 GAINS = {
     "kp": [20.0, 8.0],
@@ -125,7 +124,7 @@ def test_a_servo_moves_a_plant_as_the_differential_equation_says(arm):
         q, v, z = x
         e, rate = ramp.value(t).item() - q, (7.0 if t < 0.1 else 0.0) - v
         effort = kp * e + kd * rate + ki * z
-        return [v, (effort - 0.3 * v - 2.0 * 9.81 * 0.3 * np.sin(q)) / (0.2 + 0.05), e]
+        return [v, (effort - FRICTION * v - WEIGHT * np.sin(q)) / (INERTIA + ROTOR), e]
 
     found = [0.1, 0.0, 0.0]
     for start, end in ((0.0, 0.1), (0.1, 0.2)):
@@ -136,23 +135,12 @@ def test_a_servo_moves_a_plant_as_the_differential_equation_says(arm):
 
 
 @pytest.fixture
-def arm(tmp_path):
-    """A pendulum of 2 kg, 0.2 kg·m² about its axis, with a rotor and friction."""
-    path = tmp_path / "arm.urdf"
-    path.write_text("""<robot name="arm"><link name="base"/><link name="rod"><inertial>
-      <origin xyz="0 0 -0.3"/><mass value="2"/>
-      <inertia ixx="0.02" iyy="0.02" izz="0.01" ixy="0" ixz="0" iyz="0"/></inertial></link>
-      <joint name="elbow" type="continuous"><parent link="base"/><child link="rod"/>
-      <axis xyz="0 1 0"/></joint></robot>""")
-    effects = (
-        FittedEffect(RotorInertia("elbow"), np.array([0.05])),
-        FittedEffect(ViscousFriction("elbow"), np.array([0.3])),
-    )
-    return replace(load_model(path), effects=effects)
+def arm(pendulum):
+    return having(pendulum, ROTOR, FRICTION)
 
 
 def test_servos_of_a_model_take_late_commands(arm):
-    signal = EffortSignal("elbow", "command", 60.0, damping=4.0, delay=0.013, limit=9.0)
+    signal = EffortSignal("hinge", "command", 60.0, damping=4.0, delay=0.013, limit=9.0)
     model = replace(arm, effort_signals=(signal,))
     builder = DiagramBuilder()
     robot = model.add_to_builder(builder)
@@ -178,7 +166,7 @@ def test_servos_of_a_model_take_late_commands(arm):
 
 
 def test_models_without_servos_have_none(arm):
-    for signals in ((), (EffortSignal("elbow", "current", 0.7),)):
+    for signals in ((), (EffortSignal("hinge", "current", 0.7),)):
         with pytest.raises(ModelError, match="no servos"):
             PositionServo.of(replace(arm, effort_signals=signals))
 

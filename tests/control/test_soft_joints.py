@@ -4,21 +4,16 @@ import dataclasses
 
 import numpy as np
 import pytest
-from pydrake.math import RigidTransform, RollPitchYaw
+from link_chains import LINK, MOTOR, arm
 from pydrake.multibody.plant import MultibodyPlant
 from pydrake.multibody.tree import (
-    FixedOffsetFrame,
     RevoluteJoint,
-    RevoluteSpring,
-    SpatialInertia,
-    UnitInertia,
 )
 from pydrake.systems.analysis import ResetIntegratorFromFlags, Simulator
 from pydrake.systems.framework import DiagramBuilder
 from pydrake.systems.primitives import FirstOrderTaylorApproximation, LogVectorOutput, Sine
 from scipy.integrate import solve_ivp
-from two_masses import FRICTION, INERTIA, WEIGHT, having, swung
-from two_masses import ROTOR as MOTOR
+from two_masses import FRICTION, INERTIA, ROTOR, WEIGHT, having, swung
 
 from geodrake import effects, load_model
 from geodrake.control.rollout import roll_out
@@ -27,35 +22,10 @@ from geodrake.effects.deflection import Deflection, DeflectionEffect
 from geodrake.errors import ArgumentError
 from geodrake.robot.robot_instance import add_generalized_force
 
-LINK = SpatialInertia(2.0, [0.02, -0.01, 0.25], UnitInertia.SolidBox(0.2, 0.1, 1.2))
-ROTOR = 0.3  # kg·m²
-
-
-def arm(spring=None):
-    """Two links; with stiffness and damping, a motor's body at the first joint and its spring."""
-    plant, parent = MultibodyPlant(0.0), None
-    for i, axis in enumerate(np.eye(3)[1:]):
-        body = plant.AddRigidBody(f"link{i}", LINK)
-        X = RigidTransform(RollPitchYaw(0.3 * i, 0.2, 0.0), [0.0, 0.02, 0.3])
-        base = plant.world_frame() if parent is None else parent.body_frame()
-        mount = plant.AddFrame(FixedOffsetFrame(f"mount{i}", base, X))
-        if spring is not None and i == 0:
-            inertia = SpatialInertia(1.0, [0, 0, 0], UnitInertia(ROTOR, ROTOR, ROTOR))
-            motor = plant.AddRigidBody("motor", inertia)
-            plant.AddJoint(RevoluteJoint("turn", mount, motor.body_frame(), axis))
-            mount = motor.body_frame()
-        damping = 0.0 if spring is None or i else spring[1]
-        joint = plant.AddJoint(RevoluteJoint(f"joint{i}", mount, body.body_frame(), axis, damping))
-        if spring is not None and i == 0:
-            plant.AddForceElement(RevoluteSpring(joint, 0.0, spring[0]))
-        parent = body
-    plant.Finalize()
-    return plant
-
 
 def soft(stiffness):
-    spring = effects.JointElasticity("joint0"), [1.0 / stiffness]
-    return [spring, (effects.RotorInertia("joint0"), [ROTOR])]
+    spring = effects.JointElasticity("joint1"), [1.0 / stiffness]
+    return [spring, (effects.RotorInertia("joint1"), [MOTOR])]
 
 
 def driven(plant, terms=None):
@@ -88,8 +58,8 @@ def driven(plant, terms=None):
 def test_is_a_motors_body_and_a_spring():
     """What encoders of both motors see, and Drake's own two bodies."""
     terms = soft(2000.0)
-    damping = EffectForce(arm(), terms).law.soft.couplings(np.array([5e-4, ROTOR]))[0].damping
-    ours, theirs = driven(arm(), terms), driven(arm((2000.0, damping)))
+    damping = EffectForce(arm(dofs=2), terms).law.soft.couplings(np.array([5e-4, MOTOR]))[0].damping
+    ours, theirs = driven(arm(dofs=2), terms), driven(arm(dofs=2, spring=(2000.0, damping)))
     np.testing.assert_allclose(ours[:, :2], theirs[:, [0, 2]], atol=1e-6)
     assert np.abs(theirs[:, 1]).max() > 3e-3  # it bends
 
@@ -99,7 +69,7 @@ def test_two_masses_swing_at_their_frequency(share):
     """s² + 2 ζ ω s + ω² = 0 with ω² = k (1/B + 1/M), of a link that gravity does not turn."""
     plant = MultibodyPlant(0.0)
     body = plant.AddRigidBody("link", LINK)
-    plant.AddJoint(RevoluteJoint("joint0", plant.world_frame(), body.body_frame(), [0, 0, 1]))
+    plant.AddJoint(RevoluteJoint("joint1", plant.world_frame(), body.body_frame(), [0, 0, 1]))
     plant.Finalize()
     M = float(plant.CalcMassMatrix(plant.CreateDefaultContext())[0, 0])
     builder = DiagramBuilder()
@@ -112,7 +82,7 @@ def test_two_masses_swing_at_their_frequency(share):
     diagram = builder.Build()
     A = FirstOrderTaylorApproximation(diagram, diagram.CreateDefaultContext()).A()
     fast = max(np.linalg.eigvals(A), key=lambda s: s.imag)
-    omega = np.sqrt(500.0 * (1.0 / ROTOR + 1.0 / M))
+    omega = np.sqrt(500.0 * (1.0 / MOTOR + 1.0 / M))
     assert abs(fast) == pytest.approx(omega, rel=1e-9)
     assert -fast.real == pytest.approx(share * omega, rel=1e-6, abs=1e-6)
 
@@ -125,7 +95,7 @@ def test_rollouts_have_springs(pendulum):
     """A soft joint follows a log that is not geodrake's far more closely than a stiff one."""
     log, departed = swung(0, stiffness=120.0, effort=two_waves), []
     for springs in ([(effects.JointElasticity("hinge"), 1.0 / 120.0)], []):
-        model = having(pendulum, MOTOR, FRICTION, *springs)
+        model = having(pendulum, ROTOR, FRICTION, *springs)
         windows = roll_out(model, [log], most=3, bandwidth=30.0, horizon=0.4).windows
         departed.append([np.sqrt(np.mean(window.departure**2)) for window in windows])
     soft, stiff = departed
@@ -135,7 +105,7 @@ def test_rollouts_have_springs(pendulum):
 
 def test_starts_where_its_load_has_it(pendulum):
     """With the effort that holds it, nothing moves; encoders say what they were told to."""
-    model = having(pendulum, MOTOR, FRICTION, (effects.JointElasticity("hinge"), 0.02))
+    model = having(pendulum, ROTOR, FRICTION, (effects.JointElasticity("hinge"), 0.02))
     builder = DiagramBuilder()
     robot = model.add_to_builder(builder)
     builder.ExportInput(robot.effort, "effort")
@@ -178,7 +148,7 @@ def test_an_effect_that_does_not_say_how_is_refused(pendulum):
 def test_a_link_is_thrown_from_side_to_side(pendulum):
     """The same sides and motors, written out for scipy."""
     gap, size, rate = 0.02, 3.0, 14.0
-    terms = having(pendulum, MOTOR, FRICTION, (effects.Backlash("hinge", gap), 1.0)).effects
+    terms = having(pendulum, ROTOR, FRICTION, (effects.Backlash("hinge", gap), 1.0)).effects
     builder = DiagramBuilder()
     plant = builder.AddSystem(load_model(pendulum.path).plant)
     force = EffectForce.AddToBuilder(builder, plant, terms)
@@ -198,7 +168,7 @@ def test_a_link_is_thrown_from_side_to_side(pendulum):
         over, away = abs(motor - link) - gap, np.sign(motor - link)
         push = side.stiffness * over + side.damping * away * (speed - v) * min(over / side.ramp, 1)
         torque = away * max(push, 0.0) if over > 0 else 0.0
-        accelerated = (size * np.sin(rate * t) - FRICTION * speed - torque) / MOTOR
+        accelerated = (size * np.sin(rate * t) - FRICTION * speed - torque) / ROTOR
         return [speed, accelerated, v, (torque - WEIGHT * np.sin(link)) / INERTIA]
 
     time = found.sample_times()
