@@ -195,9 +195,9 @@ def test_whatever_comes_in_numbers_come_out(kind, time_step, limited, messages):
 # A second of faults
 
 
-START, STOP = 1.5, 2.5  # of a fault, s
+START, STOP = 1.0, 2.0  # of a fault, s
 USUAL = 0.1  # rad, error of a joint under a sound sensor
-PATIENCE, GROWTH = 5.0, 3.0  # s until tracking is as before, and times the estimate's distance
+PATIENCE, GROWTH = 3.5, 3.0  # s until tracking is as before, and times the estimate's distance
 
 
 def interrupted(kind, law, model):
