@@ -14,7 +14,8 @@ from numpy.typing import NDArray
 from geodrake.errors import GeodrakeError, LogError
 from geodrake.logs.files import Reading, read_log, understand
 from geodrake.logs.files.column_mapping import Columns, Source
-from geodrake.logs.files.mapping_file import mapping_of
+from geodrake.logs.files.mapping_file import mapping_lines, mapping_of
+from geodrake.logs.files.reading import ColumnMapping, MappedColumn
 from geodrake.logs.files.units import unit_of
 from geodrake.logs.motion import PASSIVE, JointLog
 from geodrake.logs.preparation import prepare_logs
@@ -154,32 +155,27 @@ def mapping_text(
     Args:
         gain_deviations: Joint -> standard deviation of the gain that the user gave.
     """
-    time: dict[str, object] = {"rate": round(1.0 / found.period, 6)}
-    if found.time_column:
-        said = {"unit": found.time_unit} if found.time_unit else {}
-        time = {"time": {"column": found.time_column, **said}}
+    time = MappedColumn(found.time_column, found.time_unit or None) if found.time_column else None
+    rate = None if time else round(1.0 / found.period, 6)
     known, deviations = (*found.log.joints, *found.log.standing), gain_deviations or {}
-    joints: dict[str, dict[str, object]] = {joint: {} for joint in known}
+    joints: dict[str, dict[str, MappedColumn]] = {joint: {} for joint in known}
     for each in columns:
-        unit = unit_of(each.unit, each.quantity) if each.unit else None
-        gain: float | str = each.factor / (unit.factor if unit else 1.0)
-        if each.quantity == "effort" and each.joint in deviations:
-            gain = f"{gain}±{deviations[each.joint]}"
-        entry: dict[str, object] = {"column": each.column}
-        entry |= {"unit": each.unit} if each.unit else {}
-        entry |= {"gain": gain} if gain != 1.0 else {}
-        joints[each.joint][each.quantity] = entry if len(entry) > 1 else each.column
+        gain = each.factor / (unit_of(each.unit, each.quantity).factor if each.unit else 1.0)
+        deviation = deviations.get(each.joint) if each.quantity == "effort" else None
+        mapped = MappedColumn(each.column, each.unit or None, gain, deviation)
+        joints[each.joint][each.quantity] = mapped
     for joint in found.log.passive:
-        joints[joint]["effort"] = PASSIVE
-    content = {**time, "joints": joints}
-    _check_said(path, found, content)
-    return str(yaml.safe_dump(content, sort_keys=False, allow_unicode=True))
+        joints[joint]["effort"] = MappedColumn(PASSIVE)
+    text = "\n".join(mapping_lines(ColumnMapping(joints, time, rate))) + "\n"
+    _check_said(path, found, text)
+    return text
 
 
-def _check_said(path: Path, found: LogInspection, content: object) -> None:
+def _check_said(path: Path, found: LogInspection, text: str) -> None:
     """Refuse a mapping that does not read the log again: cells may name joints, for example."""
     try:
-        again = read_log(path, reading=Reading(mapping=mapping_of(path, content)), partial=True)
+        mapping = mapping_of(path, yaml.safe_load(text))
+        again = read_log(path, reading=Reading(mapping=mapping), partial=True)
         problem = "the times of its rows would be others."
         is_same = len(again) == len(found.log) and np.allclose(
             np.diff(again.time), np.diff(found.log.time), atol=_LEAST_STEP

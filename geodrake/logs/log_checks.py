@@ -123,5 +123,5 @@ def _digests(log: JointLog) -> NDArray[np.int64]:
     with np.errstate(over="ignore"):
         each = rows.view(np.int64) @ draw(1 << 62, size=rows.shape[1])
         found = np.convolve(each, draw(1 << 62, size=_TOGETHER), "valid")
-    still = np.concatenate([[0], np.cumsum(~np.diff(log.position, axis=0).any(axis=1))])
+    still = np.concatenate([[0], np.cumsum((log.position[1:] == log.position[:-1]).all(axis=1))])
     return found[still[_TOGETHER - 1 :] == still[: len(found)]]

@@ -7,9 +7,8 @@ import pytest
 
 from geodrake.diagnosis.columns.corrections import corrected
 from geodrake.diagnosis.columns.finding import ColumnFinding
-from geodrake.errors import ArgumentError
 from geodrake.logs import JointLog, log_of_frame, read_log, write_log
-from geodrake.logs.files.reading import Reading
+from geodrake.logs.files.reading import ColumnMapping, MappedColumn, Reading
 from geodrake.logs.preparation import prepare_logs
 from geodrake.logs.temperatures import Temperatures
 
@@ -44,37 +43,44 @@ def test_one_joint_alone_may_have_one():
     assert log_of_frame(log_with(None).columns()).temperature is None
 
 
-@pytest.mark.parametrize(
-    "form",
-    ["joint_temperatures_J", "motor_temperature_J", "temp_J", "axisJ.Temperature", "Temp_J (°C)"],
-)
-def test_names_of_other_loggers(form):
+def frame_with(form, warmth):
+    """Columns of another logger, of a form of names."""
     frame = {"time": TIME}
-    for quantity, values in (("q_J", Q), ("tau_J", np.cos(Q)), (form, WARMTH)):
-        frame |= {quantity.replace("J", str(k)): values[:, k] for k in range(2)}
-    log = log_of_frame(frame, joints=JOINTS)
+    for name, values in (("q_J", Q), ("tau_J", np.cos(Q)), (form, warmth)):
+        frame |= {name.replace("J", str(k)): values[:, k] for k in range(2)}
+    return frame
+
+
+def test_names_of_other_loggers():
+    log = log_of_frame(frame_with("Temp_J (°C)", WARMTH), joints=JOINTS)
     np.testing.assert_array_equal(log.temperature, WARMTH)
 
 
-@pytest.mark.parametrize(
-    ("form", "other"),
-    [("temp_J [°F]", lambda c: 1.8 * c + 32.0), ("temp_J [degF]", lambda c: 1.8 * c + 32.0)],
-)
-def test_degrees_of_fahrenheit_are_read(form, other):
-    frame = {"time": TIME}
-    for quantity, values in (("q_J", Q), ("tau_J", np.cos(Q)), (form, other(WARMTH))):
-        frame |= {quantity.replace("J", str(k)): values[:, k] for k in range(2)}
-    log = log_of_frame(frame, joints=JOINTS)
+@pytest.mark.parametrize("unit", ["[°F]", "[degF]"])
+def test_degrees_of_fahrenheit_are_read(unit):
+    other = 1.8 * WARMTH + 32.0
+    log = log_of_frame(frame_with(f"temp_J {unit}", other), joints=JOINTS)
     np.testing.assert_allclose(log.temperature, WARMTH, rtol=1e-12)
     assert "temperature is in °F, by the names of columns: converted" in log.notes
-    frame = {key.replace("[°F]", "").replace("[degF]", ""): x for key, x in frame.items()}
-    log = log_of_frame(frame, joints=JOINTS, reading=Reading(units={"temperature": "F"}))
+    reading = Reading(units={"temperature": "F"})
+    log = log_of_frame(frame_with("temp_J", other), joints=JOINTS, reading=reading)
     np.testing.assert_allclose(log.temperature, WARMTH, rtol=1e-12)
 
 
-def test_another_unit_is_refused():
-    with pytest.raises(ArgumentError, match=r"'R' is no known unit of temperature.*°C"):
-        Reading(units={"temperature": "R"})
+def test_slow_ones_may_be_named_by_a_mapping_alone(tmp_path):
+    """One a second, in a file of their own, beside motions at 100 Hz."""
+    slow = {"time": TIME[::100], "drive 7": WARMTH[::100, 0], "drive 8": WARMTH[::100, 1]}
+    write_log(log_with(None), tmp_path / "motion.npz")
+    np.savez(tmp_path / "drives.npz", **slow)
+    joints = {
+        joint: {q: MappedColumn(f"{joint}.{q}") for q in ("position", "effort")}
+        | {"temperature": MappedColumn(column)}
+        for joint, column in zip(JOINTS, ("drive 7", "drive 8"), strict=True)
+    }
+    reading = Reading(mapping=ColumnMapping(joints, MappedColumn("time")))
+    log = read_log(f"{tmp_path / 'motion.npz'}+{tmp_path / 'drives.npz'}", reading=reading)
+    known = log.time <= 19.0
+    np.testing.assert_allclose(log.temperature[known], WARMTH[known], rtol=1e-12)
 
 
 def test_limits_and_boards_are_no_temperatures_of_joints():

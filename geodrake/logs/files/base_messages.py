@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from geodrake.logs.files.joint_messages import Clock, clock_notes, on_clock
+from geodrake.logs.files.joint_messages import Clock, MessageNumbers, on_clock, stamp_of
 from geodrake.logs.files.table import LogTable
 from geodrake.logs.floating import AXES, IS_BASE, QUATERNION
 
@@ -65,19 +65,18 @@ def base_tables(
     What is said of several frames in one topic makes several tables. Where a message has no stamp,
     those of all are times of receipt, on a clock if one is given.
     """
-    rows: dict[tuple[str, ...], list[tuple[int, int, list[float]]]] = {}
+    rows = MessageNumbers(topic)
     for message, received in messages:
+        rows.count += 1
         for part, frame in _parts(message):
             told = dict(_numbers(part, frame or topic.strip("/").rpartition("/")[0]))
-            stamp = part.header.stamp
-            when = stamp.sec * 1_000_000_000 + stamp.nanosec
             if told:
-                rows.setdefault((frame, *told), []).append((when, received, [*told.values()]))
-    notes = clock_notes(topic, np.array([row[0] for found in rows.values() for row in found]))
+                rows.take((frame, *told), np.array([*told.values()]), stamp_of(part), received)
     tables = list[LogTable]()
-    for (_, *names), found in rows.items():
-        stamps, first = np.unique([row[bool(notes)] for row in found], return_index=True)
-        values = np.array([numbers for *_, numbers in found])[first]
+    for key in rows.groups:
+        (_, *names), (stamps, values) = key, rows.rows(key)
+        stamps, first = np.unique(stamps, return_index=True)
+        values = values[first]
         turned = [k for k, name in enumerate(names) if name.startswith("base.orientation")]
         q = values[:, turned]  # and its negative are the same orientation: the nearer one is taken
         back = np.einsum("ni,ni->n", q[1:], q[:-1]) < 0.0
@@ -85,7 +84,7 @@ def base_tables(
         columns = {"time": 1e-9 * (stamps - stamps[0])}
         columns |= {name: values[:, k].copy() for k, name in enumerate(names)}
         table = LogTable(Path(topic), columns, origins={"time": int(stamps[0])})
-        tables.append(on_clock(table, clock).noting(*notes) if notes else table)
+        tables.append(table if rows.clock else on_clock(table, clock).noting(*rows.clock_notes))
     return tables
 
 

@@ -26,6 +26,7 @@ from geodrake.logs.files.name_rules import (
 from geodrake.logs.files.reading import Reading
 from geodrake.logs.files.table import LogTable
 from geodrake.logs.floating import FLAG, floating_name, vectors
+from geodrake.logs.motion import EFFORT_KINDS
 from geodrake.logs.time_stamps import longest_step
 
 Array = NDArray[np.float64]
@@ -71,7 +72,7 @@ def joined_tables(log: Path, tables: Sequence[LogTable], reading: Reading) -> Lo
         )
     quick = [period for period in periods if period <= _MIXED * min(periods)]
     base = next(k for k, p in enumerate(periods) if p in quick and p >= _ALIKE * max(quick))
-    tables, slow_notes, rare = _slow_parts(log, tables, periods)
+    tables, slow_notes, rare = _slow_parts(log, tables, periods, reading)
     if not max(map(np.nanmin, known)) < min(map(np.nanmax, known)):
         spans = (f"{np.nanmin(t):.6g} to {np.nanmax(t):.6g} s" for t in known)
         raise LogError(
@@ -82,7 +83,7 @@ def joined_tables(log: Path, tables: Sequence[LogTable], reading: Reading) -> Lo
     for table, time in zip(tables, known, strict=True):
         for column, values in table.columns.items():
             if not is_time(column):
-                holds = _what(column) in ("command", FLAG)
+                holds = _what(column, reading)[1] in ("command", FLAG)
                 columns[column] = at_instants(known[base], time, values, holds=holds)
     rate = 1.0 / periods[base]
     note = f"joined by time, at the {rate:.4g} rows a second of {tables[base].path}"
@@ -91,16 +92,20 @@ def joined_tables(log: Path, tables: Sequence[LogTable], reading: Reading) -> Lo
     return LogTable(log, columns, units, notes, origins, {**silent, **rare})
 
 
-def _what(column: str) -> str:
-    """Return what a column is: a quantity of a log, or what is measured of a base or a frame."""
-    if (name := floating_name(column)) is not None:
-        return FLAG if name.endswith(FLAG) else name.rpartition(".")[0]
+def _what(column: str, reading: Reading) -> tuple[str, str]:
+    """Return the joint of a column, and what it is: a quantity of a log, or of a base or frame."""
+    for name, mapped in reading.mapping or ():
+        if mapped.column == column:
+            joint, _, quantity = name.rpartition(".")
+            return joint, "effort" if quantity in EFFORT_KINDS else quantity
+    if (known := floating_name(column)) is not None:
+        return "", FLAG if known.endswith(FLAG) else known.rpartition(".")[0]
     meaning = meaning_of(column)
-    return "" if meaning is None else meaning.log_quantity
+    return ("", "") if meaning is None else (meaning.joint, meaning.log_quantity)
 
 
 def _slow_parts(
-    log: Path, tables: Sequence[LogTable], periods: Sequence[float]
+    log: Path, tables: Sequence[LogTable], periods: Sequence[float], reading: Reading
 ) -> tuple[list[LogTable], list[str], dict[str, str]]:
     """Return the tables, slow ones reduced to columns that may be interpolated, and notes.
 
@@ -115,10 +120,10 @@ def _slow_parts(
     """
     is_slow = [period > _MIXED * min(periods) for period in periods]
     parts = list(zip(tables, is_slow, strict=True))
-    quick = {c: _what(c) for table, slow in parts if not slow for c in table.columns}
-    kinds = {what.replace("command", "effort") for what in quick.values()}
+    quick = [_what(c, reading) for table, slow in parts if not slow for c in table.columns]
+    kinds = {what.replace("command", "effort") for _, what in quick}
     has_imu = {"imu.angular_velocity", "imu.linear_acceleration"} <= kinds
-    joints = {meaning.joint for c in quick if (meaning := meaning_of(c)) and meaning.joint}
+    joints = {joint for joint, _ in quick} - {""}
     found, notes, rare, needed = list[LogTable](), list[str](), dict[str, str](), False
     for (table, slow), period in zip(parts, periods, strict=True):
         if not slow:
@@ -126,11 +131,11 @@ def _slow_parts(
             continue
         may = {"temperature", FLAG, "time", "nanoseconds"}
         may |= {"base.orientation"} if has_imu and _turns_slowly(table.columns) else set()
-        lost = {c: _what(c) for c in table.columns if _what(c) not in may}
-        for column, what in lost.items():
-            meaning = meaning_of(column)
+        told = {column: _what(column, reading) for column in table.columns}
+        lost = {column: told[column] for column in told if told[column][1] not in may}
+        for joint, what in lost.values():
             if what.replace("command", "effort") in ("position", "effort"):
-                is_beside = meaning is not None and meaning.joint in joints and what != "command"
+                is_beside = joint in joints and what != "command"
                 needed |= is_beside or what.replace("command", "effort") not in kinds
             needed |= what.startswith("base.") and not has_imu
             needed |= what.startswith("imu.") and "base.orientation" not in kinds

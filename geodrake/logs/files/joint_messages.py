@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from array import array
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Hashable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
@@ -30,14 +30,6 @@ def is_complete(quantities: Iterable[str]) -> bool:
     """Return whether positions and something of efforts are among quantities."""
     known = set(quantities)
     return "position" in known and not known.isdisjoint((*EFFORT_KINDS, "command"))
-
-
-def clock_notes(topic: str, stamps: Stamps) -> tuple[str, ...]:
-    """Return that messages of a topic have no stamps (N,), in words, if they have not."""
-    if (stamps > 0).all():
-        return ()
-    some = "some messages" if (stamps > 0).any() else "messages"
-    return (f"{some} of {topic} have no stamps: their time is that of receipt",)
 
 
 def on_clock(table: LogTable, clock: Clock | None) -> LogTable:
@@ -146,27 +138,82 @@ class JointFields:
 
 
 @dataclass
-class MessageRows:
-    """Numbers of messages of one topic. They grow; no message is kept."""
+class MessageNumbers:
+    """Numbers of messages of one topic, in groups of those with the same columns.
+
+    They grow; no message is kept.
+    """
 
     topic: str
-    fields: JointFields
-    count: int = 0
-    from_controller: bool = False
-    _groups: dict[tuple[tuple[JointKey, ...], tuple[str, ...]], _Messages] = field(
-        default_factory=dict
-    )
+    count: int = field(default=0, init=False)
+    groups: dict[Any, _Group] = field(default_factory=dict, init=False)
 
-    def add(self, message: Any, stamp: int, received: int) -> None:
-        """Take the numbers of a message."""
-        joints, found, output = self.fields.sample(message)
-        self.count += 1
+    def take(self, key: Hashable, numbers: Array, stamp: int, received: int) -> None:
+        """Take the numbers of a message: a row of the group of a key."""
         if not max(abs(stamp), abs(received)) < _LATEST:
             raise LogError(
                 f"Message {self.count} of {self.topic} is stamped {1e-9 * stamp:.4g} s and "
                 f"received {1e-9 * received:.4g} s since 1970, which cannot be.",
                 advice="Check the clock of the recorder, or leave that message out.",
             )
+        group = self.groups.setdefault(key, _Group())
+        group.stamps.append(stamp)
+        group.received.append(received)
+        group.numbers.frombytes(numbers.tobytes())
+
+    def rows(self, key: Hashable) -> tuple[Stamps, Array]:
+        """Return the times (N,) of the messages of a group, ns, and their numbers (N, n).
+
+        Times are those of receipt unless every message says when it was measured.
+        """
+        group = self.groups[key]
+        times = group.stamps if self.clock else group.received
+        stamps = np.frombuffer(times, np.int64)
+        return stamps, np.frombuffer(group.numbers).reshape(len(stamps), -1)
+
+    @property
+    def clock(self) -> Clock | None:
+        """When messages were measured and received; None unless all of them say it."""
+        return self._stamps if (self._stamps[0] > 0).all() else None
+
+    @property
+    def clock_notes(self) -> tuple[str, ...]:
+        """Return that messages have no stamps, in words, if they have not."""
+        if self.clock:
+            return ()
+        some = "some messages" if (self._stamps[0] > 0).any() else "messages"
+        return (f"{some} of {self.topic} have no stamps: their time is that of receipt",)
+
+    @property
+    def _stamps(self) -> Clock:
+        times = [(g.stamps, g.received) for g in self.groups.values()]
+        stamps, received = (
+            np.concatenate([np.frombuffer(each, np.int64) for each in (array("q"), *both)])
+            for both in zip(*times, strict=True)
+        )
+        return stamps, received
+
+
+@dataclass
+class _Group:
+    """Messages with the same columns in the same order."""
+
+    stamps: array[int] = field(default_factory=lambda: array("q"))
+    received: array[int] = field(default_factory=lambda: array("q"))
+    numbers: array[float] = field(default_factory=lambda: array("d"))
+
+
+@dataclass
+class MessageRows(MessageNumbers):
+    """What messages of one topic say of joints."""
+
+    fields: JointFields
+    from_controller: bool = field(default=False, init=False)
+
+    def add(self, message: Any, stamp: int, received: int) -> None:
+        """Take the numbers of a message."""
+        joints, found, output = self.fields.sample(message)
+        self.count += 1
         self.from_controller |= output
         for quantity, values in found.items():
             if len(values) != len(joints):
@@ -175,49 +222,19 @@ class MessageRows:
                     f"{len(values)} numbers of {quantity}.",
                     advice="Is another message type recorded under that name?",
                 )
-        key = joints, tuple(found)
-        group = self._groups.get(key)
-        if group is None:
-            group = self._groups[key] = _Messages()
-        group.stamps.append(stamp)
-        group.received.append(received)
-        if found:
-            group.numbers.frombytes(np.concatenate([*found.values()], dtype=float).tobytes())
+        numbers = np.concatenate([np.zeros(0), *found.values()], dtype=float)
+        self.take((joints, tuple(found)), numbers, stamp, received)
 
     @property
     def quantities(self) -> frozenset[str]:
         """Return what some joint has in one message."""
-        best = max((q for _, q in self._groups), key=lambda q: (is_complete(q), len(q)), default=())
+        best = max((q for _, q in self.groups), key=lambda q: (is_complete(q), len(q)), default=())
         return frozenset(best)
 
     @property
     def joints(self) -> tuple[JointKey, ...]:
         """All joints, in the order in which they appear."""
-        return tuple(dict.fromkeys(joint for joints, _ in self._groups for joint in joints))
-
-    @property
-    def all_stamped(self) -> bool:
-        """Return whether every message says when it was measured."""
-        return bool((self._stamps[0] > 0).all())
-
-    @property
-    def clock(self) -> Clock | None:
-        """When messages were measured and received; None unless all of them say it."""
-        return self._stamps if self.all_stamped else None
-
-    @property
-    def clock_notes(self) -> tuple[str, ...]:
-        """Return that messages have no stamps, in words, if they have not."""
-        return clock_notes(self.topic, self._stamps[0])
-
-    @property
-    def _stamps(self) -> Clock:
-        groups = self._groups.values()
-        stamps, received = (
-            np.concatenate([np.frombuffer(numbers, np.int64) for numbers in each])
-            for each in ([g.stamps for g in groups], [g.received for g in groups])
-        )
-        return stamps, received
+        return tuple(dict.fromkeys(joint for joints, _ in self.groups for joint in joints))
 
     def table(self, *, part: bool = False) -> LogTable:
         """Return what the messages say as columns: `time` and `<joint>.<quantity>`.
@@ -228,7 +245,7 @@ class MessageRows:
         Args:
             part: Whether it is a part of a log; nothing of a part is left out.
         """
-        groups = {k: g for k, g in self._groups.items() if (k[1] if part else is_complete(k[1]))}
+        groups = [key for key in self.groups if (key[1] if part else is_complete(key[1]))]
         notes, found = list[str](), dict[JointKey, list[tuple[Stamps, dict[str, Array]]]]()
         if len({joints for joints, _ in groups}) > len({frozenset(joints) for joints, _ in groups}):
             notes.append(
@@ -238,15 +255,12 @@ class MessageRows:
         if silent:
             named = ", ".join(str(joint) for joint in self.joints if joint in silent)
             notes.append(f"joints without effort left out: {named}")
-        for (joints, quantities), group in groups.items():
-            stamps, values = group.stamps if self.all_stamped else group.received, group.numbers
-            shape = len(stamps), len(quantities), len(joints)
-            kept = self._once(np.frombuffer(stamps, np.int64), joints, notes)
-            stamped, rows = np.frombuffer(stamps, np.int64)[kept], np.frombuffer(values)
+        for joints, quantities in groups:
+            stamps, rows = self.rows((joints, quantities))
+            kept = self._once(stamps, joints, notes)
             for k, joint in enumerate(joints):
-                columns = rows.reshape(shape)[kept, :, k].T
-                own = dict(zip(quantities, columns, strict=True))
-                found.setdefault(joint, []).append((stamped, own))
+                own = dict(zip(quantities, rows[kept, k :: len(joints)].T, strict=True))
+                found.setdefault(joint, []).append((stamps[kept], own))
         tables: dict[bytes, LogTable] = {}
         for joint, parts in found.items():
             stamped, first = np.unique(np.concatenate([s for s, _ in parts]), return_index=True)
@@ -284,13 +298,10 @@ class MessageRows:
         return kept
 
 
-@dataclass
-class _Messages:
-    """Messages with the same joints in the same order."""
-
-    stamps: array[int] = field(default_factory=lambda: array("q"))
-    received: array[int] = field(default_factory=lambda: array("q"))
-    numbers: array[float] = field(default_factory=lambda: array("d"))
+def stamp_of(message: Any) -> int:
+    """Return when a message of ROS was measured, ns; 0 if it does not say."""
+    stamp = getattr(getattr(message, "header", None), "stamp", None)
+    return 0 if stamp is None else int(stamp.sec * 1_000_000_000 + stamp.nanosec)
 
 
 def _at(message: Any, path: Sequence[str]) -> Any:

@@ -147,7 +147,6 @@ def proposed_mapping(
         return None
     meanings = [m for name in names if headed and (m := meaning_of(name)) is not None]
     times = sorted((m for m in meanings if m.quantity == "time"), key=lambda m: m.role)
-    time = times[0].column if times else None
     of_joints = sorted((m for m in meanings if m.quantity in OF_JOINTS), key=lambda m: m.role)
     found, _ = matched(of_joints, joints)
     named, _ = matched(of_joints, None)
@@ -174,47 +173,67 @@ def proposed_mapping(
         lines += [f"# A guess by the order of the joints, to be checked: {', '.join(pairs)}."]
     if guessed:
         lines += ["# A guess by the count of the columns, to be checked:"]
-    timed = guessed.get(("", "time"), _filled(time))
-    lines += [f"time: {timed}", "# rate: 500  # Hz, in place of time", "joints:"]
+    columns: dict[str, dict[str, MappedColumn]] = {}
     for joint in own:
-        lines.append(f"  {_word(joint)}:")
         effort = places.get((joint, "effort"))
         if joint in motorless and (effort is None or effort.role >= DESIRED):
-            guessed[joint, "effort"] = PASSIVE
+            guessed[joint, "effort"] = MappedColumn(PASSIVE)
         kinds = [kind for kind in (*EFFORT_KINDS, "command") if (joint, kind) in places]
-        for quantity in ("position", "velocity", kinds[0] if kinds else "effort"):
-            column = guessed.get((joint, quantity), _filled_column(places.get((joint, quantity))))
-            lines.append(f"    {quantity}: {column}")
-    return "\n".join(lines) + "\n"
+        columns[joint] = {
+            quantity: guessed.get((joint, quantity), _column_of(places.get((joint, quantity))))
+            for quantity in ("position", "velocity", kinds[0] if kinds else "effort")
+        }
+    time = guessed.get(("", "time"), MappedColumn(times[0].column) if times else _UNKNOWN)
+    first, *others = mapping_lines(ColumnMapping(columns, time))
+    return "\n".join([*lines, first, "# rate: 500  # Hz, in place of time", *others]) + "\n"
+
+
+_UNKNOWN = MappedColumn("")
+"""What is written of a column that the user is to fill in."""
+
+
+def mapping_lines(mapping: ColumnMapping) -> list[str]:
+    """Return lines of YAML that say a mapping."""
+    time = mapping.time
+    lines = [f"rate: {mapping.rate}" if time is None else f"time: {_written(time)}", "joints:"]
+    for joint, columns in mapping.joints.items():
+        lines.append(f"  {_word(joint)}:")
+        lines += [f"    {quantity}: {_written(column)}" for quantity, column in columns.items()]
+    return lines
+
+
+def _written(mapped: MappedColumn) -> str:
+    if mapped == _UNKNOWN:
+        return "  # which column?"
+    column = mapped.column if isinstance(mapped.column, int) else _word(mapped.column)
+    fields = [f"unit: {_word(mapped.unit)}"] if mapped.unit else []
+    gain = f"{mapped.gain}" if mapped.deviation is None else f"{mapped.gain}±{mapped.deviation}"
+    fields += [f"gain: {gain}"] if gain != "1.0" else []
+    return f"{{column: {column}, {', '.join(fields)}}}" if fields else str(column)
 
 
 def _guess(
     names: Sequence[str], joints: Sequence[str], *, headed: bool
-) -> dict[tuple[str, str], str]:
+) -> dict[tuple[str, str], MappedColumn]:
     """Map (joint, quantity) to columns, if their number is that of time and all quantities."""
     for timed in (True, False):
         for quantities in (_ASKED, ("position", "effort")):
             if len(names) == timed + len(joints) * len(quantities):
                 order = [("", "time")] * timed + [(j, q) for q in quantities for j in joints]
-                columns = [_word(n) if headed else str(k) for k, n in enumerate(names, 1)]
+                columns = [MappedColumn(n if headed else k) for k, n in enumerate(names, 1)]
                 return dict(zip(order, columns, strict=True))
     return {}
 
 
-def _filled_column(meaning: Meaning | None) -> str:
-    if meaning is None:
-        return _filled(None)
-    unit = f", unit: {_word(meaning.unit.name)}" if meaning.unit else ""
-    return f"{{column: {_word(meaning.column)}{unit}}}" if unit else _word(meaning.column)
-
-
-def _filled(name: str | None) -> str:
-    return "  # which column?" if name is None else _word(name)
+def _column_of(meaning: Meaning | None) -> MappedColumn:
+    unit = meaning.unit.name if meaning and meaning.unit else None
+    return MappedColumn(meaning.column, unit) if meaning else _UNKNOWN
 
 
 def _word(text: str) -> str:
     """Return a text as one scalar of YAML, also within braces."""
-    return str(yaml.safe_dump([text], default_flow_style=True, width=1e9).strip()[1:-1])
+    words = yaml.safe_dump([text], default_flow_style=True, allow_unicode=True, width=1e9)
+    return str(words.strip()[1:-1])
 
 
 def with_proposal(error: LogError, path: Path, proposal: str | None) -> LogError:

@@ -16,7 +16,7 @@ from geodrake.boundary.optional_packages import optional_package
 from geodrake.errors import LogError
 from geodrake.logs.files.base_messages import base_sources, base_tables
 from geodrake.logs.files.joined_tables import joined_tables
-from geodrake.logs.files.joint_messages import Clock, JointFields, MessageRows
+from geodrake.logs.files.joint_messages import Clock, JointFields, MessageRows, stamp_of
 from geodrake.logs.files.reading import Reading
 from geodrake.logs.files.table import LogTable, readable
 from geodrake.logs.files.topics import Topic, chosen_topics, joined_topics, topic_table
@@ -185,7 +185,7 @@ def _rows(
             if fields is None:
                 break
             rows = MessageRows(connection.topic, fields)
-        rows.add(message, _stamp(message), received)
+        rows.add(message, stamp_of(message), received)
     return rows
 
 
@@ -222,9 +222,3 @@ def _problems() -> tuple[type[Exception], ...]:
     """Return the errors of unreadable types and of messages that do not fit their type."""
     serde, typesys = map(importlib.import_module, ("rosbags.serde", "rosbags.typesys"))
     return serde.SerdeError, typesys.TypesysError, LogError, TypeError, ValueError, RecursionError
-
-
-def _stamp(message: Any) -> int:
-    """Return when a message was measured, ns; 0 if it does not say."""
-    stamp = getattr(getattr(message, "header", None), "stamp", None)
-    return 0 if stamp is None else stamp.sec * 1_000_000_000 + stamp.nanosec

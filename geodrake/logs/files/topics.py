@@ -197,7 +197,7 @@ def joined_topics(path: Path, topics: Sequence[Topic], reading: Reading) -> LogT
     tables: list[LogTable] = []
     for topic, rows in spoken:
         table = _part_table(topic, rows)
-        table = table if rows.all_stamped else on_clock(table, clock)
+        table = table if rows.clock else on_clock(table, clock)
         known = {name for each in tables for name in each.columns} - {"time"}
         new = {name: column for name, column in table.columns.items() if name not in known}
         tables.append(replace(table, columns=new))
