@@ -147,24 +147,35 @@ def bare_mcap(folder, log):
     return path
 
 
-def ros1_bag(folder, log):
-    from rosbags.rosbag1 import Writer
+def ros1_store():
+    """The types of ROS 1, and what makes a header of one stamp."""
     from rosbags.typesys import Stores, get_typestore
 
     store = get_typestore(Stores.ROS1_NOETIC)
     Header, Time = (
         store.types[name] for name in ("std_msgs/msg/Header", "builtin_interfaces/msg/Time")
     )
+    return store, lambda ns: Header(0, Time(ns // 10**9, ns % 10**9), "")
 
-    def header(ns):
-        return Header(0, Time(ns // 10**9, ns % 10**9), "")
 
-    path, kind = folder / "noetic.bag", "sensor_msgs/msg/JointState"
+def write_rosbag1(path, topics, store):
+    """A bag of ROS 1 of topics -> (time, message)s, written by rosbags."""
+    from rosbags.rosbag1 import Writer
+
     with Writer(path) as writer:
-        connection = writer.add_connection("/joint_states", kind, typestore=store)
-        for ns, message in joint_states(store, log, header):
-            writer.write(connection, ns, store.serialize_ros1(message, kind))
+        for topic, each in topics.items():
+            messages = list(each)
+            kind = messages[0][1].__msgtype__
+            connection = writer.add_connection(topic, kind, typestore=store)
+            for ns, message in messages:
+                writer.write(connection, ns, store.serialize_ros1(message, kind))
     return path
+
+
+def ros1_bag(folder, log):
+    store, header = ros1_store()
+    states = joint_states(store, log, header)
+    return write_rosbag1(folder / "noetic.bag", {"/joint_states": states}, store)
 
 
 def named_columns(log):
@@ -214,6 +225,16 @@ def polars_feather(folder, log):
     return path
 
 
+def blank(kind, joints):
+    """A status message of LCM with zeros for some joints."""
+    status = kind()
+    status.num_joints = joints
+    for name in status.__slots__:
+        if name.startswith("joint_"):
+            setattr(status, name, [0.0] * joints)
+    return status
+
+
 def lcm_log(folder, log):
     """What lcm-logger keeps of a KUKA iiwa, whose torques have the other sign."""
     import lcm
@@ -222,10 +243,8 @@ def lcm_log(folder, log):
     path = folder / "lcmlog-2026-05-01.00"
     events = lcm.EventLog(str(path), "w")
     for k, since in enumerate(nanoseconds(log)):
-        status = lcmt_iiwa_status()
-        status.utime, status.num_joints = (since + EPOCH) // 1000, len(log.joints)
-        for name in status.__slots__[2:]:
-            setattr(status, name, [0.0] * len(log.joints))
+        status = blank(lcmt_iiwa_status, len(log.joints))
+        status.utime = (since + EPOCH) // 1000
         status.joint_position_measured = log.position[k].tolist()
         status.joint_velocity_estimated = log.velocity[k].tolist()
         status.joint_torque_measured = (-log.effort[k]).tolist()

@@ -95,11 +95,10 @@ def claiming(shape, descr="<f8"):
     return only("elbow.effort", lambda data: array_header(shape, descr) + data[128:])
 
 
-def flagged(flags, method):
-    """An archive whose directory has other flags and compression."""
+def encrypted():
+    """An archive whose directory says that its members are encrypted."""
     first, *parts = npz().split(b"PK\x01\x02")
-    changed = (part[:4] + bytes([flags, 0, method, 0]) + part[8:] for part in parts)
-    return b"PK\x01\x02".join([first, *changed])
+    return b"PK\x01\x02".join([first, *(part[:4] + b"\1" + part[5:] for part in parts)])
 
 
 def bomb(path):

@@ -27,11 +27,6 @@ def low_pass():
     return design_filter(PERIOD, BANDWIDTH)
 
 
-@pytest.fixture
-def noise():
-    return np.random.default_rng(3).standard_normal((200_000, 1))
-
-
 def test_kernel_is_symmetric_and_keeps_constants(low_pass):
     assert np.array_equal(low_pass.kernel, low_pass.kernel[::-1])
     assert low_pass.kernel.sum() == pytest.approx(1.0)
@@ -39,32 +34,24 @@ def test_kernel_is_symmetric_and_keeps_constants(low_pass):
     assert np.allclose(low_pass.smooth(np.full(1000, 3.0)), 3.0)
 
 
-@pytest.mark.parametrize("frequency", [0.5, 2.0, PASSBAND * BANDWIDTH])
-def test_passband_is_untouched_and_without_lag(low_pass, frequency):
-    time = PERIOD * np.arange(5000)
-    signal = np.sin(2 * np.pi * frequency * time)
-    inner = slice(low_pass.halfwidth, -low_pass.halfwidth)
-    smooth = low_pass.smooth(signal)
-    assert np.abs(smooth - signal)[inner].max() < 1e-3
-    lags = np.correlate(smooth[inner], signal[inner], "full")
-    assert np.argmax(lags) == len(signal[inner]) - 1
-    assert np.abs(low_pass.apply(signal) - signal[low_pass.output_indices(5000)]).max() < 1e-3
-
-
 @pytest.mark.parametrize("frequency", [0.3, 3.0, PASSBAND * BANDWIDTH])
-def test_derivatives_of_sinusoids(low_pass, frequency):
+def test_passband_is_untouched_and_without_lag(low_pass, frequency):
     time = PERIOD * np.arange(5000)
     rate = 2 * np.pi * frequency
     inner = slice(low_pass.halfwidth, -low_pass.halfwidth)
-    position = low_pass.smooth(np.sin(rate * time))
+    signal = np.sin(rate * time)
+    position = low_pass.smooth(signal)
+    assert np.abs(position - signal)[inner].max() < 1e-3
+    assert np.abs(low_pass.apply(signal) - signal[low_pass.output_indices(5000)]).max() < 1e-3
     velocity = differentiate(position, PERIOD)
     acceleration = differentiate(velocity, PERIOD)
     assert np.abs(velocity - rate * np.cos(rate * time))[inner].max() < 1e-3 * rate
     assert np.abs(acceleration + rate**2 * np.sin(rate * time))[inner].max() < 1e-3 * rate**2
 
 
-@pytest.mark.parametrize("share", [0.01, 0.05, 0.13, 0.17, 0.19, 0.22, 0.25])
-def test_filtered_white_noise_is_white_after_decimation(noise, share):
+@pytest.mark.parametrize("share", [0.01, 0.13, 0.19, 0.25])
+def test_filtered_white_noise_is_white_after_decimation(share):
+    noise = np.random.default_rng(3).standard_normal((200_000, 1))
     low_pass = design_filter(PERIOD, share / PERIOD)
     filtered = low_pass.apply(noise)[:, 0]
     assert np.std(filtered) == pytest.approx(low_pass.noise_gain, rel=0.05)
@@ -87,21 +74,17 @@ def test_chunks_are_the_whole(n, size, bandwidth):
     assert np.array_equal(np.concatenate(parts), whole)
 
 
-@pytest.mark.parametrize("bandwidth", [0.0, -1.0, 126.0, np.nan])
-def test_bandwidth_out_of_range(bandwidth):
-    with pytest.raises(ArgumentError, match="500 Hz"):
-        design_filter(PERIOD, bandwidth)
-
-
-@pytest.mark.parametrize("period", [0.0, -0.1, np.nan])
-def test_period_out_of_range(period):
-    with pytest.raises(ArgumentError, match="above zero"):
-        design_filter(period, 1.0)
-
-
-def test_derivatives_of_too_little():
+def test_what_no_filter_can_have():
+    for bandwidth in (0.0, -1.0, 126.0, np.nan):
+        with pytest.raises(ArgumentError, match="500 Hz"):
+            design_filter(PERIOD, bandwidth)
+    for period in (0.0, -0.1, np.nan):
+        with pytest.raises(ArgumentError, match="above zero"):
+            design_filter(period, 1.0)
     with pytest.raises(ArgumentError, match="6 samples; got 5"):
         differentiate(np.zeros(5), PERIOD)
+    with pytest.raises(LogError, match="32 samples"):
+        choose_bandwidth([(np.zeros((20, 1)), 0.01)])
 
 
 def test_resampled_efforts_do_not_overshoot():
@@ -130,12 +113,7 @@ def test_bandwidth_holds_the_motion(highest, noise):
     assert 3.0 * highest < chosen < 12.0 * highest
 
 
-def test_bandwidth_of_too_little():
-    with pytest.raises(LogError, match="32 samples"):
-        choose_bandwidth([(np.zeros((20, 1)), 0.01)])
-
-
-@pytest.mark.parametrize("length", [2, 3, 64, 255, 256, 999, 1000])
+@pytest.mark.parametrize("length", [2, 3, 255, 256, 1000])
 @pytest.mark.parametrize(("window", "name"), [(HANN, "hann"), (BLACKMAN_HARRIS, "blackmanharris")])
 @pytest.mark.parametrize("centered", [True, False])
 def test_densities_are_those_of_scipy(length, window, name, centered):

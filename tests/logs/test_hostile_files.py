@@ -1,15 +1,27 @@
-"""Files of logs that are short, torn or made to do harm: a clear line, and soon."""
+"""Logs that are short, torn, made to do harm or hold what no sensor says: a clear line, and soon.
 
+Numbers beyond measure are told of in words, not by warnings of NumPy, which fail here.
+"""
+
+import os
 import struct
+from dataclasses import replace
 
 import numpy as np
 import pytest
+from foreign_logs import blank, lerobot, rosbag2_mcap, rosbag2_sqlite3
+from pendulum_logs import PENDULUM, pendulum_log
 
 from geodrake.errors import LogError
+from geodrake.identification.logs.compare import compare
+from geodrake.logs import JointLog
 from geodrake.logs.files import read_log
 from geodrake.logs.files.table import check_room
 from geodrake.logs.frames import log_of_frame
 from geodrake.logs.inspection import inspect_log
+from geodrake.logs.unit_hints import effort_unit_hint
+from geodrake.model.logged_joints import model_of_logs
+from geodrake.model.saved_model import load_model
 
 
 def columns(rows):
@@ -17,7 +29,7 @@ def columns(rows):
     return {"time": t, "a.position": np.sin(t), "a.effort": np.cos(3.0 * t)}
 
 
-@pytest.mark.parametrize("rows", [10, 11, 30, 49, 50, 51, 60])
+@pytest.mark.parametrize("rows", [10, 11, 49, 50, 51])
 def test_logs_shorter_than_a_window_are_inspected(tmp_path, rows):
     np.savez(tmp_path / "short.npz", **columns(rows))
     assert len(inspect_log(tmp_path / "short.npz").log) == rows
@@ -82,12 +94,8 @@ def spoiled_lcm(path, spoil):
 
     events = lcm.EventLog(str(path), "w")
     for k in range(60):
-        status = lcmt_iiwa_status()
-        status.num_joints, status.utime = 1, 5000 * (k + 1)
-        for name in status.__slots__:
-            if name.startswith("joint_"):
-                setattr(status, name, [np.sin(0.1 * k)])
-        status.utime = spoil.get("utime", status.utime)
+        status = blank(lcmt_iiwa_status, 1)
+        status.utime = spoil.get("utime", 5000 * (k + 1))
         data = status.encode()
         if k == 20:
             data = spoil.get("cut", lambda whole: whole)(data)
@@ -102,7 +110,6 @@ def spoiled_lcm(path, spoil):
         ({"cut": lambda data: data[:-3]}, "Message 20 .*IIWA_STATUS.* cut off"),
         ({"cut": lambda data: data[:16] + struct.pack(">i", -1) + data[20:]}, "Message 20 "),
         ({"utime": 2**62}, "Message 1 of IIWA_STATUS is stamped .* which cannot be"),
-        ({"utime": -(2**62)}, "Message 1 of IIWA_STATUS is stamped .* which cannot be"),
     ],
 )
 def test_messages_of_lcm_that_are_none(tmp_path, spoil, words):
@@ -118,10 +125,6 @@ def test_messages_of_lcm_beyond_measure(tmp_path):
         read_log(path)
 
 
-def objects(values):
-    return {**columns(60), "a.effort": np.array(values, object)}
-
-
 @pytest.mark.parametrize(
     "effort",
     [[10**400] * 60, [1j] * 60, [object()] * 60, ["1_0"] * 60],
@@ -129,7 +132,7 @@ def objects(values):
 )
 def test_objects_that_are_no_numbers_are_not_missing_ones(effort):
     with pytest.raises(LogError, match=r"a\.effort.* (holds no numbers|neither a number)"):
-        log_of_frame(objects(effort))
+        log_of_frame({**columns(60), "a.effort": np.array(effort, object)})
 
 
 def test_masked_values_are_missing():
@@ -152,3 +155,64 @@ def test_tables_with_more_columns_than_any_robot(tmp_path):
     path.write_text(f"time,{','.join(f'c{k}' for k in range(20_000))}\n", encoding="utf-8")
     with pytest.raises(LogError, match="20001 columns; at most 10000 are read"):
         read_log(path)
+
+
+@pytest.mark.parametrize(
+    ("write", "place"),
+    [
+        (rosbag2_sqlite3, "metadata.yaml"),
+        (rosbag2_sqlite3, "bag_SQLITE3.db3"),
+        (rosbag2_sqlite3, "bag_SQLITE3.db3-wal"),
+        (rosbag2_mcap, "metadata.yaml"),
+        (rosbag2_mcap, "bag_MCAP.mcap"),
+        (lerobot, "meta/info.json"),
+        (lerobot, "data/chunk-000/file-000.parquet"),
+        (lerobot, "data/chunk-000/more.parquet"),
+    ],
+)
+def test_a_pipe_in_the_folder_of_a_log_is_refused(tmp_path, write, place):
+    time = 0.01 * np.arange(50)
+    q = np.sin(time)[:, None]
+    path = write(tmp_path, JointLog("log", ("a",), time, q, q, q))
+    read_log(path, joints=("a",))
+    (path / place).unlink(missing_ok=True)
+    os.mkfifo(path / place)
+    with pytest.raises(LogError, match="is a pipe, not a file"):
+        read_log(path, joints=("a",))
+
+
+@pytest.fixture(scope="module")
+def pendulum():
+    return pendulum_log(1, seconds=10.0)
+
+
+@pytest.mark.parametrize("size", [1e308, -1e200, 1e-200])
+def test_efforts_of_any_size_are_compared_or_refused(pendulum, size):
+    wrong = replace(pendulum, effort=size * np.sin(pendulum.effort))
+    model = load_model(PENDULUM)
+    assert model_of_logs(model, [wrong]).joints == model.joints
+    try:
+        found = compare(model, [wrong])
+    except LogError as error:
+        assert "no robot in SI units has that" in error.problem or "never changes" in error.problem
+    else:
+        assert np.isfinite(found.errors.nrms)
+
+
+@pytest.mark.parametrize("factor", [1e200, 1e-200])
+def test_times_of_any_length_are_inspected_or_refused(pendulum, tmp_path, factor):
+    path = tmp_path / "log.csv"
+    rows = np.column_stack([factor * pendulum.time, pendulum.position, pendulum.effort])
+    names = ["time", *(f"{j}.{q}" for q in ("position", "effort") for j in pendulum.joints)]
+    np.savetxt(path, rows, delimiter=",", header=",".join(names), comments="")
+    if factor > 1.0:
+        with pytest.raises(LogError, match=r"Time in log 'log' reaches .* which no log does"):
+            inspect_log(path)
+    else:
+        assert not inspect_log(path).rests
+
+
+def test_limits_that_are_next_to_nothing_say_nothing_of_units(pendulum):
+    assert effort_unit_hint(pendulum, 1e-308) is None
+    strong = replace(pendulum, effort=np.full_like(pendulum.effort, 1e308))
+    assert "other units" in effort_unit_hint(strong, 1e-8)

@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from servo_logs import PENDULUM, TRUTH, servo_log
+from servo_logs import PENDULUM, PERIOD, TRUTH, servo_log
 
 from geodrake import load_model
 from geodrake.errors import ArgumentError
@@ -53,62 +53,46 @@ def pendulum(tmp_path_factory):
     return load_model(path)
 
 
-@pytest.fixture
-def slow(tmp_path):
-    """A log in which hardly anything tells the stiffness: a slow swing by a few degrees."""
-    log = servo_log()
-    path = tmp_path / "slow.csv"
-    time = log.time - log.time[0]
+def mine(folder, **values):
+    """A motor by a file of one's own: quantity -> value and deviation."""
+    path = folder / "mine.yaml"
+    told = ", ".join(f"{name}: [{at}, {off}, at home]" for name, (at, off) in values.items())
+    path.write_text(f"mine: {{{told}}}")
+    return motor_named("mine", known_motors(path))
+
+
+def armature(fits):
+    at = PARAMETERS.index("armature")
+    return fits["hinge"].parameters[at], fits["hinge"].deviations[at]
+
+
+def test_a_data_sheet_tells_what_a_log_does_not(pendulum, tmp_path):
+    """A slow swing by a few degrees hardly tells stiffness or armature."""
+    time = np.arange(0.0, 16.0, PERIOD)
     q = 0.02 * np.sin(0.7 * time)
     told = q + 0.01 * np.tanh(3.0 * np.cos(0.7 * time))
     rows = np.column_stack([time, np.round(q, 3), told])
-    np.savetxt(path, rows, delimiter=",", header="time,hinge.position,hinge.command", comments="")
-    return path
-
-
-def test_a_data_sheet_tells_the_stiffness_that_a_log_does_not(pendulum, slow, tmp_path):
-    path = tmp_path / "mine.yaml"
-    path.write_text(f"mine: {{stiffness: [{TRUTH[0]}, 6.0, measured at home]}}")
-    mine = motor_named("mine", known_motors(path))
+    path, names = tmp_path / "slow.csv", "time,hinge.position,hinge.command"
+    np.savetxt(path, rows, delimiter=",", header=names, comments="")
+    motor = mine(tmp_path, stiffness=(TRUTH[0], 6.0), armature=(TRUTH[4], 0.1 * TRUTH[4]))
     signals = []
-    for motors in ({}, {"": mine}):
-        log = read_log(slow, joints=pendulum.joints, reading=Reading(motors=motors))
+    for motors in ({}, {"": motor}):
+        log = read_log(path, joints=pendulum.joints, reading=Reading(motors=motors))
         model, _, notes = calibrate_efforts(pendulum, [log])
         signals += model.effort_signals
     unknown, told = signals
     assert told.uncertainty < 0.12 < unknown.uncertainty
     assert abs(told.gain - TRUTH[0]) < 2.0 * told.deviation
     assert "of what is published of mine" in notes[-1]
+    found, deviation = armature(with_servo_motions(model, [log])[1])
+    assert found == pytest.approx(TRUTH[4], rel=0.3) and deviation < 0.2 * TRUTH[4]
 
 
-def test_a_log_that_tells_the_stiffness_overrules_a_wrong_data_sheet(pendulum, tmp_path):
-    path = tmp_path / "mine.yaml"
-    path.write_text("mine: {stiffness: [120.0, 60.0, a catalogue]}")
-    log = replace(servo_log(), motors={"hinge": motor_named("mine", known_motors(path))})
-    (signal,) = calibrate_efforts(pendulum, [log])[0].effort_signals
-    assert signal.gain == pytest.approx(TRUTH[0], rel=0.02)
-
-
-@pytest.mark.parametrize("published", [1.0, 2.0])
-def test_a_motion_that_tells_the_armature_overrules_a_wrong_data_sheet(
-    pendulum, tmp_path, published
-):
-    path = tmp_path / "mine.yaml"
-    armature = published * TRUTH[4]
-    path.write_text(f"mine: {{armature: [{armature}, {0.5 * armature}, a catalogue]}}")
-    log = replace(servo_log(), motors={"hinge": motor_named("mine", known_motors(path))})
-    model, fits = with_servo_motions(calibrate_efforts(pendulum, [log])[0], [log])
-    found = fits["hinge"].parameters[PARAMETERS.index("armature")]
-    assert found == pytest.approx(TRUTH[4], rel=0.15)
+def test_a_log_that_tells_overrules_a_wrong_data_sheet(pendulum, tmp_path):
+    motor = mine(tmp_path, stiffness=(120.0, 60.0), armature=(2.0 * TRUTH[4], TRUTH[4]))
+    log = replace(servo_log(), motors={"hinge": motor})
+    model = calibrate_efforts(pendulum, [log])[0]
+    assert model.effort_signals[0].gain == pytest.approx(TRUTH[0], rel=0.02)
+    model, fits = with_servo_motions(model, [log])
+    assert armature(fits)[0] == pytest.approx(TRUTH[4], rel=0.15)
     assert any(fitted.effect.name == "rotor_inertia" for fitted in model.effects)
-
-
-def test_a_data_sheet_tells_the_armature_that_a_log_does_not(pendulum, slow, tmp_path):
-    path = tmp_path / "mine.yaml"
-    path.write_text(f"mine: {{armature: [{TRUTH[4]}, {0.1 * TRUTH[4]}, a catalogue]}}")
-    motors = {"": motor_named("mine", known_motors(path))}
-    log = read_log(slow, joints=pendulum.joints, reading=Reading(motors=motors))
-    fits = with_servo_motions(calibrate_efforts(pendulum, [log])[0], [log])[1]
-    at = PARAMETERS.index("armature")
-    assert fits["hinge"].parameters[at] == pytest.approx(TRUTH[4], rel=0.3)
-    assert fits["hinge"].deviations[at] < 0.2 * TRUTH[4]

@@ -38,17 +38,15 @@ def test_columns_in_any_order_with_spaces_and_strangers(tmp_path):
 
 
 def test_velocity_of_some_joints_only_is_noted(tmp_path):
-    rows = [row + ",0" for row in ROWS]
-    log = read_log(_write(tmp_path, HEADER + ",a.velocity", rows))
-    assert log.velocity is None
-    assert "b.velocity" in log.notes[0]
+    log = read_log(_write(tmp_path, HEADER + ",a.velocity", [row + ",0" for row in ROWS]))
+    assert log.velocity is None and "b.velocity" in log.notes[0]
 
 
 numbers = st.floats(-1e9, 1e9) | st.just(np.nan)
 
 
 @pytest.mark.parametrize("suffix", [".csv", ".npz"])
-@settings(max_examples=25, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@settings(max_examples=12, suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(
     steps=arrays(float, st.integers(10, 20), elements=st.floats(1e-6, 1e3)),
     data=st.data(),
@@ -122,22 +120,6 @@ def test_unreadable_files(tmp_path):
         read_log(tmp_path)
     with pytest.raises(LogError, match=r"'\.docx'"):
         read_log(_write(tmp_path, name="log.docx"))
-    binary = tmp_path / "log.csv"
-    binary.write_bytes(bytes(range(256)) * 10)
-    with pytest.raises(LogError, match="no text in UTF-8"):
-        read_log(binary)
-    archive = _write(tmp_path, name="log.npz")
-    with pytest.raises(LogError, match="no NPZ archive"):
-        read_log(archive)
-
-
-@pytest.mark.parametrize("end", ["\n", "\r\n", "\r"])
-def test_line_ends_of_any_system(tmp_path, end):
-    path = tmp_path / "log.csv"
-    path.write_bytes(end.join([HEADER, *ROWS]).encode())
-    log = read_log(path)
-    assert len(log) == len(ROWS)
-    assert log.effort[-1, -1] == float(ROWS[-1].split(",")[-1])
 
 
 def test_times_with_a_unit_of_their_own(tmp_path):
@@ -150,9 +132,6 @@ def test_times_with_a_unit_of_their_own(tmp_path):
 def test_bad_arrays(tmp_path):
     good = {name: np.arange(12.0) for name in HEADER.split(",")}
     path = tmp_path / "log.npz"
-    np.savez(path, **{**good, "a.effort": np.arange(11.0)})
-    with pytest.raises(LogError, match=r"'a\.effort' of log .* has 11 rows, and others have 12"):
-        read_log(path)
     np.savez(path, **{**good, "a.effort": np.array(["x"] * 12)})
     with pytest.raises(LogError, match=r"'a.effort'.* holds 'x', which is neither"):
         read_log(path)
@@ -198,9 +177,8 @@ def as_sheet(path):
     book.active.append(["recorded by hand"])
     sheet = book.create_sheet("run 1")
     header, *rows = (line.split(",") for line in TABLE.splitlines())
-    sheet.append(header)
-    for row in rows:
-        sheet.append([float(cell) for cell in row])
+    for row in (header, *(map(float, row) for row in rows)):
+        sheet.append([*row])
     book.save(path)
 
 
@@ -222,9 +200,7 @@ def test_packed_tables_sheets_and_records_are_tables(tmp_path, name, write):
     path = tmp_path / name
     write(path)
     log = read_log(path)
-    assert log.name == "log"
-    assert (len(log), log.joints) == (50, ("a",))
-    assert log.effort[7, 0] == 2.0
+    assert (log.name, len(log), log.joints, log.effort[7, 0]) == ("log", 50, ("a",), 2.0)
     path.write_bytes(path.read_bytes()[: path.stat().st_size // 2])
     with pytest.raises(LogError, match="can be read"):
         read_log(path)

@@ -4,6 +4,7 @@ import re
 from datetime import UTC, datetime, timedelta
 
 import numpy as np
+import pandas
 import pytest
 
 from geodrake.errors import LogError
@@ -40,10 +41,9 @@ def indexed(name, count, form="{}_{}", first=0):
 
 def check(log, joints, q, v, tau):
     assert log.joints == joints
-    assert np.allclose(log.position, q, atol=1e-12)
-    assert (v is None) == (log.velocity is None)
-    assert v is None or np.allclose(log.velocity, v, atol=1e-12)
-    assert np.allclose(log.effort, tau, atol=1e-12)
+    for found, truth in ((log.position, q), (log.velocity, v), (log.effort, tau)):
+        assert (found is None) == (truth is None)
+        assert truth is None or np.allclose(found, truth, atol=1e-12)
 
 
 LAYOUTS = {
@@ -56,7 +56,6 @@ LAYOUTS = {
         *(PANDA, ",", "time", "{}[{}]", 0),
         "q_d q+1 dq_d v+1 q q dq v tau_J_d tau+1 tau_J tau dtau_J tau+1 tau_ext_hat_filtered tau+1",
     ),
-    "KUKA": (IIWA, "\t", "Time", "{}_A{}", 1, "MeasuredJointPosition q MeasuredTorque tau"),
     "KUKA in degrees": (IIWA, "\t", "Time", "{}{}", 1, "AxisPos_deg deg AxisTorque_Nm tau"),
     "KUKA by LCM": (
         *(IIWA, "\t", "Time", "{}[{}]", 0),
@@ -139,17 +138,11 @@ def test_separators_and_comments(tmp_path, separator, head):
     check(read_log(path), ("a", "b"), q, None, tau)
 
 
-def test_names_in_a_comment_and_decimal_commas(tmp_path):
+def test_names_in_a_comment(tmp_path):
     time, q, _, tau = motion(("a", "b"))
     path = tmp_path / "log.txt"
     np.savetxt(path, np.column_stack([time, q, tau]), header="t q1 q2 tau1 tau2")
     check(read_log(path, joints=("a", "b")), ("a", "b"), q, None, tau)
-    text = "time;a.position;a.effort\n" + "".join(
-        f"{t:.4f};{x:.9f};{y:.9f}\n" for t, x, y in zip(time, q[:, 0], tau[:, 0], strict=True)
-    ).replace(".", ",")
-    path.write_text(text)
-    log = read_log(path)
-    assert np.allclose(log.effort[:, 0], tau[:, 0], atol=1e-8)
 
 
 def test_commas_within_lists_are_no_decimal_commas(tmp_path):
@@ -194,42 +187,39 @@ def test_units_by_option(tmp_path):
 def test_position_and_effort_in_two_files(tmp_path, stamped):
     time, q, _, tau = motion(("a", "b"))
     every = 2 if stamped else 1
-    first, second = tmp_path / "positions.csv", tmp_path / "efforts.csv"
-    if stamped:
-        write(first, ["time", "a", "b"], [time, q])
-        write(second, ["time", "a", "b"], [time[::every], tau[::every]])
-    else:
-        np.savetxt(first, q, delimiter=",")
-        np.savetxt(second, tau, delimiter=",")
+    paths = tmp_path / "positions.csv", tmp_path / "efforts.csv"
+    for path, rows, values in zip(paths, (time, time[::every]), (q, tau[::every]), strict=True):
+        if stamped:
+            write(path, ["time", "a", "b"], [rows, values])
+        else:
+            np.savetxt(path, values, delimiter=",")
     reading = Reading() if stamped else Reading(rate=500.0)
-    log = read_log(f"{first}+{second}", joints=("a", "b"), reading=reading)
+    log = read_log("+".join(map(str, paths)), joints=("a", "b"), reading=reading)
     check(log, ("a", "b"), q[::every], None, tau[::every])
     assert np.allclose(log.time, time[::every])
 
 
-@pytest.mark.parametrize("kinds", ["csv npz", "npz csv", "parquet npz", "csv parquet"])
+@pytest.mark.parametrize("kinds", ["csv npz", "parquet npz", "csv parquet"])
 def test_files_of_any_formats_are_joined(tmp_path, kinds):
-    import pandas as pd
-
     time, q, _, tau = motion(("a", "b"))
     stamps = np.datetime64("2026-05-01T12:00") + np.round(1e9 * time).astype("timedelta64[ns]")
     paths = []
     for kind, stem, values in zip(kinds.split(), ("positions", "efforts"), (q, tau), strict=True):
-        rows = slice(None) if stem == "positions" else slice(20, None)  # begins later
-        columns = {"time": stamps[rows], "a": values[rows, 0], "b": values[rows, 1]}
+        first = 20 * (stem == "efforts")  # which begins later
+        frame = pandas.DataFrame(dict(zip("ab", values.T, strict=True))).assign(time=stamps)[first:]
         paths.append(tmp_path / f"{stem}.{kind}")
-        if kind == "npz":
-            np.savez(paths[-1], **columns)
-        else:
-            frame = pd.DataFrame(columns)
-            frame.to_csv(paths[-1], index=False) if kind == "csv" else frame.to_parquet(paths[-1])
+        {
+            "npz": lambda path, frame=frame: np.savez(path, **frame),
+            "csv": frame.to_csv,
+            "parquet": frame.to_parquet,
+        }[kind](paths[-1])
     log = read_log("+".join(map(str, paths)), joints=("a", "b"))
     there = np.isfinite(log.effort).all(axis=1) & np.isfinite(log.position).all(axis=1)
     assert there.sum() >= len(time) - 20
     ours = np.searchsorted(time, log.time[there] - 1e-6)
-    assert np.allclose(log.time[there], time[ours], atol=1e-9)
-    assert np.allclose(log.position[there], q[ours], atol=1e-6)
-    assert np.allclose(log.effort[there], tau[ours], atol=1e-6)
+    found = (log.time[there], log.position[there], log.effort[there])
+    for values, truth in zip(found, (time[ours], q[ours], tau[ours]), strict=True):
+        assert np.allclose(values, truth, atol=1e-6)
 
 
 def test_joined_files_without_a_common_clock(tmp_path):
@@ -253,9 +243,9 @@ def test_joined_files_without_a_common_clock(tmp_path):
 
 def test_joined_files_with_nanoseconds_of_their_own(tmp_path):
     time, q, _, tau = motion(("a",))
-    stamps = [1_777_000_000 + np.floor(time), np.rint(1e9 * (time % 1.0))]
-    first = write(tmp_path / "positions.csv", ["sec", "nanosec", "a"], [*stamps, q])
-    second = write(tmp_path / "efforts.csv", ["sec", "nanosec", "a"], [*stamps, tau])
+    names, stamps = ["sec", "nanosec", "a"], [1_777_000_000 + np.floor(time), 1e9 * (time % 1.0)]
+    first = write(tmp_path / "positions.csv", names, [*stamps, q])
+    second = write(tmp_path / "efforts.csv", names, [*stamps, tau])
     log = read_log(f"{first}+{second}")
     assert np.allclose(log.time - log.time[0], time - time[0], atol=1e-6)
     assert np.allclose(log.effort, tau)
@@ -281,43 +271,30 @@ def test_two_files_that_do_not_fit(tmp_path):
 
 
 GARBAGE = {
-    "text in a cell": (lambda rows: rows.__setitem__(300, "3.00,oops,1.0"), "301"),
-    "a row cut off": (lambda rows: rows.__setitem__(300, "3.0"), "301"),
-    "time that jumps back": (
-        lambda rows: rows.__setitem__(slice(500, 503), [f"1.0{k},1,1" for k in range(3)]),
-        "501 to 503",
-    ),
-    "time that jumps ahead": (lambda rows: rows.__setitem__(700, "9e9,1.0,1.0"), "701"),
-    "garbage twice": (
-        lambda rows: (rows.__setitem__(10, "\x01\x02"), rows.__setitem__(20, "x,y,z")),
-        "11, 21",
-    ),
+    "text in a cell": ({300: "3.00,oops,1.0"}, "301"),
+    "a row cut off": ({300: "3.0"}, "301"),
+    "time that jumps back": ({500 + k: f"1.0{k},1,1" for k in range(3)}, "501 to 503"),
+    "time that jumps ahead": ({700: "9e9,1.0,1.0"}, "701"),
+    "garbage twice": ({10: "\x01\x02", 20: "x,y,z"}, "11, 21"),
 }
 
 
 @pytest.mark.parametrize("kind", GARBAGE)
 def test_torn_rows_are_named_and_left_out_if_asked(tmp_path, kind):
-    tear, numbers = GARBAGE[kind]
-    rows = [f"{0.01 * k:.2f},{np.sin(0.1 * k)},{k % 7}" for k in range(1000)]
-    whole = len(rows)
-    tear(rows)
+    torn, numbers = GARBAGE[kind]
+    whole = {k: f"{0.01 * k:.2f},{np.sin(0.1 * k)},{k % 7}" for k in range(1000)}
     path = tmp_path / "log.csv"
-    path.write_text("\n".join(["time,a.position,a.effort", *rows]) + "\n")
-    with pytest.raises(LogError) as caught:
+    path.write_text("\n".join(["time,a.position,a.effort", *(whole | torn).values()]) + "\n")
+    with pytest.raises(LogError, match=rf"(?i){numbers.split(',')[0]}.*--skip-bad-rows"):
         read_log(path)
-    assert "--skip-bad-rows" in str(caught.value)
-    assert numbers.split(",")[0] in str(caught.value).lower()
     log = read_log(path, reading=Reading(skip_bad_rows=True))
-    count = {"501 to 503": 3, "11, 21": 2}.get(numbers, 1)
-    assert log.notes == (f"left out {count} bad rows of {whole}: {numbers}",)
-    assert len(log) == whole - count
+    assert log.notes == (f"left out {len(torn)} bad rows of 1000: {numbers}",)
+    assert len(log) == 1000 - len(torn)
     assert np.all(np.diff(log.time) > 0)
 
 
 def test_more_than_one_per_cent_is_not_left_out(tmp_path):
-    rows = [f"{0.01 * k:.2f},{k},{k}" for k in range(1000)]
-    for k in range(0, 1000, 50):
-        rows[k] = "x,y,z"
+    rows = [f"{0.01 * k:.2f},{k},{k}" if k % 50 else "x,y,z" for k in range(1000)]
     path = tmp_path / "log.csv"
     path.write_text("\n".join(["time,a.position,a.effort", *rows]) + "\n")
     with pytest.raises(LogError, match=r"Row 1,.*Bad rows are 1, 51, 101.* At most 1 %"):
@@ -342,6 +319,9 @@ def test_mapping(tmp_path):
     log = read_log(path, joints=("elbow", "shoulder"), reading=Reading(mapping=mapping))
     check(log, ("elbow", "shoulder"), q[:, ::-1], None, tau[:, ::-1])
     assert np.allclose(log.time, time)
+    write(path, ["t", *names[1:]], [time, q, currents, tau])
+    with pytest.raises(LogError, match=r"no column 'ticks', which mapping .*m\.yaml names"):
+        read_log(path, reading=Reading(mapping=mapping))
 
 
 def test_mapped_signals(tmp_path):
@@ -384,27 +364,16 @@ def test_mapped_signals(tmp_path):
         (("column: i_e", "column: phi_e"), "names column 'phi_e' twice"),
         (("unit: ms", "unit: fortnight"), "'fortnight' is no known unit of time"),
         (("gain: 3.0", "gain: 0"), "other than 0"),
-        (("gain: 3.0", "gain: many"), "which is not a number"),
         (("time:", "zeit:"), "unknown field 'zeit'"),
         (("time: {column: ticks, unit: ms}", ""), "neither `time` nor `rate`"),
         (("column: 4", "column: [4]"), "expected"),
         (("joints:", "joints: none #"), "is not valid YAML"),
-        (("position", "colour"), "unknown field 'colour'"),
-        (("shoulder:", "shoulder: ["), "is not valid YAML"),
     ],
 )
 def test_mappings_that_cannot_be(tmp_path, change, words):
     (tmp_path / "m.yaml").write_text(MAPPING.replace(*change))
     with pytest.raises(LogError, match=words):
         read_mapping(tmp_path / "m.yaml")
-
-
-def test_a_mapping_of_other_columns(tmp_path):
-    time, q, _, tau = motion(("shoulder", "elbow"))
-    path = write(tmp_path / "log.csv", ["t", "a", "b", "c", "d"], [time, q, tau])
-    (tmp_path / "m.yaml").write_text(MAPPING)
-    with pytest.raises(LogError, match=r"no column 'ticks', which mapping .*m\.yaml names"):
-        read_log(path, reading=Reading(mapping=read_mapping(tmp_path / "m.yaml")))
 
 
 def test_the_proposal_of_a_failed_reading_reads_the_log(tmp_path):
@@ -433,12 +402,12 @@ def test_a_line_of_units_below_the_header(tmp_path):
 
 
 def test_matrices_in_archives(tmp_path):
-    time, q, v, tau = motion(PANDA)
-    np.savez(tmp_path / "log.npz", t=time, q=q, dq=v, tau=tau, O_T_EE=np.zeros((3, 4, 4)))
-    check(read_log(tmp_path / "log.npz", joints=PANDA), PANDA, q, v, tau)
-    np.savez(tmp_path / "log.npz", t=time, q=q[:50], dq=v, tau=tau)
+    (time, q, v, tau), path = motion(PANDA), tmp_path / "log.npz"
+    np.savez(path, t=time, q=q, dq=v, tau=tau, O_T_EE=np.zeros((3, 4, 4)))
+    check(read_log(path, joints=PANDA), PANDA, q, v, tau)
+    np.savez(path, t=time, q=q[:50], dq=v, tau=tau)
     with pytest.raises(LogError, match=r"'q' of log .* has 50 rows, and others have 200"):
-        read_log(tmp_path / "log.npz", joints=PANDA)
+        read_log(path, joints=PANDA)
 
 
 DATES = {
@@ -459,12 +428,10 @@ def dated_rows(time, form):
 @pytest.mark.parametrize("header", [True, False])
 def test_dates_are_time(tmp_path, form, header):
     time, q, v, tau = motion(("a",))
-    rows = zip(dated_rows(time, form), q[:, 0], v[:, 0], tau[:, 0], strict=True)
-    lines = [f"{date},{x},{y},{z}" for date, x, y, z in rows]
-    names = ["datetime_ms", "a.position", "a.velocity", "a.effort"]
-    lines[:0] = [",".join(names)] if header else []
-    path = tmp_path / "log.csv"
-    path.write_text("\n".join(lines))
+    names, path = ["datetime_ms", "a.position", "a.velocity", "a.effort"], tmp_path / "log.csv"
+    columns = (dated_rows(time, form), q[:, 0], v[:, 0], tau[:, 0])
+    frame = pandas.DataFrame(dict(zip(names, columns, strict=True)))
+    frame.to_csv(path, index=False, header=header)
     log = read_log(path, reading=Reading(columns=() if header else tuple(names)))
     check(log, ("a",), q, v, tau)
     assert np.allclose(log.time, time, rtol=0, atol=1e-9)
@@ -484,14 +451,12 @@ ORDERS = {
 @pytest.mark.parametrize("kind", ORDERS)
 def test_day_and_month_are_told_once_for_a_column(tmp_path, monkeypatch, kind, suffix):
     """Rows whose dates have both orders may come before the one that tells."""
-    import pandas as pd
-
     monkeypatch.setattr("geodrake.logs.files.text_file._LINES_AHEAD", 10)
     start, form, first, why = ORDERS[kind]
     time, q, _, tau = motion(("a",))
-    begin = pd.Timestamp(start) + pd.Timedelta(seconds=0 if kind == "one day" else 86399.9)
-    frame = pd.DataFrame({"a.position": q[:, 0], "a.effort": tau[:, 0]})
-    moments = begin + pd.to_timedelta(time, unit="s")
+    begin = pandas.Timestamp(start) + pandas.Timedelta(seconds=0 if kind == "one day" else 86399.9)
+    frame = pandas.DataFrame({"a.position": q[:, 0], "a.effort": tau[:, 0]})
+    moments = begin + pandas.to_timedelta(time, unit="s")
     frame.insert(0, "time", moments.strftime(f"{form} %H:%M:%S.%f"))
     path = tmp_path / f"log{suffix}"
     frame.to_csv(path, index=False) if suffix == ".csv" else frame.to_parquet(path)
@@ -507,10 +472,10 @@ def test_dates_elsewhere_say_nothing_of_the_order_in_a_column(tmp_path):
     rows = (f"05/06/2026 00:00:{k:02d},{0.1 * k},{k % 3},14/03/2026 10:00" for k in range(20))
     head = ("# exported 15/05/2026 10:00", "time,a.position,a.effort,calibrated")
     (tmp_path / "log.csv").write_text("\n".join([*head, *rows]))
-    assert any("since 2026-05-06" in note for note in read_log(tmp_path / "log.csv").notes)
+    assert "since 2026-05-06" in " ".join(read_log(tmp_path / "log.csv").notes)
 
 
-@pytest.mark.parametrize("stamp", ["yesterday", "2026-02-30T12:00:00", "12"])
+@pytest.mark.parametrize("stamp", ["yesterday", "2026-02-30T12:00:00"])
 def test_texts_that_are_no_dates(tmp_path, stamp):
     time, q, _, tau = motion(("a",))
     stamps = dated_rows(time, DATES["Z"])
@@ -526,9 +491,8 @@ def test_texts_that_are_no_dates(tmp_path, stamp):
 
 
 def test_dates_are_no_positions(tmp_path):
-    time, _, _, tau = motion(("a",))
-    dates = dated_rows(time, DATES["Z"])
-    lines = [f"{t},{d},{y}" for t, d, y in zip(time, dates, tau[:, 0], strict=True)]
+    rows = enumerate(dated_rows(np.arange(20.0), DATES["Z"]))
+    lines = [f"{t},{date},{t % 3}" for t, date in rows]
     path = tmp_path / "log.csv"
     path.write_text("\n".join(["time,a.position,a.effort", *lines]))
     with pytest.raises(LogError, match=r"'a.position'.*holds dates.*position of a"):

@@ -5,7 +5,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 from measurements import DATA
 
@@ -16,7 +16,6 @@ from geodrake.logs.folds import validation_blocks
 from geodrake.logs.motion import JointLog, Motion, Trajectory, check_joints
 from geodrake.logs.preparation import prepare_logs
 from geodrake.logs.smoothing import Piece, Stretch, smooth_pieces
-from geodrake.logs.unit_hints import effort_unit_hint, position_unit_hint
 
 JOINTS = ("shoulder", "elbow")
 RATES = 2 * np.pi * np.array([0.3, 0.5])
@@ -63,17 +62,11 @@ def test_jittered_stamps_give_smooth_uniform_signals(measured):
     assert np.allclose(segment.effort, segment.time[:, None])
 
 
-def test_any_joint_order():
+def test_joints_in_any_order():
     log = _make_log(_uniform())
     turned = log.select(("elbow", "shoulder"))
     assert np.array_equal(turned.position, log.position[:, ::-1])
-    back = turned.select(JOINTS)
-    assert back.joints == JOINTS
-    assert np.array_equal(back.velocity, log.velocity)
-
-
-def test_joints_that_do_not_match():
-    log = _make_log(_uniform())
+    assert np.array_equal(turned.select(JOINTS).velocity, log.velocity)
     with pytest.raises(LogError, match=r"model has no joint 'elbow'.*nearest: 'elbow_joint'"):
         check_joints(log.name, JOINTS, ("shoulder", "elbow_joint"))
     with pytest.raises(LogError, match=r"no joint 'wrist'"):
@@ -156,10 +149,10 @@ def test_still_throughout():
 
 def test_rows_out_of_order():
     """Shuffled rows, as of benchmarks of regression, have no velocities."""
-    order = np.random.default_rng(0).permutation(1000)
-    swings = np.sin(np.outer(_uniform(10.0), [2.0, 3.0]))
+    log = _make_log(_uniform(10.0))
+    order = np.random.default_rng(0).permutation(len(log))
     with pytest.raises(LogError, match="not in the order of time"):
-        prepare_logs([_make_log(_uniform(10.0), position=swings[order])])[0]
+        prepare_logs([replace(log, position=log.position[order])])
 
 
 def test_too_short():
@@ -170,28 +163,27 @@ def test_too_short():
         prepare_logs([_make_log(_uniform(0.05))], bandwidth=4.0)[0]
 
 
-@pytest.mark.parametrize("unit", [1e3, 1e6, 1e9])
-def test_time_in_other_units(unit):
+def test_time_in_other_units():
     log = _make_log(_uniform())
     with pytest.raises(LogError, match="too rarely") as caught:
-        prepare_logs([replace(log, time=unit * log.time)])[0]
+        prepare_logs([replace(log, time=1e3 * log.time)])
     assert "It must be in s" in caught.value.advice
-    assert caught.value.evidence["period"] == pytest.approx(0.01 * unit)
+    assert caught.value.evidence["period"] == pytest.approx(10.0)
 
 
-def test_velocities_that_disagree_are_not_used():
+@pytest.mark.parametrize(
+    ("measured", "words"),
+    [
+        (lambda time: RATES * np.cos(RATES * time) * [1.0, 1.3], "elbow is 30 % off"),
+        (lambda time: RATES * np.cos(RATES * (time - 0.005)), "5 ms late"),
+    ],
+)
+def test_velocities_that_disagree_are_not_used_and_late_ones_moved(measured, words):
     log = _make_log(_uniform())
-    trajectory = prepare_logs([replace(log, velocity=log.velocity * [1.0, 1.3])], bandwidth=4.0)[0]
+    log = replace(log, velocity=measured(log.time[:, None]))
+    trajectory = prepare_logs([log], bandwidth=4.0)[0]
     assert max(_error(trajectory.segments[0][:])) < 1e-3
-    assert any("elbow is 30 % off" in note for note in trajectory.notes)
-
-
-def test_late_velocities_are_moved():
-    log = _make_log(_uniform())
-    late = RATES * np.cos(RATES * (log.time[:, None] - 0.005))
-    trajectory = prepare_logs([replace(log, velocity=late)], bandwidth=4.0)[0]
-    assert max(_error(trajectory.segments[0][:])) < 1e-3
-    assert any("5 ms late" in note for note in trajectory.notes)
+    assert any(words in note for note in trajectory.notes)
 
 
 def test_shapes_and_time_are_checked():
@@ -206,16 +198,6 @@ def test_shapes_and_time_are_checked():
         replace(log, time=np.where(np.arange(3000) == 3, 0.02, log.time))
     with pytest.raises(ArgumentError, match="as many samples"):
         Motion(np.zeros((3, 2)), np.zeros((3, 2)), np.zeros((2, 2)))
-
-
-def test_unit_hints():
-    log = _make_log(_uniform())
-    assert position_unit_hint(log) is None
-    assert "degrees" in position_unit_hint(replace(log, position=np.degrees(log.position)))
-    assert effort_unit_hint(log, [30.0, np.inf]) is None
-    assert effort_unit_hint(log, [0.0, np.inf]) is None
-    assert "30 times" in effort_unit_hint(log, [30.0, 1.0])
-    assert "1 %" in effort_unit_hint(log, [9000.0, 3100.0])
 
 
 def _trajectories(*lengths):
@@ -241,6 +223,7 @@ def _trajectories(*lengths):
     ]
 
 
+@settings(max_examples=40)
 @given(
     lengths=st.lists(
         st.lists(st.integers(1, 400), min_size=1, max_size=3).filter(lambda n: sum(n) >= 30),
@@ -280,15 +263,10 @@ def test_nothing_to_hold_out():
     ("name", "low", "high"),
     [
         ("ur10e_free_a", 3.5, 10),
-        ("ur10e_free_b", 3.5, 10),
-        ("ur10e_free_c", 3.5, 10),
         ("ur10e_changed", 3.5, 10),
         ("ur10e_ptp", 3.5, 10),
         ("tx40", 10, 40),
         ("double_pendulum_c1_143339", 6, 30),
-        ("double_pendulum_c1_143524", 6, 30),
-        ("double_pendulum_c1_143601", 6, 30),
-        ("double_pendulum_c1_143704", 6, 30),
     ],
 )
 def test_measured_logs(name, low, high):

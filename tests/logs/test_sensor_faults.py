@@ -5,6 +5,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from measurements import DATA
 
 from geodrake.errors import ArgumentError, LogError
 from geodrake.logs.files import read_log
@@ -14,7 +15,7 @@ from geodrake.logs.sensor_faults import LARGEST, without_faults
 from geodrake.logs.uniform_log import make_uniform
 
 ROOT = Path(__file__).parents[2]
-LOGS = sorted((ROOT.parent / "shared" / "data").glob("*.csv"))
+LOGS = (ROOT / "geodrake" / "demo" / "demo.csv", *sorted(DATA.glob("*.csv")))
 
 
 def swing(*, seconds=20.0, rate=200.0, velocity=True, seed=0):
@@ -36,15 +37,9 @@ def changed(log, quantity, rows, joint, value):
     return replace(log, **{quantity: array})
 
 
-@pytest.mark.skipif(not LOGS, reason="public measurements are not beside this clone")
 @pytest.mark.parametrize("path", LOGS, ids=lambda path: path.stem)
 def test_nothing_is_wrong_with_real_logs(path):
     log = read_log(path)
-    assert without_faults(log) is log
-
-
-def test_nothing_is_wrong_with_the_demo():
-    log = read_log(ROOT / "geodrake" / "demo" / "demo.csv")
     assert without_faults(log) is log
 
 
@@ -61,11 +56,9 @@ def in_steps(log):
 
 
 def resting(log):
-    """A standstill of five seconds amid the log, to which the joint comes smoothly."""
-    time = log.time + np.clip(log.time - 10.0, 0, None) * 0
-    pause = np.clip(time, None, 10.0) + np.clip(time - 15.0, 0, None)
-    ease = np.interp(time, time, pause)
-    return replace(log, position=np.sin(ease[:, None] * [1.7, 2.9]), velocity=None)
+    """A standstill of five seconds amid the log."""
+    pause = np.clip(log.time, None, 10.0) + np.clip(log.time - 15.0, 0, None)
+    return replace(log, position=np.sin(pause[:, None] * [1.7, 2.9]), velocity=None)
 
 
 def saturated(log):
@@ -74,6 +67,11 @@ def saturated(log):
 
 def switched_off(log):
     return changed(log, "effort", slice(1000, 2000), 0, 0.0)
+
+
+def part_of(log, rows, *, later=0.0):
+    signals = {name: getattr(log, name)[rows] for name in ("position", "effort")}
+    return replace(log, name=str(rows), time=log.time[rows] + later, velocity=None, **signals)
 
 
 def with_a_gap(log):
@@ -95,8 +93,8 @@ def test_what_robots_and_drives_do_is_no_fault(happen):
     assert without_faults(log) is log
 
 
-@pytest.mark.parametrize("rows", [[0], [3999], [0, 1, 2], [700, 704], [700, 701, 703, 2000]])
-@pytest.mark.parametrize("value", [50.0, -1e6, 2.0**32 - 1, 1e300])
+@pytest.mark.parametrize("rows", [[3999], [0, 1, 2], [700, 701, 703, 2000]])
+@pytest.mark.parametrize("value", [50.0, 1e300])
 def test_spikes_and_only_they_are_left_out(rows, value):
     log = swing()
     found = without_faults(changed(log, "position", rows, 1, value))
@@ -176,14 +174,7 @@ def test_a_uniform_log_is_one_without_faults():
 
 def test_logs_that_are_there_twice():
     log, other = swing(), swing(seed=1)
-    part = replace(
-        log,
-        name="part",
-        time=log.time[500:3000] + 7.0,
-        position=log.position[500:3000],
-        effort=log.effort[500:3000],
-        velocity=None,
-    )
+    part = part_of(log, slice(500, 3000), later=7.0)
     check_repeated([log, other])
     for logs in ([log, other, part], [part, log], [log, replace(log, name="again")]):
         with pytest.raises(ArgumentError, match="given twice, so it would be validated against"):
@@ -192,20 +183,6 @@ def test_logs_that_are_there_twice():
 
 def test_halves_and_rest_are_not_there_twice():
     log = swing()
-    half = len(log) // 2
-    ends = [slice(0, half), slice(half, None)]
-    check_repeated(
-        [
-            replace(
-                log,
-                name=str(end),
-                time=log.time[end],
-                position=log.position[end],
-                effort=log.effort[end],
-                velocity=None,
-            )
-            for end in ends
-        ]
-    )
+    check_repeated([part_of(log, slice(0, 2000)), part_of(log, slice(2000, None))])
     rest = replace(log, position=np.zeros_like(log.position), effort=np.ones_like(log.effort))
     check_repeated([rest, replace(rest, name="the same rest")])

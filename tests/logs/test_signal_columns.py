@@ -8,7 +8,6 @@ from geodrake.logs import JointLog, log_of_frame, read_log, write_log
 from geodrake.logs.files.reading import ColumnMapping, MappedColumn, Reading, parsed_gain
 from geodrake.logs.log_checks import check_commands, check_saturation
 from geodrake.logs.uniform_log import make_uniform
-from geodrake.logs.unit_hints import effort_sign_hint
 
 JOINTS = ("shoulder", "elbow")
 ROWS = 300
@@ -45,27 +44,8 @@ def said(log):
     return " | ".join(log.notes)
 
 
-@pytest.mark.parametrize(
-    ("form", "kind"),
-    [
-        *(("motor_current_J", "current"), ("i_J", "current"), ("actual_current_J", "current")),
-        *(("cur_J", "current"), ("voltage_J", "voltage"), ("actual_joint_voltage_J", "voltage")),
-        *(("duty_J", "pwm"), ("duty_cycle_J", "pwm"), ("pwm_J", "pwm"), ("present_pwm_J", "pwm")),
-    ],
-)
-def test_signals_of_other_names(form, kind):
-    log = log_of_frame(frame(q_J=Q, **{form: S}), joints=JOINTS)
-    assert log.effort_kinds == dict.fromkeys(JOINTS, kind)
-    assert np.array_equal(log.effort, S)
-    assert log.command is None
-    assert "found from the model's inertias, unless --gain" in said(log)
-
-
-@pytest.mark.parametrize(
-    "form", ["q_cmd_J", "target_q_J", "goal_position_J", "command_J", "action_J", "q_des_J"]
-)
-def test_commands_of_other_names(form):
-    log = log_of_frame(frame(actual_q_J=Q, **{form: C}), joints=JOINTS)
+def test_commands_stand_for_efforts():
+    log = log_of_frame(frame(actual_q_J=Q, target_q_J=C), joints=JOINTS)
     assert np.array_equal(log.command, C)
     assert np.array_equal(log.position, Q)
     assert np.isnan(log.effort).all()
@@ -111,13 +91,6 @@ def check_mixed(log):
     assert np.array_equal(log.command[:, 1], C[:, 1])
 
 
-def test_arrays_of_all_joints():
-    log = log_of_frame({"time": TIME, "position": Q, "current": S}, joints=JOINTS)
-    assert log.effort_kinds == dict.fromkeys(JOINTS, "current")
-    log = log_of_frame({"time": TIME, "position": Q, "command": C}, joints=JOINTS)
-    assert np.array_equal(log.command, C)
-
-
 def test_efforts_win_over_currents_and_these_over_voltages_and_duty_cycles():
     every = {"tau_J": S, "current_J": 2 * S, "voltage_J": 3 * S, "pwm_J": 4 * S}
     for kind in ("effort", "current", "voltage", "pwm"):
@@ -127,14 +100,15 @@ def test_efforts_win_over_currents_and_these_over_voltages_and_duty_cycles():
         if len(every) > 1:
             assert f"effort: {next(iter(every)).replace('_J', '_0')}" in said(log)
             assert "and not" in said(log)
+        if kind != "effort":
+            assert "found from the model's inertias, unless --gain" in said(log)
         every.pop(next(iter(every)))
 
 
 def test_commands_beside_efforts_only_where_they_are_meant():
     told = frame(q_J=Q, tau_J=S, target_q_J=C)
     log = log_of_frame(told, joints=JOINTS)
-    assert log.command is None
-    assert "target_q_0" in said(log)
+    assert log.command is None and "target_q_0" in said(log)
     assert np.array_equal(log_of_frame(own(position=Q, effort=S, command=C)).command, C)
     mapping = ColumnMapping(
         {
@@ -155,24 +129,20 @@ def test_commands_beside_efforts_only_where_they_are_meant():
 
 @pytest.mark.parametrize("suffix", [".csv", ".npz"])
 def test_empty_efforts_give_way(tmp_path, suffix):
-    nothing = np.full_like(S, np.nan)
-    cases = {
-        "command": frame(q_J=Q, effort_J=nothing, target_q_J=C),
-        "current": frame(q_J=Q, effort_J=nothing, current_J=S),
-        "own": own(position=Q, effort=nothing, command=C),
-    }
-    for name, columns in cases.items():
-        path = tmp_path / f"{name}{suffix}"
+    nothing, path = np.full_like(S, np.nan), tmp_path / f"log{suffix}"
+    for columns in (
+        frame(q_J=Q, effort_J=nothing, target_q_J=C),
+        own(position=Q, effort=nothing, command=C),
+        frame(q_J=Q, effort_J=nothing, current_J=S),
+    ):
         np.savez(path, **columns) if suffix == ".npz" else write(path, columns)
         log = read_log(path, joints=JOINTS)
-        assert log.joints == JOINTS
-        assert not log.standing
-        if name == "current":
-            assert set(log.effort_kinds.values()) == {"current"}
+        assert log.joints == JOINTS and not log.standing
+        if log.effort_kinds:
             assert "effort_0, effort_1 say nothing of efforts" in said(log)
         else:
-            assert np.array_equal(log.command, C)
-            assert np.isnan(log.effort).all()
+            assert np.array_equal(log.command, C) and np.isnan(log.effort).all()
+    assert set(log.effort_kinds.values()) == {"current"}
 
 
 def test_the_voltage_of_a_supply_is_none_of_a_motor():
@@ -186,9 +156,7 @@ def test_the_voltage_of_a_supply_is_none_of_a_motor():
     ("form", "units", "kind", "factor"),
     [
         ("current_J", {"current": "mA"}, "current", 1e-3),
-        ("current_J", {"effort": "mA"}, "current", 1e-3),
         ("effort_J", {"effort": "mA"}, "current", 1e-3),
-        ("effort_J", {"effort": "mV"}, "voltage", 1e-3),
         ("effort_J_mA", {}, "current", 1e-3),
         ("voltage_J", {"voltage": "mV"}, "voltage", 1e-3),
         ("pwm_J", {"pwm": "%"}, "pwm", 1e-2),
@@ -226,16 +194,13 @@ def test_known_gains_make_efforts_and_say_how_well():
     assert log.effort_uncertainty == 0.05
 
 
-@pytest.mark.parametrize("text", ["13.2±0.5", "13.2+-0.5", "13.2 +/- 0.5"])
-def test_gains_with_deviations(text):
-    assert parsed_gain(text, "it") == (13.2, 0.5)
+def test_gains_with_deviations():
+    for text in ("13.2±0.5", "13.2+-0.5", "13.2 +/- 0.5"):
+        assert parsed_gain(text, "it") == (13.2, 0.5)
     assert parsed_gain("-2e-3", "it") == (-2e-3, None)
-
-
-@pytest.mark.parametrize("text", ["", "x", "1±", "1±2±3", "±0.5", "1 2"])
-def test_gains_of_wrong_forms(text):
-    with pytest.raises(ArgumentError, match="not a number"):
-        parsed_gain(text, "it")
+    for text in ("", "x", "1±", "1±2±3", "±0.5", "1 2"):
+        with pytest.raises(ArgumentError, match="not a number"):
+            parsed_gain(text, "it")
 
 
 @pytest.mark.parametrize("kinds", [{"": "current"}, dict.fromkeys(JOINTS, "current")])
@@ -250,7 +215,6 @@ def test_what_efforts_are_said_to_be(kinds):
 @pytest.mark.parametrize(
     ("columns", "reading", "words"),
     [
-        (frame(q_J=Q), Reading(), r"no joint with both.*<joint>\.current"),
         (own(position=Q, velocity=S), Reading(), r"no joint with both.*\.command will do"),
         (
             {**own(position=Q), "shoulder.current": S[:, 0]},
@@ -266,11 +230,6 @@ def test_what_efforts_are_said_to_be(kinds):
             frame(q_J=Q, voltage_J=S),
             Reading(kinds={"shoulder": "current"}),
             "is voltage by its name, and current by --kind",
-        ),
-        (
-            frame(q_J=Q, tau_J_mA=S),
-            Reading(kinds={"": "voltage"}),
-            "to be the voltage .* a unit of current",
         ),
         (frame(q_J=Q, tau_J=S), Reading(kinds={"wrist": "current"}), "kind of 'wrist'"),
         (frame(q_J=Q, tau_J=S), Reading(kinds={"shoulder": "command"}), "could be 'command'"),
@@ -292,16 +251,15 @@ def test_what_contradicts_itself(columns, reading, words):
     ("options", "words"),
     [
         ({"kinds": {"shoulder": "amps"}}, "no known kind of efforts of 'shoulder'"),
-        ({"kinds": {"": "power"}}, "no known kind"),
         ({"units": {"voltage": "A"}}, "'A' is no known unit of voltage"),
-        ({"units": {"current": "V"}}, "'V' is no known unit of current"),
         ({"gains": {"a": 0.0}}, "other than 0"),
         ({"gains": {"a": 2.0}, "gain_deviations": {"a": 3.0}}, "less than the gain"),
         ({"gains": {"a": 2.0}, "gain_deviations": {"a": -1.0}}, "at least 0"),
         ({"gain_deviations": {"a": 1.0}}, "and no gain"),
-        ({"units": {"position": "furlong"}}, "'furlong' is no known unit of position"),
+        ({"units": {"temperature": "R"}}, "'R' is no known unit of temperature.*°C"),
         ({"units": {"colour": "rad"}}, "no quantity 'colour'"),
         ({"rate": float("nan")}, "finite number above"),
+        ({"rate": 10**400}, "rate"),
         ({"gains": {"a": float("inf")}}, "a finite number"),
         ({"columns": "time"}, "columns must be a tuple"),
     ],
@@ -368,9 +326,7 @@ WHOLE = np.rint(100.0 * S)
     ("written", "words"),
     [
         (np.mod(WHOLE, 2.0**16), "two's complement of 16 bits: 65535 is -1"),
-        (np.mod(WHOLE, 2.0**32), "two's complement of 32 bits: 4294967295 is -1"),
         (np.where(WHOLE < 0.0, 2.0**10 - WHOLE, WHOLE), "magnitudes with a sign in bit 10"),
-        (np.where(WHOLE < 0.0, 2.0**15 - WHOLE, WHOLE), "magnitudes with a sign in bit 15"),
     ],
 )
 def test_registers_that_were_read_without_their_sign(tmp_path, written, words):
@@ -407,7 +363,6 @@ def test_positions_in_ticks_of_servos(tmp_path):
     [
         (TICKS + 0.5, {}),
         (TICKS - 3000.0, {}),
-        (TICKS + 3000.0, {}),
         (np.rint(180.0 + 180.0 * Q), {}),
         (TICKS, {"position": "rad"}),
     ],
@@ -416,21 +371,5 @@ def test_other_positions_are_no_ticks(tmp_path, positions, units):
     path = write(tmp_path / "log.csv", frame(q_J=positions, effort_J=S))
     log = read_log(path, joints=JOINTS, reading=Reading(units=units))
     np.testing.assert_array_equal(log.position, positions)
-
-
-def test_geodrakes_own_names_hold_radians(tmp_path):
-    path = write(tmp_path / "log.csv", own(position=TICKS, effort=S))
+    path = write(path, own(position=TICKS, effort=S))  # geodrake's own names hold radians
     np.testing.assert_array_equal(read_log(path, joints=JOINTS).position, TICKS)
-
-
-@pytest.mark.parametrize("kind", ["effort", "current"])
-def test_efforts_without_their_sign_are_said(kind):
-    def hint(efforts):
-        log = log_of_frame(frame(q_J=np.tile(Q, (4, 1))[:ROWS], **{f"{kind}_J": efforts}))
-        return effort_sign_hint(log)
-
-    waves = np.sin(TIME[:, None] * np.array([11.0, 13.0]))
-    assert "magnitudes" in hint(np.abs(waves))
-    assert hint(waves) is None
-    assert hint(2.0 + waves) is None
-    assert hint(np.zeros_like(waves)) is None

@@ -1,10 +1,17 @@
-"""Positions beyond a model's limits are said, with their likely cause."""
+"""Hints at units, signs and zeros: what numbers cannot be, with the likely cause."""
+
+from dataclasses import replace
 
 import numpy as np
 import pytest
 
 from geodrake.logs.motion import JointLog
-from geodrake.logs.unit_hints import position_limit_hint
+from geodrake.logs.unit_hints import (
+    effort_sign_hint,
+    effort_unit_hint,
+    position_limit_hint,
+    position_unit_hint,
+)
 
 LOW, HIGH = np.array([0.2, -2.0]), np.array([1.2, 2.0])
 
@@ -22,7 +29,6 @@ SWING = 0.7 + 0.4 * np.sin(np.arange(200) * 0.05)
     ("first", "words"),
     [
         (-SWING, "With the other sign they are inside"),
-        (SWING + np.pi / 2, "Less 90° they are inside"),
         (SWING - np.pi, "Less -180° they are inside"),
         (np.rad2deg(SWING), "Divided by 57.3 they are inside"),
         (3.0 * SWING, "the same joints, zeros and units?"),
@@ -48,3 +54,28 @@ def test_positions_inside_and_single_spikes_are_nothing_to_say():
     spike[7] = 30.0
     assert position_limit_hint(log(spike), LOW, HIGH) is None
     assert position_limit_hint(log(9.0 * SWING), [-np.inf] * 2, [np.inf] * 2) is None
+
+
+def test_units_of_positions_and_efforts():
+    swing = log(SWING)
+    swing = replace(swing, effort=100.0 * swing.effort)
+    largest = np.abs(swing.effort).max(0)
+    assert position_unit_hint(swing) is None
+    assert "degrees" in position_unit_hint(replace(swing, position=np.degrees(swing.position)))
+    assert effort_unit_hint(swing, [largest[0], np.inf]) is None
+    assert effort_unit_hint(swing, [0.0, np.inf]) is None
+    assert "30 times" in effort_unit_hint(swing, [largest[0], largest[1] / 30.0])
+    assert "1 %" in effort_unit_hint(swing, 105.0 * largest)
+
+
+@pytest.mark.parametrize("kinds", [{}, {"a": "current", "b": "current"}])
+def test_efforts_without_their_sign_are_said(kinds):
+    waves = np.sin(0.01 * np.arange(200)[:, None] * np.array([11.0, 13.0]))
+
+    def hint(efforts):
+        return effort_sign_hint(replace(log(SWING), effort=efforts, effort_kinds=kinds))
+
+    assert "magnitudes" in hint(np.abs(waves))
+    assert hint(waves) is None
+    assert hint(2.0 + waves) is None
+    assert hint(np.zeros_like(waves)) is None
