@@ -71,6 +71,12 @@ def motion(size=0.8, duration=20.0):
     return PiecewisePolynomial.CubicWithContinuousSecondDerivatives(t, q)
 
 
+def states_along(time):
+    """Positions, velocities and accelerations (N, 2) of that motion at instants."""
+    path = motion()
+    return (np.array([path.EvalDerivative(t, k).ravel() for t in time]) for k in range(3))
+
+
 def perturbed(size, seed=0, truth=TRUTH, control=CONTROL):
     """A wrong estimate: bodies changed by congruences, friction by factors."""
     rng = np.random.default_rng(seed)

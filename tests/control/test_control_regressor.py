@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from known_robots import PINOCCHIO_ORDER, description, plant_of
+from known_robots import description, moving_joints, plant_of
 from random_plants import JOINTS, random_plant
 
 from geodrake.control.regressor import ControlModel
@@ -62,27 +62,24 @@ class Case:
     qd: np.ndarray
     v: np.ndarray
     a: np.ndarray
-    r: np.ndarray
+
+    @classmethod
+    def of(cls, plant, rng):
+        states = rng.normal(size=(3, plant.num_velocities()))
+        q = rng.uniform(-2, 2, plant.num_positions())
+        return cls(plant, KinematicTree.from_plant(plant), inertial_parameters(plant), q, *states)
 
     def sample(self, **given):
         states = {"q": self.q, "qd": self.qd, "v": self.v, "a": self.a, **given}
         return RigidSample.at(self.tree, *states.values())
 
-    def regressor(self, **given):
-        return self.sample(**given).regressor(self.phi.size)
-
-    def momentum_regressors(self, **given):
-        return self.sample(**given).momentum_regressors(self.phi.size)
-
-    def coriolis_matrix(self, **given):
+    def coriolis_matrix(self):
         """C(q, q̇), from efforts at unit reference velocities."""
-        still, columns = np.zeros(len(self.v)), []
-        at_rest = self.sample(**given, v=still, a=still).effort(self.phi)
-        for unit in np.eye(len(self.v)):
-            columns.append(self.sample(**given, v=unit, a=still).effort(self.phi) - at_rest)
-        return np.stack(columns, axis=1)
+        still = np.zeros(len(self.v))
+        at_rest = self.sample(v=still, a=still).effort(self.phi)
+        columns = [self.sample(v=unit, a=still).effort(self.phi) for unit in np.eye(len(still))]
+        return np.stack(columns, axis=1) - at_rest[:, None]
 
-    @property
     def context(self):
         context = self.plant.CreateDefaultContext()
         self.plant.SetPositions(context, self.q)
@@ -91,7 +88,7 @@ class Case:
 
     def rate(self, function):
         """Rate of a function of (q, q̇) along the motion with the acceleration a, to O(h⁴)."""
-        qdot = self.plant.MapVelocityToQDot(self.context, self.qd)
+        qdot = self.plant.MapVelocityToQDot(self.context(), self.qd)
         h = 1e-3 / (1.0 + np.abs(qdot).max())
 
         def at(step):
@@ -100,52 +97,9 @@ class Case:
         return (8 * (at(h) - at(-h)) - (at(2 * h) - at(-2 * h))) / (12 * h)
 
 
-def case_of(plant, rng):
-    tree, nv = KinematicTree.from_plant(plant), plant.num_velocities()
-    motion = rng.normal(size=(4, nv))
-    q = rng.uniform(-2, 2, plant.num_positions())
-    return Case(plant, tree, inertial_parameters(plant), q, *motion)
-
-
 def close(actual, expected, tolerance=1e-11):
     scale = np.abs(expected).max(initial=1e-9)
     np.testing.assert_allclose(actual, expected, rtol=0, atol=tolerance * scale)
-
-
-def with_equal_velocities_it_is_the_regressor_of_inverse_dynamics(case):
-    expected = inverse_dynamics_regressor(case.tree, case.q[None], case.qd[None], case.a[None])[0]
-    close(case.regressor(v=case.qd), expected)
-
-
-def efforts_without_the_regressor_are_those_with_it(case):
-    sample = case.sample()
-    close(sample.effort(case.phi), case.regressor() @ case.phi.ravel())
-
-
-def mass_and_bias_are_drakes(case):
-    sample, context = case.sample(), case.context
-    M, C = sample.mass_matrix(case.phi), case.coriolis_matrix()
-    gravity = case.plant.CalcGravityGeneralizedForces(context)
-    close(M, case.plant.CalcMassMatrix(context))
-    bias = case.plant.CalcBiasTerm(context)
-    np.testing.assert_allclose(C @ case.qd, bias, atol=1e-11 * max(1.0, np.abs(C).max()))
-    close(sample.effort(case.phi), M @ case.a + C @ case.v - gravity)
-
-
-def the_rate_of_mass_less_twice_coriolis_is_skew(case):
-    rate = case.rate(lambda q, _: case.sample(q=q).mass_matrix(case.phi))
-    C = case.coriolis_matrix()
-    scale = np.abs(case.sample().mass_matrix(case.phi)).max() + np.abs(C).max()
-    np.testing.assert_allclose(rate, C + C.T, rtol=0, atol=1e-7 * scale)
-    x = case.r
-    assert abs(x @ (rate - 2 * C) @ x) < 1e-7 * scale * (x @ x)
-
-
-def efforts_are_the_rate_of_momentum_less_its_drift(case):
-    rate = case.rate(lambda q, qd: case.momentum_regressors(q=q, qd=qd)[0])
-    expected = inverse_dynamics_regressor(case.tree, case.q[None], case.qd[None], case.a[None])[0]
-    drift = case.momentum_regressors()[1]
-    close(rate - drift, expected, 1e-7)
 
 
 @settings(max_examples=30)
@@ -156,36 +110,43 @@ def efforts_are_the_rate_of_momentum_less_its_drift(case):
 )
 def test_axioms_hold_on_trees_of_every_joint_type(seed, kinds, last):
     rng = np.random.default_rng(seed)
-    case = case_of(random_plant(rng, [*kinds, last]), rng)
-    with_equal_velocities_it_is_the_regressor_of_inverse_dynamics(case)
-    efforts_without_the_regressor_are_those_with_it(case)
-    mass_and_bias_are_drakes(case)
-    the_rate_of_mass_less_twice_coriolis_is_skew(case)
-    efforts_are_the_rate_of_momentum_less_its_drift(case)
+    case = Case.of(random_plant(rng, [*kinds, last]), rng)
+    sample, context, phi, size = case.sample(), case.context(), case.phi, case.phi.size
+    close(sample.effort(phi), sample.regressor(size) @ phi.ravel())
+
+    # With equal velocities it is the regressor of inverse dynamics.
+    Y = inverse_dynamics_regressor(case.tree, case.q[None], case.qd[None], case.a[None])[0]
+    close(case.sample(v=case.qd).regressor(size), Y)
+
+    # Mass and bias are Drake's.
+    M, C = sample.mass_matrix(phi), case.coriolis_matrix()
+    close(M, case.plant.CalcMassMatrix(context))
+    bias = case.plant.CalcBiasTerm(context)
+    np.testing.assert_allclose(C @ case.qd, bias, atol=1e-11 * max(1.0, np.abs(C).max()))
+    gravity = case.plant.CalcGravityGeneralizedForces(context)
+    close(sample.effort(phi), M @ case.a + C @ case.v - gravity)
+
+    # dM/dt − 2 C is skew.
+    rate, scale = case.rate(lambda q, _: case.sample(q=q).mass_matrix(phi)), np.abs(M).max()
+    atol = 1e-7 * (scale + np.abs(C).max())
+    np.testing.assert_allclose(rate, C + C.T, rtol=0, atol=atol)
+
+    # Efforts are the rate of momentum less its drift.
+    rate = case.rate(lambda q, qd: case.sample(q=q, qd=qd).momentum_regressors(size)[0])
+    close(rate - sample.momentum_regressors(size)[1], Y, 1e-7)
 
 
-def test_coriolis_matrix_and_regressor_are_pinocchios():
+def test_the_coriolis_matrix_is_pinocchios():
     pin = pytest.importorskip("pinocchio")
     text = description("models/ambidex_like.urdf")
-    case = case_of(plant_of(text), np.random.default_rng(1))
-    model = pin.buildModelFromXML(text)
-    data = model.createData()
-    names = [case.plant.get_joint(i).name() for i in case.plant.GetJointIndices()]
-    moving = [n for n in names if case.plant.GetJointByName(n).num_velocities()]
-    order = [model.joints[model.getJointId(n)].idx_v for n in moving]
-    at = [case.plant.GetJointByName(n).velocity_start() for n in moving]
-    q, qd, a = (np.empty(len(at)) for _ in range(3))
-    q[order], qd[order], a[order] = case.q[at], case.qd[at], case.a[at]
-    C = pin.computeCoriolisMatrix(model, data, q, qd)[np.ix_(order, order)]
+    case, model = Case.of(plant_of(text), np.random.default_rng(1)), pin.buildModelFromXML(text)
+    joints = moving_joints(case.plant)
+    order = [model.joints[model.getJointId(joint.name())].idx_v for joint in joints]
+    at = [joint.velocity_start() for joint in joints]
+    q, qd = np.empty(len(at)), np.empty(len(at))
+    q[order], qd[order] = case.q[at], case.qd[at]
+    C = pin.computeCoriolisMatrix(model, model.createData(), q, qd)[np.ix_(order, order)]
     close(case.coriolis_matrix()[np.ix_(at, at)], C)
-    Y = pin.computeJointTorqueRegressor(model, data, q, qd, a)
-    blocks = Y.reshape(len(q), -1, 10)[:, :, PINOCCHIO_ORDER]
-    own = case.regressor(v=case.qd).reshape(len(q), -1, 10)
-    bodies = [
-        case.tree.bodies.index(case.plant.GetJointByName(n).child_body().name()) for n in moving
-    ]
-    theirs = [model.getJointId(n) - 1 for n in moving]
-    close(own[np.ix_(at, bodies)], blocks[np.ix_(order, theirs)])
 
 
 @pytest.fixture(scope="module")

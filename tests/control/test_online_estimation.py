@@ -2,7 +2,8 @@
 
 import numpy as np
 import pytest
-from adaptive_loops import CONTROL, MANIFOLD, TRUTH, motion, pendulum_plant, perturbed
+from adaptive_loops import CONTROL, MANIFOLD, TRUTH, pendulum_plant, perturbed, states_along
+from chain_logs import inverse_dynamics
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.signal import lfilter
@@ -42,22 +43,8 @@ def inside(rng, size=0.3):
 
 def samples(count=1500):
     """Positions, velocities and Drake's own efforts (with damping) along a motion, (N, 2) each."""
-    plant = pendulum_plant()
-    context = plant.CreateDefaultContext()
-    path, time = motion(), STEP * np.arange(count)
-    q, v, a = (
-        np.array([path.EvalDerivative(t, k).ravel() for t in time])
-        if k
-        else path.vector_values(time).T
-        for k in range(3)
-    )
-    effort = []
-    for now in zip(q, v, a, strict=True):
-        plant.SetPositions(context, now[0])
-        plant.SetVelocities(context, now[1])
-        forces = plant.CalcMassMatrix(context) @ now[2] + plant.CalcBiasTerm(context)
-        effort.append(forces - plant.CalcGravityGeneralizedForces(context) + 0.3 * now[1])
-    return q, v, np.array(effort)
+    q, v, a = states_along(STEP * np.arange(count))
+    return q, v, inverse_dynamics(pendulum_plant(), q, v, a)
 
 
 # Filtered regressors

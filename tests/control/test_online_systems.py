@@ -15,14 +15,15 @@ from adaptive_loops import (
     TRUTH,
     FaultySensor,
     SlowSensor,
+    check_estimates,
     computed,
     frozen,
-    motion,
     nothing,
     passive,
     pendulum_plant,
     perturbed,
     simulator,
+    states_along,
 )
 from pydrake.systems.framework import DiagramBuilder
 from pydrake.systems.primitives import LogVectorOutput
@@ -40,7 +41,6 @@ from geodrake.control.systems import (
 )
 from geodrake.effects import JointElasticity
 from geodrake.errors import ArgumentError, LogError
-from geodrake.inertia import is_physical
 from geodrake.logs.motion import JointLog
 from geodrake.model.robot_model import load_description
 
@@ -51,9 +51,8 @@ UPDATE = SampleUpdate(MANIFOLD, np.full(2, 0.005))
 
 def recorded(duration=4.0, truth=TRUTH, gap=()):
     """A log of the double pendulum along a motion, with exact efforts of some parameters."""
-    path, time = motion(), STEP * np.arange(round(duration / STEP) + 1)
-    q = path.vector_values(time).T
-    v, a = (np.array([path.EvalDerivative(t, k).ravel() for t in time]) for k in (1, 2))
+    time = STEP * np.arange(round(duration / STEP) + 1)
+    q, v, a = states_along(time)
     rows = zip(q, v, a, strict=True)
     effort = np.array([CONTROL.at(q, v, v, a).effort(truth) for q, v, a in rows])
     kept = np.ones(len(time), bool)
@@ -62,7 +61,7 @@ def recorded(duration=4.0, truth=TRUTH, gap=()):
     return JointLog("made", MODEL.joints, 3.0 + time[kept], q[kept], effort[kept], velocity=v[kept])
 
 
-def estimated(log, *, start=TRUTH, sensor=None, update=UPDATE, duration=None, every=1):
+def estimated(log, *, start=TRUTH, sensor=None, update=UPDATE, every=1):
     """What an estimator makes of a log: times, and its outputs then."""
     builder = DiagramBuilder()
     source = builder.AddSystem(LogSource(log, MODEL.joints))
@@ -80,27 +79,19 @@ def estimated(log, *, start=TRUTH, sensor=None, update=UPDATE, duration=None, ev
     builder.Connect(source.GetOutputPort("effort"), system.GetInputPort("effort"))
     sinks = [LogVectorOutput(system.get_output_port(i), builder, 0.02) for i in range(3)]
     found = simulator(builder.Build())
-    found.AdvanceTo(duration or source.duration)
+    found.AdvanceTo(source.duration)
     logs = [sink.FindLog(found.get_context()) for sink in sinks]
     return logs[0].sample_times(), *(np.array(log.data().T) for log in logs)
-
-
-def check(p):
-    assert np.isfinite(p).all()
-    assert is_physical(p[:, : CONTROL.num_inertial].reshape(len(p), -1, 10)).all()
 
 
 # The estimator
 
 
-def unexplained(p, truth=TRUTH):
+def unexplained(p):
     """RMS of the effort along the motion that an estimate does not explain, N·m."""
-    path = motion()
-    squares = []
-    for t in np.arange(0.0, 4.0, 0.02):
-        q, v, a = path.value(t).ravel(), *(path.EvalDerivative(t, k).ravel() for k in (1, 2))
-        squares.append((CONTROL.at(q, v, v, a).regressor @ (p - truth)) ** 2)
-    return np.sqrt(np.mean(squares))
+    rows = zip(*states_along(np.arange(0.0, 4.0, 0.02)), strict=True)
+    left = [CONTROL.at(q, v, v, a).regressor @ (p - TRUTH) for q, v, a in rows]
+    return np.sqrt(np.mean(np.square(left)))
 
 
 def test_the_estimate_explains_what_is_measured():
@@ -109,7 +100,7 @@ def test_the_estimate_explains_what_is_measured():
     for method in ("projection", "nudge"):
         update = SampleUpdate(MANIFOLD, np.full(2, 0.005), method=method)
         _, p, residual, error = estimated(recorded(), start=start, every=2, update=update)
-        check(p)
+        check_estimates({"parameters": p})
         D = MANIFOLD.divergence(TRUTH, p)
         assert np.diff(D).max() < 1e-6
         assert unexplained(p[-1]) < 0.2 * unexplained(p[0])
@@ -125,7 +116,7 @@ def test_a_sensor_that_fails_for_a_while(fault):
     start = perturbed(0.3)
     sensor = FaultySensor(4, fault, 0.5, 1.2)
     time, p, residual, _ = estimated(recorded(2.0), start=start, sensor=sensor)
-    check(p)
+    check_estimates({"parameters": p})
     assert np.diff(MANIFOLD.divergence(TRUTH, p)).max() < 1e-3
     during = p[(time > 0.61) & (time < 1.19)]
     np.testing.assert_array_equal(during, np.broadcast_to(during[0], during.shape))
@@ -197,7 +188,7 @@ def test_a_sensor_that_is_slower_than_the_estimator():
     """States that only repeat say nothing; what is learned is that of the new ones."""
     sensor = SlowSensor(4, 4 * STEP)
     _, p, _, _ = estimated(recorded(2.0), start=perturbed(0.3), sensor=sensor)
-    check(p)
+    check_estimates({"parameters": p})
     # (The effort is later than the held state by up to a sample of the sensor.)
     assert np.diff(MANIFOLD.divergence(TRUTH, p)).max() < 1e-3
     assert unexplained(p[-1]) < 0.3 * unexplained(p[0])
