@@ -1,14 +1,15 @@
-"""Designs of motions: gradients of the program, limits kept, and what cannot be designed."""
+"""Designs of motions: gradients of the program, limits and time kept, and what cannot be."""
 
 from dataclasses import replace
 from pathlib import Path
+from time import process_time
 
 import numpy as np
 import pytest
+from chain_logs import inverse_dynamics
 from excitation_robots import MODELS, arm, random_pose
-from pydrake.geometry import Capsule, Sphere
+from pydrake.geometry import Box, Capsule, Sphere
 from pydrake.math import RigidTransform
-from pydrake.multibody.tree import MultibodyForces
 
 from geodrake.boundary.interrupts import StopSearch
 from geodrake.effects import CoulombFriction, FittedEffect, ViscousFriction
@@ -85,19 +86,6 @@ def problem_of(model, limits, family=SHORT, **options):
     return make_problem(Objective(make_target(model, noise=0.1)), limits, family, chosen)
 
 
-def drake_efforts(model, motion):
-    """(N, nv) efforts of the rigid bodies, by Drake."""
-    plant, context = model.plant, model.create_context()
-    efforts = np.empty_like(motion.v)
-    for i in range(len(motion)):
-        plant.SetPositions(context, motion.q[i])
-        plant.SetVelocities(context, motion.v[i])
-        gravity = plant.CalcGravityGeneralizedForces(context)
-        efforts[i] = plant.CalcInverseDynamics(context, motion.vd[i], MultibodyForces(plant))
-        efforts[i] -= gravity
-    return efforts
-
-
 def assert_limits_are_kept(result, model):
     """By a fine look at the motion that knows nothing of the design."""
     limits, trajectory = result.limits, result.trajectory
@@ -107,7 +95,7 @@ def assert_limits_are_kept(result, model):
     assert (q <= limits.upper + slack).all() and (q >= limits.lower - slack).all()
     assert (np.abs(v) <= limits.velocity * (1 + slack)).all()
     assert (np.abs(vd) <= limits.acceleration * (1 + slack)).all()
-    effort = drake_efforts(model, trajectory.motion(times[::10]))
+    effort = inverse_dynamics(model.plant, q[::10], v[::10], vd[::10], model.create_context())
     assert (np.abs(effort) <= limits.effort * (1 + slack)).all()
     assert result.use.is_within
 
@@ -395,3 +383,88 @@ class TestBadInput:
             options = replace(FAST, start=start)
             with pytest.raises(ArgumentError, match=message):
                 design_excitation(model, weak, trajectory=SHORT, options=options)
+
+
+# In a time, with the best motion found by then
+
+SLACK = 1.0  # s, for what cannot be interrupted
+WALL = Solid("wall", Box(0.1, 2.0, 2.0), RigidTransform([0.0, -3.0, 0.0]))
+
+
+class Clock:
+    """The processor's seconds of this process, and those for which it pretends to wait."""
+
+    def __init__(self):
+        self.waited = 0.0
+
+    def monotonic(self):
+        return process_time() + self.waited
+
+    def wait(self, seconds):
+        self.waited += seconds
+
+
+@pytest.fixture
+def clock(monkeypatch):
+    clock = Clock()
+    monkeypatch.setattr("geodrake.excitation.solve.time", clock)
+    monkeypatch.setattr(SlowWorld, "wait", clock.wait)
+    return clock
+
+
+class SlowWorld(CollisionWorld):
+    """A world in which looking at a posture takes its time, as with large meshes."""
+
+    seconds = 0.002
+    wait = None
+
+    def distances(self, q):
+        self.wait(self.seconds * len(q))
+        return np.full(len(q), np.inf), ("",) * len(q)
+
+    def nearest(self, q):
+        self.wait(self.seconds * len(q))
+        return {}
+
+    def constraint(self, q):
+        self.wait(self.seconds * len(q))
+        return np.zeros(len(q)), np.zeros(q.shape)
+
+
+def designed(clock, seconds, seeds):
+    model, motion = load_description(MODELS / "arm7.urdf"), FourierMotion(10.0, 5)
+    world = SlowWorld(model, obstacles=[WALL], use_file=False)
+    options = DesignOptions(seconds=seconds, collisions=world, samples=100)
+    begin = clock.monotonic()
+    result = design_excitation(
+        model, limits_of(model), trajectory=motion, options=options, seeds=seeds
+    )
+    return result, clock.monotonic() - begin
+
+
+@pytest.mark.usefixtures("clock")
+def test_what_ends_by_itself_is_the_same_with_more_time():
+    model, values = arm(), []
+    for seconds in (60.0, 600.0):
+        options = replace(FAST, iterations=10, seconds=seconds)
+        found = design_excitation(
+            model, limits_of(model), trajectory=SHORT, options=options, seeds=2
+        )
+        values.append(found.value)
+    assert values[0] == values[1]
+
+
+def test_starts_share_the_time(clock):
+    result, took = designed(clock, 1.5, seeds=4)
+    assert took < 1.1 * 1.5 + SLACK
+    assert result.use.is_within
+    assert any(outcome.status == "out of time" for outcome in result.outcomes)
+    assert result.value <= min(outcome.random_value for outcome in result.outcomes)
+
+
+def test_no_time_for_a_close_look_is_said(clock):
+    result, took = designed(clock, 0.01, seeds=3)
+    assert took < SLACK + 0.5
+    assert [outcome.seed for outcome in result.outcomes] == [0]
+    assert "2 starts were not begun, as time was up" in result.notes
+    assert any("collisions were looked for every 0.3" in note for note in result.notes)

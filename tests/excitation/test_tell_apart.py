@@ -33,26 +33,13 @@ WIDTH = np.array([0.05, 0.1, 0.2])
 PENDULUM = MODELS / "double_pendulum.urdf"
 
 
-def separation_of(model, names, *, limits=None, **settings):
+def separation_of(model, names, **settings):
     limits = motion_limits(model, velocity=dict.fromkeys(model.joints, 2.0))
     return make_separation(model, *(make_rival(n, model, limits) for n in names), **settings)
 
 
 def pendulum(*effects):
     return replace(load_model(PENDULUM), effects=effects)
-
-
-def written_out(model, motion):
-    """Columns of frictions by joint, in formulas of this test: name -> (N, nv, nv)."""
-    Y = inverse_dynamics_regressor(model.tree, motion.q, motion.v, motion.vd)
-    sign, load = np.tanh(motion.v / WIDTH), np.abs(Y @ model.phi.ravel())
-    by_joint = {
-        "coulomb_friction": sign,
-        "load_dependent_friction": load * sign,
-        "viscous_friction": motion.v,
-        "effort_offset": np.ones_like(sign),
-    }
-    return Y, sign, {n: x[:, :, None] * np.eye(x.shape[1]) for n, x in by_joint.items()}
 
 
 def best_imitation(rows, wanted, prior, lower):
@@ -76,9 +63,15 @@ class TestSeparation:
         model = arm(seed, effects=[known])
         motion = motion_of(model, seed)
         separation = separation_of(model, names, noise=NOISE, sign_width=WIDTH)
-        Y, sign, columns = written_out(model, motion)
+        Y = inverse_dynamics_regressor(model.tree, motion.q, motion.v, motion.vd)
+        sign, load = np.tanh(motion.v / WIDTH), np.abs(Y @ model.phi.ravel())
+        columns = {
+            name: values[:, :, None] * np.eye(3)
+            for name, values in zip(names, (sign, load * sign), strict=True)
+        }
         weight = np.abs(sign)[..., None] / NOISE[:, None]
-        base = np.concatenate([Y, columns["viscous_friction"][:, :, 1:2]], axis=2)
+        viscous = motion.v[:, :, None] * np.eye(3)[:, 1:2]
+        base = np.concatenate([Y, viscous], axis=2)
         prior = block_diag(pullback_information(model.phi, SPREAD), [[1.0 / 0.7**2]])
         lower = np.r_[np.full(Y.shape[2], -np.inf), -0.7, np.zeros(3)]
         assert len(separation.pairs) == 6
