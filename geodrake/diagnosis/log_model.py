@@ -343,7 +343,7 @@ class LogModel:
             x, variance, found = calc_most_probable(joints, of_prior, inertias, noise, variance)
         except np.linalg.LinAlgError as error:
             raise not_held() from error
-        weights, inertia, hessian, determinant = found
+        weights, inertia, hessian, factor, determinant = found
         if not np.isfinite(determinant):
             raise not_held()
         way = x - mean
@@ -352,7 +352,7 @@ class LogModel:
             - float(way @ prior @ way)
             - determinant
             + logarithm
-            + self._physical(choice, x, hessian)
+            + self._physical(choice, x, factor)
             - self.odds_against(choice)
         )
         return Fit(choice, columns, x, variance, weights, hessian, score)
@@ -397,22 +397,23 @@ class LogModel:
         choice = self.choice(fit.choice, self.alike(fit.terms))
         return self.unbounded(choice, np.full(len(self.rows), _USUAL_SHARE), fit.variance)
 
-    def _physical(self, choice: Choice, x: Array, hessian: Array) -> float:
-        """Return twice the logarithm of the probability that the fitted payloads are physical."""
-        total, spans = 0.0, self.spans(choice.terms).items()
-        if not any(term.is_whole for term in choice.terms):
-            return total
-        factor, scale = scaled_cholesky(hessian, RIDGE)
-        for at in (at for term, at in spans if term.is_whole):
-            # Of L⁻¹ columns are zero above their place: those of the last parameters cost little.
-            columns = np.eye(len(x) - at.start, at.stop - at.start)
-            root, _ = dtrtrs(factor[at.start :, at.start :], columns, lower=1)
-            size = scale[at] * np.sqrt(np.square(root).sum(axis=0))
-            correlations = (root.T @ root) * np.outer(scale[at] / size, scale[at] / size)
-            draws = _DRAWS @ np.linalg.cholesky(correlations + 1e-9 * np.eye(len(size))).T
-            matrices = np.tensordot(x[at] + size * draws, _PSEUDO, 1)
-            share = np.mean(np.linalg.eigvalsh(matrices)[:, 0] > 0.0)
-            total += 2.0 * np.log(max(float(share), 0.5 / len(_DRAWS)))
+    def _physical(self, choice: Choice, x: Array, factor: Array) -> float:
+        """Return twice the logarithm of the probability that the fitted payloads are physical.
+
+        The Hessian is L Lᵀ with the `factor` L (n, n).
+        """
+        total = 0.0
+        for term, at in self.spans(choice.terms).items():
+            if term.is_whole:
+                # Of L⁻¹ columns are zero above their place: those of last parameters cost little.
+                columns = np.eye(len(x) - at.start, at.stop - at.start)
+                root, _ = dtrtrs(factor[at.start :, at.start :], columns, lower=1)
+                scale = np.sqrt(np.square(root).sum(axis=0))
+                correlations = (root / scale).T @ (root / scale) + 1e-9 * np.eye(len(scale))
+                draws = _DRAWS @ np.linalg.cholesky(correlations).T
+                matrices = np.tensordot(x[at] + scale * draws, _PSEUDO, 1)
+                share = np.mean(np.linalg.eigvalsh(matrices)[:, 0] > 0.0)
+                total += 2.0 * np.log(max(float(share), 0.5 / len(_DRAWS)))
         return total
 
     def efforts(self, delay: Delay) -> Indices:

@@ -104,11 +104,11 @@ def calc_most_probable(
     inertias: Array,  # (J, n) as `Dataset.passive_shares`
     noise: tuple[Array, Array, Array],  # (J,) independent samples over rows, rows, least variance
     variance: Array,  # (J,) to begin with
-) -> tuple[Array, Array, tuple[Array, Array, Array, float]]:
+) -> tuple[Array, Array, tuple[Array, Array, Array, Array, float]]:
     """Return the parameters (n,) and variances (J,), and what they follow from.
 
     That are weights (J,), the inertias of joints without motors (J,), the normal matrix (n, n) with
-    the prior, and the logarithm of its determinant.
+    the prior, its Cholesky factor, and the logarithm of its determinant.
     """
     (information, pull), (shares, rows, floor) = prior, noise
     packed, moments, _ = joints
@@ -116,7 +116,7 @@ def calc_most_probable(
     weights, inertia, passive = np.empty(count), np.ones(count), np.zeros(count, np.bool_)
     for j in range(count):
         passive[j] = np.any(inertias[j] != 0.0)
-    x, logarithm, gram = np.zeros(n), 0.0, information.copy()
+    x, logarithm, gram, factor = np.zeros(n), 0.0, information.copy(), information
     for _ in range(_MOST_FITS):
         gram, right = information.copy(), pull.copy()
         for j in range(count):
@@ -126,7 +126,7 @@ def calc_most_probable(
             for i in range(n):
                 right[i] += weights[j] * moments[j, i]
         add_normal(packed, weights, gram)
-        x, logarithm = calc_solution(gram, right, RIDGE)
+        x, logarithm, factor = calc_solution(gram, right, RIDGE)
         before, variance, settled = variance, calc_squares(joints, x) / rows, True
         for j in range(count):
             if passive[j]:
@@ -135,7 +135,7 @@ def calc_most_probable(
             settled = settled and abs(np.log(variance[j] / before[j])) < _ALIKE
         if settled:
             break
-    return x, variance, (weights, inertia, gram, logarithm)
+    return x, variance, (weights, inertia, gram, factor, logarithm)
 
 
 @inlined

@@ -44,8 +44,8 @@ def scaled_cholesky(matrices: Array, ridge: float = RIDGE) -> tuple[Array, Array
 
 
 @compiled
-def calc_solution(A: Array, b: Array, ridge: float) -> tuple[Array, float]:
-    """Return the solution (n,) of A x = b, scaled and ridged as above, and log |A|."""
+def calc_solution(A: Array, b: Array, ridge: float) -> tuple[Array, float, Array]:
+    """Return the solution (n,) of A x = b, scaled and ridged as above, log |A|, and L, A = L Lᵀ."""
     n = len(b)
     scale, x, scaled = np.empty(n), np.empty(n), np.empty((n, n))
     for i in range(n):
@@ -63,7 +63,9 @@ def calc_solution(A: Array, b: Array, ridge: float) -> tuple[Array, float]:
         x[i] /= factor[i, i]
         for k in range(i):
             x[k] -= factor[i, k] * x[i]
-    return scale * x, logarithm
+        for k in range(i + 1):
+            factor[i, k] /= scale[i]
+    return scale * x, logarithm, factor
 
 
 def solved(factor: Array, right: Array) -> Array:

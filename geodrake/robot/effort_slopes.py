@@ -97,7 +97,7 @@ def effort_slopes(
     kinds, slopes = 1 if only_position and J is None else 3, np.full((3, count, nv, nv), np.nan)
     slopes[:kinds] = 0.0
     calc_effort_slopes(tree.records, samples, contiguous(phi), slopes[:kinds])
-    found = EffortSlopes(*slopes)
+    found = EffortSlopes(*np.swapaxes(slopes, 2, 3))  # one velocity's slopes are close together
     several = [m.velocities for m in tree.mobilizers if m.velocities.stop - m.velocities.start > 1]
     columns = [at for own in several for at in range(own.start, own.stop)]
     if J is not None and robot.actuation is not None:
@@ -145,7 +145,7 @@ def _at_actuators(
 
 @compiled
 def calc_effort_slopes(tree: TreeRecords, samples: Samples, phi: Array, out: Array) -> None:
-    """Add the slopes with q, v and v̇ of all bodies' efforts to (3, N, nv, nv), or the first."""
+    """Add slopes of all bodies' efforts to (3, N, nv, nv), or the first, by whose q, v and v̇."""
     mobilizers, dofs = tree
     motions, features, most = np.empty(len(mobilizers), MOTION), np.empty(9), dofs.shape[1]
     turn, slide = subspace_room(dofs)
@@ -178,7 +178,7 @@ def calc_effort_slopes(tree: TreeRecords, samples: Samples, phi: Array, out: Arr
                         felt = dot(t, row(forces, kind, j)) + dot(s, row(moments, kind, j))
                         if kind == 0 and k < j:  # inboard of it
                             felt += dot(t, row(forces, _ALONG, j)) + dot(s, row(moments, _ALONG, j))
-                        out[kind, n, dofs[i, k], dofs[i, j]] += felt
+                        out[kind, n, dofs[i, j], dofs[i, k]] += felt
 
 
 @inlined

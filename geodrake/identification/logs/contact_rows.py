@@ -13,6 +13,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -96,25 +97,42 @@ class MixedRows:
             coupling: (nv, nv) of all slices, by which rows have columns.
             of: Which columns each velocity has, ascending, if they differ.
         """
-        found = dict[int, Array]()
-        for i in np.flatnonzero(coupling[:, [*blocks]].any(axis=1)).tolist():
+        found, several = dict[int, Array](), len(blocks) > 1
+        together = np.stack([*blocks.values()], 1) if several and of is None else None
+        sources = np.array([*blocks], np.intp)
+        for i in np.flatnonzero(coupling[:, sources].any(axis=1)).tolist():
+            width = len(of[i]) if of is not None else next(iter(blocks.values())).shape[1]
             if i not in self.mixed:
-                width = len(of[i]) if of is not None else next(iter(blocks.values())).shape[1]
-                own = blocks.get(i)
+                if i in blocks and self._is_whole[i]:
+                    found[i] = blocks[i]
+                else:
+                    found[i] = self.own[:, i, None] * blocks.get(i, np.zeros((1, width)))
+            elif of is None and not several:
+                found[i] = self.mixed[i][:, sources] * blocks[int(sources[0])]
+            elif together is not None:
                 found[i] = np.zeros((len(self.own), width))
-                if own is not None:
-                    found[i] += self.own[:, i, None] * own
-                continue
-            sources = [j for j in blocks if coupling[i, j]]
-            if of is None and len(sources) == 1:
-                found[i] = self.mixed[i][:, sources[0], None] * blocks[sources[0]]
-                continue
-            width = len(of[i]) if of is not None else blocks[sources[0]].shape[1]
-            found[i] = np.zeros((len(self.own), width))
-            for j in sources:
-                at = np.arange(width) if of is None else np.searchsorted(of[i], of[j])
-                add_weighted(self.mixed[i], j, contiguous(blocks[j]), at, found[i])
+                add_all(self.mixed[i], sources, together, found[i])
+            else:
+                found[i] = np.zeros((len(self.own), width))
+                for j in sources[coupling[i, sources]].tolist():
+                    at = np.arange(width) if of is None else np.searchsorted(of[i], of[j])
+                    add_weighted(self.mixed[i], j, contiguous(blocks[j]), at, found[i])
         return found
+
+    @cached_property
+    def _is_whole(self) -> NDArray[np.bool_]:
+        """(nv,) whether a row is that of its velocity alone throughout."""
+        return np.asarray((self.own == 1.0).all(axis=0))
+
+
+@compiled
+def add_all(row: Array, joints: NDArray[np.intp], columns: Array, total: Array) -> None:
+    """Add columns (N, j, k) of joints (j,), by their weights in a row (N, nv)."""
+    for n in range(len(columns)):
+        for j in range(len(joints)):
+            weight = row[n, joints[j]]
+            for k in range(columns.shape[2]):
+                total[n, k] += weight * columns[n, j, k]
 
 
 @compiled
