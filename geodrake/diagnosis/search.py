@@ -88,7 +88,7 @@ class Search:
         self._timed: Terms | None = None
         self._tried = [self._origin]  # delays (nv,) that have columns: the file's come first
         self._faded, self._crowded = list[Terms](), set[Terms]()
-        self._looked = self._doubted = False
+        self._looked, self._doubted = set[frozenset[object]](), False
         self._is_stopped = False
         self._told: FoundStep | None = None
         self.model = self._made()
@@ -298,8 +298,9 @@ class Search:
         if self._refined() or self._fades() or self._simplified():
             self._climb(hopeful=False)
             return True
-        if not self._looked:
-            self._looked = True
+        found = frozenset(term.effect or term.key for term in self.fit.terms)
+        if found not in self._looked:  # contacts seldom come out alike to the last digit
+            self._looked.add(found)
             more = self._suggested()
             if more:
                 self._offer(more)
@@ -307,7 +308,6 @@ class Search:
                     self.fit = self._start()  # what was found may have followed the contact
                 self._climb(hopeful=True)
                 self._climb(hopeful=False)
-                self._looked = False
                 return True
         if not self._doubted:
             self._doubted = True
@@ -319,8 +319,8 @@ class Search:
             self._anew()
             before = self.fit.choice.key
             self._climb(hopeful=False)
-            found = {term.effect for term in self.fit.terms}  # others get no columns anew
-            self._effects = [e for e in self._effects if e in found or e not in functions]
+            kept = {term.effect for term in self.fit.terms}  # others get no columns anew
+            self._effects = [e for e in self._effects if e in kept or e not in functions]
             return self.fit.choice.key != before
         return False
 
