@@ -46,7 +46,7 @@ _SHORTEST_STEP, _LONGEST_STEP = 1e-3, 5e-3  # s
 _TURNS = 0.3  # rad that the fastest swing takes in a step
 _TURNED = 0.5  # rad or m, by which a joint that is thrown about moves in a step
 _FINER, _FINEST = 4, 16  # times shorter steps follow it, by turns and at last
-_LOST = 30.0  # rad or m in a step of usual length, from which on no shorter one follows it
+_LOST = 30.0  # rad or m in a step, from which on neither it nor a quarter of it follows
 _GAMMA = 1.0 - np.sqrt(0.5)
 _SETTLED = 3e-3  # of the speeds below which dry friction fades, by which velocities change at last
 _MOST_ROUNDS, _CROSSING_ROUNDS = 40, 10  # of Newton, and in which friction is taken at rest
@@ -100,6 +100,7 @@ class Stepping:
     fastest: Array  # (n,) peak speeds of the measured motion, rad/s or m/s
     temperatures: Sequence[Temperatures | None]  # those of the joints in the log of each
     finer: int = 1  # how many steps take the place of a usual one
+    followed: Array | float = 0.0  # (N,) time for which longer steps followed each, s
 
     def positions(self) -> list[Array]:
         """Return positions (K, n) of each passage; NaN from where a robot flies apart."""
@@ -112,12 +113,13 @@ class Stepping:
                 # The last node may be less than the last instant by rounding.
                 end = own[-1] if kept.all() else passage.time[-1]
                 found[-1] = curve(np.minimum(passage.time, end))
-        turned = (np.abs(v) * (times[:, 1] - times[:, 0])[:, None, None]).max(axis=(1, 2))
-        rough = ~(turned < _TURNED)
-        rough &= ~lost[:, -1] | (self.finer == 1)  # what shorter steps lose too is given up
+        h = times[:, 1] - times[:, 0]
+        rough = ~((np.abs(v) * h[:, None, None]).max(axis=(1, 2)) < _TURNED)
+        followed = np.where(lost[:, -1], np.argmax(lost, axis=1) * h, np.inf)
+        rough &= followed > self.followed  # what shorter steps lose as early is given up
         if rough.any() and self.finer < _FINEST:
             few = np.flatnonzero(rough).tolist()
-            for i, own in zip(few, self._finer(few).positions(), strict=True):
+            for i, own in zip(few, self._finer(few, followed[few]).positions(), strict=True):
                 found[i] = own
         return found
 
@@ -149,12 +151,12 @@ class Stepping:
                 base = State(*(x + shift * r for x, r in zip(base, rates, strict=True)))
             nodes.append(state)
             speed = np.abs(state.velocity)
-            fast = (speed >= self._most) | (self.finer * speed * h >= _LOST)
+            fast = (speed >= self._most) | (speed * h >= _LOST)
             lost.append(lost[-1] | fast.any(axis=1))
         q, v = (np.stack([node[i] for node in nodes], axis=1) for i in range(2))
         return first + h * np.arange(len(nodes)), q, v, np.stack(lost, axis=1)
 
-    def _finer(self, few: Sequence[int]) -> Stepping:
+    def _finer(self, few: Sequence[int], followed: Array) -> Stepping:
         """Return the simulation of some of the passages by shorter steps."""
         return replace(
             self,
@@ -162,6 +164,7 @@ class Stepping:
             acting=[self.acting[i] for i in few],
             temperatures=[self.temperatures[i] for i in few],
             finer=_FINER * self.finer,
+            followed=followed,
         )
 
     def _step(self, state: State) -> float:
