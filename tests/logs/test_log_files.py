@@ -120,6 +120,9 @@ def test_unreadable_files(tmp_path):
         read_log(tmp_path)
     with pytest.raises(LogError, match=r"'\.docx'"):
         read_log(_write(tmp_path, name="log.docx"))
+    (tmp_path / "log.csv").write_bytes(bytes(range(256)) * 10)
+    with pytest.raises(LogError, match="no text in UTF-8"):
+        read_log(tmp_path / "log.csv")
 
 
 def test_times_with_a_unit_of_their_own(tmp_path):

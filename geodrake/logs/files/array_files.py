@@ -302,7 +302,7 @@ def read_npz(path: Path, reading: Reading) -> LogTable:
                     array = npy.read_array(member, allow_pickle=False)
                     if member.read(1):
                         raise ValueError(f"array {name!r} is longer than its header says")
-                arrays[name] = np.asarray(array, float) if array.dtype.kind in "fiu" else array
+                    arrays[name] = np.asarray(array, float) if array.dtype.kind in "fiu" else array
     table = numeric_table(path, arrays, rows_of(arrays))
     return replace(table, silent={**table.silent, **dict.fromkeys(objects, "holds objects")})
 
