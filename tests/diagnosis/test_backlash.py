@@ -1,12 +1,110 @@
-"""Play of a pendulum's link, which strikes the stiff, damped sides of its gap, by scipy."""
+"""Play of a pendulum's link, which strikes the stiff, damped sides of its gap, by scipy.
+
+The motor of the elbow moves as planned, whatever the link does; the shoulder stands nearly still.
+"""
+
+from functools import cache
+from math import cos, sin
 
 import numpy as np
 import pytest
-from elbow_logs import MODEL, loose_log, motor, played
+from pendulum_logs import PENDULUM
+from scipy.integrate import solve_ivp
 
+from geodrake import load_model
 from geodrake.diagnosis import explain
 from geodrake.effects import Backlash
-from geodrake.logs.motion import Motion
+from geodrake.logs.motion import JointLog, Motion
+
+MODEL = load_model(PENDULUM)
+RATES = 2 * np.pi * np.array([0.31, 0.53, 0.83])
+SIZES, PHASES = np.array([1.0, 0.6, 0.3]), np.array([0.0, 1.0, 2.0])
+
+
+def motor(t):
+    """Position, velocity and acceleration of the elbow's motor."""
+    angle = np.multiply.outer(t, RATES) + PHASES
+    return (
+        np.sin(angle) @ SIZES,
+        np.cos(angle) @ (SIZES * RATES),
+        -np.sin(angle) @ (SIZES * RATES**2),
+    )
+
+
+def at_elbow(q, v, vd):
+    """Effort (N, 2) with the shoulder at rest."""
+    still = np.zeros_like(q)
+    return MODEL.effort(Motion(*(np.stack([still, x], 1) for x in (q, v, vd))))
+
+
+@cache
+def constants():
+    """Inertia about the elbow and the moment of the weight there, N·m."""
+    one, none = np.ones(1), np.zeros(1)
+    weight = at_elbow(one * np.pi / 2, none, none)[0, 1]
+    return at_elbow(none, none, one)[0, 1] - at_elbow(none, none, none)[0, 1], weight
+
+
+@cache
+def played(half_width, seconds=16.0, rate=2000.0):
+    """Time, and the link's positions, velocities and the motor's torque."""
+    inertia, weight = constants()
+    stiffness = 4e4 * inertia
+    damping = np.sqrt(stiffness * inertia)
+    waves = list(zip(SIZES.tolist(), RATES.tolist(), PHASES.tolist(), strict=True))
+
+    def torque(t, y, link_v):
+        """With plain numbers, as the solver asks for it often."""
+        lag = sum(a * sin(w * t + p) for a, w, p in waves) - y
+        over = lag - min(max(lag, -half_width), half_width)
+        if over == 0.0:
+            return 0.0
+        speed = sum(a * w * cos(w * t + p) for a, w, p in waves) - link_v
+        push = stiffness * over + damping * speed
+        return max(push, 0.0) if over > 0.0 else min(push, 0.0)
+
+    def rates(t, y):
+        q, v = y.tolist()
+        return [v, (torque(t, q, v) - weight * sin(q)) / inertia]
+
+    time = np.arange(0.0, seconds, 1.0 / rate)
+    q, v, _ = motor(0.0)
+    step = 5e-4
+    y = solve_ivp(rates, time[[0, -1]], [q - half_width, v], "LSODA", time, max_step=step).y
+    pushes = zip(time.tolist(), *y.tolist(), strict=True)
+    return time, y, np.array([torque(*each) for each in pushes])
+
+
+def loose_log(half_width, *, noise=0.005, seed=1):
+    """A log of the pendulum whose elbow has play, its shoulder all but at rest."""
+    rng = np.random.default_rng(seed)
+    time, link, torque = played(half_width, 40.0)
+    q, v, vd = motor(time)
+    slow = 0.02 * np.sin(1.1 * time)
+    base = Motion(
+        np.stack([slow, q], 1),
+        np.stack([0.022 * np.cos(1.1 * time), v], 1),
+        np.stack([-0.0242 * np.sin(1.1 * time), vd], 1),
+    )
+    inertia, weight = constants()
+    falling = (torque - weight * np.sin(link[0])) / inertia
+    real = [x.copy() for x in (base.q, base.v, base.vd)]
+    for order, values in enumerate((*link, falling)):
+        real[order][:, 1] = values
+    effort = MODEL.effort(Motion(*real))
+    effort[:, 1] = MODEL.effort(base)[:, 1] + torque - at_elbow(q, v, vd)[:, 1]
+    # What a sample shows is the mean over its period.
+    effort = effort[: len(effort) // 8 * 8].reshape(-1, 8, 2).mean(1)
+    at = time[::8] + 3.5 / 2000.0
+    states = [np.stack([np.interp(at, time, x) for x in pair.T], 1) for pair in (base.q, base.v)]
+    return JointLog(
+        "loose",
+        MODEL.joints,
+        at,
+        states[0],
+        effort + noise * effort.std(0) * rng.normal(size=effort.shape),
+        states[1],
+    )
 
 
 def smooth(values, width=400):
@@ -18,8 +116,7 @@ def test_effort(half_width=2e-3):
     """The blows and pauses that scipy finds are those of the column, seen through a filter."""
     time, _, torque = played(half_width)
     q, v, vd = motor(time)
-    zero = np.zeros_like(q)
-    motion = Motion(*(np.stack([zero, x], 1) for x in (q, v, vd)), time)
+    motion = Motion(*(np.stack([0.0 * q, x], 1) for x in (q, v, vd)), time)
     missing = torque - MODEL.effort(motion)[:, 1]
     column = Backlash("elbow", half_width).regressor(MODEL.motion(motion))[:, 1, 0]
     seen, explained = smooth(missing), smooth(column)

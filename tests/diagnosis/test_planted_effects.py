@@ -283,6 +283,21 @@ ROWS = {
         known=FRICTION,
         uncertainty=0.0,
     ),
+    "losses as large in driving as in braking": Planted(
+        PENDULUM,
+        geared(0.15, 0.15),
+        {"load_dependent_friction": ((SHOULDER,), {"load_factor": 0.15})},
+        seed=7,
+        near=0.1,
+        known=FRICTION,
+        uncertainty=0.0,
+    ),
+    "a counterweight": Planted(
+        PENDULUM,
+        at(1, lambda j: 1.5 * np.sin(j.q - 0.8)),
+        {"gravity_compensator": ((ELBOW,), {})},
+        {**SHORT, "reach": 0.9},
+    ),
     "a gain": Planted(
         PENDULUM,
         amplified,
