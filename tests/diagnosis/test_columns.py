@@ -127,7 +127,9 @@ def test_dry_friction_alone_is_no_limit_of_a_motor(pendulum, right):
     assert "effort_limit" not in kinds
 
 
-@pytest.mark.parametrize("velocity", ["in degrees", "in radians", "none"])
+@pytest.mark.parametrize(
+    "velocity", ["in degrees", "in radians", pytest.param("none", marks=pytest.mark.thorough)]
+)
 def test_degrees_at_all_joints_are_one_mistake(pendulum, right, velocity):
     factor = 180.0 / np.pi
     rates = {"in degrees": factor * right.velocity, "in radians": right.velocity, "none": None}
@@ -252,7 +254,7 @@ class TestMeasured:
         assert found.error_after**2 < 0.1 * found.error_before**2
 
 
-@pytest.mark.parametrize(("joints", "kinds"), [(6, ["effort_sign"]), (31, [])])
+@pytest.mark.parametrize(("joints", "kinds"), [(4, ["effort_sign"]), (31, [])])
 def test_robots_of_many_joints_are_not_checked(joints, kinds):
     """What may be wrong with them is too much to weigh: that is said, and left to the fit."""
     model = chain(1, joints="R" * joints)
