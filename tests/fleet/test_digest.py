@@ -28,7 +28,6 @@ from geodrake.fleet.digest import sealed
 from geodrake.fleet.hashes import model_hash, text_hash
 from geodrake.fleet.history import weighted_grams
 from geodrake.fleet.log_places import date_of_log, date_seconds
-from geodrake.identification.logs.candidate_effects import candidate_effects
 from geodrake.identification.logs.case import open_case, reduced
 from geodrake.identification.logs.hypothesis import first_hypothesis
 from geodrake.identification.logs.model_fit import model_unknowns
@@ -392,11 +391,3 @@ def test_dates_in_a_file_say_when_a_log_began(tmp_path, logs):
 def test_what_is_no_date_is_refused(text):
     with pytest.raises(ValueError, match="A date is such as"):
         date_seconds(text)
-
-
-def test_settings_do_not_depend_on_the_order_of_the_catalogue(model, logs, settings, monkeypatch):
-    def reversed_candidates(*args, **more):
-        return candidate_effects(*args, **more)[::-1]
-
-    monkeypatch.setattr("geodrake.fleet.digest_log.candidate_effects", reversed_candidates)
-    assert make_settings(model, logs[0]).hash == settings.hash

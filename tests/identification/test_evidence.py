@@ -75,7 +75,7 @@ def test_coloured_residuals_raise_no_false_alarms():
 )
 def test_ties_of_equals_are_evenly_spread(folds):
     """Paired losses that differ by chance only: the p-value is uniform, but for its steps."""
-    rng, runs = np.random.default_rng(10), 2000
+    rng, runs = np.random.default_rng(10), 1000
     pairs = 5.0 + rng.normal(size=(runs, 2, folds))
     p = np.array([tie_probability(a, b) for a, b in pairs])
     for level in (0.05, 0.5, 0.95):

@@ -8,9 +8,9 @@ from identified_bodies import TWO as PRIOR
 from identified_bodies import cost
 from scipy.linalg import block_diag
 
-from geodrake.errors import ArgumentError, IdentificationError
+from geodrake.errors import ArgumentError
 from geodrake.identification import FitProblem, solve_fit
-from geodrake.identification.problem import LinearConstraints, whitened_factor
+from geodrake.identification.problem import whitened_factor
 from geodrake.inertia import from_mass_com_inertia, is_physical, pullback_metric
 
 
@@ -99,13 +99,3 @@ def test_reference_stands_in_for_a_prior_without_mass():
     size = from_mass_com_inertia(1.0, np.zeros(3), 0.01 * np.eye(3))
     result = solve_fit(replace(problem, prior_mean=payload, reference={0: size, 10: PRIOR[1]}))
     assert is_physical(result.x[:10])
-
-
-def test_contradictions_are_errors_with_the_status():
-    problem = example(8)
-    row = np.zeros((1, problem.size))
-    row[0, 0] = 1.0
-    negative = LinearConstraints(matrix=row, lower=np.array([-2.0]), upper=np.array([-1.0]))
-    with pytest.raises(IdentificationError, match="contradict") as caught:
-        solve_fit(replace(problem, constraints=negative))
-    assert caught.value.evidence["status"] == "kInfeasibleConstraints"

@@ -9,7 +9,6 @@ from scipy.optimize import minimize_scalar
 
 from geodrake.identification import identify
 from geodrake.identification.identify import REGULARIZERS
-from geodrake.inertia import pseudo_inertia, pseudo_inertia_basis
 
 GEOMETRIC = ("pullback", "entropic", "riemannian")
 FORMS = {
@@ -60,28 +59,6 @@ def test_one_scalar_is_at_the_minimum_in_closed_form(regularizer, solver):
         FORMS[regularizer](found.extra[0], x0), rel=1e-3, abs=1e-9
     )
     np.testing.assert_allclose(found.phi, PRIOR, atol=3e-5)
-
-
-def test_cvxpy_finds_the_same_bodies_and_scalars():
-    cp = pytest.importorskip("cvxpy")
-    (A, b, scalars), gamma = data(0), 2.0
-    priors, weights = scalars * [2.0, 0.5, 1.7], np.array([1.0, 4.0, 0.3])
-    x = cp.Variable(A.shape[1])
-    value, limits = cp.sum_squares(A @ x - b), []
-    for body, phi in enumerate(PRIOR):
-        P = cp.Variable((4, 4), symmetric=True)
-        basis = pseudo_inertia_basis()
-        limits.append(sum(x[10 * body + i] * basis[i] for i in range(10)) == P)
-        value += gamma * (cp.trace(np.linalg.inv(pseudo_inertia(phi)) @ P) - cp.log_det(P))
-    for k in range(3):
-        y = x[30 + k] / priors[k]
-        value += gamma * weights[k] * (y - cp.log(y))
-    cp.Problem(cp.Minimize(value), limits).solve(solver="CLARABEL")
-    found = identify(A, b, PRIOR, regularizer="entropic", gamma=gamma,
-                     extra_prior=np.column_stack([priors, weights]))  # fmt: skip
-    np.testing.assert_allclose(found.extra, x.value[30:], rtol=2e-5)
-    assert found.certificate.holds and not found.certificate.replaced
-    assert found.solver == "newton"
 
 
 def test_scalars_without_data_stay_at_their_priors_and_others_are_free():

@@ -332,7 +332,7 @@ def test_slopes_are_finite_differences(limit, own, tmp_path):
 def test_gains_are_those_of_a_servo_at_its_limit(tmp_path):
     limit = 7.0
     model = pendulum(tmp_path, limit)
-    known, (log,), _ = calibrate_efforts(model, [servo_log(limit=limit)])
+    known, (log,), _ = calibrate_efforts(model, [servo_log(limit=limit, seconds=10.0)])
     (signal,) = known.effort_signals
     assert signal.limit == limit
     assert signal.gain == pytest.approx(TRUTH[0], rel=0.05)
