@@ -9,7 +9,7 @@ import hashlib
 import os
 import stat
 from collections.abc import Iterable
-from io import BufferedReader, TextIOWrapper
+from io import BufferedReader
 from pathlib import Path
 
 from geodrake.errors import GeodrakeError
@@ -58,13 +58,6 @@ def open_regular(
 
 def _kind(status: os.stat_result) -> str | None:
     return _OTHERS.get(stat.S_IFMT(status.st_mode))
-
-
-def open_text(
-    path: Path, what: str, error: type[GeodrakeError], *, newline: str | None = None
-) -> TextIOWrapper:
-    """Open a file of UTF-8, with or without a mark at its start, as `open_regular` does."""
-    return TextIOWrapper(open_regular(path, what, error), encoding="utf-8-sig", newline=newline)
 
 
 def read_regular(

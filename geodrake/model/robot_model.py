@@ -54,7 +54,6 @@ from geodrake.robot.plant import (
 )
 from geodrake.robot.regressor import body_regressor, inverse_dynamics
 from geodrake.robot.robot_instance import RobotInstance
-from geodrake.robot.transmission.base import times
 from geodrake.robot.transmission.drive import Drive
 from geodrake.robot.transmission.loop import LoopTransmission
 
@@ -181,10 +180,6 @@ class RobotModel(Short):
     def plant_positions(self, q: Array) -> Array:
         """Return (N, nq of the plant) positions, of those of the model (N, nq)."""
         return self.coordinates.tree_positions(q)
-
-    def plant_velocities(self, q: Array, v: Array) -> Array:
-        """Return (N, nv of the plant) velocities, of positions (N, nq) and velocities (N, nv)."""
-        return times(self.coordinates.jacobian(q), v)
 
     def driving(
         self,

@@ -37,19 +37,19 @@ _SMOOTH = 0.8  # cosine of the angle between a face's normal and the mean, up to
 _GRIDS = (256, 180, 128, 90, 64, 45, 32, 22, 16)  # cells along the longest side
 
 
-def wavefront(path: Path, most: int = MOST_TRIANGLES) -> str:
-    """Return a mesh file as Wavefront's text, with no more triangles than asked for."""
+def wavefront(path: Path) -> str:
+    """Return a mesh file as Wavefront's text, of `MOST_TRIANGLES` at most."""
     try:
-        return wavefront_text(READERS[path.suffix.lower()](path), most)
+        return wavefront_text(READERS[path.suffix.lower()](path))
     except GeodrakeError:
         raise
     except (OSError, ValueError, LookupError, AttributeError, TypeError) as error:
         raise _unreadable(path, str(error)) from error
 
 
-def wavefront_text(surface: Surface, most: int = MOST_TRIANGLES) -> str:
-    """Return a surface as Wavefront's text, with no more triangles than asked for."""
-    vertices, faces = simplified(surface, most)
+def wavefront_text(surface: Surface) -> str:
+    """Return a surface as Wavefront's text, of `MOST_TRIANGLES` at most."""
+    vertices, faces = simplified(surface)
     normals, of_corners = _normals(vertices, faces)
     corners = 1 + np.stack([faces, of_corners], -1).reshape(-1, 6)
     text = io.StringIO()
@@ -113,7 +113,7 @@ def _normals(vertices: Array, faces: Faces) -> tuple[Array, Faces]:
     return np.concatenate([means, own[edged]]), np.where(smooth, faces, number[:, None])
 
 
-def simplified(surface: Surface, most: int) -> Surface:
+def simplified(surface: Surface) -> Surface:
     """Return a surface of few triangles: vertices in one cell of a grid become one of them."""
     vertices, faces = surface
     if not len(faces):
@@ -122,7 +122,7 @@ def simplified(surface: Surface, most: int) -> Surface:
     _, same = np.unique(np.round((vertices - low) / side * 1e6), axis=0, return_inverse=True)
     vertices, faces = _merged(vertices, faces, same.ravel())
     for grid in _GRIDS:
-        if len(faces) <= most:
+        if len(faces) <= MOST_TRIANGLES:
             break
         cells = np.floor((vertices - low) / side * grid)
         _, number = np.unique(cells, axis=0, return_inverse=True)
