@@ -150,7 +150,7 @@ def test_nothing_but_inertial_elements_changes(model):
 
 
 @pytest.mark.measurements("reference/*.urdf", "reference/iiwa14.sdf")
-@pytest.mark.parametrize("name", ["iiwa14.sdf", "atlas_v5.urdf"])
+@pytest.mark.parametrize("name", ["iiwa14.sdf", "panda_arm.urdf"])
 def test_models_of_real_robots(name, tmp_path):
     model = load_model(REFERENCE / name)
     assert export_model(model).content == (REFERENCE / name).read_bytes()

@@ -62,14 +62,16 @@ def test_mjcf_includes(tmp_path):
     assert (model.joints, model.phi[0, 0]) == (("j",), 2.0)
 
 
-def test_a_file_may_be_included_twice_beside_itself(tmp_path):
+@pytest.mark.parametrize("world", [False, True])
+def test_a_file_may_be_included_twice_beside_itself(tmp_path, world):
     write(tmp_path / "b.sdf", sdf(body("b")).replace("<mass>", "<mass>-"))
     both = "".join(
         f"<include><name>{name}</name><uri>b.sdf</uri></include>" for name in ("left", "right")
     )
-    model = load_model(write(tmp_path / "robot.sdf", sdf(body() + both)))
+    in_world = f'<sdf version="1.9"><world name="w">{both}</world></sdf>'
+    model = load_model(write(tmp_path / "robot.sdf", in_world if world else sdf(body() + both)))
     found = {joint.removeprefix("robot::") for joint in model.joints}
-    assert found == {"a_joint", "left_b_joint", "right_b_joint"}
+    assert found == {"left_b_joint", "right_b_joint"} | (set() if world else {"a_joint"})
     assert any("left::b has a mass of -1 kg" in each for each in model.repairs)
 
 

@@ -145,7 +145,8 @@ TAKEN = {
             tip('stiffness="3 0 2" springref="20" damping=".3 .2 .1"')
             + f'<body><joint name="u" stiffness="3 1 -2" springref="20" frictionloss=".3"/>{GEOM}'
             f'</body><body><joint name="w" axis="1 0 0" stiffness="-3"/>{GEOM}</body>',
-            tail='<actuator><general joint="t" gear="3" armature=".01" damping=".2"/></actuator>',
+            tail='<actuator><general joint="t" gear="3" armature=".01" damping=".2 .1 .3"/>'
+            "</actuator>",
         )
     ),
     "tendons of one joint": (
@@ -224,6 +225,11 @@ def test_friction_of_a_tendon_of_two_joints_is_that_of_an_actuator(tmp_path):
         rubs = 0.4 * np.sign(motion.v @ along)[:, None] * along
         assert np.allclose(model.effort(motion), bare.effort(motion) + rubs, atol=1e-12)
         assert not model.left_out
+    alone = load_model(
+        write(tmp_path, mjcf(tip(), tail=tail.format(0.0)).replace('"a" coef="', '"a" coef="-'))
+    )
+    rubs = 0.2 * np.sign(motion.v) * [1.0, 0.0]
+    assert np.allclose(alone.effort(motion), bare.effort(motion) + rubs, atol=1e-12)
     (said,) = load_model(write(tmp_path, mjcf(tip(), tail=tail.format(0.7)))).left_out
     assert said == "The dry friction 0.4 of p, over joints that pull it unequally, is left out."
 
@@ -469,8 +475,9 @@ def test_tendons_that_tie_two_joints_have_one_follow_the_other(tmp_path, tendons
 
 def test_frames_within_frames_without_end_are_read_or_refused(tmp_path):
     opens = '<frame pos="0 0 0.001">'
-    path = write(tmp_path, mjcf(opens * 390 + tip() + "</frame>" * 390))
-    assert len(load_model(path).joints) == 2
+    nameless = tip().replace('<joint name="t"', "<joint")
+    path = write(tmp_path, mjcf(opens * 390 + nameless + "</frame>" * 390))
+    assert load_model(path).joints == ("a", "t_joint_0")
     path = write(tmp_path, mjcf(opens * 500 + "</frame>" * 500))
     with pytest.raises(ModelError, match="more than 400 elements within each other"):
         load_model(path)

@@ -127,7 +127,7 @@ def test_packages_of_the_repository_are_found(cached):
 def test_a_file_that_is_there_wins_and_one_that_is_not_is_told_of_as_before(cached):
     Path("panda").write_text(MJCF)
     assert load_model("panda").joints == ("only",)
-    for gone in ("panda.urdf", "arms/panda", str(cached / "ur5e")):
+    for gone in ("gone.yaml", "arms/panda", str(cached / "ur5e")):
         with pytest.raises(ModelError, match=f"model file {gone} does not exist. Check the path.$"):
             load_model(gone)
     for gone in ("./ur5e", "ur5e/"):

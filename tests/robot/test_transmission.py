@@ -33,13 +33,14 @@ def crank_jacobian(q):
 
 
 CRANK = OwnTransmission((3, 2), crank, crank_jacobian)
+BELTS = LinearTransmission.of([[1.0, 0.5, 0.0], [0.0, 1.0, 0.0], [0.2, 0.0, 1.0]])
 WRIST = LinearTransmission.of([[1.0, 0.0], [1.0, -1.0]], [0.1, -0.2])
 
 
 @pytest.mark.parametrize(
     "part",
     [
-        InSequence((gears([2.0, -3.0]), WRIST, CRANK)),
+        InSequence((gears([2.0, -3.0]), CRANK, BELTS)),
         SideBySide((InSequence((gears([7.0]), rolling_joint(0.3))), WRIST)),
     ],
 )
@@ -54,6 +55,8 @@ def test_derivatives_are_differences_and_actuators_follow_from_the_joints(part):
     np.testing.assert_allclose(part.jacobian_rate(q, v), rate, atol=1e-9)
     found = part.actuator_positions(part.joint_positions(q), start=q + 0.05)
     np.testing.assert_allclose(found, q, atol=1e-8)
+    rows = np.random.default_rng(1).normal(size=(6, part.num_joints, 4))
+    np.testing.assert_allclose(part.regressor(q, rows), np.einsum("nki,nkp->nip", J, rows))
     moved, h = part.joint_motion(motion), 1e-4
     before, here, after = (
         part.joint_positions(q + t * v + 0.5 * t**2 * motion.vd) for t in (-h, 0.0, h)
