@@ -133,6 +133,7 @@ BAD = {
         "--seeds 0": "--seeds is a positive number",
         "--samples 0": "--samples is a positive number",
         "--clearance -1": "--clearance is a distance",
+        "--noise 0": "noise of shoulder, elbow is not a positive number",
         "--rate nan": "--rate is a positive number",
         "--solver magic": "No nonlinear solver 'magic'",
         "--save motion.bag": "does not end in .csv or .npz",

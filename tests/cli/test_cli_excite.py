@@ -155,7 +155,8 @@ class TestTellApart:
     def test_places_of_different_kinds_and_an_effect_of_the_users_own(self, tmp_path):
         (tmp_path / "own.py").write_text(OWN)
         pair = ("--tell-apart", "cubic_friction@elbow,gravity_tilt", "--effects", "own.py")
-        output = excite(PENDULUM, *FAST, *pair)
+        output = excite(PENDULUM, *FAST, *pair, "--noise", 50)
+        assert "such a log will hardly distinguish them" in output
         assert "gravity_tilt the whole robot cubic_friction" in output
         assert "cubic_friction elbow gravity_tilt" in output
 
