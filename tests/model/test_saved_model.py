@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from every_effect import EFFECTS, LEFT_OUT
 from servo_logs import PENDULUM, servo_log
 from typer.testing import CliRunner
 
@@ -14,24 +15,11 @@ from geodrake import load_model
 from geodrake.cli.app import app
 from geodrake.diagnosis import compare, explain
 from geodrake.effects import (
-    AsymmetricFriction,
-    CoulombFriction,
-    CoupledFriction,
-    CoupledRotorInertia,
-    EffortDelay,
-    EffortOffset,
     FittedEffect,
-    JointSpring,
-    LoadDependentFriction,
-    NonlinearViscousFriction,
-    Payload,
-    RotorInertia,
-    StribeckFriction,
     ViscousFriction,
     load_effect_file,
 )
 from geodrake.errors import ModelError
-from geodrake.inertia import from_mass_com_inertia
 from geodrake.logs.motion import Motion
 from geodrake.model import EffortSignal
 from geodrake.model.saved_model import save_model
@@ -54,28 +42,6 @@ class HangingHose(JointEffect):
 """
 
 
-def every_effect(model):
-    """One effect of every kind of the catalogue, shapes that are not the default included."""
-    a, b, c, d, e, f = model.joints
-    return (
-        ViscousFriction(a),
-        CoulombFriction(a),
-        AsymmetricFriction(b),
-        StribeckFriction(b, stribeck_velocity=0.123456789),
-        NonlinearViscousFriction(c, exponent=2.5),
-        LoadDependentFriction(c),
-        CoupledFriction((e, f), -1),
-        CoupledRotorInertia((d, e)),
-        EffortOffset(d),
-        JointSpring(d, exponent=3, center=0.1),
-        JointSpring(e, center=-1 / 3),
-        RotorInertia(f),
-        EffortDelay(0.0123),
-        EffortDelay(-0.004, b),
-        Payload(model.bodies[-1]),
-    )
-
-
 @pytest.fixture
 def fitted(tmp_path):
     """A model with all kinds of effects, whose base file lies in a folder of its own."""
@@ -83,13 +49,10 @@ def fitted(tmp_path):
     base.parent.mkdir()
     shutil.copy(MODELS / "arm6.urdf", base)
     model, rng = load_model(base), np.random.default_rng(3)
-    effects = []
-    for effect in every_effect(model):
-        k = len(effect.parameters)
-        values = rng.uniform(0.1, 1.0, k)
-        if isinstance(effect, Payload):
-            values = from_mass_com_inertia(1 / 3, rng.normal(size=3), 0.01 * np.eye(3))
-        effects.append(FittedEffect(effect, values, rng.uniform(size=k)))
+    effects = [
+        FittedEffect(effect, np.array(values) / 3, rng.uniform(size=len(values)))
+        for effect, values in (*EFFECTS, *LEFT_OUT)
+    ]
     p = model.phi.size + sum(len(e.parameters) for e in effects)
     root = rng.normal(size=(p, p))
     fading = np.array([0.0, 0.01, 1 / 3, 0.0, 0.0, 0.0])
@@ -143,7 +106,9 @@ def test_models_of_before_are_read(fitted, saved):
     later = ("motorless:", "leading:", "bandwidths:", "  abc:")
     saved.write_text("".join(line for line in lines if not line.startswith(later)))
     again = load_model(saved)
-    assert again.motorless == () and not again.bandwidths and len(again.effects) == 15
+    assert (
+        again.motorless == () and not again.bandwidths and len(again.effects) == len(fitted.effects)
+    )
 
 
 def test_a_base_that_changed_is_noted_and_another_robot_refused(fitted, saved):
