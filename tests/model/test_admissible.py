@@ -29,7 +29,7 @@ def heavy(q, v, vd, load):
 
 @cache
 def log(seed, hidden):
-    found = pendulum_log(seed, hidden, seconds=16.0, rate=100.0)
+    found = pendulum_log(seed, hidden, seconds=8.0, rate=100.0)
     return replace(found, temperature=30.0 + 0.5 * found.time[:, None] + 0.0 * found.position)
 
 
@@ -47,13 +47,11 @@ def comes_back(model, path):
     assert path.read_bytes() == text
 
 
-@pytest.mark.parametrize(
-    "effect", ["viscous_friction", "thermal_friction", "joint_elasticity", "wrong_inertia"]
-)
-def test_fits_come_back_from_any_edge(effect, tmp_path):
+def test_fits_come_back_from_any_edge(tmp_path):
     first = add("coulomb_friction", load_model(PENDULUM), [log(1, DRIVEN)]).model
     comes_back(first, tmp_path / "first.yaml")
-    comes_back(add(effect, first, [log(2, DRIVEN)]).model, tmp_path / "second.yaml")
+    for effect in ("viscous_friction", "thermal_friction", "joint_elasticity", "wrong_inertia"):
+        comes_back(add(effect, first, [log(2, DRIVEN)]).model, tmp_path / "second.yaml")
 
 
 @pytest.mark.parametrize(

@@ -170,7 +170,7 @@ def test_a_plant_in_a_diagram_moves_as_the_model_does(beside, extra, tmp_path):
 def test_friction_is_found_at_the_motor_that_has_it(wrist):
     """Dry friction of the motor m2, which moves two joints."""
     rub = lambda v: np.tanh(v / 1e-3) * [0.0, 0.8, 0.0]  # noqa: E731
-    found = explain(wrist, [log_of(wrist, seed, rub) for seed in (0, 1)])
+    found = explain(wrist, [log_of(wrist, 0, rub, seconds=12.0)])
     (step,) = found.steps
     (fitted,) = [f for f in found.model.effects if f.effect.name == "coulomb_friction"]
     assert fitted.effect.where == ("m2",) == tuple(step.where)
