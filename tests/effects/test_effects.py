@@ -238,7 +238,8 @@ class TestBodies:
         level = effect == effects.GravityTilt()  # to second order of the angles
         assert not level or angle < 0.011
         found = effect.effort(self.motion, angles)
-        turn = RotationMatrix(AngleAxis(angle, np.array([*angles, 0.0]) / max(angle, 1e-9)))
+        axis = np.array([*angles, 0.0]) / angle if angle > 1e-9 else np.array([1.0, 0.0, 0.0])
+        turn = RotationMatrix(AngleAxis(angle, axis))
         held = self.held_by_tilted_base(turn)
         np.testing.assert_allclose(found, held, atol=1e-9 + level * 100.0 * angle**2)
         assert effect.expanded_about(angles, self.motion.bodies) is effect
