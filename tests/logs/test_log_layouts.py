@@ -183,20 +183,14 @@ def test_units_by_option(tmp_path):
         assert any(words in note for note in log.notes)
 
 
-@pytest.mark.parametrize("stamped", [True, False])
-def test_position_and_effort_in_two_files(tmp_path, stamped):
-    time, q, _, tau = motion(("a", "b"))
-    every = 2 if stamped else 1
-    paths = tmp_path / "positions.csv", tmp_path / "efforts.csv"
-    for path, rows, values in zip(paths, (time, time[::every]), (q, tau[::every]), strict=True):
-        if stamped:
-            write(path, ["time", "a", "b"], [rows, values])
-        else:
-            np.savetxt(path, values, delimiter=",")
-    reading = Reading() if stamped else Reading(rate=500.0)
-    log = read_log("+".join(map(str, paths)), joints=("a", "b"), reading=reading)
-    check(log, ("a", "b"), q[::every], None, tau[::every])
-    assert np.allclose(log.time, time[::every])
+def test_position_and_effort_in_two_files_without_time(tmp_path):
+    _, q, _, tau = motion(("a", "b"))
+    for name, values in (("positions.csv", q), ("efforts.csv", tau)):
+        np.savetxt(tmp_path / name, values, delimiter=",")
+    parts = f"{tmp_path / 'positions.csv'}+{tmp_path / 'efforts.csv'}"
+    log = read_log(parts, joints=("a", "b"), reading=Reading(rate=500.0))
+    check(log, ("a", "b"), q, None, tau)
+    assert np.allclose(log.time, np.arange(ROWS) / 500.0)
 
 
 @pytest.mark.parametrize("kinds", ["csv npz", "parquet npz", "csv parquet"])
