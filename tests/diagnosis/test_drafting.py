@@ -113,18 +113,18 @@ def test_a_written_effect_is_its_formula_and_acts_on_a_plant(tmp_path):
 
 
 def test_nothing_is_drafted_of_noise_or_of_what_follows_the_clock():
-    """A swing at one joint, and coloured noise at the other."""
+    """A swing at one joint, and a drift at the other."""
     model, recording = load_model(MODELS / "double_pendulum.urdf"), ("double_pendulum", 101)
     draft = draft_effects(model, [effort_log(*recording, duration=12.0).log])[1]
     assert draft.effects == draft.correlates == ()
     assert draft.before.nrms == draft.after.nrms
     log = effort_log(*recording, colour=0.8, duration=16.0).log
     assert draft_effects(model, [log])[1].effects == ()
-    swing = np.outer(0.6 * np.sin(2 * np.pi * 1.37 * log.time), [1.0, 0.0])
-    drift = np.outer(2.0 * (log.time / 24.0) ** 2, [0.0, 1.0])
-    for extra, joint, words in ((swing, 0, "swings at 1.37 Hz"), (drift, 1, "drifts slowly")):
-        told = draft_effects(model, [replace(log, effort=log.effort + extra)])[1].correlates
-        first = next(c for c in told if c.joint == model.joints[joint])
+    swing = 0.6 * np.sin(2 * np.pi * 1.37 * log.time)
+    moved = log.effort + np.stack([swing, 2.0 * (log.time / 24.0) ** 2], 1)
+    told = draft_effects(model, [replace(log, effort=moved)])[1].correlates
+    for joint, words in zip(model.joints, ("swings at 1.37 Hz", "drifts slowly"), strict=True):
+        first = next(c for c in told if c.joint == joint)
         assert words in first.words and first.share > 0.9
 
 

@@ -354,6 +354,7 @@ class TestNames:
             ("effort_delay", ("a", "b"), {"delay": 0.1}, "one joint or none"),
             ("gravity_tilt", ("elbow",), {}, "the whole robot"),
             ("coulomb_friction", ("elbow",), {"width": 1.0}, "no shape parameter 'width'"),
+            ("stribeck_friction", ("elbow",), {}, "stribeck_velocity"),
             (
                 "stribeck_friction",
                 ("elbow",),
