@@ -292,6 +292,17 @@ ROWS = {
         known=FRICTION,
         uncertainty=0.0,
     ),
+    "another friction in each direction": Planted(
+        PENDULUM,
+        at(1, lambda j: 0.3 * sign(j.v) + (0.25 + 0.15 * sign(j.v)) * j.v),
+        {
+            "asymmetric_friction": (
+                (ELBOW,),
+                {"coulomb_positive": 0.3, "viscous_positive": 0.4, "viscous_negative": 0.1},
+            )
+        },
+        SHORT,
+    ),
     "a counterweight": Planted(
         PENDULUM,
         at(1, lambda j: 1.5 * np.sin(j.q - 0.8)),
