@@ -8,12 +8,12 @@ from fleet_data import MEAN, NOISE, UNIT, P, Rows, columns, hypotheses, robot
 from scipy.linalg import block_diag
 from scipy.stats import multivariate_normal
 
-from geodrake.fleet.change_evidence import FORMS, SCALES, Profiles, calc_change_evidence, kind_of
+from geodrake.fleet.change_evidence import SCALES, calc_change_evidence, kind_of
 from geodrake.fleet.fleet_run import parameter_levels
 from geodrake.fleet.history import RobotHistory
 from geodrake.fleet.type_columns import Spread, body_factor, distance_factor, narrow_factor
 from geodrake.fleet.type_learning import learn_type
-from geodrake.fleet.type_model import Course, TypeModel, calc_marginal, own_parameters
+from geodrake.fleet.type_model import Course, TypeModel, own_parameters
 from geodrake.inertia import pullback_distance
 
 
@@ -45,28 +45,6 @@ def dense(model, A):
     return stacked @ own @ stacked.T + each + NOISE**2 * np.eye(len(stacked))
 
 
-@pytest.mark.parametrize("form", FORMS)
-def test_cumulative_sums_are_those_of_profiles(form):
-    """Of days since 1970, of logs a minute after another."""
-    rng = np.random.default_rng(1)
-    days = 20_000.0 + 1.0 / 1440.0 * np.sort(rng.choice(40, 12, replace=False))
-    days[4] = days[3]  # two logs on one day
-    each, X = Profiles.of(form, days), rng.normal(size=(12, 2, 3))
-    values = each.values
-    assert values.shape == (10, 12)
-    np.testing.assert_allclose(each.sums(X), np.einsum("kt,tab->kab", values, X), atol=1e-9)
-    np.testing.assert_allclose(each.squares(X), np.einsum("kt,tab->kab", values**2, X), atol=1e-9)
-
-
-def test_marginals_are_those_of_rows():
-    rng = np.random.default_rng(2)
-    A, b, F = rng.normal(size=(6, P)), rng.normal(size=6), rng.normal(size=(P, 2))
-    V = NOISE**2 * np.eye(6) + A @ F @ F.T @ A.T
-    M, m = calc_marginal(A.T @ A / NOISE**2, A.T @ b / NOISE**2, F)
-    np.testing.assert_allclose(M, A.T @ np.linalg.solve(V, A))
-    np.testing.assert_allclose(m, A.T @ np.linalg.solve(V, b))
-
-
 def test_gains_are_columns_of_what_a_reference_says():
     rng = np.random.default_rng(12)
     A, b = rng.normal(size=(3, 2, 9, P)), rng.normal(size=(3, 2, 9))  # logs, joints, rows
@@ -85,8 +63,10 @@ def test_gains_are_columns_of_what_a_reference_says():
 
 
 def test_evidence_is_the_ratio_of_likelihoods_of_rows():
+    """Of days since 1970, of logs a minute after another, two of them on one."""
     rows = robot(np.random.default_rng(3), logs=6, rows=8)
-    history = rows.history()
+    days = 20_000.0 + np.array([0.0, 2.0, 2.0, 3.0, 7.0, 8.0]) / 1440.0
+    history = replace(rows.history(), days=days)
     logs = history.equations()
     model = made([logs])
     evidence = calc_change_evidence(model.fit(0, logs), history.days, hypotheses(), model.scale(0))
