@@ -1,6 +1,5 @@
 """Transmissions of models against Drake by hand, MuJoCo's tendons, and differences."""
 
-import re
 from dataclasses import replace
 
 import numpy as np
@@ -194,28 +193,21 @@ def test_a_saved_model_has_its_transmission(wrist, curved, tmp_path):
 
 
 @pytest.mark.parametrize(
-    ("old", "new", "problem"),
+    ("new", "problem"),
     [
-        ("joint: shoulder", "joint: knee", "joint 'knee', which the robot does not have"),
-        ("m3: 0.5", "m3: -0.5", "must be of rank n = 2; its rank is 1"),
-        ("ratio: -8", "ratoi: -8", r"gears\[0\] has unknown|ratoi"),
+        ("joint: knee", "joint 'knee', which the robot does not have"),
+        ("jiont: shoulder", r"gears\[0\] has .*jiont"),
     ],
 )
-def test_a_saved_transmission_that_does_not_fit_is_refused(wrist, old, new, problem, tmp_path):
+def test_a_saved_transmission_that_does_not_fit_is_refused(wrist, new, problem, tmp_path):
     path = tmp_path / "model.yaml"
     save_model(wrist, path)
-    lines = path.read_text()
-    assert old.split(":")[0] in lines
-    if "m3" in old:
-        lines = lines.replace("m3: -0.4", "m3: 0.4")
-    else:
-        lines = re.sub(rf"{old}\b.*", new, lines, count=1)
-    path.write_text(lines)
+    path.write_text(path.read_text().replace("joint: shoulder", new))
     with pytest.raises(ModelError, match=problem):
         load_model(path)
 
 
-def test_actuators_are_held_together_where_their_joints_then_stand(wrist, tmp_path):
+def test_actuators_are_held_together_where_their_joints_then_stand(wrist):
     held = holding(wrist, {"m2": 0.4, "m3": 0.2})
     assert held.joints == ("m1",)
     assert held.held == pytest.approx({"pitch": 0.3, "roll": 0.18})
@@ -225,8 +217,6 @@ def test_actuators_are_held_together_where_their_joints_then_stand(wrist, tmp_pa
     )
     whole.q[:, 1:] = [0.4, 0.2]
     assert_close(held.motion(motion).load, wrist.motion(whole).load[:, :1])
-    save_model(held, tmp_path / "held.yaml")
-    assert_close(load_model(tmp_path / "held.yaml").motion(motion).load, held.motion(motion).load)
     with pytest.raises(ModelError, match="'m2' cannot be held without m3: they move pitch, roll"):
         holding(wrist, {"m2": 0.4})
 

@@ -253,9 +253,6 @@ def test_a_held_leader_holds_its_followers(tmp_path):
         np.insert(motion.q, 1, 0.5, 1), *(np.insert(x, 1, 0.0, 1) for x in (motion.v, motion.vd))
     )
     assert_close(held.motion(motion).load, model.motion(at).load[:, :1])
-    save_model(held, tmp_path / "held.yaml")
-    again = load_model(tmp_path / "held.yaml")
-    assert_close(again.motion(motion).load, held.motion(motion).load)
     for refuse in (holding, lambda _, held: load_model(model.path, lock=held)):
         with pytest.raises(ModelError, match="'jc' cannot be held, as it follows 'jb'"):
             refuse(model, {"jc": 0.0})
