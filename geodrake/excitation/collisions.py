@@ -135,7 +135,7 @@ class CollisionWorld:
             gradient = ExtractGradient(result).ravel()
             if gradient.size:
                 gradients[i] = gradient
-        return values, self._model.robot_gradient(q, gradients)
+        return values, self._model.coordinates.robot_gradient(q, gradients)
 
     def _pairs(self, q: Array, within: float) -> list[list[SignedDistancePair]]:
         """Return, for each posture, Drake's signed distances of pairs that are so near."""

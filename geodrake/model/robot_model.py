@@ -202,10 +202,6 @@ class RobotModel(Short):
             return None
         return DrivenPlant(self, plant, sign_width, log, temperatures)
 
-    def robot_gradient(self, q: Array, gradient: Array) -> Array:
-        """Return the (N, nq) gradient by q (N, nq) from that by the plant's positions (N, ·)."""
-        return self.coordinates.robot_gradient(q, gradient)
-
     def place_of(self, joint: Joint) -> int | None:
         """Return a plant joint's velocity in the model; None if it has none of its own."""
         return self.coordinates.standing.get(int(joint.velocity_start()))
