@@ -79,23 +79,25 @@ def simulated(seconds=8.0, seed=1):
     )
 
 
+def knowing(model, turns=1.0):
+    """The model with its servos and effects, at motors that turn so many times as fast."""
+    effects, signals = [], []
+    sizes = np.array([KP, KD, VISCOUS, ARMATURE]) / turns**2
+    rows = zip(model.joints, LIMIT / np.abs(turns), *sizes, strict=True)
+    for joint, limit, kp, kd, viscous, armature in rows:
+        effects.append(FittedEffect(ViscousFriction(joint), np.array([viscous])))
+        effects.append(FittedEffect(RotorInertia(joint), np.array([armature])))
+        servo = EffortSignal(joint, "command", kp, damping=kd, delay=DELAY, limit=limit)
+        signals.append(servo)
+    return replace(model, effects=tuple(effects), effort_signals=tuple(signals))
+
+
 @pytest.fixture(scope="module")
 def arm(tmp_path_factory):
     """A log, and the model that knows its servos and effects."""
     path = tmp_path_factory.mktemp("arm") / "arm.urdf"
     path.write_text(URDF.format("", ""))
-    kinds = (ViscousFriction, VISCOUS), (RotorInertia, ARMATURE)
-    effects = tuple(
-        FittedEffect(kind(joint), np.array([value]))
-        for kind, values in kinds
-        for joint, value in zip("ab", values, strict=True)
-    )
-    signals = tuple(
-        EffortSignal(joint, "command", kp, damping=kd, delay=DELAY, limit=limit)
-        for joint, kp, kd, limit in zip("ab", KP, KD, LIMIT, strict=True)
-    )
-    model = replace(load_model(path), effects=effects, effort_signals=signals)
-    return simulated(), model
+    return simulated(), knowing(load_model(path))
 
 
 def without_efforts(log, *joints):
@@ -121,17 +123,7 @@ def test_servos_at_motors_behind_gears(arm):
     log, model = arm
     N = np.array([5.0, -3.0])
     drive = Drive(("m1", "m2"), ("a", "b"), gears(N))
-    numbers = dict(zip("ab", zip(drive.actuators, N.tolist(), strict=True), strict=True))
-    effects, signals = list[FittedEffect](), list[EffortSignal]()
-    for fitted in model.effects:
-        name, n = numbers[fitted.effect.joint]
-        effects.append(FittedEffect(type(fitted.effect)(name), fitted.parameters / n**2))
-    for signal in model.effort_signals:
-        name, n = numbers[signal.joint]
-        own = {"joint": name, "gain": signal.gain / n**2, "damping": signal.damping / n**2}
-        signals.append(replace(signal, **own, limit=signal.limit / abs(n)))
-    geared = load_model(model.path, transmission=[drive])
-    geared = replace(geared, effects=tuple(effects), effort_signals=tuple(signals))
+    geared = knowing(load_model(model.path, transmission=[drive]), N)
     turned = JointLog(
         "arm",
         ("m1", "m2"),
@@ -181,7 +173,7 @@ def test_reports_say_what_the_model_was_under(arm):
 def test_models_on_the_way_have_their_motions(arm):
     """Servos are known, and what the joints have beside them is added bit by bit."""
     model, log = arm[1], simulated(seconds=2.5)
-    logs, viscous = [without_efforts(log, "a", "b")], replace(model, effects=model.effects[:2])
+    logs, viscous = [without_efforts(log, "a", "b")], replace(model, effects=model.effects[::2])
     bare = replace(model, effects=(), effort_signals=())  # servos are those of the last model
     motions = commanded_motions(bare, model, logs, between=[viscous])
     shares = [motion.relative for motion in motions]
