@@ -43,12 +43,6 @@ def friction(joints=2):
     ]
 
 
-def information_matrix(target, motion):
-    """Σ Xᵀ Σ⁻¹ X, sample by sample."""
-    weight = np.diag(target.noise**-2.0)
-    return sum(X.T @ weight @ X for X in target.measure(motion).regressor)
-
-
 class TestValues:
     @pytest.mark.parametrize("name", CRITERIA)
     def test_definitions(self, name):
@@ -93,7 +87,8 @@ class TestNormalizations:
         """Against generalized eigenvalues of the information and the metric of each kind."""
         target = make_target(arm(effects=friction()), noise=[0.1, 0.2, 0.3])
         motion, base = motion_of(target.model), target.base
-        full, inverse = information_matrix(target, motion), np.linalg.pinv(base.matrix)
+        weight, inverse = np.diag(target.noise**-2.0), np.linalg.pinv(base.matrix)
+        full = sum(X.T @ weight @ X for X in target.measure(motion).regressor)
         M = inverse.T @ full @ inverse
         phi_B = base.values(target.prior)
         sizes = np.array([1.5, 1.5, 0.4, 0.4, 0.3])
