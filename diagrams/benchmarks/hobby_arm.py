@@ -10,7 +10,7 @@ sysid's by MuJoCo. Told are root mean squares of simulated − measured position
 
 It needs the public logs, and `pip install "mujoco[sysid]"` for the second model, which is left out
 without it. Another part fits a Dynamixel XL330 that swings a weight at a gain of 100, and predicts
-it at one of 400.
+it at one of 400, where it reaches the stall torque of its data sheet.
 """
 
 from __future__ import annotations
@@ -40,6 +40,7 @@ from geodrake.identification.logs.signal_calibration import (
 )
 from geodrake.logs.files import Reading, read_log
 from geodrake.logs.motion import JointLog
+from geodrake.logs.motors import motor_named
 from geodrake.logs.preparation import prepare_logs
 from geodrake.model.logged_joints import reading_for
 
@@ -288,6 +289,7 @@ def pendulum_row(folder: Path) -> dict[str, Any]:
         read_log(folder / f"data/xl330/cmd_{name}.csv", joints=model.joints)
         for name in ("kp100_sin_sin", "kp400_up_and_down")
     )
+    slow = replace(slow, motors={"servo": motor_named("xl330-m288")})
     _, fits = with_servo_motions(calibrate_efforts(model, [slow])[0], [slow])
     (fit,) = fits.values()
     known = signals_as_efforts([fast], ["command"])
@@ -298,7 +300,7 @@ def pendulum_row(folder: Path) -> dict[str, Any]:
     return {
         "fitted, °": float(np.rad2deg(fit.error)),
         "predicted at four times the gain, °": float(
-            np.rad2deg(motions.rms(motions.servo(stiffer)))
+            np.rad2deg(motions.rms(motions.servo(stiffer.tolist(), limit=fit.limit)))
         ),
     }
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from contextlib import suppress
 from dataclasses import asdict
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -93,10 +94,11 @@ def run_add(options: AddOptions) -> None:
 def run_explain(options: ExplainOptions | Options, promise: str = "") -> None:
     """Explain logs, with formulas for the rest if these are asked for."""
     target: Path | None = getattr(options, "draft_effect", None)
+    every_step = any((options.details, options.report, options.json))  # which tell of it
     command = Command(
         "explain",
         "Explaining",
-        _explained if target is None else _drafted,
+        partial(_explained, every_step=every_step) if target is None else _drafted,
         _numbers,
         explanation_page,
         drawn=_drawn,
@@ -118,22 +120,23 @@ def _drafted(given: Input) -> Explained:
     return Explained(explanation, draft=draft)
 
 
-def _explained(given: Input) -> Explained:
+def _explained(given: Input, *, every_step: bool) -> Explained:
     case = open_case(given.model, given.logs, candidates=True, extra=given.extra, **given.settings)
     found = investigate(case, progress=step_teller(given.progress))
     explanation = found.explanation
     if explanation.is_interrupted:
         return Explained(explanation)
-    motions = _motions(given, explanation)
+    motions = _motions(given, explanation, every_step=every_step)
     if explanation.verdict != "unexplained":
         return Explained(explanation, (), motions)
     given.progress("Looking for what the remaining error varies with")
     return Explained(explanation, rest_correlates(found), motions)
 
 
-def _motions(given: Input, found: Explanation) -> tuple[Rollout, ...] | None:
+def _motions(given: Input, found: Explanation, *, every_step: bool) -> tuple[Rollout, ...] | None:
     """Return motions under commands before, after the steps, and after the last; None without."""
-    between = [step.model for step in found.steps if step.model is not None]
+    steps = found.steps if every_step else ()
+    between = [step.model for step in steps if step.model is not None]
     for models in (between, []):  # an effect on the way may be one that no simulation has
         with suppress(LogError, ModelError):  # as where nothing moves for as long as a window
             return commanded_motions(given.model, found.model, given.logs, between=models)

@@ -92,6 +92,14 @@ def test_it_finds_what_mujoco_has(model, log):
     assert offset == 0.0 and load < 0.01
     assert fit.error < 2e-3 * fit.moved
     assert fit.error < 0.1 * fit.start
+    assert np.isinf(fit.limit)
+
+
+@pytest.mark.parametrize("published, kept", [(1e3, True), (0.5, False)])
+def test_a_data_sheet_limits_what_the_motion_does_not(tmp_path, published, kept):
+    motions = alone(pendulum(tmp_path, 1e3), servo_log(seconds=6.0))
+    signal = EffortSignal("hinge", "command", 50.0)
+    assert (fit_servo(motions, signal, published=published).limit == published) == kept
 
 
 def test_a_joint_that_falls_over_is_far_off_and_no_servo():

@@ -356,14 +356,16 @@ def fit_servo(
     *,
     expected: Expected | None = None,
     bodies: float = 0.0,
+    published: float = np.inf,
 ) -> ServoFit | None:
     """Return the servo that moves a joint as it was measured to, from that by a linear fit on.
 
     The `limit` is the largest effort of the joint, N·m or N, by the model: the servo may keep it,
     or another one, or none. Of the stiffness and other parameters values may be `expected`, by
-    default of the stiffness about that by the linear fit; `bodies` are known to a share. None if
-    windows that the fit did not see are predicted no better than from where it began, or than by a
-    joint that stands still.
+    default of the stiffness about that by the linear fit; `bodies` are known to a share. The most
+    effort that is `published` of the motor, N·m or N, is its limit where the motion does not reach
+    it. None if windows that the fit did not see are predicted no better than from where it began,
+    or than by a joint that stands still.
     """
     inertia, some = np.concatenate(motions.rows)[:, 1], motions.pieces()
     begin = [
@@ -375,7 +377,7 @@ def fit_servo(
         signal.delay,
     ]
     expected = {"stiffness": (signal.gain, ALIKE), **(expected or {})}
-    first = _Search(some, signal.integral, expected)
+    first = _Search(some, signal.integral, expected, published)
     found = first.at_its_limit(some.servo(begin), limit).along(motions)
     search, start = replace(first, motions=motions), motions.servo(begin)
     fit = search.fitted(found, start, bodies)
@@ -391,6 +393,7 @@ class _Search:
     motions: JointMotions
     told: float  # the integral gain by a linear fit; 0 if it has none
     expected: Expected
+    published: float  # most effort of the motor, N·m or N
 
     def fitted(self, half: _Servo, start: Array, bodies: float) -> ServoFit | None:
         """Return the fit to all rows, from that to half of the windows on; see `fit_servo`."""
@@ -411,6 +414,10 @@ class _Search:
         error, first = motions.rms(best.numbers), motions.rms(began)
         if not error < min(first, moved):
             return None
+        held = best.limited(self.published, 0.0)
+        same = motions.residual(held.numbers) == motions.residual(best.numbers)
+        if same.all() and np.isfinite(self.published):
+            best = held
         parameters, limit, own = np.split(best.numbers[:_BEGUN], [_LIMIT, _SHARE])
         deviations = self._deviations(best, best.free(without=unused))
         # Bodies that are heavier move as these do with a stiffness that is larger by as much.
@@ -605,7 +612,9 @@ def _descend(
             size = np.maximum(np.diag(H), np.finfo(float).eps * np.trace(H) + _NOTHING)
             root = np.linalg.cholesky(H + np.diag(damping * size))
             aim = solve_triangular(root, -pull, lower=True)
-            step = lsq_linear(root.T, aim, (bounds[0] - x, bounds[1] - x), method="bvls").x
+            step = solve_triangular(root.T, aim)
+            if ((x + step < bounds[0]) | (x + step > bounds[1])).any():
+                step = lsq_linear(root.T, aim, (bounds[0] - x, bounds[1] - x), method="bvls").x
             promised = -float(step @ (2.0 * pull + H @ step))
             if promised <= _SETTLED * cost:
                 return x, cost

@@ -12,6 +12,7 @@ from geodrake.effects.base import JointEffect
 from geodrake.identification.logs.servo_fit import PARAMETERS, ServoFit, fit_servo, motions_of
 from geodrake.identification.logs.signal_calibration import (
     expected_servo,
+    published_limit,
     sharp_trajectories,
     signal_by_motion,
     signals_as_efforts,
@@ -60,7 +61,13 @@ def with_servo_motions(
         joint, most = model.joints[j], float(model.effort_limits[j])
         signal = signals[joint]
         expected = expected_servo(logs, joint, signal.gain)
-        fit = fit_servo(motions, signal, most if most > 0.0 else np.inf, expected=expected)
+        fit = fit_servo(
+            motions,
+            signal,
+            most if most > 0.0 else np.inf,
+            expected=expected,
+            published=published_limit(logs, joint),
+        )
         if fit is not None:
             fits[joint] = fit
             deviation = signal.uncertainty * fit.parameters[0]

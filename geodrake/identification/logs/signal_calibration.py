@@ -332,7 +332,8 @@ def calibrated(
         for j in joints:
             limit, known = float(model.effort_limits[j]), float(gains.bodies[j])
             expected = expected_servo(logs, model.joints[j], usual[alike[j]])
-            servo = _by_motion(motions[j], signals[j], limit, known, expected)
+            published = published_limit(logs, model.joints[j])
+            servo = _by_motion(motions[j], signals[j], (limit, published), known, expected)
             servos |= {} if servo is None else {j: servo}
         return servos
 
@@ -384,6 +385,13 @@ def expected_servo(logs: Sequence[JointLog], joint: str, stiffness: float) -> Ex
     return found
 
 
+def published_limit(logs: Sequence[JointLog], joint: str) -> float:
+    """Return the most effort that a joint's motor gives by its data sheet; infinite if unknown."""
+    motors = [log.motors[joint] for log in logs if joint in log.motors]
+    stall = motors[0].stall_torque if motors else None
+    return np.inf if stall is None else stall[0]
+
+
 def _log_deviation(value: float, deviation: float) -> float:
     """Return the deviation of the logarithm of a value; what is exact is known to a thousandth."""
     return max(float(np.sqrt(np.log1p((deviation / value) ** 2))), 1e-3)
@@ -405,15 +413,20 @@ def sharp_trajectories(
 
 
 def _by_motion(
-    motions: JointMotions, signal: EffortSignal, limit: float, known: float, expected: Expected
+    motions: JointMotions,
+    signal: EffortSignal,
+    limits: tuple[float, float],
+    known: float,
+    expected: Expected,
 ) -> EffortSignal | None:
     """Return the servo of a joint by how it moves, if that is predicted better for it, or None.
 
-    An integral counts only where windows of the motion ask for it, and so does the limit of the
-    joint's effort, N·m or N. `signal` is the servo by a linear fit; bodies are `known` to a share.
+    An integral counts only where windows of the motion ask for it, and so does the first of the
+    `limits` of its effort, N·m or N, which are the model's and the motor's. `signal` is the servo
+    by a linear fit; bodies are `known` to a share.
     """
-    bodies, most = min(signal.uncertainty, known), limit if limit > 0.0 else np.inf
-    fit = fit_servo(motions, signal, most, expected=expected, bodies=bodies)
+    bodies, most = min(signal.uncertainty, known), limits[0] if limits[0] > 0.0 else np.inf
+    fit = fit_servo(motions, signal, most, expected=expected, bodies=bodies, published=limits[1])
     return None if fit is None else signal_by_motion(signal, fit)
 
 
