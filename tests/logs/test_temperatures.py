@@ -67,20 +67,23 @@ def test_degrees_of_fahrenheit_are_read(unit):
     np.testing.assert_allclose(log.temperature, WARMTH, rtol=1e-12)
 
 
-def test_slow_ones_may_be_named_by_a_mapping_alone(tmp_path):
+def test_slow_ones_and_time_may_be_named_by_a_mapping_alone(tmp_path):
     """One a second, in a file of their own, beside motions at 100 Hz."""
-    slow = {"time": TIME[::100], "drive 7": WARMTH[::100, 0], "drive 8": WARMTH[::100, 1]}
-    write_log(log_with(None), tmp_path / "motion.npz")
-    np.savez(tmp_path / "drives.npz", **slow)
+    slow = {"moment": TIME[::100], "drive 7": WARMTH[::100, 0], "drive 8": WARMTH[::100, 1]}
+    quick = log_with(None).columns()
+    np.savez(tmp_path / "motion.npz", moment=1e3 * quick.pop("time"), **quick)
+    np.savez(tmp_path / "drives.npz", **{**slow, "moment": 1e3 * slow["moment"]})
     joints = {
         joint: {q: MappedColumn(f"{joint}.{q}") for q in ("position", "effort")}
         | {"temperature": MappedColumn(column)}
         for joint, column in zip(JOINTS, ("drive 7", "drive 8"), strict=True)
     }
-    reading = Reading(mapping=ColumnMapping(joints, MappedColumn("time")))
+    reading = Reading(mapping=ColumnMapping(joints, MappedColumn("moment", "ms")))
     log = read_log(f"{tmp_path / 'motion.npz'}+{tmp_path / 'drives.npz'}", reading=reading)
+    assert len(log) == len(TIME)
     known = log.time <= 19.0
-    np.testing.assert_allclose(log.temperature[known], WARMTH[known], rtol=1e-12)
+    np.testing.assert_allclose(log.time[known], TIME[TIME <= 19.0], atol=1e-12)
+    np.testing.assert_allclose(log.temperature[known], WARMTH[TIME <= 19.0], rtol=1e-12)
 
 
 def test_limits_and_boards_are_no_temperatures_of_joints():

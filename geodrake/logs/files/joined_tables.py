@@ -25,6 +25,7 @@ from geodrake.logs.files.name_rules import (
 )
 from geodrake.logs.files.reading import Reading
 from geodrake.logs.files.table import LogTable
+from geodrake.logs.files.units import unit_of
 from geodrake.logs.floating import FLAG, floating_name, vectors
 from geodrake.logs.motion import EFFORT_KINDS
 from geodrake.logs.time_stamps import longest_step
@@ -79,10 +80,12 @@ def joined_tables(log: Path, tables: Sequence[LogTable], reading: Reading) -> Lo
             f"The parts of log {str(log)!r} are of times that do not meet: {', '.join(spans)}.",
             advice="Use one clock for both.",
         )
-    columns = {"time": known[base]}
+    told = reading.mapping.time if reading.mapping else None
+    clock = str(told.column) if told and any(told.column in t.columns for t in tables) else "time"
+    columns, origins = {clock: known[base]}, {clock: origins["time"]}
     for table, time in zip(tables, known, strict=True):
         for column, values in table.columns.items():
-            if not is_time(column):
+            if not _is_time(column, reading):
                 holds = _what(column, reading)[1] in ("command", FLAG)
                 columns[column] = at_instants(known[base], time, values, holds=holds)
     rate = 1.0 / periods[base]
@@ -90,6 +93,12 @@ def joined_tables(log: Path, tables: Sequence[LogTable], reading: Reading) -> Lo
     notes = (note, *slow_notes, *clock_notes, *noted)
     silent = {column: why for table in tables for column, why in table.silent.items()}
     return LogTable(log, columns, units, notes, origins, {**silent, **rare})
+
+
+def _is_time(column: str, reading: Reading) -> bool:
+    """Return whether a column has the time, as its name or the mapping says."""
+    mapped = reading.mapping.time if reading.mapping else None
+    return is_time(column) or (mapped is not None and mapped.column == column)
 
 
 def _what(column: str, reading: Reading) -> tuple[str, str]:
@@ -141,7 +150,7 @@ def _slow_parts(
             needed |= what.startswith("imu.") and "base.orientation" not in kinds
         kept = {c: values for c, values in table.columns.items() if c not in lost}
         found.append(replace(table, columns=kept))
-        used = [c for c in kept if not is_time(c)]
+        used = [column for column in kept if not _is_time(column, reading)]
         words = [f"{listed(used)} interpolated"] if used else []
         words += [f"{listed([*lost])} left out"] if lost else []
         rates = f"{1 / period:.4g} rows a second, and others up to {1 / min(periods):.4g}"
@@ -178,6 +187,12 @@ def meanings_of(table: LogTable) -> list[Meaning]:
 
 def _time(table: LogTable, reading: Reading) -> tuple[Array | None, tuple[str, ...]]:
     """Return time stamps of a table, s, and a note of a unit that nobody said."""
+    mapped = reading.mapping.time if reading.mapping else None
+    if mapped is not None and (stamps := table.columns.get(str(mapped.column))) is not None:
+        if mapped.column in table.origins:
+            return stamps, ()
+        unit = unit_of(mapped.unit or reading.units.get("time", "s"), "time")
+        return mapped.gain * unit.factor * stamps, ()
     source = time_source(meanings_of(table), reading, table.units)
     if source is None:
         return None, ()
@@ -202,7 +217,7 @@ def _one_clock(
     stamped = [k for k, time in enumerate(times) if time is not None]
     if len(stamped) < 2:
         return times, {"time": None}, notes
-    zeros = [next((o for c, o in t.origins.items() if is_time(c)), None) for t in tables]
+    zeros = [next((o for c, o in t.origins.items() if _is_time(c, reading)), None) for t in tables]
     if not any(zero is not None for zero in zeros):
         return times, {"time": None}, notes
     first = min(zero for zero in zeros if zero is not None)
