@@ -40,14 +40,12 @@ URDF = """<?xml version="1.0" ?>
     <visual><geometry><box size="1 1 1"/></geometry></visual>
   </link>
   <link name="four" />
-  <joint name="a" type="revolute"><parent link="base"/><child link="one"/><axis xyz="0 0 1"/>
-    <limit lower="-3" upper="3" effort="10" velocity="2"/></joint>
-  <joint name="b" type="revolute"><parent link="one"/><child link="two"/><origin xyz="0 0 1"/>
-    <axis xyz="0 1 0"/><limit lower="-3" upper="3" effort="10" velocity="2"/></joint>
-  <joint name="c" type="revolute"><parent link="two"/><child link="three"/><origin xyz="1 0 1"/>
-    <axis xyz="1 0 0"/><limit lower="-3" upper="3" effort="10" velocity="2"/></joint>
-  <joint name="d" type="revolute"><parent link="three"/><child link="four"/><origin xyz="0 0 1"/>
-    <axis xyz="0 1 0"/><limit lower="-3" upper="3" effort="10" velocity="2"/></joint>
+  <joint name="a" type="continuous"><parent link="base"/><child link="one"/>
+    <axis xyz="0 0 1"/></joint>
+  <joint name="b" type="continuous"><parent link="one"/><child link="two"/>
+    <axis xyz="0 1 0"/></joint>
+  <joint name="c" type="continuous"><parent link="two"/><child link="three"/></joint>
+  <joint name="d" type="continuous"><parent link="three"/><child link="four"/></joint>
 </robot>
 """
 
