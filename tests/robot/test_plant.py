@@ -109,10 +109,12 @@ def test_urdf_reads_limits_damping_and_friction(load):
     assert any("coulomb_friction" in note for note in model.notes)
 
 
-def test_rotor_inertia_is_read_out_and_removed(load):
+@pytest.mark.parametrize("effort", [10, 0])
+def test_rotor_inertia_is_read_out_and_removed(load, effort):
     extra = """<transmission><type>SimpleTransmission</type><joint name="j1"/><actuator name="a">
     <x:rotor_inertia value="0.001"/><x:gear_ratio value="10"/></actuator></transmission>"""
     text = urdf(inertial(), extra=extra).replace("<robot", "<robot xmlns:x='http://drake.mit.edu'")
+    text = text.replace('effort="10"', f'effort="{effort}"')
     loaded = load(text)
     assert loaded.stated.rotor_inertia == pytest.approx([0.1])
     mass = loaded.plant.CalcMassMatrix(loaded.plant.CreateDefaultContext())
