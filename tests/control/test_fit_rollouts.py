@@ -98,7 +98,7 @@ class TestCommand:
         done = self.run(
             "rollout", files / "soft.yaml", files / "log.csv", "--fit", "--quiet",
             "--save", files / "better.yaml", "--json", files / "fit.json",
-            "--report", files / "fit.html", "--series", files / "fit.csv",
+            "--report", files / "fit.html", "--series", files / "fit.csv", "--horizon", "0.3",
         )  # fmt: skip
         assert done.exit_code == 0, done.output
         assert "held out" in done.output
