@@ -102,7 +102,7 @@ def pendulum(tmp_path_factory):
     return str(PENDULUM), str(path)
 
 
-@pytest.mark.parametrize("twice", [False, True])
+@pytest.mark.parametrize("twice", [False, pytest.param(True, marks=pytest.mark.thorough)])
 def test_an_interrupt_keeps_what_was_found_and_a_second_ends_at_once(tmp_path, pendulum, twice):
     # Jobs of a shell in the background ignore interrupts, and so do their children.
     heard = "import signal\nsignal.signal(signal.SIGINT, signal.default_int_handler)"
