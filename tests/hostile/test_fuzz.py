@@ -38,7 +38,7 @@ TOKEN = re.compile(r"[-+]?\d[\d.eE+-]*|[A-Za-z_][\w:]*")
 
 
 def good_log(kind):
-    rows = table(rate=50.0)
+    rows = table(seconds=12.0, rate=50.0)
     if kind == "NPZ log":
         file = io.BytesIO()
         np.savez(file, **dict(zip(HEADER.split(","), rows.T, strict=True)))

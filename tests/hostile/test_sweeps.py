@@ -142,7 +142,7 @@ FILES = {
 }
 
 
-MANY = 40  # places of a file in which one change is tried; of more, others by each change
+MANY = 20  # places of a file in which one change is tried; of more, others by each change
 
 
 def cases():
