@@ -47,10 +47,11 @@ class UnresolvedReversal(JointEffect):
     """What dry friction does at speeds at which a log hardly tells the direction of motion.
 
     effort = h₀ (sgn v − d) + h₁ (tanh(2v/w) − d) + Σ_k e_k e^{−|v|/s_k} d
-             + Σ_k j_k (v/√(v² + s_k²) − d), with d = tanh(v/w):
+             + Σ_k j_k (v/√(v² + s_k²) − d) + Σ_k m_k (1 − |tanh(v/s_k)|), with d = tanh(v/w):
     friction that jumps more sharply than the direction d of other effects, or less, or that
-    is another one there. Speeds below w pass within a sample, or are noise; how surfaces give way
-    before they slide, below the speeds s_k, no log of ordinary motions tells.
+    is another one there, or whose mean over both directions is not zero. Speeds below w pass
+    within a sample, or are noise; how surfaces give way before they slide, below the speeds s_k,
+    no log of ordinary motions tells.
     """
 
     speed: float  # w, rad/s or m/s
@@ -61,6 +62,7 @@ class UnresolvedReversal(JointEffect):
         *(Parameter(f"sharper_{k}", "N·m") for k in range(2)),
         *(Parameter(f"excess_{k}", "N·m") for k in range(3)),
         *(Parameter(f"softer_{k}", "N·m") for k in range(2)),
+        *(Parameter(f"mean_{k}", "N·m") for k in range(2)),
     )
     shapes: ClassVar[tuple[Shape, ...]] = (Shape("speed", "rad/s"), Shape("slip", "rad/s"))
     depends_on: ClassVar[frozenset[str]] = frozenset({"v"})
@@ -72,7 +74,8 @@ class UnresolvedReversal(JointEffect):
         excess = [np.exp(-np.abs(v) / s) * usual for s in speeds]
         softer = [v / np.hypot(v, s) - usual for s in speeds[1:]]
         sharper = [np.sign(v) - usual, np.tanh(2.0 * v / self.speed) - usual]
-        return [*sharper, *excess, *softer]
+        means = [1.0 - np.abs(np.tanh(v / s)) for s in (self.speed, self.slip)]
+        return [*sharper, *excess, *softer, *means]
 
 
 @dataclass(frozen=True)
