@@ -256,9 +256,14 @@ class LogModel:
                 total += 2.0 * int(late.sum()) * np.log(beliefs.again * beliefs.shape)
         # Of widths that explain the same, the narrower one is the simpler one.
         total += 2.0 * np.log1p(_SIMPLER * np.searchsorted(self.widths, choice.width))
-        if choice.width > (beliefs.wrong if self.model.information is None else 1.0):
+        if choice.width > self.widest_right:
             total += 6.0 * np.log(beliefs.rarer)
         return float(total)
+
+    @property
+    def widest_right(self) -> float:
+        """Return the widest prior of bodies with which the model is not wrong."""
+        return self.beliefs.wrong if self.model.information is None else 1.0
 
     def lateness(self, choice: Choice) -> Array:
         """Return (nv,) delays of an explanation beyond those of the model, s."""

@@ -10,7 +10,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from geodrake.boundary.interrupts import StopSearch
 from geodrake.diagnosis.beliefs import Beliefs
-from geodrake.diagnosis.climbing import climb, settled
+from geodrake.diagnosis.climbing import climb, gain_of, settled
 from geodrake.diagnosis.contact_window import PIECES
 from geodrake.diagnosis.episodes import find_episodes
 from geodrake.diagnosis.handling import instants, is_short
@@ -102,6 +102,7 @@ class Search:
                 self._offer(more)
             self._climb(hopeful=True)
             self._climb(hopeful=False)
+            self._keep_bodies_near()
             for _ in range(_MOST_ROUNDS):
                 if not self._goes_on():
                     break
@@ -154,7 +155,7 @@ class Search:
             widths = [w for w in model.widths if w > wrong] or [model.widths[-1]]
             choices = [Choice((), width, self._on_time) for width in widths]
             return self._best(choices, was)
-        known = [w for w in model.widths if w <= model.beliefs.wrong] or [model.widths[0]]
+        known = [w for w in model.widths if w <= model.widest_right]
         options = dict[tuple[str, ...], list[Term]]()
         for term in model.terms:
             if term.effect is not None and isinstance(term.effect, kind):
@@ -239,6 +240,24 @@ class Search:
             shaped = {term.where[0] for term in self.fit.terms if term.key in self._zooms}
             if shaped:  # before anything else makes up for a shape that is not exact
                 self.fit = climb(self.model, self.fit, hopeful=hopeful, joints=shaped)
+
+    def _keep_bodies_near(self) -> None:
+        """Climb once more with bodies near the file, if they are far from it; keep the better.
+
+        Bodies that may be anything take in what an effect does, such as a rotor at the first joint:
+        beside them it promises nothing.
+        """
+        far, widest = self.fit, self.model.widest_right
+        if far.choice.width <= widest:
+            return
+        near = [width for width in self.model.widths if width <= widest]
+        self.fit = self._best([replace(far.choice, width=width) for width in near], far)
+        self._climb(hopeful=True)
+        self._climb(hopeful=False)
+        far = self.model.refitted(far)
+        better = gain_of(self.model, far, self.fit)
+        if better is None or better[0] <= 0.0:
+            self.fit = far
 
     def _is_inexact(self, fit: Fit) -> bool:
         """Return whether what was found is to be made exact before anything else is looked for.

@@ -292,6 +292,12 @@ ROWS = {
         known=FRICTION,
         uncertainty=0.0,
     ),
+    "a rotor at the first joint, whose link could be another": Planted(
+        PENDULUM,
+        at(0, lambda j: 0.04 * j.a),
+        {"rotor_inertia": ((SHOULDER,), {"inertia": 0.04})},
+        SHORT,
+    ),
     "another friction in each direction": Planted(
         PENDULUM,
         at(1, lambda j: 0.3 * sign(j.v) + (0.25 + 0.15 * sign(j.v)) * j.v),
