@@ -152,6 +152,15 @@ def test_bodies_stay_physical(dataset, model):
     np.testing.assert_allclose(kept.held_out.rms, found.rms, rtol=1e-6)
 
 
+def test_a_prior_that_a_likelihood_pulls_out_of_all_bodies_is_one_to_fit(dataset, model):
+    """As that of a joint without a motor does: what the file says gives the scale."""
+    unknowns = model_unknowns(dataset, model, spread=3.0)
+    pulled = replace(unknowns, pull=-100.0 * unknowns.information @ unknowns.mean)
+    problem = fit_problem(dataset, pulled, WEIGHTS)
+    assert not is_physical(problem.prior_mean.reshape(-1, 10)).any()
+    assert is_physical(solve_with_fallback(problem).x.reshape(-1, 10)).all()
+
+
 def test_bound_is_kept(dataset, model):
     """Friction of the wrong sign is what such data would like: it stays at zero."""
     unknowns = with_effects(dataset, model_unknowns(dataset, model), *EFFECTS[:4])

@@ -193,6 +193,9 @@ def fit_problem(
         factors = fold_factors(dataset, unknowns.columns, weights, delay=delay)
     triangle = triangular_factor([factors[fold] for fold in kept])
     lower, upper = unknowns.scalar_bounds
+    bodies = unknowns.inertia_blocks if np.any(unknowns.pull) else ()  # pulled, they may be none
+    reference = {k: unknowns.mean[k : k + PARAMETERS_PER_BODY] for k in bodies}
+    reference |= {unknowns.span(e).start: dataset.payload for e in unknowns.effects if is_body(e)}
     return FitProblem(
         factor=triangle,
         inertia_blocks=unknowns.inertia_blocks,
@@ -200,5 +203,5 @@ def fit_problem(
         prior_information=unknowns.information,
         lower=lower,
         upper=upper,
-        reference={unknowns.span(e).start: dataset.payload for e in unknowns.effects if is_body(e)},
+        reference=reference,
     )
