@@ -2,8 +2,34 @@
 
 import numpy as np
 
-from geodrake.inertia import change_frame, change_units, from_pseudo_inertia
-from geodrake.manifolds import ConstrainedInertia, PhysicalInertia, Product
+from geodrake.inertia import Ellipsoid, change_frame, change_units, from_pseudo_inertia
+from geodrake.inertia.ellipsoids import realizability_row
+from geodrake.manifolds import (
+    ConstrainedInertia,
+    Free,
+    Interval,
+    PhysicalInertia,
+    Positive,
+    Product,
+)
+
+HULL = Ellipsoid(np.array([0.2, -0.1, 0.0]), np.array([14.0, 15.0, 16.0]), np.eye(3))
+CONSTRAINED = ConstrainedInertia(  # inside of the hull, and lighter than 50 kg
+    np.stack([realizability_row(HULL.quadric), -np.eye(10)[0]]), np.array([0.0, -50.0]), 0.7
+)
+PRODUCT = Product(  # of kinds that are taken together, among others
+    (
+        PhysicalInertia(),
+        Positive(2),
+        PhysicalInertia(),
+        Interval((0.0, -1.0), (np.inf, 2.0)),
+        CONSTRAINED,
+        Free(1),
+        PhysicalInertia(),
+        Interval((0.5,), (np.inf,)),
+    ),
+    (1.0, 0.5, 1.0, 0.5, 2.0, 1.0, 3.0, 0.5),
+)
 
 
 def random_rotation(rng):

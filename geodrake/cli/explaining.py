@@ -94,7 +94,7 @@ def run_add(options: AddOptions) -> None:
 def run_explain(options: ExplainOptions | Options, promise: str = "") -> None:
     """Explain logs, with formulas for the rest if these are asked for."""
     target: Path | None = getattr(options, "draft_effect", None)
-    every_step = any((options.details, options.report, options.json))  # which tell of it
+    every_step = any((options.details, options.report, options.json))  # which show it
     command = Command(
         "explain",
         "Explaining",

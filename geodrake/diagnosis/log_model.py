@@ -256,13 +256,13 @@ class LogModel:
                 total += 2.0 * int(late.sum()) * np.log(beliefs.again * beliefs.shape)
         # Of widths that explain the same, the narrower one is the simpler one.
         total += 2.0 * np.log1p(_SIMPLER * np.searchsorted(self.widths, choice.width))
-        if choice.width > self.widest_right:
+        if choice.width > self.wrong_beyond:
             total += 6.0 * np.log(beliefs.rarer)
         return float(total)
 
     @property
-    def widest_right(self) -> float:
-        """Return the widest prior of bodies with which the model is not wrong."""
+    def wrong_beyond(self) -> float:
+        """Return the width of the bodies' prior beyond which the model counts as wrong."""
         return self.beliefs.wrong if self.model.information is None else 1.0
 
     def lateness(self, choice: Choice) -> Array:
@@ -410,7 +410,7 @@ class LogModel:
         total = 0.0
         for term, at in self.spans(choice.terms).items():
             if term.is_whole:
-                # Of L⁻¹ columns are zero above their place: those of last parameters cost little.
+                # Columns of L⁻¹ are zero above the diagonal, so that the last ones cost little.
                 columns = np.eye(len(x) - at.start, at.stop - at.start)
                 root, _ = dtrtrs(factor[at.start :, at.start :], columns, lower=1)
                 scale = np.sqrt(np.square(root).sum(axis=0))
@@ -444,8 +444,8 @@ class LogModel:
             blocks = [self._residuals(fit, j) for j in range(len(self.rows))]
             found = effective_of_rows(blocks, self.rows)
             worth = np.minimum(found, self.beliefs.discrepancy)
-            # What is more than noise of efforts varies with the motion, however often that repeats.
-            # That of a base's accelerations does so too, as columns have it in them.
+            # All but the noise of efforts varies with the motion, however often that repeats: so
+            # does the noise of a base's accelerations, which is in the columns, too.
             data = self.dataset
             noise = np.square(data.noise_floor) - np.square(data.motion_noise)
             more = np.clip(1.0 - NOISE_MARGIN**2 * noise / fit.variance, 0.0, 1.0)

@@ -179,9 +179,8 @@ def _has_nothing(x: Array, owner: Indices, positive: NDArray[np.bool_]) -> bool:
 
 @compiled
 def calc_gains(
-    around: tuple[
-        Array, Array, Array
-    ],  # (P, P) upper triangle of the Schur complement, its pull and prior scores (P,)
+    # (P, P) Schur complement, of which the upper triangle is read, its pull (P,), prior scores (P,)
+    around: tuple[Array, Array, Array],
     owners: tuple[Indices, NDArray[np.bool_]],  # (P,) term of each column; what must be positive
     dropped: tuple[Array, Array, Array],  # (i, P) rows, (i, i) inverse, (i,) values; i may be 0
     packages: tuple[Indices, Indices],  # columns of all packages, and where those of each end

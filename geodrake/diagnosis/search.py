@@ -155,7 +155,7 @@ class Search:
             widths = [w for w in model.widths if w > wrong] or [model.widths[-1]]
             choices = [Choice((), width, self._on_time) for width in widths]
             return self._best(choices, was)
-        known = [w for w in model.widths if w <= model.widest_right]
+        known = [w for w in model.widths if w <= model.wrong_beyond]
         options = dict[tuple[str, ...], list[Term]]()
         for term in model.terms:
             if term.effect is not None and isinstance(term.effect, kind):
@@ -244,13 +244,13 @@ class Search:
     def _keep_bodies_near(self) -> None:
         """Climb once more with bodies near the file, if they are far from it; keep the better.
 
-        Bodies that may be anything take in what an effect does, such as a rotor at the first joint:
-        beside them it promises nothing.
+        Bodies that are free to change may explain an effect by themselves, such as a rotor at the
+        first joint. Adding the effect then gains nothing until the bodies are held near the file.
         """
-        far, widest = self.fit, self.model.widest_right
-        if far.choice.width <= widest:
+        far, most = self.fit, self.model.wrong_beyond
+        if far.choice.width <= most:
             return
-        near = [width for width in self.model.widths if width <= widest]
+        near = [width for width in self.model.widths if width <= most]
         self.fit = self._best([replace(far.choice, width=width) for width in near], far)
         self._climb(hopeful=True)
         self._climb(hopeful=False)
@@ -318,7 +318,7 @@ class Search:
             self._climb(hopeful=False)
             return True
         found = frozenset(term.effect or term.key for term in self.fit.terms)
-        if found not in self._looked:  # contacts seldom come out alike to the last digit
+        if found not in self._looked:  # the last digits of a contact differ each time
             self._looked.add(found)
             more = self._suggested()
             if more:

@@ -7,6 +7,7 @@ import pytest
 from adaptive_loops import CONTROL, MANIFOLD, MODEL, TRUTH, perturbed, run
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
+from random_points import CONSTRAINED, HULL, PRODUCT, random_inertia, random_point
 from scipy.optimize import minimize
 
 from geodrake.control.adaptation import (
@@ -34,15 +35,10 @@ from geodrake.errors import ArgumentError, ConvergenceError
 from geodrake.inertia import (
     change_frame,
     change_units,
-    from_pseudo_inertia,
     is_physical,
     pseudo_inertia,
 )
-from geodrake.inertia.ellipsoids import Ellipsoid, realizability_row
 from geodrake.manifolds import (
-    ConstrainedInertia,
-    Free,
-    Interval,
     PhysicalInertia,
     Polyhedron,
     Positive,
@@ -50,42 +46,13 @@ from geodrake.manifolds import (
 )
 from geodrake.manifolds.projections import bregman_projection
 
-HULL = Ellipsoid(np.array([0.2, -0.1, 0.0]), np.array([14.0, 15.0, 16.0]), np.eye(3))
-CONSTRAINED = ConstrainedInertia(realizability_row(HULL.quadric)[None], np.zeros(1))
-MIXED = Product(
-    (
-        PhysicalInertia(),
-        Positive(2),
-        PhysicalInertia(),
-        Interval((0.0, -1.0), (np.inf, 2.0)),
-        CONSTRAINED,
-        Free(1),
-        PhysicalInertia(),
-        Interval((0.5,), (np.inf,)),
-    ),
-    (1.0, 0.5, 1.0, 0.5, 2.0, 1.0, 3.0, 0.5),
-)
-SIZE = MIXED.dimension
+SIZE = PRODUCT.dimension
 BODIES = Product((PhysicalInertia(), PhysicalInertia(), Positive(2)))
 
 seeds = st.integers(0, 2**32 - 1)
 properties = settings(max_examples=40)
 few = settings(max_examples=6)
 some = settings(max_examples=20)
-
-
-def random_inertia(rng):
-    root = rng.normal(size=(4, 4))
-    return from_pseudo_inertia(root @ root.T + 0.1 * np.eye(4))
-
-
-def random_point(manifold, rng):
-    if isinstance(manifold, Product):
-        return np.concatenate([random_point(factor, rng) for factor in manifold.manifolds])
-    if isinstance(manifold, PhysicalInertia | ConstrainedInertia):
-        return random_inertia(rng)
-    lower = np.maximum(manifold.lower, -1.0)
-    return rng.uniform(lower + 0.1, np.minimum(manifold.upper, lower + 3.0) - 0.1)
 
 
 def laws(manifold, at):
@@ -100,9 +67,9 @@ def laws(manifold, at):
 @given(seeds)
 def test_reach_is_the_trace_of_the_rows(seed):
     rng = np.random.default_rng(seed)
-    x, rows = random_point(MIXED, rng), rng.normal(size=(3, SIZE))
-    pulls = MIXED.inverse_metric_times(x, rows)
-    reach = natural_adaptation(MIXED, 2.0).reach(x, rows)
+    x, rows = random_point(PRODUCT, rng), rng.normal(size=(3, SIZE))
+    pulls = PRODUCT.inverse_metric_times(x, rows)
+    reach = natural_adaptation(PRODUCT, 2.0).reach(x, rows)
     assert reach == pytest.approx(0.5 * (rows * pulls).sum(), rel=1e-9)
 
 
@@ -133,14 +100,14 @@ def test_euler_steps_of_the_source_leave_the_manifold_where_geodesics_do_not():
 @given(seeds)
 def test_steps_follow_the_rate_to_first_order(seed):
     rng = np.random.default_rng(seed)
-    estimate, b, h = random_point(MIXED, rng), rng.normal(size=SIZE), 1e-7
-    for name, law in laws(MIXED, estimate).items():
+    estimate, b, h = random_point(PRODUCT, rng), rng.normal(size=SIZE), 1e-7
+    for name, law in laws(PRODUCT, estimate).items():
         ahead, back = law.step(estimate, b, h), law.step(estimate, b, -h)
         rate = law.rate(estimate, b)
         np.testing.assert_allclose(
             (ahead - back) / (2 * h), rate, rtol=0, atol=1e-6 * np.abs(rate).max(), err_msg=name
         )
-    euler = natural_adaptation(MIXED, integrator="euler")
+    euler = natural_adaptation(PRODUCT, integrator="euler")
     np.testing.assert_allclose(
         euler.step(estimate, b, h), estimate + h * euler.rate(estimate, b), rtol=1e-15
     )
@@ -151,9 +118,9 @@ def test_steps_follow_the_rate_to_first_order(seed):
 def test_the_parameter_error_changes_by_what_tracking_loses(seed):
     """d/dt γ D(p‖p̂) = −(p̂ − p)ᵀ b, [Lee2019] Eq. (5.4.50) with (5.4.51)."""
     rng = np.random.default_rng(seed)
-    truth, estimate = random_point(MIXED, rng), random_point(MIXED, rng)
+    truth, estimate = random_point(PRODUCT, rng), random_point(PRODUCT, rng)
     b, h = rng.normal(size=SIZE), 1e-6
-    for name, law in laws(MIXED, estimate).items():
+    for name, law in laws(PRODUCT, estimate).items():
         ahead, back = (law.parameter_error(truth, law.step(estimate, b, s)) for s in (h, -h))
         scale = abs(ahead) + np.abs(truth - estimate) @ np.abs(b)
         expected = -(estimate - truth) @ b

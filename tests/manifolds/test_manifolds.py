@@ -6,10 +6,16 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from random_points import other_view, random_inertia, random_point, round_inertia
+from random_points import (
+    CONSTRAINED,
+    PRODUCT,
+    other_view,
+    random_inertia,
+    random_point,
+    round_inertia,
+)
 
-from geodrake.inertia import Ellipsoid, pseudo_inertia
-from geodrake.inertia.ellipsoids import realizability_row
+from geodrake.inertia import pseudo_inertia
 from geodrake.manifolds import (
     ConstrainedInertia,
     Free,
@@ -20,23 +26,6 @@ from geodrake.manifolds import (
 )
 
 MIXED = Interval((0.0, -1.0, -np.inf, -np.inf), (np.inf, 2.0, 3.0, np.inf))
-HULL = Ellipsoid(np.array([0.2, -0.1, 0.0]), np.array([14.0, 15.0, 16.0]), np.eye(3))
-CONSTRAINED = ConstrainedInertia(  # inside of the hull, and lighter than 50 kg
-    np.stack([realizability_row(HULL.quadric), -np.eye(10)[0]]), np.array([0.0, -50.0]), 0.7
-)
-PRODUCT = Product(  # of kinds that are taken together, among others
-    (
-        PhysicalInertia(),
-        Positive(2),
-        PhysicalInertia(),
-        Interval((0.0, -1.0), (np.inf, 2.0)),
-        CONSTRAINED,
-        Free(1),
-        PhysicalInertia(),
-        Interval((0.5,), (np.inf,)),
-    ),
-    (1.0, 0.5, 1.0, 0.5, 2.0, 1.0, 3.0, 0.5),
-)
 ROBOT = Product((PhysicalInertia(), Positive(2), PhysicalInertia()), (1.0, 0.5, 2.0))
 MANIFOLDS = {
     "positive": Positive(3),

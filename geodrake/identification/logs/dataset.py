@@ -142,8 +142,8 @@ class Dataset(Short):
     gain_uncertainty: Array
     # (nv,) whether the noise floor is known whatever a model leaves.
     noise_known: NDArray[np.bool_] | bool = True
-    # (nv,) the part of the noise floor that columns have in them as well, N·m or N: that of a free
-    # base's accelerations. It goes with the motion.
+    # (nv,) the part of the noise floor that is in the columns, too, N·m or N: that of a free base's
+    # accelerations. It varies with the motion.
     motion_noise: Array | float = 0.0
     # (nv, 10·nb) what each inertial parameter adds to the inertia that a joint without a motor
     # feels, over that of the model's bodies; zeros at others. None if all have motors.

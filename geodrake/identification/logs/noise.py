@@ -38,7 +38,7 @@ def known_noise(
     sign_width: ArrayLike = 0.0,
     fitted: bool = False,
 ) -> tuple[Array, NDArray[np.bool_], Array]:
-    """Return the RMS of the sensors' noise in efforts after filtering, and what is known of it.
+    """Return the sensors' noise in efforts after filtering: its RMS, if it is known, and a part.
 
     The noise is taken to be white.
 
@@ -54,9 +54,9 @@ def known_noise(
     those of a model `fitted` to the logs are; below speeds `sign_width` (nv,) the direction of
     motion is not known. Returned are (n,) floors, N·m or N, and (n,) whether they are known
     whatever a model leaves: not where efforts were filtered before, nor where a model leaves much
-    less than the noise above the bandwidth, which is then not white; and of the floors the part
-    (n,), N·m or N, that noise of accelerations makes of a free base's efforts, zero of robots that
-    are fixed to the world. Columns have that noise too, so that it goes with the motion.
+    less than the noise above the bandwidth, which is then not white. The third result is the part
+    (n,) of the floors, N·m or N, that a free base's accelerations add; it is zero for robots fixed
+    to the world. That noise is in the columns, too, so that it varies with the motion.
     """
     power, weight = np.zeros(len(trajectories[0].joints)), 0
     claimed, moving, silent = power.copy(), power.copy(), np.zeros(len(power), bool)

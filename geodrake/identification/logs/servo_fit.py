@@ -414,10 +414,10 @@ class _Search:
         error, first = motions.rms(best.numbers), motions.rms(began)
         if not error < min(first, moved):
             return None
-        held = best.limited(self.published, 0.0)
-        same = motions.residual(held.numbers) == motions.residual(best.numbers)
-        if same.all() and np.isfinite(self.published):
-            best = held
+        if np.isfinite(self.published):
+            held = best.limited(self.published, 0.0)
+            if (motions.residual(held.numbers) == motions.residual(best.numbers)).all():
+                best = held
         parameters, limit, own = np.split(best.numbers[:_BEGUN], [_LIMIT, _SHARE])
         deviations = self._deviations(best, best.free(without=unused))
         # Bodies that are heavier move as these do with a stiffness that is larger by as much.

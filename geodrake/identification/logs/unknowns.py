@@ -193,7 +193,9 @@ def fit_problem(
         factors = fold_factors(dataset, unknowns.columns, weights, delay=delay)
     triangle = triangular_factor([factors[fold] for fold in kept])
     lower, upper = unknowns.scalar_bounds
-    bodies = unknowns.inertia_blocks if np.any(unknowns.pull) else ()  # pulled, they may be none
+    bodies = (
+        unknowns.inertia_blocks if np.any(unknowns.pull) else ()
+    )  # which the pull may make unphysical
     reference = {k: unknowns.mean[k : k + PARAMETERS_PER_BODY] for k in bodies}
     reference |= {unknowns.span(e).start: dataset.payload for e in unknowns.effects if is_body(e)}
     return FitProblem(

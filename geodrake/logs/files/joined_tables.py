@@ -23,7 +23,7 @@ from geodrake.logs.files.name_rules import (
     numbers_joints,
     plain_words,
 )
-from geodrake.logs.files.reading import Reading
+from geodrake.logs.files.reading import MappedColumn, Reading
 from geodrake.logs.files.table import LogTable
 from geodrake.logs.files.units import unit_of
 from geodrake.logs.floating import FLAG, floating_name, vectors
@@ -80,7 +80,7 @@ def joined_tables(log: Path, tables: Sequence[LogTable], reading: Reading) -> Lo
             f"The parts of log {str(log)!r} are of times that do not meet: {', '.join(spans)}.",
             advice="Use one clock for both.",
         )
-    told = reading.mapping.time if reading.mapping else None
+    told = _mapped_time(reading)
     clock = str(told.column) if told and any(told.column in t.columns for t in tables) else "time"
     columns, origins = {clock: known[base]}, {clock: origins["time"]}
     for table, time in zip(tables, known, strict=True):
@@ -95,9 +95,13 @@ def joined_tables(log: Path, tables: Sequence[LogTable], reading: Reading) -> Lo
     return LogTable(log, columns, units, notes, origins, {**silent, **rare})
 
 
+def _mapped_time(reading: Reading) -> MappedColumn | None:
+    return reading.mapping.time if reading.mapping else None
+
+
 def _is_time(column: str, reading: Reading) -> bool:
     """Return whether a column has the time, as its name or the mapping says."""
-    mapped = reading.mapping.time if reading.mapping else None
+    mapped = _mapped_time(reading)
     return is_time(column) or (mapped is not None and mapped.column == column)
 
 
@@ -187,7 +191,7 @@ def meanings_of(table: LogTable) -> list[Meaning]:
 
 def _time(table: LogTable, reading: Reading) -> tuple[Array | None, tuple[str, ...]]:
     """Return time stamps of a table, s, and a note of a unit that nobody said."""
-    mapped = reading.mapping.time if reading.mapping else None
+    mapped = _mapped_time(reading)
     if mapped is not None and (stamps := table.columns.get(str(mapped.column))) is not None:
         if mapped.column in table.origins:
             return stamps, ()
