@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
-from typing import Generic, TypeVar
+from typing import TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,8 +19,8 @@ from geodrake.fleet.change_evidence import (
     calc_change_evidence,
     kind_of,
 )
-from geodrake.fleet.fleet_result import ChangeRival, FleetFinding
-from geodrake.fleet.history import DAY, History, LogEquations, RobotHistory
+from geodrake.fleet.fleet_result import ChangedParameter, ChangeRival, FleetFinding
+from geodrake.fleet.history import DAY, LogEquations, RobotHistory
 from geodrake.fleet.type_columns import RAMP, ChangeHypothesis, TypeColumns
 from geodrake.fleet.type_learning import learn_type, least_squares, pooled
 from geodrake.fleet.type_model import RobotFit, TypeModel
@@ -50,20 +50,6 @@ _REFITS = 2  # of a robot, until its gains and odd logs are settled
 
 
 @dataclass(frozen=True, eq=False)
-class RobotChange(Short):
-    """A change of a robot."""
-
-    finding: FleetFinding  # what is told of it, without the parameters that changed
-    hypothesis: int  # which of the hypotheses it is
-    # (d,) the change z in the coordinates of its hypothesis; of a ramp up to the last log.
-    coordinates: Array
-    covariance: Array  # (d, d) its covariance
-    size: Array  # (p,) change of the robot's parameters; of a ramp up to the last log
-    deviation: Array  # (p,) its standard deviation
-    share: Array  # (p,) the size in shares of the robot's own values, for relative columns
-
-
-@dataclass(frozen=True, eq=False)
 class SearchState(Short):
     """A robot's logs, as they look with some changes."""
 
@@ -81,7 +67,7 @@ class RobotSearch(Short):
     """
 
     model: TypeModel
-    source: History  # its logs, with the parameters that gains refer to at first
+    source: RobotHistory  # its logs, with the parameters that gains refer to at first
     hypotheses: Sequence[ChangeHypothesis]
     level: float = 0.01
     _states: dict[tuple[ChangePlace, ...], SearchState] = field(default_factory=dict, init=False)
@@ -198,20 +184,17 @@ class RobotSearch(Short):
         most = evidence.log_prior(places[at]) - few * np.log(ODD_SHARE)
         return float(min(max(evidence.total, evidence.joint(places[at]) + lost), most))
 
-    def told(self, places: Sequence[ChangePlace]) -> tuple[RobotChange, ...]:
+    def told(self, places: Sequence[ChangePlace]) -> tuple[FleetFinding, ...]:
         """Return the changes at some places, each with its size, date and evidence."""
         state = self.state(places)
         end, found = state.fit.size, []
         for at in range(len(places) - 1, -1, -1):
             place, others = places[at], [*places[:at], *places[at + 1 :]]
             hypothesis = self.hypotheses[place.hypothesis]
-            factor = self.model.scale(0)[:, None] * hypothesis.factor
-            part = slice(end - factor.shape[1], end)
+            part = slice(end - hypothesis.factor.shape[1], end)
             end = part.start
             sign = -_WIDE if place.form == UNTIL else _WIDE
             z, covariance = sign * state.fit.theta[part], state.fit.covariance[part, part]
-            covariance = _WIDE**2 * covariance
-            size, variance = factor @ z, np.einsum("pd,de,pe->p", factor, covariance, factor)
             evidence, kind = self.instead(state, others), kind_of(place.form)
             shares = kind_shares(evidence)
             chance = np.exp(min(0.0, -self.support(places, at)))
@@ -222,16 +205,32 @@ class RobotSearch(Short):
                 kind,
                 float(self.history.days[place.first]) * DAY,
                 self._interval(evidence, place),
-                (),
+                self._changed(hypothesis, z, _WIDE**2 * covariance),
                 shares.pop((place.hypothesis, kind)),
                 self._rivals(shares),
                 float(chance),
             )
-            deviation = np.sqrt(np.maximum(variance, 0.0))
-            sizes = size, deviation, size / self.model.scale(0)
-            found.append(RobotChange(finding, place.hypothesis, z, covariance, *sizes))
+            found.append(finding)
         self._states.clear()
         return tuple(found[::-1])
+
+    def _changed(
+        self, hypothesis: ChangeHypothesis, z: Array, covariance: Array
+    ) -> tuple[ChangedParameter, ...]:
+        """Return by how much parameters changed; of a ramp up to the last log.
+
+        Of what logs do not tell apart, the least change is told, and a deviation that says so.
+        """
+        moved = np.flatnonzero(hypothesis.factor.any(axis=1))
+        scale, relative = self.model.scale(0)[moved], self.model.columns.relative[moved]
+        rows = scale[:, None] * hypothesis.factor[moved]
+        if hypothesis.rows is not None:
+            rows, scale, relative = hypothesis.rows, np.ones(1), np.zeros(1, bool)
+        size, variance = rows @ z, np.einsum("pd,de,pe->p", rows, covariance, rows)
+        share = np.where(relative, size / scale, np.nan)
+        numbers = np.stack([size, np.sqrt(np.maximum(variance, 0.0)), share], axis=1)
+        pairs = zip(hypothesis.names, numbers.tolist(), strict=True)
+        return tuple(ChangedParameter(*name, *own) for name, own in pairs)
 
     def _interval(self, evidence: ChangeEvidence, place: ChangePlace) -> tuple[float, float]:
         """Shortest time around that of a finding that holds the probability of an interval, s."""
@@ -285,29 +284,16 @@ def _beginnings(evidence: ChangeEvidence, hypothesis: int, kind: str) -> tuple[I
     return same[0][0], np.sum([share for _, share in same], axis=0)
 
 
-@dataclass(frozen=True, eq=False)
-class FleetChanges(Short, Generic[R]):
-    """What changed in robots of a type: the type, and what is told of each robot."""
-
-    model: TypeModel
-    changes: tuple[R, ...]
-
-
-def tell_changes(search: RobotSearch) -> tuple[RobotChange, ...]:
-    """Find and tell the changes of one robot."""
-    return search.told(search.find())
-
-
 def find_changes(
-    histories: Sequence[History],
+    histories: Sequence[RobotHistory],
     columns: TypeColumns,
     hypotheses: Sequence[ChangeHypothesis],
+    tell: Callable[[RobotSearch], R],
     *,
     false_alarms: float = 0.01,
     passes: int = 3,
-    tell: Callable[[RobotSearch], R] = tell_changes,  # type: ignore[assignment]
     team: Workers = HERE,
-) -> FleetChanges[R]:
+) -> tuple[TypeModel, list[R]]:
     """Find which robots of a type changed, at which joint or body, by which effect, since when.
 
     What all share, the scatter of logs and the common course are learnt with the changes that were
@@ -315,14 +301,17 @@ def find_changes(
 
     Args:
         histories: Logs of each robot, over the same p columns.
-        false_alarms: At most how many robots in which nothing changed are named, a robot-month.
         tell: Makes of a search what is told of its robot.
+        false_alarms: At most how many robots in which nothing changed are named, a robot-month.
+
+    Returns:
+        The type, and what is told of each robot.
     """
     # What gains refer to at first is what all robots are in the mean.
     first = least_squares(*pooled(team, [replace(each, reference=None) for each in histories]))
     references: list[Array] = [first] * len(histories)
 
-    def logs() -> list[History]:
+    def logs() -> list[RobotHistory]:
         pairs = zip(histories, references, strict=True)
         return [replace(h, reference=each if columns.gains else None) for h, each in pairs]
 
@@ -338,7 +327,7 @@ def find_changes(
         references, designs, odd = map(list, zip(*settled, strict=True))
         start = replace(model, odd=tuple(odd))
         model = learn_type(logs(), columns, changes=designs, start=start, rounds=_LATER, team=team)
-    return FleetChanges(model, tuple(team.in_order(tell, searches())))
+    return model, team.in_order(tell, searches())
 
 
 def _settled(search: RobotSearch) -> tuple[Array, Array, Array]:

@@ -13,13 +13,7 @@ from numpy.typing import NDArray
 from geodrake.boundary.arguments import instance, integer, number, typed
 from geodrake.boundary.showing import Short
 from geodrake.errors import FleetError
-from geodrake.fleet.changes import (
-    FleetChanges,
-    RobotChange,
-    RobotSearch,
-    SearchState,
-    find_changes,
-)
+from geodrake.fleet.changes import RobotSearch, SearchState, find_changes
 from geodrake.fleet.digest_folder import Told
 from geodrake.fleet.fleet_file import Fleet, FleetRobot, FleetType
 from geodrake.fleet.fleet_logs import (
@@ -31,15 +25,13 @@ from geodrake.fleet.fleet_logs import (
     write_record,
 )
 from geodrake.fleet.fleet_result import (
-    ChangedParameter,
-    FleetFinding,
     FleetResult,
     OwnParameter,
     ParameterHistory,
     RobotResult,
     UnusedLog,
 )
-from geodrake.fleet.history import DAY, HistoryTask, KeptHistory, LogEquations, read_history
+from geodrake.fleet.history import DAY, HistoryTask, LogEquations, RobotHistory, read_history
 from geodrake.fleet.settings import DigestSettings
 from geodrake.fleet.type_columns import narrow_factor
 from geodrake.fleet.type_layout import BODIES, TypeLayout, own_model, type_layout, type_source
@@ -180,7 +172,7 @@ def _of_type(
     model, folder = type_source(kind)[0], fleet.folder / kind.name
     kept = type_layout(model, settings, np.ones(len(settings.joints)), payload=kind.payload).kept
     tasks = [HistoryTask(name, own, folder, settings, kept) for name, own in records.items() if own]
-    histories, damaged = list[KeptHistory](), list[UnusedLog]()
+    histories, damaged = list[RobotHistory](), list[UnusedLog]()
     for history, refused in team.in_order(read_history, tasks):
         histories += [] if history is None else [history]
         for record, problem in refused:
@@ -197,9 +189,16 @@ def _of_type(
         for robot in fleet.of_type(kind.name)
         if robot.model is not None
     }
-    found = type_findings(
-        kind.name, histories, layout, models, false_alarms=false_alarms, team=team
-    )
+    tell = partial(_robot_result, kind=kind.name, layout=layout, models=models)
+    find = partial(find_changes, false_alarms=false_alarms, team=team)
+    try:
+        _, found = find(histories, layout.columns, layout.hypotheses, tell)
+    except (np.linalg.LinAlgError, ValueError, FloatingPointError) as error:
+        raise FleetError(
+            f"Robots of type {kind.name} cannot be compared: what they share has no solution "
+            f"({error}).",
+            advice="More robots, or logs with more motion, may help; their digests are kept.",
+        ) from error
     return found, damaged
 
 
@@ -270,107 +269,30 @@ def parameter_levels(
     return values, np.sqrt(variance + scattered), variance < usual
 
 
-def type_findings(
-    name: str,
-    histories: Sequence[KeptHistory],
-    layout: TypeLayout,
-    models: Mapping[str, Array],
-    *,
-    false_alarms: float,
-    team: Workers,
-) -> list[RobotResult]:
-    """Return what changed in robots of a type, in their order.
+def _robot_result(
+    search: RobotSearch, *, kind: str, layout: TypeLayout, models: Mapping[str, Array]
+) -> RobotResult:
+    """Return what is told of a robot; parameters of bodies are only known together.
 
     Args:
         models: Robot -> (p,) what its own model file says; others have that of the type.
     """
-    tell = partial(_robot_result, kind=name, layout=layout, models=models)
-    found: FleetChanges[RobotResult]
-    try:
-        found = find_changes(
-            histories,
-            layout.columns,
-            layout.hypotheses,
-            false_alarms=false_alarms,
-            tell=tell,
-            team=team,
-        )
-    except (np.linalg.LinAlgError, ValueError, FloatingPointError) as error:
-        raise FleetError(
-            f"Robots of type {name} cannot be compared: what they share has no solution ({error}).",
-            advice="More robots, or logs with more motion, may help; their digests are kept.",
-        ) from error
-    logs = {each.robot: each.logs for each in histories}
-    return [replace(each, logs=logs[each.robot]) for each in found.changes]
-
-
-def _robot_result(
-    search: RobotSearch, *, kind: str, layout: TypeLayout, models: Mapping[str, Array]
-) -> RobotResult:
     places, history, model = search.find(), search.history, search.model
-    state = search.state(places)
-    findings = [_finding(change, layout) for change in search.told(places)]
+    state, findings = search.state(places), search.told(places)
+    histories = (
+        ParameterHistory(each, *parameter_levels(model, 0, state.logs, state.fit, at))
+        for at, each in enumerate(layout.parameters)
+        if each.effect != BODIES
+    )
     return RobotResult(
         history.robot,
         kind,
-        len(history.days),
+        history.logs,
         history.days * DAY,
         tuple(sorted(findings, key=lambda each: (each.false_alarm_probability, each.date))),
-        _histories(model, layout, state),
+        tuple(histories),
         _own(model, layout, state, models.get(history.robot)),
     )
-
-
-def _finding(change: RobotChange, layout: TypeLayout) -> FleetFinding:
-    if change.hypothesis in layout.payload_roots:
-        parameters = _payload(change, layout.payload_roots[change.hypothesis])
-    else:
-        parameters = _columns(change, layout)
-    return replace(change.finding, parameters=parameters)
-
-
-def _columns(change: RobotChange, layout: TypeLayout) -> tuple[ChangedParameter, ...]:
-    """Return what changed of columns that are parameters themselves."""
-    moved = np.flatnonzero(layout.hypotheses[change.hypothesis].factor.any(axis=1))
-    relative = layout.columns.relative
-    return tuple(
-        ChangedParameter(
-            layout.parameters[at].name,
-            layout.parameters[at].unit,
-            float(change.size[at]),
-            float(change.deviation[at]),
-            float(change.share[at]) if relative[at] else np.nan,
-        )
-        for at in moved.tolist()
-    )
-
-
-def _payload(change: RobotChange, root: Array) -> tuple[ChangedParameter, ...]:
-    """Mass that was put on or taken off, and its first moment in the frame of the body.
-
-    Of what logs do not tell apart, the least change is told, and a deviation that says so.
-    """
-    rows = root[:4]
-    size = rows @ change.coordinates
-    spread = np.sqrt(np.einsum("ij,jk,ik->i", rows, change.covariance, rows))
-    names = (("mass", "kg"), ("hx", "kg·m"), ("hy", "kg·m"), ("hz", "kg·m"))
-    return tuple(
-        ChangedParameter(name, unit, float(x), float(deviation), np.nan)
-        for (name, unit), x, deviation in zip(names, size, spread, strict=True)
-    )
-
-
-def _histories(
-    model: TypeModel, layout: TypeLayout, state: SearchState
-) -> tuple[ParameterHistory, ...]:
-    """Return parameters of effects and gains over time; those of bodies are only known together."""
-    histories = []
-    for at, parameter in enumerate(layout.parameters):
-        if parameter.effect == BODIES:
-            continue
-        levels = parameter_levels(model, 0, state.logs, state.fit, at)
-        histories.append(ParameterHistory(parameter, *levels))
-    return tuple(histories)
 
 
 def _own(

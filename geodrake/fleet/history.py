@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -56,46 +56,6 @@ class JointGrams(Short):
 
 
 @dataclass(frozen=True, eq=False)
-class RobotHistory(Short):
-    """What a robot's logs say, in the order of time."""
-
-    robot: str
-    days: Array  # (T,) when each log was recorded, days, ascending
-    joints: tuple[JointGrams, ...]  # (n,) what they say of each joint, over some of the p columns
-    columns: int
-    temperature: Array  # (T,) mean temperature of each log, °C; NaN where it is not known
-    # (p,) or (T, p) parameters of the robot, as far as they are known, that gains of its joints
-    # refer to; None without gains.
-    reference: Array | None = None
-
-    def read(self) -> RobotHistory:
-        """Return this one, which is in memory."""
-        return self
-
-    def equations(self) -> LogEquations:
-        """Return normal equations; with a reference, of a further column for each joint's gain.
-
-        The column of joint j is the effort there by the reference, and zero at the other joints,
-        so that its parameter is ε where the logged effort is 1 + ε times that.
-        """
-        T, p, reference = len(self.days), self.columns, self.reference
-        size = p if reference is None else p + len(self.joints)
-        information, right = np.zeros((T, size, size)), np.zeros((T, size))
-        for gain, joint in enumerate(self.joints, start=p):
-            at = joint.columns
-            own, side = joint.grams[:, :-1, :-1], joint.grams[:, :-1, -1]
-            information[:, at[:, None], at] += own
-            right[:, at] += side
-            if reference is not None and joint.grams[:, -1, -1].any():  # there is effort
-                x = np.broadcast_to(reference[..., :p], (T, p))[:, at]
-                along = np.einsum("tab,tb->ta", own, x)
-                information[:, gain, at] = information[:, at, gain] = along
-                information[:, gain, gain] = np.einsum("ta,ta->t", along, x)
-                right[:, gain] = np.einsum("ta,ta->t", side, x)
-        return LogEquations(self.days, information, right, self.temperature)
-
-
-@dataclass(frozen=True, eq=False)
 class LogEquations(Short):
     """Normal equations of a robot's logs."""
 
@@ -103,10 +63,6 @@ class LogEquations(Short):
     information: Array  # (T, p, p) weighted normal matrices Aᵀ W A
     right: Array  # (T, p) right sides Aᵀ W b
     temperature: Array  # (T,) mean temperature of each log, °C; NaN where it is not known
-
-    def equations(self) -> LogEquations:
-        """Return these, which are in memory."""
-        return self
 
 
 @dataclass(frozen=True, eq=False)
@@ -131,24 +87,29 @@ class HistoryTask(Short):
 
 
 @dataclass(frozen=True, eq=False)
-class KeptHistory(Short):
-    """A robot's history, which is read from its file by whoever needs it: it is large."""
+class RobotHistory(Short):
+    """What a robot's logs say, in the order of time: in memory, or in its file, as it is large."""
 
-    task: HistoryTask
-    stamps: str
+    robot: str
     days: Array  # (T,) when each log was recorded, days, ascending
     temperature: Array  # (T,) mean temperature of each log, °C; NaN where it is not known
-    effort: Array  # (n,) root of the mean square of the robot's efforts, N·m or N
-    logs: int  # number of logs; those of one time count as one
-    reference: Array | None = None  # as that of `RobotHistory`
-
-    @property
-    def robot(self) -> str:
-        """Return the robot's name."""
-        return self.task.robot
+    columns: int
+    # (n,) what they say of each joint, over some of the p columns; None as long as it is in a file.
+    joints: tuple[JointGrams, ...] | None
+    # (p,) or (T, p) parameters of the robot, as far as they are known, that gains of its joints
+    # refer to; None without gains.
+    reference: Array | None = None
+    # Of a history in a file: what it is of, and the hash of its logs' stamps.
+    task: HistoryTask | None = None
+    stamps: str = ""
+    # (n,) root of the mean square of the robot's efforts, N·m or N
+    effort: Array = field(default_factory=lambda: np.zeros(0))
+    logs: int = 0  # number of logs; those of one time count as one
 
     def read(self) -> RobotHistory:
-        """Return the history; its logs are summed up again if another run has replaced the file."""
+        """Return it in memory; logs are summed up again if another run has replaced the file."""
+        if self.task is None or self.joints is not None:
+            return self
         sums = _read_sums(self.task)
         if sums is None or text_hash(sums.stamps) != self.stamps:
             sums, _ = _summed(self.task)
@@ -157,29 +118,40 @@ class KeptHistory(Short):
                     f"The digests of robot {self.robot} changed while they were looked at.",
                     advice="Run the command again when no other one changes them.",
                 )
-        found = sums.history(self.robot, len(self.task.kept))
-        return replace(found, reference=self.reference)
+        return replace(self, joints=sums.means())
 
     def equations(self) -> LogEquations:
-        """Read normal equations."""
-        return self.read().equations()
+        """Return normal equations; with a reference, of a further column for each joint's gain.
+
+        The column of joint j is the effort there by the reference, and zero at the other joints,
+        so that its parameter is ε where the logged effort is 1 + ε times that.
+        """
+        joints = self.read().joints or ()
+        T, p, reference = len(self.days), self.columns, self.reference
+        size = p if reference is None else p + len(joints)
+        information, right = np.zeros((T, size, size)), np.zeros((T, size))
+        for gain, joint in enumerate(joints, start=p):
+            at = joint.columns
+            own, side = joint.grams[:, :-1, :-1], joint.grams[:, :-1, -1]
+            information[:, at[:, None], at] += own
+            right[:, at] += side
+            if reference is not None and joint.grams[:, -1, -1].any():  # there is effort
+                x = np.broadcast_to(reference[..., :p], (T, p))[:, at]
+                along = np.einsum("tab,tb->ta", own, x)
+                information[:, gain, at] = information[:, at, gain] = along
+                information[:, gain, gain] = np.einsum("ta,ta->t", along, x)
+                right[:, gain] = np.einsum("ta,ta->t", side, x)
+        return LogEquations(self.days, information, right, self.temperature)
 
 
-History = RobotHistory | KeptHistory
-"""A robot's history: in memory, or in its file."""
-
-
-Logs = LogEquations | History
-"""Normal equations of a robot's logs, or what gives them."""
-
-
-def read_history(task: HistoryTask) -> tuple[KeptHistory | None, list[tuple[LogRecord, str]]]:
+def read_history(task: HistoryTask) -> tuple[RobotHistory | None, list[tuple[LogRecord, str]]]:
     """Return a robot's history, and records whose digest cannot be read, each with its reason."""
     sums, refused = _summed(task)
     if not sums.stamps:
         return None, refused
-    known = sums.days, sums.temperature, sums.effort, len(sums.stamps)
-    return KeptHistory(task, text_hash(sums.stamps), *known), refused
+    known = task.robot, sums.days, sums.temperature, len(task.kept), None, None
+    stamps, logs = text_hash(sums.stamps), len(sums.stamps)
+    return RobotHistory(*known, task, stamps, sums.effort, logs), refused
 
 
 @dataclass(eq=False)
@@ -233,8 +205,8 @@ class _HistorySums:
         squares, samples = self.efforts
         return np.sqrt(squares / np.maximum(samples, 1.0))
 
-    def history(self, robot: str, columns: int) -> RobotHistory:
-        """Return the robot's history in the order of time; there must be a log."""
+    def means(self) -> tuple[JointGrams, ...]:
+        """Return what each time says of each joint, in the order of time; there must be a log."""
         there, joints = self._there, []
         for each in self.joints:
             grams = each.grams[there] / self.times[2, there, None, None]
@@ -242,7 +214,7 @@ class _HistorySums:
             seen = np.flatnonzero(squares.any(axis=0))
             at = np.append(seen, len(each.columns))
             joints.append(JointGrams(each.columns[seen], grams[:, at[:, None], at]))
-        return RobotHistory(robot, self.days, tuple(joints), columns, self.temperature)
+        return tuple(joints)
 
 
 def _summed(task: HistoryTask) -> tuple[_HistorySums, list[tuple[LogRecord, str]]]:

@@ -32,7 +32,11 @@ class ChangeHypothesis(Short):
     effect: str  # name of the effect, or of several in one word
     where: str
     factor: Array  # (p, d) D; rows of relative columns are shares of the robot's own values
+    # (k,) names and units of the parameters that change: those of the columns that D has.
+    names: tuple[tuple[str, str], ...]
     kinds: tuple[str, ...] = KINDS
+    # (k, d) rows that make the parameters of z, where they are not those of columns.
+    rows: Array | None = None
 
 
 @dataclass(frozen=True, eq=False)

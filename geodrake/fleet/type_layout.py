@@ -35,6 +35,7 @@ from geodrake.fleet.fleet_file import FleetType
 from geodrake.fleet.hashes import file_hash
 from geodrake.fleet.settings import DigestSettings
 from geodrake.fleet.type_columns import (
+    KINDS,
     STEP,
     ChangeHypothesis,
     Spread,
@@ -157,6 +158,7 @@ BODIES = "bodies"
 _USUAL_PAYLOAD = 0.1  # over the mass of all that moves
 _PAYLOAD_RADIUS = 0.1  # m
 _USUAL_GAIN = 0.1  # share by which a gain changes
+_HELD = (("mass", "kg"), ("hx", "kg·m"), ("hy", "kg·m"), ("hz", "kg·m"))  # of a payload
 _KEPT = (Role.FORCE, Role.DEFLECTION)
 _LOAD, _GAIN = (effect_of(role).name for role in (Role.BODY, Role.SCALE))
 
@@ -179,8 +181,6 @@ class TypeLayout(Short):
     parameters: tuple[FleetParameter, ...]  # (p,) what they are of
     columns: TypeColumns
     hypotheses: tuple[ChangeHypothesis, ...]
-    # Hypothesis of a payload -> (10, 10) inertial parameters of its coordinates.
-    payload_roots: dict[int, Array]
 
 
 def type_layout(
@@ -215,8 +215,7 @@ def type_layout(
     ]
     changes = _joint_changes(parameters, relative, sizes)
     mass = payload or _USUAL_PAYLOAD * float(model.total_phi[:, 0].sum())
-    roots, of_bodies = {}, []
-    B = settings.base_matrix
+    of_bodies, B = [], settings.base_matrix
     for body, (name, phi) in enumerate(zip(model.bodies, model.total_phi, strict=True)):
         if not is_physical(phi):
             continue
@@ -225,12 +224,12 @@ def type_layout(
         # A ball of the size and mass of a usual payload, at the body's centre of mass.
         ball = 0.4 * mass * _PAYLOAD_RADIUS**2 * np.eye(3)
         root = distance_factor(from_mass_com_inertia(mass, phi[1:4] / phi[0], ball))
-        roots[len(changes)] = root
-        changes.append(ChangeHypothesis(_LOAD, name, body_factor(root, body, B, p), (STEP,)))
+        factor = body_factor(root, body, B, p)
+        changes.append(ChangeHypothesis(_LOAD, name, factor, _HELD, (STEP,), root[:4]))
     units = tuple(each.unit for each in parameters)
     spread = (*of_bodies, *spreads)
     columns = TypeColumns(prior, relative, relative.copy(), n, spread, units)
-    return TypeLayout(kept, parameters, columns, tuple(changes), roots)
+    return TypeLayout(kept, parameters, columns, tuple(changes))
 
 
 def _model_values(model: RobotModel, settings: DigestSettings) -> dict[int, tuple[float, bool]]:
@@ -280,19 +279,21 @@ def _joint_changes(
         if each.effect != BODIES:
             effects.setdefault((each.effect, each.where), []).append(at)
     joined: dict[str, list[str]] = {}
-    unit = np.eye(p)
+
+    def change(effect: str, where: str, size: float, columns: Sequence[int]) -> ChangeHypothesis:
+        names = tuple((parameters[at].name, parameters[at].unit) for at in sorted(columns))
+        kinds = (STEP,) if effect == _GAIN else KINDS
+        return ChangeHypothesis(effect, where, size * np.eye(p)[:, columns], names, kinds)
+
     for (effect, where), columns in effects.items():
-        if effect == _GAIN:
-            factor = _USUAL_GAIN * unit[:, columns]
-            found.append(ChangeHypothesis(effect, where, factor, (STEP,)))
-            continue
-        shares = bool(relative[columns].all())
+        shares = effect != _GAIN and bool(relative[columns].all())
         size = 1.0 if shares else float(sizes[columns].max())
-        found.append(ChangeHypothesis(effect, where, size * unit[:, columns]))
+        size = _USUAL_GAIN if effect == _GAIN else size
+        found.append(change(effect, where, size, columns))
         if shares:
             joined.setdefault(where, []).append(effect)
     for where, names in joined.items():
         if len(names) > 1:
             together = [at for name in names for at in effects[name, where]]
-            found.append(ChangeHypothesis("+".join(names), where, unit[:, together]))
+            found.append(change("+".join(names), where, 1.0, together))
     return found

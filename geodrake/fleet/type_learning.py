@@ -12,7 +12,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.special import gammaincinv
 
-from geodrake.fleet.history import Logs
+from geodrake.fleet.history import RobotHistory
 from geodrake.fleet.type_columns import TypeColumns
 from geodrake.fleet.type_model import Course, LogScores, RobotFit, TypeModel, kept_share
 from geodrake.fleet.workers import HERE, Workers
@@ -26,7 +26,7 @@ _LEAST = 1e-8  # scale that is none
 
 
 def learn_type(
-    logs: Sequence[Logs],
+    logs: Sequence[RobotHistory],
     columns: TypeColumns,
     *,
     changes: Sequence[Array] | None = None,
@@ -47,18 +47,18 @@ def learn_type(
     return model
 
 
-def pooled(team: Workers, logs: Sequence[Logs]) -> tuple[Array, Array]:
+def pooled(team: Workers, logs: Sequence[RobotHistory]) -> tuple[Array, Array]:
     """Return sums of all normal matrices (p, p), and of right sides (p,)."""
     information, right = zip(*team.in_order(_sums, logs), strict=True)
     return np.sum(information, axis=0), np.sum(right, axis=0)
 
 
-def _sums(logs: Logs) -> tuple[Array, Array]:
+def _sums(logs: RobotHistory) -> tuple[Array, Array]:
     equations = logs.equations()
     return equations.information.sum(axis=0), equations.right.sum(axis=0)
 
 
-def _begun(team: Workers, logs: Sequence[Logs], columns: TypeColumns) -> TypeModel:
+def _begun(team: Workers, logs: Sequence[RobotHistory], columns: TypeColumns) -> TypeModel:
     """Return pooled least squares, and the prior where logs determine nothing."""
     K, p, free = len(columns.spreads), len(columns.prior), columns.free
     information, right = pooled(team, logs)
@@ -98,7 +98,7 @@ class _RobotStatistics:
     odd: Array  # (T, K) how odd its logs are
 
 
-def _told(piece: tuple[TypeModel, Logs, Array | None]) -> _RobotStatistics:
+def _told(piece: tuple[TypeModel, RobotHistory, Array | None]) -> _RobotStatistics:
     """Return what one robot tells, where the model of its type has that of it alone."""
     model, logs, changes = piece
     fit, scale = model.fit(0, logs.equations(), changes), model.scale(0)
@@ -133,7 +133,7 @@ def _scattered(model: TypeModel, scale: Array, fit: RobotFit, scores: LogScores)
 
 
 def _improved(
-    model: TypeModel, logs: Sequence[Logs], told: Sequence[_RobotStatistics]
+    model: TypeModel, logs: Sequence[RobotHistory], told: Sequence[_RobotStatistics]
 ) -> TypeModel:
     """Return one step of all that is learnt.
 

@@ -19,7 +19,7 @@ from scipy.linalg import cho_factor, cho_solve
 from scipy.special import gammaincinv
 
 from geodrake.boundary.showing import Short
-from geodrake.fleet.history import LogEquations, Logs
+from geodrake.fleet.history import LogEquations, RobotHistory
 from geodrake.fleet.type_columns import TypeColumns, narrow_factor
 from geodrake.inertia import Array
 
@@ -174,7 +174,7 @@ class Course(Short):
     reference: float
 
     @classmethod
-    def begin(cls, logs: Sequence[Logs], columns: int) -> Course:
+    def begin(cls, logs: Sequence[RobotHistory], columns: int) -> Course:
         """Return a course of zeros."""
         each = [np.unique(np.floor(robot.days)) for robot in logs]
         days, robots = np.unique(np.concatenate(each), return_counts=True)
@@ -184,7 +184,7 @@ class Course(Short):
         reference = float(known.mean()) if len(known) else 0.0
         return cls(days, np.zeros((len(days), columns)), np.zeros(columns), reference)
 
-    def of(self, logs: Logs) -> Array:
+    def of(self, logs: RobotHistory | LogEquations) -> Array:
         """Return (T, q) shares at a robot's logs; between days with too few robots it is linear."""
         values = self._warmer(logs)[:, None] * self.slope
         if self.values.size:
@@ -193,7 +193,7 @@ class Course(Short):
         return np.asarray(values)
 
     def improved(
-        self, logs: Sequence[Logs], information: Sequence[Array], right: Sequence[Array]
+        self, logs: Sequence[RobotHistory], information: Sequence[Array], right: Sequence[Array]
     ) -> Course:
         """Return the course after a step towards what logs say.
 
@@ -222,7 +222,7 @@ class Course(Short):
         return replace(self, values=self.values * (1.0 + share), slope=self.slope * (1.0 + share))
 
     def _day_by_day(
-        self, logs: Sequence[Logs], information: Sequence[Array], right: Sequence[Array]
+        self, logs: Sequence[RobotHistory], information: Sequence[Array], right: Sequence[Array]
     ) -> Course:
         D, q = self.values.shape
         if not self.values.size:
@@ -237,7 +237,7 @@ class Course(Short):
         values = self.values + np.linalg.solve(seen, side[..., None])[..., 0]
         return replace(self, values=values - values.mean(axis=0))
 
-    def _warmer(self, logs: Logs) -> Array:
+    def _warmer(self, logs: RobotHistory | LogEquations) -> Array:
         """Return (T,) degrees above the reference; 0 where the temperature is not known."""
         return np.nan_to_num(logs.temperature - self.reference)
 

@@ -11,6 +11,7 @@ P, NOISE = 4, 0.1
 MEAN = np.array([2.0, -1.0, 0.5, 0.8])  # two of bodies, two of friction
 UNIT = np.array([1.0, 1.0, *MEAN[2:]])  # friction differs in shares
 DEVIATION, SCATTER = 0.1, 0.03
+NAMES = ("mass", "moment", "dry", "viscous")
 
 
 @dataclass(frozen=True)
@@ -28,7 +29,7 @@ class Rows:
 
     def history(self, name="robot"):
         T = len(self.b)
-        return RobotHistory(name, np.arange(float(T)), (self.grams(),), P, np.full(T, np.nan))
+        return RobotHistory(name, np.arange(float(T)), np.full(T, np.nan), P, (self.grams(),))
 
 
 def columns(course=False):
@@ -44,12 +45,16 @@ def columns(course=False):
 
 
 def hypotheses():
-    unit = np.eye(P)
+    def change(effect, where, *at, **how):
+        return ChangeHypothesis(
+            effect, where, np.eye(P)[:, at], tuple((NAMES[k], "") for k in at), **how
+        )
+
     return [
-        ChangeHypothesis("dry", "elbow", unit[:, [2]]),
-        ChangeHypothesis("viscous", "elbow", unit[:, [3]]),
-        ChangeHypothesis("both", "elbow", unit[:, [2, 3]]),
-        ChangeHypothesis("load", "hand", unit[:, [0, 1]], ("step",)),
+        change("dry", "elbow", 2),
+        change("viscous", "elbow", 3),
+        change("both", "elbow", 2, 3),
+        change("load", "hand", 0, 1, kinds=("step",)),
     ]
 
 

@@ -51,7 +51,7 @@ def test_gains_are_columns_of_what_a_reference_says():
     A[:, 1, :, :2] = 0.0  # which the second joint does not see
     weights, reference = rng.uniform(1.0, 2.0, size=(3, 2)), rng.normal(size=(3, P))
     joints = tuple(Rows(A[:, j], b[:, j]).grams(weights[:, j, None, None]) for j in range(2))
-    history = RobotHistory("a", np.arange(3.0), joints, P, np.full(3, np.nan))
+    history = RobotHistory("a", np.arange(3.0), np.full(3, np.nan), P, joints)
     found = replace(history, reference=reference).equations()
     assert history.joints[1].columns.tolist() == [2, 3]
     for t in range(3):
@@ -90,7 +90,7 @@ def test_evidence_is_the_ratio_of_likelihoods_of_rows():
 def test_common_model_and_deviations_are_those_of_one_dense_fit():
     rng = np.random.default_rng(4)
     rows = [robot(rng, logs=4, rows=8) for _ in range(3)]
-    logs = [each.history().equations() for each in rows]
+    logs = [each.history() for each in rows]
     model = made(logs)
     for _ in range(30):  # scales are held, so that the rest settles
         found = learn_type(logs, columns(), start=model, rounds=1)
@@ -108,7 +108,7 @@ def test_common_model_and_deviations_are_those_of_one_dense_fit():
     )
     np.testing.assert_allclose(found.mean, np.linalg.solve(seen, side), rtol=2e-3)
     np.testing.assert_allclose(found.covariance, np.linalg.inv(seen), rtol=0.05, atol=1e-6)
-    own, covariance = own_parameters(model, model.fit(1, logs[1]))
+    own, covariance = own_parameters(model, model.fit(1, logs[1].equations()))
     prior, V = spread_covariance(model.deviations), covariances[1]
     gain = prior @ stacked[1].T @ np.linalg.inv(V)
     expected = model.mean + gain @ (rows[1].b.ravel() - stacked[1] @ model.mean)
@@ -122,7 +122,7 @@ def test_a_robot_is_known_no_better_than_its_type():
     rows = [robot(rng, logs=3, rows=8) for _ in range(2)]
     for each in rows:
         each.A[..., 3] = 0.0
-    logs = [each.history().equations() for each in rows]
+    logs = [each.history() for each in rows]
     model = made(logs)
     found = learn_type(logs, columns(), start=model, rounds=1)
     own = np.linalg.inv(spread_covariance(model.deviations))
@@ -134,12 +134,14 @@ def test_a_robot_is_known_no_better_than_its_type():
         whole += design.T @ np.linalg.solve(noise, design)
     both = np.linalg.inv(whole)[: 2 * P, : 2 * P].reshape(2, P, 2, P).sum(axis=(0, 2))
     model = replace(model, covariance=found.covariance)
-    np.testing.assert_allclose(own_parameters(model, model.fit(0, logs[0]))[1], both, rtol=1e-6)
+    np.testing.assert_allclose(
+        own_parameters(model, model.fit(0, logs[0].equations()))[1], both, rtol=1e-6
+    )
 
 
 def test_scales_are_learnt():
     rng = np.random.default_rng(5)
-    logs = [robot(rng, logs=8, rows=30).history().equations() for _ in range(30)]
+    logs = [robot(rng, logs=8, rows=30).history() for _ in range(30)]
     found = learn_type(logs, columns(), rounds=20)
     np.testing.assert_allclose(found.deviations, 0.1, rtol=0.3)
     np.testing.assert_allclose(found.scatter, 0.03, rtol=0.35)
@@ -155,7 +157,7 @@ def test_scatter_is_learnt_from_robots_that_show_it():
         each.A[:, :, 2:4] = 0.0
     resting = [each.history() for each in resting]
     others = [robot(rng, logs=25, rows=60).history() for _ in range(6)]
-    found = learn_type([each.equations() for each in (*single, *resting, *others)], columns())
+    found = learn_type([*single, *resting, *others], columns())
     np.testing.assert_allclose(found.scatter[1:], 0.03, rtol=0.25)
 
 
@@ -171,8 +173,8 @@ def test_units_change_nothing():
     known = replace(columns(), units=("kg", "kg·m", "N·m", "N·m·s"))
     bodies = Spread("bodies", known.spreads[0].factor / u[:, None])
     renamed = replace(known, prior=known.prior / u, spreads=(bodies, *known.spreads[1:]))
-    found = learn_type([each.equations() for each in histories], known)
-    again = learn_type([each.equations() for each in other], renamed)
+    found = learn_type(histories, known)
+    again = learn_type(other, renamed)
     assert found.mean[0] == pytest.approx(1.1 * MEAN[0])
     np.testing.assert_allclose(again.mean * u, found.mean, rtol=1e-6)
     np.testing.assert_allclose(
@@ -205,9 +207,9 @@ def test_a_log_is_as_odd_whatever_of_a_spread_it_does_not_see():
 def test_levels_cover_what_logs_have():
     rng = np.random.default_rng(6)
     rows = [robot(rng, logs=10) for _ in range(12)]
-    logs = [each.history().equations() for each in rows]
+    logs = [each.history() for each in rows]
     found, errors = learn_type(logs, columns(), rounds=15), []
-    for r, each in enumerate(logs):
+    for r, each in enumerate(history.equations() for history in logs):
         for column in (2, 3):
             values, deviation, shown = parameter_levels(found, r, each, found.fit(r, each), column)
             assert shown.all()

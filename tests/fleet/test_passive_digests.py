@@ -85,7 +85,7 @@ def test_histories_hold_what_such_a_joint_says_of_bodies(made, tmp_path):
     layout = type_layout(model, settings, np.ones(2))
     joints, squares = weighted_grams(digests[0], layout.kept)
     assert (squares > 0.0).all()
-    history = RobotHistory("r", np.zeros(1), tuple(joints), len(layout.kept), np.full(1, 20.0))
+    history = RobotHistory("r", np.zeros(1), np.full(1, 20.0), len(layout.kept), tuple(joints))
     (tmp_path / "truth.xml").write_text(text(mass=1.0))
     x = layout.columns.prior[: history.columns]
     bodies = len(settings.independent)
