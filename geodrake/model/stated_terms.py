@@ -15,6 +15,7 @@ from dataclasses import dataclass, field
 from itertools import combinations
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from geodrake.effects.base import Effect, FittedEffect
 from geodrake.inertia import Array
@@ -46,8 +47,8 @@ _SINGLE: Mapping[str, Callable[[str], Effect]] = {
 }
 
 
-Rows = dict[int, dict[str, float]]
-"""Velocity of a plant -> the actuator, or joint, that it follows -> ratio."""
+Rows = dict[str, list[dict[str, float]]]
+"""Scoped joint -> of each of its velocities, the actuator, or joint, that it follows -> ratio."""
 
 
 @dataclass
@@ -77,24 +78,26 @@ class StatedEffects:
             kept = found[0][0].name
             self.notes.append(f"The {what} in the file ({listed}) is kept as {kept}.")
 
-    def by_name(self, own: Array, rows: Rows, power: float) -> dict[str, float]:
-        """Return actuator or joint -> its coefficient, of those (nv of the plant,) of the joints.
+    def by_name(self, own: Mapping[str, ArrayLike], rows: Rows, power: float) -> dict[str, float]:
+        """Return actuator or joint -> its coefficient, of those of joints by scoped names.
 
         A ratio J multiplies it by |J| to a power.
         """
         found = dict.fromkeys(self.names, 0.0)
-        for at, value in enumerate(own.tolist()):
-            for name, ratio in rows[at].items() if value else ():
-                found[name] = found.get(name, 0.0) + abs(ratio) ** power * value
+        for joint, each in rows.items():
+            values = np.broadcast_to(np.nan_to_num(own.get(joint, 0.0)), len(each))
+            for row, value in zip(each, values.tolist(), strict=True):
+                for name, ratio in row.items() if value else ():
+                    found[name] = found.get(name, 0.0) + abs(ratio) ** power * value
         return found
 
 
-def _rows(loaded: LoadedPlant, coordinates: RobotCoordinates) -> tuple[Rows, dict[int, float]]:
-    """Return what each velocity of a plant follows, and its position where that is at zero.
+def _rows(loaded: LoadedPlant, coordinates: RobotCoordinates) -> tuple[Rows, dict[str, float]]:
+    """Return what each joint follows, and its position where that is at zero.
 
     A joint that several actuators move, or by a ratio that changes, follows itself.
     """
-    rows, shifts = Rows(), dict[int, float]()
+    rows, shifts = dict[int, dict[str, float]](), dict[int, float]()
     for at, joint in enumerate(joint_names(loaded.plant)):
         name, ratio, shifts[at] = coordinates.ratios.get(at, (joint, 1.0, 0.0))
         rows[at] = {name: ratio}
@@ -102,35 +105,32 @@ def _rows(loaded: LoadedPlant, coordinates: RobotCoordinates) -> tuple[Rows, dic
         if to not in coordinates.ratios:
             rows[to] = {name: follower.ratio * own for name, own in rows[of].items()}
             shifts[to] = follower.ratio * shifts[of] + follower.offset
-    return rows, shifts
+    found, places = Rows(), dict(loaded.places)
+    for at, joint in enumerate(scoped_joint_names(loaded.plant)):
+        found.setdefault(joint, []).append(rows[at])
+        places[joint] = shifts[at]
+    found |= {cut.scoped_name: [{cut.name: 1.0}] for cut in loaded.closing}
+    return found | {joint: [{}] for joint in loaded.places}, places
 
 
 def stated_effects(loaded: LoadedPlant, coordinates: RobotCoordinates) -> StatedEffects:
     """Return the effects that a model file states, by coordinates of all of the plant's joints."""
-    found, built, terms = StatedEffects(coordinates.names), loaded.stated, loaded.terms
-    rows, shifts = _rows(loaded, coordinates)
+    found, terms = StatedEffects(coordinates.names), loaded.terms
+    rows, places = _rows(loaded, coordinates)
     values = {
-        _DAMPING: found.by_name(built.damping, rows, 2.0),
-        _FRICTION: found.by_name(built.friction, rows, 1.0),
-        _ROTOR: found.by_name(built.rotor_inertia, rows, 2.0),
+        _DAMPING: found.by_name(terms.damping, rows, 2.0),
+        _FRICTION: found.by_name(terms.friction, rows, 1.0),
+        _ROTOR: found.by_name(terms.armature, rows, 2.0),
     }
     springs = dict[str, stated.Spring]()
 
     def add_spring(name: str, spring: stated.Spring) -> None:
         springs[name] = springs[name] + spring if name in springs else spring
 
-    for at, spring in built.springs.items():
-        for to, ratio in rows[at].items():
-            add_spring(to, spring.through(ratio, shifts[at]))
-    for cut in loaded.closing:
-        values[_DAMPING][cut.name] = cut.damping
-        values[_FRICTION][cut.name] = terms.friction.get(cut.scoped_name, 0.0)
-        values[_ROTOR][cut.name] = terms.armature.get(cut.scoped_name, cut.rotor_inertia)
-        if cut.scoped_name in terms.springs:
-            add_spring(cut.name, terms.springs[cut.scoped_name])
-    scoped = dict(enumerate(scoped_joint_names(loaded.plant)))
-    by_joint = {scoped[at]: row for at, row in rows.items()} | {name: {} for name in loaded.places}
-    places = {scoped[at]: place for at, place in shifts.items()} | dict(loaded.places)
+    by_joint = {joint: each[-1] for joint, each in rows.items()}
+    for joint, row in by_joint.items():
+        for to, ratio in row.items() if joint in terms.springs else ():
+            add_spring(to, terms.springs[joint].through(ratio, places.get(joint, 0.0)))
     inertias = stated.entries_through(terms.coupled_inertia, by_joint)
     for name in [name for name, other in inertias if name == other]:
         values[_ROTOR][name] = values[_ROTOR].get(name, 0.0) + inertias.pop((name, name))
@@ -149,7 +149,7 @@ def stated_effects(loaded: LoadedPlant, coordinates: RobotCoordinates) -> Stated
             listed = ", ".join(f"{name} {value:g}" for name, value in small.items())
             found.notes.append(f"The {what} in the file ({listed}) is negligible, and counts as 0.")
         found.keep(what, [(kind(n), [x]) for n, x in own.items() if n not in small])
-    for exponent, of_power in zip((2.0, 3.0), built.powers, strict=True):
+    for exponent, of_power in ((2.0, terms.damping_2), (3.0, terms.damping_3)):
         what = f"damping of the power {exponent:g}"
         single = found.by_name(of_power, rows, exponent + 1.0)
         found.keep(what, [(Drag(n, exponent=exponent), [x]) for n, x in single.items()])

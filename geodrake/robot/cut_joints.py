@@ -119,8 +119,6 @@ def _opened(joint: Joint, name: str, actuators: list[JointActuator]) -> Closure:
             scoped(joint),
             np.array(axis),
             isinstance(joint, PrismaticJoint),
-            float(joint.default_damping_vector()[0]),
-            sum(float(actuator.default_reflected_inertia()) for actuator in actuators),
             _is_driven(actuators),
         )
     bodies = (body.scoped_name().get_full() for body in (joint.parent_body(), joint.child_body()))

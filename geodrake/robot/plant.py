@@ -1,7 +1,7 @@
 """Model files as plants of rigid bodies, and the parameters of such plants.
 
 A loaded plant has rigid-body dynamics only. Damping, dry friction and rotor inertia that the file
-states are read out (`LoadedPlant.stated`) and taken out of the plant, because they
+states are read out (`LoadedPlant.terms`) and taken out of the plant, because they
 are effects of their own in geodrake; inertias that no body can have are repaired and reported.
 """
 
@@ -51,13 +51,31 @@ from geodrake.robot.holding import (
 from geodrake.robot.loops import ClosedLoop, LoopJoints, Loops, closed_loops
 from geodrake.robot.mujoco_check import whole_mjcf
 from geodrake.robot.repairs import Repair, repair_inertias
-from geodrake.robot.stated import BuiltPlant, CutJoint, FileTerms, Spring
+from geodrake.robot.stated import Closure, CutJoint, FileTerms, Spring
 from geodrake.robot.transmission.statements import Followers, Gear
 
 _WORLD = 0
 _LIMIT = "limit of "  # before the names of actuators that only have a limit of efforts
 _SAME = 1e-9  # of the largest of a body's parameters: what text and Drake may change
 _NO_SPRING = Spring.linear(0.0)
+
+
+@dataclass(frozen=True, eq=False)
+class BuiltPlant:
+    """A plant of rigid bodies, and what it was made without.
+
+    Attributes:
+        damping: Scoped name of a joint -> damping of its velocities, SI.
+        rotor: Likewise reflected inertia, kg·m² or kg.
+        notes: Sentences on how it was read.
+        opened: Joints that closed its loops.
+    """
+
+    plant: MultibodyPlant
+    damping: dict[str, ArrayLike]
+    rotor: dict[str, float]
+    notes: tuple[str, ...]
+    opened: tuple[Closure, ...]
 
 
 @dataclass(frozen=True)
@@ -69,8 +87,7 @@ class LoadedPlant:
         repairs: Bodies whose inertia no body can have, with what they got instead.
         changes: Sentences on all inertias that are not those of the file, repairs first.
         notes: Sentences on what else of the file was read in a way worth knowing.
-        stated: What the file states of the plant's joints, which the plant does not have.
-        terms: What the file states beside.
+        terms: What the file states beside rigid bodies, which the plant does not have.
         left_out: Sentences on what of the file bears on efforts, and is in none of these.
         loops: Closed loops, whose joints are among the plant's own.
         closing: Joints that close loops and are not in the plant.
@@ -90,7 +107,6 @@ class LoadedPlant:
     repairs: tuple[Repair, ...]
     changes: tuple[str, ...]
     notes: tuple[str, ...]
-    stated: BuiltPlant
     terms: FileTerms
     left_out: tuple[str, ...]
     loops: tuple[ClosedLoop, ...]
@@ -153,6 +169,8 @@ def load_plant(
         if phi is not None:
             _check_inertias(built.plant, phi, path)
     terms, plant = description.terms, built.plant
+    damping, armature = built.damping | terms.damping, built.rotor | terms.armature
+    terms = replace(terms, damping=damping, armature=armature)
     apart = _ignored(description, arrangement)
     of_xml = any(text.kind == "xml" for text in description.texts)
     notes = [*origin, *terms.notes, *built.notes, *_follower_notes(arrangement), *loops.notes]
@@ -167,8 +185,9 @@ def load_plant(
         repairs,
         _once([*map(str, repairs), *weightless, *terms.lost, *of_drake]),
         _once([*notes, *(() if of_xml else apart)]),
-        built,
-        terms,
+        replace(
+            terms, damping=built.damping | terms.damping, armature=built.rotor | terms.armature
+        ),
         _once([*terms.left_out, *(apart if of_xml else ()), *loops.left_out]),
         loops.loops,
         closing,
@@ -315,19 +334,18 @@ def _build(
     description.add_to(plant)
     terms = description.terms
     with drake_errors(description.path):
-        opened = open_loops(plant)
-        weld_joints(plant, arrangement.held)
-        weld_joints(plant, arrangement.aside, aside=True)
-        notes = _root_notes(plant, arrangement)
-        _limit_efforts(plant, description)
-        joints = joints_of(plant)
-        damping = {scoped(joint): joint.default_damping_vector().copy() for joint in joints}
+        damping = {scoped(j): j.default_damping_vector().copy() for j in joints_of(plant)}
         rotor = dict[str, float]()
         for actuator in _actuators(plant):
             name = scoped(actuator.joint())
             rotor[name] = rotor.get(name, 0.0) + actuator.default_reflected_inertia()
             actuator.set_default_rotor_inertia(0.0)
-        for joint in joints:
+        opened = open_loops(plant)
+        weld_joints(plant, arrangement.held)
+        weld_joints(plant, arrangement.aside, aside=True)
+        notes = _root_notes(plant, arrangement)
+        _limit_efforts(plant, description)
+        for joint in joints_of(plant):
             joint.set_default_damping_vector(np.zeros(joint.num_velocities()))
             start = terms.start.get(scoped(joint), 0.0)
             if start and joint.num_positions() == 1:
@@ -344,30 +362,7 @@ def _build(
         )
     if plant.num_constraints() or plant.num_force_elements() > 1:
         notes.append("Constraints and springs of the file are no part of the open tree.")
-
-    def per_velocity(values: Mapping[str, ArrayLike], most: float = np.inf) -> Array:
-        found = np.zeros(plant.num_velocities())
-        for joint in joints_of(plant):
-            start, count = joint.velocity_start(), joint.num_velocities()
-            if count <= most:
-                found[start : start + count] = np.nan_to_num(values.get(scoped(joint), 0.0))
-        return found
-
-    single = [joint for joint in joints_of(plant) if joint.num_velocities() == 1]
-    return BuiltPlant(
-        plant,
-        damping=per_velocity(damping),
-        friction=per_velocity(terms.friction),
-        rotor_inertia=per_velocity(rotor | terms.armature),
-        powers=np.array([per_velocity(c, most=1) for c in (terms.damping_2, terms.damping_3)]),
-        springs={
-            int(joint.velocity_start()): terms.springs[scoped(joint)]
-            for joint in single
-            if scoped(joint) in terms.springs
-        },
-        notes=tuple(notes),
-        opened=opened,
-    )
+    return BuiltPlant(plant, damping, rotor, tuple(notes), opened)
 
 
 def _write_inertias(description: ModelDescription, plant: MultibodyPlant, phi: ArrayLike) -> None:

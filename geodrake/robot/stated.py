@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 from numpy.polynomial import Polynomial
+from numpy.typing import ArrayLike
 from pydrake.math import RigidTransform
 from pydrake.multibody.plant import MultibodyPlant
 
@@ -128,8 +129,6 @@ class CutJoint:
     Attributes:
         axis: (3,) its axis in the first frame of its closure.
         slides: Whether it is prismatic.
-        damping: N·m·s/rad or N·s/m.
-        rotor_inertia: kg·m² or kg.
         driven: Whether a motor with a limit drives it.
     """
 
@@ -137,8 +136,6 @@ class CutJoint:
     scoped_name: str
     axis: Array
     slides: bool
-    damping: float
-    rotor_inertia: float
     driven: bool
 
 
@@ -219,6 +216,7 @@ class FileTerms:
         lost: Sentences on inertias that nothing tells.
         gravity: (3,) acceleration of gravity, m/s²; None for Drake's.
         set_aside: Link -> (10,) inertial parameters that no body can have; not in the plant.
+        damping: Joint -> c of its damping c v; of one that turns by several velocities, of each.
         damping_2: Joint -> c of its damping c |v| v; likewise c v³.
         start: Joint -> where the file has it by default, rad or m; otherwise at 0.
         fixed: Joint -> where a constraint holds it, rad or m.
@@ -238,6 +236,7 @@ class FileTerms:
     set_aside: dict[str, Array] = field(default_factory=dict)
     friction: dict[str, float] = field(default_factory=dict)
     armature: dict[str, float] = field(default_factory=dict)
+    damping: dict[str, ArrayLike] = field(default_factory=dict)
     damping_2: dict[str, float] = field(default_factory=dict)
     damping_3: dict[str, float] = field(default_factory=dict)
     start: dict[str, float] = field(default_factory=dict)
@@ -277,30 +276,6 @@ class FileTerms:
         stated = [part.gravity for part in parts if part.gravity is not None]
         found.gravity = stated[-1] if stated else None
         return found
-
-
-@dataclass(frozen=True, eq=False)
-class BuiltPlant:
-    """A plant of rigid bodies, and what its file states of its joints.
-
-    Attributes:
-        damping: (nv,) c of c v, SI; nv of the plant.
-        friction: (nv,) dry friction, N·m or N.
-        rotor_inertia: (nv,) reflected inertia, kg·m² or kg.
-        powers: (2, nv) c of c |v| v and of c v³, SI.
-        springs: Velocity -> the spring of its joint.
-        notes: Sentences on how it was read.
-        opened: Joints that closed its loops.
-    """
-
-    plant: MultibodyPlant
-    damping: Array
-    friction: Array
-    rotor_inertia: Array
-    powers: Array
-    springs: Mapping[int, Spring]
-    notes: tuple[str, ...]
-    opened: tuple[Closure, ...]
 
 
 def weights_of(plant: MultibodyPlant, shares: Mapping[str, float]) -> tuple[Weight, ...]:

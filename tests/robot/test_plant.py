@@ -95,9 +95,6 @@ def test_urdf_ignores_geometry_mimic_and_transmissions(load):
 def test_urdf_reads_limits_damping_and_friction(load):
     loaded = load(urdf(inertial(), joint="<dynamics damping='0.5' friction='0.3'/>"))
     plant = loaded.plant
-    assert loaded.stated.damping == pytest.approx([0.5])
-    assert loaded.stated.friction == pytest.approx([0.3])
-    assert loaded.stated.rotor_inertia == pytest.approx([0.0])
     assert effort_limits(plant) == pytest.approx([10.0])
     assert velocity_limits(plant) == pytest.approx([3.0])
     assert np.ravel(position_limits(plant)) == pytest.approx([-1.0, 2.0])
@@ -116,7 +113,7 @@ def test_rotor_inertia_is_read_out_and_removed(load, effort):
     text = urdf(inertial(), extra=extra).replace("<robot", "<robot xmlns:x='http://drake.mit.edu'")
     text = text.replace('effort="10"', f'effort="{effort}"')
     loaded = load(text)
-    assert loaded.stated.rotor_inertia == pytest.approx([0.1])
+    assert [*loaded.terms.armature.values()] == pytest.approx([0.1])
     mass = loaded.plant.CalcMassMatrix(loaded.plant.CreateDefaultContext())
     assert mass[0, 0] == pytest.approx(0.1 + 0.1**2)
 
@@ -134,10 +131,11 @@ SDF = """<sdf version="1.7"><model name="m"><link name="l1"><inertial>
 def test_sdf(load):
     loaded = load(SDF.format(mass=1.0, ixx=0.1), "m.sdf")
     assert loaded.repairs == ()
-    stated = loaded.stated
-    assert [*stated.damping, *stated.friction] == pytest.approx([0.2, 0.3])
+    terms = loaded.terms
+    stated = terms.damping | {"friction": terms.friction["m::j1"]}
+    assert np.hstack([*stated.values()]) == pytest.approx([0.2, 0.3])
     assert effort_limits(loaded.plant) == pytest.approx([7.0])
-    assert stated.springs == {0: Spring.linear(3.0)}
+    assert terms.springs == {"m::j1": Spring.linear(3.0)}
     assert loaded.plant.num_force_elements() == 1
 
 
@@ -169,9 +167,10 @@ def test_mjcf(load):
     loaded = load(MJCF, "m.xml")
     plant = loaded.plant
     assert joint_names(plant) == ("h", "s", "s2", "q_wx", "q_wy", "q_wz")
-    assert loaded.stated.damping == pytest.approx([0.3] * 6)
-    assert loaded.stated.rotor_inertia == pytest.approx([0.2] * 6)
-    assert loaded.stated.friction == pytest.approx([2.0, 0.5, 0, 0, 0, 0])
+    terms = loaded.terms
+    for name, friction in {"h": 2.0, "s": 0.5, "s2": 0.0, "q": 0.0}.items():
+        stated = (each[f"m::{name}"] for each in (terms.damping, terms.armature, terms.friction))
+        assert [*stated] == pytest.approx([0.3, 0.2, friction])
     assert effort_limits(plant)[0] == pytest.approx(100.0)
     assert any("meshes" in note and "b" in note for note in loaded.changes)
     # The body without mass gets a thousandth of the robot's; that between two joints has none.

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from typing import Any
 from xml.etree.ElementTree import Element, SubElement
 
@@ -55,7 +54,7 @@ class MjcfText(ModelText):
         source = compiled(root, self.path)
         terms = terms_of(source, scope)
         name = root.get("model") or scope
-        self.root = plain_tree(source, name, terms.damping)
+        self.root = plain_tree(source, name)
         self.compiled: Any = source.model
         self.reference: Any = None if source.lost else terms.reference
         self.closing, self.terms = tuple(terms.closing), terms
@@ -90,14 +89,11 @@ def turns_in_degrees(root: Element) -> bool:
     return next((angle for angle in reversed(compilers) if angle), "degree") == "degree"
 
 
-def plain_tree(source: CompiledMjcf, name: str, damping: Mapping[str, float]) -> Element:
+def plain_tree(source: CompiledMjcf, name: str) -> Element:
     """Return the root element of bodies with inertias and joints, and motors.
 
     Angles are in radians. Positions are MuJoCo's: a joint that the file draws at `ref` has the
     pose of its body turned back by that.
-
-    Args:
-        damping: Joint -> its damping, N·m·s/rad or N·s/m.
     """
     root, m = Element("mujoco", model=name), source.model
     SubElement(root, "compiler", angle="radian")
@@ -113,7 +109,7 @@ def plain_tree(source: CompiledMjcf, name: str, damping: Mapping[str, float]) ->
             parent = _body(parent, label, X_PB, like)
             if between:
                 parent.set("between", "true")
-            _write_joint(parent, m, joint, damping)
+            _write_joint(parent, m, joint)
             X_PB = RigidTransform()
         elements[at] = parent if joints else _body(parent, own, X_PB, like)
         if m.body_mass[at] > 0.0 and own not in source.unknown:
@@ -151,7 +147,7 @@ def _kind(m: Any, joint: int) -> str:
     return str(kind.name).removeprefix("mjJNT_").lower()
 
 
-def _write_joint(body: Element, m: Any, joint: int, damping: Mapping[str, float]) -> None:
+def _write_joint(body: Element, m: Any, joint: int) -> None:
     kind, name = _kind(m, joint), m.joint(joint).name
     if kind == "free":
         SubElement(body, "freejoint", name=name)
@@ -161,7 +157,7 @@ def _write_joint(body: Element, m: Any, joint: int, damping: Mapping[str, float]
         stated |= {"axis": words(m.jnt_axis[joint])}
         if m.jnt_limited[joint]:
             stated |= {"range": words(m.jnt_range[joint]), "limited": "true"}
-    SubElement(body, "joint", {**stated, "damping": words(damping.get(name, 0.0))})
+    SubElement(body, "joint", stated)
 
 
 def _back(m: Any, joint: int) -> RigidTransform:

@@ -13,6 +13,7 @@ spring there. Contacts and limits of joints are no part of any model.
 from __future__ import annotations
 
 import copy
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from itertools import combinations_with_replacement
 from typing import Any
@@ -36,6 +37,14 @@ from geodrake.robot.stated import (
 from geodrake.robot.transmission.statements import Followers
 
 _LEAST_INERTIA = 1e-15  # kg·m², as MuJoCo has it
+_KINDS = {
+    **dict.fromkeys(("stiffness", "stiffnesspoly", "springyield"), "springs"),
+    **dict.fromkeys(("damping", "dampingpoly"), "dampers"),
+    "frictionloss": "friction",
+    "armature": "",
+}
+"""What joints, tendons and actuators have -> what can be switched off."""
+_OF_BALLS = {"damping": "damping", "frictionloss": "friction", "armature": "armature"}
 
 
 @dataclass(eq=False)
@@ -44,12 +53,10 @@ class MjcfTerms(FileTerms):
 
     Attributes:
         reference: The compiled model without what is left out.
-        damping: Joint, by its own name -> N·m·s/rad or N·s/m.
         closing: Numbers of MuJoCo's constraints that close loops.
     """
 
     reference: Any = None
-    damping: dict[str, float] = field(default_factory=dict)
     closing: list[int] = field(default_factory=list)
 
 
@@ -132,7 +139,7 @@ class _Terms:
 
     def _add(self, quantity: str, joint: int, value: float) -> None:
         values = getattr(self.found, quantity)
-        name = self._name("JOINT", joint) if quantity == "damping" else self._joint(joint)
+        name = self._joint(joint)
         values[name] = values.get(name, 0.0) + float(value)
 
     def _velocities(self, joint: int) -> int:
@@ -140,51 +147,31 @@ class _Terms:
         sizes = {int(kinds.mjJNT_FREE): 6, int(kinds.mjJNT_BALL): 3}
         return sizes.get(int(self.m.jnt_type[joint]), 1)
 
+    def _numbers(self, where: Callable[[str], tuple[str, slice]]) -> dict[str, Array]:
+        """Return what something has of each kind of `_KINDS`, by its tables and its rows there."""
+        on = {"springs": self.springs, "dampers": self.dampers, "friction": self.friction}
+        return {key: on.get(kind, True) * _row(self.m, *where(key)) for key, kind in _KINDS.items()}
+
     def _take_joints(self) -> None:
-        m, reference = self.m, self.found.reference
+        m = self.m
         for joint in range(m.njnt):
-            dof, name = int(m.jnt_dofadr[joint]), self._name("JOINT", joint)
-            count = self._velocities(joint)
-            self._add("armature", joint, m.dof_armature[dof])
-            self._add("friction", joint, m.dof_frictionloss[dof] if self.friction else 0.0)
-            poly = _row(m, "dof_dampingpoly", dof)
-            if count == 6:
-                has = {"damping": m.dof_damping, "armature": m.dof_armature}
-                has["frictionloss"] = m.dof_frictionloss
-                parts = [f"{what} {values[dof]:g}" for what, values in has.items() if values[dof]]
-                if parts:
-                    self._leave(f"The free joint {name} with {', '.join(parts)}")
-                continue
-            if self.dampers:
-                self._add("damping", joint, m.dof_damping[dof])
-                for power, value in zip((2, 3), poly if count == 1 else (), strict=False):
-                    self._add(f"damping_{power}", joint, value)
-                if count > 1 and poly.any():
-                    self._leave(f"The damping polynomial {_list(poly)} of the joint {name}")
-                    reference.dof_dampingpoly[dof : dof + count] = 0.0
-            if self.springs:
-                self._take_spring(joint, name, count)
+            dof, count = int(m.jnt_dofadr[joint]), self._velocities(joint)
+            rows = {"jnt": slice(joint, joint + 1), "dof": slice(dof, dof + count)}
+
+            def where(key: str, rows: Mapping[str, slice] = rows) -> tuple[str, slice]:
+                table = "jnt" if _KINDS[key] == "springs" else "dof"
+                return f"{table}_{key}", rows[table]
+
+            has = self._numbers(where)
             if count == 1:
+                self._take_along("", {joint: 1.0}, has, float(m.qpos_spring[m.jnt_qposadr[joint]]))
                 if m.jnt_actfrclimited[joint]:
                     self._limit(joint, float(np.abs(m.jnt_actfrcrange[joint]).max()))
                 self._add("start", joint, m.qpos0[m.jnt_qposadr[joint]])
-
-    def _take_spring(self, joint: int, name: str, count: int) -> None:
-        m, reference, poly = self.m, self.found.reference, _row(self.m, "jnt_stiffnesspoly", joint)
-        if not m.jnt_stiffness[joint] + np.abs(poly).sum():
-            return
-        if count > 1:
-            numbers = np.append(m.jnt_stiffness[joint], poly)
-            self._leave(f"The stiffness {_list(numbers)} of the joint {name}")
-            reference.jnt_stiffness[joint] = 0.0
-            if len(poly):
-                reference.jnt_stiffnesspoly[joint] = 0.0
-            return
-        rest = float(m.qpos_spring[m.jnt_qposadr[joint]])
-        self._add_spring(joint, Spring(rest, (0.0, float(m.jnt_stiffness[joint]), *_two(poly))))
-        if np.any(_row(m, "jnt_springyield", joint)):
-            self._leave(f"The yield of the spring of the joint {name}")
-            reference.jnt_springyield[joint] = 0.0
+            if count == 3:
+                for key, quantity in _OF_BALLS.items():
+                    self._add(quantity, joint, _pop(has, key)[0])
+            self._leave_rest(f"The joint {self._name('JOINT', joint)}", has, where)
 
     def _add_spring(self, joint: int, spring: Spring) -> None:
         name, springs = self._joint(joint), self.found.springs
@@ -195,18 +182,16 @@ class _Terms:
         limits[name] = min(most, limits.get(name, np.inf))
 
     def _take_tendons(self) -> None:
-        """Fixed tendons of one joint are terms of it; of others is said what no tendon here has."""
-        m, kinds = self.m, ("stiffness", "stiffnesspoly", "damping", "dampingpoly", "frictionloss")
-        acts = (self.springs, self.springs, self.dampers, self.dampers, self.friction)
+        """Take fixed tendons, and struts; of others is said what no tendon here has."""
+        m = self.m
         for at in range(m.ntendon):
-            has = {k: on * _row(m, f"tendon_{k}", at) for k, on in zip(kinds, acts, strict=True)}
-            has["armature"] = _row(m, "tendon_armature", at)
-            has["springyield"] = self.springs * _row(m, "tendon_springyield", at)
             low, high = (float(x) for x in m.tendon_lengthspring[at])
             length, name = low if low == high else None, self._name("TENDON", at)
+            where = _rows_of("tendon", at)
+            has = self._numbers(where)
             self._take_along(name, fixed_tendon(m, at), has, length)
             self._take_strut(at, has, length)
-            self._leave_rest(f"The tendon {name}", has, "tendon", at)
+            self._leave_rest(f"The tendon {name}", has, where)
 
     def _take_along(
         self, name: str, shares: dict[int, float], has: dict[str, Array], length: float | None
@@ -264,25 +249,25 @@ class _Terms:
         for what in ("stiffness", "damping"):
             getattr(self.found.reference, f"tendon_{what}")[at] = 0.0
 
-    def _leave_rest(self, what: str, has: dict[str, Array], kind: str, at: int) -> None:
-        """Say what of a tendon or an actuator is left, and take it out of the reference."""
+    def _leave_rest(
+        self, what: str, has: dict[str, Array], where: Callable[[str], tuple[str, slice]]
+    ) -> None:
+        """Say what of something is left, and take it out of the reference."""
         parts = [f"{key} {_list(value)}" for key, value in has.items() if value.any()]
         if parts:
             self._leave(f"{what} with {', '.join(parts)}")
         for key, value in has.items():
             if value.any() and key != "frictionloss":
-                getattr(self.found.reference, f"{kind}_{key}")[at] = 0.0
+                table, rows = where(key)
+                getattr(self.found.reference, table)[rows] = 0.0
 
     def _take_actuators(self) -> None:
         """Limits of efforts, and the armature and damping that motors add to joints."""
         m, on_tendon = self.m, self.mujoco.mjtTrn.mjTRN_TENDON
         for at in range(len(m.actuator_trntype)):
             name, shares = self._name("ACTUATOR", at), actuator_shares(m, at)
-            has = {
-                "armature": _row(m, "actuator_armature", at),
-                "damping": self.dampers * _row(m, "actuator_damping", at),
-                "dampingpoly": self.dampers * _row(m, "actuator_dampingpoly", at),
-            }
+            where = _rows_of("actuator", at)
+            has = self._numbers(where)
             self.found.driven |= {self._name("JOINT", joint) for joint in shares}
             if shares and int(m.actuator_trntype[at]) != on_tendon:
                 ((on, gear),) = shares.items()
@@ -290,7 +275,7 @@ class _Terms:
                 for power, value in zip((2, 3), _pop(has, "dampingpoly"), strict=True):
                     self._add(f"damping_{power}", on, gear**2 * value)  # not gear³, as of tendons
             self._take_along(name, shares, has, None)
-            self._leave_rest(f"The actuator {name}", has, "actuator", at)
+            self._leave_rest(f"The actuator {name}", has, where)
 
     def _limit_of_motor(self, at: int, joint: int, gear: float) -> None:
         m, mujoco = self.m, self.mujoco
@@ -484,16 +469,20 @@ class _Terms:
         return leader == own
 
 
-def _row(m: Any, name: str, at: int) -> Array:
-    """Return a row of a compiled model's table, (k,); zeros in versions of MuJoCo without it."""
+def _rows_of(thing: str, at: int) -> Callable[[str], tuple[str, slice]]:
+    """Return in which table, and in which rows of it, a tendon or an actuator has a kind."""
+    return lambda key: (f"{thing}_{key}", slice(at, at + 1))
+
+
+def _row(m: Any, name: str, rows: slice) -> Array:
+    """Return the first row of some of a table, (k,); zeros in versions of MuJoCo without it."""
     table = getattr(m, name, None)
-    return np.zeros(2) if table is None else np.atleast_1d(np.array(table[at], float))
+    return np.zeros(2) if table is None else np.atleast_1d(np.array(table[rows][0], float))
 
 
 def _pop(has: dict[str, Array], key: str) -> list[float]:
-    """Return the numbers of a kind, which are zero afterwards; none where there is no such kind."""
-    values = has.get(key, np.zeros(2))
-    has[key] = np.zeros_like(values)
+    """Return the numbers of a kind, which are zero afterwards."""
+    values, has[key] = has[key], np.zeros_like(has[key])
     return [float(value) for value in values]
 
 
