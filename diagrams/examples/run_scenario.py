@@ -74,7 +74,7 @@ from geodrake.robot import RobotInstance, take_out_stated
 from geodrake.robot.files.description import drake_errors, read_model_text
 from geodrake.robot.files.given import Given
 from geodrake.robot.files.includes import Includes
-from geodrake.robot.mjcf_shapes import WORLD, mjcf_geoms
+from geodrake.robot.shapes import WORLD, mjcf_geoms
 
 WORKCELL = Path(__file__).parent / "scenes" / "workcell.yaml"
 QUICK = 0.3  # s

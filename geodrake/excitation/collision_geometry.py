@@ -31,9 +31,15 @@ from geodrake.robot.files import Given, read_description
 from geodrake.robot.files.description import drake_errors, drake_messages
 from geodrake.robot.files.values import drop
 from geodrake.robot.mesh_files import check_mesh, stl_vertices
-from geodrake.robot.mjcf_shapes import SHAPES_ADVICE, mjcf_geoms
 from geodrake.robot.plant import arrange_as
-from geodrake.robot.shapes import Where, geometries_of, move_meshes, scene_of
+from geodrake.robot.shapes import (
+    SHAPES_ADVICE,
+    Where,
+    geometries_of,
+    mjcf_geoms,
+    move_meshes,
+    scene_of,
+)
 
 FLOOR = "floor"
 _HALF = 10.0, 0.5  # m, of the sides and the depth of a floor

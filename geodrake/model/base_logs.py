@@ -17,12 +17,11 @@ from scipy.interpolate import CubicSpline
 from scipy.spatial.transform import Rotation
 
 from geodrake.errors import LogError
+from geodrake.inertia import Array
 from geodrake.logs.floating import vectors
 from geodrake.logs.motion import GROUND, JointLog
 from geodrake.model.ground_contacts import upwards, with_ground
 from geodrake.model.robot_model import RobotModel
-
-Array = NDArray[np.float64]
 
 _NORM = 0.02  # by which the length of a quaternion may differ from one
 _UPRIGHT = np.radians(80.0)  # of pitch, beyond which yaw and roll are nearly one

@@ -6,19 +6,17 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from geodrake.effects import FittedEffect, Role
 from geodrake.effects.body_motion import RobotBodies
 from geodrake.effects.lookup import effect_of
 from geodrake.errors import ArgumentError
-from geodrake.inertia import change_frame
+from geodrake.inertia import Array, change_frame
 from geodrake.inertia.bodies import LumpedBody, lumped_bodies
 from geodrake.logs.known_payload import KnownPayload
 from geodrake.logs.motion import JointLog
 from geodrake.model.robot_model import RobotModel
 
-Array = NDArray[np.float64]
 Payloads = tuple[KnownPayload, ...]
 
 

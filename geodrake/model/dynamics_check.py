@@ -10,11 +10,11 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from pydrake.multibody.tree import MultibodyForces
 
 from geodrake.boundary.arguments import instance, integer
 from geodrake.boundary.showing import Short
+from geodrake.inertia import Array
 from geodrake.model.robot_model import RobotModel
 from geodrake.model.second_opinion import States, second_opinion
 from geodrake.robot.followers import scoped
@@ -23,7 +23,6 @@ from geodrake.robot.plant import set_inertial_parameters
 from geodrake.robot.regressor import inverse_dynamics, inverse_dynamics_regressor
 from geodrake.robot.transmission.base import times
 
-Array = NDArray[np.float64]
 Quantities = dict[str, Array]
 
 QUANTITIES = ("inverse dynamics", "regressor", "gravity", "bias", "mass matrix")

@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 from geodrake.effects.body_motion import RobotBodies
 from geodrake.errors import LogError
+from geodrake.inertia import Array
 from geodrake.inertia.bodies import lumped_bodies
 from geodrake.logs.floating import FLAG, FORCE, ContactFlags, frames_of, vectors, widened
 from geodrake.logs.motion import JointLog
@@ -22,8 +23,6 @@ from geodrake.model.robot_model import RobotModel
 from geodrake.robot.files.values import numbers
 from geodrake.robot.files.xacro_file import read_expanded
 from geodrake.robot.files.xml_text import parse_xml_bytes
-
-Array = NDArray[np.float64]
 
 _POINTS = 3  # feet that a robot can stand on if they are points
 _NEAR = 0.02  # m over the ground, within which a frame may touch it

@@ -12,21 +12,18 @@ from collections.abc import Mapping
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.linalg import block_diag
 
 from geodrake.boundary.arguments import number, typed
 from geodrake.effects import FittedEffect, Role
 from geodrake.effects.lookup import effect_of
 from geodrake.errors import ModelError
-from geodrake.inertia import PARAMETERS_PER_BODY
+from geodrake.inertia import PARAMETERS_PER_BODY, Array
 from geodrake.inertia.bodies import lumped_bodies
 from geodrake.inertia.kernels import calc_change_frame
 from geodrake.model.robot_model import RobotModel, from_loaded_plant, is_of_file
 from geodrake.robot.plant import load_plant
-from geodrake.robot.transmission.drive import Drive
-
-Array = NDArray[np.float64]
+from geodrake.robot.transmission.statements import Drive
 
 
 @typed

@@ -6,10 +6,10 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from geodrake.boundary.arguments import instance, instances
 from geodrake.errors import ArgumentError, LogError
+from geodrake.inertia import Array
 from geodrake.logs.files import Reading
 from geodrake.logs.motion import JointLog, check_joints
 from geodrake.logs.motors import motor_of_robot
@@ -19,10 +19,8 @@ from geodrake.model.holding import holding
 from geodrake.model.robot_model import RobotModel, is_of_file, read_again
 from geodrake.robot.followers import joint_names
 from geodrake.robot.plant import motor_joints, scoped_joint_names
-from geodrake.robot.transmission.drive import Drive
 from geodrake.robot.transmission.loop import LoopTransmission
-
-Array = NDArray[np.float64]
+from geodrake.robot.transmission.statements import Drive
 
 _FAR = 0.05  # rad or m, that a joint which rests does not go by its velocities, less their mean
 _CLEAR = 5.0  # deviations of noise, beyond which a joint is not where a loop has it

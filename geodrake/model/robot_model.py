@@ -8,7 +8,7 @@ from functools import cache, cached_property
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 from pydrake.geometry import SceneGraph
 from pydrake.multibody.plant import MultibodyPlant
 from pydrake.multibody.tree import Joint
@@ -28,13 +28,13 @@ from geodrake.effects.body_motion import RobotBodies
 from geodrake.effects.effect_columns import EffectColumns
 from geodrake.effects.sensors import delays_of
 from geodrake.errors import ArgumentError, ModelError
-from geodrake.inertia import inertial_parameters
+from geodrake.inertia import Array, inertial_parameters
 from geodrake.logs.motion import Motion
 from geodrake.logs.temperatures import Temperatures
 from geodrake.model.effort_signal import EffortSignal, signal_of
 from geodrake.model.file_terms import Carried, CoupledDry, DryFriction, Medium, StrutEffect
-from geodrake.model.simulation.driven_robot import DrivenPlant
 from geodrake.model.simulation.robot_in_diagram import RobotInDiagram, add_robot, make_act
+from geodrake.model.simulation.terms import DrivenPlant
 from geodrake.model.stated_terms import stated_effects
 from geodrake.robot.base_joints import base_joints
 from geodrake.robot.coordinates import RobotCoordinates, plant_coordinates
@@ -54,10 +54,8 @@ from geodrake.robot.plant import (
 )
 from geodrake.robot.regressor import body_regressor, inverse_dynamics
 from geodrake.robot.robot_instance import RobotInstance
-from geodrake.robot.transmission.drive import Drive
 from geodrake.robot.transmission.loop import LoopTransmission
-
-Array = NDArray[np.float64]
+from geodrake.robot.transmission.statements import Drive
 
 _NOT_COMPARED = (DryFriction, CoupledDry, Carried, Medium, StrutEffect)
 _STATES, _TOLERANCE = 3, 1e-9  # at which MJCFs are compared, and what of the largest effort

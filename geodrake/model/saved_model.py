@@ -33,18 +33,18 @@ from geodrake.model.admissible import ROUNDING, check_body, check_effect, named
 from geodrake.model.effort_signal import EffortSignal
 from geodrake.model.holding import held_notes, holding
 from geodrake.model.robot_model import RobotModel, load_description
-from geodrake.model.transmission_file import (
+from geodrake.robot.files import Given, read_description
+from geodrake.robot.files.named_robots import robot_file
+from geodrake.robot.transmission.statements import (
     NONE,
     OF_FILE,
+    Drive,
+    Stated,
     drives_of,
     file_beside,
     read_transmission,
     stated_of,
 )
-from geodrake.robot.files import Given, read_description
-from geodrake.robot.files.named_robots import robot_file
-from geodrake.robot.transmission.drive import Drive
-from geodrake.robot.transmission.statements import Stated
 
 T = TypeVar("T")
 _Loader = getattr(yaml, "CSafeLoader", yaml.SafeLoader)  # those of LibYAML, where it is

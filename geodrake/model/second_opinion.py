@@ -15,14 +15,13 @@ from typing import Any
 from xml.etree.ElementTree import Element
 
 import numpy as np
-from numpy.typing import NDArray
 from pydrake.math import RigidTransform, RotationMatrix
 from pydrake.multibody.parsing import Parser
 from pydrake.multibody.plant import MultibodyPlant
 from pydrake.multibody.tree import Joint, MultibodyForces
 
 from geodrake.errors import ModelError
-from geodrake.inertia import inertial_parameters
+from geodrake.inertia import Array, inertial_parameters
 from geodrake.logs.motion import Motion
 from geodrake.model.file_terms import CoupledDry, DryFriction
 from geodrake.model.robot_model import RobotModel, is_of_file
@@ -40,7 +39,6 @@ from geodrake.robot.mujoco_check import OtherProgram, Places, Units, by_mujoco, 
 from geodrake.robot.plant import free_roots
 from geodrake.robot.regressor import inverse_dynamics
 
-Array = NDArray[np.float64]
 States = tuple[Array, Array, Array]
 _ENDS = ("parent", "child")
 

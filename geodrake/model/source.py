@@ -17,8 +17,15 @@ from geodrake.effects.base import BEYOND_MOTION
 from geodrake.errors import ArgumentError, ModelError
 from geodrake.inertia import Array
 from geodrake.model.export import repair_comments
-from geodrake.model.formulas.rigid_bodies import BodyFormulas, inverse_dynamics_formula
-from geodrake.model.formulas.symbols import Operand, Symbol, Symbols, in_order, recorded_rows
+from geodrake.model.formulas import (
+    BodyFormulas,
+    Operand,
+    Symbol,
+    Symbols,
+    in_order,
+    inverse_dynamics_formula,
+    recorded_rows,
+)
 from geodrake.model.robot_model import RobotModel
 
 _MOST_OPERATIONS = 12  # in a line

@@ -15,8 +15,7 @@ from geodrake.inertia import Array
 from geodrake.inertia.bodies import lumped_bodies
 from geodrake.model.robot_model import RobotModel
 from geodrake.robot.base_joints import base_joints
-from geodrake.robot.mjcf_shapes import LinkShape
-from geodrake.robot.shapes import GRAY, RobotShapes, robot_shapes
+from geodrake.robot.shapes import GRAY, LinkShape, RobotShapes, robot_shapes
 
 _STICK, _JOINT = 0.012, 0.03  # radii, over the size of the robot
 _LONGEST = 0.3  # of a stick to a centre of mass, over the size of the robot

@@ -19,8 +19,7 @@ from geodrake.model.robot_model import RobotModel
 from geodrake.report.ellipsoids import LEAST_THICKNESS
 from geodrake.report.posed_links import drawn_shapes, joint_axis, moved_body
 from geodrake.robot.followers import joint_names
-from geodrake.robot.mjcf_shapes import LinkShape
-from geodrake.robot.shapes import RobotShapes
+from geodrake.robot.shapes import LinkShape, RobotShapes
 
 FRAMES = 30.0
 """Frames a second of recordings."""

@@ -21,7 +21,7 @@ from pydrake.geometry import (
 from scipy.spatial import ConvexHull
 
 from geodrake.inertia import Array
-from geodrake.robot.mjcf_shapes import LinkShape
+from geodrake.robot.shapes import LinkShape
 
 Faces = NDArray[np.int32]
 

@@ -26,8 +26,8 @@ from geodrake.errors import ModelError
 from geodrake.inertia import Array
 from geodrake.robot.followers import Follower, Indices, joint_names, joints_of, scoped
 from geodrake.robot.transmission.base import InSequence, LinearTransmission, times
-from geodrake.robot.transmission.drive import Drive
 from geodrake.robot.transmission.loop import LoopTransmission
+from geodrake.robot.transmission.statements import Drive
 
 _STEP = 1e-4  # rad or m
 _FAR = 10.0  # rad or m, up to where limits are looked for where the map has none

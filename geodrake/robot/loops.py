@@ -35,9 +35,8 @@ from geodrake.robot.kinematics import KinematicTree, Mobilizer
 from geodrake.robot.loop_recursion import CLOSURE, Indices, LoopRecords, calc_misses
 from geodrake.robot.recursion import TreeRecords
 from geodrake.robot.stated import WORLD, Closure
-from geodrake.robot.transmission.drive import Drive
 from geodrake.robot.transmission.loop import LoopTransmission
-from geodrake.robot.transmission.statements import Followers
+from geodrake.robot.transmission.statements import Drive, Followers
 
 _FREE = 1e-5  # share of the largest column, at which one counts as no combination of others
 _WELL = 0.1, 0.01, 0.0  # shares of itself that others leave of a column, in the order of trials

@@ -16,9 +16,9 @@ from pydrake.math import RigidTransform
 
 from geodrake.boundary.input_files import open_regular, read_regular, regular_files
 from geodrake.errors import GeodrakeError, ModelError
+from geodrake.inertia import Array
 from geodrake.robot.files.xml_text import LARGEST_FILE, parse_xml
 
-Array = NDArray[np.float64]
 Faces = NDArray[np.int64]
 Surface = tuple[Array, Faces]
 """(n, 3) vertices, m, and (m, 3) numbers of the corners of triangles."""

@@ -19,7 +19,7 @@ from geodrake.report.drawn_robots import Camera, DrawnRobots, on_ground
 from geodrake.report.played_robots import PlayedRobot
 from geodrake.report.posed_links import PosedLink, link_joints
 from geodrake.report.robot_pictures import error_pictures
-from geodrake.robot.mjcf_shapes import LinkShape
+from geodrake.robot.shapes import LinkShape
 
 
 def boxes(*places):

@@ -13,8 +13,7 @@ from geodrake.errors import ModelError
 from geodrake.logs.motion import Motion
 from geodrake.robot.files import mjcf_source
 from geodrake.robot.files.given import Given
-from geodrake.robot.mjcf_shapes import mjcf_geoms
-from geodrake.robot.shapes import robot_shapes
+from geodrake.robot.shapes import mjcf_geoms, robot_shapes
 
 HEAD = '<mujoco model="r">{head}<worldbody>{world}</worldbody>{tail}</mujoco>'
 GEOM = '<geom type="box" size=".05 .04 .1" pos=".1 0 .05"/>'

@@ -21,8 +21,7 @@ from geodrake.control.systems.position_servo import (
 from geodrake.inertia import Array
 from geodrake.logs.motion import JointLog
 from geodrake.model.robot_model import RobotModel
-from geodrake.model.servos import command_delays, servo_gains, servos_of
-from geodrake.model.signal_efforts import integral_effort
+from geodrake.model.signal_efforts import command_delays, integral_effort, servo_gains, servos_of
 
 _APART = 1e-9  # s, between instants of a trajectory
 _COMMANDS = ("commanded_position", "commanded_velocity")

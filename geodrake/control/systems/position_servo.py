@@ -20,7 +20,7 @@ from geodrake.errors import ArgumentError
 from geodrake.inertia import Array
 from geodrake.inertia.bodies import check_context
 from geodrake.model.robot_model import RobotModel
-from geodrake.model.servos import command_delays, servo_gains
+from geodrake.model.signal_efforts import command_delays, servo_gains
 from geodrake.model.simulation.robot_in_diagram import RobotInDiagram, late
 from geodrake.model.simulation.scalar_system import differenced
 

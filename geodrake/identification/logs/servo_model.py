@@ -22,7 +22,7 @@ from geodrake.logs.preparation import prepare_logs
 from geodrake.model.effort_signal import COMMAND, EFFORT
 from geodrake.model.file_terms import Damping, DryFriction, LoadFriction, Offset, Rotor
 from geodrake.model.robot_model import RobotModel
-from geodrake.model.servos import servos_of
+from geodrake.model.signal_efforts import servos_of
 
 BESIDE: Mapping[str, type[JointEffect]] = {
     "damping": Damping,

@@ -17,8 +17,8 @@ from geodrake.effects import Effect, Role
 from geodrake.errors import ArgumentError
 from geodrake.inertia import Array
 from geodrake.model.simulation.delayed_effort import DelayedEffort
-from geodrake.model.simulation.driven_robot import DrivenPlant, Model
 from geodrake.model.simulation.effect_force import EffectForce
+from geodrake.model.simulation.terms import DrivenPlant, Model
 from geodrake.robot.plant import load_plant
 from geodrake.robot.robot_instance import RobotInstance, RobotPorts, add_generalized_force
 from geodrake.robot.shapes import add_visuals

@@ -10,20 +10,22 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from pydrake.multibody.plant import MultibodyPlant
 from pydrake.multibody.tree import MultibodyForces
+from pydrake.systems.framework import Context
 
 from geodrake.boundary.arguments import one_or_each
-from geodrake.effects import Effect, JointMotion, RobotMotion
+from geodrake.effects import Effect, JointMotion, RobotMotion, Role
 from geodrake.effects.body_motion import RobotBodies
 from geodrake.effects.effect_columns import EffectColumns
-from geodrake.effects.robot_motion import smoothed_sign
-from geodrake.errors import ArgumentError
+from geodrake.effects.robot_motion import log_number, smoothed_sign
+from geodrake.errors import ArgumentError, ModelError
 from geodrake.inertia import PARAMETERS_PER_BODY, Array, change_frame, inertial_parameters
 from geodrake.inertia.bodies import Member, lumped_bodies
+from geodrake.logs.motion import Motion
 from geodrake.logs.temperatures import Temperatures
 from geodrake.robot.followers import joints_of
 from geodrake.robot.kinematics import KinematicTree
 from geodrake.robot.plant import set_inertial_parameters
-from geodrake.robot.regressor import inverse_dynamics_regressor
+from geodrake.robot.regressor import inverse_dynamics, inverse_dynamics_regressor
 from geodrake.robot.robot_instance import RobotInstance
 
 
@@ -267,3 +269,104 @@ class Terms:
             known["temperature"] = self._warmth.at(known["time"], self.plant.joints)
         q = np.broadcast_to(at.q, (len(vd), len(at.q)))
         return self.plant.seen(q, rates, parameters[1], **known)
+
+
+Model = Any
+"""A `RobotModel`, which imports this module."""
+
+_RETURN = 50.0  # rate at which joints come back to where their actuators have them, 1/s
+
+
+class DrivenPlant(PlantMotion):
+    """A plant that moves with a model of other coordinates.
+
+    Attributes:
+        model: The model, whose q, v, efforts and effects are meant.
+    """
+
+    driven = True
+
+    def __init__(
+        self,
+        model: Model,
+        plant: MultibodyPlant,
+        sign_width: Array,
+        log: str | None,
+        temperatures: Temperatures | None,
+    ) -> None:
+        """Refuse effects that give way; see `RobotModel.driving`."""
+        for effect in (fitted.effect for fitted in model.effects):
+            if effect.role is Role.DEFLECTION:
+                raise ModelError(
+                    f"{effect.name} of {effect.place} cannot be simulated where joints follow "
+                    "others or are behind a transmission.",
+                    advice="Leave it out of the model there.",
+                )
+        self.model, self.plant, self.robot = model, plant, RobotInstance(plant)
+        self.joints, self.phi, self.temperatures = model.joints, model.total_phi, temperatures
+        self._sign_width, self.direction = sign_width, smoothed_sign(sign_width)
+        self._log = 0 if log is None else log_number(log)
+        self._find_places(*model.single_places)
+        self._others = np.zeros(0, int)
+
+    @property
+    def sizes(self) -> tuple[int, int]:
+        """Return how many positions and velocities the model has."""
+        return self.model.tree.num_positions, len(self.joints)
+
+    def split(self, state: Array) -> tuple[Array, Array]:
+        """Return q and v of the model, of a state of the plant."""
+        nq, own, actuation = self.plant.num_positions(), self.model.own, self.model.tree.actuation
+        theta, rate = state[:nq][own.positions], state[nq:][own.velocities]
+        if actuation is None:
+            return theta, rate
+        q = actuation.nearest(theta[None])
+        return q[0], np.asarray(np.linalg.pinv(actuation.jacobian(q)[0]) @ rate)
+
+    def joined(self, q: Array, v: Array) -> Array:
+        """Return the state of the plant of q and v of the model."""
+        ways = self.model.coordinates
+        return np.concatenate([ways.tree_positions(q[None])[0], ways.jacobian(q[None])[0] @ v])
+
+    def moving_force(self, state: Array, acceleration: Array) -> Array:
+        """Return what (nv of the plant,) the plant needs to move as its model, accelerated so."""
+        q, v = self.split(state)
+        ways, nq = self.model.coordinates, self.plant.num_positions()
+        J, rate = ways.jacobian(q[None])[0], ways.jacobian_rate(q[None], v[None])[0]
+        wanted = J @ acceleration + rate @ v
+        if len(v) < len(wanted):
+            apart = state - self.joined(q, v)
+            off = self.plant.MapQDotToVelocity(self._context, apart[:nq])
+            wanted -= 2.0 * _RETURN * apart[nq:] + _RETURN**2 * off
+        sample = state[None, :nq], state[None, nq:], wanted[None]
+        return inverse_dynamics(self._plant_tree, *sample, self.phi)[0]
+
+    def dynamics(self, q: Array, v: Array, phi: Array) -> tuple[Array, Array, Array]:
+        """Return M, and C v − τ_g twice, at q (nq,) and v (nv,)."""
+        count = len(v)
+        places, rates = (np.repeat(x[None], count + 1, axis=0) for x in (q, v))
+        *units, drift = inverse_dynamics(
+            self.model.tree, places, rates, np.eye(count + 1, count), phi
+        )
+        return (np.array(units) - drift).T, drift, drift
+
+    def trial(self, v: Array, vd: Array, load: Array) -> RobotMotion:
+        """Return the model in some configurations, of v, v̇ and loads (N, nv), to try effects."""
+        q = np.random.default_rng(0).normal(size=(len(v), self.sizes[0]))
+        return self.seen(self.model.tree.inside(q), (v, vd, load), self.phi)
+
+    def seen(
+        self, q: Array, rates: tuple[Array, Array, Array], phi: Array, **known: Any
+    ) -> RobotMotion:
+        """Return a motion as effects see it."""
+        *motion, load = q, *rates
+        seen = self.model.motion(Motion(*motion), sign_width=self._sign_width, load=load)
+        return replace(seen, log=self._log, **known)
+
+    @cached_property
+    def _plant_tree(self) -> KinematicTree:
+        return KinematicTree.from_plant(self.plant)
+
+    @cached_property
+    def _context(self) -> Context:
+        return self.plant.CreateDefaultContext()

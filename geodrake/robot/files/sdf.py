@@ -8,12 +8,11 @@ import numpy as np
 
 from geodrake.errors import ModelError
 from geodrake.inertia import Array
-from geodrake.robot.files.base import ModelText
+from geodrake.robot.files.base import SDF_UNREAD, ModelText, is_nothing, unread
 from geodrake.robot.files.checks import SDF_NUMBERS
 from geodrake.robot.files.includes import Includes
 from geodrake.robot.files.model_edits import sdf_models
 from geodrake.robot.files.packages import PACKAGE_ADVICE
-from geodrake.robot.files.unread import SDF_UNREAD, is_nothing, unread
 from geodrake.robot.files.values import (
     TENSOR,
     drop,

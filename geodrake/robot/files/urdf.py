@@ -6,10 +6,9 @@ from copy import deepcopy
 from xml.etree.ElementTree import Element
 
 from geodrake.inertia import Array
-from geodrake.robot.files.base import ModelText
+from geodrake.robot.files.base import URDF_UNREAD, ModelText, is_nothing, unread
 from geodrake.robot.files.checks import URDF_NUMBERS
 from geodrake.robot.files.motors import urdf_motors
-from geodrake.robot.files.unread import URDF_UNREAD, is_nothing, unread
 from geodrake.robot.files.values import (
     TENSOR,
     drop,

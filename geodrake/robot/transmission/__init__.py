@@ -17,7 +17,7 @@ from geodrake.robot.transmission.base import (
     gears,
     rolling_joint,
 )
-from geodrake.robot.transmission.drive import Drive
+from geodrake.robot.transmission.statements import Drive
 
 __all__ = [
     "Drive",

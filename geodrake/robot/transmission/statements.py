@@ -1,26 +1,36 @@
-"""What a transmission file states, part by part: its schema, and the maps that the parts make.
+"""Transmission files: what moves the joints of a robot, as YAML beside its model file.
 
-Every part names actuators, which are columns of logs, and joints of the model file. Joints that no
-part names are their own actuators. Of parts of one actuator and one joint,
+    gears:
+    - {actuator: motor_1, joint: joint_1, ratio: 100}
+    coupled:
+    - joints:
+        joint_5: {motor_5: 0.02}
+        joint_6: {motor_5: 0.01, motor_6: 0.01}
+
+`Stated` is their schema. Every part names actuators, which are columns of logs, and joints of the
+model file. Joints that no part names are their own actuators. Of parts of one actuator and one
+joint,
 
     θ = f(q),   J = f′(q),   J̇ = f″(q) q̇                             [Lee2019] Eq. (3.6.57)
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
-from dataclasses import dataclass
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from dataclasses import dataclass, field
 from functools import partial
+from pathlib import Path
 from typing import Literal, get_args, get_type_hints
 
 import numpy as np
 from numpy.polynomial.polynomial import polyder, polyval
 from scipy.interpolate import CubicSpline
 
-from geodrake.boundary.arguments import number, real_array
+from geodrake.boundary.arguments import file_path, instance, instances, number, real_array
 from geodrake.boundary.showing import Short
-from geodrake.boundary.yaml_schema import Schema
-from geodrake.errors import ArgumentError
+from geodrake.boundary.yaml_schema import Schema, as_schema
+from geodrake.boundary.yaml_text import yaml_content
+from geodrake.errors import ArgumentError, GeodrakeError, ModelError
 from geodrake.inertia import Array
 from geodrake.robot.transmission.base import (
     InSequence,
@@ -29,6 +39,7 @@ from geodrake.robot.transmission.base import (
     Transmission,
     rolling_joint,
 )
+from geodrake.robot.transmission.loop import LoopTransmission
 
 Kind = Literal["", "revolute", "prismatic"]
 """How an actuator moves: as the joint does if empty."""
@@ -505,3 +516,131 @@ class Stated(Schema):
         for name, kind in get_type_hints(type(self)).items():
             if get_args(kind)[0] is type(part):
                 getattr(self, name).append(part)
+
+
+@dataclass(frozen=True, eq=False)
+class Drive(Short):
+    """Actuators, the joints that they move together, and how.
+
+    Attributes:
+        actuators: Names of the n actuators, as logs have them.
+        joints: Names of the k joints of the model file, n ≤ k.
+        map: θ = T(q) from the actuators to the joints.
+        slides: Whether each actuator slides, so that its positions are in m and its efforts in N;
+            None for each as the joint in whose place it stands.
+        range: Positions (n,) of the actuators between which the map holds, rad or m.
+        statement: What it was made of, which is saved; None for one of functions of your own.
+        followers: How many of the joints, the last ones, only follow others by constant ratios.
+    """
+
+    actuators: tuple[str, ...]
+    joints: tuple[str, ...]
+    map: Transmission
+    slides: tuple[bool, ...] | None = None
+    range: tuple[Array, Array] | None = None
+    statement: Statement | None = None
+    followers: int = field(default=0, compare=False)
+
+    def __post_init__(self) -> None:
+        instance(self.map, "map", Transmission)
+        for what, count in (
+            ("actuators", self.map.num_actuators),
+            ("joints", self.map.num_joints),
+        ):
+            names = instances(getattr(self, what), what, str)
+            object.__setattr__(self, what, names)
+            if len(names) != count or len(set(names)) < len(names):
+                raise ArgumentError(
+                    f"A drive of {self.map.num_actuators} actuators and {self.map.num_joints} "
+                    f"joints needs as many different {what}; it has {', '.join(names)}."
+                )
+
+    @property
+    def is_loop(self) -> bool:
+        """Whether it is a closed loop of the model file, and nothing that a user states."""
+        return isinstance(self.map, LoopTransmission)
+
+    @property
+    def limits(self) -> tuple[Array, Array]:
+        """Least and greatest positions (n,) for which the map holds, rad or m."""
+        if self.range is not None:
+            return self.range
+        most = np.full(len(self.actuators), np.inf)
+        return -most, most
+
+    @classmethod
+    def of(cls, statement: Statement) -> Drive:
+        """Return the drive that a part of a transmission file states."""
+        range_, slides = statement.range(), statement.slides()
+        return cls(
+            statement.actuator_names(),
+            statement.joint_names(),
+            statement.transmission(),
+            None if slides is None else (slides,) * len(statement.actuator_names()),
+            None if range_ is None else (np.array([range_[0]]), np.array([range_[1]])),
+            statement,
+        )
+
+
+NONE, OF_FILE = "none", "file"
+"""Words in the place of a transmission file: nothing, or what the model file itself states."""
+
+_SUFFIX = ".transmission.yaml"
+_MODEL_SUFFIXES = (".xacro", ".urdf", ".sdf", ".xml", ".mjcf", ".yaml", ".yml", ".world")
+
+
+def file_beside(model: Path) -> Path:
+    """Return where a model's transmission file is: `arm.transmission.yaml` beside `arm.urdf`."""
+    name = model.name
+    while (suffix := Path(name).suffix.lower()) in _MODEL_SUFFIXES:
+        name = name[: -len(suffix)]
+    return model.with_name(f"{name}{_SUFFIX}")
+
+
+def read_transmission(path: str | Path) -> tuple[Drive, ...]:
+    """Return the parts of a transmission file."""
+    path = file_path(path)
+    content = yaml_content(path, "transmission file", ModelError, advice="Correct the file there.")
+    try:
+        stated = as_schema(content, Stated)
+        order = list(content) if isinstance(content, dict) else []
+        parts = sorted(stated.parts(), key=lambda part: order.index(part[0].partition("[")[0]))
+        drives = drives_of(parts)
+        if not drives:
+            lists = ", ".join(Stated.__struct_fields__)
+            raise ModelError("it has no part.", advice=f"Its lists are: {lists}.")
+        return drives
+    except GeodrakeError as error:
+        raise ModelError(
+            f"{path} is no transmission file: {error.problem}",
+            advice=error.advice or "Correct the file there.",
+            path=path,
+        ) from error
+
+
+def drives_of(parts: Iterable[tuple[str, Statement]]) -> tuple[Drive, ...]:
+    """Return the drives that parts make; each comes with where it is, such as `gears[0]`."""
+    drives = []
+    for place, part in parts:
+        for what, names in (("actuator", part.actuator_names()), ("joint", part.joint_names())):
+            if not names or not all(names):
+                raise ModelError(f"{place} does not name its {what}.", advice="Name it there.")
+        try:
+            drives.append(Drive.of(part))
+        except ArgumentError as error:
+            raise ModelError(f"{place}: {error.problem}", advice=error.advice) from error
+    return tuple(drives)
+
+
+def stated_of(drives: Sequence[Drive]) -> Stated:
+    """Return what makes drives again, to be saved."""
+    stated = Stated()
+    for drive in drives:
+        if drive.statement is None:
+            raise ModelError(
+                f"The transmission of {', '.join(drive.actuators)} is a function of your own, "
+                "which cannot be saved.",
+                advice="Write it as a table of a transmission file, or leave it out.",
+            )
+        stated.add(drive.statement)
+    return stated
