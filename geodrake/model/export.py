@@ -19,7 +19,6 @@ from geodrake.inertia import (
     Array,
     change_frame,
     from_pseudo_inertia,
-    from_spatial_inertia,
     is_physical,
     pseudo_inertia,
 )
@@ -28,7 +27,7 @@ from geodrake.model.robot_model import RobotModel
 from geodrake.robot.files.description import drake_messages, model_text_of, read_description
 from geodrake.robot.files.model_edits import EditedFile
 from geodrake.robot.files.xacro_file import is_xacro, read_expanded
-from geodrake.robot.repairs import TOLERANCE
+from geodrake.robot.repairs import TOLERANCE, stated_inertias
 
 _UNCHANGED = 1e-13
 """Relative difference below which a link keeps the numbers that the file has for it."""
@@ -108,7 +107,11 @@ def export_model(model: RobotModel) -> Export:
 def export_bodies(model: RobotModel) -> Export:
     """As `export_model`, with notes on bodies alone."""
     kind, data = file_kind(model), read_expanded(model.path, model.given)
-    stated, file = _stated_inertias(model), EditedFile(data, model.path)
+    file, plant = EditedFile(data, model.path), MultibodyPlant(time_step=0.0)
+    with drake_messages():
+        description = read_description(model.path, model.given)
+        description.add_to(plant)
+    stated = stated_inertias(description, plant)
     # Settings that change masses change what is written, too: all is written, without them.
     anew, here = file.drop_mass_settings(), file.links.keys()
     written: dict[str, Array] = {}
@@ -218,19 +221,6 @@ def _stretched(parts: Array, phi: Array) -> Array:
 def _upper_root(phi: Array) -> Array:
     """Upper triangular U with P(φ) = U Uᵀ, which maps [x;1] affinely."""
     return np.asarray(np.linalg.cholesky(pseudo_inertia(phi)[::-1, ::-1])[::-1, ::-1])
-
-
-def _stated_inertias(model: RobotModel) -> Mapping[str, Array]:
-    """Return what a model's file says of every link (10,), possible or not, by scoped name."""
-    with drake_messages():
-        description = read_description(model.path, model.given)
-        plant = MultibodyPlant(time_step=0.0)
-        description.add_to(plant)
-    found = {}
-    for k in range(1, plant.num_bodies()):
-        spatial = plant.get_body(BodyIndex(k)).default_spatial_inertia()
-        found[_scoped(plant, k)] = from_spatial_inertia(spatial)
-    return found | dict(description.terms.set_aside)
 
 
 def _check(content: bytes, path: Path, written: Mapping[str, Array]) -> None:

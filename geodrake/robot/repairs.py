@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 from pydrake.multibody.plant import MultibodyPlant
+from pydrake.multibody.tree import BodyIndex
 
 from geodrake.errors import ModelError
 from geodrake.inertia import (
@@ -63,8 +65,8 @@ def repair_inertias(
     Returns:
         The repairs, notes on welded links that were left out, and whether the text changed.
     """
-    lumps = lumped_bodies(plant)
-    stated = [_stated_parameters(description, plant, body) for body in lumps]
+    lumps, links = lumped_bodies(plant), stated_inertias(description, plant)
+    stated = [_stated_parameters(links, plant, body) for body in lumps]
     usable = [np.where(_counts(phi)[:, None], phi, 0.0).sum(0) for phi in stated]
     between = [
         all(_scoped(plant, member.index) in description.terms.between for member in body.members)
@@ -142,15 +144,23 @@ def _has_size(phi: Array) -> bool:
     return bool(second_moments.max() > LEAST_SIZE**2 * phi[0])
 
 
+def stated_inertias(description: ModelDescription, plant: MultibodyPlant) -> dict[str, Array]:
+    """Return what a file states of every link (10,), possible or not, by scoped name."""
+    links = map(plant.get_body, map(BodyIndex, range(1, plant.num_bodies())))
+    found = {
+        link.scoped_name().get_full(): from_spatial_inertia(link.default_spatial_inertia())
+        for link in links
+    }
+    return found | description.terms.set_aside
+
+
 def _stated_parameters(
-    description: ModelDescription, plant: MultibodyPlant, body: LumpedBody
+    links: Mapping[str, Array], plant: MultibodyPlant, body: LumpedBody
 ) -> Array:
     """Return what the file states for each member (k, 10), in the representative's frame."""
     rows = []
     for member in body.members:
-        spatial = plant.get_body(member.index).default_spatial_inertia()
-        phi = description.terms.set_aside.get(_scoped(plant, member.index))
-        phi = from_spatial_inertia(spatial) if phi is None else phi
+        phi = links[_scoped(plant, member.index)]
         R_RB, p_RoBo_R = member.X_RB.rotation().matrix(), member.X_RB.translation()
         usable = np.isfinite(phi).all()
         rows.append(calc_change_frame(phi, R_RB, p_RoBo_R) if usable else phi)

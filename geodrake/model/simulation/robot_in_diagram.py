@@ -84,12 +84,9 @@ class RobotInDiagram:
             q: (nq,) positions in Drake's order, of the robot alone.
             v: (nv,) velocities; None for rest.
         """
-        plant, driving = self.plant, self.driving
-        nq, nv = plant.num_positions(), plant.num_velocities()
-        if driving is not None:
-            nq, nv = driving.sizes
-        elif self.robot.name is not None:
-            nq = nv = len(self.joints)
+        plant, driving, nv = self.plant, self.driving, len(self.joints)
+        nq = plant.num_positions() if driving is None else driving.sizes[0]
+        nq = nq if self.robot.name is None else nv
         q = real_array(q, "q", (nq,))
         v = real_array(np.zeros(nv) if v is None else v, "v", (nv,))
         context = plant.GetMyMutableContextFromRoot(root)
