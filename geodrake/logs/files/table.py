@@ -66,8 +66,6 @@ _LAST_MONTH = 12
 _TIME = re.compile(r"(?:(\d+) days? )?(\d\d?):(\d\d):(\d\d)(?:[.,](\d{1,9})\d*)?")
 _EPOCH = datetime(1970, 1, 1, tzinfo=UTC)
 _SECOND, _DAY = 1_000_000_000, 86_400  # ns, s
-NO_DATE = np.iinfo(np.int64).min
-"""What NumPy has for no date."""
 
 
 def date_of(text: str, *, day_first: bool = False) -> int | None:
@@ -148,9 +146,9 @@ def date_words(nanoseconds: int) -> str:
     return f"{instant:%Y-%m-%d %H:%M:%S} UTC"
 
 
-def since_first(stamps: NDArray[np.int64]) -> tuple[Array, int]:
-    """Return (N,) seconds from the first date on, NaN for `NO_DATE`, and the first date."""
-    known = stamps != NO_DATE
+def _since_first(stamps: NDArray[np.int64]) -> tuple[Array, int]:
+    """Return (N,) seconds from the first date on, NaN for no date, and the first date."""
+    known = stamps != np.iinfo(np.int64).min
     origin = int(stamps[known][0]) if known.any() else 0
     seconds = np.full(len(stamps), np.nan)
     seconds[known] = (stamps[known] - origin) / _SECOND
@@ -328,8 +326,87 @@ _ONE_SECOND = np.timedelta64(1, "s")
 _MOST_NAMES = 8
 _LONGEST_TEXT = 60
 _SAYS_NOTHING = ("", "nan", "nat", "none", "null", "na", "n/a", "<na>", "#n/a", "-", "--")
-NOTHING = tuple({f(word) for word in _SAYS_NOTHING for f in (str, str.upper, str.title)} | {"NaN"})
+NOTHING = frozenset(f(word) for word in _SAYS_NOTHING for f in (str, str.upper, str.title)) | {
+    "NaN",
+    "[]",
+    "()",
+}
 """What stands in a cell where nothing was measured."""
+
+LIST = re.compile(r"(?:(?:array|tensor)\()?[\[(]([^\[\]()]*)[\])](?:, dtype=[\w.]+)?\)?")
+_BETWEEN = re.compile(r"\s*[,;]\s*|\s+")
+
+
+@dataclass(frozen=True)
+class Cells:
+    """What the cells of a column hold: numbers, lists of numbers, or dates.
+
+    Attributes:
+        count: How many numbers each list has.
+        origin: The first date, ns since 1970.
+        day_first: Whether days come before months in dates with strokes.
+    """
+
+    count: int | None = None
+    origin: int | None = None
+    day_first: bool = False
+
+    @classmethod
+    def of(cls, first: Any, *, day_first: bool = False) -> Cells | None:
+        """Return it by the first cell that has something; None of words."""
+        if (items := _list_in(first)) is not None:
+            return cls(len(items))
+        for order in (day_first, not day_first):
+            if (date := date_of(_date_text(first), day_first=order)) is not None:
+                return cls(None, date, order)
+        return None if number_in(first) is None else cls()
+
+    def numbers(self, cell: Any) -> list[float] | None:
+        """Return the numbers in a cell, a date as seconds since the first; None for others."""
+        found: list[float] | None = None
+        if self.count is not None:
+            items = _list_in(cell) or []
+            found = items if len(items) == self.count else None
+        elif self.origin is not None:
+            date = date_of(_date_text(cell), day_first=self.day_first)
+            found = None if date is None else [(date - self.origin) / _SECOND]
+        elif (number := number_in(cell)) is not None:
+            found = [number]
+        return [np.nan] * (self.count or 1) if found is None and is_nothing(cell) else found
+
+
+def is_nothing(cell: Any) -> bool:
+    """Return whether a cell says that nothing was measured; empty lists do."""
+    if isinstance(cell, Sized) and not isinstance(cell, str):
+        return not len(cell)
+    return str(cell).strip() in NOTHING
+
+
+def _list_in(cell: Any) -> list[float] | None:
+    """Return the numbers of a list, or of a text such as `[0.1, 0.2]`; None of others."""
+    if isinstance(cell, str):
+        found = LIST.fullmatch(cell.strip())
+        cell = _BETWEEN.split(found[1].strip()) if found else None
+    try:
+        return [float(number) for number in cell] if isinstance(cell, Sized) else None  # type: ignore[attr-defined]
+    except (TypeError, ValueError):
+        return None
+
+
+def _date_text(value: Any) -> str:
+    """Return the text of a date, which may be an object; "" for anything else."""
+    text = value.isoformat() if isinstance(value, datetime) else value
+    return text if isinstance(text, str) else ""
+
+
+def number_in(value: Any) -> float | None:
+    """Return the number that a text or an object is; None for others."""
+    try:
+        if isinstance(value, str) and "_" in value:  # which Python takes in its own numbers
+            return None
+        return float(value)
+    except (TypeError, ValueError):
+        return None
 
 
 def numeric_table(path: Path, arrays: Mapping[str, Any], rows: int) -> LogTable:
@@ -402,7 +479,7 @@ def _what_else(values: Any, rows: int) -> str:
     if len(values) != rows:
         return f"has {len(values)} rows, and others have {rows}"
     bad = next(
-        (value for value in values if isinstance(value, str) and number_in(value) is None), ""
+        (x for x in values if isinstance(x, str) and not is_nothing(x) and number_in(x) is None), ""
     )
     lists = {
         k: len(value)
@@ -441,7 +518,7 @@ def numbers(values: Any) -> tuple[Array | None, int | None, str]:
     try:
         array = _array(values)
         if array.dtype.kind == "M":
-            return *since_first(array.astype("datetime64[ns]").astype(np.int64)), ""
+            return *_since_first(array.astype("datetime64[ns]").astype(np.int64)), ""
         if array.dtype.kind == "m":
             return np.asarray(array / _ONE_SECOND), None, ""
         if array.dtype.kind in "OUT":
@@ -463,47 +540,12 @@ def _array(values: Any) -> NDArray[Any]:
 
 def _of_objects(array: NDArray[Any]) -> tuple[Array | None, int | None, str]:
     """Return numbers of lists, or of objects that are numbers, dates or nothing; see `numbers`."""
-    first = next((value for value in array.flat if not _is_nothing(value)), None)
-    if not array.size:
+    first = next((value for value in array.flat if not is_nothing(value)), np.nan)
+    dates = array.flat if is_date(_date_text(first)) else ()
+    day_first, note = order_of_days(map(_date_text, dates))
+    kind = Cells.of(first, day_first=day_first)
+    rows = [None if kind is None else kind.numbers(value) for value in array.flat]
+    if kind is None or None in rows or not rows:
         return None, None, ""
-    if isinstance(first, Sized) and not isinstance(first, str):
-        empty = np.full(len(first), np.nan)
-        rows = [empty if _is_nothing(row) or not len(row) else row for row in array]
-        return np.stack([np.asarray(row, float) for row in rows]), None, ""
-    if array.ndim == 1 and is_date(_date_text(first)):
-        texts = [_date_text(value) for value in array]
-        day_first, note = order_of_days(texts)
-        stamps = [date_of(text, day_first=day_first) for text in texts]
-        known = [NO_DATE if _is_nothing(v) else s for v, s in zip(array, stamps, strict=True)]
-        return (None, None, "") if None in known else (*since_first(np.array(known)), note)
-    return np.array([_number(value) for value in array.flat]).reshape(array.shape), None, ""
-
-
-def _is_nothing(value: Any) -> bool:
-    if isinstance(value, Sized) and not isinstance(value, str):
-        return False
-    return str(value) in NOTHING
-
-
-def _date_text(value: Any) -> str:
-    """Return the text of a date, which may be an object; "" for anything else."""
-    text = value.isoformat() if isinstance(value, datetime) else value
-    return text if isinstance(text, str) else ""
-
-
-def _number(value: Any) -> float:
-    """Return a number, NaN for None and other words for nothing."""
-    found = number_in(value) if isinstance(value, str) else np.nan if _is_nothing(value) else value
-    if found is None:
-        raise ValueError(value)
-    return float(found)
-
-
-def number_in(text: str) -> float | None:
-    """Return the number that a text is, NaN for nothing; None for others."""
-    try:
-        if "_" in text:  # which Python takes in its own numbers
-            return None
-        return np.nan if text in NOTHING else float(text)
-    except ValueError:
-        return None
+    found = np.array(rows).reshape(*array.shape, -1)
+    return found if kind.count else found[..., 0], kind.origin, note

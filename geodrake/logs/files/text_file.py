@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import csv
 import re
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
 from contextlib import AbstractContextManager, nullcontext, suppress
 from dataclasses import dataclass, field, replace
 from functools import cached_property, partial
@@ -27,13 +27,14 @@ from geodrake.logs.files.name_rules import is_time, names_joints, numbers_joints
 from geodrake.logs.files.packed_files import open_log, unpacked
 from geodrake.logs.files.reading import Reading
 from geodrake.logs.files.table import (
+    LIST,
     NOTHING,
+    Cells,
     LogTable,
     TornRows,
     check_room,
-    date_of,
     is_date,
-    number_in,
+    is_nothing,
     numbered,
     order_of_days,
     readable,
@@ -45,9 +46,7 @@ _HEADER_LINES = 1000  # of a header whose names have line ends
 _PREFACE = 100  # lines, among which names are looked for
 _LINES_AHEAD = 1000  # in which dates, lists and words are looked for
 _WHITESPACE = None
-_LIST = re.compile(r"(?:(?:array|tensor)\()?[\[(]([^\[\]()]*)[\])](?:, dtype=[\w.]+)?\)?")
 _EXCEL = re.compile(r'"?sep=(.)"?')  # the first line of what is to be opened by it
-_BETWEEN = re.compile(r"\s*[,;]\s*|\s+")
 
 
 @dataclass(frozen=True)
@@ -56,9 +55,8 @@ class TextLayout:
 
     Attributes:
         units: Units of columns, where the line after the header has them.
-        dates: Columns of dates -> the first.
-        day_first: Those of them in which days come before months.
-        lists: Columns whose cells are lists of numbers -> how many each has.
+        first: The first cells of columns that have something.
+        day_first: Columns of dates in which days come before months.
         unnamed: Cells of the first row, where nobody names the columns; see `LogTable`.
     """
 
@@ -67,39 +65,31 @@ class TextLayout:
     decimal: str
     lines: int
     units: Mapping[str, str] = field(default_factory=dict)
-    dates: Mapping[str, str] = field(default_factory=dict)
+    first: Mapping[str, str] = field(default_factory=dict)
     day_first: frozenset[str] = frozenset()
-    lists: Mapping[str, int] = field(default_factory=dict)
-    texts: tuple[str, ...] = ()
     unnamed: tuple[str, ...] = ()
 
     @cached_property
-    def origins(self) -> dict[str, int | None]:
-        """Columns of dates -> the first, ns since 1970."""
-        return {name: self.date(text, name) for name, text in self.dates.items()}
+    def kinds(self) -> dict[str, Cells | None]:
+        """What the cells of columns hold, where that is not nothing; None of words."""
+        cells = self.first.items()
+        return {name: Cells.of(cell, day_first=name in self.day_first) for name, cell in cells}
 
-    def date(self, text: str, column: str) -> int | None:
-        """Parse a column's text as a date, ns since 1970; None if it is not a date."""
-        return date_of(text, day_first=column in self.day_first)
-
-    @property
-    def columns(self) -> list[str]:
-        """Names of the columns, those of a list one by one."""
-        return [name for name, _, _ in self._cells]
-
-    @property
-    def places(self) -> dict[str, tuple[int, int | None]]:
-        """Name of each column -> its cell in a row, and the place in the list in that."""
-        return {name: (cell, item) for name, cell, item in reversed(self._cells)}
-
-    @property
-    def _cells(self) -> list[tuple[str, int, int | None]]:
-        found = list[tuple[str, int, int | None]]()
+    @cached_property
+    def columns(self) -> list[tuple[str, int, int]]:
+        """Name of each column, those of a list one by one; its cell in a row, and place in that."""
+        found = list[tuple[str, int, int]]()
         for cell, name in enumerate(self.names):
-            items = range(self.lists[name]) if name in self.lists else None
-            found += [(name, cell, None)] if items is None else []
+            kind = self.kinds.get(name)
+            items = None if kind is None or kind.count is None else range(kind.count)
+            found += [(name, cell, 0)] if items is None else []
             found += [(f"{name}[{k}]", cell, k) for k in items or ()]
         return found
+
+    @property
+    def words(self) -> list[str]:
+        """Names of columns of words."""
+        return [name for name, kind in self.kinds.items() if kind is None]
 
     def cells(self, lines: Sequence[str]) -> Iterator[tuple[int, list[str]]]:
         """Cells of every line that has some and is no comment, with the number of its line."""
@@ -116,12 +106,8 @@ class TextLayout:
             yield line, [_pointed(c) for c in kept] if self.decimal == "," else kept
 
 
-def text_layout(
-    path: Path,
-    file: Iterator[str],
-    reading: Reading,
-) -> tuple[TextLayout, Iterator[str]]:
-    """Return the layout of a table, and its lines from the first row on."""
+def text_layout(path: Path, file: Iterator[str], reading: Reading) -> TextLayout:
+    """Return the layout of a table of some lines."""
     comment, first, count, file = _first_line(file)
     separator = _separator(first)
     cells, used, rest = _header_cells(path, first, file, separator)
@@ -220,7 +206,7 @@ def _joint_state(cells: Sequence[str]) -> tuple[str, ...]:
 
 def _decimal(separator: str | None, line: str) -> str:
     """Return the decimal mark of a line: commas within lists are none."""
-    return "," if separator == ";" and "," in _LIST.sub("", line) else "."
+    return "," if separator == ";" and "," in LIST.sub("", line) else "."
 
 
 def _pointed(cell: str) -> str:
@@ -228,30 +214,15 @@ def _pointed(cell: str) -> str:
     return cell if cell.lstrip().startswith(("[", "(")) else cell.replace(",", ".")
 
 
-def list_of(cell: str) -> list[float] | None:
-    """Return the numbers of a cell such as `[0.1, 0.2]` or `(0.1 0.2)`; None if not a list."""
-    found = _LIST.fullmatch(cell.strip())
-    try:
-        return [float(number) for number in _BETWEEN.split(found[1].strip())] if found else None
-    except ValueError:
-        return None
-
-
-def _with_contents(layout: TextLayout, lines: Iterator[str]) -> tuple[TextLayout, Iterator[str]]:
-    """Return the layout with columns of dates, lists and words, by their first full cell."""
-    ahead = list(islice(lines, _LINES_AHEAD))
+def _with_contents(layout: TextLayout, lines: Iterable[str]) -> TextLayout:
+    """Return the layout with the first cells of columns that have something."""
     first: dict[str, str] = {}
     with suppress(csv.Error):  # said when the rows are read
-        for _, cells in layout.cells(ahead):
+        for _, cells in layout.cells([*islice(lines, _LINES_AHEAD)]):
             for name, cell in zip(layout.names, cells, strict=False):
-                if cell.strip() not in (*NOTHING, "[]", "()"):
-                    first.setdefault(name, cell)
-    dates = {name: cell for name, cell in first.items() if is_date(cell)}
-    found = {name: list_of(cell) for name, cell in first.items()}
-    lists = {name: len(numbers) for name, numbers in found.items() if numbers is not None}
-    texts = tuple(n for n, c in first.items() if n not in {*dates, *lists} and not is_number(c))
-    whole = replace(layout, dates=dates, lists=lists, texts=texts)
-    return whole, chain(ahead, lines)
+                if name not in first and not is_nothing(cell):
+                    first[name] = cell
+    return replace(layout, first=first)
 
 
 def _units(header: Sequence[str], line: str, separator: str | None) -> dict[str, str]:
@@ -342,81 +313,114 @@ class TextTable(LogTable):
     """A table of text, read block by block."""
 
     def __init__(
-        self,
-        path: Path,
-        layout: TextLayout,
-        lines: Sequence[int],
-        reading: Reading,
-        opened: Opener,
+        self, path: Path, layout: TextLayout, lines: Sequence[int], skip: bool, opened: Opener
     ) -> None:
         """Take how many lines each block of the file has."""
-        super().__init__(path, {}, layout.units, (), layout.origins, unnamed=layout.unnamed)
-        self._read = layout, lines, reading
-        self._opened = opened
+        kinds = layout.kinds.items()
+        origins = {name: kind.origin for name, kind in kinds if kind and kind.origin is not None}
+        super().__init__(path, {}, layout.units, (), origins, unnamed=layout.unnamed)
+        self._layout, self._lines, self._skip, self._opened = layout, lines, skip, opened
 
     @property
     def names(self) -> Sequence[str]:
         """Names of the columns."""
-        return self._read[0].columns
+        return [name for name, _, _ in self._layout.columns]
 
     def read(
         self, names: Sequence[str], *, skip: bool = False
     ) -> tuple[dict[str, Array], TornRows]:
         """Return some columns (N,), filled block by block; see `LogTable`."""
-        layout, lines, _ = self._read
+        return self._read(names, skip=skip, texts=())
+
+    def _read(
+        self, names: Sequence[str], *, skip: bool, texts: Collection[str]
+    ) -> tuple[dict[str, Any], TornRows]:
+        """Return some columns (N,), those of texts as objects."""
+        layout, lines = self._layout, self._lines
         most, names = 1 + sum(lines), list(dict.fromkeys(names))
         check_room(self.path, most * len(names), f"{most} rows of {len(names)} numbers")
-        found, torn, row = (
-            {name: np.empty(most) for name in names},
-            TornRows(self.path, most, skip),
-            0,
-        )
-        places, quick = [layout.places[name] for name in names], sum(lines) > _MANY
+        found = {name: np.empty(most, object if name in texts else float) for name in names}
+        torn, row = TornRows(self.path, most, skip), 0
+        known = {name: (cell, item) for name, cell, item in reversed(layout.columns)}
+        places = [known[name] for name in names]
+        kinds: dict[int, Cells | None] = {
+            k: layout.kinds.get(layout.names[k]) or Cells() for k, _ in places
+        }
+        kinds |= dict.fromkeys(known[name][0] for name in texts)
         before = np.maximum(np.cumsum([0, *lines]), layout.lines).tolist()
-        for block, line in zip(self._blocks(), before, strict=False):
-            table = _numbers(layout, block, places, quick=quick)
+        blocks = _blocks(self.path, self._opened, layout.lines)
+        for block, line in zip(blocks, before, strict=False):
+            table: Any = None
+            if all(kind == Cells() for kind in kinds.values()):
+                table = _numbers(layout, block, places, quick=sum(lines) > _MANY)
             if table is None:
-                own = _lines(block)
-                table = _cells(self.path, layout, names, own, before=(row, line), torn=torn)
-            for values, column in zip(found.values(), table.T, strict=True):
-                values[row : row + len(table)] = column
-            row += len(table)
+                rows = self._cells(_lines(block), places, kinds, (row, line), torn)
+                table = [*zip(*rows, strict=True)] or [()]
+            for values, column in zip(found.values(), table, strict=False):
+                values[row : row + len(column)] = column
+            row += len(table[0])
         return {name: values[:row] for name, values in found.items()}, torn
 
-    def _blocks(self) -> Iterator[bytes]:
-        """Yield the lines of rows, many at once."""
-        return _blocks(self.path, self._opened, self._read[0].lines)
+    def _cells(
+        self,
+        lines: Sequence[str],
+        places: Sequence[tuple[int, int]],
+        kinds: Mapping[int, Cells | None],
+        before: tuple[int, int],
+        torn: TornRows,
+    ) -> list[list[Any]]:
+        """Read lines cell by cell into K rows of some places: slower, but errors name the cell.
+
+        `before` counts the rows and the lines of the file that come before them.
+        """
+        path, names = self.path, self._layout.names
+        values: list[list[Any]] = []
+        is_plain = all(kind == Cells() for kind in kinds.values())
+        is_plain &= not any("_" in line for line in lines)  # which Python takes in its own numbers
+        try:
+            for line, cells in self._layout.cells(lines):
+                row = before[0] + len(values) + 1
+                try:
+                    if len(cells) != len(names):
+                        raise LogError(
+                            f"Row {row} of log {str(path)!r} (line {before[1] + line}) has "
+                            f"{len(cells)} cells; the header has {len(names)}.",
+                            advice="Was the recording cut off? Remove or repair that line.",
+                            row=row,
+                        )
+                    if is_plain:
+                        with suppress(ValueError):  # of words for nothing, or of what is wrong
+                            values.append([float(cells[k] or "nan") for k, _ in places])
+                            continue
+                    found = dict[int, list[Any]]()
+                    for k, kind in kinds.items():
+                        numbers = [cells[k].strip()] if kind is None else kind.numbers(cells[k])
+                        if numbers is None:
+                            raise _refusal(path, row, names[k], cells[k], kind or Cells())
+                        found[k] = numbers
+                    values.append([found[cell][item] for cell, item in places])
+                except LogError as error:
+                    torn.add(row - 1, error)
+                    values.append([np.nan] * len(places))
+        except csv.Error as error:
+            raise LogError(
+                f"Row {before[0] + len(values) + 1} of log {str(path)!r} cannot be read: {error}.",
+                advice="Is there a quote that never closes? Remove or repair that line.",
+            ) from error
+        return values
 
     def loaded(self) -> LogTable:
         """Return the table with all its columns read, those of words as texts."""
-        layout, _, reading = self._read
-        columns, torn = self.read(
-            [name for name in layout.columns if name not in layout.texts],
-            skip=reading.skip_bad_rows,
-        )
+        texts = self._layout.words
+        columns, torn = self._read(self.names, skip=self._skip, texts=texts)
         rows = len(next(iter(columns.values()), ()))
         kept, notes = torn.settle(np.arange(float(rows)))
-        columns = {name: values[_all(kept)] for name, values in columns.items()}
-        words = {name: texts[_all(kept)] for name, texts in self._texts(rows)}
-        silent = {name: f"holds {texts[:1]}" for name, texts in words.items()}
+        if kept is not None:
+            columns = {name: values[kept] for name, values in columns.items()}
+        words = {name: columns.pop(name) for name in texts}
+        silent = {name: f"holds {cells[:1]}" for name, cells in words.items()}
         notes = (*self.notes, *notes)
-        return LogTable(self.path, columns, layout.units, notes, layout.origins, silent, words)
-
-    def _texts(self, rows: int) -> Iterator[tuple[str, NDArray[np.object_]]]:
-        """Yield columns of words, if every row has them."""
-        layout = self._read[0]
-        with suppress(csv.Error):
-            lines = [line for block in self._blocks() for line in _lines(block)]
-            cells = [row for _, row in layout.cells(lines)]
-            places = [(name, layout.names.index(name)) for name in layout.texts]
-            if len(cells) == rows:
-                for name, k in places:
-                    texts = [row[k].strip() if k < len(row) else "" for row in cells]
-                    yield name, np.array(texts, object)
-
-
-def _all(kept: NDArray[np.bool_] | None) -> NDArray[np.bool_] | slice:
-    return slice(None) if kept is None else kept
+        return LogTable(self.path, columns, self.units, notes, self.origins, silent, words)
 
 
 def read_text(path: Path, reading: Reading) -> LogTable:
@@ -458,20 +462,22 @@ def _text_table(path: Path, reading: Reading, opened: Opener) -> LogTable:
     with readable(path, f"{path.suffix} file") if is_packed else nullcontext():
         lines = list(map(_count, _blocks(path, opened)))
     with opened() as file, TextIOWrapper(file, "utf-8-sig", newline="") as text:
-        layout, _ = text_layout(path, text, reading)
+        layout = text_layout(path, text, reading)
     orders = _orders_of_days(path, opened, layout)
     layout = replace(layout, day_first=frozenset(k for k, (first, _) in orders.items() if first))
     notes = dict.fromkeys(note for _, note in orders.values() if note)
-    table = TextTable(path, layout, lines, reading, opened).noting(*notes)
-    names_rows = any(map(names_joints, layout.texts)) or any(map(numbers_joints, layout.names))
+    table = TextTable(path, layout, lines, reading.skip_bad_rows, opened).noting(*notes)
+    names_rows = any(map(names_joints, layout.words)) or any(map(numbers_joints, layout.names))
     return table.loaded() if names_rows and reading.mapping is None else table
 
 
 def _orders_of_days(path: Path, opened: Opener, layout: TextLayout) -> dict[str, tuple[bool, str]]:
     """Return `order_of_days` of every column of dates with strokes."""
-    places = {name: cell for name, (cell, _) in layout.places.items()}
-    found: dict[str, dict[str, None]] = {k: {} for k, date in layout.dates.items() if "/" in date}
-    for block in _blocks(path, opened, layout.lines) if found else ():
+    kinds = {name: layout.kinds[name] for name, cell in layout.first.items() if "/" in cell}
+    dates = [name for name, kind in kinds.items() if kind and kind.origin is not None]
+    places = {name: layout.names.index(name) for name in dates}
+    found: dict[str, dict[str, None]] = {name: {} for name in dates}
+    for block in _blocks(path, opened, layout.lines) if dates else ():
         with suppress(csv.Error):  # which is told when the cells are read
             for _, cells in layout.cells(block.decode(errors="replace").splitlines()):
                 for name, texts in found.items():
@@ -509,17 +515,15 @@ def _lines(block: bytes) -> list[str]:
 
 
 def _numbers(
-    layout: TextLayout, block: bytes, places: Sequence[tuple[int, int | None]], *, quick: bool
+    layout: TextLayout, block: bytes, places: Sequence[tuple[int, int]], *, quick: bool
 ) -> Array | None:
-    """Return (K, places) of lines whose cells there are nothing but numbers; None for others.
+    """Return (places, K) of lines whose cells there are nothing but numbers; None for others.
 
     With `quick` Arrow reads them, which is quicker for many, and takes time to import.
     """
     if not block or block.isspace():
-        return np.empty((0, len(places)))
+        return np.empty((len(places), 0))
     mark, columns, last = layout.separator, [cell for cell, _ in places], len(layout.names) - 1
-    if {*columns} & {layout.names.index(name) for name in (*layout.lists, *layout.dates)}:
-        return None
     if not block.isascii():
         block.decode()  # or it is no text in UTF-8
     if quick and (table := _by_arrow(block, layout, columns)) is not None:
@@ -533,7 +537,7 @@ def _numbers(
         table = np.loadtxt(plain, delimiter=mark, comments=None, ndmin=2, usecols=used)
     except ValueError:
         return None
-    return table if mark else table[:, columns] if table.shape[1] == last + 1 else None
+    return table.T if mark else table.T[columns] if table.shape[1] == last + 1 else None
 
 
 def _by_arrow(block: bytes, layout: TextLayout, columns: Sequence[int]) -> Array | None:
@@ -555,87 +559,31 @@ def _by_arrow(block: bytes, layout: TextLayout, columns: Sequence[int]) -> Array
             arrow.ConvertOptions(
                 include_columns=list(dict.fromkeys(used)),
                 column_types=dict.fromkeys(used, pyarrow.float64()),
-                null_values=NOTHING,
+                null_values=sorted(NOTHING),
                 decimal_point=layout.decimal,
             ),
         )
     except pyarrow.ArrowInvalid:
         return None
-    return np.array([table[name].to_numpy() for name in used]).T
+    return np.array([table[name].to_numpy() for name in used])
 
 
-def _cells(
-    path: Path,
-    layout: TextLayout,
-    used: Sequence[str],
-    lines: Sequence[str],
-    *,
-    before: tuple[int, int],
-    torn: TornRows,
-) -> Array:
-    """Read lines cell by cell into (K, used columns): slower, but errors name the cell.
-
-    `before` counts the rows and the lines of the file that come before them.
-    """
-    values: list[list[float]] = []
-    places = [layout.places[name] for name in used]
-    read = dict.fromkeys(cell for cell, _ in places)  # a list once, not for each of its items
-    is_plain = not {*layout.lists, *layout.dates}.intersection(used)
-    is_plain &= not any("_" in line for line in lines)  # which Python takes in its own numbers
-    try:
-        for line, cells in layout.cells(lines):
-            row = before[0] + len(values)
-            try:
-                if len(cells) != len(layout.names):
-                    raise LogError(
-                        f"Row {row + 1} of log {str(path)!r} (line {before[1] + line}) has "
-                        f"{len(cells)} cells; the header has {len(layout.names)}.",
-                        advice="Was the recording cut off? Remove or repair that line.",
-                        row=row + 1,
-                    )
-                if is_plain:
-                    with suppress(ValueError):  # of words for nothing, or of what is wrong
-                        values.append([float(cells[k] or "nan") for k, _ in places])
-                        continue
-                found = {k: _numbers_of(cells[k], path, row + 1, layout, k) for k in read}
-                values.append([found[cell][item or 0] for cell, item in places])
-            except LogError as error:
-                torn.add(row, error)
-                values.append([np.nan] * len(places))
-    except csv.Error as error:
-        raise LogError(
-            f"Row {before[0] + len(values) + 1} of log {str(path)!r} cannot be read: {error}.",
-            advice="Is there a quote that never closes? Remove or repair that line.",
-        ) from error
-    return np.array(values, float).reshape(-1, len(places))
-
-
-def _numbers_of(cell: str, path: Path, row: int, layout: TextLayout, place: int) -> list[float]:
-    """Return the number in a cell, or those of a list, or the seconds since the first date."""
-    column, text = layout.names[place], cell.strip()
-    count, origin = layout.lists.get(column), layout.origins.get(column)
-    if count is not None:
-        numbers = [np.nan] * count if text in ("", "[]", "()") else list_of(cell) or []
-        wrong = len(numbers) != count
-        is_none = f"no list of {count} numbers as above it"
+def _refusal(path: Path, row: int, column: str, text: str, kind: Cells) -> LogError:
+    """Return what is said of a cell that holds something else than its column."""
+    what = "not a number"
+    advice = "Leave a cell empty, or write nan, where nothing was measured."
+    if is_time(column):
+        advice += " A column of dates has them from its first row on."
+    if kind.count is not None:
+        what = f"no list of {kind.count} numbers as above it"
         advice = "Write all lists of a column equally long, or leave the cell empty."
-    elif origin is not None and text:
-        date = layout.date(cell, column)
-        numbers, wrong = [((date or 0) - origin) / 1e9], date is None
-        is_none = "no date as above it"
+    elif kind.origin is not None:
+        what = "no date as above it"
         advice = "Write dates as 2026-05-01T12:00:00.25Z, or leave the cell empty."
-    else:
-        number = number_in(text)
-        numbers, wrong = [0.0 if number is None else number], number is None
-        is_none = "not a number"
-        dates = " A column of dates has them from its first row on." if is_time(column) else ""
-        advice = f"Leave a cell empty, or write nan, where nothing was measured.{dates}"
-    if wrong:
-        raise LogError(
-            f"Row {row}, column {column!r} of log {str(path)!r} holds {text[:60]!r}, which is "
-            f"{is_none}.",
-            advice=advice,
-            row=row,
-            column=column,
-        )
-    return numbers
+    return LogError(
+        f"Row {row}, column {column!r} of log {str(path)!r} holds {text.strip()[:60]!r}, which is "
+        f"{what}.",
+        advice=advice,
+        row=row,
+        column=column,
+    )
