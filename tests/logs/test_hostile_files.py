@@ -15,9 +15,8 @@ from pendulum_logs import PENDULUM, pendulum_log
 from geodrake.errors import LogError
 from geodrake.identification.logs.compare import compare
 from geodrake.logs import JointLog
-from geodrake.logs.files import read_log
+from geodrake.logs.files import log_of_frame, read_log
 from geodrake.logs.files.table import check_room
-from geodrake.logs.frames import log_of_frame
 from geodrake.logs.inspection import inspect_log
 from geodrake.logs.unit_hints import effort_unit_hint
 from geodrake.model.logged_joints import model_of_logs

@@ -335,7 +335,7 @@ def test_mapped_signals(tmp_path):
     assert np.allclose(log.effort_uncertainty, [0.05, 0.2])
     assert np.allclose(log.command[:, 0], np.deg2rad(q[:, 0] + 0.1))
     assert np.isnan(log.command[:, 1]).all()
-    with pytest.raises(LogError, match="as current, and --kind says that it is voltage"):
+    with pytest.raises(LogError, match="is current by the mapping, and voltage by --kind"):
         kinds = {"one": "voltage"}
         read_log(tmp_path / "log.csv", reading=Reading(mapping=reading.mapping, kinds=kinds))
 

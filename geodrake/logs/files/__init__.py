@@ -1,4 +1,4 @@
-"""Readers and writers of joint logs, as CSV and NPZ.
+"""Readers of joint logs and of data frames, and their writer, as CSV and NPZ.
 
 The columns are `time` and, for each joint, `<joint>.position`, `<joint>.effort` and, if measured,
 `<joint>.velocity` and `<joint>.acceleration`: the words of ROS JointState, in SI units. In the
@@ -10,13 +10,27 @@ understood as well, by `recognition`, or by what the user says of them, a `Readi
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import csv
+import io
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
+from typing import Any, BinaryIO
+
+import numpy as np
+from numpy.typing import NDArray
 
 from geodrake.boundary.arguments import file_path, instance, instances
-from geodrake.errors import LogError
-from geodrake.logs.files.column_mapping import Columns, columns_of, is_used, listed, without_use
+from geodrake.boundary.whole_files import Content, write_whole
+from geodrake.errors import ArgumentError, LogError, OutputError
+from geodrake.logs.files.column_mapping import (
+    Columns,
+    check_once,
+    columns_of,
+    is_used,
+    listed,
+    without_use,
+)
 from geodrake.logs.files.formats import (
     check_log,
     file_names,
@@ -29,15 +43,17 @@ from geodrake.logs.files.mapping_file import read_mapping
 from geodrake.logs.files.name_rules import is_time, meaning_of
 from geodrake.logs.files.reading import Reading
 from geodrake.logs.files.recording import recorded
-from geodrake.logs.files.table import LogTable
-from geodrake.logs.files.writing import log_content, write_log
+from geodrake.logs.files.table import LogTable, numeric_table, readable
 from geodrake.logs.motion import JointLog
+
+Array = NDArray[np.float64]
 
 __all__ = [
     "Reading",
     "check_log",
     "file_names",
     "log_content",
+    "log_of_frame",
     "parts_of",
     "read_log",
     "read_mapping",
@@ -160,3 +176,111 @@ def _check_silent(table: LogTable, reading: Reading, joints: Sequence[str] | Non
                 else "Give numbers, or for time dates such as 2026-05-01T12:00:00.25Z.",
                 column=name,
             )
+
+
+def log_of_frame(
+    frame: Any,
+    *,
+    joints: Sequence[str] | None = None,
+    name: str = "frame",
+    reading: Reading | None = None,
+) -> JointLog:
+    """Return the log in a data frame, or in arrays by name.
+
+    Args:
+        frame: A DataFrame of pandas or polars, a table of Arrow, a structured array, or a mapping
+            of names to arrays. Columns are `time` (numbers, durations or dates),
+            `<joint>.position`, `<joint>.effort` (or `.current`, `.voltage`, `.pwm`, `.command`) and
+            perhaps `<joint>.velocity` and `<joint>.temperature`; or `position`, `effort` … (N, n),
+            with the joints in order.
+            Without `time`, the index of a pandas frame is the time, if it is one of dates,
+            durations or seconds.
+        joints: Names of a model's joints, if the log must have the same and in their order.
+        name: What messages call the log.
+        reading: How columns are to be read, where their names do not say it.
+
+    Raises:
+        ArgumentError: It is no frame.
+        LogError: It lacks a needed column or joint or has a column twice, such a column has no
+            numbers, or its time does not increase.
+    """
+    instance(name, "name", str)
+    joints = None if joints is None else instances(joints, "joints", str)
+    with readable(Path(name), "frame of numbers", "Give columns of numbers, such as float64."):
+        arrays = _frame_arrays(frame, name)
+    rows = max((len(values) for values in arrays.values() if np.ndim(values)), default=0)
+    index: Any = getattr(frame, "index", None)
+    if getattr(getattr(index, "dtype", None), "kind", "") in ("M", "m", "f"):  # no count of rows
+        arrays.setdefault("time", index.to_numpy())
+    table = numeric_table(Path(name), arrays, rows)
+    return log_of(table, joints, reading or Reading())[0]
+
+
+def _frame_arrays(frame: Any, called: str) -> dict[str, Any]:
+    """Return columns by their names, whatever holds them; a lazy frame of polars is collected."""
+    if hasattr(frame, "collect_schema") and hasattr(frame, "collect"):
+        frame = frame.collect()
+    if isinstance(frame, np.ndarray) and frame.dtype.names is not None:
+        return {name: frame[name] for name in frame.dtype.names}
+    names = frame if isinstance(frame, Mapping) else getattr(frame, "column_names", None)
+    if names is None:
+        names = getattr(frame, "columns", None)
+    if names is None or isinstance(frame, str):
+        raise ArgumentError(
+            f"A frame has named columns; it is {type(frame).__name__}.",
+            advice="Give a DataFrame, or a dict of arrays with time, position and effort.",
+        )
+    check_once(Path(called), [str(name) for name in names])
+    return {str(name): _column_array(frame[name]) for name in names}
+
+
+def _column_array(column: Any) -> Any:
+    """Return the array of a column; lists of polars as nested lists."""
+    if hasattr(column, "to_numpy"):
+        return column.to_numpy()
+    return np.asanyarray(column)  # a mask says where nothing was measured
+
+
+_ROWS = 50_000  # that are written at once
+
+
+def write_log(log: JointLog, path: str | Path) -> None:
+    """Write a log so that `read_log` returns the same numbers.
+
+    The file appears whole or not at all: it is written beside `path` and then renamed.
+
+    Args:
+        path: Target; `.npz` writes arrays, `.csv` and `.txt` write text.
+
+    Raises:
+        OutputError: If the suffix is another, or the file cannot be written.
+    """
+    path = file_path(path)
+    write_whole(path, log_content(log, path))
+
+
+def log_content(log: JointLog, path: str | Path) -> Content:
+    """Return the content of the file; see `write_log` for arguments and errors."""
+    path = file_path(path)
+    instance(log, "log", JointLog)
+    if path.suffix.lower() not in (".csv", ".txt", ".npz"):
+        raise OutputError(f"Cannot write a log to {str(path)!r}.", advice="Use .csv or .npz.")
+    columns = log.columns()
+    if path.suffix.lower() == ".npz":
+        arrays: dict[str, Any] = {**columns}
+        return lambda file: np.savez_compressed(file, **arrays)
+    return lambda file: _write_csv(file, columns)
+
+
+def _write_csv(file: BinaryIO, columns: Mapping[str, Array]) -> None:
+    text = io.TextIOWrapper(file, encoding="utf-8", errors="backslashreplace", newline="")
+    writer = csv.writer(text, lineterminator="\n")
+    if any("\r" in name for name in columns):  # readers take it for a line end if it is bare
+        csv.writer(text, lineterminator="\n", quoting=csv.QUOTE_ALL).writerow(columns)
+    else:
+        writer.writerow(columns)
+    count = len(columns["time"])
+    for first in range(0, count, _ROWS):
+        rows = [numbers[first : first + _ROWS] for numbers in columns.values()]
+        writer.writerows(np.column_stack(rows).tolist())
+    text.detach()  # which flushes it, and leaves the file open

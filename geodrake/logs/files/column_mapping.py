@@ -12,9 +12,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from geodrake.errors import ArgumentError, LogError
-from geodrake.logs.files.mapping_file import proposed_mapping, with_proposal
+from geodrake.logs.files.mapping_file import propose
 from geodrake.logs.files.name_rules import (
     DESIRED,
+    MAPPED,
     MOTOR,
     OF_JOINTS,
     PLAIN,
@@ -198,47 +199,55 @@ def _preference(meaning: Meaning, said: str | None) -> tuple[bool, bool, bool, i
     return other, not _is_own(meaning), meaning.role >= DESIRED, kind, meaning.role
 
 
-def effort_source(
-    path: Path, meaning: Meaning, joint: str, reading: Reading, stated: str
+def source_of(
+    path: Path, meaning: Meaning, joint: str, reading: Reading, units: Mapping[str, str]
 ) -> Source:
-    """Return where the efforts of a joint come from, and what they are."""
+    """Return where a quantity of a joint comes from, and of efforts what they are.
+
+    Units are those that the user says, that the name says, or that the file states.
+    """
+    quantity, told = meaning.quantity, {} if meaning.style == MAPPED else reading.units
+    stated = "" if meaning.style == MAPPED else units.get(meaning.column, "")
+    unit = meaning.unit or find_unit(stated, quantity)
+    if meaning.log_quantity != "effort":
+        unit = unit_of(told[quantity], quantity) if quantity in told else unit
+        return Source(meaning.column, meaning.gain * (unit.factor if unit else 1.0), unit)
     said = reading.kind_of(joint)
     said = None if said == "command" else said
-    named = meaning.unit or find_unit(stated, meaning.quantity) or find_unit(stated, "effort")
-    units = reading.units
-    asked = unit_of(units["effort"], "effort") if "effort" in units else None
-    kind = meaning.quantity
-    if kind == "effort" and (unit := asked or named) is not None:
-        kind = unit.signal or kind
-    if said in ("effort", kind) or (said is not None and meaning.quantity == "effort"):
+    unit = unit or find_unit(stated, "effort")
+    asked = unit_of(told["effort"], "effort") if "effort" in told else None
+    kind, known = quantity, asked or unit
+    if kind == "effort" and known is not None and meaning.gain == 1.0:
+        kind = known.signal or kind
+    if said in ("effort", kind) or (said is not None and quantity == "effort"):
         kind = str(said)
     elif joint in reading.kinds and said is not None:
+        by = "the mapping" if meaning.style == MAPPED else "its name"
         raise LogError(
-            f"Column {meaning.column!r} of log {str(path)!r} is {meaning.quantity} by its name, "
-            f"and {said} by --kind.",
+            f"Column {meaning.column!r} of log {str(path)!r} is {quantity} by {by}, and {said} by "
+            "--kind.",
             advice="Name another column by --mapping, or leave --kind out.",
             joint=joint,
         )
-    unit = named
-    if kind in units:
-        unit = unit_of(units[kind], kind)
+    if kind in told:
+        unit = unit_of(told[kind], kind)
     elif asked is not None:
-        is_meant = (asked.signal or "effort") == kind
-        unit = asked if is_meant or (asked.signal and meaning.quantity == "effort") else named
-    if kind != "effort" or joint not in reading.gains:
-        check_kind(path, meaning.column, joint, kind, unit)
-    return Source(meaning.column, unit.factor if unit else 1.0, unit, kind=kind)
-
-
-def check_kind(path: Path, column: str, joint: str, kind: str, unit: Unit | None) -> None:
-    """Refuse a unit that is not of the kind of efforts in a column."""
-    if unit is not None and (unit.signal or "effort") != kind:
+        is_meant = (asked.signal or "effort") == kind or (asked.signal and quantity == "effort")
+        unit = asked if is_meant else unit
+    is_scaled = joint in reading.gains or meaning.gain != 1.0
+    if (
+        unit is not None
+        and (unit.signal or "effort") != kind
+        and not (kind == "effort" and is_scaled)
+    ):
         raise LogError(
-            f"Column {column!r} of log {str(path)!r} is to be the {kind} of {joint}, and is in "
-            f"{unit.name}, a unit of {unit.signal or 'effort'}.",
+            f"Column {meaning.column!r} of log {str(path)!r} is to be the {kind} of {joint}, and "
+            f"is in {unit.name}, a unit of {unit.signal or 'effort'}.",
             advice="Say what it is by --kind JOINT=KIND, or its unit by --units.",
             joint=joint,
         )
+    factor = meaning.gain * (unit.factor if unit else 1.0)
+    return Source(meaning.column, factor, unit, kind=kind)
 
 
 def without_use(log: JointLog, columns: Columns) -> frozenset[str]:
@@ -333,22 +342,16 @@ def columns_of(
     if joints is not None and len(set(joints)) < len(joints):
         raise ArgumentError(f"Log {str(path)!r} is to have a joint twice: {listed(joints)}.")
     check_text(path, names)
-    by_names, first = reading.mapping is None, table.unnamed
-    if by_names and first:
-        proposal = proposed_mapping(path, first, joints, headed=False, motorless=reading.motorless)
-        raise with_proposal(no_header(path, first), path, proposal)
-    found = (
-        Columns.by_names(table, joints, reading) if by_names else Columns.by_mapping(table, reading)
-    )
+    is_mapped, first = reading.mapping is not None, table.unnamed
+    if first and not is_mapped:
+        raise propose(no_header(path, first), path, first, joints, reading, headed=False)
+    found = Columns.by_mapping(table, reading) if is_mapped else None
+    found = found or Columns.by_names(table, joints, reading)
     try:
         chosen = found.dated(table.origins).chosen(joints, partial=partial)
     except LogError as error:
-        proposal = None
-        if by_names:
-            proposal = proposed_mapping(path, names, joints, motorless=reading.motorless)
-        if proposal is None:
-            raise
-        raise with_proposal(error, path, proposal) from error
+        propose(error, path, names, joints, reading)
+        raise
     return chosen.read(joints)
 
 
@@ -416,14 +419,10 @@ class Columns:
         of_joints = [meaning for meaning in meanings if meaning.quantity in OF_JOINTS]
         found, notes = matched(of_joints, joints)
         best, others = candidates(of_joints, found, reading)
-        places = {}
-        for (joint, quantity), same in best.items():
-            if quantity == "effort":
-                stated = units.get(same[0].column, "")
-                places[joint, quantity] = effort_source(path, same[0], joint, reading, stated)
-                continue
-            unit = _unit(same[0], quantity, reading, units)
-            places[joint, quantity] = Source(same[0].column, unit.factor if unit else 1.0, unit)
+        places = {
+            (joint, quantity): source_of(path, same[0], joint, reading, units)
+            for (joint, quantity), same in best.items()
+        }
         if (time := time_source(meanings, reading, units)) is not None:
             places = {("", "time"): time, **places}
         own = frozenset(m.joint for m in of_joints if m.style[0] == "own")
@@ -451,13 +450,8 @@ class Columns:
                 )
             text = mapped.unit or reading.units.get(quantity)
             unit = unit_of(text, quantity) if text else None
-            source = Source(column, mapped.gain * (unit.factor if unit else 1.0), unit)
-            if quantity in EFFORT_KINDS:
-                kind = _mapped_kind(quantity, mapped.gain, unit, reading.kind_of(joint))
-                if kind != "effort" or mapped.gain == 1.0:
-                    check_kind(path, column, joint, kind, unit)
-                source, quantity = replace(source, kind=kind), "effort"
-            places[joint, quantity] = source
+            meaning = Meaning(column, quantity, joint, unit=unit, style=MAPPED, gain=mapped.gain)
+            places[joint, meaning.log_quantity] = source_of(path, meaning, joint, reading, {})
         for joint in [joint for joint, quantity in places if quantity == "command"]:
             if reading.kind_of(joint) == "command":  # in the place of its efforts
                 places.pop((joint, "effort"), None)
@@ -649,28 +643,6 @@ class Columns:
                 )
 
 
-def _mapped_kind(quantity: str, gain: float, unit: Unit | None, said: str | None) -> str:
-    """Return what a mapped column is: by its key; for an effort, by the user or its unit."""
-    if said not in (None, "command", quantity) and quantity != "effort":
-        raise LogError(
-            f"A mapping has a column as {quantity}, and --kind says that it is {said}.",
-            advice="Leave one of both out.",
-        )
-    if quantity != "effort" or said not in (None, "command"):
-        return quantity if said in (None, "command") else str(said)
-    in_signal = unit is not None and unit.signal is not None and gain == 1.0
-    return str(unit.signal) if unit is not None and in_signal else "effort"
-
-
-def _unit(
-    meaning: Meaning, quantity: str, reading: Reading, units: Mapping[str, str]
-) -> Unit | None:
-    """Return the unit of a column: as the user says, as its name says, as the file states."""
-    if quantity in reading.units:
-        return unit_of(reading.units[quantity], quantity)
-    return meaning.unit or find_unit(units.get(meaning.column, ""), quantity)
-
-
 def time_source(
     meanings: Sequence[Meaning], reading: Reading, units: Mapping[str, str]
 ) -> Source | None:
@@ -680,6 +652,5 @@ def time_source(
         return None
     time = times[0]
     beside = [m for m in meanings if m.quantity == "nanoseconds" and m.style == time.style]
-    unit = _unit(time, "time", reading, units)
-    nanoseconds = beside[0].column if beside else None
-    return Source(time.column, unit.factor if unit else 1.0, unit, nanoseconds)
+    source = source_of(Path(), time, "", reading, units)
+    return replace(source, nanoseconds=beside[0].column if beside else None)

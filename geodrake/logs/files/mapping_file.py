@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -17,6 +17,7 @@ from geodrake.logs.files.name_rules import DESIRED, OF_JOINTS, Meaning, matched,
 from geodrake.logs.files.reading import (
     ColumnMapping,
     MappedColumn,
+    Reading,
     check_gain,
     parsed_gain,
 )
@@ -127,24 +128,25 @@ def _check_once(mapping: ColumnMapping) -> None:
         seen[mapped.column] = name
 
 
-def proposed_mapping(
+def propose(
+    error: LogError,
     path: Path,
     names: Sequence[str],
     joints: Sequence[str] | None,
+    reading: Reading,
     *,
     headed: bool = True,
-    motorless: Collection[str] = (),
-) -> str | None:
-    """Return a mapping as text to edit, filled in as far as column names are understood.
+) -> LogError:
+    """Return the error of a failed reading, with a mapping as evidence.
+
+    It is text to edit, filled in as far as column names are understood. There is none where the
+    user gave one, and for files with too many columns.
 
     Args:
         headed: Whether the file has these names; columns of others are given by their numbers.
-
-    Returns:
-        YAML with comments; None for files with too many columns for that.
     """
-    if len(names) > MOST_COLUMNS:
-        return None
+    if reading.mapping is not None or len(names) > MOST_COLUMNS:
+        return error
     meanings = [m for name in names if headed and (m := meaning_of(name)) is not None]
     times = sorted((m for m in meanings if m.quantity == "time"), key=lambda m: m.role)
     of_joints = sorted((m for m in meanings if m.quantity in OF_JOINTS), key=lambda m: m.role)
@@ -160,14 +162,9 @@ def proposed_mapping(
     places = {(found[m.column], m.quantity): m for m in reversed(of_joints) if m.column in found}
     own = joints or list(dict.fromkeys(found.values())) or ["JOINT"]
     guessed = {} if meanings else _guess(names, own, headed=headed)
-    lines = [f"# How geodrake is to read {path.name!r}: edit this, and give it by --mapping."]
-    lines += ["# Columns are given by name, or by number from 1 on. Its columns are:"]
-    lines += [f"#   {k}: {_word(name)}" for k, name in enumerate(names, 1)]
-    units = (f"{quantity} {', '.join(known)}" for quantity, known in UNITS.items())
-    lines += [f"# Units: {'; '.join(units)}."]
-    lines += ["# Without efforts, write current:, voltage:, pwm: or command: in their place;"]
-    lines += ["# of a joint without a motor, effort: passive."]
-    lines += ["# gain: such as torque constant times gear ratio, for motor currents.", ""]
+    listed = "\n".join(f"#   {k}: {_word(name)}" for k, name in enumerate(names, 1))
+    units = "; ".join(f"{quantity} {', '.join(known)}" for quantity, known in UNITS.items())
+    lines = [_HEAD.format(name=path.name, columns=listed, units=units)]
     if by_order:
         pairs = (f"{joint} is {name!r}" for name, joint in model.items())
         lines += [f"# A guess by the order of the joints, to be checked: {', '.join(pairs)}."]
@@ -176,7 +173,7 @@ def proposed_mapping(
     columns: dict[str, dict[str, MappedColumn]] = {}
     for joint in own:
         effort = places.get((joint, "effort"))
-        if joint in motorless and (effort is None or effort.role >= DESIRED):
+        if joint in reading.motorless and (effort is None or effort.role >= DESIRED):
             guessed[joint, "effort"] = MappedColumn(PASSIVE)
         kinds = [kind for kind in (*EFFORT_KINDS, "command") if (joint, kind) in places]
         columns[joint] = {
@@ -185,9 +182,20 @@ def proposed_mapping(
         }
     time = guessed.get(("", "time"), MappedColumn(times[0].column) if times else _UNKNOWN)
     first, *others = mapping_lines(ColumnMapping(columns, time))
-    return "\n".join([*lines, first, "# rate: 500  # Hz, in place of time", *others]) + "\n"
+    lines += [first, "# rate: 500  # Hz, in place of time", *others, ""]
+    error.evidence |= {"path": path, "proposal": "\n".join(lines)}
+    return error
 
 
+_HEAD = """\
+# How geodrake is to read {name!r}: edit this, and give it by --mapping.
+# Columns are given by name, or by number from 1 on. Its columns are:
+{columns}
+# Units: {units}.
+# Without efforts, write current:, voltage:, pwm: or command: in their place;
+# of a joint without a motor, effort: passive.
+# gain: such as torque constant times gear ratio, for motor currents.
+"""
 _UNKNOWN = MappedColumn("")
 """What is written of a column that the user is to fill in."""
 
@@ -234,11 +242,3 @@ def _word(text: str) -> str:
     """Return a text as one scalar of YAML, also within braces."""
     words = yaml.safe_dump([text], default_flow_style=True, allow_unicode=True, width=1e9)
     return str(words.strip()[1:-1])
-
-
-def with_proposal(error: LogError, path: Path, proposal: str | None) -> LogError:
-    """Return the error of a failed reading with a proposed mapping as evidence, if any."""
-    if proposal is None:
-        return error
-    evidence = {**error.evidence, "path": path, "proposal": proposal}
-    return LogError(error.problem, advice=error.advice, **evidence)

@@ -71,6 +71,9 @@ ROLE_WORDS: Mapping[str, int] = {
 """Words that say whether numbers were measured at the joint, and so which of several are taken."""
 
 ROLES = ("measured", "", "of motors", "desired", "of something else")
+MAPPED = ("mapped",)
+"""The style of columns that the user said."""
+
 _FILLERS = frozenset(
     ["joint", "joints", "jnt", "axis", "axes", "link", "robot", "side", "states", "field"]
 ) | {"msg", "data", "value", "actual", "estimated", "est", "filtered", "filt", "cycle", "estimate"}
@@ -102,6 +105,7 @@ class Meaning:
         words: The words of that, without those that say nothing, and its number.
         style: What columns have in common whose joints are told apart by words alone.
         is_wanted: Whether it is what was asked for, and not what was.
+        gain: What its numbers are multiplied by, beside the unit.
     """
 
     column: str
@@ -112,6 +116,7 @@ class Meaning:
     unit: Unit | None = None
     style: tuple[str, ...] = ()
     is_wanted: bool = False
+    gain: float = 1.0
 
     @property
     def log_quantity(self) -> str:
