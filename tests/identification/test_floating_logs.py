@@ -29,7 +29,7 @@ from geodrake.identification.logs.compare import compare
 from geodrake.identification.logs.contact_rows import rows_without
 from geodrake.identification.logs.noise import known_noise
 from geodrake.logs import read_log
-from geodrake.logs.files.base_messages import base_sources, base_tables
+from geodrake.logs.files.messages import BaseRows, base_sources
 from geodrake.logs.floating import ContactFlags
 from geodrake.logs.motion import JointLog
 from geodrake.logs.preparation import prepare_logs
@@ -447,13 +447,20 @@ def test_transforms_of_two_robots_are_two_tables():
         (SimpleNamespace(transforms=[transform(f"{n}/base_link", n, k) for n in (1.0, 2.0)]), k)
         for k in range(1, 4)
     ]
-    tables = base_tables("/tf", messages)
+
+    def rows_of(messages):
+        rows = BaseRows("/tf")
+        for message, received in messages:
+            rows.add(message, received)
+        return rows
+
+    tables = rows_of(messages).tables()
     assert [table.columns["base.position.x"].tolist() for table in tables] == [[1.0] * 3, [2.0] * 3]
     messages[1][0].transforms[0].header.stamp.nanosec = 0
-    received = [(message, 5_000 + 1_000 * k) for k, (message, _) in enumerate(messages)]
-    for table in base_tables("/tf", received):
+    rows = rows_of((message, 5_000 + 1_000 * k) for k, (message, _) in enumerate(messages))
+    assert "some messages of /tf have no stamps" in rows.clock_notes[0]
+    for table in rows.tables():
         assert np.allclose(table.columns["time"], 1e-9 * np.array([0.0, 1_000.0, 2_000.0]), atol=0)
-        assert "some messages of /tf have no stamps" in table.notes[0]
 
 
 def test_bad_poses_are_refused(model, maker):

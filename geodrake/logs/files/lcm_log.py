@@ -13,10 +13,10 @@ from typing import Any, BinaryIO
 from geodrake.boundary.input_files import open_regular
 from geodrake.boundary.optional_packages import optional_package
 from geodrake.errors import LogError
-from geodrake.logs.files.joint_messages import JointFields, MessageRows
+from geodrake.logs.files.messages import JointFields, MessageRows
 from geodrake.logs.files.reading import Reading
 from geodrake.logs.files.table import LogTable, readable
-from geodrake.logs.files.topics import Topic, chosen_topics, topic_table
+from geodrake.logs.files.topics import Topic, chosen_topics, topics_table
 
 MAGIC = b"\xed\xa1\xda\x01"
 """What each event of a log begins with."""
@@ -52,7 +52,7 @@ def read_lcm(path: Path, reading: Reading) -> LogTable:
             f"Log {str(path)!r} is asked for channels {', '.join(reading.topics)}: each is a log.",
             advice="Name one of them.",
         )
-    table = topic_table(path, topic, topics)
+    table = topics_table(path, [topic], topics, reading)
     if topic.kind not in _NEGATIVE:
         return table
     turned = {

@@ -14,12 +14,16 @@ from typing import Any
 from geodrake.boundary.input_files import regular_files
 from geodrake.boundary.optional_packages import optional_package
 from geodrake.errors import LogError
-from geodrake.logs.files.base_messages import base_sources, base_tables
-from geodrake.logs.files.joined_tables import joined_tables
-from geodrake.logs.files.joint_messages import Clock, JointFields, MessageRows, stamp_of
+from geodrake.logs.files.messages import (
+    BaseRows,
+    JointFields,
+    MessageRows,
+    base_sources,
+    stamp_of,
+)
 from geodrake.logs.files.reading import Reading
 from geodrake.logs.files.table import LogTable, readable
-from geodrake.logs.files.topics import Topic, chosen_topics, joined_topics, topic_table
+from geodrake.logs.files.topics import Topic, chosen_topics, topics_table
 
 _FIRST = 20  # messages by which a topic is known; publishers of other joints may take turns
 _JOINT_STATE = "sensor_msgs/msg/JointState"
@@ -80,12 +84,8 @@ def read_bag(path: Path, reading: Reading) -> LogTable:
         sources, joints_reading = _base_sources(spoken, reading)
         chosen = chosen_topics(path, topics, joints_reading)
         whole = [replace(each, rows=each.read()) for each in chosen]
-        clock = next(filter(None, (topic.rows.clock for topic in whole if topic.rows)), None)
-        base = _base(reader, spoken, method, sources, clock)
-    joints = (
-        joined_topics(path, whole, reading) if whole[1:] else topic_table(path, whole[0], topics)
-    )
-    return joined_tables(path, [joints, *base], reading) if base else joints
+        base, notes = _base(reader, spoken, method, sources)
+    return topics_table(path, whole, topics, reading, base).noting(*notes)
 
 
 def _base_sources(connections: Sequence[Any], reading: Reading) -> tuple[list[list[str]], Reading]:
@@ -105,38 +105,25 @@ def _base_sources(connections: Sequence[Any], reading: Reading) -> tuple[list[li
 
 
 def _base(
-    reader: Any,
-    connections: Sequence[Any],
-    method: str,
-    sources: Sequence[Sequence[str]],
-    clock: Clock | None,
-) -> list[LogTable]:
-    """Return tables of a free base and its feet."""
-
-    def tables_of(name: str) -> list[LogTable]:
-        own = [connection for connection in connections if connection.topic == name]
-        kind, definition = own[0].msgtype, own[0].msgdef
-        decode = getattr(_store(kind, definition.data, definition.format.name), method)
-        messages = reader.messages(connections=own)
-        return base_tables(name, ((decode(data, kind), at) for _, at, data in messages), clock)
-
-    tables, known, others = list[LogTable](), set[str](), list[str]()
+    reader: Any, connections: Sequence[Any], method: str, sources: Sequence[Sequence[str]]
+) -> tuple[list[BaseRows], list[str]]:
+    """Return what is said of a free base and its feet, by the first topic of each source."""
+    found, others = list[BaseRows](), list[str]()
     for names in sources:
         for k, name in enumerate(names):
-            made = tables_of(name)
-            for table in made:  # of a column that two have, that of the first is taken
-                new = {n: column for n, column in table.columns.items() if n not in known}
-                known |= new.keys() - {"time"}
-                tables += [replace(table, columns=new)] if len(new) > 1 else []
-            if made:
+            rows, own = BaseRows(name), [each for each in connections if each.topic == name]
+            kind, definition = own[0].msgtype, own[0].msgdef
+            decode = getattr(_store(kind, definition.data, definition.format.name), method)
+            for _, received, data in reader.messages(connections=own):
+                rows.add(decode(data, kind), received)
+            if rows.groups:
+                found.append(rows)
                 others += names[k + 1 :]
                 break
-    if tables:
-        read = dict.fromkeys(str(table.path) for table in tables)
-        notes = [f"base and feet are read from {', '.join(read)}"]
-        notes += [f"{', '.join(others)} would say the same (--topic)"] if others else []
-        tables[0] = tables[0].noting(*notes)
-    return tables
+    read = ", ".join(rows.topic for rows in found)
+    notes = [f"base and feet are read from {read}"] if found else []
+    notes += [f"{', '.join(others)} would say the same (--topic)"] if others else []
+    return found, notes
 
 
 def _storage(path: Path) -> Path:

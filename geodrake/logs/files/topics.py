@@ -12,8 +12,10 @@ from numpy.typing import NDArray
 
 from geodrake.errors import LogError
 from geodrake.logs.files.joined_tables import joined_tables
-from geodrake.logs.files.joint_messages import (
+from geodrake.logs.files.messages import (
     NUMBERS,
+    BaseRows,
+    MessageNumbers,
     MessageRows,
     is_complete,
     on_clock,
@@ -128,23 +130,6 @@ def _parts(path: Path, topics: Sequence[Topic]) -> tuple[Topic, Topic]:
     )
 
 
-def topic_table(path: Path, topic: Topic, others: Sequence[Topic]) -> LogTable:
-    """Return the table of a topic."""
-    rows = topic.rows
-    if rows is None or not topic.fits:  # the first messages had efforts, and none has both
-        raise LogError(f"Topic {topic} of log {str(path)!r} has no positions with efforts.")
-    table = rows.table()
-    said = [f"read from {topic.name} ({topic.kind})"]
-    fitting = [o for o in others if o.fits and o.has_efforts >= topic.has_efforts]
-    also = [other.name for other in fitting if other.name != topic.name]
-    if also:
-        said[0] += f"; {', '.join(also)} would fit too (--topic)"
-    said += rows.clock_notes
-    if rows.from_controller:
-        said.append("efforts are the output of the controller, as no measured ones are there")
-    return replace(table, path=path).noting(*said)
-
-
 def _named(path: Path, topics: Sequence[Topic], name: str, *, alone: bool) -> Topic:
     """Return a topic by its name, which has all of the log if it is alone."""
     found = [topic for topic in topics if topic.name.strip("/") == name.strip("/")]
@@ -186,36 +171,69 @@ Array = NDArray[np.float64]
 _CLOSER = 2.0  # times as close to its joint as to any other a command is that has no name
 
 
-def joined_topics(path: Path, topics: Sequence[Topic], reading: Reading) -> LogTable:
-    """Join several topics at the time stamps of the one with the lowest rate.
+def topics_table(
+    path: Path,
+    chosen: Sequence[Topic],
+    topics: Sequence[Topic],
+    reading: Reading,
+    base: Sequence[BaseRows] = (),
+) -> LogTable:
+    """Join what topics say at the time stamps of the one with the lowest rate.
 
     Of a column that two have, that of the first is taken. Messages without stamps are put on the
     clock of those with: on average they take no time from there to the recorder.
+
+    Args:
+        chosen: What `chosen_topics` found of all topics, with all of their messages.
+        base: What is said of a free base and its feet.
     """
-    spoken = [(topic, topic.rows) for topic in topics if topic.rows is not None]
-    clock = next(filter(None, (rows.clock for _, rows in spoken)), None)
-    tables: list[LogTable] = []
-    for topic, rows in spoken:
-        table = _part_table(topic, rows)
-        table = table if rows.clock else on_clock(table, clock)
-        known = {name for each in tables for name in each.columns} - {"time"}
-        new = {name: column for name, column in table.columns.items() if name not in known}
-        tables.append(replace(table, columns=new))
-    read = ", ".join(f"{topic.name} ({topic.kind})" for topic, _ in spoken)
+    spoken = [(topic, topic.rows) for topic in chosen if topic.rows is not None]
+    is_alone, read = len(chosen) == 1, ", ".join(f"{t.name} ({t.kind})" for t in chosen)
+    if is_alone and not (
+        spoken and chosen[0].fits
+    ):  # the first messages had efforts, none has both
+        raise LogError(f"Topic {chosen[0]} of log {str(path)!r} has no positions with efforts.")
+    also = [
+        other.name
+        for other in topics
+        if is_alone and other.name != chosen[0].name
+        if other.fits and other.has_efforts >= chosen[0].has_efforts
+    ]
+    said = [f"read from {read}" + (f"; {', '.join(also)} would fit too (--topic)" if also else "")]
+    if any(rows.from_controller for _, rows in spoken):
+        said.append("efforts are the output of the controller, as no measured ones are there")
+    made: list[tuple[MessageNumbers, list[LogTable]]] = [
+        (rows, _part_tables(topic, rows, part=not is_alone)) for topic, rows in spoken
+    ]
+    made += [(rows, rows.tables()) for rows in base]
+    clock = next(filter(None, (rows.clock for rows, _ in made)), None)
+    tables, known = list[LogTable](), set[str]()
+    for rows, own in made:
+        said += rows.clock_notes
+        for table in own:
+            stamped = table if rows.clock or len(made) == 1 else on_clock(table, clock)
+            new = {n: column for n, column in stamped.columns.items() if n not in known}
+            known |= new.keys() - {"time"}
+            tables += [replace(stamped, columns=new)] if len(new) > 1 else []
     table = joined_tables(path, tables, reading)
-    columns, notes = _named_by_motion(table.columns)
-    return replace(table, columns=columns, notes=(f"read from {read}", *table.notes, *notes))
+    columns, notes = _named_by_motion(table.columns) if not is_alone else (table.columns, [])
+    return replace(table, columns=columns, notes=(*said, *table.notes, *notes))
 
 
-def _part_table(topic: Topic, rows: MessageRows) -> LogTable:
-    """Return the columns of one topic, and what was noticed."""
-    table = rows.table(part=True)
-    columns = table.columns
-    if "command" in topic.part and topic.is_wanted:
-        columns = _commands(columns)
-    columns = {f"{topic.name}/{n}" if n.startswith(NUMBERS) else n: c for n, c in columns.items()}
-    notes = (*table.notes, *rows.clock_notes)
-    return replace(table, path=Path(topic.name), columns=columns, notes=notes)
+def _part_tables(topic: Topic, rows: MessageRows, *, part: bool) -> list[LogTable]:
+    """Return the columns of one topic, which may be a part of a log."""
+    tables = rows.tables(part=part)
+    if not part:
+        return tables
+    found = []
+    for table in tables:
+        columns = table.columns
+        if "command" in topic.part and topic.is_wanted:
+            columns = _commands(columns)
+        named = {f"{topic.name}/{n}" if n.startswith(NUMBERS) else n: c for n, c in columns.items()}
+        path = Path(topic.name) if len(tables) == 1 else table.path
+        found.append(replace(table, path=path, columns=named))
+    return found
 
 
 def _commands(columns: Mapping[str, Array]) -> dict[str, Array]:

@@ -1,9 +1,10 @@
-"""Messages about joints, in ROS as in LCM: their fields, and rows as one table."""
+"""Messages about joints, in ROS as in LCM, and about a free base: their fields, as columns."""
 
 from __future__ import annotations
 
 from array import array
-from collections.abc import Hashable, Iterable, Mapping, Sequence
+from collections import defaultdict
+from collections.abc import Hashable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
@@ -12,9 +13,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from geodrake.errors import LogError
-from geodrake.logs.files.joined_tables import joined_tables
-from geodrake.logs.files.reading import Reading
 from geodrake.logs.files.table import LogTable
+from geodrake.logs.floating import AXES, IS_BASE, QUATERNION
 from geodrake.logs.motion import EFFORT_KINDS
 
 Array = NDArray[np.float64]
@@ -171,6 +171,32 @@ class MessageNumbers:
         stamps = np.frombuffer(times, np.int64)
         return stamps, np.frombuffer(group.numbers).reshape(len(stamps), -1)
 
+    def columns(self, key: Any) -> Iterable[tuple[Hashable, Mapping[str, int]]]:
+        """Return what has numbers in a group, such as joints -> its columns, and their places."""
+        raise NotImplementedError
+
+    def tables_of(self, keys: Iterable[Any], *, shared: bool = True) -> list[LogTable]:
+        """Return the columns of some groups, with `time`: a table for the same instants.
+
+        Args:
+            shared: Whether what has the same instants shares a table; else each has its own.
+        """
+        found = defaultdict[Hashable, list[tuple[Stamps, dict[str, Array]]]](list)
+        for key in keys:
+            stamps, rows = self.rows(key)
+            for owner, places in self.columns(key):
+                found[owner].append((stamps, {name: rows[:, k] for name, k in places.items()}))
+        tables: dict[Hashable, LogTable] = {}
+        for owner, parts in found.items():
+            stamped, first = np.unique(np.concatenate([s for s, _ in parts]), return_index=True)
+            time = {"time": (stamped - stamped[0]) / 1e9}
+            new = LogTable(Path(str(owner)), time, origins={"time": int(stamped[0])})
+            columns: Any = tables.setdefault(stamped.tobytes() if shared else owner, new).columns
+            for name in dict.fromkeys(name for _, own in parts for name in own):
+                values = [own.get(name, np.full(len(s), np.nan)) for s, own in parts]
+                columns[name] = np.concatenate(values)[first]
+        return list(tables.values())
+
     @property
     def clock(self) -> Clock | None:
         """When messages were measured and received; None unless all of them say it."""
@@ -236,17 +262,20 @@ class MessageRows(MessageNumbers):
         """All joints, in the order in which they appear."""
         return tuple(dict.fromkeys(joint for joints, _ in self.groups for joint in joints))
 
-    def table(self, *, part: bool = False) -> LogTable:
-        """Return what the messages say as columns: `time` and `<joint>.<quantity>`.
+    def columns(self, key: Any) -> Iterator[tuple[Hashable, dict[str, int]]]:
+        """Yield the columns of joints, `<joint>.<quantity>`, or `position[0]` without names."""
+        joints, quantities = key
+        for k, joint in enumerate(joints):
+            places = {quantity: k + at * len(joints) for at, quantity in enumerate(quantities)}
+            if isinstance(joint, int):
+                yield joint, {f"{quantity}[{joint}]": at for quantity, at in places.items()}
+            else:
+                yield joint, {f"{joint}.{quantity}": at for quantity, at in places.items()}
 
-        Joints without names are `position[0]`, …. Of joints that come in messages of their own each
-        has its instants, at which tables are joined.
-
-        Args:
-            part: Whether it is a part of a log; nothing of a part is left out.
-        """
+    def tables(self, *, part: bool = False) -> list[LogTable]:
+        """Return what the messages say; of a part of a log, nothing is left out."""
         groups = [key for key in self.groups if (key[1] if part else is_complete(key[1]))]
-        notes, found = list[str](), dict[JointKey, list[tuple[Stamps, dict[str, Array]]]]()
+        notes = list[str]()
         if len({joints for joints, _ in groups}) > len({frozenset(joints) for joints, _ in groups}):
             notes.append(
                 f"the order of joints changes in {self.topic}: they are told apart by their names"
@@ -255,47 +284,22 @@ class MessageRows(MessageNumbers):
         if silent:
             named = ", ".join(str(joint) for joint in self.joints if joint in silent)
             notes.append(f"joints without effort left out: {named}")
-        for joints, quantities in groups:
-            stamps, rows = self.rows((joints, quantities))
-            kept = self._once(stamps, joints, notes)
-            for k, joint in enumerate(joints):
-                own = dict(zip(quantities, rows[kept, k :: len(joints)].T, strict=True))
-                found.setdefault(joint, []).append((stamps[kept], own))
-        tables: dict[bytes, LogTable] = {}
-        for joint, parts in found.items():
-            stamped, first = np.unique(np.concatenate([s for s, _ in parts]), return_index=True)
-            time = {"time": (stamped - stamped[0]) / 1e9}
-            new = LogTable(Path(str(joint)), time, origins={"time": int(stamped[0])})
-            into = tables.setdefault(stamped.tobytes(), new).columns
-            for quantity in dict.fromkeys(q for _, own in parts for q in own):
-                all_of_it = [own.get(quantity, np.full(len(s), np.nan)) for s, own in parts]
-                name = f"{quantity}[{joint}]" if isinstance(joint, int) else f"{joint}.{quantity}"
-                into[name] = np.concatenate(all_of_it)[first]  # type: ignore[index]
-        table = next(iter(tables.values()))
-        if len(tables) > 1:
-            table = joined_tables(Path(self.topic), list(tables.values()), Reading())
-        return replace(table, notes=(*notes, *table.notes))
-
-    def _once(
-        self, stamps: Stamps, joints: Sequence[JointKey], notes: list[str]
-    ) -> NDArray[np.bool_]:
-        """Return which messages (N,) come after the one before; refuse those that come earlier."""
-        steps = np.diff(stamps)
-        if np.any(steps < 0):
-            at = int(np.argmax(steps < 0))
-            raise LogError(
-                f"Time runs backwards in {self.topic}: message {at + 2} is "
-                f"{-steps[at] / 1e9:.3g} s before message {at + 1} of "
-                f"{', '.join(map(str, joints[:3]))}, ….",
-                advice="Was a clock set, a simulation started again, or does somebody else publish "
-                "on it? Cut the recording there.",
-                message=at + 2,
-            )
-        kept = np.concatenate([[True], steps > 0])
-        if not kept.all():
-            count = np.count_nonzero(~kept)
-            notes.append(f"{count} messages with the stamp of the one before left out")
-        return kept
+        for key in groups:
+            steps = np.diff(self.rows(key)[0])
+            if np.any(steps < 0):
+                at = int(np.argmax(steps < 0))
+                raise LogError(
+                    f"Time runs backwards in {self.topic}: message {at + 2} is "
+                    f"{-steps[at] / 1e9:.3g} s before message {at + 1} of "
+                    f"{', '.join(map(str, key[0][:3]))}, ….",
+                    advice="Was a clock set, a simulation started again, or does somebody else "
+                    "publish on it? Cut the recording there.",
+                    message=at + 2,
+                )
+            if again := np.count_nonzero(steps == 0):
+                notes.append(f"{again} messages with the stamp of the one before left out")
+        first, *others = self.tables_of(groups)
+        return [first.noting(*notes), *others]
 
 
 def stamp_of(message: Any) -> int:
@@ -325,3 +329,103 @@ def _by_interface(message: Any) -> dict[str, Array]:
     quantities = dict.fromkeys(q for row in rows for q in row if q is not None)
     found = {q: np.array([row.get(q, np.nan) for row in rows]) for q in quantities}
     return {q: numbers for q, numbers in found.items() if not np.isnan(numbers).all()}
+
+
+_POSES = ("geometry_msgs/msg/PoseStamped", "geometry_msgs/msg/PoseWithCovarianceStamped")
+_SOURCES = (
+    ("nav_msgs/msg/Odometry", *_POSES, "tf2_msgs/msg/TFMessage"),
+    ("sensor_msgs/msg/Imu",),
+    ("geometry_msgs/msg/WrenchStamped",),
+)
+"""Types of messages about the pose of a base, its IMU and its feet, the best first."""
+
+_WORLDS = ("world", "map", "odom")
+_PATHS = {
+    "base.position": ("pose.pose.position", "pose.position", "translation"),
+    "base.orientation": ("pose.pose.orientation", "pose.orientation", "rotation"),
+    "base.linear_velocity": ("twist.twist.linear",),
+    "base.angular_velocity": ("twist.twist.angular",),
+    "imu.angular_velocity": ("angular_velocity",),
+    "imu.linear_acceleration": ("linear_acceleration",),
+    ".force": ("wrench.force",),
+    ".torque": ("wrench.torque",),
+}
+"""Column, after the frame of a wrench -> where messages may have it."""
+
+
+def base_sources(
+    kinds: Mapping[str, str], named: Sequence[str]
+) -> tuple[list[str], list[str], list[str]]:
+    """Return the topics of poses, of IMUs and of wrenches, the best first.
+
+    `kinds` are the types of topics; those that are `named` are the only ones of their source.
+    """
+    asked = {name.strip("/") for name in named}
+
+    def of(source: tuple[str, ...]) -> list[str]:
+        able = [name for name, kind in kinds.items() if kind in source]
+        able = [name for name in able if name.strip("/") in asked] or [
+            name
+            for name in able
+            if not name.endswith("tf_static")
+            and (kinds[name] not in _POSES or IS_BASE.search(name))
+        ]
+        return sorted(able, key=lambda n: (source.index(kinds[n]), IS_BASE.search(n) is None))
+
+    poses, imus, wrenches = map(of, _SOURCES)
+    return poses, imus, wrenches
+
+
+class BaseRows(MessageNumbers):
+    """What messages of one topic say of a free base, its IMU, or forces at feet."""
+
+    def add(self, message: Any, received: int) -> None:
+        """Take the numbers of a message, which may be of several frames."""
+        self.count += 1
+        for part, frame in _frames(message):
+            told = dict(_vectors(part, frame or self.topic.strip("/").rpartition("/")[0]))
+            if told:
+                numbers = np.array([*told.values()])
+                self.take((frame, *told), numbers, stamp_of(part), received)
+
+    def columns(self, key: Any) -> Iterator[tuple[Hashable, dict[str, int]]]:
+        """Yield the columns of a frame."""
+        yield key, {name: k for k, name in enumerate(key[1:])}
+
+    def tables(self) -> list[LogTable]:
+        """Return a table for each frame, whose orientations turn the shorter way."""
+        found = self.tables_of(self.groups, shared=False)
+        for table in found:
+            turned = [n for n in table.columns if n.startswith("base.orientation")]
+            if turned:  # its negative is the same orientation: the nearer one is taken
+                q = np.stack([table.columns[name] for name in turned])
+                back = np.sum(q[:, 1:] * q[:, :-1], axis=0) < 0.0
+                q[:, 1:] *= np.where(np.cumsum(back) % 2, -1.0, 1.0)
+                table.columns |= dict(zip(turned, q, strict=True))  # type: ignore[operator]
+        return [replace(table, path=Path(self.topic)) for table in found]
+
+
+def _frames(message: Any) -> Iterator[tuple[Any, str]]:
+    """Return what of a message tells of a frame, and the name of that frame."""
+    if not hasattr(message, "transforms"):
+        yield message, message.header.frame_id.strip("/").rpartition("/")[2]
+    for each in getattr(message, "transforms", ()):
+        parent = each.header.frame_id.strip("/").rpartition("/")[2]
+        child = each.child_frame_id.strip("/").rpartition("/")[2]
+        if parent in _WORLDS and child not in _WORLDS and IS_BASE.search(child):
+            yield each, f"{each.header.frame_id} {each.child_frame_id}"
+
+
+def _vectors(message: Any, frame: str) -> Iterator[tuple[str, float]]:
+    """Return the columns of a message, and their numbers."""
+    told = getattr(message, "transform", message)
+    for name, paths in _PATHS.items():
+        for path in paths:
+            values = told
+            for word in path.split("."):
+                values = getattr(values, word, None)
+            if values is not None:
+                axes = QUATERNION if name.endswith("orientation") else AXES
+                column = f"{frame}{name}" if name.startswith(".") else name
+                yield from ((f"{column}.{axis}", float(getattr(values, axis))) for axis in axes)
+                break
