@@ -54,8 +54,7 @@ from geodrake.identification import (
 from geodrake.inertia import PARAMETERS_PER_BODY, riemannian_distance
 from geodrake.inertia.ellipsoids import ellipsoid_of_quadric
 from geodrake.report import style
-from geodrake.report.ellipsoid_figure import ellipsoid_figure
-from geodrake.report.ellipsoids import EllipsoidSet
+from geodrake.report.ellipsoids import EllipsoidSet, ellipsoid_figure
 from geodrake.robot import zero_moment_point
 
 NAMES = (

@@ -36,8 +36,7 @@ from diagrams.studies.cheetah.leg import (
 )
 from geodrake.identification import IdentificationResult
 from geodrake.report import style
-from geodrake.report.ellipsoid_figure import ellipsoid_figure
-from geodrake.report.ellipsoids import EllipsoidSet
+from geodrake.report.ellipsoids import EllipsoidSet, ellipsoid_figure
 
 SPACING = 5  # ms between the samples of a stretch
 SIZES, QUICK_SIZES = (10, 30, 60, 120, 240, 480, 960), (30,)

@@ -344,7 +344,8 @@ def _updating(update: Activity, budget: Budget, seconds: float) -> Callable[[Des
 
 
 def _replay(result: ExcitationResult) -> str:
-    from geodrake.report.replay import FRAMES, replay_page
+    from geodrake.report.meshcat_scene import replay_page
+    from geodrake.report.robot_scene import FRAMES
 
     times = result.executed.instants(FRAMES)
     motion = result.executed.motion(times)

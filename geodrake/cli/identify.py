@@ -124,13 +124,13 @@ def _makers(found: ModelIdentification, options: IdentifyOptions) -> Mapping[str
     from geodrake.report.ellipsoids import identification_sets
 
     def figure() -> bytes:
-        from geodrake.report.ellipsoid_figure import ellipsoid_figure, figure_bytes
+        from geodrake.report.ellipsoids import ellipsoid_figure, figure_bytes
 
         kind = (options.ellipsoids or Path("a.png")).suffix.lower().lstrip(".")
         return figure_bytes(ellipsoid_figure(found.model.plant, identification_sets(found)), kind)
 
     def page() -> str:
-        from geodrake.report.meshcat_ellipsoids import ellipsoid_page
+        from geodrake.report.ellipsoids import ellipsoid_page
 
         return ellipsoid_page(found.model.plant, identification_sets(found))
 

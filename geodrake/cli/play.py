@@ -11,12 +11,12 @@ from geodrake.cli.serving import page_server, serve_page
 from geodrake.cli.session import Command, Input, Maker, run
 from geodrake.model.robot_model import RobotModel, read_again
 from geodrake.model.saved_model import is_saved_model
+from geodrake.report.pictures import check_video, video
 from geodrake.report.play_page import play_page
 from geodrake.report.playback import play_back
 from geodrake.report.playing import Played, playback_dict, playback_page
-from geodrake.report.posed_links import drawn_shapes
 from geodrake.report.recordings import check_viewer, recording
-from geodrake.report.video import check_video, video
+from geodrake.report.robot_scene import drawn_shapes
 
 DEFAULT_OUT = Path("play.html")
 
@@ -53,22 +53,15 @@ def run_play(options: PlayOptions) -> None:
 
     def page(found: Played) -> str:
         return play_page(
-            found.playback,
-            title=title,
-            log_names=[log.name for log in options.logs],
-            units=found.units,
-            speed=speed,
-            shapes=found.shapes,
+            found, title=title, log_names=[log.name for log in options.logs], speed=speed
         )
 
     def makers(found: Played) -> dict[str, Maker]:
-        playback, shapes, units = found.playback, found.shapes, found.units
         made: dict[str, Maker] = {"out": lambda: page(found)}
         if (file := options.video) is not None:
-            kind = file.suffix.lower()
-            made["video"] = lambda: video(playback, shapes, kind, units=units, speed=speed)
+            made["video"] = lambda: video(found, file.suffix.lower(), speed=speed)
         if to is not None:
-            made["to"] = lambda: recording(to, playback, shapes, title=title, units=units)
+            made["to"] = lambda: recording(to, found, title=title)
         return made
 
     command = Command(

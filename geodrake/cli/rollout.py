@@ -128,6 +128,6 @@ def _numbers(found: Simulated) -> dict[str, Any]:
 
 
 def _replay(model: RobotModel, after: Rollout, before: Rollout | None) -> str:
-    from geodrake.report.replay import rollout_replay_page
+    from geodrake.report.meshcat_scene import rollout_replay_page
 
     return rollout_replay_page(model, after, before)

@@ -177,7 +177,7 @@ def _run(command: Command[R], options: Any) -> R:
 
 def _html(page: Page, model: RobotModel, drawn: Mapping[str, Comparison]) -> str:
     from geodrake.report.html import render  # as jinja2 and matplotlib take a while
-    from geodrake.report.robot_pictures import error_pictures
+    from geodrake.report.pictures import error_pictures
 
     return render(replace(page, pictures=error_pictures(model, drawn) if drawn else None))
 

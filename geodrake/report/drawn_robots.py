@@ -1,26 +1,86 @@
-"""Robots as pictures: triangles seen by a camera, the nearest one at each pixel."""
+"""Robots in the colours of errors, as triangles, and as pictures of what a camera sees of them."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import Any
 
 import numpy as np
+from matplotlib.colors import LinearSegmentedColormap
 from numpy.typing import NDArray
+from pydrake.geometry import (
+    Box,
+    Capsule,
+    Cylinder,
+    Ellipsoid,
+    Mesh,
+    ReadObjToTriangleSurfaceMesh,
+    Shape,
+    Sphere,
+)
+from scipy.spatial import ConvexHull
 
 from geodrake.compiling import compiled, contiguous
 from geodrake.inertia import Array
-from geodrake.report.played_robots import PlayedRobot
-from geodrake.report.robot_scene import VIEW
-from geodrake.report.triangles import link_triangles
+from geodrake.report.robot_scene import VIEW, PosedLink
+from geodrake.robot.shapes import LinkShape
 
 Pixels = NDArray[np.uint8]
+Faces = NDArray[np.int32]
+
+COLORS = ("#d3d9e0", "#f2d27a", "#ee9d3d", "#d8492f", "#8f1239")
+"""Colours of errors from none to the largest."""
+
+UNKNOWN = 255
+"""Level of a joint in a frame where nothing is compared."""
+
+GRAYS = np.array([[209, 214, 220, 255], [225, 228, 233, 255]], np.uint8)
+"""Colours (RGBA) of links without a joint, and of joints where nothing is compared."""
+
+_LEVELS = 254
+_AROUND = 24  # corners of what is round
 
 _FINER = 2  # pixels that are drawn for each one of the picture, along each side
 _NEAR = 0.01  # m, before the camera, from which on something is seen
 _LIGHTS = np.array([[0.3, 0.5, 1.0], [-0.5, 0.2, 1.0]])  # to the right, up, and to the viewer
 _DARKEST = 0.45  # share of its colour that a surface has which no light meets
+
+
+def top_error(relative: Array, least: float) -> float:
+    """Return the error that has the last colour: hardly any is larger."""
+    known = relative[np.isfinite(relative)]
+    return max(float(np.quantile(known, 0.99)), least) if len(known) else 1.0
+
+
+def levels(relative: Array, top: float) -> NDArray[np.uint8]:
+    """Return colours of errors as numbers, from 0 for none to 254, or `UNKNOWN`."""
+    scaled = np.clip(relative / top, 0.0, 1.0) * _LEVELS
+    return np.where(np.isfinite(scaled), np.rint(scaled), UNKNOWN).astype(np.uint8)
+
+
+def error_colors(relative: Array, top: float) -> NDArray[np.uint8]:
+    """Return colours (F, nv, 4) of errors (F, nv), RGBA."""
+    shades = LinearSegmentedColormap.from_list("error", COLORS, N=UNKNOWN)
+    found = levels(relative, top)
+    colors = np.asarray(shades(np.minimum(found, UNKNOWN - 1).astype(int), bytes=True))
+    return np.where((found == UNKNOWN)[..., None], GRAYS[1], colors).astype(np.uint8)
+
+
+@dataclass(frozen=True, eq=False)
+class ColoredRobot:
+    """A robot in the colours of the errors of its joints.
+
+    Attributes:
+        place: (3,) where it stands, m.
+        colors: (F, nv, 4) of the joints, RGBA.
+    """
+
+    links: list[PosedLink]
+    place: Array
+    colors: NDArray[np.uint8]
 
 
 @dataclass(frozen=True, eq=False)
@@ -72,7 +132,7 @@ class Camera:
 class DrawnRobots:
     """The robots of a playback, ready to be drawn in any of its frames."""
 
-    def __init__(self, robots: Sequence[PlayedRobot], camera: Camera) -> None:
+    def __init__(self, robots: Sequence[ColoredRobot], camera: Camera) -> None:
         self._robots = robots
         size = _FINER * camera.width, _FINER * camera.height
         self._camera = Camera(camera.place, camera.target, *size)
@@ -86,7 +146,8 @@ class DrawnRobots:
                 X_WB = link.X_WB[frame]
                 turned = surface.corners @ X_WB.rotation().matrix().T
                 corners.append(turned + X_WB.translation() + robot.place)
-                own = surface.colors if link.joint is None else robot.color(link, frame)[:3]
+                joint = link.joint
+                own = surface.colors if joint is None else robot.colors[frame, joint, :3]
                 colors.append(np.broadcast_to(own, surface.colors.shape))
         points = np.concatenate(corners)
         shaded = np.concatenate(colors) * _brightness(points @ camera.R_WC)[:, None]
@@ -154,3 +215,66 @@ def _draw(corners: Array, colors: Array, image: Any, nearest: Array) -> None:
                     nearest[row, column] = near
                     image[row, column, :3] = colors[k]
                     image[row, column, 3] = 1.0
+
+
+def link_triangles(shapes: Sequence[LinkShape]) -> tuple[Array, Faces]:
+    """Return the shapes of a link as one mesh: (n, 3) vertices in its frame, m; (m, 3) corners."""
+    vertices, faces, count = [np.empty((0, 3))], [np.empty((0, 3), np.int32)], 0
+    for one in shapes:
+        own, corners = triangles(one.shape)
+        vertices.append(own @ one.X_BG.rotation().matrix().T + one.X_BG.translation())
+        faces.append(corners + count)
+        count += len(own)
+    return np.concatenate(vertices), np.concatenate(faces).astype(np.int32)
+
+
+def triangles(shape: Shape) -> tuple[Array, Faces]:
+    """Return a shape as (n, 3) vertices, m, and (m, 3) corners of triangles seen from outside.
+
+    Meshes of other formats than Wavefront OBJ become their convex hulls.
+    """
+    if isinstance(shape, Mesh) and shape.extension() == ".obj":
+        return _obj(shape)
+    points = _points(shape)
+    hull = ConvexHull(points)
+    corners = points[hull.simplices]
+    normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    inward = np.einsum("ij,ij->i", normals, hull.equations[:, :3]) < 0.0
+    faces = np.where(inward[:, None], hull.simplices[:, ::-1], hull.simplices)
+    return points, faces.astype(np.int32)
+
+
+def _obj(mesh: Mesh) -> tuple[Array, Faces]:
+    with TemporaryDirectory() as folder:
+        source, path = mesh.source(), Path(folder) / "mesh.obj"
+        if source.is_path():
+            path = Path(source.path())
+        else:
+            path.write_bytes(source.in_memory().mesh_file.contents())
+        found = ReadObjToTriangleSurfaceMesh(str(path))
+    vertices = np.array(found.vertices()) * mesh.scale3()
+    faces = [[t.vertex(k) for k in range(3)] for t in found.triangles()]
+    return vertices, np.array(faces, np.int32).reshape(-1, 3)
+
+
+def _points(shape: Shape) -> Array:
+    """Return points (n, 3) whose convex hull is a shape, or the hull of a mesh."""
+    angle = np.linspace(0.0, 2 * np.pi, _AROUND, endpoint=False)
+    circle = np.stack([np.cos(angle), np.sin(angle), np.zeros(_AROUND)], -1)
+    up = np.array([0.0, 0.0, 1.0])
+    polar = np.linspace(0.0, np.pi, _AROUND // 2 + 1)[1:-1]
+    ball = np.concatenate([*(np.sin(a) * circle + np.cos(a) * up for a in polar), [up, -up]])
+    if isinstance(shape, Sphere):
+        return shape.radius() * ball
+    if isinstance(shape, Ellipsoid):
+        return ball * [shape.a(), shape.b(), shape.c()]
+    if isinstance(shape, Capsule):
+        shift = 0.5 * shape.length() * up
+        return np.concatenate([shape.radius() * ball + shift, shape.radius() * ball - shift])
+    if isinstance(shape, Cylinder):
+        shift = 0.5 * shape.length() * up
+        return np.concatenate([shape.radius() * circle + shift, shape.radius() * circle - shift])
+    if isinstance(shape, Box):
+        signs = np.stack(np.meshgrid(*[[-0.5, 0.5]] * 3), -1).reshape(-1, 3)
+        return np.asarray(signs * shape.size())
+    return np.array(shape.GetConvexHull().vertices())

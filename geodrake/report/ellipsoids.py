@@ -1,23 +1,37 @@
-"""Bodies as the uniform ellipsoids that have their inertia, ready to be drawn over the robot."""
+"""Bodies as the uniform ellipsoids that have their inertia, over the robot: figures and pages."""
 
 from __future__ import annotations
 
+import io
 from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.colors import to_rgb
+from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
+from matplotlib.patches import Patch
+from mpl_toolkits.mplot3d.art3d import (  # type: ignore[import-untyped]
+    Line3DCollection,
+    Poly3DCollection,
+)
+from mpl_toolkits.mplot3d.axes3d import Axes3D  # type: ignore[import-untyped]
 from numpy.typing import NDArray
-from pydrake.geometry import Cylinder, Meshcat, Rgba, Sphere
+from pydrake.geometry import Cylinder, Ellipsoid, Meshcat, Rgba, Sphere
 from pydrake.math import RigidTransform, RotationMatrix
 from pydrake.multibody.plant import MultibodyPlant
 from pydrake.multibody.tree import JointIndex
 from pydrake.systems.framework import Context
 
+from geodrake.boundary.escaping import path_part
 from geodrake.errors import ArgumentError
 from geodrake.identification.models import ModelIdentification
 from geodrake.inertia import PARAMETERS_PER_BODY, Array
 from geodrake.inertia.bodies import lumped_bodies
 from geodrake.inertia.ellipsoids import equivalent_ellipsoid
+from geodrake.report import style
+from geodrake.report.meshcat_scene import LEAST_THICKNESS, calm_meshcat, legend
 
 PRIOR, IDENTIFIED, TRUTH = "#8a94a0", "#1b6ca8", "#3f9c6b"
 BOUNDARY, AT_BOUNDARY = "#c8322b", "at the boundary of what a body can be"
@@ -25,8 +39,11 @@ OTHERS = ("#7a4fa3", "#c78a1e", "#2a8f8f", "#a34f6e", "#5b7a2a")
 """Colours of what is drawn: prior, identified, truth, bodies at the boundary, regularizers."""
 
 _LINE_WIDTH, _SHORTEST = 0.006, 1e-4  # m
-LEAST_THICKNESS = 0.002
-"""Semi-axis that is drawn at least, m: a body at the boundary may be flat."""
+_LEAST_GAP = 0.3  # m
+_LIGHT = np.array([0.45, -0.6, 0.66])
+_MOST_COLUMNS = 3
+_OPAQUE, _ZOOM, _VIEW = 0.62, 1.15, (18.0, -62.0)  # of elevation and azimuth, degrees
+_WORDS = "Each body as the uniform ellipsoid with its mass, centre of mass and inertia; axes in m."
 
 
 @dataclass(frozen=True, eq=False)
@@ -172,3 +189,127 @@ def identification_sets(found: ModelIdentification) -> tuple[EllipsoidSet, ...]:
         at = numbers(other.at_boundary)
         sets.append(EllipsoidSet.of(other.regularizer, other.phi, color=color, at_boundary=at))
     return tuple(sets)
+
+
+def ellipsoid_page(
+    plant: MultibodyPlant, sets: Sequence[EllipsoidSet], *, context: Context | None = None
+) -> str:
+    """Return one HTML page that loads nothing from elsewhere, with the sets side by side."""
+    context = plant.CreateDefaultContext() if context is None else context
+    lines = skeleton(plant, context)
+    ends = lines.reshape(-1, 3)
+    clouds = [placed(plant, context, one.phi).points(8).reshape(-1, 3) for one in sets]
+    # Distance at which the sets do not overlap, m.
+    spacing = float(1.1 * np.ptp(np.concatenate([*clouds, ends])[:, 1]) + _LEAST_GAP)
+    meshcat = calm_meshcat()
+    for k, one in enumerate(sets):
+        name, shift = path_part(one.name), np.array([0.0, k * spacing, 0.0])
+        bodies = placed(plant, context, one.phi)
+        for body, lump in enumerate(lumped_bodies(plant)):
+            path = f"ellipsoids/{name}/{path_part(lump.name)}"
+            opaque = 0.8 if one.at_boundary[body] else 0.55
+            color = Rgba(*to_rgb(one.body_color(body)), opaque)
+            meshcat.SetObject(path, Ellipsoid(*bodies.semi_axes[body]), color)
+            R_WE = RotationMatrix(bodies.rotation[body])
+            meshcat.SetTransform(path, RigidTransform(R_WE, bodies.center[body] + shift))
+        robot = SkeletonLines(meshcat, f"robot/{name}", len(lines), Rgba(*to_rgb(style.INK)))
+        robot.move(lines + shift)
+    middle = ends.mean(0) + np.array([0.0, 0.5 * (len(sets) - 1) * spacing, 0.0])
+    size = np.ptp(ends, axis=0).max()
+    far = max(0.55 * spacing * len(sets), 0.6 * size) + 0.5 * size
+    meshcat.SetCameraPose(middle + far * np.array([0.9, -0.2, 0.4]), middle)
+    entries = [(one.color, one.name) for one in sets]
+    if any(one.at_boundary.any() for one in sets):
+        entries.append((BOUNDARY, AT_BOUNDARY))
+    return legend(meshcat.StaticHtml(), entries)
+
+
+@style.own_look()
+def ellipsoid_figure(
+    plant: MultibodyPlant,
+    sets: Sequence[EllipsoidSet],
+    *,
+    context: Context | None = None,
+) -> Figure:
+    """Return the equivalent uniform ellipsoids of every body over the robot, a panel for each set.
+
+    Bodies at the boundary of physical consistency are red, with their edges drawn. All panels
+    have the same scale.
+
+    Args:
+        context: The plant's context, for its positions; the default ones if None.
+
+    Raises:
+        ArgumentError: There is nothing to draw, or a set does not fit the plant.
+    """
+    if not sets:
+        raise ArgumentError("There is nothing to draw.", advice="Give at least one set.")
+    context = plant.CreateDefaultContext() if context is None else context
+    lines = skeleton(plant, context)
+    drawn = [placed(plant, context, one.phi) for one in sets]
+    points = np.concatenate([*(e.points(8).reshape(-1, 3) for e in drawn), lines.reshape(-1, 3)])
+    low, high = points.min(0), points.max(0)
+    reach = 1.03 * np.maximum(0.5 * (high - low), 0.15 * (high - low).max())
+    columns = min(_MOST_COLUMNS, len(sets))
+    rows = -(-len(sets) // columns)
+    figure = style.new_figure(0.8 + 0.95 * rows * style.WIDTH / columns)
+    grid = figure.subplots(rows, columns, squeeze=False, subplot_kw={"projection": "3d"}).ravel()
+    for ax in grid[len(sets) :]:
+        ax.remove()
+    for ax, one, bodies in zip(grid, sets, drawn, strict=False):
+        _draw_panel(ax, one, bodies, lines)
+        for axis, middle, half in zip("xyz", 0.5 * (low + high), reach, strict=True):
+            getattr(ax, f"set_{axis}lim")(middle - half, middle + half)
+            getattr(ax, f"{axis}axis").set_pane_color((1.0, 1.0, 1.0, 0.0))
+            getattr(ax, f"{axis}axis")._axinfo["grid"].update(color=style.RULE, linewidth=0.4)
+        ax.view_init(*_VIEW)
+        ax.locator_params(nbins=4)
+        ax.tick_params(labelsize=6.5, labelcolor=style.QUIET, pad=-1)
+        ax.set_box_aspect(tuple(reach), zoom=_ZOOM)
+        ax.set_title(one.name, **style.plain(fontweight="bold"))
+    handles: list[Patch | Line2D] = [
+        Patch(facecolor=one.color, alpha=_OPAQUE, label=one.name) for one in sets
+    ]
+    if any(one.at_boundary.any() for one in sets):
+        patch = Patch(facecolor=BOUNDARY, edgecolor=style.INK, hatch="////", label=AT_BOUNDARY)
+        handles.append(patch)
+    handles.append(Line2D([], [], color=style.INK, linewidth=1.6, label="robot"))
+    style.legend_above(figure, handles)
+    style.note_below(figure, _WORDS)
+    return figure
+
+
+@style.own_look()
+def figure_bytes(figure: Figure, kind: str = "png") -> bytes:
+    """Return a figure as the bytes of a file: "png", "pdf" or "svg"."""
+    FigureCanvasAgg(figure)
+    buffer = io.BytesIO()
+    dated = {"svg": "Date", "pdf": "CreationDate"}
+    figure.savefig(buffer, format=kind, metadata={dated[kind]: None} if kind in dated else None)
+    return buffer.getvalue()
+
+
+def _draw_panel(ax: Axes3D, one: EllipsoidSet, bodies: PlacedEllipsoids, lines: Array) -> None:
+    """Draw a panel's faces as one collection, so that matplotlib sorts them by depth together."""
+    points = bodies.points()
+    corners = [points[:, :-1, :-1], points[:, 1:, :-1], points[:, 1:, 1:], points[:, :-1, 1:]]
+    faces = np.stack(corners, 3)
+    around = np.cross(faces[..., 2, :] - faces[..., 0, :], faces[..., 3, :] - faces[..., 1, :])
+    length = np.linalg.norm(around, axis=-1, keepdims=True)
+    bright = 0.75 + 0.25 * (around / np.where(length > 0, length, 1.0)) @ _LIGHT
+    colors = np.array([to_rgb(one.body_color(k)) for k in range(len(points))])
+    shaded = np.empty((*bright.shape, 4))
+    shaded[..., :3] = colors[:, None, None] * bright[..., None]
+    shaded[..., 3] = _OPAQUE
+    marked = one.at_boundary[:, None, None, None]
+    edges = np.where(marked, [*to_rgb(BOUNDARY), 0.9], 0.0 * shaded)
+    mesh = Poly3DCollection(
+        faces.reshape(-1, 4, 3),
+        facecolors=np.clip(shaded, 0, 1).reshape(-1, 4),
+        edgecolors=edges.reshape(-1, 4),
+        linewidths=0.6,
+    )
+    ax.add_collection3d(mesh)
+    robot = Line3DCollection(lines, colors=style.INK, linewidths=1.6)
+    robot.set_zorder(10)
+    ax.add_collection3d(robot)

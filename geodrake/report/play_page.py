@@ -4,231 +4,155 @@ from __future__ import annotations
 
 import base64
 import json
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Iterable, Sequence
 from typing import Any
 
 import numpy as np
 from matplotlib.colors import to_rgb
-from pydrake.geometry import Meshcat, MeshcatAnimation, Rgba
+from pydrake.geometry import Meshcat, Rgba
 
 from geodrake.boundary.escaping import html_text, path_part, printable
-from geodrake.inertia import Array
 from geodrake.report import style
+from geodrake.report.drawn_robots import COLORS, levels
 from geodrake.report.html import templates
-from geodrake.report.numbers import Units, number, percent
-from geodrake.report.playback import Moment, Playback, PlayedModel
-from geodrake.report.posed_links import drawn_shapes
-from geodrake.report.robot_scene import (
-    FRAMES,
-    RIGHT,
-    Extent,
-    JointPlace,
-    RobotScene,
+from geodrake.report.meshcat_scene import (
+    MEASURED,
+    Mark,
     calm_meshcat,
     clock,
+    draw_effects,
+    draw_efforts,
     draw_floor,
-    place_camera,
+    draw_robot,
+    link_path,
+    recording,
 )
-from geodrake.report.scene_marks import MEASURED, EffectMarks, EffortArrows, Mark
-from geodrake.robot.files.description import drake_messages
-from geodrake.robot.shapes import RobotShapes
+from geodrake.report.numbers import number, percent
+from geodrake.report.playback import Moment, PlayedModel
+from geodrake.report.playing import Played, PlayedRobot
+from geodrake.report.robot_scene import FRAMES, camera_place, own_joints, posed_links
 
-COLORS = ("#d3d9e0", "#f2d27a", "#ee9d3d", "#d8492f", "#8f1239")
-"""Colours of errors from none to the largest."""
-
-UNKNOWN = 255
-"""Level of a joint in a frame where nothing is compared."""
-
-_LEVELS = 254
 _GHOSTLY, _INNER = 0.35, 0.99  # opacity and size of ghosts, which are seen where they depart
 _TEMPLATE = "play.html.jinja"
 
 
-@dataclass(frozen=True, eq=False)
-class _RobotCopy:
-    """One copy of the robot in the scene, and what the page needs to know of it."""
-
-    played: PlayedModel
-    scene: RobotScene
-    places: tuple[JointPlace, ...]
-    arrows: EffortArrows
-    effects: EffectMarks
-    ghost: RobotScene | None
-
-
-def play_page(
-    playback: Playback,
-    *,
-    title: str,
-    log_names: Sequence[str],
-    units: Units,
-    speed: float = 1.0,
-    shapes: RobotShapes | None = None,
-) -> str:
+def play_page(found: Played, *, title: str, log_names: Sequence[str], speed: float = 1.0) -> str:
     """Return one HTML page that loads nothing from elsewhere and plays logs over the robot.
 
     Links have the colour of the error of their joint. A panel names the worst moments, and jumps to
     them; strips show the errors of all joints over time.
     """
-    with drake_messages():
-        meshcat = calm_meshcat()
-        shapes = drawn_shapes(playback.models[-1].model) if shapes is None else shapes
-        copies = _draw(meshcat, playback, shapes, units)
-        _record(meshcat, playback, copies)
-        page = str(meshcat.StaticHtml())
-    head, _, foot = page.rpartition("</body>")
-    panel = _panel(playback, copies, title=title, log_names=log_names, units=units, speed=speed)
-    named = head.replace("<title>Drake MeshCat</title>", _head(title), 1)
-    return f"{named}{panel}</body>{foot}"
-
-
-def _draw(
-    meshcat: Meshcat, playback: Playback, shapes: RobotShapes, units: Units
-) -> list[_RobotCopy]:
-    model = playback.models[-1].model
-    extent = Extent.of(model, model.positions(playback.q))
-    copies = []
-    for k, played in enumerate(playback.models):
-        path = f"robot/{k} {path_part(played.title)}"
-        scene = RobotScene(
-            meshcat, played.model, shapes=shapes, path=path, p_WR=k * extent.gap * RIGHT
+    playback, meshcat = found.playback, calm_meshcat()
+    with recording(meshcat):
+        marks = [_draw(meshcat, found, robot, k) for k, robot in enumerate(found.robots)]
+    meshcat.SetCameraPose(*camera_place(found.extent, len(marks)))
+    repairs = (repair for played in playback.models for repair in played.model.repairs)
+    models = list(enumerate(zip(playback.models, marks, strict=True)))
+    panel = (
+        templates()
+        .get_template(_TEMPLATE)
+        .render(
+            title=title,
+            logs=", ".join(log_names),
+            models=[_model_words(played, own, k) for k, (played, own) in models],
+            groups=[
+                (
+                    played.title,
+                    [_moment(moment, found) for moment in playback.moments if moment.played == k],
+                )
+                for k, (played, _) in models
+            ],
+            notes=list(dict.fromkeys((*repairs, *found.shapes.notes, *found.left_out))),
+            gradient=", ".join(COLORS),
+            top=percent(playback.top),
+            measured=MEASURED,
+            predicted=style.AFTER,
+            ghosts=any(map(_has_ghost, playback.models)),
+            # JSON that may stand in a script of a page.
+            data=json.dumps(_data(found, marks, speed)).replace("<", "\\u003c"),
         )
-        draw_floor(meshcat, path, extent)
-        places = scene.joint_places()
-        arrows = EffortArrows(meshcat, places, played.measured, played.predicted, extent.size)
-        effects = EffectMarks(meshcat, scene, played.model, units, extent.size)
-        ghost = _ghost(meshcat, played, shapes, k, extent)
-        copies.append(_RobotCopy(played, scene, places, arrows, effects, ghost))
-    place_camera(meshcat, extent, copies=len(copies))
-    return copies
+    )
+    view = '<meta name="viewport" content="width=device-width, initial-scale=1">'
+    icon = '<link rel="icon" href="data:,">'  # which browsers would ask a server for
+    page = str(meshcat.StaticHtml())
+    head, _, foot = page.rpartition("</body>")
+    titled = f"<title>{html_text(title)}</title>{view}{icon}"
+    return f"{head.replace('<title>Drake MeshCat</title>', titled, 1)}{panel}</body>{foot}"
 
 
-def _ghost(
-    meshcat: Meshcat, played: PlayedModel, shapes: RobotShapes, number_: int, extent: Extent
-) -> RobotScene | None:
-    """Return the robot that the model alone moves; None if none is played."""
-    if np.isnan(played.simulated).all():
-        return None
-    path, color = f"ghost/{number_}", Rgba(*to_rgb(style.AFTER), _GHOSTLY)
-    place = number_ * extent.gap * RIGHT
-    scene = RobotScene(meshcat, played.model, shapes=shapes, path=path, p_WR=place, color=color)
-    meshcat.SetProperty(path, "scale", [_INNER] * 3)
-    return scene
+def _path(played: PlayedModel, k: int) -> str:
+    """Return the folder of a robot in the scene."""
+    return f"robot/{k} {path_part(played.title)}"
 
 
-def _record(meshcat: Meshcat, playback: Playback, copies: Sequence[_RobotCopy]) -> None:
-    q = playback.models[-1].model.positions(playback.q)
-    meshcat.StartRecording(frames_per_second=FRAMES, set_visualizations_while_recording=False)
-    for copy in copies:
-        copy.effects.start(playback.excerpts)
-    for frame, posture in enumerate(q):
-        for copy in copies:
-            copy.scene.move(posture, clock(frame))
-            copy.arrows.show(frame)
-            copy.effects.show(frame, posture)
-            if copy.ghost is not None:
-                there = np.isfinite(copy.played.simulated[frame]).all()
-                meshcat.SetProperty(copy.ghost.path, "visible", bool(there), clock(frame))
-                if there:
-                    (own,) = copy.played.model.positions(copy.played.simulated[frame : frame + 1])
-                    copy.ghost.move(own, clock(frame))
-    meshcat.StopRecording()
-    recording = meshcat.get_mutable_recording()
-    recording.set_loop_mode(MeshcatAnimation.LoopMode.kLoopRepeat)
-    recording.set_repetitions(1_000_000)
-    meshcat.PublishRecording()
+def _has_ghost(played: PlayedModel) -> bool:
+    return not np.isnan(played.simulated).all()
 
 
-def _panel(
-    playback: Playback,
-    copies: Sequence[_RobotCopy],
-    *,
-    title: str,
-    log_names: Sequence[str],
-    units: Units,
-    speed: float,
-) -> str:
-    environment = templates()
-    said = ((*copy.played.model.repairs, *copy.scene.notes) for copy in copies)
-    notes = dict.fromkeys(note for own in said for note in own)
-    if playback.seconds_left_out > 0.5:
-        left_out = f"{playback.seconds_left_out:.0f} s of the logs"
-        notes[f"the worst passages are played; {left_out} are not (--seconds)"] = None
-    return environment.get_template(_TEMPLATE).render(
-        title=title,
-        logs=", ".join(log_names),
-        models=[_model_words(copy, k) for k, copy in enumerate(copies)],
-        groups=[
-            (
-                copy.played.title,
-                [_moment(m, playback, units) for m in playback.moments if m.played == k],
-            )
-            for k, copy in enumerate(copies)
-        ],
-        notes=list(notes),
-        gradient=", ".join(COLORS),
-        top=percent(playback.top),
-        measured=MEASURED,
-        predicted=style.AFTER,
-        ghosts=any(copy.ghost is not None for copy in copies),
-        data=_script(_data(playback, copies, units, speed)),
+def _draw(meshcat: Meshcat, found: Played, robot: PlayedRobot, k: int) -> list[Mark]:
+    """Record a robot and its ghost, and return what to say of its effects."""
+    playback, played, size = found.playback, robot.played, found.extent.size
+    path, model = _path(played, k), played.model
+    times = {frame: clock(frame) for frame in range(len(playback.q))}
+    draw_robot(meshcat, path, robot.links, times, p_WR=robot.place)
+    draw_floor(meshcat, path, found.extent)
+    draw_efforts(meshcat, path, played, size)
+    if _has_ghost(played):
+        ghost, there = f"ghost/{k}", np.asarray(np.isfinite(played.simulated).all(1))
+        q = np.where(there[:, None], played.simulated, playback.q)
+        links = posed_links(model, model.positions(q), found.shapes)
+        shown = {frame: time for frame, time in times.items() if there[frame]}
+        color = Rgba(*to_rgb(style.AFTER), _GHOSTLY)
+        draw_robot(meshcat, ghost, links, shown, p_WR=robot.place, color=color)
+        meshcat.SetProperty(ghost, "scale", [_INNER] * 3)
+        for frame, time in times.items():
+            meshcat.SetProperty(ghost, "visible", bool(there[frame]), time)
+    return draw_effects(
+        meshcat, path, model, robot.links, playback.excerpts, units=found.units, size=size
     )
 
 
-def _model_words(copy: _RobotCopy, number_: int) -> dict[str, Any]:
-    played = copy.played
+def _model_words(played: PlayedModel, marks: Iterable[Mark], k: int) -> dict[str, Any]:
+    effects: dict[str, list[str]] = {}
+    for mark in marks:
+        effects.setdefault(mark.place, []).append(mark.words)
     return {
         "title": played.title,
         "file": played.model.path.name,
         "nrms": number(played.comparison.errors.nrms),
         "data": "training data" if played.trained else "held-out data",
-        "effects": _by_place(copy.effects.marks),
-        "number": number_,
+        "effects": [(place, ", ".join(words)) for place, words in effects.items()],
+        "number": k,
     }
 
 
-def _by_place(marks: Sequence[Mark]) -> list[tuple[str, str]]:
-    """Return places, and the effects that are there."""
-    found: dict[str, list[str]] = {}
-    for mark in marks:
-        found.setdefault(mark.place, []).append(mark.words)
-    return [(place, ", ".join(words)) for place, words in found.items()]
-
-
-def _moment(moment: Moment, playback: Playback, units: Units) -> dict[str, Any]:
-    joint = playback.joints[moment.joint]
-    log, time = playback.own_time(moment.frame)
+def _moment(moment: Moment, found: Played) -> dict[str, Any]:
+    joint = found.playback.joints[moment.joint]
+    log, time = found.playback.own_time(moment.frame)
     return {
         "frame": moment.frame,
         "joint": joint,
         "place": moment.joint,
         "played": moment.played,
-        "error": f"{number(moment.error)} {units.effort([joint])}",
+        "error": f"{number(moment.error)} {found.units.effort([joint])}",
         "relative": percent(moment.relative),
-        "time": f"{time:.2f} s" + (f" of {log}" if _several(playback) else ""),
+        "time": f"{time:.2f} s" + (f" of {log}" if _several(found) else ""),
     }
 
 
-def _several(playback: Playback) -> bool:
-    return len({excerpt.log for excerpt in playback.excerpts}) > 1
+def _several(found: Played) -> bool:
+    return len({excerpt.log for excerpt in found.playback.excerpts}) > 1
 
 
-def levels(playback: Playback, played: PlayedModel) -> np.ndarray[Any, np.dtype[np.uint8]]:
-    """Return (F, nv) colours of a model's joints in all frames, from 0 for no error to 254."""
-    scaled = np.clip(played.relative / playback.top, 0.0, 1.0) * _LEVELS
-    return np.where(np.isfinite(scaled), np.rint(scaled), UNKNOWN).astype(np.uint8)
-
-
-def _data(
-    playback: Playback, copies: Sequence[_RobotCopy], units: Units, speed: float
-) -> dict[str, Any]:
+def _data(found: Played, marks: Sequence[Sequence[Mark]], speed: float) -> dict[str, Any]:
     """Return what the page's script reads."""
+    playback, units = found.playback, found.units
+    curves = ("measured", "predicted", "simulated")
     return {
         "rate": FRAMES,
         "frames": len(playback.q),
         "speed": speed,
-        "several": _several(playback),
+        "several": _several(found),
         "joints": [printable(joint) for joint in playback.joints],
         "first": playback.moments[0].joint if playback.moments else 0,
         "positions": _packed(playback.q.astype("<f4")),
@@ -242,19 +166,23 @@ def _data(
         ],
         "robots": [
             {
-                "title": printable(copy.played.title),
-                "path": f"{copy.scene.path}/floor",
-                "levels": _packed(levels(playback, copy.played)),
-                "errors": _packed(copy.played.relative.astype("<f4")),
-                "measured": _packed(copy.played.measured.astype("<f4")),
-                "predicted": _packed(copy.played.predicted.astype("<f4")),
-                "simulated": _packed(copy.played.simulated.astype("<f4")),
-                "moved": [list(place.moved) for place in copy.places],
-                "marks": _labels(copy.effects.marks),
+                "title": printable(played.title),
+                "path": f"{_path(played, k)}/floor",
+                "levels": _packed(levels(played.relative, playback.top)),
+                "errors": _packed(played.relative.astype("<f4")),
+                **{name: _packed(getattr(played, name).astype("<f4")) for name in curves},
+                "moved": _moved(played, k),
+                "marks": _labels(own),
             }
-            for copy in copies
+            for k, (played, own) in enumerate(zip(playback.models, marks, strict=True))
         ],
     }
+
+
+def _moved(played: PlayedModel, k: int) -> list[list[str]]:
+    """Return, joint by joint, the folders of the shapes that it moves."""
+    own, path = own_joints(played.model), _path(played, k)
+    return [[f"{link_path(path, link)}/shapes" for link in place.moved] for place in own]
 
 
 def _labels(marks: Sequence[Mark]) -> list[dict[str, str]]:
@@ -268,16 +196,5 @@ def _labels(marks: Sequence[Mark]) -> list[dict[str, str]]:
     ]
 
 
-def _packed(values: Array | np.ndarray[Any, np.dtype[np.uint8]]) -> str:
+def _packed(values: np.ndarray[Any, Any]) -> str:
     return base64.b64encode(np.ascontiguousarray(values).tobytes()).decode("ascii")
-
-
-def _script(data: dict[str, Any]) -> str:
-    """Return JSON that may stand in a script of a page."""
-    return json.dumps(data).replace("<", "\\u003c")
-
-
-def _head(title: str) -> str:
-    view = '<meta name="viewport" content="width=device-width, initial-scale=1">'
-    icon = '<link rel="icon" href="data:,">'  # which browsers would ask a server for
-    return f"<title>{html_text(title)}</title>{view}{icon}"

@@ -20,6 +20,7 @@ from geodrake.identification.logs.model_errors import Comparison
 from geodrake.logs.motion import JointLog
 from geodrake.logs.smoothing import Stretch
 from geodrake.model.robot_model import RobotModel
+from geodrake.report.drawn_robots import top_error
 from geodrake.report.robot_scene import FRAMES
 
 Array = NDArray[np.float64]
@@ -32,6 +33,7 @@ _MEAN_OVER = 0.3  # s, over which an error is the RMS: residuals change their si
 _APART = 1.0  # s, between two moments at one joint
 _APART_ANYWHERE = 0.25  # s, between two moments
 _FARTHEST = 1.0  # rad or m, of a ghost's joint from the measured position
+_LEAST_TOP = 1e-6  # relative error that the last colour stands for at least
 _MOST_MOMENTS, _MOST_AT_ONE = 5, 2  # of a model, and at one joint
 
 
@@ -104,7 +106,6 @@ class Playback:
         models: One model, or that before and that after.
         moments: The worst moments of each model, worst first.
         seconds_left_out: Length of the logs that is not played, s.
-        least_top: Relative error that the last colour stands for at least.
     """
 
     joints: tuple[str, ...]
@@ -112,7 +113,6 @@ class Playback:
     models: tuple[PlayedModel, ...]
     moments: tuple[Moment, ...]
     seconds_left_out: float
-    least_top: float = 1e-6
 
     @property
     def q(self) -> Array:
@@ -129,10 +129,19 @@ class Playback:
 
     @property
     def top(self) -> float:
-        """Relative error that has the last colour: hardly any of all models is larger."""
+        """Relative error that has the last colour."""
         every = np.concatenate([played.relative.ravel() for played in self.models])
-        known = every[np.isfinite(every)]
-        return max(float(np.quantile(known, 0.99)), self.least_top) if len(known) else 1.0
+        return top_error(every, _LEAST_TOP)
+
+    @property
+    def times(self) -> Array:
+        """Return the instants (F,) of the frames as they are played, s.
+
+        Those of one passage of one log are the log's own; several follow one another from 0.
+        """
+        if len(self.excerpts) == 1:
+            return self.excerpts[0].time
+        return np.arange(len(self.q)) / FRAMES
 
 
 def play_back(
@@ -193,7 +202,7 @@ def play_back(
         _played(title, each, found, excerpts, _ghost(each, excerpts, ghost, progress))
         for title, each, found in compared
     )
-    moments = tuple(m for k, played in enumerate(models) for m in _worst(k, played.error, played))
+    moments = tuple(m for k, played in enumerate(models) for m in _worst(k, played))
     return Playback(model.joints, excerpts, models, moments, left_out)
 
 
@@ -321,7 +330,7 @@ def _around(frames: Array, time: Array, measured: Array, predicted: Array) -> Ar
     return np.where(there, [*values, np.sqrt(mean)], np.nan)
 
 
-def _worst(number: int, error: Array, played: PlayedModel) -> Iterable[Moment]:
+def _worst(number: int, played: PlayedModel) -> Iterable[Moment]:
     """Yield the instants of largest relative error, apart from each other."""
     left = np.nan_to_num(played.relative, nan=-1.0)
     counts = np.zeros(left.shape[1], int)
@@ -330,7 +339,8 @@ def _worst(number: int, error: Array, played: PlayedModel) -> Iterable[Moment]:
         if left[frame, joint] <= 0.0:
             return
         relative = float(left[frame, joint])
-        yield Moment(number, int(joint), int(frame), float(error[frame, joint]), relative)
+        error = float(played.error[frame, joint])
+        yield Moment(number, int(joint), int(frame), error, relative)
         near, close = round(_APART * FRAMES), round(_APART_ANYWHERE * FRAMES)
         left[max(0, frame - near) : frame + near + 1, joint] = -1.0
         left[max(0, frame - close) : frame + close + 1] = -1.0

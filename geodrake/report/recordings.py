@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any
@@ -17,30 +16,12 @@ from geodrake.boundary.escaping import printable
 from geodrake.boundary.optional_packages import optional_package
 from geodrake.errors import OutputError
 from geodrake.inertia import Array
-from geodrake.report.numbers import Units
-from geodrake.report.playback import Playback
-from geodrake.report.played_robots import (
-    GRAYS,
-    PlayedRobot,
-    frame_times,
-    joint_values,
-    moment_words,
-    played_robots,
-)
-from geodrake.report.triangles import link_triangles
-from geodrake.robot.shapes import RobotShapes
+from geodrake.report.drawn_robots import GRAYS, link_triangles
+from geodrake.report.playback import Moment, Playback, PlayedModel
+from geodrake.report.playing import Played, PlayedRobot
+from geodrake.report.robot_scene import PosedLink
 
 _MARK = 0.05  # m, of the balls whose colour is a joint's error
-
-
-@dataclass(frozen=True, eq=False)
-class _Played:
-    """What is recorded."""
-
-    playback: Playback
-    robots: list[PlayedRobot]
-    title: str
-    units: Units
 
 
 def check_viewer(to: str, file: Path) -> None:
@@ -55,9 +36,7 @@ def check_viewer(to: str, file: Path) -> None:
     optional_package(module, "viewers", f"recordings for {to}", OutputError)
 
 
-def recording(
-    to: str, playback: Playback, shapes: RobotShapes, *, title: str, units: Units
-) -> bytes:
+def recording(to: str, found: Played, *, title: str) -> bytes:
     """Return a recording of the robots, their joints and efforts, and what was found.
 
     Args:
@@ -65,30 +44,42 @@ def recording(
     """
     _, module, write = _VIEWERS[one_of(to, "to", _VIEWERS)]
     package = optional_package(module, "viewers", f"recordings for {to}", OutputError)
-    played = _Played(playback, played_robots(playback, shapes, units), printable(title), units)
     with TemporaryDirectory() as folder:
         path = Path(folder) / "recording"
-        write(package, path, played)
+        write(package, path, found, printable(title))
         return path.read_bytes()
+
+
+def _shown(robot: PlayedRobot) -> list[PosedLink]:
+    return [link for link in robot.links if link.shapes]
 
 
 def _poses(robot: PlayedRobot, poses: tuple[RigidTransform, ...]) -> tuple[Array, Array]:
     """Return positions (F, 3), m, and quaternions (F, 4), x y z w, of poses in the world."""
-    wxyz = np.array([_wxyz(X_WB) for X_WB in poses])
+    turned: list[Quaternion] = [X_WB.rotation().ToQuaternion() for X_WB in poses]
+    wxyz = np.array([each.wxyz() for each in turned])
     return np.array([X.translation() for X in poses]) + robot.place, np.roll(wxyz, -1, axis=1)
 
 
-def _wxyz(X_WB: RigidTransform) -> Array:
-    turned: Quaternion = X_WB.rotation().ToQuaternion()
-    return np.asarray(turned.wxyz())
+def _joint_values(played: PlayedModel) -> dict[str, Array]:
+    """Return what is plotted of a model, by name: (F, nv) arrays, NaN where nothing is compared."""
+    return {
+        "measured": played.measured,
+        "predicted": played.predicted,
+        "residual": played.measured - played.predicted,
+    }
 
 
-def _write_rerun(rr: Any, path: Path, played: _Played) -> None:
-    playback, robots = played.playback, played.robots
+def _moment_words(found: Played, moment: Moment) -> str:
+    return f"{found.playback.models[moment.played].title}: {found.moment_words(moment)}"
+
+
+def _write_rerun(rr: Any, path: Path, found: Played, title: str) -> None:
+    playback, robots = found.playback, found.robots
     record = rr.RecordingStream("geodrake", send_properties=False)
     record.save(path)
-    record.send_recording_name(played.title)
-    times = rr.TimeColumn("time", duration=frame_times(playback))
+    record.send_recording_name(title)
+    times = rr.TimeColumn("time", duration=playback.times)
 
     def send(entity: str, columns: Any) -> None:
         rr.send_columns(entity, indexes=[times], columns=columns, recording=record)
@@ -98,7 +89,7 @@ def _write_rerun(rr: Any, path: Path, played: _Played) -> None:
 
     record.log("robots", rr.ViewCoordinates.RIGHT_HAND_Z_UP, static=True)
     for robot in robots:
-        for link in robot.links:
+        for link in _shown(robot):
             entity = path_of("robots", robot.name, link.name)
             vertices, faces = link_triangles(link.shapes)
             mesh = rr.Mesh3D(
@@ -113,7 +104,7 @@ def _write_rerun(rr: Any, path: Path, played: _Played) -> None:
             if said:
                 label = rr.Points3D([[0.0, 0.0, 0.0]], labels=["; ".join(said)], radii=[0.01])
                 record.log(f"{entity}/findings", label, static=True)
-        for name, values in joint_values(playback, robot.played).items():
+        for name, values in _joint_values(robot.played).items():
             for joint, column in zip(playback.joints, values.T, strict=True):
                 entity = path_of("efforts", joint, name, robot.name)
                 send(entity, rr.Scalars.columns(scalars=column))
@@ -123,12 +114,12 @@ def _write_rerun(rr: Any, path: Path, played: _Played) -> None:
     for joint, q in zip(playback.joints, playback.q.T, strict=True):
         send(path_of("positions", joint), rr.Scalars.columns(scalars=q))
     if moments := sorted(playback.moments, key=lambda moment: moment.frame):
-        at = frame_times(playback)[[moment.frame for moment in moments]]
+        at = playback.times[[moment.frame for moment in moments]]
         rr.send_columns(
             "worst_moments",
             indexes=[rr.TimeColumn("time", duration=at)],
             columns=rr.TextLog.columns(
-                text=[moment_words(moment, playback, played.units) for moment in moments],
+                text=[_moment_words(found, moment) for moment in moments],
                 level=["WARN"] * len(moments),
             ),
             recording=record,
@@ -137,11 +128,11 @@ def _write_rerun(rr: Any, path: Path, played: _Played) -> None:
     record.disconnect()
 
 
-def _write_mcap(foxglove: Any, path: Path, played: _Played) -> None:
-    playback, robots = played.playback, played.robots
+def _write_mcap(foxglove: Any, path: Path, found: Played, title: str) -> None:
+    playback, robots = found.playback, found.robots
     kinds, channels = foxglove.messages, foxglove.channels
     context = foxglove.Context()
-    instants = np.rint(1e9 * (frame_times(playback) - frame_times(playback)[0])).astype(int)
+    instants = np.rint(1e9 * (playback.times - playback.times[0])).astype(int)
     with foxglove.open_mcap(str(path), context=context):
         scene = channels.SceneUpdateChannel("/robot", context=context)
         marks = channels.SceneUpdateChannel("/errors", context=context)
@@ -159,10 +150,10 @@ def _write_mcap(foxglove: Any, path: Path, played: _Played) -> None:
             for words, _ in robot.findings:
                 message = f"{robot.played.title}: {words}"
                 level = kinds.LogLevel.Info
-                findings.log(kinds.Log(level=level, message=message, name=played.title), log_time=0)
+                findings.log(kinds.Log(level=level, message=message, name=title), log_time=0)
         moments = {moment.frame: moment for moment in playback.moments}
-        poses = [[_poses(r, link.X_WB) for link in r.links] for r in robots]
-        values = [joint_values(playback, robot.played) for robot in robots]
+        poses = [[_poses(r, link.X_WB) for link in _shown(r)] for r in robots]
+        values = [_joint_values(robot.played) for robot in robots]
         for frame, instant in enumerate(instants.tolist()):
             stamp = kinds.Timestamp(sec=instant // 10**9, nsec=instant % 10**9)
             transforms = [
@@ -174,7 +165,7 @@ def _write_mcap(foxglove: Any, path: Path, played: _Played) -> None:
                     rotation=kinds.Quaternion(**_xyz(turned[frame])),
                 )
                 for robot, own in zip(robots, poses, strict=True)
-                for link, (where, turned) in zip(robot.links, own, strict=True)
+                for link, (where, turned) in zip(_shown(robot), own, strict=True)
             ]
             frames.log(kinds.FrameTransforms(transforms=transforms), log_time=instant)
             balls = [e for r in robots for e in _error_marks(kinds, r, frame, stamp)]
@@ -183,9 +174,9 @@ def _write_mcap(foxglove: Any, path: Path, played: _Played) -> None:
                 row = _joint_row(playback, own_values, frame)
                 channel.log(row, log_time=instant)
             if moment := moments.get(frame):
-                words = moment_words(moment, playback, played.units)
+                words = _moment_words(found, moment)
                 level = kinds.LogLevel.Warning
-                message = kinds.Log(timestamp=stamp, level=level, message=words, name=played.title)
+                message = kinds.Log(timestamp=stamp, level=level, message=words, name=title)
                 findings.log(message, log_time=instant)
 
 
@@ -200,7 +191,7 @@ def _xyz(values: Array) -> dict[str, float]:
 def _entities(kinds: Any, robot: PlayedRobot) -> list[Any]:
     """Return the links of a robot as entities of a scene, and what was found at their places."""
     found = []
-    for link in robot.links:
+    for link in _shown(robot):
         vertices, faces = link_triangles(link.shapes)
         mesh = kinds.TriangleListPrimitive(
             points=[kinds.Point3(**_xyz(vertex)) for vertex in vertices],
@@ -236,7 +227,7 @@ def _error_marks(kinds: Any, robot: PlayedRobot, frame: int, stamp: Any) -> list
             frame_locked=True,
             spheres=[kinds.SpherePrimitive(size=size, color=_color(kinds, color))],
         )
-        for link in robot.links
+        for link in _shown(robot)
         if link.joint is not None
         for color in [robot.colors[frame, link.joint]]
     ]
@@ -266,7 +257,7 @@ def _joint_schema(joints: tuple[str, ...]) -> dict[str, Any]:
     }
 
 
-_Writer = Callable[[Any, Path, _Played], None]
+_Writer = Callable[[Any, Path, Played, str], None]
 
 _VIEWERS: dict[str, tuple[str, str, _Writer]] = {
     "rerun": (".rrd", "rerun", _write_rerun),

@@ -1,4 +1,4 @@
-"""A robot in MeshCat as its file shows it, and the calm surroundings of all our scenes."""
+"""A robot as it is drawn, apart from what draws it: links, their poses, joints, and the camera."""
 
 from __future__ import annotations
 
@@ -6,20 +6,17 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from pydrake.geometry import Cylinder, Meshcat, MeshcatParams, Rgba
-from pydrake.geometry import Ellipsoid as EllipsoidShape
+from pydrake.geometry import Box, Cylinder, Sphere
 from pydrake.math import RigidTransform, RotationMatrix
-from pydrake.multibody.tree import BodyIndex, Joint, JointIndex, RigidBody
+from pydrake.multibody.plant import MultibodyPlant
+from pydrake.multibody.tree import BodyIndex, Joint, RigidBody
 
-from geodrake.boundary.escaping import path_part
 from geodrake.inertia import Array
 from geodrake.inertia.bodies import lumped_bodies
-from geodrake.inertia.ellipsoids import equivalent_ellipsoid
 from geodrake.model.robot_model import RobotModel
-from geodrake.report.ellipsoids import LEAST_THICKNESS
-from geodrake.report.posed_links import drawn_shapes, joint_axis, moved_body
+from geodrake.robot.base_joints import base_joints
 from geodrake.robot.followers import joint_names
-from geodrake.robot.shapes import LinkShape, RobotShapes
+from geodrake.robot.shapes import GRAY, LinkShape, RobotShapes, robot_shapes
 
 FRAMES = 30.0
 """Frames a second of recordings."""
@@ -28,163 +25,194 @@ _AWAY = np.array([0.9, -0.65, 0.4]) / np.linalg.norm([0.9, -0.65, 0.4])
 RIGHT = np.array([0.65, 0.9, 0.0]) / np.linalg.norm([0.65, 0.9])
 """What is right to the camera, in the world."""
 
-_FLOOR_THICKNESS = 0.004  # m
 VIEW = np.radians(75.0)
 """Angle of MeshCat's view from top to bottom."""
 
 _ASPECT = 1.4  # of the view, width over height, at which everything fits
+_STICK, _JOINT = 0.012, 0.03  # radii, over the size of the robot
+_LONGEST = 0.3  # of a stick to a centre of mass, over the size of the robot
 
 
-def clock(frame: int) -> float:
-    """Time of a frame in MeshCat's recording, s: in its middle, so that none is counted twice."""
-    return (frame + 0.5) / FRAMES
+@dataclass(frozen=True, eq=False)
+class PosedLink:
+    """A link and its poses.
+
+    Attributes:
+        shapes: Its shapes, in its own frame.
+        joint: Place, among the model's joints, of the one that moves it; None if none does.
+        X_WB: Its pose in the world at each instant.
+        fixed: Whether it never moves.
+    """
+
+    name: str
+    shapes: tuple[LinkShape, ...]
+    joint: int | None
+    X_WB: tuple[RigidTransform, ...]
+    fixed: bool = False
 
 
 @dataclass(frozen=True, eq=False)
 class JointPlace:
-    """Where a joint is, and what it moves.
+    """Where a joint of one degree of freedom is, and what it moves.
 
     Attributes:
-        link: Path of the link that the joint moves.
+        at: Its place among the model's joints; None of one that follows others.
+        link: The link that the joint moves.
         X_BJ: Pose of the joint in the link, z along its axis.
-        moved: Paths of the shapes of all links that it moves as one.
+        moved: All links that it moves as one.
     """
 
     joint: str
+    at: int | None
     link: str
     X_BJ: RigidTransform
     moved: tuple[str, ...]
 
 
-class RobotScene:
-    """A robot in a MeshCat.
+def drawn_shapes(model: RobotModel) -> RobotShapes:
+    """Return the shapes of a model's links; sticks and joints where its file has none to show."""
+    plant, found = model.plant, robot_shapes(model.path, model.given)
+    names = set(map(_full, _bodies(plant)))
+    links = {name: shapes for name, shapes in found.links.items() if name in names}
+    if links and not found.notes:
+        return RobotShapes(links)
+    drawn = {name for own in _lumps(plant) if not links.keys().isdisjoint(own) for name in own}
+    sticks = {name: own for name, own in _sticks(plant).items() if name not in drawn}
+    notes = found.notes or ("the file has no shapes: links are drawn as sticks",)
+    return RobotShapes({**sticks, **links}, notes)
 
-    Links have the visual shapes of the model's file, or its collision shapes. Where the file has
-    none, or they cannot be read, links are sticks between their joints.
 
-    Args:
-        shapes: Its shapes; those of its file if None.
-        p_WR: (3,) where the robot stands, m.
-        color: One colour for all links instead of the file's.
-
-    Attributes:
-        notes: What is not shown as the file has it, in words.
-    """
-
-    def __init__(
-        self,
-        meshcat: Meshcat,
-        model: RobotModel,
-        *,
-        shapes: RobotShapes | None = None,
-        path: str = "robot",
-        p_WR: Array | None = None,
-        color: Rgba | None = None,
-    ) -> None:
-        shapes = drawn_shapes(model) if shapes is None else shapes
-        self._meshcat, self._model, self.path = meshcat, model, path
-        self._context = model.plant.CreateDefaultContext()
-        self._lumps = lumped_bodies(model.plant)
-        bodies = [model.plant.get_body(BodyIndex(i)) for i in range(model.plant.num_bodies())]
-        moving = {int(m.index) for lump in self._lumps for m in lump.members}
-        self._moving = [body for body in bodies if int(body.index()) in moving]
-        self.notes = shapes.notes
-        meshcat.SetTransform(path, RigidTransform([0.0, 0.0, 0.0] if p_WR is None else p_WR))
-        by_name = {body.scoped_name().get_full(): body for body in bodies}
-        for name, links in shapes.links.items():
-            self._draw(by_name[name], links, color)
-        for body in bodies:
-            if int(body.index()) not in moving:
-                X_WB = model.plant.EvalBodyPoseInWorld(self._context, body)
-                meshcat.SetTransform(self.link_path(body), X_WB)
-
-    def link_path(self, body: RigidBody) -> str:
-        """Return the folder of a link, whose frame is the link's."""
-        return f"{self.path}/{path_part(body.scoped_name().get_full())}"
-
-    def body_path(self, name: str) -> str:
-        """Return the folder of a body of the model, links welded together counting as one."""
-        return self.link_path(self.body(name))
-
-    def body(self, name: str) -> RigidBody:
-        """Return the link whose frame is that of a body of the model."""
-        lump = self._lumps[self._model.bodies.index(name)]
-        return self._model.plant.get_body(lump.body_index)
-
-    def move(self, q: Array, time: float | None = None) -> None:
-        """Put the robot into a posture.
-
-        Args:
-            q: (nq,) positions of the model.
-            time: Time in MeshCat's recording, s; None to move it now.
-        """
-        plant = self._model.plant
-        (whole,) = self._model.plant_positions(np.atleast_2d(q))
-        plant.SetPositions(self._context, whole)
-        for body in self._moving:
-            X_WB = plant.EvalBodyPoseInWorld(self._context, body)
-            self._meshcat.SetTransform(self.link_path(body), X_WB, time)
-
-    def place_behind(self, name: str) -> JointPlace:
-        """Return the place of a plant joint that follows others, as in a closed loop."""
-        plant, names = self._model.plant, joint_names(self._model.plant)
-        joints = (plant.get_joint(index) for index in plant.GetJointIndices())
-        moving = (joint for joint in joints if joint.num_velocities() == 1)
-        return self._place(next(j for j in moving if names[j.velocity_start()] == name), name)
-
-    def joint_places(self) -> tuple[JointPlace, ...]:
-        """Return the joints of one degree of freedom, in the model's order."""
-        plant, places = self._model.plant, {}
-        for index in plant.GetJointIndices():
-            joint = plant.get_joint(JointIndex(index))
-            at = self._model.place_of(joint) if joint.num_velocities() == 1 else None
-            if at is not None:
-                places[at] = self._place(joint, self._model.joints[at])
-        return tuple(places[i] for i in sorted(places))
-
-    def _place(self, joint: Joint, name: str) -> JointPlace:
-        child = moved_body(self._model.plant, joint)
-        lump = next(
-            one for one in self._lumps if any(m.index == child.index() for m in one.members)
+def posed_links(model: RobotModel, q: Array, shapes: RobotShapes) -> list[PosedLink]:
+    """Return the links, those without shapes too, in postures (N, nq) of the model."""
+    plant, context = model.plant, model.plant.CreateDefaultContext()
+    bodies, moving = _bodies(plant), {name for own in _lumps(plant) for name in own}
+    movers = link_joints(model)
+    poses: list[list[RigidTransform]] = [[] for _ in bodies]
+    for posture in model.plant_positions(q):
+        plant.SetPositions(context, posture)
+        for body, own in zip(bodies, poses, strict=True):
+            own.append(plant.EvalBodyPoseInWorld(context, body))
+    named = zip(map(_full, bodies), poses, strict=True)
+    return [
+        PosedLink(
+            name, shapes.links.get(name, ()), movers.get(name), tuple(own), name not in moving
         )
-        links = [self._model.plant.get_body(m.index) for m in lump.members]
+        for name, own in named
+    ]
+
+
+def joint_places(model: RobotModel) -> dict[str, JointPlace]:
+    """Return the joints of one degree of freedom by name, those that follow others as well."""
+    plant, names, found = model.plant, joint_names(model.plant), dict[str, JointPlace]()
+    lumps = _lumps(plant)
+    for joint in _joints(plant):
+        child = _full(moved_body(plant, joint))
+        moved = next((own for own in lumps if child in own), None)
+        if joint.num_velocities() != 1 or moved is None:
+            continue
+        at = model.place_of(joint)
+        name = names[joint.velocity_start()] if at is None else model.joints[at]
         X_BM = joint.frame_on_child().GetFixedPoseInBodyFrame()
-        axis = X_BM.rotation().matrix() @ joint_axis(joint)
-        R_BJ = RotationMatrix.MakeFromOneVector(axis, 2)
-        return JointPlace(
-            name,
-            self.link_path(child),
-            RigidTransform(R_BJ, X_BM.translation()),
-            tuple(f"{self.link_path(link)}/shapes" for link in links),
-        )
-
-    def _draw(self, body: RigidBody, links: Sequence[LinkShape], color: Rgba | None) -> None:
-        for k, one in enumerate(links):
-            place = f"{self.link_path(body)}/shapes/{k}"
-            self._meshcat.SetObject(place, one.shape, color or one.color)
-            self._meshcat.SetTransform(place, one.X_BG)
+        R_BJ = RotationMatrix.MakeFromOneVector(X_BM.rotation() @ joint_axis(joint), 2)
+        X_BJ = RigidTransform(R_BJ, X_BM.translation())
+        found[name] = JointPlace(name, at, child, X_BJ, moved)
+    return found
 
 
-def draw_ellipsoid(meshcat: Meshcat, path: str, phi: Array, color: Rgba) -> None:
-    """Draw the uniform ellipsoid that has the inertia of a body.
-
-    Args:
-        path: Where in the scene; the folder above has the body's frame.
-        phi: (10,) physical inertial parameters.
-    """
-    own = equivalent_ellipsoid(phi)
-    meshcat.SetObject(path, EllipsoidShape(*np.maximum(own.semi_axes, LEAST_THICKNESS)), color)
-    meshcat.SetTransform(path, RigidTransform(RotationMatrix(own.rotation), own.center))
+def own_joints(model: RobotModel) -> list[JointPlace]:
+    """Return the model's joints of one degree of freedom, in its order."""
+    places = joint_places(model)
+    return [places[joint] for joint in model.joints if joint in places]
 
 
-def calm_meshcat() -> Meshcat:
-    """Return a MeshCat for a page: light, without axes; where it listens does not matter."""
-    meshcat = Meshcat(MeshcatParams(host="localhost", show_stats_plot=False))
-    meshcat.SetProperty("/Background/<object>", "top_color", [1.0, 1.0, 1.0])
-    meshcat.SetProperty("/Background/<object>", "bottom_color", [0.93, 0.95, 0.97])
-    meshcat.SetProperty("/Axes", "visible", False)
-    meshcat.SetProperty("/Grid", "visible", False)
-    return meshcat
+def link_joints(model: RobotModel) -> dict[str, int]:
+    """Return, by scoped link name, the place of the model's joint that moves a link."""
+    places = joint_places(model).values()
+    return {link: place.at for place in places if place.at is not None for link in place.moved}
+
+
+def body_links(model: RobotModel) -> dict[str, str]:
+    """Return, by the name of a body of the model, the scoped name of the link in its frame."""
+    frames = (lump.body_index for lump in lumped_bodies(model.plant))
+    links = (_full(model.plant.get_body(index)) for index in frames)
+    return dict(zip(model.bodies, links, strict=True))
+
+
+def moved_body(plant: MultibodyPlant, joint: Joint) -> RigidBody:
+    """Return the body that a joint moves; of a free base's, between which are frames, the root."""
+    for base in base_joints(plant):
+        if any(own.index() == joint.index() for own in base):
+            return base[-1].child_body()
+    return joint.child_body()
+
+
+def joint_axis(joint: Joint) -> Array:
+    """Return the axis (3,) of a joint in its own frame; z of a joint without one."""
+    for name in ("revolute_axis", "translation_axis", "screw_axis"):
+        if hasattr(joint, name):
+            return np.asarray(getattr(joint, name)())
+    return np.array([0.0, 0.0, 1.0])
+
+
+def _sticks(plant: MultibodyPlant) -> dict[str, tuple[LinkShape, ...]]:
+    """Return a stick from each link's origin to each joint on it, and a mark of its own joint."""
+    context = plant.CreateDefaultContext()
+    origins = [plant.EvalBodyPoseInWorld(context, body).translation() for body in _bodies(plant)]
+    size = max(float(np.linalg.norm(np.ptp(np.array(origins), axis=0))), 0.1)
+    found: dict[str, list[LinkShape]] = {_full(body): [] for body in _bodies(plant)}
+    ends = dict.fromkeys(found, True)
+    for joint in _joints(plant):
+        parent, child = joint.parent_body(), joint.child_body()
+        if joint.num_velocities():
+            X_BJ = joint.frame_on_child().GetFixedPoseInBodyFrame()
+            R_BJ = RotationMatrix.MakeFromOneVector(X_BJ.rotation() @ joint_axis(joint), 2)
+            side = _JOINT * size
+            slides = hasattr(joint, "translation_axis")
+            mark = Box(side, side, 3 * side) if slides else Cylinder(side, 3 * side)
+            X_BG = RigidTransform(R_BJ, X_BJ.translation())
+            found[_full(child)].append(LinkShape(mark, X_BG, GRAY))
+        if int(parent.index()):
+            p_PJ = joint.frame_on_parent().GetFixedPoseInBodyFrame().translation()
+            found[_full(parent)] += _stick(p_PJ, _STICK * size)
+            ends[_full(parent)] = False
+    for body in _bodies(plant):
+        if ends[_full(body)] and body.default_mass() > 0.0:
+            center = np.nan_to_num(body.default_com())
+            far = float(np.linalg.norm(center))
+            tip = center * min(1.0, _LONGEST * size / max(far, 1e-12))
+            found[_full(body)] += _stick(tip, _STICK * size)
+    return {name: tuple(shapes) for name, shapes in found.items() if shapes}
+
+
+def _stick(p_BE: Array, radius: float) -> list[LinkShape]:
+    """Return a stick from the origin to a point, round at its end; nothing if that is there."""
+    length = float(np.linalg.norm(p_BE))
+    if length <= radius:
+        return []
+    turned = RigidTransform(RotationMatrix.MakeFromOneVector(p_BE, 2), 0.5 * p_BE)
+    ball = LinkShape(Sphere(radius), RigidTransform(p_BE), GRAY)
+    return [LinkShape(Cylinder(radius, length), turned, GRAY), ball]
+
+
+def _bodies(plant: MultibodyPlant) -> list[RigidBody]:
+    """Return the links of a plant, without the world."""
+    return [plant.get_body(BodyIndex(k)) for k in range(1, plant.num_bodies())]
+
+
+def _joints(plant: MultibodyPlant) -> Sequence[Joint]:
+    return [plant.get_joint(index) for index in plant.GetJointIndices()]
+
+
+def _lumps(plant: MultibodyPlant) -> list[tuple[str, ...]]:
+    """Return the links that move, those welded together in one tuple."""
+    return [
+        tuple(_full(plant.get_body(member.index)) for member in lump.members)
+        for lump in lumped_bodies(plant)
+    ]
+
+
+def _full(body: RigidBody) -> str:
+    return str(body.scoped_name().get_full())
 
 
 @dataclass(frozen=True, eq=False)
@@ -209,22 +237,14 @@ class Extent:
 
     @classmethod
     def of(cls, model: RobotModel, q: Array) -> Extent:
-        """Return the extent of some postures.
-
-        Args:
-            q: (N, nq) positions of the model.
-        """
-        plant, context, points = model.plant, model.plant.CreateDefaultContext(), []
-        bodies = [plant.get_body(BodyIndex(k)) for k in range(1, plant.num_bodies())]
-        for posture in model.plant_positions(q[:: max(1, len(q) // 60)]):
-            plant.SetPositions(context, posture)
-            origins = [plant.EvalBodyPoseInWorld(context, b).translation() for b in bodies]
-            points.append([np.zeros(3), *origins])
-        cloud = np.array(points)
+        """Return the extent of some postures, (N, nq) positions of the model."""
+        links = posed_links(model, q[:: max(1, len(q) // 60)], RobotShapes({}))
+        places = np.array([[X.translation() for X in link.X_WB] for link in links])
+        cloud = np.concatenate([np.zeros((1, *places.shape[1:])), places])
         across = cloud @ RIGHT
         low, high = cloud.min((0, 1)), cloud.max((0, 1))
-        size = 1.15 * float(np.ptp(cloud, axis=1).max()) + 0.1
-        return cls(low, high, -across.min(), across.max(), np.ptp(across, axis=1).max(), size)
+        size = 1.15 * float(np.ptp(cloud, axis=0).max()) + 0.1
+        return cls(low, high, -across.min(), across.max(), np.ptp(across, axis=0).max(), size)
 
     @property
     def gap(self) -> float:
@@ -232,19 +252,7 @@ class Extent:
         return self.widest + 0.3 * self.size
 
 
-def draw_floor(meshcat: Meshcat, path: str, extent: Extent) -> None:
-    """Draw a disc for a robot to stand on."""
-    disc = Cylinder(0.3 * extent.size, _FLOOR_THICKNESS)
-    meshcat.SetObject(f"{path}/floor", disc, Rgba(0.87, 0.89, 0.92, 1.0))
-    meshcat.SetTransform(f"{path}/floor", RigidTransform([0.0, 0.0, -_FLOOR_THICKNESS]))
-
-
-def place_camera(meshcat: Meshcat, extent: Extent, *, copies: int = 1) -> None:
-    """Look at where a robot goes."""
-    meshcat.SetCameraPose(*camera_place(extent, copies))
-
-
-def camera_place(extent: Extent, copies: int) -> tuple[Array, Array]:
+def camera_place(extent: Extent, copies: int = 1) -> tuple[Array, Array]:
     """Return where a camera of MeshCat's view stands (3,), and what it looks at (3,), m."""
     margin = 0.12 * extent.size
     left, right = -extent.left, extent.right + (copies - 1) * extent.gap

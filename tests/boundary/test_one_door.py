@@ -78,8 +78,8 @@ OWN = {
     "compiling.py": {"fdopen", "open", "read_text"},
     "identification/solvers.py": {"open"},
     "report/html.py": {"read_text"},
+    "report/pictures.py": {"read_bytes"},
     "report/recordings.py": {"read_bytes"},
-    "report/video.py": {"read_bytes"},
 }
 """Module -> what it opens of the package's own, or to write."""
 

@@ -4,23 +4,23 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from meshcat_pages import tracks, transform
-from pydrake.geometry import Meshcat
+from meshcat_pages import commands
 
 from geodrake.errors import ArgumentError
 from geodrake.inertia import change_frame, from_pseudo_inertia, pseudo_inertia
 from geodrake.inertia.bodies import lumped_bodies
 from geodrake.inertia.ellipsoids import Ellipsoid
 from geodrake.model.saved_model import load_model
-from geodrake.report.ellipsoid_figure import ellipsoid_figure, figure_bytes
 from geodrake.report.ellipsoids import (
     BOUNDARY,
-    LEAST_THICKNESS,
     EllipsoidSet,
+    ellipsoid_figure,
+    ellipsoid_page,
+    figure_bytes,
     placed,
     skeleton,
 )
-from geodrake.report.meshcat_ellipsoids import MeshcatEllipsoids, ellipsoid_page
+from geodrake.report.meshcat_scene import LEAST_THICKNESS
 
 ARM = Path(__file__).parents[2] / "models" / "arm6.urdf"
 
@@ -97,36 +97,28 @@ def test_nothing_to_draw(model, context):
         placed(model.plant, context, -model.phi)
 
 
-def test_ellipsoids_move_with_the_robot_in_meshcat(model, context):
-    meshcat = Meshcat()
+def test_pages_have_the_sets_beside_each_other(model, context):
     sets = [
         EllipsoidSet.of("prior", model.phi),
         EllipsoidSet.of("left/right", model.phi, at_boundary=[1]),
     ]
-    drawn = MeshcatEllipsoids(meshcat, model.plant, sets, path="bodies", spacing=0.5)
-    drawn.update(context)
+    said = commands(ellipsoid_page(model.plant, sets, context=context))
+    poses = {
+        one["path"]: np.reshape(one["matrix"], (4, 4)).T
+        for one in said
+        if one["type"] == "set_transform"
+    }
     bodies = placed(model.plant, context, model.phi)
-    for name, shift in (("prior", 0.0), ("left%2Fright", 0.5)):
+    shifts = []
+    for name in ("prior", "left%2Fright"):
         for k, body in enumerate(model.bodies):
-            X_WE = transform(meshcat, f"bodies/{name}/{body}")
+            X_WE = poses[f"/drake/ellipsoids/{name}/{body}"]
             np.testing.assert_allclose(X_WE[:3, :3], bodies.rotation[k], atol=1e-12)
-            np.testing.assert_allclose(X_WE[:3, 3], bodies.center[k] + [0.0, shift, 0.0])
-    with pytest.raises(ArgumentError):
-        MeshcatEllipsoids(meshcat, model.plant, [EllipsoidSet.of("few", model.phi[:1])])
-
-
-def test_a_motion_can_be_recorded(model, context):
-    meshcat = Meshcat()
-    meshcat.StartRecording()
-    drawn = MeshcatEllipsoids(meshcat, model.plant, [EllipsoidSet.of("prior", model.phi)])
-    for time in (0.0, 0.5, 1.0):
-        model.plant.SetPositions(context, np.full(model.plant.num_positions(), time))
-        drawn.update(context, time)
-    meshcat.PublishRecording()
-    frames, places = tracks(meshcat.StaticHtml())[
-        f"/drake/ellipsoids/prior/{model.bodies[-1]}", "position"
-    ]
-    assert len(frames) == len(places) == 3 and len(set(map(tuple, places))) == 3
+            shifts.append(X_WE[:3, 3] - bodies.center[k])
+    first, other = np.split(np.array(shifts), 2)
+    np.testing.assert_allclose(first, 0.0, atol=1e-12)
+    np.testing.assert_allclose(other - other[0], 0.0, atol=1e-12)
+    assert other[0, 1] > 0.3 and not other[0, [0, 2]].any()
 
 
 def test_the_page_is_one_file_with_a_legend(model):

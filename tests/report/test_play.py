@@ -20,11 +20,19 @@ from geodrake.control.rollout.results import Window
 from geodrake.diagnosis import compare
 from geodrake.errors import ArgumentError
 from geodrake.logs import JointLog, read_log
-from geodrake.report.numbers import Units
-from geodrake.report.play_page import COLORS, UNKNOWN, levels, play_page
+from geodrake.report.drawn_robots import COLORS, UNKNOWN, levels
+from geodrake.report.meshcat_scene import rollout_replay_page
+from geodrake.report.play_page import play_page
 from geodrake.report.playback import play_back
-from geodrake.report.replay import rollout_replay_page
-from geodrake.report.robot_scene import FRAMES
+from geodrake.report.playing import Played
+from geodrake.report.robot_scene import FRAMES, drawn_shapes
+
+
+def page_of(playback, *names):
+    """The page of a playback of logs of some names."""
+    title, *logs = names or ("demo: <play>", "demo.csv")
+    shapes = drawn_shapes(playback.models[-1].model)
+    return play_page(Played(playback, shapes), title=title, log_names=logs)
 
 
 @pytest.fixture(scope="module")
@@ -33,8 +41,8 @@ def playback(before, after):
 
 
 @pytest.fixture(scope="module")
-def page(short, after):
-    return play_page(short, title="demo: <play>", log_names=["demo.csv"], units=Units.of(after))
+def page(short):
+    return page_of(short)
 
 
 def test_links_go_where_the_log_says(short, page):
@@ -71,7 +79,7 @@ def test_ghosts_go_where_rollouts_do_if_asked_for(after, cut, page):
     at = excerpt.time[inside]
     near = np.stack([np.interp(at, window.time, x) for x in window.simulated.T], -1)
     np.testing.assert_allclose(played.simulated[inside][0], near[0], atol=1e-6)
-    html = play_page(playback, title="t", log_names=["l"], units=Units.of(after))
+    html = page_of(playback)
     seen, own = tracks(html), "/drake/ghost/0"
     shown = seen[own, "visible"][1]
     assert shown == there.tolist()
@@ -101,7 +109,7 @@ def test_colours_are_the_errors(playback, before, after):
             played.comparison.errors.nrms, compared.errors.nrms, rtol=0.3
         )  # a bandwidth of its own
     played, (excerpt,) = playback.models[0], playback.excerpts
-    colors, j = levels(playback, played), playback.joints.index(JOINT)
+    colors, j = levels(played.relative, playback.top), playback.joints.index(JOINT)
     std = played.comparison.errors.joints[j].std
     own = [s for s in played.comparison.series if s.joint == JOINT]
     time = np.concatenate([s.time for s in own])
@@ -113,7 +121,7 @@ def test_colours_are_the_errors(playback, before, after):
             rms = np.sqrt((residual[near] ** 2).mean())
             expected = 254 * min(rms / std / playback.top, 1.0)
             assert abs(int(colors[frame, j]) - expected) <= 1
-    assert levels(playback, playback.models[1])[:, j].mean() < colors[:, j].mean()
+    assert levels(playback.models[1].relative, playback.top)[:, j].mean() < colors[:, j].mean()
 
 
 def test_the_worst_moments_are_the_worst_and_apart(playback):
@@ -135,7 +143,7 @@ def test_of_long_logs_the_worst_passages_are_played(before, playback):
     worst = playback.moments[0]
     _, time = playback.own_time(worst.frame)
     assert any(e.time[0] <= time <= e.time[-1] for e in some.excerpts)
-    page = play_page(some, title="demo", log_names=["demo.csv"], units=Units())
+    page = page_of(some)
     assert "s of the logs are not (--seconds)" in page
 
 
@@ -163,7 +171,7 @@ def test_the_page_says_what_is_held_out_and_loads_nothing(page, after, before):
     trained = replace(after, fitted_to=(log.fingerprint,))
     found = play_back(trained, [LOG], before=before, seconds=1.0)
     assert [played.trained for played in found.models] == [False, True]
-    assert "training data" in play_page(found, title="d", log_names=["d"], units=Units())
+    assert "training data" in page_of(found)
 
 
 def test_models_of_other_robots_are_refused(before):
@@ -278,7 +286,7 @@ def test_names_that_mean_harm_stay_words(tmp_path):
     noise = np.random.default_rng(0).normal(size=q.shape)
     log = JointLog(name, model.joints, time, q, 3 * q + 0.1 * noise)
     found = play_back(model, [log], seconds=1.0, bandwidth=5.0)
-    page = play_page(found, title=name, log_names=[name], units=Units.of(model))
+    page = page_of(found, name, name)
     assert "<b>`" not in page and "\u2028" not in page
     (data,) = re.findall(r"const data = (\{.*\});\n", page)
     assert json.loads(data)["joints"][0].startswith("</script><b>`${1}")

@@ -13,12 +13,11 @@ from pydrake.geometry import Box, Capsule, Cylinder, Ellipsoid, Sphere
 from report_results import JOINT, LOG, URDF
 
 from geodrake import load_model
-from geodrake.report import recordings, video
-from geodrake.report.numbers import Units
+from geodrake.report import pictures, recordings
+from geodrake.report.drawn_robots import triangles
 from geodrake.report.playback import play_back
-from geodrake.report.played_robots import frame_times
-from geodrake.report.posed_links import drawn_shapes, posed_links
-from geodrake.report.triangles import triangles
+from geodrake.report.playing import Played
+from geodrake.report.robot_scene import drawn_shapes, posed_links
 
 
 @pytest.fixture(scope="module")
@@ -27,8 +26,7 @@ def shapes(short):
 
 
 def recorded(short, shapes, to):
-    units = Units.of(short.models[-1].model)
-    return recordings.recording(to, short, shapes, title="demo", units=units)
+    return recordings.recording(to, Played(short, shapes), title="demo")
 
 
 def flange_places(short):
@@ -153,20 +151,20 @@ def test_mcap_is_read_by_its_libraries(short, shapes):
     assert len(decoded["/errors"]) == len(short.q)
     words = [message.message for message in decoded["/findings"]]
     assert any(w.startswith("after: payload 2.50 kg") for w in words)
-    assert any("is " in w and " off at " in w for w in words)
+    assert any("N·m off, " in w for w in words)
     schema, channel, message = found["/joints/after"][0]
     assert (schema.encoding, channel.message_encoding) == ("jsonschema", "json")
     row = json.loads(message.data)[JOINT]
     played, j = short.models[1], short.joints.index(JOINT)
     assert row["residual"] == pytest.approx((played.measured - played.predicted)[0, j])
     stamps = [m.log_time for _, _, m in found["/joints/after"]]
-    times = frame_times(short)
+    times = short.times
     np.testing.assert_allclose(np.array(stamps) * 1e-9, times - times[0], atol=1e-8)
 
 
 def test_videos_show_the_robot_in_motion(after, cut, shapes):
-    moving, units = play_back(after, [cut], seconds=0.7), Units.of(after)
-    image = Image.open(BytesIO(video.video(moving, shapes, ".gif", units=units)))
+    moving = play_back(after, [cut], seconds=0.7)
+    image = Image.open(BytesIO(pictures.video(Played(moving, shapes), ".gif")))
     assert image.n_frames == round(len(moving.q) / 3)
     image.seek(0)
     first = np.asarray(image.convert("RGB"), int)
@@ -174,7 +172,7 @@ def test_videos_show_the_robot_in_motion(after, cut, shapes):
     last = np.asarray(image.convert("RGB"), int)
     assert (np.abs(first - last).sum(-1) > 60)[:500].mean() > 0.005
     encoder = pytest.importorskip("imageio_ffmpeg")
-    data = video.video(moving, shapes, ".mp4", units=units, speed=4.0)
+    data = pictures.video(Played(moving, shapes), ".mp4", speed=4.0)
     assert data[4:8] == b"ftyp" and encoder.get_ffmpeg_exe()
 
 

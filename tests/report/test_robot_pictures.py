@@ -15,10 +15,9 @@ from report_results import URDF, comparison
 
 from geodrake import load_model
 from geodrake.report import page_of, render
-from geodrake.report.drawn_robots import Camera, DrawnRobots, on_ground
-from geodrake.report.played_robots import PlayedRobot
-from geodrake.report.posed_links import PosedLink, link_joints
-from geodrake.report.robot_pictures import error_pictures
+from geodrake.report.drawn_robots import Camera, ColoredRobot, DrawnRobots, on_ground
+from geodrake.report.pictures import error_pictures
+from geodrake.report.robot_scene import PosedLink, link_joints
 from geodrake.robot.shapes import LinkShape
 
 
@@ -31,7 +30,7 @@ def boxes(*places):
         PosedLink(f"link_{j}", (shape,), j, (RigidTransform(place),))
         for j, place in enumerate(places)
     ]
-    return PlayedRobot(None, "robot", np.zeros(3), links, colors, [])
+    return ColoredRobot(links, np.zeros(3), colors)
 
 
 def test_the_nearest_link_is_seen_whatever_the_order():

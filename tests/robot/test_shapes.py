@@ -12,7 +12,7 @@ from pydrake.geometry import Box, Mesh
 from geodrake import load_model
 from geodrake.errors import ModelError
 from geodrake.excitation.collisions import CollisionWorld
-from geodrake.report.replay import replay_page
+from geodrake.report.meshcat_scene import replay_page
 from geodrake.robot.files.given import Given
 from geodrake.robot.mesh_files import MOST_TRIANGLES, check_mesh, wavefront
 from geodrake.robot.shapes import robot_shapes
