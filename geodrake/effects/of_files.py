@@ -24,7 +24,7 @@ from geodrake.effects.base import (
 from geodrake.effects.body_motion import RobotBodies
 from geodrake.effects.gradient import RobotGradient
 from geodrake.errors import ArgumentError
-from geodrake.robot.files.values import rotation
+from geodrake.robot.files.checks import rotation
 
 
 class _Stated:

@@ -28,8 +28,8 @@ from geodrake.errors import ArgumentError, ModelError
 from geodrake.inertia import Array
 from geodrake.model.robot_model import RobotModel
 from geodrake.robot.files import Given, read_description
+from geodrake.robot.files.checks import drop
 from geodrake.robot.files.description import drake_errors, drake_messages
-from geodrake.robot.files.values import drop
 from geodrake.robot.mesh_files import check_mesh, stl_vertices
 from geodrake.robot.plant import arrange_as
 from geodrake.robot.shapes import (

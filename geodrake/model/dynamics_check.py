@@ -2,26 +2,270 @@
 
 Drake supplies a model's tree, constants and simulation; efforts and regressors come from a compiled
 recursion over that tree (`geodrake.robot.recursion`). Here both compute the same.
+
+MultibodyPlant computes with the bodies that geodrake made of a file, and so cannot see what was
+lost on the way. MuJoCo compiles an MJCF whole, with what no model takes; Pinocchio reads a URDF.
+Others, SDF and directives that put them together, Drake reads once more as they stand.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from importlib.metadata import version
+from types import ModuleType
+from typing import Any
+from xml.etree.ElementTree import Element
 
 import numpy as np
-from pydrake.multibody.tree import MultibodyForces
+from pydrake.math import RigidTransform, RotationMatrix
+from pydrake.multibody.parsing import Parser
+from pydrake.multibody.plant import MultibodyPlant
+from pydrake.multibody.tree import Joint, MultibodyForces
 
 from geodrake.boundary.arguments import instance, integer
 from geodrake.boundary.showing import Short
-from geodrake.inertia import Array
-from geodrake.model.robot_model import RobotModel
-from geodrake.model.second_opinion import States, second_opinion
+from geodrake.errors import ModelError
+from geodrake.inertia import Array, inertial_parameters
+from geodrake.logs.motion import Motion
+from geodrake.model.file_terms import CoupledDry, DryFriction
+from geodrake.model.robot_model import RobotModel, is_of_file
+from geodrake.robot.base_joints import base_joints
+from geodrake.robot.cut_joints import open_loops
+from geodrake.robot.files import read_description
+from geodrake.robot.files.base import ModelText
+from geodrake.robot.files.description import drake_errors, drake_messages
+from geodrake.robot.files.mjcf import MjcfText
+from geodrake.robot.files.xacro_file import read_expanded
+from geodrake.robot.files.xml_text import parse_xml_bytes
 from geodrake.robot.followers import scoped
 from geodrake.robot.holding import moving_joints
-from geodrake.robot.plant import set_inertial_parameters
+from geodrake.robot.mujoco_check import OtherProgram, Places, Units, by_mujoco, joint_units, part
+from geodrake.robot.plant import free_roots, set_inertial_parameters
 from geodrake.robot.regressor import inverse_dynamics, inverse_dynamics_regressor
 from geodrake.robot.transmission.base import times
+
+States = tuple[Array, Array, Array]
+_ENDS = ("parent", "child")
+
+
+def second_opinion(model: RobotModel, states: States) -> tuple[str, Array, Array] | str:
+    """Return what MuJoCo or Pinocchio makes of the file of a model; otherwise why there is none.
+
+    Args:
+        states: (N, nq), (N, nv), (N, nv) positions, velocities and accelerations of the model.
+
+    Returns:
+        The program, efforts (N, nv) by it, and by geodrake, of what it takes: all of the file for
+        MuJoCo, but dry friction; the bodies alone for Pinocchio.
+    """
+    if model.given.robot is not None:
+        return "one robot of several was chosen, and only Drake reads a part of a file"
+    joints = joint_units(model.plant)
+    try:
+        with drake_messages():
+            texts = read_description(model.path, model.given).texts
+        alone = len(texts) == 1 and isinstance(texts[0], MjcfText)
+        own = alone and not is_of_file(model)
+    except ModelError as error:
+        return f"the model's file cannot be read again: {error.problem.rstrip('.')}"
+    bodies_differ = not np.array_equal(model.total_phi, inertial_parameters(model.plant))
+    if own or bodies_differ or model.fitted_to:
+        return "the model is no longer that of its file"
+    found: OtherProgram | str
+    ours = inverse_dynamics(model.tree, *states, model.total_phi)
+    held = {name: place for text in texts for name, place in _held(model, text).items()}
+    if alone and isinstance(texts[0], MjcfText):
+        found = by_mujoco(texts[0].compiled, held, joints)
+        still = [f for f in model.effects if not isinstance(f.effect, DryFriction | CoupledDry)]
+        ours = replace(model, effects=tuple(still)).effort(Motion(*states))
+    elif all(text.kind == "urdf" for text in texts):
+        found = _by_pinocchio(model, texts, held, joints)
+    else:
+        found = _by_drake(model, held, joints)
+    if isinstance(found, str):
+        return found
+    return found.by, found.efforts_of(model.coordinates, joints, states), ours
+
+
+def _held(model: RobotModel, text: ModelText) -> Places:
+    """Return where joints are held, those included that follow held ones."""
+    places = dict(model.held)
+    followers = [
+        (f, f.joint.split("::")[-1], f.leader.split("::")[-1]) for f in text.terms.followers
+    ]
+    for _ in followers:  # which may follow each other
+        for follower, joint, leader in followers:
+            if leader in places:
+                places.setdefault(joint, follower.ratio * places[leader] + follower.offset)
+    return places
+
+
+def pinocchio_or_none() -> ModuleType | None:
+    """Return Pinocchio, where it is installed."""
+    try:
+        import pinocchio
+    except ImportError:
+        return None
+    return pinocchio if hasattr(pinocchio, "buildModelFromXML") else None
+
+
+def _by_pinocchio(
+    model: RobotModel, texts: Sequence[ModelText], held: Places, units: Units
+) -> OtherProgram | str:
+    pinocchio = pinocchio_or_none()
+    if pinocchio is None:
+        return 'Pinocchio, which reads URDF, is not installed: pip install "geodrake[export]"'
+    try:
+        theirs = _joined_by_pinocchio(pinocchio, model, texts)
+    except ModelError:
+        raise
+    except Exception as error:  # of any kind, by an extension module
+        return f"Pinocchio does not read the file: {' '.join(str(error).split())[:200]}"
+    theirs.gravity.linear = np.array(model.tree.gravity)
+    known = {name.partition("::")[2]: name for name in theirs.names}
+    named = {_named(unit): len(unit) - 1 + unit[-1].num_velocities() for unit in units}
+    held = {known.get(name, name): place for name, place in held.items()}
+    there = [name for name in (*named, *held) if theirs.existJointName(name)]
+    own = {name: theirs.joints[theirs.getJointId(name)] for name in there}
+    sizes = {**dict.fromkeys(held, 1), **named}
+    if any(name not in own or own[name].nv != nv or nv == 3 for name, nv in sizes.items()):
+        return "Pinocchio has other joints"
+    places = {
+        name: (slice(j.idx_q, j.idx_q + j.nq), slice(j.idx_v, j.idx_v + j.nv))
+        for name, j in own.items()
+    }
+    data = theirs.createData()
+
+    def free(R: RotationMatrix, p: Array, v: Array) -> tuple[Array, Array, Array]:
+        T, back = np.zeros((6, 6)), R.matrix().T
+        T[:3, 3:] = T[3:, :3] = back
+        w, x, y, z = R.ToQuaternion().wxyz()
+        linear, angular = back @ v[3:], back @ v[:3]
+        bias = np.concatenate([-np.cross(angular, linear), np.zeros(3)])
+        return np.concatenate([p, [x, y, z, w]]), T, bias
+
+    position = pinocchio.neutral(theirs)
+    for name, place in held.items():
+        joint = own[name]  # one without limits has its cosine and sine
+        at = [place] if joint.nq == 1 else [np.cos(place), np.sin(place)]
+        position[joint.idx_q : joint.idx_q + joint.nq] = at
+    return OtherProgram(
+        f"Pinocchio {pinocchio.__version__}",
+        (position, *np.zeros((2, theirs.nv))),
+        [places[_named(unit)] for unit in units],
+        free,
+        lambda q, v, vd: pinocchio.rnea(theirs, data, q, v, vd),
+    )
+
+
+def _by_drake(model: RobotModel, held: Places, units: Units) -> OtherProgram | str:
+    """Return Drake with the file as it stands, which geodrake simplifies before Drake reads it."""
+    plant, own = MultibodyPlant(time_step=0.0), model.plant
+    parser = Parser(plant)
+    floating = {base[-1].child_body().scoped_name().get_full() for base in base_joints(own)}
+    try:
+        with drake_messages(), drake_errors(model.path):
+            description = read_description(model.path, model.given)
+            description.add_every_package(parser.package_map())
+            parser.AddModels(str(model.path))
+            open_loops(plant)
+            for body in free_roots(plant):
+                if body.scoped_name().get_full() not in floating:
+                    X_WB = plant.GetDefaultFloatingBaseBodyPose(body)
+                    plant.WeldFrames(plant.world_frame(), body.body_frame(), X_WB)
+            for index in plant.GetJointActuatorIndices():
+                plant.get_mutable_joint_actuator(index).set_default_rotor_inertia(0.0)
+            plant.mutable_gravity_field().set_gravity_vector(model.tree.gravity)
+            plant.Finalize()
+    except ModelError as error:
+        return f"Drake does not read the file as it stands: {error.problem.rstrip('.')}"
+    context, places = plant.CreateDefaultContext(), list[tuple[slice, slice]]()
+    joints = {scoped(joint): joint for joint in moving_joints(plant)}
+    for unit in units:
+        if len(unit) > 1:
+            child = unit[-1].child_body()
+            instance = plant.GetModelInstanceByName(
+                own.GetModelInstanceName(child.model_instance())
+            )
+            body = plant.GetBodyByName(child.name(), instance)
+            q, v = body.floating_positions_start(), body.floating_velocities_start_in_v()
+            places.append((slice(q, q + 7), slice(v, v + 6)))
+        elif (joint := joints.get(scoped(unit[0]))) is None:
+            return "Drake has other joints in the file as it stands"
+        else:
+            places.append(part((joint,)))
+    rest = plant.GetPositions(context)
+    for joint in joints.values():
+        if joint.name() in held:
+            rest[joint.position_start()] = held[joint.name()]
+
+    def free(R: RotationMatrix, p: Array, v: Array) -> tuple[Array, Array, Array]:
+        return np.concatenate([R.ToQuaternion().wxyz(), p]), np.eye(6), np.zeros(len(v))
+
+    def inverse_dynamics(q: Array, v: Array, vd: Array) -> Array:
+        plant.SetPositions(context, q)
+        plant.SetVelocities(context, v)
+        effort = plant.CalcInverseDynamics(context, vd, MultibodyForces(plant))
+        return np.asarray(effort - plant.CalcGravityGeneralizedForces(context))
+
+    by = f"Drake {version('drake')} of the file as it stands"
+    return OtherProgram(
+        by, (rest, *np.zeros((2, plant.num_velocities()))), places, free, inverse_dynamics
+    )
+
+
+def _named(unit: tuple[Joint, ...]) -> str:
+    """Return the name of a joint, or of a free base, in `_joined_by_pinocchio`."""
+    model = unit[-1].child_body().scoped_name().get_namespace()
+    return f"{model}::{'root_joint' if len(unit) > 1 else unit[-1].name()}"
+
+
+def _joined_by_pinocchio(
+    pinocchio: ModuleType, model: RobotModel, texts: Sequence[ModelText]
+) -> Any:
+    """Return Pinocchio's model of files, welded together where the plant has them.
+
+    Names of joints and frames have those of their model before them.
+    """
+    whole, plant = pinocchio.Model(), model.plant
+    context = plant.CreateDefaultContext()
+    for text in texts:
+        scope = text.links[0].rpartition("::")[0]
+        data = read_expanded(text.path, model.given)
+        name, own = _root_of(parse_xml_bytes(data, text.path), text).rsplit("::", 1)
+        root = plant.world_body()
+        if own != "world":
+            root = plant.GetBodyByName(own, plant.GetModelInstanceByName(name))
+        floats = any(base[-1].child_body().index() == root.index() for base in base_joints(plant))
+        free = {"root_joint": pinocchio.JointModelFreeFlyer()} if floats else {}
+        part = pinocchio.buildModelFromXML(data.decode(errors="replace"), *free.values())
+        for at in range(1, part.njoints):
+            part.names[at] = f"{scope}::{part.names[at]}"
+        for frame in part.frames:
+            frame.name = f"{scope}::{frame.name}"
+        welded = {b.scoped_name().get_full(): b for b in plant.GetBodiesWeldedTo(root)}
+        there = [name for name in welded if whole.existFrame(name)]
+        frame, X = 0, RigidTransform()
+        if there:
+            parent = welded[there[0]].body_frame()
+            frame, X = whole.getFrameId(there[0]), root.body_frame().CalcPose(context, parent)
+        elif not free:  # as its root has no place of its own
+            X = root.body_frame().CalcPoseInWorld(context)
+        pose = pinocchio.SE3(X.rotation().matrix(), X.translation())
+        whole = pinocchio.appendModel(whole, part, frame, pose)
+    return whole
+
+
+def _root_of(xml: Element, text: ModelText) -> str:
+    """Return the scoped name of the link of a file that no joint moves."""
+    links = [link.get("name", "") for link in xml.iter("link")]
+    ends = {kind: [e.get("link", "") for e in xml.iter(kind)] for kind in _ENDS}
+    if not set(links).issuperset(e for own in ends.values() for e in own):
+        raise ValueError("it has joints whose links it lacks")
+    name = next((link for link in links if link not in ends["child"]), links[0])
+    return f"{text.links[0].rpartition('::')[0]}::{name}"
+
 
 Quantities = dict[str, Array]
 
@@ -119,7 +363,7 @@ def check_dynamics(model: RobotModel, *, samples: int = 100, seed: int = 0) -> D
     states, phi = _random_states(model, samples, rng), model.total_phi
     others = _random_bodies(phi, samples, rng)
     ours = _by_recursion(model, states, phi, others)
-    drakes = _by_drake(model, states, others)
+    drakes = _by_plant(model, states, others)
     largest = float(np.abs(drakes["inverse dynamics"]).max(initial=0.0))
     sizes = {"mass matrix": float(np.abs(drakes["mass matrix"]).max(initial=0.0))}
     agreements = tuple(
@@ -181,7 +425,7 @@ def _by_recursion(model: RobotModel, states: States, phi: Array, others: Array) 
     }
 
 
-def _by_drake(model: RobotModel, states: States, others: Array) -> Quantities:
+def _by_plant(model: RobotModel, states: States, others: Array) -> Quantities:
     """Return the same by MultibodyPlant, whose joints move with their leaders and actuators."""
     plant = model.plant
     q, v, vd, jacobians = model.coordinates.tree_samples(*states)

@@ -316,14 +316,8 @@ def joint_formulas(tree: KinematicTree, q: Formulas) -> Formulas:
             "position.",
             advice="Write the formula of the joints, and map it in your own code.",
         )
-    whole = Symbols.of(np.zeros(actuation.sizes[0]))
-    own, joints = actuation.kept_q
-    whole[joints] = q[own]
-    for place in actuation.places:
-        J, still = place.drive.map.constant_jacobian, np.zeros((1, len(place.actuator_q)))
-        shift = place.drive.map.joint_positions(still)[0]
-        whole[place.joint_q] = J @ q[place.actuator_q] + shift
-    return whole
+    shift = actuation.tree_positions(np.zeros((1, len(q))))[0]
+    return (actuation.tree_positions(np.eye(len(q))) - shift).T @ q + shift
 
 
 def _rooms(shape: Any, dtype: np.dtype[Any] | None = None) -> Any:

@@ -20,7 +20,7 @@ from geodrake.inertia.bodies import lumped_bodies
 from geodrake.logs.floating import FLAG, FORCE, ContactFlags, frames_of, vectors, widened
 from geodrake.logs.motion import JointLog
 from geodrake.model.robot_model import RobotModel
-from geodrake.robot.files.values import numbers
+from geodrake.robot.files.checks import numbers
 from geodrake.robot.files.xacro_file import read_expanded
 from geodrake.robot.files.xml_text import parse_xml_bytes
 

@@ -32,10 +32,15 @@ from geodrake.robot.followers import Follower, OwnPlaces, scoped
 from geodrake.robot.holding import moving_joints
 from geodrake.robot.joints import Features, axis_motion, slide_motion
 from geodrake.robot.kinematics import KinematicTree, Mobilizer
-from geodrake.robot.loop_recursion import CLOSURE, Indices, LoopRecords, calc_misses
 from geodrake.robot.recursion import TreeRecords
 from geodrake.robot.stated import WORLD, Closure
-from geodrake.robot.transmission.loop import LoopTransmission
+from geodrake.robot.transmission.loop import (
+    CLOSURE,
+    Indices,
+    LoopRecords,
+    LoopTransmission,
+    calc_misses,
+)
 from geodrake.robot.transmission.statements import Drive, Followers
 
 _FREE = 1e-5  # share of the largest column, at which one counts as no combination of others

@@ -38,12 +38,12 @@ from pydrake.multibody.tree import BodyIndex
 from pydrake.systems.framework import DiagramBuilder
 
 from geodrake.errors import ModelError
+from geodrake.robot.files.checks import drop
 from geodrake.robot.files.description import drake_errors, drake_messages, read_description
 from geodrake.robot.files.given import Given
 from geodrake.robot.files.includes import Includes, check_geometry
 from geodrake.robot.files.mjcf_source import compiled, load_mujoco
 from geodrake.robot.files.mjcf_terms import pose_of
-from geodrake.robot.files.values import drop
 from geodrake.robot.files.xacro_file import read_expanded
 from geodrake.robot.files.xml_text import parse_xml_bytes
 from geodrake.robot.mesh_files import READERS, check_mesh, wavefront, wavefront_text

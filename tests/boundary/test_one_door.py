@@ -59,7 +59,7 @@ CHECKED = {
     "logs/files/lcm_log.py": {"EventLog"},
     "logs/files/lerobot_dataset.py": {"read_table"},
     "logs/files/ros_bag.py": {"Reader"},
-    "model/second_opinion.py": {"AddModels"},
+    "model/dynamics_check.py": {"AddModels"},
     "robot/files/description.py": {"ProcessModelDirectives"},
     "robot/shapes.py": {"AddModels", "MemoryFile"},  # the latter of text
 }

@@ -30,9 +30,9 @@ from geodrake.control.export_proof.reference import Drives
 from geodrake.effects import Effect
 from geodrake.errors import ModelError
 from geodrake.inertia import Array
+from geodrake.model.dynamics_check import second_opinion
 from geodrake.model.file_terms import Damping, DryFriction, Rotor
 from geodrake.model.robot_model import RobotModel, load_description
-from geodrake.model.second_opinion import second_opinion
 from geodrake.robot.files.description import drake_errors, drake_messages
 from geodrake.robot.files.mjcf_source import quiet_mujoco
 from geodrake.robot.files.packages import add_packages, named_packages

@@ -13,10 +13,10 @@ from geodrake.effects import Effect
 from geodrake.model.file_terms import Damping, DryFriction, Rotor, Spring
 from geodrake.model.robot_model import RobotModel, from_loaded_plant
 from geodrake.model.signal_efforts import servos_of
+from geodrake.robot.files.checks import words
 from geodrake.robot.files.description import model_text_of
 from geodrake.robot.files.mjcf import MjcfText
 from geodrake.robot.files.model_edits import EditedFile
-from geodrake.robot.files.values import words
 from geodrake.robot.plant import load_plant, scoped_joint_names
 
 _TERMS: Mapping[type[Effect], str] = {

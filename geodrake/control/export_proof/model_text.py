@@ -24,6 +24,7 @@ from geodrake.inertia.bodies import lumped_bodies
 from geodrake.model.export import export_bodies, file_kind, repair_comments
 from geodrake.model.file_terms import Tilt
 from geodrake.model.robot_model import RobotModel, is_of_file
+from geodrake.robot.files.checks import words
 from geodrake.robot.files.description import model_text_of
 from geodrake.robot.files.mjcf import MjcfText
 from geodrake.robot.files.model_edits import (
@@ -32,7 +33,6 @@ from geodrake.robot.files.model_edits import (
     put_numbers,
 )
 from geodrake.robot.files.source_text import comment_words
-from geodrake.robot.files.values import words
 from geodrake.robot.files.xacro_file import read_expanded
 from geodrake.robot.followers import joint_names, scoped
 from geodrake.robot.holding import moving_joints

@@ -19,9 +19,10 @@ from geodrake.robot.files.checks import (
     check_limits,
     check_links,
     check_numbers,
+    drop,
+    numbers,
 )
 from geodrake.robot.files.model_edits import put_inertia
-from geodrake.robot.files.values import drop, numbers
 from geodrake.robot.files.xml_text import numbered_text, place_of, wrong_at
 from geodrake.robot.followers import Follower
 from geodrake.robot.stated import Closure, FileTerms, Spring

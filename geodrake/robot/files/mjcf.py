@@ -11,13 +11,21 @@ from pydrake.math import RigidTransform, RotationMatrix
 
 from geodrake.inertia import Array
 from geodrake.robot.files.base import ModelText
-from geodrake.robot.files.checks import MJCF_NUMBERS, check_limits, check_numbers
+from geodrake.robot.files.checks import (
+    MJCF_NUMBERS,
+    UPPER,
+    check_limits,
+    check_numbers,
+    inertial_parameters_of,
+    numbers,
+    symmetric,
+    words,
+)
 from geodrake.robot.files.includes import Includes
 from geodrake.robot.files.mjcf_source import CompiledMjcf, compiled, load_mujoco, unused
 from geodrake.robot.files.mjcf_terms import actuator_shares, pose_of, terms_of
 from geodrake.robot.files.model_edits import MOTORS
 from geodrake.robot.files.motors import mjcf_motors
-from geodrake.robot.files.values import UPPER, inertial_parameters_of, numbers, symmetric, words
 from geodrake.robot.files.xml_text import LocatedElement
 from geodrake.robot.transmission.statements import Statement
 

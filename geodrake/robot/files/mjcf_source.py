@@ -26,8 +26,8 @@ import numpy as np
 from geodrake.boundary.input_files import read_regular
 from geodrake.errors import ModelError
 from geodrake.inertia import Array
+from geodrake.robot.files.checks import drop
 from geodrake.robot.files.includes import Includes
-from geodrake.robot.files.values import drop
 from geodrake.robot.files.xml_text import (
     LARGEST_FILE,
     numbered_text,

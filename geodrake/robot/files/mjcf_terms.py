@@ -426,12 +426,13 @@ class _Terms:
         on_what, motors = self.mujoco.mjtTrn, zip(m.actuator_trnid, m.actuator_trntype, strict=True)
         at_joints = (on_what.mjTRN_JOINT, on_what.mjTRN_JOINTINPARENT)
         driven = {int(on[0]) for on, kind in motors if int(kind) in at_joints}
-        leader, own = sorted(shares, key=lambda joint: joint not in driven)
-        names = self._joint(own), self._joint(leader)
-        if self._follows_already(*names):
-            return False
-        known.append(Follower(*names, -shares[leader] / shares[own], length / shares[own]))
-        return True
+        first, second = sorted(shares, key=lambda joint: joint not in driven)
+        for own, leader in ((second, first), (first, second)):
+            names = self._joint(own), self._joint(leader)
+            if not self._follows_already(*names):
+                known.append(Follower(*names, -shares[leader] / shares[own], length / shares[own]))
+                return True
+        return False
 
     def _follow(self, first: int, second: int, data: Array) -> None:
         """Take that Y − y₀ = p(x − x₀), y₀ and x₀ at the file's own pose."""

@@ -12,8 +12,8 @@ import numpy as np
 
 from geodrake.errors import ModelError
 from geodrake.inertia import Array, to_mass_com_inertia
+from geodrake.robot.files.checks import UPPER, numbers, rotation, tensor_words, words
 from geodrake.robot.files.source_text import check_in_itself, comment_words, edited
-from geodrake.robot.files.values import UPPER, numbers, rotation, tensor_words, words
 from geodrake.robot.files.xml_text import SUPPORTED_FORMATS, LocatedElement, parse_xml_bytes
 
 Change = Mapping[str, float]

@@ -22,9 +22,9 @@ import numpy as np
 
 from geodrake.errors import ModelError
 from geodrake.inertia import Array
+from geodrake.robot.files.checks import numbers
 from geodrake.robot.files.mjcf_source import load_mujoco
 from geodrake.robot.files.mjcf_terms import actuator_shares
-from geodrake.robot.files.values import numbers
 from geodrake.robot.transmission.statements import Coupled, Gear, Statement
 
 _KINDS = ("SimpleTransmission", "DifferentialTransmission", "FourBarLinkageTransmission")

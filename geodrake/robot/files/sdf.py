@@ -9,11 +9,8 @@ import numpy as np
 from geodrake.errors import ModelError
 from geodrake.inertia import Array
 from geodrake.robot.files.base import SDF_UNREAD, ModelText, is_nothing, unread
-from geodrake.robot.files.checks import SDF_NUMBERS
-from geodrake.robot.files.includes import Includes
-from geodrake.robot.files.model_edits import sdf_models
-from geodrake.robot.files.packages import PACKAGE_ADVICE
-from geodrake.robot.files.values import (
+from geodrake.robot.files.checks import (
+    SDF_NUMBERS,
     TENSOR,
     drop,
     inertial_parameters_of,
@@ -21,6 +18,9 @@ from geodrake.robot.files.values import (
     rotation,
     symmetric,
 )
+from geodrake.robot.files.includes import Includes
+from geodrake.robot.files.model_edits import sdf_models
+from geodrake.robot.files.packages import PACKAGE_ADVICE
 from geodrake.robot.files.xml_text import wrong_at
 
 _SPRING = ("spring_stiffness", "spring_reference")

@@ -7,10 +7,9 @@ from xml.etree.ElementTree import Element
 
 from geodrake.inertia import Array
 from geodrake.robot.files.base import URDF_UNREAD, ModelText, is_nothing, unread
-from geodrake.robot.files.checks import URDF_NUMBERS
-from geodrake.robot.files.motors import urdf_motors
-from geodrake.robot.files.values import (
+from geodrake.robot.files.checks import (
     TENSOR,
+    URDF_NUMBERS,
     drop,
     inertial_parameters_of,
     number,
@@ -18,6 +17,7 @@ from geodrake.robot.files.values import (
     rotation,
     symmetric,
 )
+from geodrake.robot.files.motors import urdf_motors
 from geodrake.robot.files.xml_text import wrong_at
 from geodrake.robot.transmission.statements import Statement
 

@@ -1,20 +1,366 @@
-"""Closed loops as transmissions, from the free joints to all; see `geodrake.robot.loops`."""
+"""Closed loops as transmissions, from the free joints to all; see `geodrake.robot.loops`.
+
+What closures miss by, c(θ), is in shares of the size of the loop, and rad. Joints that follow solve
+J θ̇ = 0 with the free ones' θ̇ in the sense of least squares, as closures may say more than is
+needed: those of a flat linkage also hold it in its plane.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import product
+from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 
 from geodrake.boundary.showing import Short
-from geodrake.compiling import contiguous
+from geodrake.compiling import compiled, contiguous, inlined
 from geodrake.errors import ArgumentError
 from geodrake.inertia import Array
-from geodrake.robot.loop_recursion import Indices, LoopRecords, calc_loop, calc_loop_rates
+from geodrake.robot.recursion import MOTION, POSE, Record, TreeRecords, pose, put_pose
 from geodrake.robot.transmission.base import Transmission
+from geodrake.robot.vectors import (
+    Vector,
+    add,
+    column,
+    cross,
+    put,
+    scale,
+    subtract,
+    times,
+    vector,
+)
+
+Indices = NDArray[np.int64]
+
+_LONGEST, _SHORTEST = 0.25, 1e-6  # steps on the way to a posture, rad or shares of the size
+_MOST_STEPS, _MOST_ITERATIONS = 400, 15
+_STILL = 1e-12  # rad or share of the size, by which the last iteration moves
+_STEP = 2e-3  # rad or share of the size: differences err by about 1e-12
+_SLACK = 1e-3  # the same, by which a step may miss beside half of itself
+
+CLOSURE = np.dtype(
+    [
+        ("mobilizers", np.int64, (2,)),  # -1 of what stands still
+        ("rotations", float, (2, 3, 3)),
+        ("positions", float, (2, 3)),
+        ("turns", np.int64),
+    ],
+    align=True,
+)
+"""A closure for compiled code: mobilizers of its bodies, and its frames in them."""
+
+LoopRecords = tuple[
+    TreeRecords, NDArray[np.void], Indices, NDArray[np.float64], Indices, Indices, Array, Array
+]
+"""A loop of k joints for compiled code.
+
+Its mobilizers; its closures; on which side of each closure each mobilizer is: −1 and 1, and 0 where
+it moves both or none; (·, k, ·) coefficients of polynomials in each joint whose sums are zero;
+numbers of the n free joints, and of those that follow; (k,) the posture of the file; and (k + 1,)
+how far joints go that move as far as a radian, with the size of the loop behind them, m.
+"""
+
+
+@inlined
+def _frame(closure: Record, side: int, world: Record, R: Array, p: Array) -> None:
+    """Write the rotation and origin of a closure's frame into R (2, 3, 3) and p (2, 3)."""
+    at, place = closure.mobilizers[side], vector(closure.positions[side])
+    if at >= 0:
+        place = vector(world[at].p_WoBo_W)
+    for k in range(3):
+        axis = column(closure.rotations[side], k)
+        if at >= 0:
+            axis = times(world[at].R_WB, axis)
+            place = add(place, scale(closure.positions[side, k], column(world[at].R_WB, k)))
+        R[side, 0, k], R[side, 1, k], R[side, 2, k] = axis
+    put(p[side], place)
+
+
+@inlined
+def _axis(mobilizer: Record, motion: Record, world: Record) -> tuple[Vector, Vector, Vector]:
+    """Return ω and the velocity of Mo where a joint moves at 1, and where Mo is, in the world."""
+    z, t = column(mobilizer.angular, 0), column(mobilizer.linear, 0)
+    place, parent = vector(motion.p_PMo), mobilizer.parent
+    if parent >= 0:
+        R = world[parent].R_WB
+        z, t = times(R, z), times(R, t)
+        place = add(vector(world[parent].p_WoBo_W), times(R, place))
+    return z, t, place
+
+
+@inlined
+def _copy(x: Array, out: Array) -> None:
+    # (Arrays that are assigned check their shapes, which takes seconds to compile.)
+    for j in range(len(x)):
+        out[j] = x[j]
+
+
+@inlined
+def _put(out: Array, first: int, at: int, factor: float, values: Vector) -> None:
+    out[first, at] += factor * values[0]
+    out[first + 1, at] += factor * values[1]
+    out[first + 2, at] += factor * values[2]
+
+
+@compiled
+def _find_misses(loop: Any, x: Array, room: Any, c: Array, J: Array) -> None:
+    """Write by how much closures miss, (m,), and J (m, k), at x (1, k)."""
+    (mobilizers, _), closures, sides, couplings = loop[0], loop[1], loop[2], loop[3]
+    size = loop[7][-1]
+    motions, world, features, R, p = room
+    c[:], J[:] = 0.0, 0.0
+    for i in range(len(mobilizers)):
+        pose(mobilizers[i], x, 0, features, motions[i])
+        put_pose(mobilizers[i], motions[i], world, world[i])
+    first = 0
+    for e in range(len(closures)):
+        closure = closures[e]
+        for side in range(2):
+            _frame(closure, side, world, R, p)
+        for j in range(3):
+            c[first + j] = (p[1, j] - p[0, j]) / size
+        if closure.turns:
+            for k in range(3):
+                a = R[0, 0, k], R[0, 1, k], R[0, 2, k]
+                b = R[1, 0, k], R[1, 1, k], R[1, 2, k]
+                turn = cross(a, b)
+                for j in range(3):
+                    c[first + 3 + j] += 0.5 * turn[j]
+        for i in range(len(mobilizers)):
+            side = sides[e, i]
+            if side != 0:
+                at = mobilizers[i].velocities[0]
+                z, t, place = _axis(mobilizers[i], motions[i], world)
+                end = vector(p[(side + 1) // 2])
+                _put(J, first, at, side / size, add(t, cross(z, subtract(end, place))))
+                if closure.turns:
+                    _put(J, first + 3, at, float(side), z)
+        first += 6 if closure.turns else 3
+    _add_couplings(couplings, x, first, c, J)
+
+
+@inlined
+def _add_couplings(couplings: Array, x: Array, first: int, c: Array, J: Array) -> None:
+    """Add sums of polynomials in the joints, and their slopes."""
+    for row in range(len(couplings)):
+        for k in range(J.shape[1]):
+            power, slope = 1.0, 0.0
+            for n in range(couplings.shape[2]):
+                c[first + row] += couplings[row, k, n] * power
+                J[first + row, k] += couplings[row, k, n] * slope
+                slope, power = (n + 1) * power, power * x[0, k]
+
+
+@compiled
+def _find_rates(loop: Any, motion: Any, rooms: Any, rate: Array) -> None:
+    """Write J̇ (m, k) at x (k,) and ẋ (k,), by differences of J of the fourth order."""
+    (at, xd), (room, _, c, J, x), speed = motion, rooms, 0.0
+    rate[:] = 0.0
+    for j in range(len(xd)):
+        speed = max(speed, abs(xd[j]) / loop[7][j])
+    for weight, steps in ((8.0, 1.0), (-8.0, -1.0), (-1.0, 2.0), (1.0, -2.0)):
+        if speed > 0.0:
+            for j in range(len(xd)):
+                x[0, j] = at[j] + steps * _STEP / speed * xd[j]
+            _find_misses(loop, x, room, c, J)
+            for i in range(len(c)):
+                for j in range(len(xd)):
+                    rate[i, j] += weight * speed / (12.0 * _STEP) * J[i, j]
+
+
+@inlined
+def _solve_least(A: Array, B: Array, T: Array, X: Array) -> None:
+    """Write X (d, ·) with the least |A X − B|, by modified Gram–Schmidt; A and B are used up."""
+    m, d = A.shape
+    for j in range(d):
+        square = 0.0
+        for i in range(m):
+            square += A[i, j] ** 2
+        T[j, j] = np.sqrt(square)
+        for i in range(m):
+            A[i, j] /= T[j, j]
+        for k in range(j + 1, d):
+            along = 0.0
+            for i in range(m):
+                along += A[i, j] * A[i, k]
+            T[j, k] = along
+            for i in range(m):
+                A[i, k] -= along * A[i, j]
+        for k in range(B.shape[1]):
+            along = 0.0
+            for i in range(m):
+                along += A[i, j] * B[i, k]
+            X[j, k] = along
+            for i in range(m):
+                B[i, k] -= along * A[i, j]
+    for j in range(d - 1, -1, -1):
+        for k in range(B.shape[1]):
+            for i in range(j + 1, d):
+                X[j, k] -= T[j, i] * X[i, k]
+            X[j, k] /= T[j, j]
+
+
+@compiled
+def _follow(loop: Any, J: Array, B: Array, rooms: Any, out: Array) -> None:
+    """Write the followers' rows of the solution of J out = B from the other joints' rows."""
+    free, following = loop[4], loop[5]
+    A, rest, T, X = rooms
+    for i in range(len(J)):
+        for k in range(len(following)):
+            A[i, k] = J[i, following[k]]
+        for k in range(out.shape[1]):
+            rest[i, k] = B[i, k]
+            for f in free:
+                rest[i, k] -= J[i, f] * out[f, k]
+    part = rest[:, : out.shape[1]]
+    _solve_least(A, part, T, X)
+    for k in range(len(following)):
+        for x in range(out.shape[1]):
+            out[following[k], x] = X[k, x]
+
+
+@inlined
+def _rooms(loop: Any) -> Any:
+    """Room for poses, for what `_follow` solves with, for c (m,), J (m, k) and a posture (1, k)."""
+    (mobilizers, _), closures, m, k = loop[0], loop[1], len(loop[3]), len(loop[6])
+    width, d = max(len(loop[4]), 1), len(loop[5])
+    for e in range(len(closures)):
+        m += 6 if closures[e].turns else 3
+    motions, world = np.empty(len(mobilizers), MOTION), np.empty(len(mobilizers), POSE)
+    room = motions, world, np.empty(9), np.empty((2, 3, 3)), np.empty((2, 3))
+    solving = np.empty((m, d)), np.empty((m, width)), np.empty((d, d)), np.empty((d, width))
+    return room, solving, np.empty(m), np.empty((m, k)), np.empty((1, k))
+
+
+@compiled
+def _close(loop: Any, rooms: Any, most: float) -> bool:
+    """Close the loop near the posture in the last room by Newton's method, if that is near it.
+
+    Its joints move by `most` at most, rad or shares of the size.
+    """
+    units, (room, solving, c, J, x) = loop[7], rooms
+    step, miss, moved = np.zeros((J.shape[1], 1)), np.empty((len(c), 1)), 0.0
+    for _ in range(_MOST_ITERATIONS):
+        _find_misses(loop, x, room, c, J)
+        for i in range(len(c)):
+            miss[i, 0] = -c[i]
+        step[:] = 0.0
+        _follow(loop, J, miss, solving, step)
+        last = 0.0
+        for j in range(len(step)):
+            x[0, j] += step[j, 0]
+            last = max(last, abs(step[j, 0]) / units[j])
+        moved += last
+        if last <= _STILL or not moved <= most:
+            break
+    return last <= _STILL and moved <= most
+
+
+@compiled
+def _go(loop: Any, wanted: Array, x: Array, rooms: Any) -> float:
+    """Take the posture x (k,) to where the free joints are as wanted (n,).
+
+    Each step goes along the tangent, and then to where the loop is closed; where that is far, the
+    step is shorter.
+    """
+    free, units, (room, solving, c, J, trial) = loop[4], loop[7], rooms
+    none, move = np.zeros((len(c), 1)), np.zeros((len(x), 1))
+    done, longest = 0.0, _LONGEST
+    for _ in range(_MOST_STEPS):
+        _copy(x, trial[0])
+        _find_misses(loop, trial, room, c, J)
+        for f in range(len(free)):
+            move[free[f], 0] = wanted[f] - x[free[f]]
+        _follow(loop, J, none, solving, move)
+        length = 0.0
+        for j in range(len(x)):
+            length = max(length, abs(move[j, 0]) / units[j])
+        share = 1.0 if length <= longest else longest / length
+        for j in range(len(x)):
+            trial[0, j] += share * move[j, 0]
+        if share == 1.0:
+            for f in range(len(free)):
+                trial[0, free[f]] = wanted[f]
+        if _close(loop, rooms, 0.5 * share * length + _SLACK):
+            _copy(trial[0], x)
+            if share == 1.0:
+                return 1.0
+            done += (1.0 - done) * share
+            longest = min(2.0 * longest, _LONGEST)
+        else:
+            longest = 0.5 * min(longest, length)
+        if not longest > _SHORTEST:
+            break
+    return done
+
+
+@compiled
+def calc_misses(loop: LoopRecords, x: Array, out: Array) -> None:
+    """Write by how much closures miss, and J, into out (m, 1 + k), at x (1, k)."""
+    room, _, c, J, _ = _rooms(loop)
+    _find_misses(loop, x, room, c, J)
+    _copy(c, out[:, 0])
+    for j in range(len(J)):
+        _copy(J[j], out[j, 1:])
+
+
+@compiled
+def calc_loop(loop: LoopRecords, wanted: Array, theta: Array, G: Array, reached: Array) -> None:
+    """Write postures θ (N, k) of a loop with its free joints where wanted (N, n), and G (N, k, n).
+
+    `reached` (N,) gets the share of the way from the posture of the file that was possible: 1 where
+    the loop closes at what is wanted.
+    """
+    free, reference, rooms = loop[4], loop[6], _rooms(loop)
+    room, solving, c, J, x = rooms
+    none = np.zeros((len(c), max(len(free), 1)))
+    for i in range(len(wanted)):
+        done, near, far = 0.0, 0.0, 0.0
+        before = theta[i - 1] if i > 0 and reached[i - 1] == 1.0 else reference
+        for f in range(len(free)):  # in rad or shares of the size
+            unit, at = loop[7][free[f]], free[f]
+            near = max(near, abs(wanted[i, f] - before[at]) / unit)
+            far = max(far, abs(wanted[i, f] - reference[at]) / unit)
+        if near < far:
+            _copy(before, theta[i])
+            done = _go(loop, wanted[i], theta[i], rooms)
+        if done < 1.0:
+            _copy(reference, theta[i])
+            done = _go(loop, wanted[i], theta[i], rooms)
+        reached[i] = done
+        _copy(theta[i], x[0])
+        _find_misses(loop, x, room, c, J)
+        G[i] = 0.0
+        for f in range(len(free)):
+            G[i, free[f], f] = 1.0
+        _follow(loop, J, none, solving, G[i])
+
+
+@compiled
+def calc_loop_rates(loop: LoopRecords, theta: Array, G: Array, v: Array, out: Array) -> None:
+    """Write Ġ into zeros (N, k, n), at positions θ (N, k) with G, of velocities v (N, n)."""
+    rooms = _rooms(loop)
+    room, solving, c, J, x = rooms
+    (m, k), n = J.shape, v.shape[1]
+    rate, xd, B = np.empty((m, k)), np.empty(k), np.empty((m, n))
+    for i in range(len(theta)):
+        for j in range(k):
+            xd[j] = 0.0
+            for f in range(n):
+                xd[j] += G[i, j, f] * v[i, f]
+        _find_rates(loop, (theta[i], xd), rooms, rate)
+        _copy(theta[i], x[0])
+        _find_misses(loop, x, room, c, J)
+        for j in range(m):
+            for f in range(n):
+                B[j, f] = 0.0
+                for a in range(k):
+                    B[j, f] -= rate[j, a] * G[i, a, f]
+        _follow(loop, J, B, solving, out[i])
+
 
 _FAR = 10.0  # rad or sizes of the loop, up to where ends of its motion are looked for
 _OFF_THE_END = 1e-3  # of the way to an end, where the loop still moves
