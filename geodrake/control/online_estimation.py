@@ -327,7 +327,9 @@ class SampleUpdate(Short):
         if self.method == "nudge":
             nudged = slab_step(self.manifold, p, Y, effort, epsilon, relaxation=self._share)
             return SlabProjection(nudged, np.inf, 1)
-        found = slab_projection(self.manifold, p, Y, effort, epsilon, share=self._share)
+        found = slab_projection(
+            self.manifold, p, Y, effort - epsilon, effort + epsilon, share=self._share
+        )
         if found.certified:
             return found
         return self._toward(p, rows, None) if earlier is not None else found._replace(point=p)

@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 import abc
-from dataclasses import dataclass
+from collections.abc import Callable
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from geodrake.boundary.arguments import Sizes, number, real_array
 from geodrake.errors import ArgumentError
-from geodrake.manifolds.mirror import MirrorLine, MirrorSpan, scale_of
 
 Array = NDArray[np.float64]
 
@@ -19,7 +19,37 @@ _SMALL = 1e-3  # step below which five terms of a series are exact to rounding
 _MOST_STEPS = 80
 _SHORT = 0.25  # length in the metric of a Newton step that is taken in full
 _EXACT = 1e-7  # length of one after which the next would be its square
-_SHARE_OF_EDGE = 0.9
+
+
+class MirrorSpan(NamedTuple):
+    """Points y(λ) with ∇h(y) = ∇h(x) + Aᵀ λ, from a point x (n,) along covectors A (k, n).
+
+    Projections move along them ([Lee2019] Eq. (2.2.11): the optimum differs from x in its gradient
+    by a combination of rows), and they never leave the manifold.
+    """
+
+    # Pairs of matrices L, R (k, m) with A g(x)⁻¹ Aᵀ = Σ L Rᵀ, one a kind of factors.
+    halves: tuple[tuple[Array, Array], ...]
+    # Maps multipliers λ (k,) to y(λ) (n,), which is outside of the manifold, or not a number, where
+    # there is no such point.
+    point: Callable[[Array], Array]
+
+    @property
+    def products(self) -> Array:
+        """(k, k) inner products A g(x)⁻¹ Aᵀ of the covectors, a new array."""
+        (left, right), *others = self.halves
+        products = left @ right.T
+        for left, right in others:
+            products += left @ right.T
+        return products
+
+    @property
+    def squared_length(self) -> float:
+        """tr(A g(x)⁻¹ Aᵀ), of all covectors together."""
+        total = 0.0
+        for left, right in self.halves:
+            total += float(np.vdot(left, right))
+        return total
 
 
 class Manifold(abc.ABC):
@@ -36,6 +66,11 @@ class Manifold(abc.ABC):
     @abc.abstractmethod
     def dimension(self) -> int:
         """Number n of coordinates."""
+
+    @property
+    def least_weight(self) -> float:
+        """Least weight of a logarithm in the barrier; 1 if there is none below."""
+        return 1.0
 
     def contains(self, x: ArrayLike) -> NDArray[np.bool_]:
         """Return whether each point x (..., n) is inside the set; one that is not finite is not."""
@@ -138,21 +173,6 @@ class Manifold(abc.ABC):
         L = np.linalg.cholesky(metric * scale[:, None] * scale)
         return np.asarray(scale[:, None] * np.linalg.inv(L).T)
 
-    def calc_mirror_line(self, x: Array, b: Array) -> MirrorLine:
-        """Return the points y(t) with ∇h(y(t)) = ∇h(x) + t b, for points and covectors (..., n)."""
-        span = self.calc_mirror_span(x, b[None])
-
-        def point(t: float) -> Array:
-            return span.point(np.array([t]))
-
-        speed = float(np.sqrt(span.products[0, 0]))
-        longest = self._longest_line(x, b)
-        return MirrorLine(point, lambda t: float(np.vdot(b, point(t))), longest, scale_of(speed))
-
-    def _longest_line(self, x: Array, b: Array) -> float:
-        """Return the time at which the mirror line ends at infinity; never unless overridden."""
-        return np.inf
-
     def calc_mirror_span(self, x: Array, rows: Array) -> MirrorSpan:
         """Return points y(λ) with ∇h(y(λ)) = ∇h(x) + Aᵀ λ, for points and rows A (k, ..., n)."""
         flat = rows.reshape(len(rows), x.size)
@@ -174,10 +194,6 @@ class Manifold(abc.ABC):
         for index in np.ndindex(near.shape[:-1]):
             y[index] = _with_gradient(self, gradient[index], near[index])
         return y
-
-    def lift(self) -> Lift | None:
-        """Return a manifold with easier mirror lines of which this is a flat part, or None."""
-        return None
 
     def calc_retract(self, x: Array, v: Array) -> Array:
         """Kernel of `retract`."""
@@ -221,25 +237,6 @@ def excess(step: Array) -> Array:
     return np.where(np.abs(step) < _SMALL, series, step - np.log1p(step))
 
 
-@dataclass(frozen=True, eq=False)
-class Lift:
-    """A manifold as the points u = matrix x + offset of another one, with the same barrier."""
-
-    manifold: Manifold  # the other one, of dimension N
-    matrix: Array  # (N, n)
-    offset: Array  # (N,)
-    places: NDArray[np.intp]  # (n,) where the coordinates of x are among those of u
-    rows: Array  # (c, N) equations rows u = values of the points that are meant
-    values: Array  # (c,)
-
-    @classmethod
-    def nothing(cls, manifold: Manifold) -> Lift:
-        """Return a manifold as all of itself."""
-        n = manifold.dimension
-        places = np.arange(n)
-        return cls(manifold, np.eye(n), np.zeros(n), places, np.zeros((0, n)), np.zeros(0))
-
-
 def _with_gradient(manifold: Manifold, wanted: Array, y: Array) -> Array:
     """Return the point (n,) with a wanted gradient, from a first guess y; NaN if not found."""
     try:
@@ -247,8 +244,8 @@ def _with_gradient(manifold: Manifold, wanted: Array, y: Array) -> Array:
             off = wanted - manifold.calc_gradient(y)
             step = manifold.calc_inverse_metric_times(y, off)
             length = float(np.sqrt(max(float(off @ step), 0.0)))
-            share = 1.0 if length < _SHORT else 1.0 / (1.0 + length)
-            y = y + min(share, _SHARE_OF_EDGE * float(manifold.calc_longest_step(y, step))) * step
+            far = length / np.sqrt(manifold.least_weight)  # of one or less, a step is inside
+            y = y + (step if far < _SHORT else step / (1.0 + far))
             if length < _EXACT:
                 return y
     except (ArgumentError, np.linalg.LinAlgError):  # at the edge, on the way to infinity

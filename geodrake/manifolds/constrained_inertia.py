@@ -10,10 +10,8 @@ from numpy.typing import ArrayLike, NDArray
 from geodrake.boundary.arguments import Sizes, positive, real_array
 from geodrake.boundary.showing import Short
 from geodrake.inertia import PARAMETERS_PER_BODY
-from geodrake.manifolds.base import Array, Lift, Manifold, excess
+from geodrake.manifolds.base import Array, Manifold, excess
 from geodrake.manifolds.inertia import PhysicalInertia
-from geodrake.manifolds.interval import Positive
-from geodrake.manifolds.product import Product
 
 _INERTIA = PhysicalInertia()
 
@@ -47,6 +45,11 @@ class ConstrainedInertia(Manifold, Short):
     def dimension(self) -> int:
         """Ten."""
         return PARAMETERS_PER_BODY
+
+    @property
+    def least_weight(self) -> float:
+        """Return α, or 1 if that is less."""
+        return min(1.0, self.weight)
 
     def slacks(self, x: ArrayLike) -> Array:
         """Return how far each constraint is from being broken, aₖᵀ x − bₖ, (..., m)."""
@@ -83,18 +86,6 @@ class ConstrainedInertia(Manifold, Short):
         rows = self._scaled(x) @ T
         L = np.linalg.cholesky(np.eye(len(T)) + self.weight * rows.T @ rows)
         return np.asarray(T @ np.linalg.inv(L).T)
-
-    def lift(self) -> Lift:
-        """Return the body next to its slacks, as positive parameters."""
-        m = len(self.offsets)
-        return Lift(
-            Product((_INERTIA, Positive(m)), (1.0, self.weight)),
-            np.concatenate([np.eye(PARAMETERS_PER_BODY), self.normals]),
-            np.concatenate([np.zeros(PARAMETERS_PER_BODY), -self.offsets]),
-            np.arange(PARAMETERS_PER_BODY),
-            np.concatenate([self.normals, -np.eye(m)], 1),
-            self.offsets,
-        )
 
     def calc_inverse_metric_times(self, x: Array, b: Array) -> Array:
         """Return g(x)⁻¹ b by Woodbury's identity, [Lee2019] Eq. (B.4.21) without its factors 2.

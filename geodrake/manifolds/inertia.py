@@ -17,8 +17,7 @@ from geodrake.inertia.kernels import (
     calc_pseudo_inertia,
 )
 from geodrake.inertia.positive_definite import log_det_divergence, whitening
-from geodrake.manifolds.base import Array, Manifold
-from geodrake.manifolds.mirror import MirrorLine, MirrorSpan, scale_of
+from geodrake.manifolds.base import Array, Manifold, MirrorSpan
 from geodrake.manifolds.robot_kernels import (
     Factors,
     calc_clearly_inside,
@@ -88,23 +87,6 @@ class PhysicalInertia(Manifold):
         """P⁻¹(L E Lᵀ) (10, 10) for orthonormal symmetric E, which no scale costs precision."""
         L = _root(x)
         return calc_from_pseudo_inertia(L @ _UNIT_TANGENTS @ L.T).T
-
-    def calc_mirror_line(self, x: Array, b: Array) -> MirrorLine:
-        """P(y(t)) = L (𝟙 − t Lᵀ X(b) L)⁻¹ Lᵀ, from P⁻¹(y) = P⁻¹(x) − t X(b)."""
-        L = _root(x)
-        spectrum, axes = np.linalg.eigh(L.swapaxes(-1, -2) @ calc_dual(b) @ L)
-        turned, rates = L @ axes, spectrum.ravel().tolist()
-
-        def point(t: float) -> Array:
-            root = turned / np.sqrt(1.0 - t * spectrum)[..., None, :]
-            return calc_from_pseudo_inertia(root @ root.swapaxes(-1, -2))
-
-        def value(t: float) -> float:
-            return sum(rate / (1.0 - t * rate) for rate in rates)
-
-        most, least = max(rates), min(rates)
-        longest = 1.0 / most if most > 0 else np.inf
-        return MirrorLine(point, value, longest, scale_of(max(most, -least)))
 
     def calc_mirror_span(self, x: Array, rows: Array) -> MirrorSpan:
         """P(y(λ)) = L (𝟙 − Lᵀ X(Aᵀ λ) L)⁻¹ Lᵀ, from P⁻¹(y) = P⁻¹(x) − X(Aᵀ λ)."""

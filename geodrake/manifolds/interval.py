@@ -11,8 +11,7 @@ from numpy.typing import NDArray
 from geodrake.boundary.arguments import LARGEST, Sizes, integer, real_array
 from geodrake.compiling import contiguous
 from geodrake.errors import ArgumentError
-from geodrake.manifolds.base import Array, Manifold, excess, slowed_time
-from geodrake.manifolds.mirror import MirrorSpan
+from geodrake.manifolds.base import Array, Manifold, MirrorSpan, excess, slowed_time
 from geodrake.manifolds.robot_kernels import Factors, calc_natural_steps, robot_span
 
 _LONGEST_GROWTH = 300.0  # logarithm of a growth that is still a number
@@ -134,24 +133,11 @@ class Interval(Manifold):
         """Return the diagonal (n, n)."""
         return np.diag(1.0 / np.sqrt(self._curvature(x)))
 
-    def _longest_line(self, x: Array, b: Array) -> float:
-        """Return where the inverse slack of a parameter with one bound, linear in time, is zero."""
-        one = self._one_sided
-        most = float(((x[..., one] - self._only_bound) * b[..., one]).max(initial=0.0))
-        return 1.0 / most if most > 0 else np.inf
-
     def calc_mirror_span(self, x: Array, rows: Array) -> MirrorSpan:
-        """Treat each parameter by itself; NaN where one has no such point."""
+        """Of lower bounds alone, in the loop of robots."""
         if self.only_lower:
             return robot_span(contiguous(x), contiguous(rows), self._factors(x))
-        flat, start = rows.reshape(len(rows), x.size), self.calc_gradient(x)
-        scaled = (rows / np.sqrt(self._curvature(x))).reshape(flat.shape)
-
-        def point(multipliers: Array) -> Array:
-            added = (multipliers @ flat).reshape(x.shape)
-            return self.calc_point_of_gradient(start + added, x)
-
-        return MirrorSpan(((scaled, scaled),), point)
+        return super().calc_mirror_span(x, rows)
 
     def calc_point_of_gradient(self, gradient: Array, near: Array) -> Array:
         """Treat each parameter by itself; NaN where one has no such point."""

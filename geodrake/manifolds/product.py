@@ -8,15 +8,13 @@ from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.linalg import block_diag
 
 from geodrake.boundary.arguments import instances, real_array
 from geodrake.compiling import contiguous
 from geodrake.errors import ArgumentError
-from geodrake.manifolds.base import Array, Lift, Manifold
+from geodrake.manifolds.base import Array, Manifold, MirrorSpan
 from geodrake.manifolds.inertia import PhysicalInertia
 from geodrake.manifolds.interval import Interval
-from geodrake.manifolds.mirror import MirrorLine, MirrorSpan, joined
 from geodrake.manifolds.robot_kernels import (
     Factors,
     calc_clearly_inside,
@@ -117,7 +115,7 @@ class Product(Manifold):
     @cached_property
     def least_weight(self) -> float:
         """Return the least weight of a factor; 1 if there is none below."""
-        return min((1.0, *(weight for _, weight, _ in self._factors)))
+        return min((1.0, *(weight * each.least_weight for each, weight, _ in self._factors)))
 
     @cached_property
     def _groups(self) -> tuple[_FactorGroup, ...]:
@@ -203,33 +201,6 @@ class Product(Manifold):
         for factor, w, part in self._factors:
             frame[part, part] = factor.calc_frame(x[part]) / np.sqrt(w)
         return frame
-
-    def calc_mirror_line(self, x: Array, b: Array) -> MirrorLine:
-        """Return the line factor by factor; those that b has nothing of stay."""
-        lines = []
-        for group in self._groups:
-            used = group.part(b).any(-1)
-            if used.any():
-                places = group.places[used]
-                line = group.manifold.calc_mirror_line(x[places], group.light(b[places]))
-                lines.append((places, group.weight, line))
-        return joined(lines, x)
-
-    def lift(self) -> Lift | None:
-        """Return the lifts of the factors side by side, if there are any."""
-        own = [factor.lift() for factor in self.manifolds]
-        if not any(own):
-            return None
-        lifts = [a or Lift.nothing(f) for a, f in zip(own, self.manifolds, strict=True)]
-        starts = np.cumsum([0, *(len(a.offset) for a in lifts[:-1])])
-        return Lift(
-            Product(tuple(a.manifold for a in lifts), self.weights),
-            block_diag(*(a.matrix for a in lifts)),
-            np.concatenate([a.offset for a in lifts]),
-            np.concatenate([a.places + at for a, at in zip(lifts, starts, strict=True)]),
-            block_diag(*(a.rows for a in lifts)),
-            np.concatenate([a.values for a in lifts]),
-        )
 
     def calc_mirror_span(self, x: Array, rows: Array) -> MirrorSpan:
         """Treat each factor by itself; those of robots in one loop."""

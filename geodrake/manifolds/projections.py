@@ -23,7 +23,7 @@ from scipy.optimize import nnls
 from geodrake.boundary.arguments import Sizes, instance, integer, number, positive, real_array
 from geodrake.boundary.showing import Short
 from geodrake.errors import ArgumentError, ConvergenceError
-from geodrake.manifolds.base import Array, Lift, Manifold
+from geodrake.manifolds.base import Array, Manifold
 
 
 @dataclass(frozen=True, eq=False)
@@ -78,8 +78,8 @@ def slab(a: ArrayLike, lower: float, upper: float) -> Polyhedron:
 
 _MOST_SCALINGS = 4
 _EMPTY = 1e-13  # least share of the unit row that a non-empty polyhedron leaves
-_NEAR = 0.1  # length of a Newton step in the metric that needs no search
-_ENOUGH = (-0.3, 0.1)  # slope that a full step may leave, relative to the first
+_NEAR = 0.25  # length of a Newton step in the metric that is taken in full
+_MOST_DOUBLINGS = 60
 _ROUNDING = 4e-16  # of a row's value, relative to its terms
 _SLOW = 0.5  # share of the error that a step may leave where steps only polish
 _EXACT = 1e-13  # error after which there is nothing to gain
@@ -132,9 +132,9 @@ class _State:
 
     def weighted(self, w: float) -> _State:
         """Return the state with the gradient and the multipliers times w."""
-        force = self.manifold.calc_gradient(self.y)
-        line = self.manifold.calc_mirror_line(self.y, -force if w < 1.0 else force)
-        return replace(self, y=line.point(abs(w - 1.0)), multipliers=w * self.multipliers)
+        force = w * self.manifold.calc_gradient(self.y)
+        y = self.manifold.calc_point_of_gradient(force, self.y)
+        return replace(self, y=y, multipliers=w * self.multipliers)
 
     @cached_property
     def rows(self) -> Array:
@@ -166,55 +166,71 @@ class _State:
         return float(np.maximum(0.0, off - rounding).max())
 
     @cached_property
-    def direction(self) -> Array | None:
-        """Newton's step d (k,) of the multipliers; None if there is none.
+    def wanted(self) -> Array | None:
+        """Multipliers λ + d (k,) after Newton's step d; None if there is none.
 
-        z = Aᵀ d is least ½ |z + Aᵀ λ|² within the limits, of which λ + d are the multipliers.
+        z = Aᵀ d is least ½ |z + Aᵀ λ|² within the limits.
         """
         rows, held = self.rows / self.lengths[:, None], self.multipliers * self.lengths
         shift = rows @ (rows.T @ held)
         found = _shortest(rows, *(gap + shift for gap in self.gaps))
         if found is None or not np.isfinite(found).all():
             return None
-        return np.asarray((found - held) / self.lengths)
+        binding = found != 0.0
+        if binding.any() and not held[~binding].any():  # where the step alone loses no digits
+            gap = np.where(found > 0.0, *self.gaps)[binding]
+            step = np.linalg.lstsq(rows[binding], gap)[0]
+            better = held[binding] + np.linalg.lstsq(rows[binding].T, step)[0]
+            if (better * found[binding] > 0.0).all():
+                found[binding] = better
+        return np.asarray(found / self.lengths)
 
     @property
     def newton_length(self) -> float:
         """Length of Newton's step in the metric at y, which bounds the distance to the optimum."""
-        d = self.direction
-        return np.inf if d is None else float(np.linalg.norm(d @ self.rows))
+        if self.wanted is None:
+            return np.inf
+        return float(np.linalg.norm((self.wanted - self.multipliers) @ self.rows))
 
     def newton_step(self) -> _State | None:
-        """Return the state along Newton's step where the dual suffices, or None."""
-        d, near = self.direction, self.newton_length < _NEAR
-        b = np.zeros(1) if d is None else self.limits.matrix.T @ d
-        if d is None or not b.any():  # rows that contradict each other: the dual rises, and y stays
+        """Return the state after a step of the multipliers, or None.
+
+        A long step d is damped to d / (1 + |d|), which no barrier ends ([Lee2019] Eq. (2.2.11)), or
+        goes on as long as the dual rises and no multiplier changes its sign.
+        """
+        if self.wanted is None:
             return None
-        held = self.multipliers
-        moving, equal = d != 0, self.limits.lower == self.limits.upper
-        sign = np.where(held == 0, d, held)
-        targets = np.where(sign > 0, self.limits.lower, self.limits.upper)[moving]
-        value = self.limits.matrix @ self.y
-        goal = float(d[moving] @ (targets - value[moving]))
-        if not (near or 0 < goal < np.inf):
+        held, d = self.multipliers, self.wanted - self.multipliers
+        if not (self.limits.matrix.T @ d).any():  # rows contradict each other
             return None
-        turn = (held * d < 0) & ~equal
-        kinks = np.where(turn, -held / np.where(turn, d, 1.0), np.inf)
-        line, t = self.manifold.calc_mirror_line(self.y, b), 1.0
-        if not (near and kinks.min() >= 1.0 and line.longest > 1.0):
-            enough = (_ENOUGH[0] * goal, _ENOUGH[1] * goal)
-            target, most = float(d[moving] @ targets), float(kinks.min())
-            t = line.time_of(target, most=most, enough=enough)
-        multipliers = held + t * d
-        multipliers[kinks <= t] = 0.0
-        return replace(self, y=line.point(t), multipliers=multipliers)
+        span = self.manifold.calc_mirror_span(self.y, self.limits.matrix)
+        length = self.newton_length / np.sqrt(self.manifold.least_weight)
+        share = 1.0 if length < _NEAR else 1.0 / (1.0 + length)
+        y = span.point(share * d)
+        if length >= _NEAR:
+            turning = (held * d < 0) & (self.limits.lower < self.limits.upper)
+            most = float((-held[turning] / d[turning]).min(initial=np.inf))
+            sign, moving = np.where(held == 0, d, held), d != 0
+            targets = np.where(sign > 0, self.limits.lower, self.limits.upper)[moving]
+            rows = self.limits.matrix[moving]
+            for _ in range(_MOST_DOUBLINGS):
+                farther = span.point(2.0 * share * d)
+                if not (2.0 * share <= most and self.manifold.calc_contains(farther)):
+                    break
+                if not d[moving] @ (targets - rows @ farther) >= 0:
+                    break
+                share, y = 2.0 * share, farther
+        if not self.manifold.calc_contains(y):
+            return None
+        multipliers = self.wanted if share == 1.0 else held + share * d
+        return replace(self, y=y, multipliers=multipliers)
 
 
-def _solved(state: _State, max_iterations: int) -> _State:
+def _solved(state: _State, most_steps: int) -> _State:
     """Return the best of a sequence of states towards the optimum."""
     best = state
     try:
-        for _ in range(max_iterations):
+        for _ in range(most_steps):
             if state.error <= _EXACT:
                 return state
             if best.error <= _PRECISE and state.error > _SLOW * best.error and state is not best:
@@ -314,23 +330,17 @@ def _certified(
     manifold: Manifold, x: Array, constraints: Polyhedron, effort: tuple[float, int]
 ) -> tuple[Array, float]:
     """Return the best point that was found, and how far it is from being optimal."""
-    lift = manifold.lift() or Lift.nothing(manifold)
-    k = len(constraints.matrix)
-    matrix = np.zeros((k, len(lift.offset)))
-    matrix[:, lift.places] = constraints.matrix
-    matrix = np.concatenate([matrix, lift.rows])
-    scale = 1.0 / np.linalg.norm(matrix, axis=1)
-    limits = (np.append(b, lift.values) for b in (constraints.lower, constraints.upper))
-    rows = Polyhedron(scale[:, None] * matrix, *(scale * limit for limit in limits))
+    scale = 1.0 / np.linalg.norm(constraints.matrix, axis=1)
+    limits = (scale * limit for limit in (constraints.lower, constraints.upper))
+    rows = Polyhedron(scale[:, None] * constraints.matrix, *limits)
     best, least = x, np.inf
-    start = _State(lift.manifold, rows, lift.matrix @ x + lift.offset, np.zeros(len(matrix)))
     for way in (_solved, _along_path):  # the second at more expense
-        state = way(start, effort[1])
-        y, held = state.y[lift.places], (state.multipliers * scale)[:k]
-        missing = _certificate(manifold, (x, y), (constraints.matrix, held))
+        state = way(_State(manifold, rows, x, np.zeros(len(scale))), effort[1])
+        push = constraints.matrix, scale * state.multipliers
+        missing = _certificate(manifold, (x, state.y), push)
         missing = max(state.error, missing) if np.isfinite(missing) else np.inf
         if missing < least or best is x:
-            best, least = y, missing
+            best, least = state.y, missing
         if least <= effort[0]:
             break
     return best, least

@@ -15,8 +15,7 @@ from numpy.typing import NDArray
 from geodrake.boundary.arguments import LARGEST
 from geodrake.compiling import compiled, contiguous, inlined
 from geodrake.inertia import PARAMETERS_PER_BODY
-from geodrake.manifolds.base import Array
-from geodrake.manifolds.mirror import MirrorSpan
+from geodrake.manifolds.base import Array, MirrorSpan
 
 Places = NDArray[np.int64]
 Factors = tuple[Places, Array, Places, Array, Array]

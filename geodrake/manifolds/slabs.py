@@ -8,7 +8,7 @@ import numpy as np
 
 from geodrake.compiling import contiguous
 from geodrake.errors import GeodrakeError
-from geodrake.manifolds.base import Array, Manifold
+from geodrake.manifolds.base import Array
 from geodrake.manifolds.product import Product
 from geodrake.manifolds.projections import Polyhedron, bregman_projection
 from geodrake.manifolds.slab_kernels import calc_slab_projection
@@ -39,12 +39,12 @@ def slab_projection(
     manifold: Product,
     x: Array,
     rows: Array,
-    values: Array,
-    tolerance: Array,
+    lower: Array,
+    upper: Array,
     *,
     share: float = 1.0,
 ) -> SlabProjection:
-    """Return the point of |A y − b| ≤ ε that is nearest to x in the divergence of a manifold.
+    """Return the point of lower ≤ A y ≤ upper that is nearest to x in a manifold's divergence.
 
     For every sample: it trusts its arrays. Robots of bodies and lower bounds have a compiled loop;
     others go through `bregman_projection`, whose certificate is of the same kind.
@@ -52,12 +52,10 @@ def slab_projection(
     Args:
         x: (n,) point inside of the manifold.
         rows: (k, n) A.
-        values: (k,) b.
-        tolerance: (k,) ε > 0.
+        lower: (k,) least values, −inf for none; below the greatest ones, `upper`.
         share: How much of the way is gone, in (0, 1]: y with ∇h(y) = ∇h(x) + share Aᵀ λ. The error
             is that of the whole way.
     """
-    lower, upper = values - tolerance, values + tolerance
     if manifold.robot is not None:
         y, held = np.empty(len(x)), np.empty(len(rows))
         slabs = (contiguous(rows), contiguous(lower), contiguous(upper))
@@ -74,14 +72,3 @@ def slab_projection(
     except (GeodrakeError, np.linalg.LinAlgError):
         return SlabProjection(x, np.inf, -1)
     return SlabProjection(y, TOLERANCE if y is not x else 0.0, -1)
-
-
-def half_space_projection(manifold: Manifold, x: Array, a: Array, limit: float) -> Array:
-    """Project x onto aᵀ y ≤ limit: ∇h(y) = ∇h(x) − λ a, with λ ≥ 0 where aᵀ y = limit.
-
-    For every sample: it trusts its arrays, x outside of the half-space and a not zero, and what
-    comes out carries no certificate as that of `bregman_projection` does: it is the last point on
-    the way if the half-space is out of reach. Check that it is inside.
-    """
-    line = manifold.calc_mirror_line(x, -a)
-    return line.point(line.time_of(-limit))

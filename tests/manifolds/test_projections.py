@@ -25,7 +25,7 @@ from geodrake.manifolds.projections import (
     halfspace,
     slab,
 )
-from geodrake.manifolds.slabs import half_space_projection
+from geodrake.manifolds.slabs import slab_projection
 
 SEEDS = st.integers(0, 2**32 - 1)
 HULL = Ellipsoid(np.array([0.2, -0.1, 0.0]), np.array([14.0, 15.0, 16.0]), np.eye(3))
@@ -93,7 +93,7 @@ def test_half_space_projections_are_those_onto_polyhedra(seed):
     everything[:] = rng.normal(size=n)
     for a in (mass, total, skewed, everything):
         limit = a @ x - rng.uniform(0.05, 0.3)
-        y = half_space_projection(manifold, x, a, limit)
+        y = slab_projection(manifold, x, a[None], np.array([-np.inf]), np.array([limit])).point
         assert a @ y == pytest.approx(limit, rel=1e-9, abs=1e-9)
         nearest = bregman_projection(manifold, x, halfspace(-a, -limit))
         assert manifold.divergence(y, nearest) < 1e-12
@@ -123,6 +123,17 @@ def test_polyhedra_of_inertias_against_clarabel(seed):
     divergence = PhysicalInertia().divergence
     assert divergence(theirs, ours) < 1e-9  # theirs moves by 1e-10 with the last digit of its input
     assert divergence(ours, x) <= divergence(theirs, x) * (1 + 1e-10)
+
+
+@settings(max_examples=15)
+@given(SEEDS, st.floats(-5.0, 5.0))
+def test_bodies_may_be_orders_of_magnitude_from_where_they_are_to_be(seed, decades):
+    rng = np.random.default_rng(seed)
+    x, inside = random_inertia(rng, 2)
+    constraints, _ = random_set(10.0**decades * inside, rng)
+    y = bregman_projection(PhysicalInertia(), x, constraints)
+    size = np.abs(constraints.matrix).max() * np.abs(y).max()
+    assert constraints.violation(y).max() <= 1e-9 * size
 
 
 @settings(max_examples=10)

@@ -29,7 +29,7 @@ def slabs(rng, rows, scale=1.0):
 def test_it_is_the_projection_and_says_so(seed, rows, decades):
     """Checked with the manifold's own gradient, and by the Pythagorean inequality (2.2.12)."""
     x, A, b, epsilon, truth = slabs(np.random.default_rng(seed), rows, 10.0**decades)
-    found = slab_projection(ROBOT, x, A, b, epsilon)
+    found = slab_projection(ROBOT, x, A, b - epsilon, b + epsilon)
     y = found.point
     if not found.certified:  # after 40 steps, of one in ten that are far from x
         assert decades > 0.3 and found.steps == 40
@@ -56,10 +56,10 @@ def test_it_is_the_projection_and_says_so(seed, rows, decades):
 
 def test_rows_that_repeat_or_say_nothing_change_no_projection():
     x, A, b, epsilon, _ = slabs(np.random.default_rng(1), 4)
-    twice = slab_projection(
-        ROBOT, x, np.vstack([A, A, 0 * A]), np.r_[b, b, 0 * b], np.r_[epsilon, epsilon, epsilon]
-    )
-    once = slab_projection(ROBOT, x, A, b, epsilon)
+    low, high = b - epsilon, b + epsilon
+    rows, none = np.vstack([A, A, 0 * A]), np.ones(4)
+    twice = slab_projection(ROBOT, x, rows, np.r_[low, low, -none], np.r_[high, high, none])
+    once = slab_projection(ROBOT, x, A, b - epsilon, b + epsilon)
     assert once.certified
     assert twice.certified
     assert ROBOT.divergence(twice.point, once.point) < 1e-12
@@ -75,14 +75,15 @@ def test_slabs_that_no_point_is_in_are_told():
         (mass, [-3.0], [0.1]),
         (np.vstack([A, A]), np.r_[b, b + 10.0], np.r_[epsilon, epsilon]),
     ):
-        found = slab_projection(ROBOT, x, rows, np.asarray(values), np.asarray(width))
+        found = slab_projection(ROBOT, x, rows, np.subtract(values, width), np.add(values, width))
         assert not found.certified
         assert found.error == np.inf
 
 
 def test_a_share_of_the_way_is_on_the_mirror_line():
     x, A, b, epsilon, truth = slabs(np.random.default_rng(3), 3)
-    whole, half = (slab_projection(ROBOT, x, A, b, epsilon, share=s).point for s in (1.0, 0.5))
+    slabs_of = (ROBOT, x, A, b - epsilon, b + epsilon)
+    whole, half = (slab_projection(*slabs_of, share=s).point for s in (1.0, 0.5))
     start, end = ROBOT.gradient(x), ROBOT.gradient(whole)
     np.testing.assert_allclose(ROBOT.gradient(half), 0.5 * (start + end), rtol=1e-7, atol=1e-7)
     assert ROBOT.divergence(truth, half) <= ROBOT.divergence(truth, x)

@@ -23,7 +23,6 @@ from geodrake.boundary.showing import Short
 from geodrake.errors import ArgumentError
 from geodrake.manifolds import Manifold
 from geodrake.manifolds.base import Array
-from geodrake.manifolds.mirror import MirrorLine, scale_of
 
 _MOST = 10_000  # parameters of one law
 
@@ -327,14 +326,6 @@ class ConstantMetric(Manifold, Short):
     def calc_longest_step(self, x: Array, v: Array) -> Array:
         """Return infinity."""
         return np.full(np.broadcast_shapes(np.shape(x), np.shape(v))[:-1], np.inf)
-
-    def calc_mirror_line(self, x: Array, b: Array) -> MirrorLine:
-        """Return the straight line x + t Γ⁻¹ b."""
-        v = self.calc_inverse_metric_times(x, b)
-        start, slope = float(np.vdot(b, x)), float(np.vdot(b, v))
-        return MirrorLine(
-            lambda t: x + t * v, lambda t: start + t * slope, np.inf, scale_of(np.sqrt(slope))
-        )
 
     def calc_retract(self, x: Array, v: Array) -> Array:
         """Return x + v."""

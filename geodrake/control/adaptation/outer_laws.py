@@ -22,12 +22,13 @@ from geodrake.errors import ArgumentError, ConvergenceError, GeodrakeError
 from geodrake.inertia import Array
 from geodrake.manifolds import ConstrainedInertia, Interval, Manifold, PhysicalInertia, Product
 from geodrake.manifolds.projections import Polyhedron, bregman_projection
-from geodrake.manifolds.slabs import half_space_projection
+from geodrake.manifolds.slabs import slab_projection
 
 _MOST_CUTS = 60
 _SHORTENED = (8.0, 2.0)  # lengths in the metric of steps in place of ones that are too long
 _CUT_TOLERANCE = 1e-9  # distance outside of the set, in the metric, that counts as inside
 _ROUNDING = 1e-13  # of a limit, relative to its terms
+_UNLIMITED = np.array([-np.inf])
 
 
 class _OuterLaw(UpdateLaw):
@@ -248,8 +249,8 @@ class _LimitedPart:
             return bregman_projection(self.manifold, x, self.limits.polyhedron)
         # The projection onto one half-space is the one onto all, if it is inside of all.
         for row in outside:
-            limit = float(normals[row] @ x - values[row])
-            y = half_space_projection(self.manifold, x, normals[row], limit)
+            limit = normals[[row]] @ x - values[row]
+            y = slab_projection(self.manifold, x, normals[[row]], _UNLIMITED, limit).point
             if (self.limits.values(y) <= sizes @ np.abs(y)).all():
                 return y
         return bregman_projection(self.manifold, x, self.limits.polyhedron)
