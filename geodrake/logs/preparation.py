@@ -203,8 +203,7 @@ def _smooth(
     """Return stretches that are of use, and the standstill before the first and after the last."""
     lag, note = _measured_lag(uniform, smoother)
     notes += [note] if note else []
-    pieces = smooth_pieces(uniform.pieces, smoother, lag)
-    whole = [Stretch(piece, 0, len(piece)) for piece in pieces]
+    whole = smooth_pieces(uniform.pieces, smoother, lag)
     return _of_use(uniform, whole, (low_pass, smoother))
 
 

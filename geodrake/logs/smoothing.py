@@ -117,63 +117,94 @@ class Segment:
 
 
 @dataclass(frozen=True, eq=False)
-class SmoothPiece:
-    """A piece, smoothed and differentiated slice by slice.
+class Stretch:
+    """Part of a piece in which a log is of use, smoothed and differentiated slice by slice.
 
     Attributes:
         lag: (n,) time by which measured velocities are late, s; None to derive the velocities
             from the positions instead.
-        kept: Whether its samples stay in memory once somebody has looked.
+        first: First of the piece's samples that is in it.
+        made: The whole piece, once somebody has looked, if it stays in memory; else None.
     """
 
     piece: Piece
     smoother: ZeroPhaseFilter
     lag: Array | None
-    kept: bool = False
+    first: int
+    stop: int
+    made: list[Segment] | None = None
+
+    @property
+    def period(self) -> float:
+        """Time between samples, s."""
+        return self.piece.period
+
+    @property
+    def derived(self) -> bool:
+        """Whether velocities are derived from the positions."""
+        return self.lag is None
 
     def __len__(self) -> int:
-        return len(self.piece)
+        return self.stop - self.first
 
     def __getitem__(self, samples: slice) -> Segment:
         """Return some of the samples, in memory."""
-        return self._all[samples] if self.kept else self._made(samples)
+        start, stop, _ = samples.indices(len(self))
+        start, stop = self.first + start, self.first + max(start, stop)
+        whole = self._whole
+        return self._smoothed(start, stop) if whole is None else whole[start:stop]
+
+    @property
+    def _whole(self) -> Segment | None:
+        """The whole piece, if it stays in memory."""
+        if self.made is None:
+            return None
+        if not self.made:
+            segment = self._smoothed(0, len(self.piece))
+            for signal in segment.signals:
+                signal.setflags(write=False)  # whoever looks gets a view
+            self.made.append(segment)
+        return self.made[0]
 
     @cached_property
-    def _all(self) -> Segment:
-        segment = self._made(slice(None))
-        for signal in segment.signals:
-            signal.setflags(write=False)  # whoever looks gets a view
-        return segment
+    def peak_speed(self) -> Array:
+        """(n,) largest speed of every joint, rad/s or m/s."""
+        peaks, whole = [], self._whole
+        for first in range(self.first, self.stop, CHUNK):
+            stop = min(first + CHUNK, self.stop)
+            if whole is not None:
+                velocity = whole.velocity[first:stop]
+            else:
+                _, inner, _, near = self._near(first, stop)
+                velocity = near[inner]
+            peaks.append(np.abs(velocity).max(axis=0))
+        return np.max(peaks, axis=0)
 
-    def velocity(self, samples: slice) -> Array:
-        """Return velocities (N, n) of some of the samples."""
-        if self.kept:
-            return self._all.velocity[samples]
-        _, inner, _, velocity = self._near(samples)
-        return velocity[inner]
+    def chunks(self, *, backwards: bool = False) -> Iterator[tuple[int, Segment]]:
+        """Yield the first sample and samples of one slice after another, from either end."""
+        starts = range(0, len(self), CHUNK)
+        for first in reversed(starts) if backwards else starts:
+            yield first, self[first : first + CHUNK]
 
-    def _near(self, samples: slice) -> tuple[Piece, slice, Array, Array]:
-        """Some of the samples and others around, where they are there, and all as it is smoothed.
+    def _near(self, start: int, stop: int) -> tuple[Piece, slice, Array, Array]:
+        """Some of the piece and others around, where they are there, and all as it is smoothed.
 
         Positions and velocities (N, n).
         """
-        start, stop, _ = samples.indices(len(self))
         margin = self.smoother.halfwidth + 2 * SPLINE_REACH  # velocities, then accelerations
-        low, high = max(0, start - margin), min(len(self), stop + margin)
+        low, high = max(0, start - margin), min(len(self.piece), stop + margin)
         near, inner = self.piece[low:high], slice(start - low, stop - low)
         position = self.smoother.smooth(near.position)
-        period = self.piece.period
         if self.lag is None or near.velocity is None:
-            velocity = differentiate(position, period)
+            velocity = differentiate(position, self.period)
         else:
             late = self.smoother.smooth(near.velocity)
-            velocity = late + self.lag * differentiate(late, period)
+            velocity = late + self.lag * differentiate(late, self.period)
         return near, inner, position, velocity
 
-    def _made(self, samples: slice) -> Segment:
-        near, inner, position, velocity = self._near(samples)
-        period = self.piece.period
-        acceleration = differentiate(velocity, period)
+    def _smoothed(self, start: int, stop: int) -> Segment:
+        near, inner, position, velocity = self._near(start, stop)
+        acceleration = differentiate(velocity, self.period)
         if near.acceleration is not None:
             acceleration[:, near.measured] = self.smoother.smooth(near.acceleration)
         return Segment(
@@ -182,58 +213,14 @@ class SmoothPiece:
             velocity[inner],
             acceleration[inner],
             near.effort[inner],
-            period,
+            self.period,
             None if near.ground is None else near.ground[inner],
         )
 
 
 def smooth_pieces(
     pieces: Sequence[Piece], smoother: ZeroPhaseFilter, lag: Array | None
-) -> tuple[SmoothPiece, ...]:
-    """Return the pieces of a log, smoothed where somebody looks; a short log's samples are kept.
-
-    Args:
-        lag: (n,) time by which measured velocities are late, s; None to derive the velocities.
-    """
+) -> tuple[Stretch, ...]:
+    """Return the pieces of a log, smoothed where somebody looks; see `Stretch` for arguments."""
     kept = sum(map(len, pieces)) <= _KEPT
-    return tuple(SmoothPiece(piece, smoother, lag, kept) for piece in pieces)
-
-
-@dataclass(frozen=True, eq=False)
-class Stretch:
-    """Part of a piece, in which a log is of use."""
-
-    piece: SmoothPiece
-    first: int
-    stop: int
-
-    @property
-    def period(self) -> float:
-        """Time between samples, s."""
-        return self.piece.piece.period
-
-    @property
-    def derived(self) -> bool:
-        """Whether velocities are derived from the positions."""
-        return self.piece.lag is None
-
-    def __len__(self) -> int:
-        return self.stop - self.first
-
-    def __getitem__(self, samples: slice) -> Segment:
-        """Return some of the samples, in memory."""
-        start, stop, _ = samples.indices(len(self))
-        return self.piece[self.first + start : self.first + max(start, stop)]
-
-    @cached_property
-    def peak_speed(self) -> Array:
-        """(n,) largest speed of every joint, rad/s or m/s."""
-        starts = range(self.first, self.stop, CHUNK)
-        parts = [slice(first, min(first + CHUNK, self.stop)) for first in starts]
-        return np.max([np.abs(self.piece.velocity(part)).max(axis=0) for part in parts], axis=0)
-
-    def chunks(self, *, backwards: bool = False) -> Iterator[tuple[int, Segment]]:
-        """Yield the first sample and samples of one slice after another, from either end."""
-        starts = range(0, len(self), CHUNK)
-        for first in reversed(starts) if backwards else starts:
-            yield first, self[first : first + CHUNK]
+    return tuple(Stretch(p, smoother, lag, 0, len(p), [] if kept else None) for p in pieces)

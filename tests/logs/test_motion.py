@@ -15,7 +15,7 @@ from geodrake.logs.filtering import design_filter
 from geodrake.logs.folds import validation_blocks
 from geodrake.logs.motion import JointLog, Motion, Trajectory, check_joints
 from geodrake.logs.preparation import prepare_logs
-from geodrake.logs.smoothing import Piece, Stretch, smooth_pieces
+from geodrake.logs.smoothing import Piece, Stretch
 
 JOINTS = ("shoulder", "elbow")
 RATES = 2 * np.pi * np.array([0.3, 0.5])
@@ -208,7 +208,7 @@ def _trajectories(*lengths):
         n = 2 * low_pass.halfwidth + 1 + (outputs - 1) * low_pass.decimation
         still = np.zeros((n, 2))
         piece = Piece(start + 0.01 * np.arange(n), still, None, still, 0.01)
-        return Stretch(*smooth_pieces([piece], low_pass, None), 0, n)
+        return Stretch(piece, low_pass, None, 0, n)
 
     return [
         Trajectory(

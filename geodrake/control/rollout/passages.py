@@ -38,7 +38,7 @@ class Passage:
     def logged(self) -> Array:
         """(K, nv) positions as they were logged, not smoothed."""
         first = self.stretch.first + self.start
-        return self.stretch.piece.piece[first : first + len(self.segment)].position
+        return self.stretch.piece[first : first + len(self.segment)].position
 
     @property
     def before(self) -> Array:

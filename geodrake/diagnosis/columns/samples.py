@@ -92,7 +92,7 @@ def column_samples(
     )
     one_way = np.abs(direction)
     least = np.minimum(_ONE_WAY, np.quantile(one_way, 1.0 - _FEWEST, axis=0))
-    pieces = [segment.piece.piece.effort for t in trajectories for segment in t.segments]
+    pieces = [segment.piece.effort for t in trajectories for segment in t.segments]
     lowest = np.min([np.nanmin(own, axis=0) for own in pieces], axis=0)
     highest = np.max([np.nanmax(own, axis=0) for own in pieces], axis=0)
     return ColumnSamples(
@@ -120,7 +120,7 @@ def _block(trajectory: Trajectory, block: Block, speed: Array, stride: int) -> l
     for inside, _ in low_pass.chunks(length, CHUNK):
         here = slice(first + inside.start, first + inside.stop)
         segment = stretch[here]
-        raw = stretch.piece.piece[stretch.first + here.start : stretch.first + here.stop]
+        raw = stretch.piece[stretch.first + here.start : stretch.first + here.stop]
         direction = np.tanh(segment.velocity / np.maximum(speed, 1e-300))
         columns = [segment.position, segment.velocity, segment.acceleration, raw.effort, direction]
         columns += [] if raw.velocity is None else [raw.velocity]

@@ -92,7 +92,8 @@ def date_of(text: str, *, day_first: bool = False) -> int | None:
         return None
     head, fraction, zone = found.groups()
     try:
-        instant = datetime.fromisoformat(f"{head.upper().replace('/', '-')}{_offset(zone)}")
+        zone = (zone or "Z").upper().replace("UTC", "Z")
+        instant = datetime.fromisoformat(head.upper().replace("/", "-") + zone)
     except ValueError:  # the 30th of February
         return None
     since = instant - _EPOCH
@@ -130,12 +131,6 @@ def order_of_days(texts: Iterable[str]) -> tuple[bool, str]:
             why = ", which nothing in them says: if it is wrong, write them as 2026-05-01"
     order = "day/month" if day_first else "month/day"
     return day_first, f"dates such as {texts[0]} are taken as {order}/year{why}"
-
-
-def _offset(zone: str | None) -> str:
-    if zone is None or zone.upper() in ("Z", "UTC"):
-        return "+00:00"
-    return zone if len(zone) > len("+00") else f"{zone}:00"
 
 
 def date_words(nanoseconds: int) -> str:
