@@ -67,18 +67,26 @@ def test_degrees_of_fahrenheit_are_read(unit):
     np.testing.assert_allclose(log.temperature, WARMTH, rtol=1e-12)
 
 
-def test_slow_ones_and_time_may_be_named_by_a_mapping_alone(tmp_path):
+@pytest.mark.parametrize("numbered", [False, True])
+def test_slow_ones_and_time_may_be_named_by_a_mapping_alone(tmp_path, numbered):
     """One a second, in a file of their own, beside motions at 100 Hz."""
-    slow = {"moment": TIME[::100], "drive 7": WARMTH[::100, 0], "drive 8": WARMTH[::100, 1]}
+    slow = {"moment": TIME[::100], "noise": 0.0 * TIME[::100]}
+    slow |= {"drive 7": WARMTH[::100, 0], "drive 8": WARMTH[::100, 1]}
     quick = log_with(None).columns()
+    names = ["moment", *(name for name in quick if name != "time"), *list(slow)[1:]]
+
+    def column(name):
+        return MappedColumn(1 + names.index(name) if numbered else name)
+
     np.savez(tmp_path / "motion.npz", moment=1e3 * quick.pop("time"), **quick)
     np.savez(tmp_path / "drives.npz", **{**slow, "moment": 1e3 * slow["moment"]})
     joints = {
-        joint: {q: MappedColumn(f"{joint}.{q}") for q in ("position", "effort")}
-        | {"temperature": MappedColumn(column)}
-        for joint, column in zip(JOINTS, ("drive 7", "drive 8"), strict=True)
+        joint: {q: column(f"{joint}.{q}") for q in ("position", "effort")}
+        | {"temperature": column(drive)}
+        for joint, drive in zip(JOINTS, ("drive 7", "drive 8"), strict=True)
     }
-    reading = Reading(mapping=ColumnMapping(joints, MappedColumn("moment", "ms")))
+    time = MappedColumn(1 if numbered else "moment", "ms")
+    reading = Reading(mapping=ColumnMapping(joints, time))
     log = read_log(f"{tmp_path / 'motion.npz'}+{tmp_path / 'drives.npz'}", reading=reading)
     assert len(log) == len(TIME)
     known = log.time <= 19.0

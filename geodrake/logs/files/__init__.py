@@ -154,7 +154,7 @@ def _understood(
 
 def _check_silent(table: LogTable, reading: Reading, joints: Sequence[str] | None) -> None:
     """Refuse a table whose columns of the log have no numbers: else they would only be missing."""
-    needed = {str(mapped.column) for _, mapped in reading.mapping or ()}
+    needed = {mapped.among(table.counted) for _, mapped in reading.mapping or ()}
     if reading.mapping is None:
         rare = {name for name, words in table.silent.items() if words.startswith(RARE)}
         rare = {name for name in rare if name.rpartition(".")[0] not in (joints or ())}

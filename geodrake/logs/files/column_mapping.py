@@ -350,7 +350,7 @@ def columns_of(
     try:
         chosen = found.dated(table.origins).chosen(joints, partial=partial)
     except LogError as error:
-        propose(error, path, names, joints, reading)
+        propose(error, path, table.counted, joints, reading)
         raise
     return chosen.read(joints)
 
@@ -438,10 +438,7 @@ class Columns:
             if name.endswith(".effort") and mapped.column == PASSIVE and PASSIVE not in names:
                 places[name.removesuffix(".effort"), PASSIVE] = Source(PASSIVE)
                 continue
-            column, (joint, _, quantity) = mapped.column, name.rpartition(".")
-            if isinstance(column, int):  # by number, unless that is a name
-                by_number = names[column - 1] if 0 < column <= len(names) else str(column)
-                column = str(column) if str(column) in names else by_number
+            column, (joint, _, quantity) = mapped.among(table.counted), name.rpartition(".")
             if column not in names:
                 raise LogError(
                     f"Log {str(path)!r} has no column {column!r}, which {mapping.source} names for "

@@ -48,6 +48,9 @@ def joined_tables(log: Path, tables: Sequence[LogTable], reading: Reading) -> Lo
 
     Of tables with far fewer than others only what changes slowly is used; see `_slow_parts`.
     """
+    order = _order(tables, reading)
+    if reading.mapping is not None:
+        reading = replace(reading, mapping=reading.mapping.named(order))
     units = {column: unit for table in tables for column, unit in table.units.items()}
     noted = tuple(note for table in tables for note in table.notes)
     times, origins, clock_notes = _one_clock(log, tables, reading)
@@ -80,9 +83,7 @@ def joined_tables(log: Path, tables: Sequence[LogTable], reading: Reading) -> Lo
             f"The parts of log {str(log)!r} are of times that do not meet: {', '.join(spans)}.",
             advice="Use one clock for both.",
         )
-    told = _mapped_time(reading)
-    clock = str(told.column) if told and any(told.column in t.columns for t in tables) else "time"
-    columns, origins = {clock: known[base]}, {clock: origins["time"]}
+    columns, origins = {order[0]: known[base]}, {order[0]: origins["time"]}
     for table, time in zip(tables, known, strict=True):
         for column, values in table.columns.items():
             if not _is_time(column, reading):
@@ -92,7 +93,16 @@ def joined_tables(log: Path, tables: Sequence[LogTable], reading: Reading) -> Lo
     note = f"joined by time, at the {rate:.4g} rows a second of {tables[base].path}"
     notes = (note, *slow_notes, *clock_notes, *noted)
     silent = {column: why for table in tables for column, why in table.silent.items()}
-    return LogTable(log, columns, units, notes, origins, {**silent, **rare})
+    return LogTable(log, columns, units, notes, origins, {**silent, **rare}, order=order)
+
+
+def _order(tables: Sequence[LogTable], reading: Reading) -> list[str]:
+    """Return the names of the columns of several tables together, that of time first."""
+    time = reading.mapping.time if reading.mapping else None
+    clock = time.among([*tables[0].columns]) if time else ""
+    clock = clock if any(clock in table.columns for table in tables) else "time"
+    names = dict.fromkeys(name for table in tables for name in table.columns)
+    return [clock, *(name for name in names if not is_time(name) and name != clock)]
 
 
 def _mapped_time(reading: Reading) -> MappedColumn | None:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -40,6 +40,11 @@ class MappedColumn:
     gain: float = 1.0
     deviation: float | None = None
 
+    def among(self, names: Sequence[str]) -> str:
+        """Return its name, which may be given as a number that is no name itself."""
+        name, number = str(self.column), self.column if isinstance(self.column, int) else 0
+        return names[number - 1] if 0 < number <= len(names) and name not in names else name
+
 
 @dataclass(frozen=True)
 class ColumnMapping:
@@ -69,6 +74,18 @@ class ColumnMapping:
                     "stand for its efforts.",
                     advice=f"Leave out {' and '.join(kinds[1:])}, or whichever is worse.",
                 )
+
+    def named(self, names: Sequence[str]) -> ColumnMapping:
+        """Return the mapping with columns by their names, where it counts them."""
+
+        def by_name(mapped: MappedColumn) -> MappedColumn:
+            return replace(mapped, column=mapped.among(names))
+
+        joints = {
+            joint: {quantity: by_name(mapped) for quantity, mapped in quantities.items()}
+            for joint, quantities in self.joints.items()
+        }
+        return replace(self, joints=joints, time=self.time and by_name(self.time))
 
     def __iter__(self) -> Iterator[tuple[str, MappedColumn]]:
         """Yield every column, by `time` or `<joint>.<quantity>`."""

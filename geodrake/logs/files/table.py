@@ -275,6 +275,7 @@ class LogTable:
         words: (N,) texts of columns without numbers.
         unnamed: Cells of the first row, where nobody names the columns: they are called by their
             numbers from 1 on.
+        order: Names that mappings count by, where columns were left out.
     """
 
     path: Path
@@ -285,6 +286,7 @@ class LogTable:
     silent: Mapping[str, str] = field(default_factory=dict)
     words: Mapping[str, NDArray[np.object_]] = field(default_factory=dict)
     unnamed: tuple[str, ...] = ()
+    order: Sequence[str] = ()
 
     def __len__(self) -> int:
         """Return the number of rows."""
@@ -294,6 +296,11 @@ class LogTable:
     def names(self) -> Sequence[str]:
         """Names of the columns."""
         return list(self.columns)
+
+    @property
+    def counted(self) -> Sequence[str]:
+        """Names that mappings count by, from 1 on."""
+        return self.order or self.names
 
     def read(
         self, names: Sequence[str], *, skip: bool = False
