@@ -38,10 +38,8 @@ from typing import TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.linalg import solve_triangular
-from scipy.optimize import lsq_linear
 
-from geodrake.compiling import compiled, contiguous
+from geodrake.compiling import compiled, contiguous, inlined
 from geodrake.identification.logs.criteria import PENALTY, WORTH
 from geodrake.identification.logs.effort_gains import ALIKE
 from geodrake.identification.logs.evidence import effective_samples
@@ -55,6 +53,7 @@ from geodrake.robot.regressor import inverse_dynamics
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
+Indices = NDArray[np.intp]
 T = TypeVar("T", np.float64, np.bool_)
 
 PARAMETERS = (
@@ -84,10 +83,9 @@ _STEPS, _LONGEST_STEP = 4, 5e-3  # of simulations between two rows at least, and
 _THETA = 0.55  # how far within a step forces are as they are there
 _WINDOWS = 8  # of all logs, two of a stretch at least; every other one is left out for a test
 _SOUGHT, _PIECE = 40.0, 10.0  # s of all stretches that searches see, in pieces of so many
-_MOST_EVALUATIONS, _FIRST_EVALUATIONS = 60, 20
+_MOST_EVALUATIONS, _FIRST_EVALUATIONS = 60, 8
 _SETTLED = 1e-5  # share of its sum of squares that the last step of a search takes off
 _FIRST_DAMPING, _LEAST_DAMPING = 1e-3, 1e-9  # of steps, over squares of slopes
-_LIMIT_STEP = 1e-3  # of a limit's size, for differences
 _FARTHEST = 3.0  # deviations of a number from what is expected
 _LEAST_LIMIT = 0.01  # of its size
 _USUAL_LOAD, _MOST_LOAD = 0.2, 1.0  # of the load, that friction in proportion to it is
@@ -127,38 +125,16 @@ class JointMotions:
 
     def simulated(self, servo: Array) -> Array:
         """Return positions (N,) under the commands, rad or m."""
-        return np.concatenate([x for x, _ in self._stretches(servo, 0)])
+        x = np.empty(len(self.measured))
+        calc_servo_motions(*self._whole, servo, (x, np.empty((0, 0))))
+        return x
 
-    def slopes(self, servo: Array, scale: Array, free: Mask) -> Array:
-        """Return slopes (N, f) of positions with those numbers (11 + S,) that are free, in sizes.
-
-        That with the limit is a difference.
-        """
-        parts = self._stretches(servo, 10 if free[[_INTEGRAL, _BEGUN]].any() else _INTEGRAL)
-        J, at = np.zeros((sum(map(len, self.rows)), len(servo))), 0
-        for k, (x, own) in enumerate(parts):
-            J[at : at + len(x), : min(own.shape[1], _LIMIT)] = own[:, :_LIMIT]
-            if own.shape[1] > _LIMIT:
-                J[at : at + len(x), _BEGUN + k] = own[:, -1]
-            at += len(x)
-        J *= np.where(free, scale, 0.0)
-        if free[_LIMIT]:
-            beyond = servo.copy()
-            beyond[_LIMIT] += _LIMIT_STEP * scale[_LIMIT]
-            found = np.concatenate([x for x, _ in parts])
-            J[:, _LIMIT] = (self.simulated(beyond) - found) / _LIMIT_STEP
-        return J[:, free]
-
-    def _stretches(self, servo: Array, count: int) -> list[tuple[Array, Array]]:
-        """Return positions (N,) of each stretch, and slopes (N, count) with parameters and w."""
-        found = []
-        for k, (rows, period) in enumerate(zip(self.rows, self.periods, strict=True)):
-            steps = max(_STEPS, int(np.ceil(period / _LONGEST_STEP)))
-            out = np.empty(len(rows)), np.empty((len(rows) if count else 0, count))
-            numbers = np.append(servo[:_BEGUN], servo[_BEGUN + k])
-            calc_servo_motion(rows, period, steps, numbers, out)
-            found.append(out)
-        return found
+    def slopes(self, servo: Array, free: Mask) -> Array:
+        """Return slopes (N, f) of positions with those numbers (11 + S,) that are free."""
+        count = len(free) if free[_INTEGRAL:].any() else _INTEGRAL
+        J = np.zeros((len(self.measured), count))
+        calc_servo_motions(*self._whole, servo, (np.empty(len(J)), J))
+        return J[:, free[:count]]
 
     def with_integral(self, servo: Array, integral: float) -> Array:
         """Return a servo with an integral that begins as bodies need it in the mean."""
@@ -188,7 +164,16 @@ class JointMotions:
     @cached_property
     def needed(self) -> Array:
         """(N,) efforts of the bodies along the measured motion, N·m or N."""
-        return np.concatenate(self.rows)[:, 0]
+        return self._whole[0][:, 0]
+
+    @cached_property
+    def _whole(self) -> tuple[Array, Indices, Array]:
+        """(N, 8) rows of all stretches, where each ends, and periods, s."""
+        return (
+            np.concatenate(self.rows),
+            np.cumsum(list(map(len, self.rows))),
+            np.array(self.periods),
+        )
 
     def gain(self, before: Array, after: Array, rows: Mask | None = None) -> float:
         """Return twice the log-likelihood that one servo gains over another at some rows (N,)."""
@@ -305,44 +290,50 @@ def _read(time: Array, values: Array, instants: Array) -> Array:
 
 @dataclass(frozen=True, eq=False)
 class _Servo:
-    """A servo in a search."""
+    """A servo in a search: its numbers (11 + S,), and which of them (11 + S,) move."""
 
-    numbers: Array  # (11 + S,)
-    scale: Array  # (11 + S,) sizes of the numbers
-    summed: bool = False  # whether it has an integral, or a constant effort
+    numbers: Array
+    free: Mask
 
-    def free(self, *, without: Sequence[int] = (), limit: bool = False) -> Mask:
-        """Return (11 + S,) which numbers move."""
-        free = np.arange(len(self.numbers)) < _INTEGRAL
-        free[_INTEGRAL], free[_BEGUN:], free[_LIMIT] = self.summed, self.summed, limit
-        free[_OFFSET] = not self.summed  # w has it
-        free[list(without)] = False
-        return free
+    @classmethod
+    def of(cls, numbers: Array, *, summed: bool = False) -> _Servo:
+        """Return one with an integral, or a constant effort w in each stretch, or without."""
+        free = np.arange(len(numbers)) < _INTEGRAL + summed
+        free[_OFFSET], free[_BEGUN:] = not summed, summed  # w has it
+        return cls(numbers, free)
 
-    def at_zero(self, which: int | slice) -> _Servo:
-        """Return the servo with some of its numbers zero."""
-        numbers = self.numbers.copy()
-        numbers[which] = 0.0
-        return replace(self, numbers=numbers)
+    @property
+    def summed(self) -> bool:
+        """Whether each stretch has an effort w."""
+        return bool(self.free[_BEGUN])
+
+    def without(self, which: int) -> _Servo:
+        """Return the servo with one of its numbers zero for good."""
+        numbers, free = self.numbers.copy(), self.free.copy()
+        numbers[which], free[which] = 0.0, False
+        return _Servo(numbers, free)
 
     def plain(self) -> _Servo:
-        """Return the servo without its integral."""
-        return replace(self.at_zero(_INTEGRAL).at_zero(slice(_BEGUN, None)), summed=False)
+        """Return the servo without an integral."""
+        numbers, free = self.numbers.copy(), self.free.copy()
+        numbers[_INTEGRAL], numbers[_BEGUN:] = 0.0, 0.0
+        free[_INTEGRAL], free[_BEGUN:], free[_OFFSET] = False, False, True
+        return _Servo(numbers, free)
 
     def along(self, motions: JointMotions) -> _Servo:
         """Return the servo along other stretches; its integral begins as bodies need it."""
-        plain, count = self.numbers[:_BEGUN], len(motions.rows)
+        plain = self.numbers[:_BEGUN]
         numbers = motions.servo(plain.tolist(), limit=float(plain[_LIMIT]))
         if self.summed:
             numbers = motions.with_integral(numbers, float(plain[_INTEGRAL]))
-        scale = np.append(self.scale[:_BEGUN], np.full(count, self.scale[_BEGUN]))
-        return replace(self, numbers=numbers, scale=scale)
+        free = np.append(self.free[:_BEGUN], np.full(len(motions.rows), self.summed))
+        return _Servo(numbers, free)
 
-    def limited(self, limit: float, own: float) -> _Servo:
+    def limited(self, limit: float, own: float, *, sought: bool = False) -> _Servo:
         """Return the servo with another limit, and share of its damping within it."""
-        numbers = self.numbers.copy()
-        numbers[[_LIMIT, _SHARE]] = limit, own
-        return replace(self, numbers=numbers)
+        numbers, free = self.numbers.copy(), self.free.copy()
+        numbers[[_LIMIT, _SHARE]], free[_LIMIT] = (limit, own), sought
+        return _Servo(numbers, free)
 
 
 Expected = Mapping[str, tuple[float, float]]
@@ -378,11 +369,13 @@ def fit_servo(
     ]
     expected = {"stiffness": (signal.gain, ALIKE), **(expected or {})}
     first = _Search(some, signal.integral, expected, published)
-    found = first.at_its_limit(some.servo(begin), limit).along(motions)
+    found = first.at_its_limit(some.servo(begin), limit)
+    found = found if some is motions else found.along(motions)
     search, start = replace(first, motions=motions), motions.servo(begin)
     fit = search.fitted(found, start, bodies)
     if fit is not None and fit.parameters[_INTEGRAL] ** 2 < PENALTY * fit.deviations[-1] ** 2:
-        return replace(search, told=0.0).fitted(found.plain(), start, bodies)
+        plain = replace(search, told=0.0)
+        return plain.fitted(plain.best([found.plain()], seen=True), start, bodies)
     return fit
 
 
@@ -399,18 +392,17 @@ class _Search:
         """Return the fit to all rows, from that to half of the windows on; see `fit_servo`."""
         motions, began = self.motions, start.copy()
         began[[_LIMIT, _SHARE]] = half.numbers[[_LIMIT, _SHARE]]
+        half = half.limited(*began[[_LIMIT, _SHARE]].tolist())
         if half.summed and self.told:
             began = motions.with_integral(began, self.told)
         tested, moved = motions.tested, float(np.std(motions.measured))
         if not motions.rms(half.numbers, tested) < min(motions.rms(began, tested), moved):
             return None
-        best, unused = self._best([half]), list[int]()
+        best = self.best([half])
         for which in (_OFFSET, _LOAD, _RATE, _DELAY):
-            free = best.free(without=[*unused, which])
-            bare = self._best([best.at_zero(which)], free=free)
+            bare = self.best([best.without(which)])
             if motions.gain(bare.numbers, best.numbers) < PENALTY:
                 best = bare
-                unused.append(which)
         error, first = motions.rms(best.numbers), motions.rms(began)
         if not error < min(first, moved):
             return None
@@ -419,7 +411,7 @@ class _Search:
             if (motions.residual(held.numbers) == motions.residual(best.numbers)).all():
                 best = held
         parameters, limit, own = np.split(best.numbers[:_BEGUN], [_LIMIT, _SHARE])
-        deviations = self._deviations(best, best.free(without=unused))
+        deviations = self._deviations(best)
         # Bodies that are heavier move as these do with a stiffness that is larger by as much.
         whole = np.hypot(deviations[0], bodies * parameters[0])
         deviations[0] = min(whole, self.expected["stiffness"][1] * parameters[0])
@@ -430,13 +422,12 @@ class _Search:
 
         That is never, or at a limit of the joint, or at one that is found.
         """
-        motions = self.motions
+        motions, begin, best = self.motions, _Servo.of(start), self._by_half(start)
 
         def gain(servo: _Servo) -> float:
-            return motions.gain(best.numbers, servo.numbers, motions.tested)
+            found = motions.gain(best.numbers, servo.numbers, motions.tested)
+            return found - PENALTY * (int(servo.summed) - int(best.summed))
 
-        scale = self._scale(start)
-        begin, best = _Servo(start, scale), self._by_half(start)
         residuals = [
             (motions.residual(each.numbers), motions.residual(each.limited(limit, 0.0).numbers))
             for each in (begin, best)
@@ -447,35 +438,30 @@ class _Search:
                 if gain(other) >= PENALTY:
                     best = other
         integrals = (self.told,) if self.told else (0.0, start[0])
-        starts = [replace(best, scale=scale)]
-        starts += [_Servo(motions.with_integral(start, each), scale, True) for each in integrals]
+        starts = [best]
+        starts += [_Servo.of(motions.with_integral(start, each), summed=True) for each in integrals]
         for own in (0.0, 1.0):
-            starts = [each.limited(scale[_LIMIT], own) for each in starts]
-            found = self._best(starts, seen=True, limit=True, most=_FIRST_EVALUATIONS)
+            starts = [each.limited(self._most, own, sought=True) for each in starts]
+            found = self.best(starts, seen=True)
             starts = [found]
             if gain(found) >= PENALTY:
                 told = float(found.numbers[_INTEGRAL]) if found.summed else self.told
                 other = replace(self, told=told)._by_half(found.plain().numbers)
-                found = self._best([replace(other, scale=scale)], seen=True, limit=True)
+                sought = other.limited(float(other.numbers[_LIMIT]), own, sought=True)
+                found = self.best([sought], seen=True)
                 if gain(found) >= PENALTY:
-                    best = replace(found, scale=other.scale)
+                    best = found
         return best
 
-    def _scale(self, start: Array) -> Array:
-        """Return (11 + S,) sizes of the numbers of a servo, about that by a linear fit."""
-        needed = self.motions.needed
-        scale = np.full(len(start), float(np.std(needed)) or 1.0)  # of no effort, any size
-        least = [0.0, 0.02 * start[0], 0.01 * start[0], 1e-3, 1e-4, 0.01]
-        scale[:_OFFSET] = np.maximum(start[:_OFFSET], least)
-        scale[_LOAD], scale[_INTEGRAL] = _USUAL_LOAD, max(self.told, start[0])
-        scale[[_LIMIT, _SHARE]] = float(np.abs(needed).max()) or 1.0, 1.0
-        return scale
+    @cached_property
+    def _most(self) -> float:
+        """The most effort that bodies need, N·m or N; 1 if they need none."""
+        return float(np.abs(self.motions.needed).max()) or 1.0
 
     def _by_half(self, start: Array) -> _Servo:
         """Return a servo by the windows that a test does not need."""
-        scale = self._scale(start)
-        starts = [_Servo(each, scale) for each in _starts(start)]
-        plain = self._best([self._best(starts, seen=True)], seen=True)
+        starts = [_Servo.of(each) for each in _starts(start)]
+        plain = self.best(starts, seen=True)
         return self._integral(start, plain) or plain
 
     def _integral(self, start: Array, plain: _Servo) -> _Servo | None:
@@ -483,7 +469,7 @@ class _Search:
 
         None if they are predicted no better than by a servo with a constant effort.
         """
-        motions, constant = self.motions, replace(plain, summed=True)
+        motions, constant = self.motions, _Servo.of(plain.numbers, summed=True)
         if self.told:
             begins = [motions.with_integral(each, self.told) for each in _starts(start)]
         elif self._promised(constant) < PENALTY:
@@ -491,38 +477,30 @@ class _Search:
         else:
             gain = plain.numbers[0]
             begins = [motions.with_integral(plain.numbers, ratio * gain) for ratio in _RESETS]
-        starts = [replace(constant, numbers=each) for each in begins]
-        best = self._best([self._best(starts, seen=True)], seen=True)
-        constants = [constant, best.at_zero(_INTEGRAL)]
-        constant = self._best(constants, seen=True, free=best.free(without=[_INTEGRAL]))
+        starts = [_Servo.of(each, summed=True) for each in begins]
+        best = self.best(starts, seen=True)
+        constants = [each.without(_INTEGRAL) for each in (constant, best)]
+        constant = self.best(constants, seen=True)
         worth = motions.gain(constant.numbers, best.numbers, motions.tested)
         return best if worth >= PENALTY else None
 
     def _promised(self, constant: _Servo) -> float:
         """Return what an integral would gain beside a constant effort, by linear motions."""
-        left = self.motions.residual(constant.numbers)
-        both = [
-            self.motions.slopes(constant.numbers, constant.scale, free)
-            for free in (constant.free(without=[_INTEGRAL]), constant.free())
-        ]
-        before, after = (left - A @ np.linalg.lstsq(A, left, rcond=None)[0] for A in both)
-        return self.motions.gain_of(before, after)
+        motions, left = self.motions, self.motions.residual(constant.numbers)
+        J = motions.slopes(constant.numbers, constant.free)
+        J /= np.linalg.norm(J, axis=0) + _NOTHING
+        others = J[:, np.flatnonzero(constant.free) != _INTEGRAL]
+        before, after = (left - A @ np.linalg.lstsq(A, left, rcond=None)[0] for A in (others, J))
+        return motions.gain_of(before, after)
 
-    def _best(
-        self,
-        starts: Sequence[_Servo],
-        *,
-        free: Mask | None = None,
-        seen: bool = False,
-        limit: bool = False,
-        most: int = _MOST_EVALUATIONS,
-    ) -> _Servo:
+    def best(self, starts: Sequence[_Servo], *, seen: bool = False) -> _Servo:
         """Return the least squares over all rows, or those that a fit sees, from several starts on.
 
-        All numbers that a servo has move, its limit only if asked for, unless `free` (11 + S,) says
-        which. What is expected of numbers bounds them in searches, and counts over all rows.
+        Of several the one that is best after a few steps is followed to its end. What is expected
+        of numbers bounds them in searches, and counts over all rows.
         """
-        motions = self.motions
+        motions, size = self.motions, len(starts[0].numbers)
+        most = _MOST_EVALUATIONS if len(starts) == 1 else _FIRST_EVALUATIONS
         rows = ~motions.tested if seen else np.ones(len(motions.measured), bool)
         places = [PARAMETERS.index(name) for name in self.expected]
         usual, spread = np.transpose(list(self.expected.values()))
@@ -531,51 +509,51 @@ class _Search:
             left = motions.residual(starts[0].numbers)
             noise = np.sqrt(left @ left / WORTH)
             weights, late = noise / spread, noise / USUAL_DELAY * np.sqrt(2.0 / np.pi)
+        upper, lower = np.full((2, size), np.inf)
+        upper[[_DELAY, _LOAD]] = LONGEST_DELAY, _MOST_LOAD
+        lower[:_LIMIT], lower[_LIMIT], lower[_SHARE:] = 0.0, _LEAST_LIMIT * self._most, -np.inf
+        lower[_OFFSET] = -np.inf
+        farthest = np.exp(_FARTHEST * spread)
+        lower[places], upper[places] = usual / farthest, usual * farthest
 
         def search(start: _Servo) -> tuple[float, _Servo]:
-            moving, scale = start.free(limit=limit) if free is None else free, start.scale
-            upper, lower = np.full((2, len(scale)), np.inf)
-            upper[[_DELAY, _LOAD]] = LONGEST_DELAY / scale[_DELAY], _MOST_LOAD / scale[_LOAD]
-            lower[:_LIMIT], lower[_LIMIT], lower[_SHARE:] = 0.0, _LEAST_LIMIT, -np.inf
-            lower[_OFFSET] = -np.inf
-            farthest = usual / scale[places], np.exp(_FARTHEST * spread)
-            lower[places], upper[places] = farthest[0] / farthest[1], farthest[0] * farthest[1]
+            free = start.free
 
             def numbers(x: Array) -> Array:
                 found = start.numbers.copy()
-                found[moving] = x * scale[moving]
+                found[free] = x
                 return found
 
             def residual(x: Array) -> Array:
                 at = numbers(x)
-                left = motions.simulated(at) - motions.measured
-                return np.hstack(
-                    [left[rows], weights * np.log(at[places] / usual), late * at[_DELAY]]
-                )
+                left = motions.residual(at)[rows]
+                return np.hstack([left, weights * np.log(at[places] / usual), late * at[_DELAY]])
 
             def slopes(x: Array) -> Array:
                 at = numbers(x)
-                own = np.zeros((len(places) + 1, len(at)))
-                own[range(len(places)), places] = weights * scale[places] / at[places]
-                own[-1, _DELAY] = late * scale[_DELAY]
-                return np.vstack([motions.slopes(at, scale, moving)[rows], own[:, moving]])
+                own = np.zeros((len(places) + 1, size))
+                own[range(len(places)), places] = weights / at[places]
+                own[-1, _DELAY] = late
+                return np.vstack([motions.slopes(at, free)[rows], own[:, free]])
 
-            begin = np.clip(start.numbers / scale, lower, upper)[moving]
-            x, cost = _descend((residual, slopes), begin, (lower[moving], upper[moving]), most)
+            begin = np.clip(start.numbers, lower, upper)[free]
+            x, cost = _descend((residual, slopes), begin, (lower[free], upper[free]), most)
             return cost, replace(start, numbers=numbers(x))
 
-        return min(map(search, starts), key=lambda each: each[0])[1]
+        best = min(map(search, starts), key=lambda each: each[0])[1]
+        return best if len(starts) == 1 else self.best([best], seen=seen)
 
-    def _deviations(self, best: _Servo, free: Mask) -> Array:
-        """Return (9,) standard deviations of parameters that are free (11 + S,).
+    def _deviations(self, best: _Servo) -> Array:
+        """Return (9,) standard deviations of parameters that are free.
 
         What is left varies with the motion: it is worth few samples, however long logs are.
         """
-        size = np.maximum(np.abs(best.numbers), best.scale)
-        residual, J = (
-            self.motions.residual(best.numbers),
-            self.motions.slopes(best.numbers, size, free),
-        )
+        numbers, free, gain = best.numbers, best.free, best.numbers[0]
+        least = np.full(len(numbers), float(np.std(self.motions.needed)) or 1.0)
+        least[:_OFFSET] = 0.0, 0.02 * gain, 0.01 * gain, 1e-3, 1e-4, 0.01
+        least[_LOAD], least[_INTEGRAL] = _USUAL_LOAD, max(self.told, gain)
+        size = np.maximum(np.abs(numbers), least)[free]
+        residual, J = self.motions.residual(numbers), self.motions.slopes(numbers, free) * size
         noise = residual @ residual / WORTH
         # What the motion does not show is known to its own size.
         known = np.ones(J.shape[1])
@@ -583,7 +561,7 @@ class _Search:
             known[np.flatnonzero(free) == PARAMETERS.index(name)] = spread**-2.0
         covariance = np.linalg.inv(J.T @ J / noise + np.diag(known))
         found = np.zeros(len(free))
-        found[free] = size[free] * np.sqrt(np.diag(covariance))
+        found[free] = size * np.sqrt(np.diag(covariance))
         return found[:_LIMIT]
 
 
@@ -595,8 +573,8 @@ def _descend(
 ) -> tuple[Array, float]:
     """Return the least squares of residuals by their slopes, from x on within bounds, and the sum.
 
-    Steps are those of Levenberg and Marquardt, each the best within the bounds: numbers may lie on
-    them, such as dry friction that is not there, where SciPy's `least_squares` goes on and on.
+    Steps are those of Levenberg and Marquardt. Numbers may lie on bounds, such as dry friction that
+    is not there, where SciPy's `least_squares` goes on and on.
     """
     residual, slopes = functions
     left, damping = residual(x), _FIRST_DAMPING
@@ -609,22 +587,37 @@ def _descend(
             break
         gain = 0.0
         while not gain > 0.0:  # nor if it is no number
-            size = np.maximum(np.diag(H), np.finfo(float).eps * np.trace(H) + _NOTHING)
-            root = np.linalg.cholesky(H + np.diag(damping * size))
-            aim = solve_triangular(root, -pull, lower=True)
-            step = solve_triangular(root.T, aim)
-            if ((x + step < bounds[0]) | (x + step > bounds[1])).any():
-                step = lsq_linear(root.T, aim, (bounds[0] - x, bounds[1] - x), method="bvls").x
+            damped = H + np.diag(damping * np.diag(H) + _NOTHING)
+            step = _bounded(damped, pull, bounds[0] - x, bounds[1] - x)
             promised = -float(step @ (2.0 * pull + H @ step))
             if promised <= _SETTLED * cost:
                 return x, cost
-            ahead = np.clip(x + step, *bounds)
-            left_there = residual(ahead)
+            left_there = residual(x + step)
             gain = cost - float(left_there @ left_there)
             damping *= 0.1 if gain > 0.5 * promised else 1.0 if gain > 0.0 else 10.0
             damping = max(damping, _LEAST_DAMPING)
-        x, left, cost = ahead, left_there, cost - gain
+        x, left, cost = x + step, left_there, cost - gain
     return x, cost
+
+
+def _bounded(H: Array, pull: Array, lower: Array, upper: Array) -> Array:
+    """Return a step within bounds that lowers xᵀ H x / 2 + pullᵀ x, what meets a bound stays there.
+
+    What a bound holds from the beginning does not move.
+    """
+    step = np.zeros(len(pull))
+    free = ~((lower >= 0.0) & (pull >= 0.0) | (upper <= 0.0) & (pull <= 0.0))
+    while free.any():
+        way = np.zeros(len(pull))
+        way[free] = np.linalg.solve(H[np.ix_(free, free)], -(pull + H @ step)[free])
+        bound = np.where(way < 0.0, lower, upper)
+        room = np.divide(bound - step, way, out=np.full(len(way), np.inf), where=way != 0.0)
+        share = min(1.0, float(room.min()))
+        step = np.where(room <= share, bound, step + share * way)
+        if share == 1.0:
+            break
+        free &= room > share
+    return step
 
 
 def _starts(start: Array) -> list[Array]:
@@ -637,9 +630,32 @@ def _starts(start: Array) -> list[Array]:
 
 
 @compiled
-def calc_servo_motion(
-    rows: Array, period: float, steps: int, servo: Array, out: tuple[Array, Array]
+def calc_servo_motions(
+    rows: Array, ends: Indices, periods: Array, servo: Array, out: tuple[Array, Array]
 ) -> None:
+    """Write the positions of a joint along stretches, one after the other; see the next.
+
+    Args:
+        rows: (N, 8) of all stretches.
+        ends: (S,) where each ends.
+        periods: (S,) s.
+        servo: (11 + S,) numbers of a servo, an effort w for each stretch.
+        out: (N,) positions, and (N, 8 or 11 + S) their slopes with these numbers; or none.
+    """
+    positions, slopes = out
+    here, begin = servo[: _BEGUN + 1].copy(), 0
+    for k in range(len(ends)):
+        at = slice(begin, ends[k])
+        here[_BEGUN] = servo[_BEGUN + k]
+        calc_servo_motion(rows[at], periods[k], here, (positions[at], slopes[at]))
+        if slopes.shape[1] > _INTEGRAL and k > 0:
+            slopes[at, _BEGUN + k] = slopes[at, _BEGUN]
+            slopes[at, _BEGUN] = 0.0
+        begin = ends[k]
+
+
+@compiled
+def calc_servo_motion(rows: Array, period: float, servo: Array, out: tuple[Array, Array]) -> None:
     """Write the positions (N,) of a joint under its commands, by steps of the theta method.
 
     Forces are those between both ends of a step, where the error is of second order but for what
@@ -653,27 +669,25 @@ def calc_servo_motion(
         period: Time between rows, s.
         servo: (12,) kp, kr, d, F, I, δ, o, k, ki, the largest effort, the share of d within it,
             and w.
-        out: (N,) positions, and (N, p) their slopes with kp, kr, d, F, I, δ, o and k, or with ki
-            and w too; (0, p) if those are not asked for.
+        out: (N,) positions, and (N, p) their slopes with the first 8 of these numbers, or with all
+            but the share; (0, p) if those are not asked for.
     """
     positions, slopes = out
+    steps = max(_STEPS, int(np.ceil(period / _LONGEST_STEP)))
     kp, kr, d, F, armature, delay, offset, load, ki, limit, own, w = servo
     dt, late = period / steps, delay / period
     x, v, z = rows[0, 4], rows[0, 5], 0.0
     c, rise = calc_command_before(rows, -late, period)
-    at_numbers, now_at = np.zeros((3, 10)), np.zeros(7)
-    count = slopes.shape[1] if len(slopes) > 0 else 0
+    count = min(slopes.shape[1], _BEGUN + 1) if len(slopes) > 0 else 0
+    at_numbers = np.zeros((3, count))
     ahead = _THETA * dt
     reach = kp + ki * ahead
     soft = reach * ahead * _THETA + (kr + own * d) * _THETA
     positions[0] = x
-    slopes[:1] = 0.0
+    slopes[:1, :count] = 0.0
     for k in range(len(rows) - 1):
         for s in range(steps):
-            f = (s + _THETA) / steps
-            for i in range(7):
-                now_at[i] = (1.0 - f) * rows[k, i] + f * rows[k + 1, i]
-            b, M, K, D, q, qd, qdd = now_at
+            b, M, K, D, q, qd, qdd = calc_between(rows[k], rows[k + 1], (s + _THETA) / steps)
             before, rise_before = c, rise
             c, rise = calc_command_before(rows, k + (s + 1.0) / steps - late, period)
             told = (1.0 - _THETA) * before + _THETA * c
@@ -682,7 +696,7 @@ def calc_servo_motion(
             drive = kp * (told - at) + kr * ((c - before) / dt - old) - own * d * old
             drive += ki * (z + ahead * (told - at)) + w
             rest = inertia * v - b - offset - K * (at - q) + D * qd - free * old + M * qdd
-            heavy, gives = inertia + K * ahead * _THETA + free * _THETA, 1.0
+            heavy, gives, bound = inertia + K * ahead * _THETA + free * _THETA, 1.0, 0.0
             dry = F + load * abs(b)
             now, way = calc_velocity_after(drive + rest, heavy + soft, dry)
             effort = drive - soft * now
@@ -704,12 +718,14 @@ def calc_servo_motion(
                     -1.0,
                     -way * abs(b),
                     gives * (z + ahead * error),
+                    np.sign(bound),
+                    0.0,
                     gives,
                 )
                 damps, pulls = free + gives * (kr + own * d), K + gives * reach
                 moves = 1.0 / (heavy + gives * soft) if way != 0.0 else 0.0
                 step = inertia, damps, pulls, gives * ki, moves, dt if grows else 0.0, dt
-                move_slopes(at_numbers[:, :count], direct, step)
+                move_slopes(at_numbers, direct, step)
                 at_numbers[2, 5] -= dt * later if grows else 0.0
             z += dt * error if grows else 0.0
             v, x = now, x + dt * mean
@@ -718,7 +734,7 @@ def calc_servo_motion(
             at_numbers[:2] = 0.0
         positions[k + 1] = x
         if count > 0:
-            slopes[k + 1] = at_numbers[0, :count]
+            slopes[k + 1, :count] = at_numbers[0]
 
 
 @compiled
@@ -744,6 +760,23 @@ def move_slopes(
         mean = old + _THETA * slopes[1, i]
         slopes[2, i] -= grows * (x + _THETA * dt * mean)
         slopes[0, i] += dt * mean
+
+
+@inlined
+def calc_between(
+    a: Array, b: Array, share: float
+) -> tuple[float, float, float, float, float, float, float]:
+    """Return b, M, K, D, q, q̇ and q̈ between two rows."""
+    left = 1.0 - share
+    return (
+        left * a[0] + share * b[0],
+        left * a[1] + share * b[1],
+        left * a[2] + share * b[2],
+        left * a[3] + share * b[3],
+        left * a[4] + share * b[4],
+        left * a[5] + share * b[5],
+        left * a[6] + share * b[6],
+    )
 
 
 @compiled

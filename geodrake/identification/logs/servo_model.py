@@ -9,10 +9,9 @@ import numpy as np
 
 from geodrake.effects import FittedEffect
 from geodrake.effects.base import JointEffect
-from geodrake.identification.logs.servo_fit import PARAMETERS, ServoFit, fit_servo, motions_of
+from geodrake.identification.logs.servo_fit import PARAMETERS, ServoFit, motions_of
 from geodrake.identification.logs.signal_calibration import (
-    expected_servo,
-    published_limit,
+    servo_by_motion,
     sharp_trajectories,
     signal_by_motion,
     signals_as_efforts,
@@ -58,16 +57,9 @@ def with_servo_motions(
     signals = {signal.joint: signal for signal in model.effort_signals}
     fits = dict[str, ServoFit]()
     for j, motions in motions_of(replace(model, effects=()), logs, sharp, moved).items():
-        joint, most = model.joints[j], float(model.effort_limits[j])
+        joint = model.joints[j]
         signal = signals[joint]
-        expected = expected_servo(logs, joint, signal.gain)
-        fit = fit_servo(
-            motions,
-            signal,
-            most if most > 0.0 else np.inf,
-            expected=expected,
-            published=published_limit(logs, joint),
-        )
+        fit = servo_by_motion(model, logs, motions, signal)
         if fit is not None:
             fits[joint] = fit
             deviation = signal.uncertainty * fit.parameters[0]

@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property, partial
+from weakref import WeakKeyDictionary
 
 import numpy as np
 from numpy.typing import NDArray
@@ -206,7 +207,9 @@ def calibrate_efforts(
     kinds = _kinds(model, logs)
     if all(kind == "effort" for kind in kinds) and not model.effort_signals:
         return model, list(logs), []
-    asked, logs = logs, [_known_efforts(model, log) for log in logs]
+    asked, logs = logs, list(logs)
+    if model.effort_signals:
+        logs = [_known_efforts(model, log) for log in logs]
     notes = [note for pair in zip(asked, logs, strict=True) for note in _limit_notes(model, *pair)]
     kinds = _kinds(model, logs)  # of joints that the model does not know
     if all(kind == "effort" for kind in kinds):
@@ -282,71 +285,29 @@ def gain_words(
     return f"efforts are those of {kinds}, by gains from the model's inertias: {', '.join(words)}"
 
 
+_LINEAR = WeakKeyDictionary[RobotModel, "tuple[tuple[JointLog, ...], _Calibration]"]()
+"""Linear fits of logs whose columns were looked at, until the logs are compared with the model."""
+
+
 def calibrated(
     model: RobotModel, logs: Sequence[JointLog], kinds: Sequence[str], *, simulate: bool = True
 ) -> tuple[EffortSignal, ...]:
     """Find what makes efforts of the signals of all joints whose efforts were not measured.
 
     `kinds` (nv,) are what stands for the efforts of each joint. Joints with servos are simulated,
-    or the linear fit stays.
+    or the linear fit stays, which counts for a simulation of the same logs afterwards.
 
     Raises:
         LogError: A servo pushes away from where it is told to go.
     """
-    known = signals_as_efforts(logs, kinds)
-    trajectories = prepare_logs(known)
-    commanded = {j: Commands.of(logs, model.joints[j]) for j, k in enumerate(kinds) if k == COMMAND}
-    usual = [kind for kind in catalogue() if kind.complexity == 0]
-    free = [kind.shaped(joint)[0] for joint in model.single_joints for kind in usual]
-    free += [effect for effect in effects_of(model) if effect.role is not Role.BODY]
-    free = list(dict.fromkeys(free))
-    held = None
-    if any(log.payloads for log in logs):
-        each = [(log_number(log.name), carried_phi(model, log.payloads)) for log in logs]
-        held = CarriedColumn({n: _by_body(model, phi) for n, phi in each})
-    columns: list[Effect] = [column for each in commanded.values() for column in each.all]
-    columns += [] if held is None else [held]
-    folds = validation_blocks(trajectories)
-    dataset = reduce_logs(model, trajectories, folds, effects=(*free, *columns))
-    priors = _gain_priors(model, logs, kinds)
-    alike = [f"{k} {j in model.sliding_joints}" for j, k in zip(model.joints, kinds, strict=True)]
-    fit = partial(signal_gains, model=model, priors=priors, kinds=alike)
-    first = _Calibration(dataset, model, kinds, fit, tuple(free), commanded, held)
-    plain, gains = first.found()
-    if not (commanded and simulate):
-        return tuple(plain.signals(gains).values())
-    sharp = sharp_trajectories(known, trajectories)
-
-    # Bodies are those of the model that is saved, not as the linear fit moves them.
-    motions = motions_of(replace(model, effects=()), logs, sharp, tuple(commanded))
-
-    def by_motion(
-        found: _Calibration, gains: SignalGains, joints: Iterable[int]
-    ) -> dict[int, EffortSignal]:
-        signals = found.signals(gains)
-        usual = {
-            kind: float(np.median([s.gain for j, s in signals.items() if alike[j] == kind]))
-            for kind in {alike[j] for j in commanded}
-        }
-        servos = dict[int, EffortSignal]()
-        for j in joints:
-            limit, known = float(model.effort_limits[j]), float(gains.bodies[j])
-            expected = expected_servo(logs, model.joints[j], usual[alike[j]])
-            published = published_limit(logs, model.joints[j])
-            servo = _by_motion(motions[j], signals[j], (limit, published), known, expected)
-            servos |= {} if servo is None else {j: servo}
-        return servos
-
-    summed, other = replace(first, integral=True).found()
-    servos, rest = dict[int, EffortSignal](), tuple(commanded)
-    if summed.cost(other) + PENALTY * len(commanded) < plain.cost(gains):
-        servos = by_motion(summed, other, rest)
-        if any(servo.integral for servo in servos.values()):
-            plain, gains, rest = summed, other, ()
-    servos |= by_motion(plain, gains, [j for j in rest if j not in servos])
-    linear = plain.signals(gains).items()
-    found = {j: replace(signal, integral=0.0, integral_deviation=0.0) for j, signal in linear}
-    return tuple((found | servos).values())
+    of, linear = _LINEAR.pop(model, ((), None))
+    if linear is None or of != tuple(logs):
+        linear = _Calibration.of(model, logs, kinds)
+    if simulate:
+        return tuple(linear.by_motion().values())
+    _LINEAR[model] = tuple(logs), linear
+    choice, gains = linear.found
+    return tuple(choice.signals(gains).values())
 
 
 def _gain_priors(model: RobotModel, logs: Sequence[JointLog], kinds: Sequence[str]) -> GainPriors:
@@ -412,22 +373,33 @@ def sharp_trajectories(
     return tuple(prepare_logs(logs, bandwidth=bandwidth, motion_bandwidth=sharp))
 
 
-def _by_motion(
+def servo_by_motion(
+    model: RobotModel,
+    logs: Sequence[JointLog],
     motions: JointMotions,
     signal: EffortSignal,
-    limits: tuple[float, float],
-    known: float,
-    expected: Expected,
-) -> EffortSignal | None:
-    """Return the servo of a joint by how it moves, if that is predicted better for it, or None.
+    *,
+    usual: float | None = None,
+    bodies: float = 0.0,
+) -> ServoFit | None:
+    """Return the servo of a joint by how it moves in logs, if that is predicted better for it.
 
-    An integral counts only where windows of the motion ask for it, and so does the first of the
-    `limits` of its effort, N·m or N, which are the model's and the motor's. `signal` is the servo
-    by a linear fit; bodies are `known` to a share.
+    Args:
+        motions: The joint along the logs.
+        signal: The servo by a linear fit, or as it was known.
+        usual: Stiffness of such servos, N·m/rad or N/m, if no data sheet says it; by default that
+            of the signal.
+        bodies: Share to which bodies are known.
     """
-    bodies, most = min(signal.uncertainty, known), limits[0] if limits[0] > 0.0 else np.inf
-    fit = fit_servo(motions, signal, most, expected=expected, bodies=bodies, published=limits[1])
-    return None if fit is None else signal_by_motion(signal, fit)
+    limit = float(model.effort_limits[model.joints.index(signal.joint)])
+    return fit_servo(
+        motions,
+        signal,
+        limit if limit > 0.0 else np.inf,
+        expected=expected_servo(logs, signal.joint, signal.gain if usual is None else usual),
+        bodies=bodies,
+        published=published_limit(logs, signal.joint),
+    )
 
 
 def signal_by_motion(signal: EffortSignal, fit: ServoFit) -> EffortSignal:
@@ -503,10 +475,11 @@ class _Calibration:
     all of a robot are alike in that.
     """
 
-    dataset: Dataset
     model: RobotModel
+    logs: Sequence[JointLog]
+    # The logs with signals in the place of efforts, and what was made of these.
+    samples: tuple[Sequence[JointLog], Sequence[Trajectory], Dataset]
     kinds: Sequence[str]  # (nv,) what stands for the efforts of each joint
-    fit: Callable[[Sequence[SignalRows]], SignalGains]
     beside: tuple[Effect, ...]  # effects that are free
     commanded: Mapping[int, Commands]  # by the index of the joint
     held: CarriedColumn | None = None  # the column of known payloads' efforts, if there are some
@@ -516,9 +489,45 @@ class _Calibration:
     # Rows by the joint, and how its servo takes commands: choices come up again and again.
     known: dict[tuple[int, ...], SignalRows] = field(default_factory=dict)
 
+    @classmethod
+    def of(cls, model: RobotModel, logs: Sequence[JointLog], kinds: Sequence[str]) -> _Calibration:
+        """Return the first choice, of servos that are not late and know no rates."""
+        known = signals_as_efforts(logs, kinds)
+        trajectories = prepare_logs(known)
+        commanded = {
+            j: Commands.of(logs, model.joints[j]) for j, k in enumerate(kinds) if k == COMMAND
+        }
+        usual = [kind for kind in catalogue() if kind.complexity == 0]
+        free = [kind.shaped(joint)[0] for joint in model.single_joints for kind in usual]
+        free += [effect for effect in effects_of(model) if effect.role is not Role.BODY]
+        free = list(dict.fromkeys(free))
+        held = None
+        if any(log.payloads for log in logs):
+            each = [(log_number(log.name), carried_phi(model, log.payloads)) for log in logs]
+            held = CarriedColumn({n: _by_body(model, phi) for n, phi in each})
+        columns: list[Effect] = [column for each in commanded.values() for column in each.all]
+        columns += [] if held is None else [held]
+        folds = validation_blocks(trajectories)
+        dataset = reduce_logs(model, trajectories, folds, effects=(*free, *columns))
+        samples = known, trajectories, dataset
+        return cls(model, logs, samples, kinds, tuple(free), commanded, held)
+
+    @cached_property
+    def alike(self) -> list[str]:
+        """(nv,) kinds of signals whose gains are alike."""
+        pairs = zip(self.model.joints, self.kinds, strict=True)
+        return [f"{kind} {joint in self.model.sliding_joints}" for joint, kind in pairs]
+
+    def fit(self) -> SignalGains:
+        """Return bodies and gains by this choice."""
+        priors = _gain_priors(self.model, self.logs, self.kinds)
+        rows = [self.joint(j) for j in range(len(self.kinds))]
+        return signal_gains(rows, self.model, priors, self.alike)
+
+    @cached_property
     def found(self) -> tuple[_Calibration, SignalGains]:
-        """Return the likeliest choice with bodies and gains, which are found in turn."""
-        choice, gains = self, self.fit(self.rows())
+        """The likeliest choice with bodies and gains, which are found in turn."""
+        choice, gains = self, self.fit()
         if self.integral:
             # What is wrong with a delay of 0 shows more in an error that an integral keeps small.
             gains = replace(gains, phi=self.model.total_phi)
@@ -529,8 +538,47 @@ class _Calibration:
                 for delay in range(len(_DELAYS))
             ]
             choice = min(choices, key=partial(_Calibration.cost, gains=gains))
-            gains = self.fit(choice.rows())
+            gains = choice.fit()
         return choice, gains
+
+    def by_motion(self) -> dict[int, EffortSignal]:
+        """Return what makes efforts of signals, of servos by how their joints move."""
+        (plain, gains), joints = self.found, tuple(self.commanded)
+        if not joints:
+            return plain.signals(gains)
+        known, trajectories, _ = self.samples
+        sharp = sharp_trajectories(known, trajectories)
+        # Bodies are those of the model that is saved, not as the linear fit moves them.
+        motions = motions_of(replace(self.model, effects=()), self.logs, sharp, joints)
+        summed, other = replace(self, integral=True).found
+        servos = dict[int, EffortSignal]()
+        if summed.cost(other) + PENALTY * len(joints) < plain.cost(gains):
+            servos = summed.moved(other, motions)
+            if any(servo.integral for servo in servos.values()):
+                plain, gains, motions = summed, other, {}
+        servos |= plain.moved(gains, {j: own for j, own in motions.items() if j not in servos})
+        linear = plain.signals(gains).items()
+        found = {j: replace(signal, integral=0.0, integral_deviation=0.0) for j, signal in linear}
+        return found | servos
+
+    def moved(
+        self, gains: SignalGains, motions: Mapping[int, JointMotions]
+    ) -> dict[int, EffortSignal]:
+        """Return servos of joints whose motion is predicted better for them."""
+        signals, servos = self.signals(gains), dict[int, EffortSignal]()
+        for j, own in motions.items():
+            same = [signals[k].gain for k in self.commanded if self.alike[k] == self.alike[j]]
+            fit = servo_by_motion(
+                self.model,
+                self.logs,
+                own,
+                signals[j],
+                usual=float(np.median(same)),
+                bodies=min(signals[j].uncertainty, float(gains.bodies[j])),
+            )
+            if fit is not None:
+                servos[j] = signal_by_motion(signals[j], fit)
+        return servos
 
     def cost(self, gains: SignalGains) -> float:
         """Return twice the negative log-likelihood with some bodies and gains."""
@@ -560,11 +608,7 @@ class _Calibration:
             free += [*own.constants, own.integrals[self.delay]] if self.integral else []
             free += [own.rates[self.delay]] if self.rate else []
         d = self.model.phi.size
-        return SignalRows.of(self.dataset, j, d, free, added=added, held=self.held)
-
-    def rows(self) -> list[SignalRows]:
-        """Return the rows of all joints."""
-        return [self.joint(j) for j in range(len(self.dataset.joints))]
+        return SignalRows.of(self.samples[2], j, d, free, added=added, held=self.held)
 
     def signals(self, gains: SignalGains) -> dict[int, EffortSignal]:
         """Return what makes efforts of the signals of joints whose efforts are unknown, by index.
