@@ -311,8 +311,6 @@ class DynamicsCheck(Short):
     """What a model's dynamics are by geodrake, by MultibodyPlant and by a third program.
 
     Attributes:
-        agreements: One for every quantity.
-        joints: Names of the velocities that were compared.
         repairs: What of the model's file is not used as it stands.
         left_out: What of that is no part of the model, other than inertias.
         second: Of the efforts by another program, which reads the file itself; None for none.

@@ -38,7 +38,6 @@ def holding(
     Args:
         held: Joint -> where it is held, rad or m. One that is held already may be held elsewhere
             by loading the model file again.
-        why: Why they are, for the note.
 
     Raises:
         ModelError: There is no such joint, its limits do not let it stand there, or no joint is

@@ -71,10 +71,8 @@ class RobotModel(Short):
     Attributes:
         plant: Finalized MultibodyPlant of the rigid bodies alone, inertias as in its file, closed
             loops open; `create_context` has the model's.
-        path: The model file that the plant came from.
         floating: Whether free roots float instead of being welded to the world.
         phi: (nb, 10) inertial parameters, those of fitted payloads left out.
-        effects: Effects with their parameters.
         information: (p, p) information matrix (inverse covariance) of the inertial parameters and
             then of all effects' parameters; None if the model was never fitted.
         effort_noise: (nv,) RMS of the efforts that the fit left unexplained on held-out data, N·m
@@ -84,9 +82,7 @@ class RobotModel(Short):
             the last fit to it.
         fading_speed: (nv,) speed below which dry friction fades, rad/s or m/s; 0, or None for all,
             where it was not seen to.
-        notes: What was noticed while loading, repairs first.
         held: Joint of the file that is held, and none of the model -> where, rad or m.
-        given: How the file was to be read.
         followers: Joints of the plant that follow others, and are none of the model.
         transmission: What moves joints of the plant in their place, closed loops among it; joints
             without a drive move by themselves. All that is the model's, q, v, efforts and effects,

@@ -98,14 +98,11 @@ class SavedModel(Schema):
     """Schema of `model.yaml`.
 
     Attributes:
-        format: Name and version of the format.
         base_model: Path of the model file, relative to this one, so that both may move together.
         base_absolute: Its absolute path when the model was saved, if only this file has moved.
         base_sha256: Digest of the model file when the model was saved.
-        floating: Whether free roots float.
         robot: Name of the robot, where the model file has several and one was chosen.
         held: Joint that is held -> where, rad or m.
-        xacro: Arguments of a xacro file.
         packages: Package of ROS -> its folder, relative to this file, for those that were given.
         leading: Names of joints that are free in closed loops, before those that motors drive.
         transmission: What moves joints in their place, if anything does.

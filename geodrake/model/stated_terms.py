@@ -56,7 +56,6 @@ class StatedEffects:
     """Effects that a file states.
 
     Attributes:
-        names: Names of the model's velocities.
         notes: Sentences on what the effects are of.
         left_out: Sentences on what no effect is.
     """

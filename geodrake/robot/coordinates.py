@@ -56,7 +56,6 @@ class RobotCoordinates:
 
     Attributes:
         names: Names of the robot's nv velocities.
-        places: The drives and where they are.
         kept_q: (2, ·) where positions of joints without a drive are in the robot's q, and in the
             tree's.
         kept_v: (2, ·) the same of velocities.

@@ -32,7 +32,6 @@ class Arrangement:
         places: Scoped names of joints that are held -> where, rad or m.
         aside: Scoped names of joints of other robots than the one asked for -> their poses X_FM.
         robot: Indices of that robot's bodies; None for all that there are.
-        followers: Joints that move as others do.
         joints: Names, as users know them, of the robot's joints of one degree of freedom, held
             ones and followers included.
     """
@@ -52,7 +51,6 @@ class OneRobot:
 
     Attributes:
         name: That of its model in the file, or of its first body where the model has several.
-        joints: Scoped names of its joints that move.
     """
 
     name: str

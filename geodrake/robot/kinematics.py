@@ -61,8 +61,6 @@ class KinematicTree(Short):
         θ = T(q), θ̇ = J q̇, θ̈ = J q̈ + J̇ q̇, τ_q = Jᵀ τ_θ, Y_q = Jᵀ Y_θ    [Lee2019] Eq. (3.6.57)
 
     Attributes:
-        mobilizers: The mobilizers, inboard before outboard.
-        bodies: Names of the (nb) lumped bodies.
         num_positions: nq, of the plant without the joints that follow others; of the actuators.
         num_velocities: nv, likewise.
         gravity: (3,) gravity in the world frame, m/s².
@@ -82,7 +80,6 @@ class KinematicTree(Short):
         """Read the tree of a finalized plant, with its default parameters.
 
         Args:
-            plant: Any finalized plant; it is not kept.
             followers: Joints of it that follow others, whose leaders follow none.
         """
         bodies = lumped_bodies(plant)

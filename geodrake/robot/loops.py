@@ -60,9 +60,7 @@ class LoopJoints:
     """What is known of joints beside what closes loops.
 
     Attributes:
-        followers: Joints of the plant that follow others.
         bent: Joints that follow others by a ratio that changes.
-        driven: Names of joints that motors drive.
         sprung: Names of joints with springs, the stiffest first: where motors do not determine how
             a loop moves, these are free beside them, as they hardly move.
         first: Names of joints that are to be free before all others.
@@ -83,7 +81,6 @@ class Loops:
     """The closed loops of a robot.
 
     Attributes:
-        left_out: Sentences on closures that cannot be used.
         taken: Joints that follow others by a ratio that changes within them.
         held: Joint -> where it is held as loops and other constraints let it not move, rad or m.
     """
@@ -103,11 +100,7 @@ class Loops:
     def places(
         self, held: Mapping[str, float], path: object
     ) -> tuple[dict[str, float], dict[str, float]]:
-        """Joint -> where it is if some are held, of joints in loops, and of those that stand still.
-
-        Args:
-            held: Joint -> where it is held, rad or m.
-        """
+        """Joint -> where it is if some are held: of joints in loops, and of those that stand."""
         every, still = dict[str, float](), dict[str, float]()
         for loop in self.loops:
             posture = loop.posture(held, path)
@@ -385,7 +378,6 @@ class _Shape:
         parts: Its mobilizers, closures, sides and couplings for compiled code.
         units: (k + 1,) how far joints go that move as far as a radian, m or rad, and the size.
         rows: How many equations it has.
-        slides: (k) whether each joint slides.
     """
 
     parts: tuple[TreeRecords, NDArray[np.void], Indices, Array]

@@ -67,7 +67,6 @@ class BuiltPlant:
     Attributes:
         damping: Scoped name of a joint -> damping of its velocities, SI.
         rotor: Likewise reflected inertia, kg·m² or kg.
-        notes: Sentences on how it was read.
         opened: Joints that closed its loops.
     """
 
@@ -93,8 +92,6 @@ class LoadedPlant:
         closing: Joints that close loops and are not in the plant.
         held: Joint that does not move, though it does in the file -> where it is held, rad or m.
         places: The same by scoped names, those that follow held ones included.
-        given: How the file was to be read.
-        followers: Joints of the plant that follow others.
         joints: Names of all joints of one degree of freedom of the file, held ones and followers
             included.
         bent: Joints that follow others by a ratio that changes, and are among the plant's own.

@@ -37,7 +37,6 @@ class Repair:
     """A body of a model file whose inertia was replaced.
 
     Attributes:
-        body: Name of the lumped body.
         problem: What is wrong with the inertia of the file, to be read after the name.
         before: (10,) inertial parameters of the file.
         after: (10,) inertial parameters of the plant.

@@ -63,7 +63,6 @@ class RobotInstance:
     Beside it, the plant may hold tables, objects that float and other robots.
 
     Attributes:
-        plant: The finalized plant.
         name: Name of the model instance; None for all joints of the plant.
 
     Raises:

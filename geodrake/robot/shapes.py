@@ -60,13 +60,7 @@ SHAPES_ADVICE = (
 
 @dataclass(frozen=True, eq=False)
 class LinkShape:
-    """A shape of a link.
-
-    Attributes:
-        shape: Drake's shape; meshes are in memory.
-        X_BG: Its pose in the link's frame.
-        color: Colour that the file gives it.
-    """
+    """A shape of a link."""
 
     shape: Shape
     X_BG: RigidTransform
@@ -80,7 +74,6 @@ class MjcfGeom(LinkShape):
     Attributes:
         name: Its name, or its number.
         shown: Whether MuJoCo shows its group unasked.
-        collides: Whether it touches others.
     """
 
     name: str
@@ -173,7 +166,6 @@ class RobotShapes:
     """The shapes of a robot's links.
 
     Attributes:
-        links: Scoped link name -> its shapes.
         notes: What could not be shown as the file has it, in words.
     """
 

@@ -77,7 +77,6 @@ class Tendon:
     effort of joint i = cᵢ (k (L − L₀) + d L̇ + F sgn L̇).
 
     Attributes:
-        name: Its name in the file.
         shares: Joint -> cᵢ.
     """
 
@@ -128,7 +127,6 @@ class CutJoint:
 
     Attributes:
         axis: (3,) its axis in the first frame of its closure.
-        slides: Whether it is prismatic.
         driven: Whether a motor with a limit drives it.
     """
 
@@ -148,7 +146,6 @@ class Closure:
         bodies: Scoped names of the bodies, or `WORLD`.
         poses: Poses of the frames in them.
         turns: Whether the frames turn together; else only the origins are one.
-        cut: The joint between the frames; None for none.
     """
 
     name: str
@@ -221,11 +218,9 @@ class FileTerms:
         start: Joint -> where the file has it by default, rad or m; otherwise at 0.
         fixed: Joint -> where a constraint holds it, rad or m.
         effort: Joint -> its largest effort, N or N·m.
-        driven: Names of joints that the file says are driven.
         coupled_inertia: Two joints, or one twice, and what tendons are there in the mass matrix.
         carried: Link -> which share of its weight something else carries.
         bent: Joints that follow others by a ratio that changes.
-        closures: What closes loops of the robot.
         between: Bodies between several joints of one, which weigh nothing.
     """
 

@@ -64,8 +64,6 @@ class ForceLaw:
     (`Effect.at_motor`) sees the motion of the motors, and what acts at bodies that of the links.
 
     Attributes:
-        effects: The effects, in the order of their parameters.
-        mu: (k,) their parameters.
         phi: (nb, 10) inertial parameters of the plant.
         parts: Where the parameters of each effect are.
         states: Effect -> where its hidden states are among all of them.

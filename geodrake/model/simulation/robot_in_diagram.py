@@ -38,7 +38,6 @@ class RobotInDiagram:
             plant that holds more, `set_inertias` makes them so.
         scene_graph: The SceneGraph that the plant is a source of, if any.
         effect_force: What acts on the plant beside rigid bodies, if anything.
-        joints: Names of the model's nv velocities.
         total_phi: (nb, 10) the model's inertial parameters, payloads included.
         effort: Input (nv) for the efforts at the joints, N·m or N, zero if it is not connected;
             in units of the logs that the model was fitted to, wrong gains included.

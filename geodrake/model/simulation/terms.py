@@ -34,7 +34,6 @@ class PlantMotion:
 
     Attributes:
         robot: The robot in the plant; effects act on nothing else.
-        joints: Names of the nv velocities.
         positions: (nv,) where the position of each velocity is in q; −1 for joints of several
             degrees of freedom.
         direction: The smoothed sign of velocities (nv,).
@@ -200,7 +199,6 @@ class Terms:
     """Some effects of a plant, evaluated together.
 
     Attributes:
-        plant: The motion of the plant.
         places: (k,) where their parameters are among those of all effects.
         hidden: Effect -> where its hidden states are among those of all effects.
     """

@@ -100,7 +100,6 @@ class ModelText(abc.ABC):
     """A robot description as text that Drake accepts.
 
     Attributes:
-        kind: Drake's name of the format.
         numeric: Numbers of the format and what they may be.
         terms: What the file states that is not in the text.
         packages: Names of packages whose files are left for Drake to include.

@@ -95,8 +95,6 @@ class Numbers:
 
     Attributes:
         counts: How many; none at all is left to Drake.
-        least: Lower bound of each.
-        most: Upper bound of each.
     """
 
     counts: range = range(1, 2)

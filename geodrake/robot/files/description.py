@@ -56,7 +56,6 @@ class ModelDescription:
     Attributes:
         texts: The simplified texts; one for each `add_model` of the directives, in their order.
         directives: The flattened directives, or None for a URDF, SDF or MJCF file.
-        given: How it was to be read.
     """
 
     path: Path

@@ -20,7 +20,6 @@ class Expanded(NamedTuple):
     Attributes:
         begin: Checksum of the file and its arguments.
         asked: Kind, value and checksum of the answer of all that it asked for.
-        data: What it was expanded to.
     """
 
     begin: bytes
@@ -35,7 +34,6 @@ class Given:
     Attributes:
         robot: Name of the robot, where the file has several; None for all that it has.
         packages: Package of ROS -> its folder, before those that are found.
-        xacro: Argument of a xacro file -> its value.
         trust_xacro: Whether a xacro file may evaluate any expression and read files of any folder,
             as those may that the user or a friend has written.
         leading: Names of joints that are free in closed loops, before those that motors drive.

@@ -40,7 +40,6 @@ class MjcfText(ModelText):
         reference: MuJoCo's model without what is left out, which robots are compared with; None
             where inertias are lost.
         closing: Numbers of MuJoCo's constraints that close loops.
-        degrees: Whether angles in the file are in degrees.
         timestep: Step of the simulation, s; MuJoCo's own where the file states none that can be.
         actuator_defaults: Whether actuators without a class have defaults other than MuJoCo's.
     """

@@ -82,7 +82,6 @@ class CompiledMjcf:
 
     Attributes:
         elements: Names of bodies -> their elements in the file; without those made by MuJoCo.
-        said: Sentences of MuJoCo.
         notes: Sentences on ball joints that are three hinges.
         left_out: Sentences on what such joints are without, and on plugins.
         unknown: Names of bodies whose inertia follows from meshes that are not there alone.

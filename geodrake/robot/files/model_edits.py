@@ -58,7 +58,6 @@ class EditedFile:
 
     Attributes:
         path: The file, for messages and for the name of a model that has none.
-        root: Its root element.
     """
 
     def __init__(self, data: bytes, path: Path) -> None:

@@ -379,7 +379,6 @@ class LoopTransmission(Transmission, Short):
         shown: Numbers of the joints that it moves in the tree.
         driven: Names of joints that follow, though motors drive them, too.
         cut: Numbers of the joints that close the loop and are not in the tree.
-        slides: (k) whether each joint slides.
     """
 
     name: str

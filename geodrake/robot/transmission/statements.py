@@ -130,7 +130,6 @@ class Gear(OneActuator):
     """A gear, belt or screw: θ = q / ratio + offset.
 
     Attributes:
-        joint: The joint that it turns.
         ratio: Turns of the motor for one of the joint; negative where they turn against each other;
             for a screw, rad of the motor for one m.
         offset: θ where q = 0, rad or m.
@@ -330,9 +329,6 @@ class FourBarLinkage(OneJoint):
 
     Attributes:
         ground: Distance of the two pivots, m; only ratios of the four lengths matter.
-        crank: Length of the crank, m.
-        coupler: Length of the coupler, m.
-        rocker: Length of the rocker, m.
         crank_angle: Angle of the crank where q = 0, rad.
         rocker_angle: Angle of the rocker where θ = 0, rad.
         crossed: Whether coupler and ground link cross: the other way to put the bars together.
@@ -484,17 +480,7 @@ class LinearActuator(OneJoint):
 
 
 class Stated(Schema):
-    """A transmission file: lists of parts by their kinds.
-
-    Attributes:
-        coupled: Groups of joints that several actuators move together.
-        rolling_joints: Pairs of joints of bodies that roll on each other.
-        followers: Joints that follow a leader by polynomials.
-        polynomials: Joints that follow a polynomial of an actuator.
-        tables: Joints that follow a table.
-        four_bars: Joints that a four-bar linkage turns.
-        linear_actuators: Joints that a cylinder or screw across them turns.
-    """
+    """A transmission file: lists of parts by their kinds."""
 
     gears: list[Gear] = []
     coupled: list[Coupled] = []
