@@ -228,7 +228,10 @@ def _draft(
     joints = _single_joints(draft.plant)
     followers = resolved(description.terms.followers, [scoped(joint) for joint in joints.values()])
     arrangement = replace(arrangement, followers=followers, joints=tuple(joints))
-    stated = description.terms.fixed
+    stated = dict(description.terms.fixed)
+    for f in followers:  # which hold what they follow
+        if f.joint in stated:
+            stated.setdefault(f.leader, (stated.pop(f.joint) - f.offset) / f.ratio)
     fixed = {name: stated[scoped(j)] for name, j in joints.items() if scoped(j) in stated}
     held = {**fixed, **held}
     base = {joint.name() for joint in chain(*base_joints(draft.plant))}

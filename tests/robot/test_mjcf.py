@@ -472,6 +472,24 @@ def test_tendons_that_tie_two_joints_have_one_follow_the_other(tmp_path, tendons
         assert data.efc_pos[: data.ne] == pytest.approx([0.0], abs=1e-12)
 
 
+@pytest.mark.parametrize(
+    ("tie", "moving", "held"),
+    [
+        ('<tendon tendon1="q" tendon2="r" polycoef=".1 2 0 0 0"/>', ("a",), {}),
+        ('<joint joint1="t" polycoef=".3"/>', ("b",), {"a": pytest.approx(0.15 / 2)}),
+    ],
+)
+def test_what_ties_a_joint_that_follows_already_ties_the_other(tmp_path, tie, moving, held):
+    inner = tip().replace(GEOM, f'{GEOM}<body><joint name="b" axis="1 0 0"/>{GEOM}</body>')
+    tendons = '<fixed name="q"><joint joint="t" coef="1"/></fixed>'
+    tendons += '<fixed name="r"><joint joint="b" coef="3"/></fixed>'
+    follow = '<joint joint1="t" joint2="a" polycoef=".15 2 0 0 0"/>'
+    tail = f"<tendon>{tendons}</tendon><equality>{follow}{tie}</equality>"
+    model = load_model(write(tmp_path, mjcf(inner, tail=tail)))
+    assert (model.joints, model.left_out) == (moving, ())
+    assert {joint: model.held[joint] for joint in held} == held
+
+
 def test_frames_within_frames_without_end_are_read_or_refused(tmp_path):
     opens = '<frame pos="0 0 0.001">'
     nameless = tip().replace('<joint name="t"', "<joint")

@@ -23,7 +23,7 @@ from geodrake.robot.files.checks import (
 )
 from geodrake.robot.files.includes import Includes
 from geodrake.robot.files.mjcf_source import CompiledMjcf, compiled, load_mujoco, unused
-from geodrake.robot.files.mjcf_terms import actuator_shares, pose_of, terms_of
+from geodrake.robot.files.mjcf_terms import MjcfTerms, actuator_shares, pose_of
 from geodrake.robot.files.model_edits import MOTORS
 from geodrake.robot.files.motors import mjcf_motors
 from geodrake.robot.files.xml_text import LocatedElement
@@ -59,17 +59,17 @@ class MjcfText(ModelText):
         )
         scope = self.scope or root.get("model") or self.path.stem
         source = compiled(root, self.path)
-        terms = terms_of(source, scope)
+        read = MjcfTerms(source, scope)
         name = root.get("model") or scope
         self.root = plain_tree(source, name)
         self.compiled: Any = source.model
-        self.reference: Any = None if source.lost else terms.reference
-        self.closing, self.terms = tuple(terms.closing), terms
+        self.reference: Any = None if source.lost else read.reference
+        self.closing, self.terms = tuple(read.closing), read.found
         for body in self.root.iter("body"):
             link = f"{scope}::{body.get('name')}"
             self._links[link] = body
             if body.attrib.pop("between", ""):
-                terms.between.add(link)
+                self.terms.between.add(link)
 
     def motors(self) -> tuple[Statement, ...]:
         """Return gears of actuators, and fixed tendons."""

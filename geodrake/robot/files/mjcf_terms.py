@@ -14,7 +14,6 @@ from __future__ import annotations
 
 import copy
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field
 from itertools import combinations_with_replacement
 from typing import Any
 
@@ -47,27 +46,6 @@ _KINDS = {
 _OF_BALLS = {"damping": "damping", "frictionloss": "friction", "armature": "armature"}
 
 
-@dataclass(eq=False)
-class MjcfTerms(FileTerms):
-    """What a compiled MJCF states.
-
-    Attributes:
-        reference: The compiled model without what is left out.
-        closing: Numbers of MuJoCo's constraints that close loops.
-    """
-
-    reference: Any = None
-    closing: list[int] = field(default_factory=list)
-
-
-def terms_of(source: CompiledMjcf, scope: str) -> MjcfTerms:
-    """Return what a compiled file states, by the names in a model, and what is left out."""
-    found = _Terms(source, scope).found
-    found.lost += source.lost
-    found.notes = [*source.notes, *found.notes, *source.said]
-    return found
-
-
 def pose_of(position: Array, quaternion: Array) -> RigidTransform:
     """Return the pose of a position (3,), m, and a quaternion w, x, y, z (4,)."""
     turn = RotationMatrix(Quaternion(np.array(quaternion, float)))
@@ -96,13 +74,23 @@ def actuator_shares(m: Any, at: int) -> dict[int, float]:
     return {joint: float(m.actuator_gear[at][0]) * share for joint, share in shares.items()}
 
 
-class _Terms:
+class MjcfTerms:
+    """What a compiled MJCF states, by the names in a model.
+
+    Attributes:
+        reference: The compiled model without what is left out.
+        closing: Numbers of MuJoCo's constraints that close loops.
+    """
+
     def __init__(self, source: CompiledMjcf, scope: str) -> None:
+        """Take all that is stated out of a compiled file."""
         self.mujoco, self.m, self.scope = load_mujoco(), source.model, scope
-        self.found = MjcfTerms(
-            reference=copy.copy(source.model),
-            gravity=np.array(self.m.opt.gravity),
+        self.reference, self.closing = copy.copy(source.model), list[int]()
+        self.found = FileTerms(
+            notes=list(source.notes),
             left_out=list(source.left_out),
+            lost=list(source.lost),
+            gravity=np.array(self.m.opt.gravity),
         )
         off = self.mujoco.mjtDisableBit
         if self._disabled(off.mjDSBL_GRAVITY):
@@ -120,7 +108,8 @@ class _Terms:
             self._take_equalities()
         if self.m.nflex:
             self._leave(f"<flex> of {self.m.nflex} deformable bodies: their elasticity")
-        self.found.reference.opt.disableflags |= int(off.mjDSBL_CONSTRAINT)
+        self.found.notes += source.said
+        self.reference.opt.disableflags |= int(off.mjDSBL_CONSTRAINT)
 
     def _disabled(self, *flags: Any) -> bool:
         return any(self.m.opt.disableflags & int(flag) for flag in flags)
@@ -247,7 +236,7 @@ class _Terms:
         if stiffness or damping:
             self.found.struts.append(strut)
         for what in ("stiffness", "damping"):
-            getattr(self.found.reference, f"tendon_{what}")[at] = 0.0
+            getattr(self.reference, f"tendon_{what}")[at] = 0.0
 
     def _leave_rest(
         self, what: str, has: dict[str, Array], where: Callable[[str], tuple[str, slice]]
@@ -259,7 +248,7 @@ class _Terms:
         for key, value in has.items():
             if value.any() and key != "frictionloss":
                 table, rows = where(key)
-                getattr(self.found.reference, table)[rows] = 0.0
+                getattr(self.reference, table)[rows] = 0.0
 
     def _take_actuators(self) -> None:
         """Limits of efforts, and the armature and damping that motors add to joints."""
@@ -293,7 +282,7 @@ class _Terms:
 
     def _take_gravcomp(self) -> None:
         """Compensation of the weight of all moving bodies alike is less gravity."""
-        m, reference = self.m, self.found.reference
+        m = self.m
         gravity = np.asarray(self.found.gravity)
         if not np.any(m.body_gravcomp > 0.0) or not gravity.any():  # as MuJoCo counts
             return
@@ -313,11 +302,11 @@ class _Terms:
                 self._leave(f"gravcomp={m.body_gravcomp[body]:g} of {self._name('BODY', body)}")
             elif m.body_gravcomp[body]:
                 self.found.carried[self._body(body)] = float(m.body_gravcomp[body])
-        reference.body_gravcomp[:] = 0.0
+        self.reference.body_gravcomp[:] = 0.0
 
     def _take_medium(self) -> None:
         """Take what a medium does to bodies as boxes; bodies with ellipsoids are told of."""
-        m, option, own = self.m, self.m.opt, self.found.reference.opt
+        m, option, own = self.m, self.m.opt, self.reference.opt
         if not (option.density or option.viscosity):
             return
         own.density = own.viscosity = 0.0
@@ -395,7 +384,7 @@ class _Terms:
         one, two = (self._body(each) if each else WORLD for each in bodies)
         turns = bool(welds and data[10] != 0.0)  # the scale of the torque
         self.found.closures.append(Closure(name, (one, two), (first, second), turns))
-        self.found.closing.append(at)
+        self.closing.append(at)
         return True
 
     def _free_root(self, body: int) -> int:
