@@ -36,8 +36,7 @@ from geodrake.effects.robot_motion import log_number
 from geodrake.inertia import Array
 from geodrake.logs.motion import Motion
 from geodrake.model.robot_model import RobotModel
-from geodrake.model.simulation.force_law import ForceLaw
-from geodrake.model.simulation.soft_joints import Coupling, SoftJoints
+from geodrake.model.simulation.force_law import Coupling, ForceLaw, SoftJoints
 
 _Held = tuple[NDArray[np.intp], NDArray[np.intp], Array]  # links, motors, what couples them
 _Driven = tuple[Array, Array, NDArray[np.intp], Array]  # efforts, behind, motors, gains

@@ -26,9 +26,14 @@ from geodrake.errors import ArgumentError
 from geodrake.inertia import PARAMETERS_PER_BODY, Array
 from geodrake.inertia.bodies import check_context
 from geodrake.logs.temperatures import Temperatures
-from geodrake.model.simulation.force_law import EffectWithValues, ForceLaw, Response, admissible
+from geodrake.model.simulation.force_law import (
+    Coupling,
+    EffectWithValues,
+    ForceLaw,
+    Response,
+    admissible,
+)
 from geodrake.model.simulation.scalar_system import differenced
-from geodrake.model.simulation.soft_joints import Coupling
 from geodrake.model.simulation.terms import PlantMotion, PlantState
 from geodrake.robot.robot_instance import RobotInstance, add_generalized_force, selected
 
@@ -67,7 +72,7 @@ class EffectForce(LeafSystem):
     that are elastic or have play (`DeflectionEffect`) are two bodies: the plant's joint is the
     link; the motor's position, less that of the link, and its velocity are continuous states, zero
     at first (`set_motors`), with the spring of the effect between them, or its dead band (see
-    `geodrake.model.simulation.soft_joints`). Efforts, friction and rotor inertia act at the motor;
+    `geodrake.model.simulation.force_law`). Efforts, friction and rotor inertia act at the motor;
     gravity, payloads and contacts at the link. `motor_state` (nq + nv), which encoders measure, is
     the plant's state with the motors in the place of the links; it is there with soft joints alone.
     A motor has at least 1 % of its link's inertia; `notes` says where that is more than the

@@ -48,6 +48,7 @@ Law = Callable[[Array, int], Array]
 """f, f′ or f″ (N,) at q (N,), by the order 0, 1 or 2."""
 
 _SLIDES: dict[str, bool | None] = {"": None, "revolute": False, "prismatic": True}
+_ACTUATOR, _JOINT = ("actuator", "leader"), ("leader", "joint", "rotor")  # fields of their names
 _OFF_THE_END = 1e-3  # of the range, where a linkage still moves
 _LEAST_POINTS = 3  # of a table, whose spline has curvature
 _EVERYWHERE = -np.inf, np.inf
@@ -96,12 +97,13 @@ class Statement(Schema):
     """One part of a transmission file."""
 
     def actuator_names(self) -> tuple[str, ...]:
-        """Return the names of the actuators."""
-        raise NotImplementedError
+        """Return the names of the actuators: here of the one."""
+        return tuple(filter(None, (getattr(self, field, "") for field in _ACTUATOR)))
 
     def joint_names(self) -> tuple[str, ...]:
         """Return the names of the joints."""
-        raise NotImplementedError
+        single = (getattr(self, field, "") for field in _JOINT)
+        return (*filter(None, single), *getattr(self, "joints", ()))
 
     def transmission(self) -> Transmission:
         """Return θ = T(q)."""
@@ -116,17 +118,7 @@ class Statement(Schema):
         return None
 
 
-class OneActuator(Statement):
-    """A part of one actuator."""
-
-    actuator: str
-
-    def actuator_names(self) -> tuple[str, ...]:
-        """Return the one."""
-        return (self.actuator,)
-
-
-class Gear(OneActuator):
+class Gear(Statement):
     """A gear, belt or screw: θ = q / ratio + offset.
 
     Attributes:
@@ -138,16 +130,13 @@ class Gear(OneActuator):
             joint's, and the ratio says only how the rotor turns.
     """
 
+    actuator: str
     joint: str
     ratio: float = 1.0
     offset: float = 0.0
     rotor: str = ""
     side: Literal["motor", "joint"] = "motor"
     kind: Kind = ""
-
-    def joint_names(self) -> tuple[str, ...]:
-        """Return the joint, then that of the rotor."""
-        return (self.joint, self.rotor) if self.rotor else (self.joint,)
 
     def transmission(self) -> Transmission:
         """Return θ = q / N + θ₀, and N (θ − θ₀) of the rotor."""
@@ -178,10 +167,6 @@ class Coupled(Statement):
         """Return all that are named, in the order in which they are."""
         return tuple(dict.fromkeys(name for terms in self.joints.values() for name in terms))
 
-    def joint_names(self) -> tuple[str, ...]:
-        """Return the joints."""
-        return tuple(self.joints)
-
     def transmission(self) -> Transmission:
         """Return θ = J q + θ₀."""
         for name in self.offsets:
@@ -195,7 +180,7 @@ class Coupled(Statement):
         return LinearTransmission.of(J, [self.offsets.get(j, 0.0) for j in self.joints])
 
 
-class RollingJoint(OneActuator):
+class RollingJoint(Statement):
     """Two bodies that roll on each other: two parallel joints, turned by the whole angle.
 
     Attributes:
@@ -203,12 +188,9 @@ class RollingJoint(OneActuator):
         share: Share of the first joint, r₂ / (r₁ + r₂).
     """
 
+    actuator: str
     joints: list[str]
     share: float = 0.5
-
-    def joint_names(self) -> tuple[str, ...]:
-        """Return the two."""
-        return tuple(self.joints)
 
     def transmission(self) -> Transmission:
         """Return θ = (s q, (1 − s) q)."""
@@ -225,14 +207,6 @@ class Followers(Statement):
 
     leader: str
     joints: dict[str, list[float]]
-
-    def actuator_names(self) -> tuple[str, ...]:
-        """Return the leader."""
-        return (self.leader,)
-
-    def joint_names(self) -> tuple[str, ...]:
-        """Return the leader, then those that follow it."""
-        return (self.leader, *self.joints)
 
     def transmission(self) -> Transmission:
         """Return θ = q, and the polynomials of q."""
@@ -261,14 +235,11 @@ def _along(spline: CubicSpline, q: Array, order: int) -> Array:
     return np.asarray(found if order else found + spline(inside, 1) * (q - inside))
 
 
-class OneJoint(OneActuator):
+class OneJoint(Statement):
     """One actuator and one joint."""
 
+    actuator: str
     joint: str
-
-    def joint_names(self) -> tuple[str, ...]:
-        """Return the one."""
-        return (self.joint,)
 
     def law(self) -> Law:
         """Return f and its derivatives; an ArgumentError says what makes none."""
