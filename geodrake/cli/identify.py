@@ -19,7 +19,7 @@ from geodrake.identification.models import (
 from geodrake.model.export import check_export, export_model
 from geodrake.model.holding import why_no_place
 from geodrake.model.robot_model import RobotModel
-from geodrake.report.identifying import identification_page
+from geodrake.report.explaining import identification_page
 from geodrake.report.json_output import identification_dict
 
 

@@ -4,10 +4,11 @@ from __future__ import annotations
 
 import base64
 import json
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass, field
+from functools import cached_property
 from itertools import pairwise
-from math import isfinite, log
+from math import inf, isfinite, log
 from typing import Any
 
 import numpy as np
@@ -321,60 +322,68 @@ NOISE = Color("noise", label="sensor noise", thin=True)
 
 @dataclass(frozen=True)
 class Bar:
-    """A bar, or a mark across a row's bars, that ends at a share of the longest there may be."""
+    """A bar, or a mark across a row's bars, that ends at a value; NaN where it is not known."""
 
     color: Color
-    end: float
-    text: str = ""
+    value: float
+    note: str = ""
+
+    @property
+    def text(self) -> str:
+        """Return the value in words."""
+        return number(self.value) + self.note
 
 
 @dataclass(frozen=True)
 class BarRow:
-    """What belongs to one name."""
+    """What belongs to one name; marks of nothing are not drawn."""
 
     label: str
     bars: tuple[Bar, ...]
     marks: tuple[Bar, ...] = ()
 
+    @property
+    def shown_marks(self) -> tuple[Bar, ...]:
+        """Return the marks that there are."""
+        return tuple(mark for mark in self.marks if 0.0 < mark.value < inf)
+
 
 @dataclass(frozen=True)
 class Bars:
-    """A figure of bars, by a short name; the note is what to know of it, "" for nothing."""
+    """A figure of bars, by a short name; the note is what to know of it, "" for nothing.
+
+    Attributes:
+        log: Whether the axis is logarithmic.
+    """
 
     name: str
     caption: str
-    legend: tuple[Color, ...]
     rows: tuple[BarRow, ...]
     note: str = ""
+    log: bool = True
+
+    @property
+    def legend(self) -> tuple[Color, ...]:
+        """Return the colours of the bars, then those of the marks."""
+        own = [bar.color for row in self.rows for bar in row.bars]
+        return tuple(dict.fromkeys((*own, *(mark.color for r in self.rows for mark in r.marks))))
 
     @property
     def letters(self) -> int:
         """Most letters of a number, for which there is to be room beside the longest bar."""
         return max((len(bar.text) for row in self.rows for bar in row.bars), default=0)
 
+    def end(self, bar: Bar) -> float:
+        """Return where a bar ends, from 0 to 1; at 0 where it has no value."""
+        if not isfinite(bar.value):
+            return 0.0
+        low, high = self._range
+        if not self.log:
+            return bar.value / high
+        return log(max(bar.value, _LEAST) / low) / log(high / low)
 
-@dataclass(frozen=True)
-class LogAxis:
-    """A logarithmic axis between two values."""
-
-    low: float
-    high: float
-
-    @classmethod
-    def of(cls, values: Sequence[float], floors: Sequence[float]) -> LogAxis:
-        """Return the axis on which errors, and noise where it is known, have their places."""
-        known = [max(x, _LEAST) for x in (*values, *(f for f in floors if f > 0)) if isfinite(x)]
-        known = known or [1.0]
-        return cls(0.6 * min(known), 1.01 * max(known))
-
-    def at(self, value: float) -> float:
-        """Return a value's place, from 0 to 1."""
-        return log(max(value, _LEAST) / self.low) / log(self.high / self.low)
-
-    def bar(self, color: Color, value: float) -> Bar:
-        """Return a bar that ends at a value."""
-        return Bar(color, self.at(value), number(value)) if isfinite(value) else Bar(color, 0, "–")
-
-    def marks(self, floor: float) -> tuple[Bar, ...]:
-        """Return the noise's, if it is known."""
-        return (Bar(NOISE, self.at(floor)),) if isfinite(floor) and floor > 0 else ()
+    @cached_property
+    def _range(self) -> tuple[float, float]:
+        drawn = [bar.value for row in self.rows for bar in (*row.bars, *row.shown_marks)]
+        known = [max(value, _LEAST) for value in drawn if isfinite(value)] or [1.0]
+        return (0.6 * min(known), 1.01 * max(known)) if self.log else (0.0, max(known))

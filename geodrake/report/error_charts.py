@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
-from geodrake.diagnosis.results import Candidate, Diagnosis, Explanation
+from geodrake.diagnosis.results import Diagnosis, Explanation
 from geodrake.identification.logs.model_errors import (
     Comparison,
     ErrorTable,
@@ -24,7 +24,6 @@ from geodrake.report.charts import (
     Bars,
     Chart,
     Color,
-    LogAxis,
     Panel,
     Plot,
     Shade,
@@ -58,6 +57,9 @@ _RESIDUALS = (
     "Line: mean in bins of equally many samples; dashed: RMS; band: sensor noise."
 )
 _START, _END = Color("before", label="as it stands"), Color("after", label="refitted on the logs")
+_WITHOUT = Color("before", label="without it", thin=True)
+_CHOSEN, _LESS = Color("after", label="chosen"), Color("measured", label="less likely")
+_TIED = Color("tied", label="as good, as far as the logs show")
 
 
 def worst_joints(errors: ErrorTable, most: int = MOST_PANELS) -> tuple[str, ...]:
@@ -306,54 +308,39 @@ def _trend(values: Array, residual: Array) -> Trend:
 
 def step_bars(explanation: Explanation) -> Bars:
     """Return how the held-out nrms falls with each step, on a logarithmic axis."""
-    floor = explanation.end.floor_nrms
     joints = [joint.joint for joint in explanation.start.joints]
     errors = [
-        ("the model as it stands", explanation.start.nrms),
-        ("its own parameters refitted", explanation.refitted.nrms),
+        ("the model as it stands", _START, explanation.start.nrms),
+        ("its own parameters refitted", _END, explanation.refitted.nrms),
     ]
     for step in explanation.steps:
         words = f"+ {effect_label(step.effect)}, {step_place(step, joints, most=3)}"
-        errors.append((shortened(words, _MOST_LETTERS), step.error_after))
-    axis = LogAxis.of([nrms for _, nrms in errors], [floor])
-    rows = tuple(
-        BarRow(words, (axis.bar(_END if i else _START, nrms),), axis.marks(floor))
-        for i, (words, nrms) in enumerate(errors)
-    )
+        errors.append((shortened(words, _MOST_LETTERS), _END, step.error_after))
+    marks = (Bar(NOISE, explanation.end.floor_nrms),)
+    rows = tuple(BarRow(words, (Bar(color, nrms),), marks) for words, color, nrms in errors)
     caption = "The error on held-out data (nrms) falling with each step, on a logarithmic axis."
-    return Bars("steps", caption, (_START, _END, NOISE), rows)
+    return Bars("steps", caption, rows)
 
 
 def candidate_bars(diagnosis: Diagnosis) -> Bars:
     """Return the held-out nrms that each candidate would leave, the chosen one first."""
-    shown = diagnosis.candidates[:_MOST_CANDIDATES]
+    shown, refitted = diagnosis.candidates[:_MOST_CANDIDATES], diagnosis.refitted
     joints = [joint.joint for joint in diagnosis.start.joints]
-    floor, before = diagnosis.refitted.floor_nrms, diagnosis.refitted.nrms
-    most = max([before, floor, *(c.error_after for c in shown)])
-    without = Color("before", label="without it", thin=True)
-    marks = tuple(Bar(c, x / most) for c, x in ((without, before), (NOISE, floor)))
+    marks = Bar(_WITHOUT, refitted.nrms), Bar(NOISE, refitted.floor_nrms)
     rows = []
     for i, candidate in enumerate(shown):
         words = f"{effect_label(candidate.effect)}, {places_label(candidate.where, joints, most=3)}"
-        text = number(candidate.error_after) + (", tied" if i and candidate.tied else "")
-        bar = Bar(_rank_color(i, candidate), candidate.error_after / most, text)
+        color = _CHOSEN if i == 0 else _TIED if candidate.tied else _LESS
+        bar = Bar(color, candidate.error_after, ", tied" if i and candidate.tied else "")
         rows.append(BarRow(shortened(words, _MOST_LETTERS), (bar,), marks))
     count = len(diagnosis.candidates)
     return Bars(
         "candidates",
         "The error on held-out data (nrms) that each candidate would leave.",
-        (*dict.fromkeys(row.bars[0].color for row in rows), without, NOISE),
         tuple(rows),
         f"The best {len(shown)} of {count} candidates." if count > len(shown) else "",
+        log=False,
     )
-
-
-def _rank_color(rank: int, candidate: Candidate) -> Color:
-    if rank == 0:
-        return Color("after", label="chosen")
-    if candidate.tied:
-        return Color("tied", label="as good, as far as the logs show")
-    return Color("measured", label="less likely")
 
 
 def joint_bars(errors: ErrorTable, stages: Sequence[tuple[str, Sequence[float]]] = ()) -> Bars:
@@ -362,30 +349,21 @@ def joint_bars(errors: ErrorTable, stages: Sequence[tuple[str, Sequence[float]]]
     Args:
         stages: Words and (nv,) RMS of every joint, N·m or N, after each step.
     """
-    names = set(worst_joints(errors))
-    at = [i for i, joint in enumerate(errors.joints) if joint.joint in names]
     shades = np.linspace(0.25, 1.0, len(stages)) if len(stages) > 1 else np.ones(len(stages))
-    later = [
-        Color("after", round(float(shade), 2), words)
-        for shade, (words, _) in zip(shades, stages, strict=True)
-    ]
-    joints = [errors.joints[i] for i in at]
-    values = [
-        [rms / joint.std for rms in (joint.rms, *(rms[i] for _, rms in stages))]
-        for i, joint in zip(at, joints, strict=True)
-    ]
-    floors = [joint.floor / joint.std for joint in joints]
-    axis = LogAxis.of([x for own in values for x in own], floors)
-    rows = tuple(
-        BarRow(joint.joint, tuple(map(axis.bar, (_START, *later), own)), axis.marks(floor))
-        for joint, own, floor in zip(joints, values, floors, strict=True)
-    )
+    colors = [Color("after", round(float(shade), 2)) for shade in shades]
+    colors = [replace(c, label=words) for c, (words, _) in zip(colors, stages, strict=True)]
+    names, rows = set(worst_joints(errors)), []
+    for i, joint in enumerate(errors.joints):
+        if joint.joint in names:
+            rms = (joint.rms, *(values[i] for _, values in stages))
+            own = (Bar(c, x / joint.std) for c, x in zip((_START, *colors), rms, strict=True))
+            rows.append(BarRow(joint.joint, tuple(own), (Bar(NOISE, joint.floor / joint.std),)))
     caption = (
         "RMS error of each joint over the standard deviation of its effort, on a logarithmic axis."
     )
-    count = len(errors.joints)
-    note = f"The {len(at)} joints of largest nrms, of {count}." if len(at) < count else ""
-    return Bars("joint_errors", caption, (_START, *later, NOISE), rows, note)
+    few = len(rows) < len(errors.joints)
+    note = f"The {len(rows)} joints of largest nrms, of {len(errors.joints)}." if few else ""
+    return Bars("joint_errors", caption, tuple(rows), note)
 
 
 def step_joint_bars(explanation: Explanation) -> Bars:

@@ -1,4 +1,4 @@
-"""Pages of `compare`, `diagnose`, `add` and `explain`: errors of joints, and the effects found."""
+"""Pages of `compare`, `diagnose`, `add`, `explain` and `identify`: errors, and what was found."""
 
 from __future__ import annotations
 
@@ -15,8 +15,9 @@ from geodrake.diagnosis.ambiguity import distinguishing_commands
 from geodrake.diagnosis.drafting import Correlate, Draft
 from geodrake.diagnosis.drafting.results import DraftedEffect
 from geodrake.diagnosis.results import Diagnosis, Explanation, Step
+from geodrake.effects import Role
 from geodrake.identification.logs.model_errors import Comparison, ErrorTable
-from geodrake.identification.models.results import BodyChange
+from geodrake.identification.models.results import BodyChange, ModelIdentification
 from geodrake.inertia import Array
 from geodrake.model.effort_signal import COMMAND, EFFORT, EffortSignal
 from geodrake.model.robot_model import RobotModel
@@ -37,6 +38,7 @@ from geodrake.report.numbers import (
     UNKNOWN,
     Units,
     chance,
+    estimate,
     if_known,
     is_noticed,
     number,
@@ -48,6 +50,7 @@ from geodrake.report.rollouts import departures_table, stages_table
 
 REST = "What the remaining error varies with"
 _EVEN = "No joint has a much larger error in some circumstance than elsewhere."
+_IDENTIFIED = Stage("after", "identified", "after")
 _LEFT = Stage("left", "left without it", "measured", look="wide")
 _FORMULA = Stage("formula", "formula on held-out data", "after")
 _AGAINST = Stage("against", "one against the other", "after", look="dots")
@@ -91,9 +94,87 @@ class Explained:
         return self.explanation.is_interrupted
 
 
+@dataclass(frozen=True, eq=False)
+class _Errors:
+    """How far models are from the same logs, which pages of errors show alike.
+
+    Attributes:
+        stages: Title -> errors of a model, from the first to the last.
+        models: The first model and the last, or one of them.
+    """
+
+    stages: Mapping[str, ErrorTable]
+    models: Mapping[Stage, Comparison]
+    units: Units
+    bars: Bars
+    chart: Chart
+
+    @property
+    def first(self) -> ErrorTable:
+        """Return the errors at the start."""
+        return next(iter(self.stages.values()))
+
+    @property
+    def last(self) -> ErrorTable:
+        """Return the errors in the end."""
+        return list(self.stages.values())[-1]
+
+    def tiles(self, *between: Tile, of: str = "") -> tuple[Tile, ...]:
+        """Return what is worth seeing first.
+
+        Args:
+            of: What it is that a better model could remove a share of; "" to leave that out.
+        """
+        one = len(self.stages) == 1
+        removable = percent(words.removable_share(self.last))
+        return (
+            *between,
+            _worst_tile(self.first, None if one else self.last),
+            _noise_tile(self.last),
+            *([Tile("removable", removable, of)] if of and self.last.shows_noise else []),
+        )
+
+    def sections(self) -> tuple[Section, Section]:
+        """Return the errors of every joint, and where they are concentrated."""
+        lists = tuple(
+            ColoredList(words.capitalized(stage.label), stage.color, said)
+            for stage, comparison in self.models.items()
+            for said in [words.failing_list(comparison) or (_EVEN,)]
+        )
+        return (
+            Section(
+                "Joint by joint",
+                f"RMS of measured − predicted effort in {_unit(self.last, self.units)}.",
+                (
+                    "std is the standard deviation of the measured effort, and nrms the error over "
+                    "it. Removable is the share of the squared error above the sensor noise: some "
+                    "model could still take it away, though perhaps none of positions and "
+                    "velocities alone.",
+                ),
+                (self.bars,),
+                (errors_table(self.stages, self.units),),
+            ),
+            Section("Where it fails", lists=lists, charts=(self.chart,), deep=True),
+        )
+
+    def ends(
+        self, of: Comparison, notes: Sequence[str], *, refitted: bool = True
+    ) -> tuple[Section, ...]:
+        """Return what is last on each page: residuals, how errors were measured, and notes."""
+        chart = residual_chart(self.models, self.units)
+        return (
+            Section("What the error varies with", charts=(chart,), detailed=True),
+            _method_section(of, refitted=refitted),
+            notes_section(notes, of.first),
+        )
+
+
 def comparison_page(comparison: Comparison, about: About) -> Page:
     """Say how far a model is from logs, and where."""
     errors, units = comparison.errors, about.units
+    chart = effort_chart(comparison, units=units)
+    shown = _Errors({"RMS": errors}, {BEFORE: comparison}, units, joint_bars(errors), chart)
+    joints, failing = shown.sections()
     return Page(
         about.title,
         about.against,
@@ -101,23 +182,13 @@ def comparison_page(comparison: Comparison, about: About) -> Page:
         "compared",
         words.comparison_headline(comparison),
         words.comparison_lead(comparison),
+        shown.tiles(_error_tile("error", errors, units), of="of the squared error"),
         (
-            error_tile("error", errors, units),
-            worst_tile(errors),
-            noise_tile(errors),
-            *removable_tiles(errors, "of the squared error"),
+            joints,
+            replace(failing, deep=False),
+            *shown.ends(comparison, comparison.notes, refitted=False),
         ),
-        (
-            joints_section({"RMS": errors}, units, joint_bars(errors)),
-            replace(
-                failing_section({BEFORE: comparison}, effort_chart(comparison, units=units)),
-                deep=False,
-            ),
-            residuals_section({BEFORE: comparison}, units),
-            method_section(comparison, refitted=False),
-            notes_section(comparison.notes, comparison.first),
-        ),
-        footer(comparison),
+        _footer(comparison),
         about.links,
         (first_section(comparison.first),),
     )
@@ -125,9 +196,12 @@ def comparison_page(comparison: Comparison, about: About) -> Page:
 
 def diagnosis_page(diagnosis: Diagnosis, about: About) -> Page:
     """Say which effect a model lacks most."""
-    start, comparison, units = diagnosis.start, diagnosis.comparison, _with_joints(diagnosis, about)
-    found = bool(diagnosis.candidates)
-    best = diagnosis.candidates[0].error_after if found else math.nan
+    start, comparison, units = diagnosis.start, diagnosis.comparison, about.units
+    if not units.joints:
+        units = Units(tuple(joint.joint for joint in start.joints))
+    chart = effort_chart(comparison, units=units)
+    shown = _Errors({"RMS": start}, {BEFORE: comparison}, units, joint_bars(start), chart)
+    best = diagnosis.candidates[0].error_after if diagnosis.candidates else None
     ranking = Section(
         "Candidates",
         "Each effect was added alone to the model, and everything refitted: nrms before and after.",
@@ -136,41 +210,32 @@ def diagnosis_page(diagnosis: Diagnosis, about: About) -> Page:
             "counted. The first is the first step of the most probable explanation; = marks what "
             "may stand in its place. Chance is how probable it is that it is not needed there.",
         ),
-        (candidate_bars(diagnosis),) if found else (),
+        (candidate_bars(diagnosis),) if diagnosis.candidates else (),
         (candidates_table(diagnosis, units),),
     )
+    with_it = [] if best is None else [Tile("with the effect", number(best), "nrms, held-out data")]
     return Page(
         about.title,
         about.against,
         diagnosis.verdict,
-        "effect found" if found else diagnosis.verdict,
+        diagnosis.verdict if best is None else "effect found",
         words.diagnosis_headline(diagnosis, units),
         words.diagnosis_lead(diagnosis),
-        (
-            error_tile("as it stands", start, units),
-            error_tile("refitted", diagnosis.refitted, units, "held-out data"),
-            *([Tile("with the effect", number(best), "nrms, held-out data")] if found else []),
-            worst_tile(start),
-            noise_tile(start),
+        shown.tiles(
+            _error_tile("as it stands", start, units),
+            _error_tile("refitted", diagnosis.refitted, units, "held-out data"),
+            *with_it,
         ),
         (
             ranking,
             settling_section(diagnosis, about),
-            joints_section({"RMS": start}, units, joint_bars(start)),
-            failing_section({BEFORE: comparison}, effort_chart(comparison, units=units)),
-            residuals_section({BEFORE: comparison}, units),
-            method_section(comparison, refitted=True),
-            notes_section(diagnosis.notes, comparison.first),
+            *shown.sections(),
+            *shown.ends(comparison, diagnosis.notes),
         ),
-        footer(comparison),
+        _footer(comparison),
         about.links,
         (first_section(comparison.first),),
     )
-
-
-def _with_joints(diagnosis: Diagnosis, about: About) -> Units:
-    joints = tuple(joint.joint for joint in diagnosis.start.joints)
-    return about.units if about.units.joints else Units(joints)
 
 
 def explanation_page(found: Explained | Explanation, about: About) -> Page:
@@ -180,10 +245,21 @@ def explanation_page(found: Explained | Explanation, about: About) -> Page:
     explanation, units = found.explanation, Units.of(found.model, [*about.units.effects.values()])
     start, end, steps = explanation.start, explanation.end, explanation.steps
     gone = words.explained_share(start.nrms, end.nrms)
-    stages = {"start": start, "refitted": explanation.refitted, "end": end}
-    models = {BEFORE: explanation.before, **({AFTER: explanation.after} if steps else {})}
     advice = "" if found.draft or found.added else words.draft_advice(explanation)
     signals = explanation.model.effort_signals
+    shown = _Errors(
+        {"start": start, "refitted": explanation.refitted, "end": end},
+        {BEFORE: explanation.before, **({AFTER: explanation.after} if steps else {})},
+        units,
+        step_joint_bars(explanation),
+        explanation_chart(explanation, units),
+    )
+    tiles = [_error_tile("as it stands", start, units)]
+    if steps:
+        said = percent(gone) if gone > 0 else "none"
+        tiles.append(_error_tile("now", end, units, "held-out data"))
+        tiles.append(Tile("explained", said, "of the squared error"))
+    joints, failing = shown.sections()
     return Page(
         about.title,
         about.against,
@@ -191,20 +267,16 @@ def explanation_page(found: Explained | Explanation, about: About) -> Page:
         words.explanation_mark(explanation, added=found.added),
         words.explanation_headline(explanation, units, added=found.added),
         (*words.explanation_lead(explanation), *filter(None, [advice])),
+        shown.tiles(*tiles, of="of the squared error left"),
         (
-            error_tile("as it stands", start, units),
-            *([error_tile("now", end, units, "held-out data")] if steps else []),
-            worst_tile(start, end if steps else None),
-            noise_tile(end),
-            *(
-                [Tile("explained", percent(gone) if gone > 0 else "none", "of the squared error")]
-                if steps
-                else []
+            Section(
+                "What is missing",
+                "Each effect takes the error on held-out data (nrms) from before to after; "
+                "everything that may move is refitted.",
+                _PERCENT_COLUMNS,
+                (step_bars(explanation),) if steps else (),
+                (steps_table(explanation, units),),
             ),
-            *removable_tiles(end, "of the squared error left"),
-        ),
-        (
-            _steps_section(explanation, units),
             settling_section(explanation, about),
             _parameters_section(explanation, units),
             Section(
@@ -215,8 +287,8 @@ def explanation_page(found: Explained | Explanation, about: About) -> Page:
             ),
             *(_draft_sections(found.draft, units) if found.draft else ()),
             _motions_section(found.motions, units),
-            failing_section(models, explanation_chart(explanation, units)),
-            joints_section(stages, units, step_joint_bars(explanation)),
+            failing,
+            joints,
             Section(
                 "Bodies",
                 "Mass in kg and centre of mass in mm before and after, farthest change first; ± is "
@@ -230,24 +302,68 @@ def explanation_page(found: Explained | Explanation, about: About) -> Page:
             ),
             gains_section(signals, units),
             limits_section(signals, units),
-            residuals_section(models, units),
-            method_section(explanation.after, refitted=True),
-            notes_section(explanation.notes, explanation.before.first),
+            *shown.ends(explanation.before, explanation.notes),
         ),
-        footer(explanation.before),
+        _footer(explanation.before),
         about.links,
         (first_section(explanation.before.first),),
     )
 
 
-def _steps_section(explanation: Explanation, units: Units) -> Section:
-    return Section(
-        "What is missing",
-        "Each effect takes the error on held-out data (nrms) from before to after; everything that "
-        "may move is refitted.",
-        _PERCENT_COLUMNS,
-        (step_bars(explanation),) if explanation.steps else (),
-        (steps_table(explanation, units),),
+def identification_page(found: ModelIdentification, about: About) -> Page:
+    """Say what an identification made of a model."""
+    units = Units.of(found.model, [*about.units.effects.values()])
+    before, after = found.before, found.after
+    shown = _Errors(
+        {"before": before, "after": after},
+        {_IDENTIFIED: found.comparison},
+        units,
+        joint_bars(before, [("identified", [joint.rms for joint in after.joints])]),
+        effort_chart(found.comparison, units=units, alone=_IDENTIFIED),
+    )
+    joints, failing = shown.sections()
+    headline = f"The held-out error goes from nrms {number(before.nrms)} to {number(after.nrms)}"
+    noise = f"; sensor noise is {number(after.floor_nrms)}" if after.shows_noise else ""
+    tried = f", chosen by held-out error from {len(found.sweep)}" if found.sweep else ""
+    lead = (
+        f"Fitted with the {found.regularizer} regularizer and gamma {_gamma(found.gamma)}{tried}."
+    )
+    bounded = (
+        f"{words.listed(found.at_boundary)} ended at the boundary of what a body can be: nothing "
+        "but that keeps the data from asking for the impossible."
+    )
+    return Page(
+        about.title,
+        about.against,
+        "identified",
+        "identified",
+        f"{headline}{noise}.",
+        (lead, bounded) if found.at_boundary else (lead,),
+        shown.tiles(
+            _error_tile("as it stands", before, units),
+            _error_tile("identified", after, units, "held-out data"),
+            of="of the squared error left",
+        ),
+        (
+            joints,
+            Section(
+                "Bodies",
+                "Mass in kg and centre of mass in mm in the body's frame, ± standard deviation.",
+                (
+                    "At the boundary, only the bounds of what a body can be keep the data from "
+                    "asking for more.",
+                ),
+                tables=(bodies_table(found.bodies),),
+            ),
+            Section("Effects", tables=(_effects_table(found, units),)),
+            Section(
+                "Regularizers at the same training residual", tables=(_regularizers_table(found),)
+            ),
+            failing,
+            *shown.ends(found.comparison, found.notes),
+        ),
+        _footer(found.comparison),
+        about.links,
     )
 
 
@@ -371,67 +487,31 @@ def draft_chart(draft: Draft, units: Units) -> Chart:
     return Chart("draft", caption, stages, tuple(panels), abreast=True)
 
 
-def error_tile(title: str, errors: ErrorTable, units: Units, where: str = "all joints") -> Tile:
+def _unit(errors: ErrorTable, units: Units) -> str:
+    return units.effort([joint.joint for joint in errors.joints])
+
+
+def _error_tile(title: str, errors: ErrorTable, units: Units, where: str = "all joints") -> Tile:
     """Return how large an error is, in N·m first; only its nrms where units are mixed."""
-    unit = units.effort([joint.joint for joint in errors.joints])
+    unit, nrms = _unit(errors, units), number(errors.nrms)
     if " or " in unit:
-        return Tile(title, number(errors.nrms), f"nrms: error over std of the effort, {where}")
-    nrms = number(errors.nrms)
+        return Tile(title, nrms, f"nrms: error over std of the effort, {where}")
     return Tile(title, f"{number(errors.pooled_rms)} {unit}", f"RMS, nrms {nrms}: {where}")
 
 
-def noise_tile(errors: ErrorTable) -> Tile:
+def _noise_tile(errors: ErrorTable) -> Tile:
     """Return what sensor noise alone would make, if the logs show any."""
     if not errors.shows_noise:
         return Tile("sensor noise", "not seen", "nothing to compare the error with")
     return Tile("sensor noise", number(errors.floor_nrms), "the nrms of a perfect model")
 
 
-def removable_tiles(errors: ErrorTable, of: str) -> tuple[Tile, ...]:
-    """Return what a better model could remove; none where no noise is seen."""
-    if not errors.shows_noise:
-        return ()
-    return (Tile("removable", percent(words.removable_share(errors)), of),)
-
-
-def worst_tile(before: ErrorTable, after: ErrorTable | None = None) -> Tile:
+def _worst_tile(before: ErrorTable, after: ErrorTable | None = None) -> Tile:
     """Return the joint that errs most, of the final model if there is one."""
     worst = words.worst_joint(after or before).joint
     tables = [before] if after is None else [before, after]
     nrms = [next(j.nrms for j in table.joints if j.joint == worst) for table in tables]
     return Tile("worst joint", worst, f"nrms {' → '.join(map(number, nrms))}", words=True)
-
-
-def joints_section(stages: Mapping[str, ErrorTable], units: Units, bars: Bars) -> Section:
-    """Return the errors of every joint."""
-    joints = [joint.joint for joint in next(iter(stages.values())).joints]
-    return Section(
-        "Joint by joint",
-        f"RMS of measured − predicted effort in {units.effort(joints)}.",
-        (
-            "std is the standard deviation of the measured effort, and nrms the error over it. "
-            "Removable is the share of the squared error above the sensor noise: some model could "
-            "still take it away, though perhaps none of positions and velocities alone.",
-        ),
-        (bars,),
-        (errors_table(stages, units),),
-    )
-
-
-def failing_section(models: Mapping[Stage, Comparison], chart: Chart) -> Section:
-    """Return where the error is concentrated, at first and in the end, in words and over time."""
-    lists = tuple(
-        ColoredList(words.capitalized(stage.label), stage.color, said)
-        for stage, comparison in models.items()
-        for said in [words.failing_list(comparison) or (_EVEN,)]
-    )
-    return Section("Where it fails", lists=lists, charts=(chart,), deep=True)
-
-
-def residuals_section(models: Mapping[Stage, Comparison], units: Units) -> Section:
-    """Return residuals of models against velocity, position and load."""
-    chart = residual_chart(models, units)
-    return Section("What the error varies with", charts=(chart,), detailed=True)
 
 
 def gains_section(signals: Sequence[EffortSignal], units: Units) -> Section:
@@ -451,8 +531,7 @@ def gains_section(signals: Sequence[EffortSignal], units: Units) -> Section:
 
 def limits_section(signals: Sequence[EffortSignal], units: Units) -> Section:
     """Return the largest efforts of motors; empty where they are not limited."""
-    own = [signal for signal in signals if signal.kind == EFFORT]
-    rows = tuple(cells(signal.joint, _limit(signal, units)) for signal in own)
+    rows = [cells(each.joint, _limit(each, units)) for each in signals if each.kind == EFFORT]
     return Section(
         "Limits of motors",
         "Motors of these joints give no more than the limit of what they are asked for.",
@@ -460,7 +539,7 @@ def limits_section(signals: Sequence[EffortSignal], units: Units) -> Section:
     )
 
 
-def method_section(comparison: Comparison, *, refitted: bool) -> Section:
+def _method_section(comparison: Comparison, *, refitted: bool) -> Section:
     """Return how the errors were measured."""
     folds = list(dict.fromkeys(series.block for series in comparison.series))
     how = (
@@ -494,7 +573,7 @@ def notes_section(notes: Sequence[str], first: Sequence[str] = ()) -> Section:
     return Section("Notes", items=tuple(note for note in notes if note not in first))
 
 
-def footer(comparison: Comparison) -> str:
+def _footer(comparison: Comparison) -> str:
     """Return the versions of geodrake and of the data."""
     try:
         version = importlib.metadata.version("geodrake")
@@ -522,33 +601,19 @@ def errors_table(stages: Mapping[str, ErrorTable], units: Units) -> Table:
         stages: Title -> errors of a model, from the first to the last.
     """
     *_, last = stages.values()
-    mixed = " or " in units.effort([joint.joint for joint in last.joints])
-    rows = [
-        cells(
-            f"{after.joint}, {units.effort([after.joint])}" if mixed else after.joint,
-            *(number(errors.joints[j].rms) for errors in stages.values()),
-            number(after.floor) if after.shows_noise else UNKNOWN,
-            number(after.std),
-            number(after.nrms),
-            _share(after.removable),
-        )
-        for j, after in enumerate(last.joints)
-    ]
-    pooled = cells(
-        "RMS of all joints",
-        *(number(errors.pooled_rms) for errors in stages.values()),
-        number(last.pooled_floor) if last.shows_noise else UNKNOWN,
-        *[""] * 3,
-    )
-    relative = cells(
-        "nrms of all joints",
-        *(number(errors.nrms) for errors in stages.values()),
-        number(last.floor_nrms) if last.shows_noise else UNKNOWN,
-        "",
-        number(last.nrms),
-        _share(words.removable_share(last)),
-    )
-    totals = (relative,) if mixed else (pooled, relative)
+    mixed = " or " in _unit(last, units)
+    rows = []
+    for j, after in enumerate(last.joints):
+        name = f"{after.joint}, {units.effort([after.joint])}" if mixed else after.joint
+        rms = (errors.joints[j].rms for errors in stages.values())
+        floor = after.floor if after.shows_noise else math.nan
+        rows.append(cells(name, *rms, floor, after.std, after.nrms, _share(after.removable)))
+    pooled, nrms = ([getattr(e, n) for e in stages.values()] for n in ("pooled_rms", "nrms"))
+    floors = (last.pooled_floor, last.floor_nrms) if last.shows_noise else (math.nan, math.nan)
+    share = _share(words.removable_share(last))
+    totals = [cells("nrms of all joints", *nrms, floors[1], "", last.nrms, share)]
+    if not mixed:
+        totals.insert(0, cells("RMS of all joints", *pooled, floors[0], "", "", ""))
     head = ("joint", *stages, "noise", "std", "nrms", "removable")
     return Table(head, (*rows, *totals), total=len(totals))
 
@@ -559,18 +624,16 @@ def _share(share: float) -> Cell:
 
 def candidates_table(diagnosis: Diagnosis, units: Units) -> Table:
     """Return the candidates that convince, the chosen one first; = marks those that are as good."""
-    rows = tuple(
+    rows = [
         cells(
-            "=" if candidate.tied and count > 1 else str(count),
+            "=" if candidate.tied and count > 1 else count,
             effect_cell(candidate.effect, units),
             words.places_label(candidate.where, units.joints),
-            number(candidate.error_before),
-            number(candidate.error_after),
-            number(candidate.evidence),
+            *(candidate.error_before, candidate.error_after, candidate.evidence),
             chance(candidate.false_alarm_probability),
         )
         for count, candidate in enumerate(diagnosis.candidates, 1)
-    )
+    ]
     head = ("", "effect", "where", "before", "after", "evidence", "chance")
     return Table(head, rows, words=3)
 
@@ -578,10 +641,9 @@ def candidates_table(diagnosis: Diagnosis, units: Units) -> Table:
 def steps_table(explanation: Explanation, units: Units) -> Table:
     """Return the steps with what was found, what else it may be, errors, and how sure it is."""
     start, refitted = explanation.start.nrms, explanation.refitted.nrms
-    rows = [cells("", "as it stands", "", "", number(start), "", "", "")]
+    rows = [cells("", "as it stands", "", "", start, "", "", "")]
     if explanation.steps:
-        values = number(start), number(refitted)
-        rows.append(cells("", "refitted", "its own parameters", *values, "", "", ""))
+        rows.append(cells("", "refitted", "its own parameters", start, refitted, "", "", ""))
     for count, step in enumerate(explanation.steps, 1):
         others = words.rivals(step)
         lines = [
@@ -591,13 +653,9 @@ def steps_table(explanation: Explanation, units: Units) -> Table:
         ]
         rows.append(
             cells(
-                str(count),
-                effect_cell(step.effect, units),
-                "\n".join(lines),
-                number(step.error_before),
-                number(step.error_after),
-                percent(step.agreement),
-                percent(step.probability),
+                *(count, effect_cell(step.effect, units), "\n".join(lines)),
+                *(step.error_before, step.error_after),
+                *map(percent, (step.agreement, step.probability)),
                 chance(step.false_alarm_probability),
             )
         )
@@ -605,7 +663,7 @@ def steps_table(explanation: Explanation, units: Units) -> Table:
         *("", "effect", "where, how much", "before", "after"),
         *("blocks better", "probability", "by chance"),
     )
-    return Table(head, tuple(rows), words=3)
+    return Table(head, rows, words=3)
 
 
 def effect_cell(name: str, units: Units) -> Cell:
@@ -628,7 +686,7 @@ def parameters_table(step: Step, units: Units) -> Table:
         if not shared:
             column = [f"{text} {unit}" for text, unit in zip(column, found, strict=True)]
         columns.append(column)
-    rows = tuple(cells(place, *texts) for place, *texts in zip(places, *columns, strict=True))
+    rows = [cells(*row) for row in zip(places, *columns, strict=True)]
     title = words.capitalized(words.effect_label(step.effect))
     return Table(tuple(head), rows, title=title, detailed=not words.is_summarized(step))
 
@@ -639,28 +697,32 @@ def signals_table(signals: Sequence[EffortSignal], units: Units) -> Table:
     Args:
         signals: Those of a model, without those of motors that are asked for efforts.
     """
-    rows, served = [], any(signal.kind == COMMAND for signal in signals)
+    served = any(signal.kind == COMMAND for signal in signals)
     summed = any(signal.integral for signal in signals)
     limited = any(signal.limit < math.inf for signal in signals)
+    rows = []
     for signal in signals:
-        gain = if_known(signal.gain, signal.deviation)
-        row = [signal.joint, signal.kind, gain, units.at(signal.joint, signal.unit)]
+        joint, gain = signal.joint, if_known(signal.gain, signal.deviation)
+        row = [joint, signal.kind, gain, units.at(joint, signal.unit)]
         if served:
             damping = if_known(signal.damping, signal.damping_deviation)
-            rate = units.at(signal.joint, "N·m·s/rad")
+            rate = units.at(joint, "N·m·s/rad")
             row += [f"{damping} {rate}" if signal.damping else UNKNOWN]
             row += [f"{1e3 * signal.delay:.2g} ms"]
         if summed:
             integral = if_known(signal.integral, signal.integral_deviation)
-            unit = units.at(signal.joint, "N·m/(rad·s)")
+            unit = units.at(joint, "N·m/(rad·s)")
             row += [f"{integral} {unit}" if signal.integral else UNKNOWN]
         if limited:
             row += [_limit(signal, units)]
         rows.append(cells(*row))
-    more = ("damping", "late by") if served else ()
-    more = (*more, *(["integral"] if summed else []), *(["limit"] if limited else []))
-    head = ("joint", "in place of efforts", "gain", "unit", *more)
-    return Table(head, tuple(rows), words=2)
+    head = (
+        *("joint", "in place of efforts", "gain", "unit"),
+        *(("damping", "late by") if served else ()),
+        *(("integral",) if summed else ()),
+        *(("limit",) if limited else ()),
+    )
+    return Table(head, rows, words=2)
 
 
 def _limit(signal: EffortSignal, units: Units) -> str:
@@ -675,17 +737,15 @@ def _limit(signal: EffortSignal, units: Units) -> str:
 
 def formulas_table(draft: Draft) -> Table:
     """Return drafted effects with their coefficients."""
-    rows = tuple(
+    rows = [
         cells(
             Cell(effect.formula.joint, typed=draft.names[effect.formula.joint]),
             "\n".join((effect.formula.words(), *_coefficients(effect))),
-            number(effect.rms_before),
-            number(effect.rms_after),
-            number(effect.floor),
+            *(effect.rms_before, effect.rms_after, effect.floor),
             chance(effect.false_alarm_probability),
         )
         for effect in draft.effects
-    )
+    ]
     head = ("joint", "formula", "RMS before", "after", "noise", "false alarm")
     return Table(head, rows, words=2)
 
@@ -702,16 +762,12 @@ def bodies_table(bodies: Sequence[BodyChange]) -> Table:
     """Mass and centre of mass of every body before and after, in kg and mm."""
     rows = [
         cells(
-            body.name,
-            number(body.mass[0]),
-            with_deviation(body.mass[1], body.mass_deviation),
-            _place(body.com[0]),
-            _centre(body),
-            "at the boundary" if body.at_boundary else "",
+            *(body.name, body.mass[0], with_deviation(body.mass[1], body.mass_deviation)),
+            *(_place(body.com[0]), _centre(body), "at the boundary" * body.at_boundary),
         )
         for body in bodies
     ]
-    masses = [number(sum(body.mass[k] for body in bodies)) for k in (0, 1)]
+    masses = [sum(body.mass[k] for body in bodies) for k in (0, 1)]
     head = ("body", "mass", "identified", "centre of mass", "identified", "")
     return Table(head, (*rows, cells("total", *masses, "", "", "")), total=1)
 
@@ -729,3 +785,36 @@ def _centre(body: BodyChange) -> Cell:
     size = float(np.linalg.norm(deviation))
     words = f"{size:.0f}" if size < _FAR else number(size)
     return Cell(f"{_place(body.com[1])} ± {words}", note=each)
+
+
+def _effects_table(found: ModelIdentification, units: Units) -> Table:
+    """Return parameters of the effects that were fitted, without payloads, which are bodies."""
+    rows = []
+    for fitted in (each for each in found.model.effects if each.effect.role is not Role.BODY):
+        where, name, own = fitted.effect.where, fitted.effect.name, fitted.deviations
+        place = words.places_label(where, units.joints)
+        label = Cell(words.effect_label(name), typed=name), place
+        for k, parameter in enumerate(fitted.effect.parameters):
+            deviation = math.nan if own is None else float(own[k])
+            value = estimate(float(fitted.parameters[k]), deviation)
+            unit = units.parameter(name, parameter.name, " & ".join(where))
+            rows.append(cells(*(("", "") if k else label), parameter.name, value, unit))
+    return Table(("effect", "where", "parameter", "value", "unit"), rows, words=3)
+
+
+def _regularizers_table(found: ModelIdentification) -> Table:
+    """Return what every regularizer makes of the same training residual."""
+    rows = [
+        cells(
+            *(other.regularizer, ", ".join(other.at_boundary) or UNKNOWN, _gamma(other.gamma)),
+            *(number(other.residual, 6), number(other.errors.nrms, 4)),
+        )
+        for other in found.alternatives
+    ]
+    head = ("regularizer", "at the boundary", "gamma", "training residual", "held-out nrms")
+    return Table(head, rows, words=2)
+
+
+def _gamma(value: float) -> str:
+    """Return the weight of a regularizer, which a loose bound leaves as large as one likes."""
+    return number(value) if math.isfinite(value) else "without end"

@@ -159,14 +159,14 @@ def bars_figure(bars: Bars) -> Figure:
         ends = [at + k for k in range(len(row.bars))]
         for y, bar in zip(ends, row.bars, strict=True):
             color = style.COLORS[bar.color.name]
-            ax.barh(y, bar.end, 0.86, color=color, alpha=bar.color.opacity)
+            ax.barh(y, bars.end(bar), 0.86, color=color, alpha=bar.color.opacity)
             ax.annotate(
-                bar.text, (bar.end, y), (4, 0), textcoords="offset points", va="center",
+                bar.text, (bars.end(bar), y), (4, 0), textcoords="offset points", va="center",
                 **style.plain(style.SMALL),
             )  # fmt: skip
-        for mark in row.marks:
+        for mark in row.shown_marks:
             color = style.COLORS[mark.color.name]
-            ax.vlines(mark.end, ends[0] - 0.6, ends[-1] + 0.6, color=color, linestyle="--")
+            ax.vlines(bars.end(mark), ends[0] - 0.6, ends[-1] + 0.6, color=color, linestyle="--")
         ticks.append(float(np.mean(ends)))
         at = ends[-1] + 1.8
     labels = [style.label(row.label, 62) for row in bars.rows]

@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 
 from geodrake.report.charts import Bars, Chart
-from geodrake.report.numbers import Units
+from geodrake.report.numbers import Units, number
 
 
 @dataclass(frozen=True)
@@ -69,16 +69,24 @@ class Table:
     """
 
     head: tuple[str, ...]
-    rows: tuple[tuple[Cell, ...], ...]
+    rows: Sequence[tuple[Cell, ...]]
     words: int = 1
     title: str = ""
     total: int = 0
     detailed: bool = False
 
 
-def cells(*texts: str | Cell) -> tuple[Cell, ...]:
-    """Return a row of a table."""
-    return tuple(text if isinstance(text, Cell) else Cell(text) for text in texts)
+def cells(*entries: Cell | str | float | None) -> tuple[Cell, ...]:
+    """Return a row of a table: numbers with their usual digits, nothing for None."""
+    return tuple(each if isinstance(each, Cell) else Cell(_text(each)) for each in entries)
+
+
+def _text(entry: str | float | None) -> str:
+    if entry is None:
+        return ""
+    if isinstance(entry, str | int):
+        return str(entry)
+    return number(entry)
 
 
 @dataclass(frozen=True)

@@ -22,10 +22,10 @@ from geodrake.report.explaining import (
     comparison_page,
     diagnosis_page,
     explanation_page,
+    identification_page,
 )
 from geodrake.report.fleets import fleet_page
 from geodrake.report.html import notebook_html
-from geodrake.report.identifying import identification_page
 from geodrake.report.numbers import Units
 from geodrake.report.page import About, Page
 from geodrake.report.rollouts import Simulated, rollout_fit_page, rollout_page

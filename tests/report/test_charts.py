@@ -157,7 +157,7 @@ def test_steps_can_be_chosen_where_their_predictions_are_known():
 def test_errors_that_are_none_have_bars_of_nothing():
     for rms, text in ((np.nan, "–"), (np.inf, "–"), (0.0, "0")):
         bars = joint_bars(errors(joint_names(2), 0.5), [("then", [rms, 0.1])])
-        assert np.isfinite([bar.end for row in bars.rows for bar in row.bars]).all()
+        assert np.isfinite([bars.end(bar) for row in bars.rows for bar in row.bars]).all()
         assert bars.rows[0].bars[1].text == text
 
 
@@ -171,7 +171,8 @@ def test_steps_fall_and_candidates_are_as_long_as_their_errors():
     assert texts[0] == number(found.start.nrms)
     assert texts[2:] == [number(step.error_after) for step in found.steps]
     assert len(step_joint_bars(found).rows[0].bars) == 1 + len(found.steps)
-    lengths = np.array([row.bars[0].end for row in candidate_bars(shown).rows])
+    bars = candidate_bars(shown)
+    lengths = np.array([bars.end(row.bars[0]) for row in bars.rows])
     left = np.array([candidate.error_after for candidate in shown.candidates])
     np.testing.assert_allclose(lengths / lengths[0], left / left[0])
 
