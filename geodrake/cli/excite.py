@@ -46,12 +46,6 @@ from geodrake.excitation.tell_apart import Rival
 from geodrake.excitation.trajectory import joint_order, trajectory_content
 from geodrake.identification.logs.dataset import is_payload
 from geodrake.model.robot_model import RobotModel
-from geodrake.report.exciting import (
-    excitation_dict,
-    excitation_page,
-    identifiability_page,
-    identifiable_dict,
-)
 from geodrake.robot.shapes import robot_shapes
 
 Array = NDArray[np.float64]
@@ -79,8 +73,6 @@ def run_excite(options: ExciteOptions) -> None:
         "excite",
         "Designing",
         lambda given: _designed(options, given, names, family),
-        excitation_dict,
-        excitation_page,
         more={"meshcat": options.meshcat},
         suffixes={"save": _SAVE},
         makers=lambda found: {
@@ -115,9 +107,7 @@ def run_identifiable(options: IdentifiableOptions) -> None:
             **given.settings,
         )
 
-    command = Command(
-        "identifiable", "Reading the logs", decomposed, identifiable_dict, identifiability_page
-    )
+    command = Command("identifiable", "Reading the logs", decomposed)
     run(command, replace(options, effects=files))
 
 

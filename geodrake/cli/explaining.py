@@ -4,10 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from contextlib import suppress
-from dataclasses import asdict
 from functools import partial
 from pathlib import Path
-from typing import Any
 
 from geodrake.cli.options import AddOptions, ExplainOptions, Options
 from geodrake.cli.progress import step_teller
@@ -22,20 +20,7 @@ from geodrake.effects import effect_class
 from geodrake.errors import LogError, ModelError
 from geodrake.identification.logs.case import open_case
 from geodrake.identification.logs.compare import compare
-from geodrake.identification.logs.model_errors import Comparison
-from geodrake.report.explaining import (
-    Explained,
-    comparison_page,
-    diagnosis_page,
-    explanation_page,
-)
-from geodrake.report.json_output import (
-    comparison_dict,
-    diagnosis_dict,
-    draft_dict,
-    explanation_dict,
-    motions_dict,
-)
+from geodrake.report.explaining import Explained
 
 
 def run_compare(options: Options) -> None:
@@ -45,9 +30,6 @@ def run_compare(options: Options) -> None:
             "compare",
             "Comparing",
             lambda given: compare(given.model, given.logs, **given.settings),
-            comparison_dict,
-            comparison_page,
-            drawn=lambda found: {"": found},
         ),
         options,
     )
@@ -60,9 +42,6 @@ def run_diagnose(options: Options) -> None:
             "diagnose",
             "Diagnosing",
             lambda given: diagnose(given.model, given.logs, extra=given.extra, **given.settings),
-            diagnosis_dict,
-            diagnosis_page,
-            drawn=lambda found: {"": found.comparison},
         ),
         options,
     )
@@ -82,9 +61,6 @@ def run_add(options: AddOptions) -> None:
         "add",
         f"Adding {effect}",
         added,
-        _numbers,
-        explanation_page,
-        drawn=_drawn,
         check_effects=lambda extra: effect_class(effect, extra),
         check=lambda model: check_places(model, where or ()),
     )
@@ -99,9 +75,6 @@ def run_explain(options: ExplainOptions | Options, promise: str = "") -> None:
         "explain",
         "Explaining",
         partial(_explained, every_step=every_step) if target is None else _drafted,
-        _numbers,
-        explanation_page,
-        drawn=_drawn,
         more={"draft-effect": target},
         makers=_makers,
         promise=promise,
@@ -146,19 +119,3 @@ def _motions(given: Input, found: Explanation, *, every_step: bool) -> tuple[Rol
 def _makers(found: Explained) -> Mapping[str, Maker]:
     draft = found.draft
     return {} if draft is None or not draft.effects else {"draft-effect": lambda: source_of(draft)}
-
-
-def _drawn(found: Explained) -> Mapping[str, Comparison]:
-    explanation = found.explanation
-    now = {"now": explanation.after} if explanation.steps else {}
-    return {"as it stands": explanation.before, **now}
-
-
-def _numbers(found: Explained) -> dict[str, Any]:
-    numbers = explanation_dict(found.explanation)
-    if found.draft is not None:
-        return numbers | {"draft": draft_dict(found.draft)}
-    if found.added:
-        return numbers
-    correlates = [asdict(correlate) for correlate in found.correlates]
-    return {**numbers, "correlates": correlates, **motions_dict(found.motions)}

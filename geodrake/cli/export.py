@@ -17,7 +17,7 @@ from geodrake.control.export_proof.export import (
 from geodrake.control.export_proof.formats import export_format
 from geodrake.model.dynamics_check import check_dynamics
 from geodrake.model.robot_model import RobotModel
-from geodrake.report.exports import CheckedModel, check_dict, check_page, export_dict, export_page
+from geodrake.report.exports import CheckedModel
 
 
 def run_export(options: ExportOptions) -> None:
@@ -44,8 +44,6 @@ def run_export(options: ExportOptions) -> None:
         "export",
         f"Exporting to {form.name}",
         exported,
-        export_dict,
-        export_page,
         check=check,
         write=lambda found, contents: write_files(found, folder, contents),
     )
@@ -64,8 +62,6 @@ def run_check(options: CheckOptions) -> None:
         "check",
         "Comparing with MultibodyPlant, and with a program that reads the file itself",
         checked,
-        check_dict,
-        check_page,
         code=lambda found: 0 if found.check.holds else INTERNAL_ERROR,
     )
     run(command, options)

@@ -24,10 +24,11 @@ from geodrake.fleet.fleet_logs import FleetDigests
 from geodrake.fleet.fleet_result import FleetResult, keep_told, new_findings
 from geodrake.fleet.fleet_run import FleetWork, look_at_fleet, run_fleet
 from geodrake.report.fleet_json import finding_line, fleet_dict, parquet_contents
-from geodrake.report.fleets import WatchedFleet, fleet_page
+from geodrake.report.fleets import WatchedFleet
 from geodrake.report.html import render
 from geodrake.report.json_output import to_json
 from geodrake.report.page import About
+from geodrake.report.views import page_of
 
 NEW_FINDING = 3
 """Exit code of `--once` where there is a finding that was not told before."""
@@ -69,8 +70,6 @@ def run_fleet_command(options: FleetOptions) -> None:
         "fleet",
         "Looking at the fleet",
         looked,
-        lambda found: fleet_dict(found.result),
-        fleet_page,
         inputs=fleet.files,
         write=write,
     )
@@ -133,7 +132,7 @@ def _look(
         contents[targets.files["json"]] = _numbers(result)
     if "report" in targets.files:
         about = About(fleet.path.name, (), "fleet")
-        page = fleet_page(WatchedFleet(result, str(fleet.folder)), about)
+        page = page_of(WatchedFleet(result, str(fleet.folder)), about)
         contents[targets.files["report"]] = render(page)
     write_together(contents)
     new = new_findings(fleet.folder, result.findings)

@@ -19,8 +19,6 @@ from geodrake.identification.models import (
 from geodrake.model.export import check_export, export_model
 from geodrake.model.holding import why_no_place
 from geodrake.model.robot_model import RobotModel
-from geodrake.report.explaining import identification_page
-from geodrake.report.json_output import identification_dict
 
 
 def run_identify(options: IdentifyOptions) -> None:
@@ -54,14 +52,8 @@ def run_identify(options: IdentifyOptions) -> None:
         "identify",
         "Identifying",
         identified,
-        identification_dict,
-        identification_page,
         more={name: getattr(options, name) for name in ("export", "ellipsoids", "meshcat")},
         makers=lambda found: _makers(found, options),
-        drawn=lambda found: {
-            "as it stands": replace(found.comparison, errors=found.before),
-            "identified": found.comparison,
-        },
         check=check,
     )
     run(command, replace(options, effects=files))

@@ -4,12 +4,10 @@ from __future__ import annotations
 
 import shlex
 from collections.abc import Mapping, Sequence
-from typing import Any
 
-from geodrake.cli.columns import columns_list, found_columns
 from geodrake.cli.known_payloads import known_payloads
 from geodrake.cli.options import DigestOptions, LogCommandOptions
-from geodrake.cli.session import Command, Input, Maker, run
+from geodrake.cli.session import Command, Input, Maker, found_columns, run
 from geodrake.diagnosis.columns import ColumnFinding, corrected_columns
 from geodrake.errors import ArgumentError, GeodrakeError
 from geodrake.fleet.digest_folder import FAILED, DigestRun, digest_logs
@@ -21,14 +19,7 @@ from geodrake.logs.motion import JointLog
 from geodrake.logs.unit_hints import position_limit_hint
 from geodrake.model.logged_joints import log_of_model, model_of_logs, reading_for
 from geodrake.model.robot_model import RobotModel
-from geodrake.report.exports import (
-    InspectedLogs,
-    digests_dict,
-    digests_page,
-    inspection_dict,
-    log_chart,
-    logs_page,
-)
+from geodrake.report.exports import InspectedLogs, log_chart
 
 SOME_FAILED = 1
 """Exit code where logs have no digest; those of the others are there."""
@@ -53,8 +44,6 @@ def run_log(options: LogCommandOptions) -> None:
         "log",
         "Looking at the logs",
         lambda given: _inspected(options, given),
-        _numbers,
-        logs_page,
         reads_logs=False,
         more=more,
         suffixes=_SUFFIXES,
@@ -109,14 +98,6 @@ def _columns(model: RobotModel, logs: Sequence[JointLog]) -> tuple[tuple[ColumnF
         return (), error.problem
 
 
-def _numbers(found: InspectedLogs) -> dict[str, Any]:
-    numbers: dict[str, Any] = {"logs": [inspection_dict(each) for _, each in found.logs]}
-    if found.repairs is None:
-        return numbers
-    notes = [*found.repairs, *found.beyond, *filter(None, [found.unchecked])]
-    return numbers | {"columns": columns_list(found.columns), "notes": notes}
-
-
 def _makers(found: InspectedLogs, options: LogCommandOptions) -> Mapping[str, Maker]:
     """Return the writers of the files: the log, its preview, and a mapping that reads it so."""
     (_, first), *_ = found.logs
@@ -157,8 +138,6 @@ def run_digest(options: DigestOptions) -> None:
         "digest",
         "Digesting",
         digested,
-        digests_dict,
-        digests_page,
         reads_logs=False,
         takes_bad_logs=True,
         code=lambda run: SOME_FAILED if run.count(FAILED) else 0,

@@ -14,7 +14,7 @@ from geodrake.model.saved_model import is_saved_model
 from geodrake.report.pictures import check_video, video
 from geodrake.report.play_page import play_page
 from geodrake.report.playback import play_back
-from geodrake.report.playing import Played, playback_dict, playback_page
+from geodrake.report.playing import Played
 from geodrake.report.recordings import check_viewer, recording
 from geodrake.report.robot_scene import drawn_shapes
 
@@ -68,8 +68,6 @@ def run_play(options: PlayOptions) -> None:
         "play",
         "Comparing",
         played,
-        playback_dict,
-        playback_page,
         more={"out": out, "video": options.video, "to": recorded},
         makers=makers,
         saved={"out": "page that plays the logs", "video": "video", "to": "recording"},

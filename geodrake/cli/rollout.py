@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
 from geodrake.cli.model_options import tell_repairs
 from geodrake.cli.options import RolloutOptions
@@ -20,8 +19,7 @@ from geodrake.errors import ArgumentError
 from geodrake.model.holding import holding
 from geodrake.model.robot_model import RobotModel
 from geodrake.model.saved_model import is_saved_model, load_model
-from geodrake.report.json_output import rollout_dict, rollout_fit_dict
-from geodrake.report.rollouts import Simulated, rollout_fit_page, rollout_page
+from geodrake.report.rollouts import Simulated
 from geodrake.robot.files.xacro_file import is_xacro
 
 _SAVED = {"meshcat": "replay of measured and simulated motion"}
@@ -63,8 +61,6 @@ def _fitting(options: RolloutOptions) -> Command[RolloutFit]:
         "rollout",
         "Fitting",
         fitted,
-        rollout_fit_dict,
-        rollout_fit_page,
         more={"meshcat": options.meshcat},
         makers=lambda found: {"meshcat": lambda: _replay(found.model, found.after, found.before)},
         saved=_SAVED,
@@ -100,8 +96,6 @@ def _simulating(options: RolloutOptions) -> Command[Simulated]:
         "rollout",
         "Simulating",
         simulated,
-        _numbers,
-        rollout_page,
         more={"meshcat": options.meshcat},
         makers=lambda found: {"meshcat": lambda: _replay(model[0], found.after, found.before)},
         saved=_SAVED,
@@ -120,11 +114,6 @@ def other_model(path: Path, given: Input) -> RobotModel:
     )
     tell_repairs(other, given.progress)
     return holding(other, {j: place for j, place in model.held.items() if j in other.joints})
-
-
-def _numbers(found: Simulated) -> dict[str, Any]:
-    numbers = rollout_dict(found.after)
-    return numbers if found.before is None else {**numbers, "before": rollout_dict(found.before)}
 
 
 def _replay(model: RobotModel, after: Rollout, before: Rollout | None) -> str:

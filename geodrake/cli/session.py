@@ -18,7 +18,6 @@ from rich.console import Console
 from geodrake.boundary.version import version
 from geodrake.boundary.whole_files import Content, write_together
 from geodrake.cli.axis_model import AxisOptions, written_axis
-from geodrake.cli.columns import column_words, columns_list, found_columns, unchecked_words
 from geodrake.cli.guard import INTERRUPTED
 from geodrake.cli.known_payloads import with_facts, with_known_payloads
 from geodrake.cli.model_options import read_model
@@ -27,25 +26,36 @@ from geodrake.cli.reading_options import proposing
 from geodrake.cli.shared_options import Options
 from geodrake.cli.surroundings import print_whole, printing, results
 from geodrake.cli.targets import SAVED, STDOUT, Targets
-from geodrake.diagnosis.columns import ColumnFinding, corrected, with_motor_limits
+from geodrake.diagnosis.columns import (
+    MOST_JOINTS,
+    ColumnFinding,
+    check_columns,
+    corrected,
+    with_motor_limits,
+)
 from geodrake.effects import load_effect_file
 from geodrake.effects.base import Effect
-from geodrake.errors import ArgumentError, LogError
+from geodrake.errors import ArgumentError, GeodrakeError, LogError
 from geodrake.identification.logs.model_errors import Comparison
 from geodrake.logs.files import Reading, check_log, file_names, parts_of, read_log
 from geodrake.logs.motion import JointLog
 from geodrake.model.logged_joints import holding_resting, model_of_logs, reading_for
 from geodrake.model.robot_model import RobotModel
 from geodrake.model.saved_model import saved_text
-from geodrake.report.json_output import to_json
+from geodrake.report.json_output import columns_list, to_json
 from geodrake.report.numbers import Units
 from geodrake.report.page import About, Page, Section
 from geodrake.report.series_table import check_series, series_content
 from geodrake.report.terminal import ResultsConsole, show_page, show_saved
+from geodrake.report.views import samples, view_of
 
 R = TypeVar("R")
 Maker = Callable[[], Content]
 
+_UNCORRECTED = (
+    "The rest goes on with the columns as they are; --correct-columns corrects them first."
+)
+_CORRECTED = "The rest goes on with these columns corrected."
 _PIPE_WIDTH = 160  # room for long names; tables are as wide as what is in them
 
 
@@ -81,15 +91,12 @@ class Command(Generic[R]):
     Attributes:
         name: What the command is called.
         working: What it does, for the progress bar.
-        numbers: The result as a dictionary.
-        page: The content of the result.
         inputs: Files that are read beside those of the options.
         reads_logs: Whether the logs are read before the work; else the command does so itself.
         takes_bad_logs: Whether it says itself what is wrong with logs that are not there.
         more: Option -> what else the command writes.
         makers: What makes these files; nothing is written without one.
         saved: Option -> what its file is, where that is not the usual.
-        drawn: Title -> comparison by whose errors the page colours the robot.
         check_effects: Refuses effects that do not exist, before anything is read.
         check: Refuses a model that the command cannot work on, before the logs are looked at.
         write: Writes the files, and returns those that no option names.
@@ -101,8 +108,6 @@ class Command(Generic[R]):
     name: str
     working: str
     work: Callable[[Input], R]
-    numbers: Callable[[R], Mapping[str, Any]]
-    page: Callable[[R, About], Page]
     inputs: Sequence[Path] = ()
     reads_logs: bool = True
     takes_bad_logs: bool = False
@@ -110,7 +115,6 @@ class Command(Generic[R]):
     suffixes: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
     makers: Callable[[R], Mapping[str, Maker]] = lambda result: {}
     saved: Mapping[str, str] = field(default_factory=dict)
-    drawn: Callable[[R], Mapping[str, Comparison]] = lambda result: {}
     check_effects: Callable[[Sequence[type[Effect]]], object] = lambda extra: None
     check: Callable[[RobotModel], None] = lambda model: None
     write: Callable[[R, Mapping[Path, Content]], Sequence[Path]] = _write
@@ -140,23 +144,23 @@ def _run(command: Command[R], options: Any) -> R:
         update(command.working)
         result = command.work(given)
         update("Writing")
-        fitted = getattr(result, "model", given.model)
+        fitted, view = getattr(result, "model", given.model), view_of(result)
         unchecked = [] if columns is None else unchecked_words(given.model)
         told: dict[str, Any] = {}
         if columns is not None:
             told = {"columns": columns_list(columns), "columns_are_checked": not unchecked}
         numbers = to_json(
-            {"version": version(), "command": command.name, **command.numbers(result), **told}
+            {"version": version(), "command": command.name, **view.numbers(result), **told}
         )
-        page = command.page(result, _about(command, options, fitted, given.extra))
+        page = view.page(result, _about(command, options, fitted, given.extra))
         said = (*column_words(columns or (), corrected=corrects), *unchecked)
         mistakes = Section("Check first: the columns of the logs", items=said)
         page = replace(page, first=(mistakes, *page.first))
         makers: dict[str, Maker] = {
             "json": lambda: numbers,
-            "report": lambda: _html(page, fitted, command.drawn(result)),
+            "report": lambda: _html(page, fitted, view.drawn(result)),
             "save": partial(saved_text, fitted, getattr(options, "save", None) or Path()),
-            "series": partial(_samples, result, series or Path()),
+            "series": lambda: series_content(samples(result), series or Path()),
             **command.makers(result),
         }
         written = {option: path for option, path in targets.files.items() if option in makers}
@@ -180,12 +184,6 @@ def _html(page: Page, model: RobotModel, drawn: Mapping[str, Comparison]) -> str
     from geodrake.report.pictures import error_pictures
 
     return render(replace(page, pictures=error_pictures(model, drawn) if drawn else None))
-
-
-def _samples(result: Any, target: Path) -> Content:
-    from geodrake.report.views import samples  # which needs all kinds of results
-
-    return series_content(samples(result), target)
 
 
 def _about(
@@ -341,3 +339,37 @@ def make_console(*, stderr: bool = False) -> Console:
     if not console.is_terminal:
         console.width = _PIPE_WIDTH
     return console
+
+
+def found_columns(
+    model: RobotModel, logs: Sequence[JointLog], settings: Mapping[str, Any]
+) -> tuple[ColumnFinding, ...]:
+    """Return mistakes in columns; none of logs of which the command itself says what is wrong."""
+    if model.base_joints:
+        return ()
+    try:
+        return check_columns(model, logs, **settings)
+    except GeodrakeError:
+        return ()
+
+
+def column_words(columns: Sequence[ColumnFinding], *, corrected: bool) -> list[str]:
+    """Return findings, and what is done about them, in sentences."""
+    if not columns:
+        return []
+    able = any(finding.is_correctable for finding in columns)
+    last = [_CORRECTED if corrected else _UNCORRECTED] if able else []
+    return [*map(str, columns), *last]
+
+
+def unchecked_words(model: RobotModel) -> list[str]:
+    """Return that the columns of a robot were not checked, as it floats or has many joints."""
+    count = len(model.joints)
+    if model.base_joints:
+        return ["Columns are not checked: forces at the feet change the efforts of all joints."]
+    if count <= MOST_JOINTS:
+        return []
+    return [
+        f"Columns are not checked, which would take minutes for {count} joints (the limit is "
+        f"{MOST_JOINTS}); hold joints with --lock to check those of the others."
+    ]

@@ -9,14 +9,15 @@ import numpy as np
 
 from geodrake.excitation import ExcitationResult, FourierMotion, Separation, SplineMotion
 from geodrake.excitation.design import THRESHOLD, identifiable_directions, improvement
-from geodrake.excitation.identifiable import IdentifiableBlock, LogIdentifiability
+from geodrake.excitation.identifiable import LogIdentifiability
 from geodrake.excitation.limits import MotionLimits
 from geodrake.excitation.tell_apart import CLEAR, distinguished_pairs
 from geodrake.inertia import Array
 from geodrake.report.charts import MOST_PANELS, Chart, Panel, Plot, Stage
 from geodrake.report.json_output import number_or, picked
 from geodrake.report.numbers import UNKNOWN, Units, number, percent, relative
-from geodrake.report.page import About, Cell, Page, Section, Table, Tile, cells
+from geodrake.report.page import About, Cell, Page, Records, Section, Table, Tile, View, cells
+from geodrake.report.series_table import Columns
 from geodrake.report.words import effect_label, listed, places_label
 
 _FINE = 600  # instants that are drawn
@@ -560,50 +561,44 @@ def excitation_dict(result: ExcitationResult) -> dict[str, Any]:
         result: The result of `geodrake.excitation.design_excitation`; of a `Separation`, its value
             is 1/Δ of the pair that is hardest to distinguish.
     """
-    objective, family, use = result.objective, result.trajectory.family, result.use
-    pairs = distinguished_pairs(result)
-    shares = ("position", "velocity", "acceleration", "effort", "jerk")
+    objective, family = result.objective, result.trajectory.family
+    use, limits, target = result.use, result.limits, result.objective.target
+    pairs, shares = distinguished_pairs(result), ("velocity", "acceleration", "effort", "jerk")
+    coefficients = zip(result.trajectory.joints, result.trajectory.coefficients.T, strict=True)
+
+    def by_joint(of: object, *names: str) -> dict[str, dict[str, float]]:
+        return {
+            joint: {name: getattr(of, name)[j] for name in names}
+            for j, joint in enumerate(limits.joints)
+        }
+
     return {
         "criterion": "separation" if pairs else objective.criterion.name,
         "normalization": objective.normalization,
         "value": result.value,
         "improvement_over_random": improvement(result),
         "verdict": excitation_verdict(result),
-        "interrupted": result.is_interrupted,
-        "eigenvalues": result.eigenvalues,
+        **picked(result, "eigenvalues", interrupted="is_interrupted"),
         "directions_told": None if pairs else identifiable_directions(result),
         "pairs": [
             {
                 **picked(found.pair, "truth", "where", "rival"),
-                "deviations": found.deviations,
-                "effort_rms": found.effort,
+                **picked(found, "deviations", effort_rms="effort"),
             }
             for found in pairs
         ],
         "samples": result.samples,
-        "noise": dict(zip(objective.target.model.joints, objective.target.noise, strict=True)),
+        "noise": dict(zip(target.model.joints, target.noise, strict=True)),
         "motion": {
             "family": family.name,
             **asdict(family),  # type: ignore[call-overload]
-            "coefficients": dict(
-                zip(result.trajectory.joints, result.trajectory.coefficients.T, strict=True)
-            ),
+            "coefficients": dict(coefficients),
         },
-        "limits": {
-            joint: {
-                "lower": result.limits.lower[j],
-                "upper": result.limits.upper[j],
-                **{name: getattr(result.limits, name)[j] for name in shares[1:]},
-            }
-            for j, joint in enumerate(result.limits.joints)
-        },
-        "use": {
-            joint: {name: getattr(use, name)[j] for name in shares}
-            for j, joint in enumerate(result.limits.joints)
-        },
+        "limits": by_joint(limits, "lower", "upper", *shares),
+        "use": by_joint(use, "position", *shares),
         "peaks": {
             joint: {name: values[j] for name, values in use.peaks.items()}
-            for j, joint in enumerate(result.limits.joints)
+            for j, joint in enumerate(limits.joints)
         },
         "clearances": {
             party: {"least": least, "between": names}
@@ -614,16 +609,13 @@ def excitation_dict(result: ExcitationResult) -> dict[str, Any]:
             "with_ramps": result.executed.length,
             "search": result.seconds,
         },
-        "start": dict(
-            zip(result.limits.joints, result.trajectory.states([0.0])[0, 0], strict=True)
-        ),
+        "start": dict(zip(limits.joints, result.trajectory.states([0.0])[0, 0], strict=True)),
         "distance": {
             "least": number_or(use.distance, "collisions were not looked for"),
-            "between": use.nearest,
-            "clearance": use.clearance,
+            **picked(use, "clearance", between="nearest"),
         },
-        "starts": [asdict(outcome) for outcome in result.outcomes],
-        "notes": list(result.notes),
+        "starts": result.outcomes,
+        "notes": result.notes,
     }
 
 
@@ -635,10 +627,13 @@ def identifiable_dict(found: LogIdentifiability) -> dict[str, Any]:
         `combinations` with their (relative) deviations.
     """
     identifiable = found.identifiable
+    directions = zip(
+        identifiable.variances, found.floor_variances, identifiable.shares.T, strict=True
+    )
+    joints = zip(found.model.joints, found.noise, found.floor, found.samples, strict=True)
+    block = {"told": "count", "possible": "possible", "share": "share"}
     return {
-        "told": found.count,
-        "possible": found.possible,
-        "told_at_sensor_noise": found.count_at_floor,
+        **picked(found, "possible", told="count", told_at_sensor_noise="count_at_floor"),
         "threshold": identifiable.threshold,
         "verdict": identifiability_verdict(found),
         "directions": [
@@ -648,38 +643,50 @@ def identifiable_dict(found: LogIdentifiability) -> dict[str, Any]:
                 "told": k < found.count,
                 "shares": dict(zip(found.blocks, shares, strict=True)),
             }
-            for k, (variance, ideal, shares) in enumerate(
-                zip(
-                    identifiable.variances.tolist(),
-                    found.floor_variances.tolist(),
-                    identifiable.shares.T.tolist(),
-                    strict=True,
-                )
-            )
+            for k, (variance, ideal, shares) in enumerate(directions)
         ],
-        "bodies": {body.name: _block(body) for body in found.bodies},
+        "bodies": {body.name: picked(body, **block) for body in found.bodies},
         "effects": [
             {
                 **picked(entry, "effect", "parameter", "where"),
-                **_block(entry),
-                **picked(entry, "value", "deviation"),
+                **picked(entry, "value", "deviation", **block),
             }
             for entry in found.effects
         ],
-        "combinations": [asdict(combination) for combination in found.combinations],
+        "combinations": found.combinations,
         "joints": {
             joint: {"noise": noise, "sensor_noise": floor, "samples": samples}
-            for joint, noise, floor, samples in zip(
-                found.model.joints,
-                found.noise.tolist(),
-                found.floor.tolist(),
-                found.samples.tolist(),
-                strict=True,
-            )
+            for joint, noise, floor, samples in joints
         },
-        "notes": list(found.notes),
+        "notes": found.notes,
     }
 
 
-def _block(block: IdentifiableBlock) -> dict[str, float]:
-    return {"told": block.count, "possible": block.possible, "share": block.share}
+def _use_records(found: ExcitationResult) -> Records:
+    names = ("position", "velocity", "acceleration", "effort")
+    return [
+        {"joint": joint, **{f"{name}_share": float(getattr(found.use, name)[j]) for name in names}}
+        for j, joint in enumerate(found.limits.joints)
+    ]
+
+
+def _motion(found: ExcitationResult) -> Columns:
+    trajectory = found.trajectory
+    times = trajectory.family.times(found.samples)
+    states = zip(("position", "velocity", "acceleration"), trajectory.states(times), strict=True)
+    columns: dict[str, Any] = {"time": times}
+    for name, values in states:
+        columns |= {f"{j}.{name}": values[:, k] for k, j in enumerate(trajectory.joints)}
+    return columns
+
+
+VIEWS = {
+    ExcitationResult: View(excitation_page, excitation_dict, _use_records, _motion, "motion"),
+    LogIdentifiability: View(
+        identifiability_page,
+        identifiable_dict,
+        lambda found: [asdict(block) for block in (*found.bodies, *found.effects)],
+        figure="directions",
+    ),
+}
+"""How to see each of these results."""

@@ -6,7 +6,8 @@ import hashlib
 import importlib.metadata
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import asdict, dataclass, replace
+from typing import Any
 
 import numpy as np
 
@@ -34,6 +35,16 @@ from geodrake.report.error_charts import (
     step_bars,
     step_joint_bars,
 )
+from geodrake.report.explaining_json import (
+    body_records,
+    comparison_dict,
+    diagnosis_dict,
+    draft_dict,
+    error_records,
+    explanation_dict,
+    identification_dict,
+    step_records,
+)
 from geodrake.report.numbers import (
     UNKNOWN,
     Units,
@@ -45,8 +56,19 @@ from geodrake.report.numbers import (
     percent,
     with_deviation,
 )
-from geodrake.report.page import About, Cell, ColoredList, Page, Section, Table, Tile, cells
-from geodrake.report.rollouts import departures_table, stages_table
+from geodrake.report.page import (
+    About,
+    Cell,
+    ColoredList,
+    Page,
+    Section,
+    Table,
+    Tile,
+    View,
+    cells,
+)
+from geodrake.report.rollouts import departures_table, motions_dict, stages_table
+from geodrake.report.series_table import Columns, comparison_series
 
 REST = "What the remaining error varies with"
 _EVEN = "No joint has a much larger error in some circumstance than elsewhere."
@@ -818,3 +840,63 @@ def _regularizers_table(found: ModelIdentification) -> Table:
 def _gamma(value: float) -> str:
     """Return the weight of a regularizer, which a loose bound leaves as large as one likes."""
     return number(value) if math.isfinite(value) else "without end"
+
+
+def _explained_dict(found: Explained) -> dict[str, Any]:
+    numbers = explanation_dict(found.explanation)
+    if found.draft is not None:
+        return numbers | {"draft": draft_dict(found.draft)}
+    if found.added:
+        return numbers
+    return {**numbers, "correlates": found.correlates, **motions_dict(found.motions)}
+
+
+def _explained_series(found: Explanation) -> Columns:
+    return comparison_series(found.after, found.before)
+
+
+def _drawn(found: Explanation) -> Mapping[str, Comparison]:
+    return {"as it stands": found.before, **({"now": found.after} if found.steps else {})}
+
+
+VIEWS = {
+    Comparison: View(
+        comparison_page,
+        comparison_dict,
+        error_records,
+        comparison_series,
+        "efforts",
+        lambda found: {"": found},
+    ),
+    Diagnosis: View(
+        diagnosis_page,
+        diagnosis_dict,
+        lambda found: list(map(asdict, found.candidates)),
+        lambda found: comparison_series(found.comparison),
+        "candidates",
+        lambda found: {"": found.comparison},
+    ),
+    Explanation: View(
+        explanation_page, explanation_dict, step_records, _explained_series, "efforts", _drawn
+    ),
+    Explained: View(
+        explanation_page,
+        _explained_dict,
+        lambda found: step_records(found.explanation),
+        lambda found: _explained_series(found.explanation),
+        "efforts",
+        lambda found: _drawn(found.explanation),
+    ),
+    ModelIdentification: View(
+        identification_page,
+        identification_dict,
+        body_records,
+        lambda found: comparison_series(found.comparison),
+        "efforts",
+        lambda found: {
+            "as it stands": replace(found.comparison, errors=found.before),
+            "identified": found.comparison,
+        },
+    ),
+}
+"""How to see each of these results."""

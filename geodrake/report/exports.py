@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -19,9 +19,9 @@ from geodrake.logs.inspection import LogInspection
 from geodrake.model.dynamics_check import TOLERANCE, Agreement, DynamicsCheck
 from geodrake.report.charts import Chart, Panel, Plot, Shade, Stage
 from geodrake.report.explaining import effect_cell, first_section, notes_section
-from geodrake.report.json_output import NoNumber, number_or, picked
+from geodrake.report.json_output import NoNumber, columns_list, finite, number_or, picked
 from geodrake.report.numbers import Units, number, percent
-from geodrake.report.page import About, Cell, Page, Section, Table, Tile, cells
+from geodrake.report.page import About, Cell, Page, Section, Table, Tile, View, cells
 from geodrake.report.words import capitalized
 
 _NAMED = 3  # effects, at most, that a sentence names
@@ -30,7 +30,6 @@ _DIGITS = 12  # of a hash, in words
 _MOST_NAMED = 3  # gaps or rests that are named
 _SI = {"current": "A", "voltage": "V", "pwm": "share"}  # which names of quantities do not say
 _POSITION, _COMMAND = Stage("position", "position", "after"), Stage("command", "command", "quiet")
-_EMPTY = "all its cells are empty"
 _EFFORT = Stage("effort", "effort", "before")
 
 
@@ -153,18 +152,11 @@ def _proof_table(found: ProvenExport, units: Units) -> Table:
     for each in found.proof.differences:
         unit = units.at(each.joint, "N·m" if each.what == "effort" else "rad")
         part = "" if each.compared == 1.0 else f", {percent(each.compared)} of samples"
-        rows.append(
-            cells(
-                each.engine,
-                f"{each.what}{part}",
-                ", ".join(each.without) or "nothing",
-                each.joint,
-                f"{number(each.largest, 2)} {unit}",
-                f"{number(each.typical)} {unit}",
-            )
-        )
+        without = ", ".join(each.without) or "nothing"
+        largest, typical = f"{number(each.largest, 2)} {unit}", f"{number(each.typical)} {unit}"
+        rows.append(cells(each.engine, f"{each.what}{part}", without, each.joint, largest, typical))
     head = ("loaded by", "compared", "without", "worst joint", "largest difference", "of RMS")
-    return Table(head, tuple(rows), words=4)
+    return Table(head, rows, words=4)
 
 
 @dataclass(frozen=True, eq=False)
@@ -179,16 +171,13 @@ def check_page(checked: CheckedModel, about: About) -> Page:
     """Say whether a model's dynamics are MultibodyPlant's, and where they differ most."""
     found = checked.check
     states = "1 random state" if found.samples == 1 else f"{found.samples} random states"
-    rows = tuple(
+    rows = [
         cells(
-            each.quantity,
-            " & ".join(each.where),
-            f"{each.difference:.1e}",
-            f"{each.size:.3g}",
-            f"{each.relative:.1e}",
+            *(each.quantity, " & ".join(each.where)),
+            *(f"{each.difference:.1e}", f"{each.size:.3g}", f"{each.relative:.1e}"),
         )
         for each in (*found.agreements, *([found.second] if found.second else []))
-    )
+    ]
     table = Table(("quantity", "largest at", "difference", "of", "relative"), rows, words=2)
     return Page(
         about.title,
@@ -349,26 +338,15 @@ def logs_page(found: InspectedLogs, about: About) -> Page:
 
 def _columns_table(found: LogInspection) -> Table:
     """Return which column became which joint and quantity."""
-    rows = [
-        cells(
-            column.joint,
-            column.quantity,
-            column.column,
-            _unit_words(column.unit or _SI.get(column.quantity, ""), column.factor),
-            number(column.lowest),
-            number(column.highest),
-            str(column.empty or ""),
-        )
-        for column in found.columns
-    ]
+    rows = []
+    for each in found.columns:
+        unit = each.unit or _SI.get(each.quantity, "")
+        if not np.isclose(each.factor, 1.0, rtol=1e-12, atol=0.0):
+            unit = f"{unit} × {number(each.factor, 4)}".strip()
+        names = each.joint, each.quantity, each.column, unit
+        rows.append(cells(*names, each.lowest, each.highest, each.empty or ""))
     head = ("joint", "quantity", "column", "unit", "least", "largest", "empty")
-    return Table(head, tuple(rows), words=4)
-
-
-def _unit_words(unit: str, factor: float) -> str:
-    if not np.isclose(factor, 1.0, rtol=1e-12, atol=0.0):
-        return f"{unit} × {number(factor, 4)}".strip()
-    return unit
+    return Table(head, rows, words=4)
 
 
 def _row_words(found: LogInspection) -> tuple[str, ...]:
@@ -431,7 +409,7 @@ def _effort_curve(found: LogInspection, row: int) -> tuple[NDArray[np.float64], 
     return effort, words.get(kind, f"{kind}, {_SI.get(kind, '')}")
 
 
-def export_dict(found: ProvenExport) -> dict[str, Any]:
+def _export_dict(found: ProvenExport) -> dict[str, Any]:
     """Return an export: its files, what they hold and lack, and what simulators make of them.
 
     Returns:
@@ -439,136 +417,127 @@ def export_dict(found: ProvenExport) -> dict[str, Any]:
         what stands `into` its place and its `nrms`; `error` on the logs; `differences` from the
         model by simulator (N·m or N, rad or m), `ignored` effects, and `notes`.
     """
-    costs = found.costs
+    error = {}
+    if (costs := found.costs) is not None:
+        error = {"nrms": costs.whole, "held_nrms": costs.held}
+        error |= {} if costs.ignored is None else {"simulated_nrms": costs.ignored}
+    holds = []
+    for fitted in found.held.effects:
+        names = [parameter.name for parameter in fitted.effect.parameters]
+        holds.append(
+            {
+                **picked(fitted.effect, "where", effect="name", shape="reported_shape"),
+                "parameters": dict(zip(names, fitted.parameters, strict=True)),
+            }
+        )
     return {
         "format": found.form.name,
         "files": list(found.exported.files),
-        "holds": [
-            {
-                "effect": fitted.effect.name,
-                "where": list(fitted.effect.where),
-                "shape": fitted.effect.reported_shape,
-                "parameters": dict(
-                    zip(
-                        (parameter.name for parameter in fitted.effect.parameters),
-                        fitted.parameters.tolist(),
-                        strict=True,
-                    )
-                ),
-            }
-            for fitted in found.held.effects
-        ],
+        "holds": holds,
         "lacks": [
-            {
-                "effect": lost.effect,
-                "where": list(lost.where),
-                "into": list(lost.into),
-                **({} if lost.nrms is None else {"nrms": lost.nrms}),
-            }
+            picked(lost, "effect", "where", "into", *([] if lost.nrms is None else ["nrms"]))
             for lost in found.lacks
         ],
-        "error": {}
-        if costs is None
-        else {"nrms": costs.whole, "held_nrms": costs.held}
-        | ({} if costs.ignored is None else {"simulated_nrms": costs.ignored}),
-        "differences": [asdict(difference) for difference in found.proof.differences],
-        "ignored": list(found.proof.ignored),
-        "notes": list(found.notes),
+        "error": error,
+        **picked(found.proof, "differences", "ignored"),
+        "notes": found.notes,
     }
 
 
-def digests_dict(run: DigestRun) -> dict[str, Any]:
+def _digests_dict(run: DigestRun) -> dict[str, Any]:
     """Return what became of logs, as plain numbers for JSON."""
+    settings, said = run.settings, dict[str, Any]()
+    if settings is not None:
+        said = picked(settings, "hash", "model", "version", "bandwidth", "blocks", "chosen_from")
+        said |= {"columns": len(settings.columns)}
     return {
         "folder": str(run.folder),
-        "settings": NoNumber("no log could be used")
-        if run.settings is None
-        else _digest_settings(run.settings),
+        "settings": said or NoNumber("no log could be used"),
         "counts": {status: run.count(status) for status in (MADE, THERE, FAILED)},
-        "logs": [_digest_row(row, run.settings) for row in run.rows],
+        "logs": [_digest_row(row, settings) for row in run.rows],
         "notes": digest_notes(run),
     }
 
 
-def _digest_settings(settings: DigestSettings) -> dict[str, Any]:
-    return {
-        **picked(settings, "hash", "model", "version", "bandwidth", "blocks"),
-        "columns": len(settings.columns),
-        "chosen_from": settings.chosen_from,
-    }
-
-
 def _digest_row(row: DigestRow, settings: DigestSettings | None) -> dict[str, Any]:
-    said: dict[str, Any] = {"log": str(row.file), "status": row.status, "reason": row.reason}
+    said: dict[str, Any] = {"log": str(row.file), **picked(row, "status", "reason")}
     about = row.about
     if about is None or settings is None or row.samples is None or row.effective is None:
         return said
-    unknown = "it was not measured"
     temperature, position, speed = about.temperature, about.position, about.speed
     return {
         **said,
         "digest": str(row.digest),
         "date": date_text(about.date),
-        "date_from": about.date_from,
-        "seconds": about.seconds,
+        **picked(about, "date_from", "seconds"),
         "joints": {
             joint: {
                 "samples": int(row.samples[j]),
-                "effective": float(row.effective[j]),
-                "noise_floor": float(about.noise_floor[j]),
-                "position": position[:, j].tolist(),
-                "speed": speed[:, j].tolist(),
-                "temperature": number_or(float(temperature[j]), unknown),
+                "effective": row.effective[j],
+                "noise_floor": about.noise_floor[j],
+                "position": position[:, j],
+                "speed": speed[:, j],
+                "temperature": number_or(float(temperature[j]), "it was not measured"),
             }
             for j, joint in enumerate(settings.joints)
         },
-        "notes": list(about.notes),
+        "notes": about.notes,
     }
 
 
-def inspection_dict(found: LogInspection) -> dict[str, Any]:
+def _logs_dict(found: InspectedLogs) -> dict[str, Any]:
+    logs = {"logs": [_log_dict(each) for _, each in found.logs]}
+    if found.repairs is None:
+        return logs
+    notes = [*found.repairs, *found.beyond, *filter(None, [found.unchecked])]
+    return logs | {"columns": columns_list(found.columns), "notes": notes}
+
+
+def _log_dict(found: LogInspection) -> dict[str, Any]:
     """Return what was understood of a log, as numbers and names."""
+    columns = [
+        {
+            **picked(column, "joint", "quantity", "column", "unit", "factor", "empty"),
+            **finite(column, "all its cells are empty", "lowest", "highest"),
+        }
+        for column in found.columns
+    ]
     return {
-        "name": found.log.name,
-        "joints": list(found.log.joints),
+        **picked(found.log, "name", "joints"),
         "rows": len(found.log),
         **picked(found, "seconds", "period", "jitter", "time_column"),
-        "columns": [
-            {
-                **picked(column, "joint", "quantity", "column", "unit", "factor"),
-                "lowest": number_or(column.lowest, _EMPTY),
-                "highest": number_or(column.highest, _EMPTY),
-                "empty": column.empty,
-            }
-            for column in found.columns
-        ],
+        "columns": columns,
         "gaps": [{"time": instant, "seconds": length} for instant, length in found.gaps],
         "rests": [{"from": first, "to": last} for first, last in found.rests],
-        "notes": list(found.notes),
+        "notes": found.notes,
     }
 
 
-def check_dict(checked: CheckedModel) -> dict[str, Any]:
+def _check_dict(checked: CheckedModel) -> dict[str, Any]:
     """Return a check as plain numbers, for JSON."""
     found = checked.check
     return {
         "agrees": found.holds,
         "repaired": len(found.repairs) > len(found.left_out),
-        "left_out": list(found.left_out),
+        "left_out": found.left_out,
         "tolerance": TOLERANCE,
         **picked(found, "samples", "seed", "bodies", "joints"),
         "quantities": {each.quantity: _agreement(each) for each in found.agreements},
         "second_opinion": {"by": found.by} | (_agreement(found.second) if found.second else {}),
         "worst": found.worst.quantity,
-        "notes": list(checked.notes),
+        "notes": checked.notes,
     }
 
 
 def _agreement(each: Agreement) -> dict[str, Any]:
     why = "a computed value is no number"
-    return {
-        "difference": number_or(each.difference, why),
-        "size": number_or(each.size, why),
-        "relative": number_or(each.relative, why),
-        "where": each.where,
-    }
+    return {**finite(each, why, "difference", "size", "relative"), "where": each.where}
+
+
+VIEWS = {
+    ProvenExport: View(export_page, _export_dict),
+    CheckedModel: View(check_page, _check_dict),
+    DigestRun: View(digests_page, _digests_dict),
+    InspectedLogs: View(logs_page, _logs_dict),
+}
+"""How to see each of these results."""

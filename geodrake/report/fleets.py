@@ -24,8 +24,9 @@ from geodrake.fleet.type_columns import RAMP, STEP
 from geodrake.fleet.type_layout import BODIES, FleetParameter
 from geodrake.report.charts import Chart, Panel, Plot, Shade, Stage
 from geodrake.report.explaining import notes_section
+from geodrake.report.fleet_json import fleet_dict
 from geodrake.report.numbers import chance, number, percent, with_deviation
-from geodrake.report.page import About, Cell, Page, Section, Table, Tile, cells
+from geodrake.report.page import About, Cell, Page, Section, Table, Tile, View, cells
 from geodrake.report.words import effect_label
 
 Array = NDArray[np.float64]
@@ -361,3 +362,10 @@ def _levels(history: ParameterHistory, changes: Sequence[FleetFinding], dates: A
         own = number_of == each
         found[own] = np.average(history.values[own], weights=weights[own])
     return found
+
+
+VIEWS = {
+    FleetResult: View(fleet_page, fleet_dict),
+    WatchedFleet: View(fleet_page, lambda found: fleet_dict(found.result)),
+}
+"""How to see each of these results."""

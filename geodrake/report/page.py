@@ -2,11 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Any
 
 from geodrake.report.charts import Bars, Chart
 from geodrake.report.numbers import Units, number
+
+if TYPE_CHECKING:
+    from geodrake.identification.logs.model_errors import Comparison
+
+Records = Sequence[Mapping[str, Any]]
 
 
 @dataclass(frozen=True)
@@ -209,3 +215,23 @@ class Page:
         judged = self.verdict in ("adequate", "explained", "unexplained", "undecided")
         mark = f"{self.mark[:1].upper()}{self.mark[1:]}. " if judged else ""
         return " ".join((f"{mark}{self.headline}", *self.lead))
+
+
+@dataclass(frozen=True)
+class View:
+    """How to see one kind of result.
+
+    Attributes:
+        numbers: The result as a dictionary, for JSON.
+        records: Function to rows of numbers, for a DataFrame; None if there are none.
+        samples: Function to the samples behind it, by column; None if there are none.
+        figure: Name of the chart or bars that say most.
+        drawn: Title -> comparison by whose errors the page colours the robot.
+    """
+
+    page: Callable[[Any, About], Page]
+    numbers: Callable[[Any], Mapping[str, Any]] = lambda found: {}
+    records: Any = None
+    samples: Any = None
+    figure: str = ""
+    drawn: Callable[[Any], Mapping[str, Comparison]] = lambda found: {}

@@ -15,7 +15,7 @@ from geodrake.report.drawn_robots import ColoredRobot, error_colors
 from geodrake.report.explaining import comparison_page
 from geodrake.report.json_output import picked
 from geodrake.report.numbers import Units, number, percent
-from geodrake.report.page import About, ColoredList, Page, Section
+from geodrake.report.page import About, ColoredList, Page, Section, View
 from geodrake.report.playback import Moment, Playback, PlayedModel
 from geodrake.report.robot_scene import RIGHT, Extent, body_links, joint_places, posed_links
 from geodrake.report.words import effect_label
@@ -160,3 +160,7 @@ def effect_words(fitted: FittedEffect, units: Units) -> str:
     place = " & ".join(effect.where)
     shown = number(units.shown(effect.name, names[0], values[names[0]]))
     return f"{label} {shown} {units.parameter(effect.name, names[0], place)}".strip()
+
+
+VIEWS = {Played: View(playback_page, playback_dict)}
+"""How to see this result."""

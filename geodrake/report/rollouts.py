@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import asdict, dataclass, replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,8 +13,10 @@ from geodrake.control.rollout import Rollout, RolloutFit
 from geodrake.control.rollout.rollout_values import is_soft
 from geodrake.model.effort_signal import SERVO
 from geodrake.report.charts import MOST_PANELS, Chart, Panel, Plot, Stage, gap_filled
+from geodrake.report.json_output import finite, number_or, picked
 from geodrake.report.numbers import Units, number, with_deviation
-from geodrake.report.page import About, Page, Section, Table, Tile, cells
+from geodrake.report.page import About, Page, Section, Table, Tile, View, cells
+from geodrake.report.series_table import rollout_series
 from geodrake.report.words import (
     capitalized,
     departure,
@@ -27,6 +30,7 @@ Array = NDArray[np.float64]
 _MEASURED = Stage("measured", "measured", "measured", look="wide")
 _SIMULATED = Stage("after", "simulated", "after")
 _BEFORE = Stage("before", "before", "before")
+_APART = "the robot departs further than can be simulated"
 _CAPTION = (
     "Positions, window after window. Each window starts at the measured state; from there on the "
     "simulated robot is alone with the logged {under}. Lines are cut off where they leave the axes."
@@ -245,3 +249,76 @@ def _joined(parts: Sequence[Array | Sequence[Array]]) -> Array:
     """Return rows of all windows, one after the other, with a NaN behind each."""
     gap = np.full((len(parts[0]), 1), np.nan)
     return np.concatenate([each for part in parts for each in (np.asarray(part), gap)], axis=1)
+
+
+def rollout_dict(rollout: Rollout) -> dict[str, Any]:
+    """Return a rollout: departures of every joint from the measured motion."""
+    return {
+        **picked(rollout, "under", "horizon"),
+        "windows": [{"log": w.log, "start": float(w.time[0])} for w in rollout.windows],
+        "broken": rollout.broken,
+        "relative": number_or(rollout.relative, _APART),
+        "joints": {
+            joint.joint: {
+                **finite(joint, _APART, "rms"),
+                "moved": joint.moved,
+                **finite(joint, _APART, "relative"),
+                "worst": joint.worst,
+            }
+            for joint in rollout.joints
+        },
+        "notes": rollout.notes,
+    }
+
+
+def _simulated_dict(found: Simulated) -> dict[str, Any]:
+    before = {} if found.before is None else {"before": rollout_dict(found.before)}
+    return {**rollout_dict(found.after), **before}
+
+
+def rollout_fit_dict(found: RolloutFit) -> dict[str, Any]:
+    """Return a fit of rollouts: values before and after, and departures in all windows."""
+    stages = {"fitted": found.fitted, "held_out": found.held_out}
+    return {
+        **picked(found, "taken", "chance", "values"),
+        **{
+            name: {"before": rollout_dict(before), "after": rollout_dict(after)}
+            for name, (before, after) in stages.items()
+        },
+        "notes": found.notes,
+    }
+
+
+def motions_dict(motions: Sequence[Rollout] | None) -> dict[str, Any]:
+    """Return rollouts under commands, by the key `motion`; nothing without commands.
+
+    Those before and after the fit, and after each step but the last.
+    """
+    if motions is None:
+        return {}
+    before, *between, after = map(rollout_dict, motions)
+    return {"motion": {"before": before, "after": after, "steps": between}}
+
+
+VIEWS = {
+    Rollout: View(
+        rollout_page,
+        rollout_dict,
+        lambda found: [{**asdict(joint), "relative": joint.relative} for joint in found.joints],
+        rollout_series,
+        "rollout",
+    ),
+    Simulated: View(
+        rollout_page,
+        _simulated_dict,
+        samples=lambda found: rollout_series(found.after, found.before),
+    ),
+    RolloutFit: View(
+        rollout_fit_page,
+        rollout_fit_dict,
+        lambda found: list(map(asdict, found.values)),
+        lambda found: rollout_series(found.after, found.before),
+        "rollout",
+    ),
+}
+"""How to see each of these results."""

@@ -27,8 +27,8 @@ from geodrake.logs.motion import JointLog
 from geodrake.model import EffortSignal
 from geodrake.model.saved_model import load_model
 from geodrake.report import page_of, render
-from geodrake.report.json_output import motions_dict, rollout_dict
 from geodrake.report.page import About
+from geodrake.report.rollouts import motions_dict, rollout_dict
 from geodrake.robot import gears
 from geodrake.robot.transmission import Drive
 

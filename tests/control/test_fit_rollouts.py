@@ -42,8 +42,8 @@ from geodrake.identification.logs.case import open_case
 from geodrake.logs.files import write_log
 from geodrake.model import EffortSignal
 from geodrake.report import page_of, render
-from geodrake.report.json_output import rollout_fit_dict
 from geodrake.report.page import About
+from geodrake.report.rollouts import rollout_fit_dict
 from geodrake.report.words import rollout_fit_words
 
 

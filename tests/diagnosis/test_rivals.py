@@ -15,7 +15,7 @@ from geodrake.diagnosis.ambiguity import distinguishing_commands
 from geodrake.diagnosis.results import FittedRival
 from geodrake.model.saved_model import load_model
 from geodrake.report import page_of, render, show_page
-from geodrake.report.json_output import explanation_dict
+from geodrake.report.explaining_json import explanation_dict
 
 MODEL = load_model(MODELS / "double_pendulum.urdf")
 

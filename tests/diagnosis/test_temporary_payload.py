@@ -25,7 +25,8 @@ from geodrake.identification.logs.case import open_case
 from geodrake.inertia import from_mass_com_inertia
 from geodrake.model.export import export_model
 from geodrake.model.saved_model import save_model
-from geodrake.report.json_output import explanation_dict, to_json
+from geodrake.report.explaining_json import explanation_dict
+from geodrake.report.json_output import to_json
 from geodrake.report.numbers import Units
 from geodrake.report.words import finding
 

@@ -5,7 +5,8 @@ import json
 import numpy as np
 from report_results import explanation, joint_names
 
-from geodrake.report.json_output import explanation_dict, number_or, to_json
+from geodrake.report.explaining_json import explanation_dict
+from geodrake.report.json_output import number_or, to_json
 
 
 def test_a_number_that_is_none_is_null_with_a_reason():

@@ -27,7 +27,8 @@ from geodrake.identification.logs.model_errors import (
 from geodrake.identification.models import BodyChange
 from geodrake.report import Units, page_of
 from geodrake.report.explaining import Explained, errors_table
-from geodrake.report.json_output import NoNumber, comparison_dict
+from geodrake.report.explaining_json import comparison_dict
+from geodrake.report.json_output import NoNumber
 from geodrake.report.numbers import chance, is_noticed, number, percent, shortened, with_deviation
 from geodrake.report.page import Cell
 from geodrake.report.words import (
