@@ -476,6 +476,7 @@ def test_tendons_that_tie_two_joints_have_one_follow_the_other(tmp_path, tendons
     ("tie", "moving", "held"),
     [
         ('<tendon tendon1="q" tendon2="r" polycoef=".1 2 0 0 0"/>', ("a",), {}),
+        ('<joint joint1="t" joint2="b" polycoef=".1 3 0 0 0"/>', ("a",), {}),
         ('<joint joint1="t" polycoef=".3"/>', ("b",), {"a": pytest.approx(0.15 / 2)}),
     ],
 )
@@ -485,9 +486,15 @@ def test_what_ties_a_joint_that_follows_already_ties_the_other(tmp_path, tie, mo
     tendons += '<fixed name="r"><joint joint="b" coef="3"/></fixed>'
     follow = '<joint joint1="t" joint2="a" polycoef=".15 2 0 0 0"/>'
     tail = f"<tendon>{tendons}</tendon><equality>{follow}{tie}</equality>"
-    model = load_model(write(tmp_path, mjcf(inner, tail=tail)))
+    path = write(tmp_path, mjcf(inner, tail=tail))
+    model, theirs = load_model(path), mujoco.MjModel.from_xml_path(str(path))
     assert (model.joints, model.left_out) == (moving, ())
     assert {joint: model.held[joint] for joint in held} == held
+    if not held:
+        data = mujoco.MjData(theirs)
+        data.qpos[:] = model.plant_positions(np.array([[0.7]]))[0]
+        mujoco.mj_forward(theirs, data)
+        assert data.efc_pos[: data.ne] == pytest.approx([0.0, 0.0], abs=1e-12)
 
 
 def test_frames_within_frames_without_end_are_read_or_refused(tmp_path):

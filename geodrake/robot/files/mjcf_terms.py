@@ -398,7 +398,7 @@ class MjcfTerms:
 
     def _follow_tendon(self, first: int, second: int, data: Array) -> bool:
         """Return whether L − L₀ = a₀ + a₁ (M − M₀) of fixed tendons has a joint follow another."""
-        m, known = self.m, self.found.followers
+        m = self.m
         shares = fixed_tendon(m, first)
         length = float(m.tendon_length0[first]) + float(data[0])
         if second >= 0:
@@ -415,37 +415,41 @@ class MjcfTerms:
         on_what, motors = self.mujoco.mjtTrn, zip(m.actuator_trnid, m.actuator_trntype, strict=True)
         at_joints = (on_what.mjTRN_JOINT, on_what.mjTRN_JOINTINPARENT)
         driven = {int(on[0]) for on, kind in motors if int(kind) in at_joints}
-        first, second = sorted(shares, key=lambda joint: joint not in driven)
-        for own, leader in ((second, first), (first, second)):
-            names = self._joint(own), self._joint(leader)
+        leader, own = sorted(shares, key=lambda joint: joint not in driven)
+        return self._tie(own, leader, -shares[leader] / shares[own], length / shares[own])
+
+    def _tie(self, own: int, leader: int, ratio: float, offset: float) -> bool:
+        """Return whether a joint follows another one, or leads it as it follows a third."""
+        ways = [(own, leader, ratio, offset)]
+        ways += [(leader, own, 1.0 / ratio, -offset / ratio)] if ratio else []
+        for first, second, *numbers in ways:
+            names = self._joint(first), self._joint(second)
             if not self._follows_already(*names):
-                known.append(Follower(*names, -shares[leader] / shares[own], length / shares[own]))
+                self.found.followers.append(Follower(*names, *numbers))
                 return True
         return False
 
     def _follow(self, first: int, second: int, data: Array) -> None:
         """Take that Y − y₀ = p(x − x₀), y₀ and x₀ at the file's own pose."""
         own, leader = self._name("JOINT", first), self._name("JOINT", second)
-        if self._follows_already(self._joint(first), self._joint(second)):
-            self._leave(
-                f"<equality>: the constraint <joint> of {own} and {leader}, as {own} follows a "
-                f"joint already, or is followed by {leader},"
-            )
-            return
         starts = [float(self.m.qpos0[self.m.jnt_qposadr[j]]) for j in (first, second)]
         polynomial = np.polynomial.Polynomial(data)(np.polynomial.Polynomial([-starts[1], 1.0]))
         coefficients = np.zeros(5)
         coefficients[: len(polynomial.coef)] = polynomial.coef
         coefficients[0] += starts[0]
-        if data[2:].any():
+        if not data[2:].any():
+            tied = self._tie(first, second, float(coefficients[1]), float(coefficients[0]))
+        elif tied := not self._follows_already(self._joint(first), self._joint(second)):
             known = next((part for part in self.found.bent if part.leader == leader), None)
             if known is None:
                 known = Followers(leader, {})
                 self.found.bent.append(known)
             known.joints[own] = coefficients.tolist()
-        else:
-            numbers = float(coefficients[1]), float(coefficients[0])
-            self.found.followers.append(Follower(self._joint(first), self._joint(second), *numbers))
+        if not tied:
+            self._leave(
+                f"<equality>: the constraint <joint> of {own} and {leader}, as {own} follows a "
+                f"joint already, or is followed by {leader},"
+            )
 
     def _follows_already(self, own: str, leader: str) -> bool:
         """Return whether a joint follows another one, or is followed by what it would follow."""
