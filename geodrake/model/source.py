@@ -112,7 +112,7 @@ def effort(q, v, vd):
 
 def sign(x):
     """-1, 0 or 1."""
-    return (x > 0.0) - (x < 0.0)
+    return float(x > 0.0) - float(x < 0.0)
 '''
 
 _CPP = """{comment}

@@ -49,7 +49,7 @@ def ran(source, motion):
     """Efforts (N, nv) by a Python source, in this process."""
     names = {}
     exec(compile(source, "effort.py", "exec"), names)
-    samples = zip(motion.q.tolist(), motion.v.tolist(), motion.vd.tolist(), strict=True)
+    samples = zip(motion.q, motion.v, motion.vd, strict=True)  # whose numbers are NumPy's
     return np.array([names["effort"](*sample) for sample in samples])
 
 
