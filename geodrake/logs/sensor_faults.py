@@ -165,7 +165,11 @@ class _Sensor:
                 turns = np.concatenate([[0.0], np.cumsum(np.where(near, np.sign(steps), 0.0))])
                 words = f"wraps at a turn of {turn:.4g}, {np.count_nonzero(near)} times, the first "
                 words += f"at t = {self.time[int(np.argmax(near))]:.2f} s: unwrapped"
-                return self.values - turn * turns, words
+                values = self.values - turn * turns
+                middle = 0.5 * (values.min() + values.max())
+                if self.values.min() >= 0.0 and np.ptp(values) < turn:  # zero is at 0 or a turn
+                    values -= turn * np.rint(middle / turn)
+                return values, words
         return self.values, ""
 
     def _jumps(self) -> Indices:

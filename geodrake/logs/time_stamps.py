@@ -77,8 +77,8 @@ def with_clock_set_back(time: Array) -> tuple[Array, tuple[str, ...]]:
     found, notes, gap = time.copy(), [], max(_GAP, 20.0 * period)
     for k in back.tolist():
         notes.append(
-            f"the clock was set back by {-steps[k]:.3g} s at row {rows[k + 1] + 1}: what follows "
-            "is taken as after a gap"
+            f"the clock was set back by {period - steps[k]:.3g} s at row {rows[k + 1] + 1}: what "
+            "follows is taken as after a gap"
         )
         found[rows[k + 1] :] += gap - steps[k]
     return found, tuple(notes)

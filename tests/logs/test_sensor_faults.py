@@ -128,6 +128,13 @@ def test_wraps_are_unwrapped(low, velocity):
     assert all("unwrapped" in note for note in found.notes)
 
 
+def test_turns_from_zero_on_are_unwrapped_about_zero():
+    log = swing()
+    small = replace(log, position=log.position - log.position.mean(axis=0))
+    found = without_faults(replace(small, position=small.position % (2 * np.pi)))
+    np.testing.assert_allclose(found.position, small.position, atol=1e-9)
+
+
 def test_a_frozen_position_is_left_out():
     log = swing()
     stuck = changed(log, "position", slice(1000, 1800), 0, log.position[1000, 0])

@@ -19,6 +19,7 @@ PLAIN = pandas.DataFrame(
     np.column_stack([TIME, POSITION, EFFORT]),
     columns=["time", *(f"{joint}.{q}" for q in ("position", "effort") for joint in JOINTS)],
 )
+MOMENTS = pandas.Timestamp("2026-05-01 12:00:00") + pandas.to_timedelta(TIME, unit="s")
 LISTS = {"time": TIME, "q": POSITION, "tau": EFFORT}
 TURNED = {"time": TIME, "q": POSITION[:, ::-1], "tau": EFFORT[:, ::-1]}
 TEXTS = [str(tuple(row)).replace(",", "") for row in EFFORT.tolist()]
@@ -87,10 +88,22 @@ def text(content):
 
 
 def times(form):
-    moments = pandas.Timestamp("2026-05-01 12:00:00") + pandas.to_timedelta(TIME, unit="s")
-    return table(PLAIN.assign(time=moments.strftime(form)))
+    return table(PLAIN.assign(time=MOMENTS.strftime(form)))
 
 
+def echo_of_ros1():
+    stamps = (1.7e18 + 1e9 * TIME).astype(int)
+    head = pandas.DataFrame({0: stamps, 1: range(ROWS), 2: stamps, 3: ""})
+    return pandas.concat([head, echo_of_ros2().iloc[:, 3:]], axis=1)
+
+
+IN_GERMAN = pandas.DataFrame(
+    {
+        "Zeit [ms]": 1e3 * TIME,
+        **{f"Winkel {k} [°]": np.rad2deg(POSITION[:, k - 1]) for k in (1, 2)},
+        **{f"Drehmoment {k} [Nm]": EFFORT[:, k - 1] for k in (1, 2)},
+    }
+)
 LEVELS = [["time", *["position"] * 2, *["effort"] * 2], ["", *JOINTS, *JOINTS]]
 OBSERVED = {"observations/qpos": POSITION, "observations/effort": EFFORT, "timestamp": TIME}
 LEROBOT = {"timestamp": TIME, "observation.state": POSITION, "observation.effort": EFFORT}
@@ -116,12 +129,19 @@ SHAPES = {
     "arrays.csv": table(pandas.DataFrame({n: [*map(repr, LISTS[n])] for n in ("q", "tau")})
         .assign(time=TIME)),
     "levels.csv": table(PLAIN.set_axis(pandas.MultiIndex.from_arrays(LEVELS), axis=1)),
+    "index.csv": lambda path: PLAIN.set_axis(pandas.MultiIndex.from_arrays(LEVELS), axis=1)
+        .set_index([("time", "")]).rename_axis(index="time").to_csv(path),
+    "date.csv": table(PLAIN.rename(columns={"time": "Zeitpunkt"}).assign(Zeitpunkt=MOMENTS)),
+    "long_date.csv": table(A_ROW_A_JOINT.drop(columns="time").assign(when=MOMENTS.repeat(2))),
+    "brackets.csv": table(IN_GERMAN, sep=";", decimal=","),
+    "ts.csv": table(PLAIN.rename(columns={"time": "ts_ms"}).assign(ts_ms=1e3 * TIME)),
     "columns.json": lambda path: PLAIN.to_json(path, orient="columns", double_precision=15),
     "split.json": lambda path: PLAIN.to_json(path, orient="split", double_precision=15),
     "excel.csv": text(f"sep=;\n{PLAIN.to_csv(index=False, sep=';', decimal=',')}"),
     "preceded.csv": text(PREAMBLE + PLAIN.to_csv(index=False)),
     "labelled.txt": text(PLAIN.to_string(float_format="{:.17g}".format)),
     "echo.csv": table(echo_of_ros2(), header=False),
+    "echo_of_ros1.csv": table(echo_of_ros1(), header=False),
     "turned.npz": lambda path: np.savez(path, time=TIME, q=POSITION.T, tau=EFFORT.T),
     "episode_000000.parquet": pandas.DataFrame(listed(LEROBOT)).to_parquet,
 }  # fmt: skip
@@ -273,7 +293,7 @@ def test_a_clock_that_was_set_back_leaves_a_gap(tmp_path):
     assert np.all(steps > 0)
     assert steps[29] == pytest.approx(1.0)
     np.testing.assert_allclose(np.delete(steps, 29), 0.01, atol=1e-9)
-    assert any("set back by 0.14 s at row 31" in note for note in log.notes)
+    assert any("set back by 0.15 s at row 31" in note for note in log.notes)
 
 
 def log_at(folder, stamps, time):
@@ -398,3 +418,37 @@ def test_rows_out_of_order_are_sorted_where_that_makes_positions_smooth(tmp_path
     assert "rows were not in the order of time: sorted by it" in log.notes
     with pytest.raises(LogError, match="backwards"):  # time alone is damaged
         read_log(csv_at(tmp_path, time[order], position, effort))
+
+
+def test_files_of_a_joint_each_are_named_after_them(tmp_path):
+    for k, joint in enumerate(JOINTS):
+        columns = {"time": TIME, "position": POSITION[:, k], "effort": EFFORT[:, k]}
+        pandas.DataFrame(columns).to_csv(tmp_path / f"run 3 {joint}.csv", index=False)
+    path = "+".join(str(tmp_path / f"run 3 {joint}.csv") for joint in JOINTS[::-1])
+    log = read_log(path, joints=JOINTS)
+    np.testing.assert_allclose(log.position, POSITION, atol=1e-12)
+    np.testing.assert_allclose(log.effort, EFFORT, atol=1e-12)
+    assert read_log(path).joints == ("run 3 elbow", "run 3 base")
+    alone = read_log(tmp_path / "run 3 elbow.csv", joints=JOINTS, partial=True)
+    assert alone.joints == ("elbow",)
+    (tmp_path / "run 3 elbow.csv").rename(tmp_path / "run.csv")
+    with pytest.raises(LogError, match="of one joint, and they do not say which"):
+        read_log(tmp_path / "run.csv", joints=JOINTS, partial=True)
+
+
+def test_a_row_of_measurements_and_words_is_no_header(tmp_path):
+    PLAIN.assign(mode="auto").to_csv(tmp_path / "log.csv", index=False, header=False)
+    with pytest.raises(LogError, match="has no header") as caught:
+        read_log(tmp_path / "log.csv", joints=JOINTS)
+    assert "#   6: auto" in caught.value.evidence["proposal"]
+    names = (*PLAIN.columns, "_")
+    log = read_log(tmp_path / "log.csv", joints=JOINTS, reading=Reading(columns=names))
+    np.testing.assert_allclose(log.effort, EFFORT, atol=1e-12)
+
+
+def test_efforts_in_percent_are_no_newton_metres(tmp_path):
+    columns = {f"Torque {k} (%)": 10.0 * EFFORT[:, k] for k in (0, 1)}
+    log = read_log(csv_of(tmp_path, {"time": TIME, "q0": POSITION[:, 0], "q1": POSITION[:, 1],
+        **columns}))  # fmt: skip
+    assert set(log.effort_kinds.values()) == {"pwm"}
+    np.testing.assert_allclose(log.effort, 0.1 * EFFORT, atol=1e-12)

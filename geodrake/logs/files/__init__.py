@@ -159,7 +159,7 @@ def _check_silent(table: LogTable, reading: Reading, joints: Sequence[str] | Non
         rare = {name for name, words in table.silent.items() if words.startswith(RARE)}
         rare = {name for name in rare if name.rpartition(".")[0] not in (joints or ())}
         needed = {n for n in table.silent if is_used(n) and n != "time"} - rare
-        if reading.rate is None and not any(map(is_time, table.names)):
+        if reading.rate is None and not any(map(table.is_time, table.names)):
             needed |= {name for name in table.silent if is_time(name)}
         heard = {
             meaning.log_quantity.replace("command", "effort") for meaning in meanings_of(table)

@@ -18,6 +18,7 @@ from geodrake.logs.files.name_rules import (
     MAPPED,
     MOTOR,
     OF_JOINTS,
+    ONLY,
     PLAIN,
     ROLES,
     Meaning,
@@ -267,10 +268,14 @@ def without_use(log: JointLog, columns: Columns) -> frozenset[str]:
     return frozenset(found)
 
 
-_SI = {"current": "A", "voltage": "V", "pwm": "shares of the supply"}
+_SI = {"current": "A", "voltage": "V", "pwm": "shares of the largest"}
 _UNITS_WITH = {**dict.fromkeys(SIGNAL_KINDS, "effort"), "command": "position"}
 _CONSTANT = " (torque constant × gear ratio)"
-_KIND_WORDS = {"current": "motor currents", "voltage": "voltages", "pwm": "duty cycles"}
+_KIND_WORDS = {
+    "current": "motor currents",
+    "voltage": "voltages",
+    "pwm": "duty cycles or other shares",
+}
 
 
 def choice_words(best: Mapping[tuple[str, str], Sequence[Meaning]]) -> Iterator[str]:
@@ -417,13 +422,19 @@ class Columns:
         beside = [name for name in names if floating_name(name) is None]
         meanings = [meaning for name in beside if (meaning := meaning_of(name)) is not None]
         of_joints = [meaning for meaning in meanings if meaning.quantity in OF_JOINTS]
+        if joints and len(joints) > 1 and all(meaning.is_bare for meaning in of_joints):
+            called = log_name(path)  # the joint may be said by the name of the file
+            named = [replace(m, joint=called, words=words_of(called)) for m in of_joints]
+            of_joints = (
+                named if set(matched(named, joints)[0].values()) <= set(joints) else of_joints
+            )
         found, notes = matched(of_joints, joints)
         best, others = candidates(of_joints, found, reading)
         places = {
             (joint, quantity): source_of(path, same[0], joint, reading, units)
             for (joint, quantity), same in best.items()
         }
-        if (time := time_source(meanings, reading, units)) is not None:
+        if (time := time_source(meanings, reading, table)) is not None:
             places = {("", "time"): time, **places}
         own = frozenset(m.joint for m in of_joints if m.style[0] == "own")
         notes = (*notes, *choice_words(best))
@@ -513,6 +524,12 @@ class Columns:
                 joints=standing,
             )
         own = tuple(joint for joint in moved if joint in heard)
+        if own == (ONLY,) and wanted and len(wanted) > 1 and ONLY not in wanted:
+            raise LogError(
+                f"Log {str(self.path)!r} has columns of one joint, and they do not say which.",
+                advice=f"Name the columns or the file after one of {listed(wanted)}, as in "
+                f"{wanted[0]}.position. {_MAPPING_ADVICE}",
+            )
         if wanted is not None:
             check_joints(log_name(self.path), [*own, *standing], wanted, partial=partial)
             own = tuple(joint for joint in wanted if joint in own)
@@ -640,14 +657,13 @@ class Columns:
                 )
 
 
-def time_source(
-    meanings: Sequence[Meaning], reading: Reading, units: Mapping[str, str]
-) -> Source | None:
+def time_source(meanings: Sequence[Meaning], reading: Reading, table: LogTable) -> Source | None:
     """Return the column of time, the likeliest of several; with one of nanoseconds beside it."""
     times = sorted((m for m in meanings if m.quantity == "time"), key=lambda m: m.role)
+    times = times or [Meaning(n, "time") for n in table.origins if table.is_time(n)]
     if not times:
         return None
     time = times[0]
     beside = [m for m in meanings if m.quantity == "nanoseconds" and m.style == time.style]
-    source = source_of(Path(), time, "", reading, units)
+    source = source_of(Path(), time, "", reading, table.units)
     return replace(source, nanoseconds=beside[0].column if beside else None)

@@ -6,6 +6,7 @@ import re
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 from geodrake.boundary.arguments import typed
 from geodrake.boundary.input_files import open_regular, regular_file
@@ -22,7 +23,7 @@ from geodrake.logs.files.array_files import (
 from geodrake.logs.files.joined_tables import joined_tables, meanings_of, reshaped
 from geodrake.logs.files.lcm_log import MAGIC, read_lcm
 from geodrake.logs.files.lerobot_dataset import INFO, read_lerobot
-from geodrake.logs.files.name_rules import OF_JOINTS, is_time, meaning_of, quantity_of
+from geodrake.logs.files.name_rules import OF_JOINTS, meaning_of, quantity_of
 from geodrake.logs.files.packed_files import unpacked
 from geodrake.logs.files.reading import Reading
 from geodrake.logs.files.ros_bag import read_bag
@@ -33,6 +34,7 @@ Reader = Callable[[Path, Reading], LogTable]
 
 _TEXT, _JSON = (".csv", ".txt", ".dat", ".tsv", ".log"), (".json", ".jsonl", ".ndjson")
 _SHEETS = (".xlsx", ".xlsm")
+_MODELS = (".urdf", ".sdf", ".xml", ".mjcf", ".xacro", ".yaml")
 
 SUFFIXES: Mapping[str, Reader] = {
     **dict.fromkeys(_TEXT, read_text),
@@ -78,7 +80,9 @@ def table_of(path: Path, reading: Reading) -> LogTable:
     if (reader := reader_of(check_log(path))) is None:
         raise LogError(
             f"Log {str(path)!r} ends in {path.suffix!r}, which geodrake does not read.",
-            advice=f"Convert it to one of {', '.join(SUFFIXES)}.",
+            advice="Is it the model? `geodrake log` takes that by --model."
+            if path.suffix.lower() in _MODELS
+            else f"Convert it to one of {', '.join(SUFFIXES)}.",
         )
     table = reader(path, reading)
     if kind not in (*_TEXT, *_SHEETS, ".npy", ".npz"):
@@ -143,9 +147,15 @@ def joined_table(paths: Sequence[Path], reading: Reading) -> LogTable:
 
     Args:
         paths: Files of any format. The name of a file may say the quantity of its columns, as
-            that of `efforts.csv` does.
+            that of `efforts.csv` does; or the joint, where columns of several name none.
     """
     named = [replace(_named_table(path, reading), path=Path(path.name)) for path in paths]
+    bare = [
+        {m.column: f"{unpacked(path).stem}.{m.quantity}" for m in meanings_of(table) if m.is_bare}
+        for path, table in zip(paths, named, strict=True)
+    ]
+    if reading.mapping is None and sum(map(bool, bare)) > 1:
+        named = [_renamed(table, names) for table, names in zip(named, bare, strict=True)]
     return joined_tables(Path("+".join(path.name for path in paths)), named, reading)
 
 
@@ -163,7 +173,7 @@ def _named_table(path: Path, reading: Reading) -> LogTable:
 
     def named(column: str) -> str:
         meaning = meaning_of(column)
-        if is_time(column):
+        if table.is_time(column):
             return column
         if quantity is None:
             is_position = meaning is not None and meaning.quantity == "position"
@@ -172,7 +182,14 @@ def _named_table(path: Path, reading: Reading) -> LogTable:
             return named if is_position else column
         return f"{quantity}_{column}" if column.isdecimal() else f"{column}.{quantity}"
 
-    columns = {named(name): values for name, values in table.columns.items()}
-    units = {named(name): unit for name, unit in table.units.items()}
-    origins = {named(name): zero for name, zero in table.origins.items()}
+    return _renamed(table, {name: named(name) for name in table.columns})
+
+
+def _renamed(table: LogTable, names: Mapping[str, str]) -> LogTable:
+    """Return the table with other names of some columns."""
+
+    def with_them(told: Mapping[str, Any]) -> dict[str, Any]:
+        return {names.get(name, name): each for name, each in told.items()}
+
+    columns, units, origins = map(with_them, (table.columns, table.units, table.origins))
     return replace(table, columns=columns, units=units, origins=origins)

@@ -16,7 +16,6 @@ from geodrake.logs.files.name_rules import (
     OF_JOINTS,
     PLAIN,
     Meaning,
-    is_time,
     meaning_of,
     names_joints,
     number_of,
@@ -86,7 +85,7 @@ def joined_tables(log: Path, tables: Sequence[LogTable], reading: Reading) -> Lo
     columns, origins = {order[0]: known[base]}, {order[0]: origins["time"]}
     for table, time in zip(tables, known, strict=True):
         for column, values in table.columns.items():
-            if not _is_time(column, reading):
+            if not _is_time(table, column, reading):
                 holds = _what(column, reading)[1] in ("command", FLAG)
                 columns[column] = at_instants(known[base], time, values, holds=holds)
     rate = 1.0 / periods[base]
@@ -101,18 +100,18 @@ def _order(tables: Sequence[LogTable], reading: Reading) -> list[str]:
     time = reading.mapping.time if reading.mapping else None
     clock = time.among([*tables[0].columns]) if time else ""
     clock = clock if any(clock in table.columns for table in tables) else "time"
-    names = dict.fromkeys(name for table in tables for name in table.columns)
-    return [clock, *(name for name in names if not is_time(name) and name != clock)]
+    names = dict.fromkeys(n for t in tables for n in t.columns if not t.is_time(n) and n != clock)
+    return [clock, *names]
 
 
 def _mapped_time(reading: Reading) -> MappedColumn | None:
     return reading.mapping.time if reading.mapping else None
 
 
-def _is_time(column: str, reading: Reading) -> bool:
-    """Return whether a column has the time, as its name or the mapping says."""
+def _is_time(table: LogTable, column: str, reading: Reading) -> bool:
+    """Return whether a column has the time, as its name, its dates or the mapping says."""
     mapped = _mapped_time(reading)
-    return is_time(column) or (mapped is not None and mapped.column == column)
+    return table.is_time(column) or (mapped is not None and mapped.column == column)
 
 
 def _what(column: str, reading: Reading) -> tuple[str, str]:
@@ -164,7 +163,7 @@ def _slow_parts(
             needed |= what.startswith("imu.") and "base.orientation" not in kinds
         kept = {c: values for c, values in table.columns.items() if c not in lost}
         found.append(replace(table, columns=kept))
-        used = [column for column in kept if not _is_time(column, reading)]
+        used = [column for column in kept if not _is_time(table, column, reading)]
         words = [f"{listed(used)} interpolated"] if used else []
         words += [f"{listed([*lost])} left out"] if lost else []
         rates = f"{1 / period:.4g} rows a second, and others up to {1 / min(periods):.4g}"
@@ -207,7 +206,7 @@ def _time(table: LogTable, reading: Reading) -> tuple[Array | None, tuple[str, .
             return stamps, ()
         unit = unit_of(mapped.unit or reading.units.get("time", "s"), "time")
         return mapped.gain * unit.factor * stamps, ()
-    source = time_source(meanings_of(table), reading, table.units)
+    source = time_source(meanings_of(table), reading, table)
     if source is None:
         return None, ()
     if source.column in table.origins:
@@ -231,7 +230,9 @@ def _one_clock(
     stamped = [k for k, time in enumerate(times) if time is not None]
     if len(stamped) < 2:
         return times, {"time": None}, notes
-    zeros = [next((o for c, o in t.origins.items() if _is_time(c, reading)), None) for t in tables]
+    zeros = [
+        next((o for c, o in t.origins.items() if _is_time(t, c, reading)), None) for t in tables
+    ]
     if not any(zero is not None for zero in zeros):
         return times, {"time": None}, notes
     first = min(zero for zero in zeros if zero is not None)
@@ -419,7 +420,9 @@ def _pivoted(table: LogTable, naming: str, words: Texts, reading: Reading) -> Lo
     for joint in joints:
         here = words == joint
         names = {n: f"{joint}.{own[n].quantity}" if n in own else n for n in table.columns}
-        columns = {names[n]: v[here] for n, v in table.columns.items() if n in own or is_time(n)}
+        columns = {
+            names[n]: v[here] for n, v in table.columns.items() if n in own or table.is_time(n)
+        }
         units = {n: unit for n, unit in table.units.items() if n not in own}
         units |= {names[n]: unit for n, m in own.items() if (unit := _unit_of(table, m))}
         parts.append(LogTable(Path(joint), columns, units, origins=table.origins))
@@ -441,7 +444,7 @@ def _check_at_once(table: LogTable, naming: str, words: Texts) -> None:
     Tables may also have all rows of a joint together, as many and of the same time as the others'.
     """
     changes = np.count_nonzero(words[1:] != words[:-1])
-    time = next((values for name, values in table.columns.items() if is_time(name)), None)
+    time = next((values for name, values in table.columns.items() if table.is_time(name)), None)
     if time is None or changes > _MOST_CHANGES * len(words):
         return
     own = [time[(words == joint) & np.isfinite(time)] for joint in dict.fromkeys(words.tolist())]

@@ -80,7 +80,7 @@ _FILLERS = frozenset(
 _NO_SIGNAL = frozenset(["limit", "limits", "min", "max", "error", "err", "errors"])
 _SUPPLY = frozenset(["supply", "bus", "battery", "main", "input"])  # which no joint has of its own
 _TIMES = frozenset(("time", "timestamp", "timestamps", "stamp", "t", "clock", "sec", "secs"))
-_TIMES |= {"datetime"}
+_TIMES |= {"datetime", "ts"}
 _NANOSECONDS = frozenset(("nsec", "nsecs", "nanosec", "nanosecs", "nanoseconds"))
 _BESIDE_TIME = _TIMES | _NANOSECONDS | {"header", "ros", "rostime", "elapsed", "controller"}
 _BESIDE_TIME |= {"joint", "states", "state", "robot", "system", "log", "msg", "field", "seconds"}
@@ -122,6 +122,11 @@ class Meaning:
     def log_quantity(self) -> str:
         """The quantity of a log that it may be: efforts have several kinds."""
         return "effort" if self.quantity in EFFORT_KINDS else self.quantity
+
+    @property
+    def is_bare(self) -> bool:
+        """Whether it is of a joint, and says nothing of which."""
+        return self.quantity in OF_JOINTS and not (self.words or self.joint)
 
     @property
     def number(self) -> int | None:
@@ -276,7 +281,24 @@ def _joint(column: str) -> Meaning | None:
     return Meaning(column, quantity, called, words, role, unit, style, DESIRED in roles)
 
 
-RULES: tuple[Callable[[str], Meaning | None], ...] = (_time, _joint)
+def _measured_in(name: str) -> Meaning | None:
+    """Read a name in any language by the unit in brackets behind it, as in `Winkel 1 [°]`."""
+    units = {q: _without_brackets(name, q) for q in ("time", *QUANTITIES, *SIGNAL_KINDS)}
+    for quantity, (plain, unit) in units.items():
+        if unit is None:
+            continue
+        if quantity == "time":
+            return Meaning(name, quantity, role=OTHER, unit=unit, style=(plain,))
+        words = _split(plain)
+        numbers = tuple(word for word in words if isinstance(word, int))[-1:]
+        named = tuple(str(word) for word in words if isinstance(word, str))
+        role = max((ROLE_WORDS[word] for word in named if word in ROLE_WORDS), default=PLAIN)
+        kind, joint = unit.signal or quantity, "" if numbers else plain.strip()
+        return Meaning(name, kind, joint, numbers or words_of(plain), role, unit, (kind, *named))
+    return None
+
+
+RULES: tuple[Callable[[str], Meaning | None], ...] = (_time, _joint, _measured_in)
 """What is asked of a name that is none of geodrake's own, from the most certain on."""
 
 

@@ -302,6 +302,12 @@ class LogTable:
         """Names that mappings count by, from 1 on."""
         return self.order or self.names
 
+    def is_time(self, name: str) -> bool:
+        """Return whether a column is time: by its name, or as the only one of dates."""
+        if name not in self.origins:
+            return is_time(name)
+        return is_time(name) or not (len(self.origins) > 1 or any(map(is_time, self.names)))
+
     def read(
         self, names: Sequence[str], *, skip: bool = False
     ) -> tuple[dict[str, Array], TornRows]:

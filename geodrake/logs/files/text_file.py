@@ -46,6 +46,13 @@ _HEADER_LINES = 1000  # of a header whose names have line ends
 _PREFACE = 100  # lines, among which names are looked for
 _LINES_AHEAD = 1000  # in which dates, lists and words are looked for
 _WHITESPACE = None
+_MEASURED = re.compile(r"[+-]?\d+[.,]\d+([eE][+-]?\d+)?")
+_HEADS = (
+    ("header.stamp.sec", "header.stamp.nanosec", "header.frame_id"),
+    ("%time", "header.seq", "header.stamp", "header.frame_id"),
+)
+"""What comes before the names of joints, in ROS 2 and in ROS 1."""
+
 _EXCEL = re.compile(r'"?sep=(.)"?')  # the first line of what is to be opened by it
 
 
@@ -111,10 +118,10 @@ def text_layout(path: Path, file: Iterator[str], reading: Reading) -> TextLayout
     comment, first, count, file = _first_line(file)
     separator = _separator(first)
     cells, used, rest = _header_cells(path, first, file, separator)
-    if not _are_numbers(cells):
-        if not reading.columns and (named := _joint_state(cells)):
-            layout = TextLayout(named, separator, ".", count)
-            return _with_contents(layout, chain([first], rest))
+    if not reading.columns and (named := _joint_state(cells)):
+        layout = TextLayout(named, separator, ".", count)
+        return _with_contents(layout, chain([first], rest))
+    if not (_are_numbers(cells) or any(map(_is_measured, cells))):
         header = renamed(path, reading, cells) if reading.columns else cells
         check_text(path, header)
         if not any(header):
@@ -124,6 +131,9 @@ def text_layout(path: Path, file: Iterator[str], reading: Reading) -> TextLayout
         if _completes(header, below):
             header = [f"{b}.{a}".strip(".") for a, b in zip(header, below, strict=True)]
             following, used = next(rest, ""), used + 1
+            index = _cells_of(following, separator)
+            if index[:1] > [""] and not any(index[1:]):  # which pandas names in a line of its own
+                header[0], following, used = index[0], next(rest, ""), used + 1
         cells = _cells_of(following, separator)
         if len(cells) == len(header) + 1 and all(cells) and any(map(is_number, cells)):
             header = ["_row", *header]  # which have numbers or names, as R and pandas write them
@@ -192,16 +202,15 @@ def _completes(header: Sequence[str], below: Sequence[str]) -> bool:
 
 
 def _joint_state(cells: Sequence[str]) -> tuple[str, ...]:
-    """Return names for the cells of `ros2 topic echo --csv` of a JointState; none for others."""
-    count, odd = divmod(len(cells) - 3, 4)
-    is_stamp = all(cell.isdecimal() for cell in cells[:2])
-    if odd or not count or not is_stamp or not _are_numbers(cells[3 + count :]):
-        return ()
-    if any(map(is_number, cells[3 : 3 + count])):
-        return ()
-    fields = ("name", "position", "velocity", "effort")
-    stamp = (f"header.{each}" for each in ("stamp.sec", "stamp.nanosec", "frame_id"))
-    return (*stamp, *(f"{field}{k}" for field in fields for k in range(count)))
+    """Return names for the cells of a JointState that ROS's `topic echo` wrote; none for others."""
+    for head in _HEADS:
+        count, odd = divmod(len(cells) - len(head), 4)
+        names, rest = cells[len(head) : len(head) + count], cells[len(head) + count :]
+        is_stamp = all(cell.isdecimal() for cell in cells[: len(head) - 1])
+        if odd == 0 < count and is_stamp and _are_numbers(rest) and not any(map(is_number, names)):
+            fields = ("name", "position", "velocity", "effort")
+            return (*head, *(f"{field}{k}" for field in fields for k in range(count)))
+    return ()
 
 
 def _decimal(separator: str | None, line: str) -> str:
@@ -273,6 +282,11 @@ def is_number(cell: str) -> bool:
     except ValueError:
         return False
     return True
+
+
+def _is_measured(cell: str) -> bool:
+    """Return whether a cell is a number with digits behind a point, which names no column."""
+    return bool(_MEASURED.fullmatch(cell.strip()))
 
 
 def _are_numbers(cells: Sequence[str]) -> bool:

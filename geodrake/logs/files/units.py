@@ -27,7 +27,7 @@ UNITS: Mapping[str, Mapping[str, float]] = {
     "velocity": {f"{unit}/s": factor for unit, factor in (_ANGLES | _LENGTHS).items()}
     | {"rpm": 2 * math.pi / 60},
     "acceleration": {f"{unit}/s²": factor for unit, factor in (_ANGLES | _LENGTHS).items()},
-    "effort": _EFFORTS | _SIGNALS["current"] | _SIGNALS["voltage"],
+    "effort": _EFFORTS | _SIGNALS["current"] | _SIGNALS["voltage"] | _SIGNALS["pwm"],
     **_SIGNALS,
     "command": _ANGLES | _LENGTHS,
     "temperature": {"°C": 1.0, "°F": 5.0 / 9.0, "K": 1.0},
