@@ -139,6 +139,15 @@ def first_samples(log: JointLog, count: int) -> JointLog:
     return replace(log, **{name: x[:count] for name, x in given.items() if x is not None})
 
 
+def sines(
+    time: np.ndarray, size: np.ndarray, rate: np.ndarray, phase: np.ndarray | float = 0.0
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Return Σ size sin(rate t + phase) (N, n) of (k, n) sines each, and its two derivatives."""
+    angle = rate * time[:, None, None] + phase
+    q, v = (size * np.sin(angle)).sum(1), (size * rate * np.cos(angle)).sum(1)
+    return q, v, -(size * rate**2 * np.sin(angle)).sum(1)
+
+
 # Draws
 
 

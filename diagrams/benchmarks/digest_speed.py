@@ -15,7 +15,7 @@ from typing import Any
 
 import numpy as np
 
-from diagrams.harness import MODELS, bars, cpu_times, script_parser, tell
+from diagrams.harness import MODELS, bars, cpu_times, script_parser, sines, tell
 from geodrake.fleet import (
     Digest,
     LogFacts,
@@ -39,8 +39,7 @@ def swinging(model: RobotModel, rate: float, seconds: float, pace: float, seed: 
     instants = np.arange(round(rate * seconds)) / rate
     rates = pace * 2 * np.pi * rng.uniform(0.05, 0.6, (6, 1, nv))
     angle, size = rng.uniform(0, 6, (6, 1, nv)), rng.uniform(0.1, 0.4, (6, 1, nv))
-    waves = size * np.exp(1j * (rates * instants[:, None] + angle))
-    q, v, vd = ((waves * (1j * rates) ** k).sum(0).imag for k in range(3))
+    q, v, vd = sines(instants, *(each[:, 0] for each in (size, rates, angle)))
     effort = model.effort(Motion(model.positions(q), v, vd)) + NOISE * rng.normal(size=q.shape)
     return JointLog(f"{seed}", model.joints, instants, q + 1e-7 * rng.normal(size=q.shape), effort)
 

@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 from rich.progress import track
 
-from diagrams.harness import MODELS, bars, peak_memory, script_parser, tell
+from diagrams.harness import MODELS, bars, peak_memory, script_parser, sines, tell
 from geodrake.logs import Motion
 from geodrake.model import RobotModel, load_model
 
@@ -41,7 +41,7 @@ def write_long_log(path: Path, robot: Path, *, samples: int, seed: int) -> None:
     model = load_model(robot)
     joints = len(model.joints)
     rng = np.random.default_rng(seed)
-    sines = rng.uniform(0.2, 1.0, (3, joints)), rng.uniform(0.5, 4.0, (3, joints))
+    waves = rng.uniform(0.2, 1.0, (3, joints)), rng.uniform(0.5, 4.0, (3, joints))
     columns = [
         "time",
         *(f"{joint}.{kind}" for kind in ("position", "effort") for joint in model.joints),
@@ -54,7 +54,7 @@ def write_long_log(path: Path, robot: Path, *, samples: int, seed: int) -> None:
         for first in track(range(0, samples, CHUNK), description="writing"):
             rows = slice(first, min(first + CHUNK, samples))
             time = PERIOD * np.arange(rows.start, rows.stop)
-            table = np.column_stack([time, *_measured(model, time, sines, rng)])
+            table = np.column_stack([time, *_measured(model, time, waves, rng)])
             for array, numbers in zip(arrays, table.T, strict=True):
                 array[rows] = numbers
         with zipfile.ZipFile(path, "w", zipfile.ZIP_STORED) as archive:
@@ -66,15 +66,11 @@ def write_long_log(path: Path, robot: Path, *, samples: int, seed: int) -> None:
 def _measured(
     model: RobotModel,
     time: np.ndarray,
-    sines: tuple[np.ndarray, np.ndarray],
+    waves: tuple[np.ndarray, np.ndarray],
     rng: np.random.Generator,
 ) -> tuple[np.ndarray, np.ndarray]:
     """Return positions and efforts (N, n) of sums of sines, with noise and dry friction."""
-    amplitude, rate = sines
-    phase = time[:, None, None] * rate
-    q = (amplitude * np.sin(phase)).sum(1)
-    v = (amplitude * rate * np.cos(phase)).sum(1)
-    vd = -(amplitude * rate**2 * np.sin(phase)).sum(1)
+    q, v, vd = sines(time, *waves)
     effort = model.effort(Motion(model.positions(q), v, vd)) + FRICTION * np.sign(v)
     return q + rng.normal(0.0, 1e-5, q.shape), effort + rng.normal(0.0, NOISE, q.shape)
 

@@ -37,7 +37,15 @@ from diagrams.benchmarks.hidden.robots import (
     robot_file,
     robot_names,
 )
-from diagrams.harness import panels, positive_number, run_draws, script_parser, show, write
+from diagrams.harness import (
+    panels,
+    positive_number,
+    run_draws,
+    script_parser,
+    show,
+    sines,
+    write,
+)
 from geodrake.control.rollout import commanded_motions, roll_out
 from geodrake.diagnosis import Explanation, explain
 from geodrake.effects import CoulombFriction, FittedEffect, RotorInertia, ViscousFriction
@@ -296,7 +304,7 @@ def _shaking(time: Array, n: int, rng: np.random.Generator) -> Array:
     rate = 2.0 * np.pi * rng.uniform(1.5, 5.0, (_SHAKES, n))
     phase = rng.uniform(0.0, 2.0 * np.pi, (_SHAKES, n))
     size = 3.0 * rng.uniform(0.5, 1.0, (_SHAKES, n)) / rate**2  # 3 rad/s² each
-    return np.asarray((size * np.sin(rate * time[:, None, None] + phase)).sum(axis=1))
+    return sines(time, size, rate, phase)[0]
 
 
 @cache

@@ -29,7 +29,7 @@ from numpy.typing import NDArray
 from pydrake.multibody.parsing import Parser
 from pydrake.multibody.plant import MultibodyPlant
 
-from diagrams.harness import MODELS, run_draws, script_parser, show, write
+from diagrams.harness import MODELS, run_draws, script_parser, show, sines, write
 from geodrake.diagnosis import Diagnosis, diagnose
 from geodrake.effects import effect_class
 from geodrake.excitation import (
@@ -207,9 +207,8 @@ def sway(rng: np.random.Generator) -> Reference:
     sizes, phases = 0.02 * rng.uniform(0.5, 1.0, (2, 2)), rng.uniform(0.0, 2.0 * np.pi, (2, 2))
 
     def motion(t: Array) -> tuple[Array, Array, Array]:
-        angle = rates * t[:, None, None] + phases
-        q, v = sizes * np.sin(angle), sizes * rates * np.cos(angle)
-        return center + q.sum(1), v.sum(1), -(rates**2 * q).sum(1)
+        q, v, a = sines(t, sizes, rates, phases)
+        return center + q, v, a
 
     return motion
 
@@ -223,9 +222,8 @@ def shuttle(rng: np.random.Generator, reach: float = 0.08) -> Reference:
     center = CENTER + rng.uniform(-0.05, 0.05, 2)
 
     def motion(t: Array) -> tuple[Array, Array, Array]:
-        k, angle = order * rates, order * (rates * t[:, None, None] + phases)
-        q, v = weights * np.sin(angle), weights * k * np.cos(angle)
-        return center + q.sum(1), v.sum(1), -(k**2 * weights * np.sin(angle)).sum(1)
+        q, v, a = sines(t, weights, order * rates, order * phases)
+        return center + q, v, a
 
     return motion
 

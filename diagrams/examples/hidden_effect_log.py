@@ -32,7 +32,7 @@ from pydrake.systems.framework import DiagramBuilder
 from pydrake.systems.primitives import LogVectorOutput
 from pydrake.trajectories import PiecewisePolynomial
 
-from diagrams.harness import MODELS, script_parser, tell
+from diagrams.harness import MODELS, script_parser, sines, tell
 from geodrake.control import DelayedEffort, EffectForce, add_tracking_drives
 from geodrake.effects import Effect, EffortDelay, make_effect
 from geodrake.effects.sensors import delays_of
@@ -148,19 +148,17 @@ def load(scenario: Scenario, *, hidden: bool = True) -> MultibodyPlant:
 def random_motion(plant: MultibodyPlant, *, scenario: Scenario) -> PiecewisePolynomial:
     """Return a sum of sines that does not repeat, of random frequencies, amplitudes and phases."""
     rng = np.random.default_rng(scenario.seed)
-    shape = (len(FREQUENCIES), plant.num_velocities(), 1)
+    shape = (len(FREQUENCIES), plant.num_velocities())
     amplitude, phase = rng.uniform(0.3, 1.0, shape), rng.uniform(0, 2 * np.pi, shape)
-    rate = 2 * np.pi * (FREQUENCIES[:, None, None] + rng.uniform(-0.04, 0.04, shape))
+    rate = 2 * np.pi * (FREQUENCIES[:, None] + rng.uniform(-0.04, 0.04, shape))
     time = np.arange(0.0, max(scenario.duration, LONGEST) + 0.02, 0.01)
-    angle = rate * time + phase
-    q, v = (amplitude * np.sin(angle)).sum(0), (rate * amplitude * np.cos(angle)).sum(0)
+    q, v, _ = sines(time, amplitude, rate, phase)
     low, high = position_limits(plant)
     half = np.minimum((high - low) / 2, np.pi / 2)
     center = np.clip(0.0, low + half, high - half)
     fastest = np.minimum(velocity_limits(plant), FASTEST)
-    scale = np.maximum(np.abs(q).max(1) / (REACH * half), np.abs(v).max(1) / (PACE * fastest))
-    q, v = center[:, None] + q / scale[:, None], v / scale[:, None]
-    return PiecewisePolynomial.CubicHermite(time, q, v)
+    scale = np.maximum(np.abs(q).max(0) / (REACH * half), np.abs(v).max(0) / (PACE * fastest))
+    return PiecewisePolynomial.CubicHermite(time, (center + q / scale).T, (v / scale).T)
 
 
 def track(

@@ -8,7 +8,6 @@ fields as they are, so that annotations of this module are evaluated.)
 """
 
 import argparse
-import json
 import sys
 import time
 from collections.abc import Iterator, Mapping
@@ -41,14 +40,12 @@ from pydrake.systems.framework import Context, DiagramBuilder
 from pydrake.systems.lcm import ApplyLcmBusConfig
 from pydrake.systems.primitives import LogVectorOutput, VectorLogSink
 from pydrake.trajectories import PiecewisePolynomial
-from rich.console import Console
-from rich.table import Table
 
 from diagrams.examples.iiwa_messages import IiwaMessages, add_simulated_iiwa, iiwa_ports
+from diagrams.harness import panels, script_parser, show, write
 from geodrake import load_model
 from geodrake.boundary.arguments import number, one_of, positive
 from geodrake.boundary.escaping import printable
-from geodrake.boundary.whole_files import write_whole
 from geodrake.control import (
     AdaptiveComputedTorqueController,
     AdaptiveLoop,
@@ -69,7 +66,7 @@ from geodrake.inertia import Array, perturb
 from geodrake.logs import JointLog, write_log
 from geodrake.model import RobotModel
 from geodrake.model.simulation.robot_in_diagram import RobotInDiagram
-from geodrake.report import save_recording, style
+from geodrake.report import save_recording
 from geodrake.robot import RobotInstance, take_out_stated
 from geodrake.robot.files.description import drake_errors, read_model_text
 from geodrake.robot.files.given import Given
@@ -442,30 +439,12 @@ def moved_objects(plant: MultibodyPlant, contexts: tuple[Context, Context]) -> d
 
 def error_figure(errors: Mapping[str, tuple[tuple[str, ...], Array, Array]]) -> Figure:
     """Draw errors of all joints over time, a panel a robot."""
-    figure = style.new_figure(2.4 * len(errors))
-    panels = figure.subplots(len(errors), 1, sharex=True, squeeze=False).ravel()
-    for (name, (joints, times, error)), ax in zip(errors.items(), panels, strict=True):
-        style.polish(ax)
+    figure, axes = panels(2.4, [f"{name}: q − q_d, rad or m" for name in errors], x="time, s")
+    for (joints, times, error), ax in zip(errors.values(), axes, strict=True):
         for joint, values in zip(joints, error.T, strict=True):
             ax.plot(times, values, lw=1.2, label=joint)
-        ax.set_title(f"{name}: q − q_d, rad or m", loc="left", **style.plain())
-        ax.legend(loc="upper left", bbox_to_anchor=(1.0, 1.0), frameon=False, fontsize=7)
-    panels[-1].set_xlabel("time, s")
+        ax.legend(frameon=False, fontsize=7)
     return figure
-
-
-def show(found: list[dict], moved: Mapping[str, list[float]]) -> None:
-    """Print the errors of robots, and where objects went."""
-    console = Console(width=100)
-    table = Table("robot", "law", title="error, rad or m", title_justify="left")
-    for column in ("RMS", "second half", "largest"):
-        table.add_column(column, justify="right")
-    for row in (row for row in found if row["joint"] == "all"):
-        values = (f"{row[key]:.4f}" for key in ("rms", "late", "largest"))
-        table.add_row(row["robot"], row["law"], *values)
-    console.print(table)
-    for name, way in moved.items():
-        console.print(f"{name} moved by {np.round(way, 3).tolist()} m.", highlight=False)
 
 
 def run(options: argparse.Namespace) -> None:
@@ -475,12 +454,12 @@ def run(options: argparse.Namespace) -> None:
         name = "push"
     scenario, folder = load_scenario(options.scenario, name), options.scenario.parent.absolute()
     if options.seed is not None:
-        scenario.random_seed = int(number(options.seed, "random_seed", lower=0.0))
+        scenario.random_seed = options.seed
     if options.quick:
         scenario.simulation_duration = min(QUICK, scenario.simulation_duration)
-    for place in (options.json and options.json.parent, options.figures):
+    for place in filter(None, (options.json and options.json.parent, options.figures)):
         try:
-            _ = place and place.mkdir(parents=True, exist_ok=True)
+            place.mkdir(parents=True, exist_ok=True)
         except OSError as error:
             raise OutputError(f"There can be no folder {place}: {error.strerror}.") from error
     meshcat = Meshcat() if options.show or options.figures else None
@@ -501,32 +480,25 @@ def run(options: argparse.Namespace) -> None:
             log = JointLog(each, robot.joints, times, position, logs["effort"], velocity)
             write_log(log, folder / spec.log)
     moved, label = moved_objects(plant, contexts), name or options.scenario.stem
-    show(found, moved)
+    errors_of_all = [row for row in found if row["joint"] == "all"]
+    columns = {"robot": "", "law": "", **dict.fromkeys(("rms", "late", "largest"), ".4f")}
+    show("Errors, rad or m; late: of the second half", columns, errors_of_all)
+    for each, way in moved.items():
+        print(f"{each} moved by {np.round(way, 3).tolist()} m.")
     if options.figures:
         save_recording(meshcat, options.figures / f"{label}.html")
-        if errors:
-            error_figure(errors).savefig(options.figures / f"{label}_errors.png")
-    if options.json:
-        table = {
-            "scenario": label,
-            "simulated": scenario.simulation_duration,
-            "seconds": seconds,
-            "tracking": found,
-            "moved": moved,
-        }
-        write_whole(options.json, json.dumps(table, indent=2) + "\n")
+    drawn = {f"{label}_errors": lambda: error_figure(errors)} if errors else {}
+    took = {"simulated": scenario.simulation_duration, "seconds": seconds}
+    write(options, {"scenario": label, **took, "tracking": found, "moved": moved}, **drawn)
 
 
 def main() -> None:
     """Run the command line."""
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser = script_parser(__doc__, f"{QUICK} s at most")
+    parser.set_defaults(seed=None)  # the scenario's random_seed
     parser.add_argument("--scenario", type=Path, default=WORKCELL, help="YAML file of scenarios")
     parser.add_argument("--scenario-name", help="which one, if the file has several")
-    parser.add_argument("--quick", action="store_true", help=f"{QUICK} s at most")
-    parser.add_argument("--seed", type=int, help="in place of the scenario's random_seed")
     parser.add_argument("--show", action="store_true", help="serve the scene while it runs")
-    parser.add_argument("--json", type=Path, help="file for the numbers")
-    parser.add_argument("--figures", type=Path, help="folder for errors and MeshCat's recording")
     try:
         run(parser.parse_args())
     except GeodrakeError as error:

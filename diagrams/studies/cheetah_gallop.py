@@ -20,7 +20,7 @@ from matplotlib.figure import Figure
 from pydrake.multibody.plant import MultibodyPlant
 from rich.progress import track
 
-from diagrams.harness import panels, script_parser, show, write
+from diagrams.harness import panels, script_parser, show, sines, write
 from diagrams.studies.cheetah.leg import (
     COLORS,
     JOINTS,
@@ -72,39 +72,25 @@ class Quantity:
         return float(np.sqrt(np.mean(np.square(values).sum(1))))
 
 
+_ORDERS = np.array([[1], [2]])  # of the waves, in the stride's frequency
+
+
 def leg_motion(time: Array, phase: float) -> Motion:
     """Return angles of a leg's joints, with their derivatives."""
-    first = 2 * np.pi * STRIDE * time[:, None] + 2 * np.pi * phase
-    middle = np.array([0.05, 0.75, -1.5])
-    waves = (
-        (1, np.array([0.08, 0.55, 0.35]), np.array([0.4, 0.0, 1.9])),
-        (2, np.array([0.04, 0.12, 0.25]), np.array([1.3, 0.8, 0.5])),
-    )
-    return _sum_of_waves(first, middle, waves)
+    size = np.array([[0.08, 0.55, 0.35], [0.04, 0.12, 0.25]])
+    own = np.array([[0.4, 0.0, 1.9], [1.3, 0.8, 0.5]])
+    rate = 2 * np.pi * STRIDE * _ORDERS
+    q, v, vd = sines(time, size, rate, 2 * np.pi * phase * _ORDERS + own)
+    return Motion(q + np.array([0.05, 0.75, -1.5]), v, vd)
 
 
 def trunk_motion(time: Array) -> Motion:
     """Return surge, heave and pitch of the trunk, with their derivatives; 3 m/s forward."""
-    first = 2 * np.pi * STRIDE * time[:, None]
-    waves = (
-        (1, np.array([0.02, 0.05, 0.18]), np.array([0.3, 1.1, 0.2])),
-        (2, np.array([0.01, 0.02, 0.05]), np.array([2.0, 0.4, 1.5])),
-    )
-    motion = _sum_of_waves(first, np.array([0.0, 0.55, 0.0]), waves)
+    size = np.array([[0.02, 0.05, 0.18], [0.01, 0.02, 0.05]])
+    phase = np.array([[0.3, 1.1, 0.2], [2.0, 0.4, 1.5]])
+    q, v, vd = sines(time, size, 2 * np.pi * STRIDE * _ORDERS, phase)
     forward = np.array([3.0, 0.0, 0.0])
-    return Motion(motion.q + time[:, None] * forward, motion.v + forward, motion.vd)
-
-
-def _sum_of_waves(
-    first: Array, middle: Array, waves: tuple[tuple[int, Array, Array], ...]
-) -> Motion:
-    q, v, vd = middle + 0.0 * first, 0.0 * first + 0.0 * middle, 0.0 * first + 0.0 * middle
-    for order, size, phase in waves:
-        angle, rate = order * first + phase, 2 * np.pi * STRIDE * order
-        q = q + size * np.sin(angle)
-        v = v + size * rate * np.cos(angle)
-        vd = vd - size * rate**2 * np.sin(angle)
-    return Motion(q, v, vd)
+    return Motion(q + [0.0, 0.55, 0.0] + time[:, None] * forward, v + forward, vd)
 
 
 def whole_robot() -> MultibodyPlant:

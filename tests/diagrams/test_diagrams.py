@@ -313,7 +313,6 @@ class TestRunScenario:
         [
             (("--scenario", "none.yaml"), "none.yaml does not exist"),
             (("--scenario-name", "dance"), "It has push, carry, messages, controller"),
-            (("--seed", -1), "random_seed must be"),
             (("--json", "/dev/null/x/table.json"), "no folder /dev/null/x"),
         ],
     )

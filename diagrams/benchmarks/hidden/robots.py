@@ -20,7 +20,7 @@ import numpy as np
 import pinocchio as pin
 from numpy.typing import NDArray
 
-from diagrams.harness import MODELS
+from diagrams.harness import MODELS, sines
 from geodrake import load_model
 from geodrake.model import RobotModel
 
@@ -349,10 +349,7 @@ def _multisine(
     rate = base * (np.arange(1, 7)[:, None] + rng.uniform(-0.4, 0.4, (6, n)))
     phase = rng.uniform(0.0, 2.0 * np.pi, (6, n))
     amplitude = rng.uniform(0.3, 1.0, (6, n)) / np.sqrt(np.arange(1, 7))[:, None]
-    angle = rate * time[:, None, None] + phase
-    q = (amplitude * np.sin(angle)).sum(1)
-    v = (amplitude * rate * np.cos(angle)).sum(1)
-    a = -(amplitude * rate**2 * np.sin(angle)).sum(1)
+    q, v, a = sines(time, amplitude, rate, phase)
     scale = 1.0 / np.maximum(np.abs(q).max(0) / reach, np.abs(v).max(0) / speed)
     return center + scale * q, scale * v, scale * a
 

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from pydrake.multibody.plant import MultibodyPlant
 from scipy.signal import savgol_filter
 
-from diagrams.harness import MODELS
+from diagrams.harness import MODELS, sines
 from geodrake.errors import ArgumentError
 from geodrake.identification import (
     IdentificationResult,
@@ -114,10 +114,8 @@ def swing(time: Array, rng: np.random.Generator) -> Motion:
     middle, reach = np.array([0.0, 0.5, -1.2]), np.array([0.35, 0.7, 0.7])
     rate, phase = 2 * np.pi * rng.uniform(0.2, 2.2, (6, 3)), rng.uniform(0, 2 * np.pi, (6, 3))
     size = reach * rng.uniform(0.2, 0.6, (6, 3)) / (1 + 0.075 * rate)
-    angle = rate * time[:, None, None] + phase
-    q = middle + (size * np.sin(angle)).sum(1)
-    v, vd = (size * rate * np.cos(angle)).sum(1), -(size * rate**2 * np.sin(angle)).sum(1)
-    return Motion(q, v, vd, time)
+    q, v, vd = sines(time, size, rate, phase)
+    return Motion(middle + q, v, vd, time)
 
 
 def measure(leg: Leg, rng: np.random.Generator) -> tuple[Samples, Samples]:
