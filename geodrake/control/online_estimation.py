@@ -31,8 +31,7 @@ from geodrake.errors import ArgumentError, GeodrakeError
 from geodrake.inertia import Array
 from geodrake.manifolds import Product
 from geodrake.manifolds.projections import Polyhedron
-from geodrake.manifolds.slab_kernels import put_direction
-from geodrake.manifolds.slabs import SlabProjection, slab_projection
+from geodrake.manifolds.slabs import SlabProjection, put_direction, slab_projection
 
 _MOST_FILTERS = 100
 
@@ -384,7 +383,7 @@ def slab_step(
 def calc_multipliers(products: Array, error: Array) -> Array:
     """Return Newton's multipliers (k,) of rows outside of their slabs; none pulls a row farther.
 
-    They are those of the first step of a projection (`slab_kernels`), with a share of each row's
+    They are those of the first step of a projection (`manifolds.slabs`), with a share of each row's
     squared length added to it. Rows of any length do no harm. Inner products (k, k) of the rows
     are overwritten; errors (k,) are how far each is outside of its slab.
     """

@@ -28,28 +28,10 @@ class MirrorSpan(NamedTuple):
     by a combination of rows), and they never leave the manifold.
     """
 
-    # Pairs of matrices L, R (k, m) with A g(x)⁻¹ Aᵀ = Σ L Rᵀ, one a kind of factors.
-    halves: tuple[tuple[Array, Array], ...]
+    products: Array  # (k, k) inner products A g(x)⁻¹ Aᵀ of the covectors
     # Maps multipliers λ (k,) to y(λ) (n,), which is outside of the manifold, or not a number, where
     # there is no such point.
     point: Callable[[Array], Array]
-
-    @property
-    def products(self) -> Array:
-        """(k, k) inner products A g(x)⁻¹ Aᵀ of the covectors, a new array."""
-        (left, right), *others = self.halves
-        products = left @ right.T
-        for left, right in others:
-            products += left @ right.T
-        return products
-
-    @property
-    def squared_length(self) -> float:
-        """tr(A g(x)⁻¹ Aᵀ), of all covectors together."""
-        total = 0.0
-        for left, right in self.halves:
-            total += float(np.vdot(left, right))
-        return total
 
 
 class Manifold(abc.ABC):
@@ -183,7 +165,7 @@ class Manifold(abc.ABC):
             added = (multipliers @ flat).reshape(start.shape)
             return self.calc_point_of_gradient(start + added, x)
 
-        return MirrorSpan(((flat, pulls),), point)
+        return MirrorSpan(flat @ pulls.T, point)
 
     def calc_point_of_gradient(self, gradient: Array, near: Array) -> Array:
         """Return the points y (..., n) with gradients ∇h(y), searched from points near them.

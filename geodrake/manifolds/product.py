@@ -206,12 +206,11 @@ class Product(Manifold):
         """Treat each factor by itself; those of robots in one loop."""
         if self.robot is not None and x.ndim == 1:
             return robot_span(contiguous(x), contiguous(rows), self.robot)
-        points, halves = [], []
+        points, products = [], np.zeros((len(rows), len(rows)))
         for group in self._groups:
             own = group.manifold.calc_mirror_span(group.part(x), group.part(rows))
             points.append((group, own.point))
-            for left, right in own.halves:
-                halves.append((group.light(left), right))
+            products += group.light(own.products)
 
         def point(multipliers: Array) -> Array:
             y = np.empty(x.shape)
@@ -219,7 +218,7 @@ class Product(Manifold):
                 group.put(own(group.light(multipliers)), y)
             return y
 
-        return MirrorSpan(tuple(halves), point)
+        return MirrorSpan(products, point)
 
     def calc_point_of_gradient(self, gradient: Array, near: Array) -> Array:
         """Treat each factor by itself."""

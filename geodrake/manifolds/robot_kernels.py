@@ -342,7 +342,7 @@ def robot_span(x: Array, rows: Array, factors: Factors) -> MirrorSpan:
         calc_spanned(flat, (roots, whitened), contiguous(multipliers), factors, y.reshape(-1))
         return y
 
-    return MirrorSpan(((whitened, whitened),), point)
+    return MirrorSpan(whitened @ whitened.T, point)
 
 
 def factors_of(

@@ -1,4 +1,13 @@
-"""The Bregman projection of an estimate onto slabs, once a sample."""
+"""The Bregman projection of an estimate onto slabs, once a sample: of robots in a compiled loop.
+
+    ∇h(y) = ∇h(x) + Aᵀ λ,   λᵢ > 0 only where aᵢᵀ y = lowerᵢ,   λᵢ < 0 only where aᵢᵀ y = upperᵢ
+
+([Lee2019] Eq. (2.2.11)). The multipliers maximize the dual, which is concave with the gradient
+lower − A y or upper − A y and the Hessian −A g(y)⁻¹ Aᵀ: Newton's method on the rows that bind, a
+handful of unknowns however many parameters there are. With one row it finds the root of a function
+of one number. Every step sets out from the last point and its metric, so that distances of many
+orders of magnitude cost no precision.
+"""
 
 from __future__ import annotations
 
@@ -6,12 +15,268 @@ from typing import NamedTuple
 
 import numpy as np
 
-from geodrake.compiling import contiguous
+from geodrake.compiling import compiled, contiguous
 from geodrake.errors import GeodrakeError
+from geodrake.inertia import PARAMETERS_PER_BODY
 from geodrake.manifolds.base import Array
 from geodrake.manifolds.product import Product
 from geodrake.manifolds.projections import Polyhedron, bregman_projection
-from geodrake.manifolds.slab_kernels import calc_slab_projection
+from geodrake.manifolds.robot_kernels import (
+    Factors,
+    Places,
+    calc_spanned,
+    calc_whitened,
+    put_body_root,
+    put_congruence,
+    put_dual,
+)
+
+_NEAR = 0.25  # length of a Newton step in the metric that needs no search
+_OVERSHOT = 0.1  # slope that a full step may leave beyond the top, relative to the first
+_SLIGHT = 1e-13  # of a row's squared length, added to it, so that rows may depend on each other
+_NOTHING = 1e-300  # squared length of a row that says nothing
+_ROUNDING = 4e-16  # of a row's value, relative to its terms
+
+
+@compiled
+def calc_slab_projection(
+    x: Array,
+    slabs: tuple[Array, Array, Array],
+    factors: Factors,
+    limits: tuple[float, float, int],
+    out: tuple[Array, Array],
+) -> tuple[float, int]:
+    """Write the projection and its multipliers.
+
+    Args:
+        x: (n,) point inside of the manifold.
+        slabs: Rows A (k, n), and their lower and upper limits (k,).
+        limits: Error at which to stop, least weight of a factor or 1, and most Newton steps.
+        out: (n,) the projection y, and (k,) λ.
+
+    Returns:
+        The error of the conditions of optimality, in lengths of the metric at y, and how many steps
+        it took. Infinite where the way led nowhere, as where no point is in all slabs.
+    """
+    (rows, lower, upper), (tolerance, weight, most), (y, held) = slabs, limits, out
+    k, n = rows.shape
+    roots, whitened, products = (
+        np.empty((len(factors[0]), 4, 4)),
+        np.empty((k, n)),
+        np.empty((k, k)),
+    )
+    gaps, d, part, trial = np.empty(k), np.empty(k), np.empty(k), np.empty(n)
+    put_scaled(1.0, x, y)
+    put_scaled(0.0, gaps, held)
+    for step in range(most + 1):
+        calc_whitened(y, rows, factors, roots, whitened)
+        put_products(whitened, products)
+        error = put_gaps(slabs, out, products, gaps)
+        if error <= tolerance and step:
+            return max(error, calc_stationarity((x, y), (rows, held), factors)), step
+        if step == most or not tolerance < error < np.inf:
+            return (error if error <= tolerance else np.inf), step
+        put_direction(products, gaps, held, d)
+        slope = 0.0
+        for i in range(k):
+            slope += d[i] * gaps[i]
+        length = np.sqrt(max(slope, 0.0) / weight)
+        kink, at = calc_kink(held, d, lower, upper)
+        share = min(1.0, kink)
+        put_scaled(share, d, part)
+        calc_spanned(y, (roots, whitened), part, factors, trial)
+        if length > _NEAR and not is_short_enough(slabs, trial, (held, d), slope):
+            share = min(1.0 / (1.0 + length), kink)
+            put_scaled(share, d, part)
+            calc_spanned(y, (roots, whitened), part, factors, trial)
+        for i in range(k):
+            held[i] += part[i]
+        if share == kink:
+            held[at] = 0.0
+        put_scaled(1.0, trial, y)
+    return np.inf, most
+
+
+@compiled
+def put_scaled(share: float, values: Array, out: Array) -> None:
+    """Write a multiple of a vector; zeros for none of it, whatever is in it."""
+    for i in range(len(out)):
+        out[i] = share * values[i] if share != 0.0 else 0.0
+
+
+@compiled
+def put_products(whitened: Array, products: Array) -> None:
+    """Write W Wᵀ (k, k)."""
+    for i in range(len(whitened)):
+        for j in range(i + 1):
+            total = 0.0
+            for k in range(whitened.shape[1]):
+                total += whitened[i, k] * whitened[j, k]
+            products[i, j] = products[j, i] = total
+
+
+@compiled
+def put_gaps(
+    slabs: tuple[Array, Array, Array], point: tuple[Array, Array], products: Array, gaps: Array
+) -> float:
+    """Write how far limits are above the values of rows; the greatest error in the metric.
+
+    The gaps (k,) are the slope of the dual, zero where a row is inside and pushes nothing; the
+    products are A g(y)⁻¹ Aᵀ (k, k).
+    """
+    (rows, lower, upper), (y, held), worst = slabs, point, 0.0
+    for i in range(len(held)):
+        value, terms = 0.0, 0.0
+        for j in range(len(y)):
+            term = rows[i, j] * y[j]
+            value += term
+            terms += abs(term)
+        below, above = lower[i] - value, upper[i] - value
+        if held[i] > 0.0:
+            gaps[i] = below
+        elif held[i] < 0.0:
+            gaps[i] = above
+        else:
+            gaps[i] = below if below > 0.0 else min(above, 0.0)
+        off = max(abs(gaps[i]) - _ROUNDING * len(y) * terms, 0.0)
+        if off == 0.0 and held[i] == 0.0:
+            gaps[i] = 0.0
+        error = off / np.sqrt(products[i, i] + _NOTHING)
+        if not error < np.inf:
+            return np.inf
+        worst = max(worst, error)
+    return worst
+
+
+@compiled
+def put_direction(products: Array, gaps: Array, held: Array, d: Array) -> None:
+    """Write Newton's step of the multipliers; none pulls a row on a side where it binds not."""
+    count, left = len(gaps), 0
+    rows = np.empty(count, np.int64)
+    for i in range(count):
+        if gaps[i] != 0.0 or held[i] != 0.0:
+            rows[left] = i
+            left += 1
+    d[:] = 0.0
+    found = np.empty(count)
+    while left > 0:
+        put_solution(products, gaps, rows[:left], found)
+        kept = 0
+        for i in range(left):
+            at = rows[i]
+            if held[at] != 0.0 or not found[i] * gaps[at] < 0.0:
+                rows[kept], found[kept] = at, found[i]
+                kept += 1
+        if kept == left:
+            break
+        left = kept
+    for i in range(left):
+        d[rows[i]] = found[i]
+
+
+@compiled
+def put_solution(products: Array, gaps: Array, rows: Places, found: Array) -> None:
+    """Write Newton's step of some rows, by Cholesky's decomposition on a unit diagonal."""
+    left = len(rows)
+    L, scale = np.empty((left, left)), np.empty(left)
+    for i in range(left):
+        scale[i] = 1.0 / np.sqrt(products[rows[i], rows[i]] + _NOTHING)
+        for j in range(i + 1):
+            total = products[rows[i], rows[j]] * scale[i] * scale[j]
+            for k in range(j):
+                total -= L[i, k] * L[j, k]
+            L[i, j] = np.sqrt(max(total, 0.0) + _SLIGHT) if i == j else total / L[j, j]
+        total = gaps[rows[i]] * scale[i]
+        for k in range(i):
+            total -= L[i, k] * found[k]
+        found[i] = total / L[i, i]
+    for i in range(left - 1, -1, -1):
+        for k in range(i + 1, left):
+            found[i] -= L[k, i] * found[k]
+        found[i] /= L[i, i]
+    for i in range(left):
+        found[i] *= scale[i]
+
+
+@compiled
+def calc_kink(held: Array, d: Array, lower: Array, upper: Array) -> tuple[float, int]:
+    """Return the share of a step d at which a multiplier first changes sign, and which; or inf.
+
+    The limits of an equation are the same: its multiplier has either sign.
+    """
+    kink, at = np.inf, 0
+    for i in range(len(held)):
+        if held[i] * d[i] < 0.0 and lower[i] < upper[i] and -held[i] / d[i] < kink:
+            kink, at = -held[i] / d[i], i
+    return kink, at
+
+
+@compiled
+def is_short_enough(
+    slabs: tuple[Array, Array, Array], trial: Array, way: tuple[Array, Array], slope: float
+) -> bool:
+    """Return whether a step that ends at a point does not go far beyond the top of the dual.
+
+    Args:
+        trial: (n,) its end, not a number where there is none.
+        way: λ (k,) where it began, and its direction d (k,).
+        slope: That of the dual where it began, along d.
+    """
+    (rows, lower, upper), (held, d), there = slabs, way, 0.0
+    for i in range(len(d)):
+        if d[i] != 0.0:
+            sign = held[i] if held[i] != 0.0 else d[i]
+            value = 0.0
+            for j in range(len(trial)):
+                value += rows[i, j] * trial[j]
+            there += d[i] * ((lower[i] if sign > 0.0 else upper[i]) - value)
+    return there >= -_OVERSHOT * slope
+
+
+@compiled
+def calc_stationarity(
+    points: tuple[Array, Array], held: tuple[Array, Array], factors: Factors
+) -> float:
+    """Return the length of ∇h(x) + Aᵀ λ − ∇h(y) in the metric at y, of x and y, and of A and λ."""
+    (x, y), (bodies, shares, places, lower, other_shares) = points, factors
+    rows, multipliers = held
+    push = np.empty(len(x))
+    for j in range(len(x)):
+        value = 0.0
+        for i in range(len(rows)):
+            value += multipliers[i] * rows[i, j]
+        push[j] = value
+    P, X, F, d = np.empty((4, 4)), np.empty((4, 4)), np.empty((4, 4)), np.empty(4)
+    first_root, root, total = np.empty((4, 4)), np.empty((4, 4)), 0.0
+    for body in range(len(bodies)):
+        first, last = bodies[body], bodies[body] + PARAMETERS_PER_BODY
+        if not (
+            put_body_root(x[first:last], P, d, first_root)
+            and put_body_root(y[first:last], P, d, root)
+        ):
+            return np.inf
+        put_dual(push[first:last], X)
+        put_congruence(root, X, F, X)
+        # F = L(x)⁻¹ L(y), and the rest is 𝟙 − Fᵀ F + X / w.
+        for j in range(4):
+            for i in range(4):
+                value = root[i, j]
+                for k in range(i):
+                    value -= first_root[i, k] * F[k, j]
+                F[i, j] = value / first_root[i, i]
+        for i in range(4):
+            for j in range(4):
+                rest = (1.0 if i == j else 0.0) + shares[body] * X[i, j]
+                for k in range(4):
+                    rest -= F[k, i] * F[k, j]
+                total += rest * rest / shares[body]
+    for k in range(len(places)):
+        at = places[k]
+        slack = y[at] - lower[k]
+        rest = 1.0 - slack / (x[at] - lower[k]) + other_shares[k] * slack * push[at]
+        total += rest * rest / other_shares[k]
+    return float(np.sqrt(total))
+
 
 TOLERANCE = 1e-8
 """Error of the conditions of optimality, in lengths of the metric, that certifies a projection."""

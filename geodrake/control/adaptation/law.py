@@ -212,7 +212,8 @@ class AdaptationLaw(UpdateLaw):
 
     def calc_reach(self, parameters: Array, rows: Array) -> float:
         """γ⁻¹ tr(Y g(p̂)⁻¹ Yᵀ), 1/s, of rows Y (k, n), which is at least the greatest eigenvalue."""
-        return self.manifold.calc_mirror_span(parameters, rows).squared_length / self.gamma
+        products = self.manifold.calc_mirror_span(parameters, rows).products
+        return float(np.trace(products)) / self.gamma
 
     def calc_parameter_error(self, truth: Array, parameters: Array) -> Array:
         """Return γ D(p‖p̂) (...), [Lee2019] Eq. (5.4.49)."""
