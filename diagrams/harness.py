@@ -116,20 +116,37 @@ def plain(table: Any) -> Any:
     return [plain(each) for each in table] if isinstance(table, list | tuple) else table
 
 
-def show(
-    title: str, columns: Mapping[str, str], lines: Sequence[Mapping[str, Any]], width: int = 120
-) -> None:
-    """Print columns of lines, each with a format such as ".2f" or "%"."""
-    table = Table(*columns, title=title, title_justify="left")
-    for line in lines:
-        shown = ((line.get(name), form) for name, form in columns.items())
-        table.add_row(*("–" if value is None else format(value, form) for value, form in shown))
-    Console(width=width).print(table)
+def show(title: str, lines: Sequence[Mapping[str, Any]], *names: str) -> None:
+    """Print the numbers and words of lines, and of tables in them; or columns of some names."""
+    flat = [_flat(line) for line in lines]
+    names = names or tuple(dict.fromkeys(name for line in flat for name in line))
+    table = Table(*names, title=title, title_justify="left")
+    for line in flat:
+        table.add_row(*(_shown(line.get(name)) for name in names))
+    Console(width=max(120, Console().width, 14 * len(names))).print(table)
 
 
-def show_values(title: str, values: Mapping[str, Any], form: str = "") -> None:
-    """Print values by name."""
-    show(title, {"": "", "value": form}, [{"": k, "value": v} for k, v in values.items()])
+def show_values(title: str, values: Mapping[str, Any]) -> None:
+    """Print values, or tables of them, by name."""
+    lines = ((k, v if isinstance(v, Mapping) else {"value": v}) for k, v in values.items())
+    show(title, [{"figure": name, **line} for name, line in lines])
+
+
+def _flat(line: Mapping[str, Any]) -> dict[str, Any]:
+    """Return the numbers and words of a line, and those of tables in it."""
+    found: dict[str, Any] = {}
+    for name, value in plain(line).items():
+        inside = value.items() if isinstance(value, dict) else ((None, value),)
+        for key, one in inside:
+            if one is None or isinstance(one, str | int | float):
+                found[name if key is None else f"{name} {key}"] = one
+    return found
+
+
+def _shown(value: Any) -> str:
+    if value is None:
+        return "–"
+    return f"{value:.4g}" if isinstance(value, float) else str(value)
 
 
 def first_samples(log: JointLog, count: int) -> JointLog:

@@ -232,17 +232,9 @@ def main() -> None:
     parser = script_parser(__doc__, draws=True)
     options = parser.parse_args()
     rows = run(parser, options)
-    columns = {"controller": "", "faults": "", "rms": ".2f", "greatest": ".2f", "recovery": ".1f"}
-    columns |= {"ratio": ".2f", "first_distance": ".2f", "greatest_distance": ".2f"}
-    columns |= {"last_distance": ".2f", "least_mass": ".2f", "greatest_mass": ".2f"}
-    columns |= {"first_memory": ".0f", "last_memory": ".0f", "seconds": ".0f"}
-    show("Errors in degrees, times in s, masses over the true ones, MB", columns, rows)
+    show("Errors in degrees, times in s, masses over the true ones, MB", rows)
     guarded = [row for row in rows if row["controller"] != "unguarded"]
-    show(
-        "Worst of each fault",
-        {"fault": "", "error": ".1f", "recovery": ".1f", "ratio": ".2f"},
-        worst(guarded),
-    )
+    show("Worst of each fault", worst(guarded))
     table = {"rows": rows, "worst": worst(guarded)}
     write(options, table, adaptive_soak=lambda: soak_figure(rows))
 

@@ -465,8 +465,7 @@ def main() -> None:
         ]
     rows = run_draws(parser, options, run_draw, wanted)
     lines = lines_of(rows)
-    columns = {"columns": "", "logs": "d", "named": "d", "first": "d", "alarms": "d"}
-    show("Mistakes in columns", {**columns, "seconds": ".1f"}, lines)
+    show("Mistakes in columns", lines)
     write(options, {"lines": lines, "rows": rows})
 
 

@@ -72,7 +72,7 @@ def main() -> None:
     row = measure(model, **sizes, seed=options.seed, repeats=3 if options.quick else 10)
     title = f"{'an arm of our own' if ours else 'iiwa'}, CPU times"
     named = {words: row[name] for name, words in NAMES.items()}
-    show_values(title, named, ".3g")
+    show_values(title, named)
     row = {"robot": "arm7" if ours else "iiwa", **row}
     write(options, row, excitation_speed=lambda: bars({title: named}, ""))
 

@@ -212,11 +212,8 @@ def main() -> None:
         options += ["--seeds", "1", "--seconds", "20", "--iterations", "10", "--samples", "100"]
     found = [checked(name, options) for name in chosen.arms[: 2 if chosen.quick else None]]
     rows = [{**asdict(one), "safe": one.is_safe} for one in found]
-    shares = dict.fromkeys(("position", "velocity", "effort"), ".0%")
-    columns = {"arm": "", "cpu": ".1f", "statuses": "", "gain": ".3g", "length": ".1f"}
-    columns |= {"distance": ".4f", "height": ".4f", **shares, "acceleration": ".1f", "safe": ""}
     lines = [{**row, "statuses": ", ".join(row["statuses"])} for row in rows]
-    show("Motions of arms: s, m, shares of limits and rad/s²", columns, lines)
+    show("Motions of arms: s, m, shares of limits and rad/s²", lines)
     apart = {one.arm: 1e3 * min(one.distance, one.height) for one in found}
     write(chosen, rows, excite_arms=lambda: bars({"least distance": apart}, "mm"))
     if not all(one.is_safe for one in found):

@@ -25,7 +25,7 @@ from rich.progress import track
 
 from diagrams.benchmarks.fleets.logs import TYPES, FleetDraw, write_fleet_file, write_logs
 from diagrams.benchmarks.fleets.scoring import figures_of, robot_row, summary
-from diagrams.harness import JOBS, finished, positive_number, script_parser, show, write
+from diagrams.harness import JOBS, finished, positive_number, script_parser, show_values, write
 from geodrake.fleet import FleetResult, FleetWork, read_fleet, run_fleet
 
 
@@ -65,12 +65,7 @@ def main() -> None:
         result, seconds = study(folder / own, draws, options.jobs or (1 if options.quick else JOBS))
     rows = rows_of(result, draws)
     table = summary(rows) | {"seconds until findings are there": seconds}
-    columns = {"figure": "", "value": ".3g", "found": ".0%", "or among rivals": ".0%", "of": ""}
-    lines = [
-        {"figure": name, **(value if isinstance(value, dict) else {"value": value})}
-        for name, value in table.items()
-    ]
-    show("A fleet whose robots change", columns, lines)
+    show_values("A fleet whose robots change", table)
     unused = [vars(log) for log in result.unused]
     found = {"summary": table, "rows": rows, "unused": unused}
     write(options, found, fleet=lambda: figures_of(rows, result))

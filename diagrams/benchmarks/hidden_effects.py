@@ -108,8 +108,7 @@ def main() -> None:
         lambda line: ".2f" if "median" in line.figure or "seconds" in line.figure else ".1%",
     )
     if smallest:
-        columns = {"effect": "", "smallest": ".1%", "median": ".1%", "logs": "d"}
-        show("Smallest effect found in 9 of 10 logs", columns, smallest)
+        show("Smallest effect found in 9 of 10 logs", smallest)
     confused = confusions(rows)
     table = {"lines": told(lines), "confusions": confused, "smallest": smallest, "rows": rows}
     write(options, table, hidden_effects=lambda: figures_of(lines, confused, smallest))

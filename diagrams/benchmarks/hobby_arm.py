@@ -326,17 +326,9 @@ def main() -> None:
     options = parser.parse_args()
     require(parser, options.shared, "reference/so101.urdf", "data/so101/*.csv", "data/xl330/*.csv")
     rows = arm_rows(options.shared, quick=options.quick)
-    columns = {
-        "log": "",
-        "model": "",
-        "MSE, rad²": ".2g",
-        "RMS, mrad": ".1f",
-        "of motion": ".0%",
-        "CPU, s": ".0f",
-    }
-    show("An SO-101 under its commands, two minutes at a time", columns, rows)
+    show("An SO-101 under its commands, two minutes at a time", rows)
     pendulum = pendulum_row(options.shared)
-    show("A Dynamixel XL330", dict.fromkeys(pendulum, ".2f"), [pendulum])
+    show("A Dynamixel XL330", [pendulum])
     table = {"arm": rows, "pendulum": pendulum}
     write(options, table, hobby_arm=lambda: errors_figure(rows))
 

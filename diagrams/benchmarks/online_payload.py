@@ -263,10 +263,7 @@ def main() -> None:
     add_folder_option(parser)
     options = parser.parse_args()
     rows = run(parser, options)
-    columns = {"way": "", "log": "", "method": "", "learned": ".3f", "first": ".1f", "mass": ".2f"}
-    columns |= {"low": ".2f", "high": ".2f", "reached": ".1f", "close": ".0%"}
-    columns |= {"least_eigenvalue": ".1e", "rate": ".0f"}
-    show("Mass of the payload in kg, times in s", columns, rows)
+    show("Mass of the payload in kg, times in s", rows)
     exact = [row for row in rows if row["method"] == "projection"]
     write(options, {"rows": rows}, online_payload=lambda: mass_figure(exact, OFFLINE_MASS))
 

@@ -99,8 +99,7 @@ def measured(
 
 def show_robot(name: str, found: dict[str, Any]) -> None:
     """Print one robot."""
-    numbers = {key: value for key, value in found.items() if key != "exports"}
-    show_values(name, numbers, ".3g")
+    show_values(name, {key: value for key, value in found.items() if key != "exports"})
     lines = [
         {"format": form, "nrms, file holds": " -> ".join(f"{x:.4f}" for x in each["nrms"] or ())}
         | {"simulator": f"{row['name']}, {row['what']}", "largest difference": row["largest"]}
@@ -108,8 +107,7 @@ def show_robot(name: str, found: dict[str, Any]) -> None:
         for form, each in found["exports"].items()
         for row in each["simulators"]
     ]
-    form = {"format": "", "simulator": "", "largest difference": ".2g", "of RMS": ".2g"}
-    show(f"{name}: exports", {**form, "nrms, file holds": ""}, lines)
+    show(f"{name}: exports", lines)
 
 
 def main() -> None:

@@ -217,10 +217,8 @@ def main() -> None:
         days = pairs_of_days(*QUICK_DAYS, options.shared, QUICK_PAIRS)
     else:
         days = pairs_of_days(*DAYS, options.shared)
-    columns = {"study": "", "step": "", "where": "", "nrms": ".4f", "pooled_rms": ".3f"}
-    columns |= {"floor_nrms": ".4f", "verdict": "", "seconds": ".1f"}
     lines = [{**row, "where": ", ".join(row["where"])} for row in rows]
-    show("Steps of all studies", columns, lines, 160)
+    show("Steps of all studies", lines)
     for study_name, effects in named.items():
         console.print(
             f"{study_name}, named by diagnose afterwards: {'; '.join(effects) or 'nothing'}"

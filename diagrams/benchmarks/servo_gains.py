@@ -42,7 +42,7 @@ from diagrams.harness import (
     positive_number,
     run_draws,
     script_parser,
-    show,
+    show_values,
     sines,
     write,
 )
@@ -585,19 +585,7 @@ def main() -> None:
         draws = [replace(first, **kinds)]
     rows = run_draws(parser, options, score_servo, draws)
     table = summary(rows)
-    columns = {"figure": "", "value": ".3g", "inside": ".0%", "off by, median": ".1%", "of": ""}
-    lines = [
-        {"figure": name, "value": value}
-        if not isinstance(value, dict)
-        else {
-            "figure": name,
-            "inside": value["inside"],
-            "off by, median": value["median error"],
-            "of": value["values"],
-        }
-        for name, value in table.items()
-    ]
-    show("Servos of unknown gains", columns, lines)
+    show_values("Servos of unknown gains", table)
     write(options, {"summary": table, "rows": rows}, servo_gains=lambda: ratios_figure(rows))
 
 

@@ -481,16 +481,11 @@ def tell(rows: Sequence[dict[str, Any]]) -> None:
         {
             "robot has": effect_label(row["truth"]),
             "taken for": effect_label(row["rival"]),
-            **row,
-            **{f"{log}, σ": row[log]["deviations"] for log in LOGS},
-            **{f"told by {log}": row[log]["told"] for log in LOGS},
+            **{name: value for name, value in row.items() if name not in ("truth", "rival")},
         }
         for row in rows
     ]
-    columns = dict.fromkeys(("robot has", "taken for", "first_motion", "robots", "ambiguous"), "")
-    columns |= {"told by random": "", "told by designed": ""}
-    columns |= dict.fromkeys((f"{log}, σ" for log in LOGS), ".2g")
-    show("Effects told apart, and by how many deviations they differ", columns, lines, 150)
+    show("Effects told apart, and by how many deviations they differ", lines)
     for log in ("random", "designed"):
         count = sum(row[log]["told"] for row in rows)
         total = sum(row["ambiguous"] for row in rows)

@@ -481,8 +481,7 @@ def run(options: argparse.Namespace) -> None:
             write_log(log, folder / spec.log)
     moved, label = moved_objects(plant, contexts), name or options.scenario.stem
     errors_of_all = [row for row in found if row["joint"] == "all"]
-    columns = {"robot": "", "law": "", **dict.fromkeys(("rms", "late", "largest"), ".4f")}
-    show("Errors, rad or m; late: of the second half", columns, errors_of_all)
+    show("Errors, rad or m; late: of the second half", errors_of_all)
     for each, way in moved.items():
         print(f"{each} moved by {np.round(way, 3).tolist()} m.")
     if options.figures:

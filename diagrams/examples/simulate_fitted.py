@@ -123,8 +123,7 @@ def main() -> None:
         one | {other["robot"]: other["rms"] for other in found if other["joint"] == one["joint"]}
         for one in found[: len(log.joints)]
     ]
-    columns = {"joint": "", **dict.fromkeys(COLORS, ".3f"), "logged": ".3f"}
-    show("RMS of simulated − logged effort, N·m", columns, lines)
+    show("RMS of simulated − logged effort, N·m", lines, "joint", *COLORS, "logged")
     write(options, found, simulate_fitted=lambda: effort_figure(log, efforts))
 
 

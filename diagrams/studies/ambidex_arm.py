@@ -407,18 +407,7 @@ def summarize(rows: Sequence[Any], plan: Plan) -> list[dict[str, Any]]:
 
 def tell(summary: Sequence[dict[str, Any]]) -> None:
     """Print the summary."""
-    lines = []
-    for line in summary:
-        spread = {
-            name: f"{1e3 * line[name]:.2f} ± {1e3 * line[f'{name}_deviation']:.2f}"
-            for name in ("training", "test", "rigid")
-            if name in line
-        }
-        lines.append({**line, **spread, "zmp, cm": 100.0 * line["zmp"]})
-    columns = {"samples": "", "regularizer": "", "draws": "", "training": "", "test": ""}
-    columns |= {"rigid": "", "distance": ".2f", "zmp, cm": ".2f", "worse_than_prior": ".0%"}
-    columns |= {"at_boundary": ".1f", "seconds": ".2f"}
-    show("RMS errors of motor torques in mN·m, means and deviations", columns, lines, 160)
+    show("RMS errors of motor torques in N·m, of zero-moment points in m", summary)
 
 
 def main() -> None:

@@ -446,9 +446,7 @@ def main() -> None:
         row["motor"] = REDUCTION * row["rms"]
         half = [x for x in row["rounds"][len(row["rounds"]) // 2 :] if x is not None]
         row["late"] = float(np.mean(half)) if half else None
-    columns = {"case": "", "law": "", "speed": "g", "lost": "d", "rms": ".2f", "unphysical": ".1%"}
-    columns |= {"late": ".2f", "motor": ".0f", "added": ".2f"}
-    show(f"Tracking RMS in degrees, gains: {options.gains}", columns, rows)
+    show(f"Tracking RMS in degrees, gains: {options.gains}", rows)
     period = SHOWN * LOG_PERIOD
     table = {"gains": options.gains, "period": period, "rows": rows}
     write(options, table, ambidex_sandbags=lambda: sandbag_figure(rows, period))

@@ -358,11 +358,7 @@ def tell(table: dict[str, Any]) -> None:
         f"at most {plan['threshold']:g}; zero-moment points stay within "
         f"{100 * table['largest_zmp']:.0f} % of the sole's half sizes"
     )
-    columns = {"way": "", "error": ".4g", "force": ".4g", "moment": ".4g"}
-    show("Errors of parameters and RMS errors of wrenches, N and N·m", columns, rows)
-    for kind, unit in (("effort", "N·m"), ("acceleration", "rad/s²")):
-        columns = {"way": "", **dict.fromkeys(rows[0][kind], ".3g")}
-        show(f"RMS error of {kind}, {unit}", columns, [{"way": r["way"], **r[kind]} for r in rows])
+    show("Errors of parameters; RMS errors in N, N·m and rad/s²", rows)
     print(f"Full over reduced parameter error: {table['error_full_over_reduced']:.3g}")
 
 

@@ -268,8 +268,7 @@ def main() -> None:
     options = script_parser(__doc__, "five true legs instead of a hundred").parse_args()
     logging.getLogger("drake").setLevel(logging.WARNING)
     rows, rank = run(seed=options.seed, truths=5 if options.quick else 100)
-    columns = {"quantity": "", "regularizer": "", "mean": ".3g", "deviation": ".3g"}
-    show("RMS", {**columns, "train": ".3g"}, rows)
+    show("RMS", rows)
     print(f"The leg's motion tells {rank} base parameters of its 60 parameters.")
     write(options, rows, cheetah_gallop_errors=lambda: error_figure(rows))
 

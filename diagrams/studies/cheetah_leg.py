@@ -155,9 +155,7 @@ def main() -> None:
     logging.getLogger("drake").setLevel(logging.WARNING)
     sizes, draws = (QUICK_SIZES, QUICK_DRAWS) if options.quick else (SIZES, DRAWS)
     study = run(seed=options.seed, sizes=sizes, draws=draws)
-    columns = {"samples": "", "stretch": "", "regularizer": "", "train": ".4f", "test": ".4f"}
-    columns |= {"median": ".4f", "deviation": ".4f", "prior": ".4f"}
-    show("RMS errors of joint torques, N·m", columns, study.rows)
+    show("RMS errors of joint torques, N·m", study.rows)
     figures = {"cheetah_leg_errors": error_figure, "cheetah_leg_bodies": body_figure}
     write(options, study.rows, **{name: partial(draw, study) for name, draw in figures.items()})
 

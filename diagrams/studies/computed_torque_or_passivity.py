@@ -175,10 +175,7 @@ def main() -> None:
         return
     rows = run_draws(parser, options, task, all_draws(draws, quick=options.quick))
     summary = summarize(rows)
-    columns = {"noise": "g", "sigma": ".1f", "controller": "", "law": "", "speed": "g"}
-    columns |= {"draws": "d", "lost": "d", "rms": ".3f", "unphysical": ".1%", "rise": ".1e"}
-    columns |= {"late": ".3f", "seconds": ".2f"}
-    show("Tracking RMS in degrees; CPU seconds a simulated second", columns, summary)
+    show("Tracking RMS in degrees; CPU seconds a simulated second", summary)
     table = {"summary": summary, "rows": rows}
     write(options, table, computed_torque_or_passivity=lambda: controller_figure(summary))
 

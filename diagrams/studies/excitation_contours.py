@@ -152,11 +152,8 @@ def main() -> None:
     found = run(options.points or (41 if options.quick else 121), 200)
     hidden = ("values", "index")
     rows = [{k: v for k, v in row.items() if k not in hidden} for row in found["rows"]]
-    columns = {"normalization": "", "coordinates": "", "best_amplitude": ".3f"}
-    columns |= {"best_offset": ".3f", "best_value": ".3g", "shape_difference": ".3g"}
     lines = sorted(rows, key=lambda row: NORMALIZATIONS.index(row["normalization"]))
-    title = "Where each map is least, decades by which it differs, and what that costs"
-    show(title, {**columns, "geometric_loss": ".3f"}, lines)
+    show("Where each map is least, decades by which it differs, and what that costs", lines)
     write(options, {"rows": rows}, excitation_contours=lambda: draw(found))
 
 

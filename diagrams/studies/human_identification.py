@@ -163,6 +163,11 @@ def errors_of(
     ]
 
 
+def _named(value: Any) -> Any:
+    """Return errors by the names of what is predicted."""
+    return value if isinstance(value, str) else dict(zip(PREDICTED, value, strict=True))
+
+
 def _rms(errors: Array) -> list[float]:
     return [float(value) for value in np.sqrt(np.square(errors).mean(0))]
 
@@ -300,14 +305,9 @@ def main() -> None:
         rows += rows_of(human, alpha, found[alpha])
     tested = held_out(human, points, QUICK_BLOCKS if options.quick else BLOCKS)
     errors = errors_of(human, found[BASELINE], tested)
-    columns = {"alpha": "g", "regularizer": "", "residual": ".2f", "mismatch": ".1e"}
-    columns |= {"distance": ".2f", "least": ".1e", "degenerate": "", "starts_agree": ""}
     lines = [{**row, "degenerate": len(row["degenerate"])} for row in rows]
-    show(f"Fits; degenerate bodies, of {len(NAMES)}", columns, lines)
-    columns = [f"{when}: {what}" for when in ("train", "test") for what in PREDICTED]
-    lines = [dict(zip(columns, (*each["train"], *each["test"]), strict=True)) for each in errors]
-    lines = [{"": each["regularizer"], **line} for each, line in zip(errors, lines, strict=True)]
-    show("RMS errors", {"": "", **dict.fromkeys(columns, ".2f")}, lines, 160)
+    show(f"Fits; degenerate bodies, of {len(NAMES)}", lines)
+    show("RMS errors", [{k: _named(v) for k, v in each.items()} for each in errors])
     shown = {alpha: found[alpha] for alpha in (1e-4, BASELINE, 1.0) if alpha in found}
     baseline = [row for row in rows if row["alpha"] == BASELINE]
     write(

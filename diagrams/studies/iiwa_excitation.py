@@ -376,14 +376,7 @@ def run(
 
 def tell(table: dict[str, Any]) -> None:
     """Print table 4.2."""
-    lines, groups = [], list(table["rows"][0]["effort"])
-    for row in table["rows"]:
-        efforts = {f"J {group}, N·m": row["effort"][group] for group in groups}
-        efforts |= {f"J {group}, rad/s²": row["acceleration"][group] for group in groups}
-        lines.append({**row, **efforts, "E over best": row["criterion_over_best_geometric"]})
-    numbers = dict.fromkeys(("error", *efforts, "E over best"), ".3g")
-    columns = {"normalization": "", "criterion": "", "base": "", **numbers}
-    show("Errors by normalization, criterion and base representation", columns, lines, 200)
+    show("Errors by normalization, criterion and base representation", table["rows"])
     for name, one in table["spread"].items():
         error, apart = one["error_largest_over_smallest_less_1"], one["coefficients_apart"]
         print(

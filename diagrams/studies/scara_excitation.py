@@ -257,9 +257,7 @@ def main() -> None:
     spreads = {name: spread(rows, name) for name in NORMALIZATIONS}
     rows = [{k: v for k, v in row.items() if k != "coefficients"} for row in rows]
     rows.append(random_samples(plan, 20))
-    forms = {"m": ".4f", "px": ".2f", "py": ".2f", "rz": ".2f", "error": ".4f"}
-    columns = {"normalization": "", "frame": "", **forms, "geometric_value": ".4f"}
-    show("RMS errors of m in kg, and of p^x, p^y and r^z in mm", columns, rows)
+    show("RMS errors of m in kg, and of p^x, p^y and r^z in mm", rows)
     for name, one in spreads.items():
         error, apart = one["error_largest_over_smallest_less_1"], one["samples_apart"]
         value = one["criterion_largest_over_smallest_less_1"]

@@ -182,16 +182,7 @@ def main() -> None:
     wanted = (quick_draws if options.quick else all_draws)(options.gains, draws)
     rows = run_draws(parser, options, task, wanted)
     summary = summarize(rows)
-    columns = {"part": "", "sigma": ".2f", "step": "g", "law": "", "speed": "g", "draws": "d"}
-    columns |= {
-        "lost": "d",
-        "rms": ".3f",
-        "unphysical": ".1%",
-        "deviation": ".3f",
-        "last_round": ".3f",
-        "rise": ".1e",
-    }
-    show(f"Tracking RMS in degrees, gains: {options.gains}", columns, summary)
+    show(f"Tracking RMS in degrees, gains: {options.gains}", summary)
     table = {"gains": options.gains, "summary": summary, "rows": rows}
     write(options, table, wam=lambda: adaptation_figures(summary))
 

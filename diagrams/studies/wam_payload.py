@@ -118,10 +118,8 @@ def main() -> None:
         tell_grid(options, run_draws(parser, options, task, grid_draws(4)), "part")
         return
     rows = run_draws(parser, options, task, all_draws(options.gains, quick=options.quick))
-    columns = {"load": "", "law": "", "speed": "g", "lost": "d", "rms": ".3f", "unphysical": ".1%"}
-    columns |= {"first": ".3f", "last": ".3f", "mass": ".2f", "distance": ".2f", "rise": ".1e"}
     lines = [{**r, "first": r["rounds"][0], "last": r["rounds"][-1]} for r in rows]
-    show(f"Tracking RMS in degrees, gains: {options.gains}", columns, lines)
+    show(f"Tracking RMS in degrees, gains: {options.gains}", lines)
     period = SHOWN * LOG_PERIOD
     table = {"gains": options.gains, "period": period, "rows": rows}
     write(options, table, wam_payload=lambda: load_figure(rows, period))

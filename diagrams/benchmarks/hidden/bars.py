@@ -83,8 +83,7 @@ def show_lines(title: str, lines: Sequence[Line], form: Callable[[Line], str]) -
                 "": {True: "reached", False: "missed", None: ""}[line.reached],
             }
         )
-    columns = {"figure": "", "asked": "", "reached": "", "interval": "", "of": "d", "": ""}
-    show(title, columns, shown)
+    show(title, shown)
 
 
 def tell_draws(title: str, lines: Sequence[Line], missed: Sequence[str], draws: int) -> None:

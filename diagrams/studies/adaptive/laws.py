@@ -122,8 +122,7 @@ def grid_lines(rows: Sequence[Any], group: str) -> list[dict[str, Any]]:
 def tell_grid(options: argparse.Namespace, rows: Sequence[Any], group: str) -> None:
     """Print and write what is chosen on a grid."""
     lines = grid_lines(rows, group)
-    columns = {group: "", "law": "", "speed": "g", "draws": "d", "lost": "d", "rms": ".3f"}
-    show("RMS in degrees", {**columns, "unphysical": ".1%", "rise": ".1e", "chosen": ""}, lines)
+    show("RMS in degrees", lines)
     write(options, {"grid": lines})
 
 
