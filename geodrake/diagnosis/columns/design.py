@@ -30,27 +30,32 @@ UNKNOWN = len(UnknownFunction.parameters)
 class JointDesign:
     """What K samples say of one joint.
 
-    Columns are those of bodies and effects, the slopes with a tilt (2) and with all zeros (n),
-    those of an unknown function, the efforts of known payloads, and all n columns of efforts.
+    Columns are those of bodies and effects, the slopes with a tilt (2) and with all zeros (n), the
+    efforts of known payloads, all n columns of efforts, and those of an unknown function if asked.
     """
 
     columns: Indices  # (m,) bodies and effects that matter
     rows: Indices  # (K,) samples
-    X: Array  # (K, m + 2 + n + UNKNOWN + 1 + n)
+    joints: int
+    X: Array  # (K, m + 2 + n + 1 + n), or as many as UNKNOWN more
     gram: Array  # normal matrix of X
     # Share of the samples in which more effort was asked for than the motor gives, and the mean
     # square of what was too much.
     beyond: tuple[float, float] = (0.0, 1.0)
 
     @property
+    def linear(self) -> int:
+        """Return how many columns come before those of efforts."""
+        return len(self.columns) + 2 + self.joints
+
+    @property
     def unknown(self) -> Indices:
         """Return where the columns of the unknown function stand in X."""
-        m = len(self.columns)
-        return m + 2 + (self.X.shape[1] - m - 3 - UNKNOWN) // 2 + np.arange(UNKNOWN)
+        return self.effort(self.joints) + np.arange(UNKNOWN)
 
     def effort(self, source: int) -> int:
         """Return where a column of efforts stands in X; before the first one are payloads."""
-        return int(self.unknown[-1]) + 2 + source
+        return self.linear + 1 + source
 
     def read_as(self, samples: ColumnSamples, assignment: Assignment, joint: int) -> JointDesign:
         """Return the design with the joint's efforts signed, or kept to what its motor gives."""
@@ -79,22 +84,39 @@ class MotionDesigns:
     """
 
     def __init__(self, samples: ColumnSamples, layout: Layout, assignment: Assignment) -> None:
-        self._samples, self._columns = samples, layout.columns
+        self._samples, self._layout, self._assignment = samples, layout, assignment
         self._all = _joint_columns(samples, layout, assignment)
-        self._made = dict[tuple[int, int], JointDesign]()
+        self._made = dict[tuple[int, int, bool], JointDesign]()
 
     @property
     def nbytes(self) -> int:
         """Bytes of all columns."""
         return sum(X.nbytes for X in self._all) + sum(d.X.nbytes for d in self._made.values())
 
-    def __call__(self, joint: int, source: int) -> JointDesign:
-        """Return the design of a joint with the samples of a column of efforts."""
-        if (joint, source) not in self._made:
-            rows = np.flatnonzero(self._samples.used[:, source])
+    def __call__(self, joint: int, source: int, *, unknown: bool) -> JointDesign:
+        """Return the design of a joint with the samples of a column of efforts.
+
+        It may have an unknown function of the joint's motion.
+        """
+        key, samples = (joint, source, unknown), self._samples
+        if key not in self._made:
+            rows, columns = np.flatnonzero(samples.used[:, source]), self._layout.columns[joint]
             X = self._all[joint][rows]
-            self._made[joint, source] = JointDesign(self._columns[joint], rows, X, X.T @ X)
-        return self._made[joint, source]
+            if unknown:
+                q, v, _ = samples.motion(self._assignment)
+                width = _sign_width(self._layout, self._assignment)[joint]
+                own = _unknown_function(
+                    samples.model.joints[joint], q[:, joint], v[:, joint], width
+                )
+                X = np.hstack([X, own[rows]])
+            self._made[key] = JointDesign(columns, rows, len(self._all), X, X.T @ X)
+        return self._made[key]
+
+
+def _sign_width(layout: Layout, assignment: Assignment) -> Array:
+    """Return speeds (n,) below which a motion has no direction."""
+    scale = np.abs(assignment.scale) / assignment.time
+    return np.asarray(layout.sign_width[assignment.position] * scale)
 
 
 def _joint_columns(samples: ColumnSamples, layout: Layout, assignment: Assignment) -> list[Array]:
@@ -102,7 +124,7 @@ def _joint_columns(samples: ColumnSamples, layout: Layout, assignment: Assignmen
     model, (q, v, vd) = layout.model, samples.motion(assignment)
     at, down = model.positions(q), np.array(assignment.gravity or model.tree.gravity)
     tree = replace(model.tree, gravity=down)
-    width = layout.sign_width[assignment.position] * np.abs(assignment.scale) / assignment.time
+    width = _sign_width(layout, assignment)
     columns, held = _columns(samples, replace(layout, sign_width=width), (at, v, vd))
     if assignment.gravity is not None:  # weight beside that which the model's bodies have
         still, more = np.zeros_like(v), replace(model.tree, gravity=down - model.tree.gravity)
@@ -113,12 +135,10 @@ def _joint_columns(samples: ColumnSamples, layout: Layout, assignment: Assignmen
     tilts = RobotBodies(tree, at, model.total_phi).gravity_efforts(np.cross(down, np.eye(3)[:2]).T)
     slopes = effort_slopes(tree, at, v, vd, model.total_phi, only_position=True)
     turned = np.nan_to_num(slopes.position)
-    found = []
-    for j, joint in enumerate(model.joints):
-        unknown = _unknown_function(joint, q[:, j], v[:, j], float(width[j]))
-        parts = [columns[j], tilts[:, j], turned[:, j], unknown, held[:, j, None], samples.effort]
-        found.append(np.hstack(parts))
-    return found
+    return [
+        np.hstack([columns[j], tilts[:, j], turned[:, j], held[:, j, None], samples.effort])
+        for j in range(len(model.joints))
+    ]
 
 
 def _columns(

@@ -123,7 +123,7 @@ class ColumnModel:
                 kept -= self._designs.pop(next(iter(self._designs))).nbytes
         self._designs[key] = found
         return [
-            found(j, source).read_as(samples, assignment, j)
+            found(j, source, unknown=j in assignment.unknown).read_as(samples, assignment, j)
             for j, source in enumerate(assignment.effort.tolist())
         ]
 
@@ -197,7 +197,7 @@ class ColumnModel:
         """Return the equations of all joints."""
         joints, effects = list[JointEquations](), self.samples.model.phi.size
         for j, design in enumerate(self.designs(assignment)):
-            at, local = [design.columns, self.tilt, self.zeros], np.arange(design.unknown[0])
+            at, local = [design.columns, self.tilt, self.zeros], np.arange(design.linear)
             effort, known = np.zeros((2, design.X.shape[1]))
             effort[design.effort(int(assignment.effort[j]))] = assignment.gain[j]
             if j in assignment.apart:

@@ -528,17 +528,18 @@ class _Calibration:
     def found(self) -> tuple[_Calibration, SignalGains]:
         """The likeliest choice with bodies and gains, which are found in turn."""
         choice, gains = self, self.fit()
-        if self.integral:
-            # What is wrong with a delay of 0 shows more in an error that an integral keeps small.
-            gains = replace(gains, phi=self.model.total_phi)
+        # What is wrong with a delay of 0 shows more in an error that an integral keeps small.
+        looked = replace(gains, phi=self.model.total_phi) if self.integral else gains
         for _ in range(_ROUNDS if self.commanded else 0):
             choices = [
                 replace(self, delay=delay, rate=rate)
                 for rate in (False, True)
                 for delay in range(len(_DELAYS))
             ]
-            choice = min(choices, key=partial(_Calibration.cost, gains=gains))
-            gains = choice.fit()
+            last, choice = choice, min(choices, key=partial(_Calibration.cost, gains=looked))
+            if (choice.delay, choice.rate) == (last.delay, last.rate):
+                break
+            gains = looked = choice.fit()
         return choice, gains
 
     def by_motion(self) -> dict[int, EffortSignal]:
