@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -42,6 +43,11 @@ class JointDesign:
     # Share of the samples in which more effort was asked for than the motor gives, and the mean
     # square of what was too much.
     beyond: tuple[float, float] = (0.0, 1.0)
+
+    @cached_property
+    def peaks(self) -> Array:
+        """(m,) largest sizes of the columns of bodies and effects."""
+        return np.asarray(np.abs(self.X[:, : len(self.columns)]).max(axis=0))
 
     @property
     def linear(self) -> int:
@@ -87,11 +93,7 @@ class MotionDesigns:
         self._samples, self._layout, self._assignment = samples, layout, assignment
         self._all = _joint_columns(samples, layout, assignment)
         self._made = dict[tuple[int, int, bool], JointDesign]()
-
-    @property
-    def nbytes(self) -> int:
-        """Bytes of all columns."""
-        return sum(X.nbytes for X in self._all) + sum(d.X.nbytes for d in self._made.values())
+        self.nbytes = sum(X.nbytes for X in self._all)  # of all columns
 
     def __call__(self, joint: int, source: int, *, unknown: bool) -> JointDesign:
         """Return the design of a joint with the samples of a column of efforts.
@@ -109,6 +111,7 @@ class MotionDesigns:
                     samples.model.joints[joint], q[:, joint], v[:, joint], width
                 )
                 X = np.hstack([X, own[rows]])
+            self.nbytes += X.nbytes
             self._made[key] = JointDesign(columns, rows, len(self._all), X, X.T @ X)
         return self._made[key]
 

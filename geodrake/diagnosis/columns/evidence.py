@@ -222,7 +222,7 @@ class ColumnModel:
         for j, joint in enumerate(joints):
             design, size = joint.design, self._size(assignment, j)
             new = np.flatnonzero(design.columns >= self.lacking.start)
-            at, peak = design.columns[new], np.abs(design.X[:, new]).max(axis=0)
+            at, peak = design.columns[new], design.peaks[new]
             information[at, at] += (peak / (LARGEST * size)) ** 2
             if j in assignment.unknown:
                 share = 1.0 if j in assignment.apart else self.beliefs.unknown

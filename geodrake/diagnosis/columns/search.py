@@ -21,7 +21,7 @@ _SCREENED, _FINALISTS = 24, 8  # of motion and of efforts, that are fitted, and 
 _HOPELESS = -12.0  # score beside that of no mistake: less is not fitted to the end
 _PROMISING = 4  # joints whose gains, zeros or unknown efforts are looked for
 _STEPS = 8  # of a fit of a mistake's sizes
-_LEAST_SHARE = 0.2  # of a step, that is tried where more of it is no better
+_LEAST_SHARE = 0.05  # of a step, that is tried where more of it is no better
 _TIE = 1e-6  # less is rounding
 _LEVEL = 0.5  # a step that loses less is taken: scores are exact where no step is left
 
