@@ -15,7 +15,7 @@ from typer.core import TyperArgument, TyperCommand, TyperGroup
 from geodrake.boundary.escaping import printable
 from geodrake.boundary.version import versions
 from geodrake.cli import options
-from geodrake.cli.shared_options import Options, taking
+from geodrake.cli.options import Options, taking
 from geodrake.cli.surroundings import settled_surroundings
 
 DEMO_MODEL, DEMO_LOG = "demo.urdf", "demo.csv"

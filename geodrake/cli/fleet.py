@@ -12,7 +12,7 @@ import typer
 from geodrake.boundary.arguments import number
 from geodrake.boundary.version import version
 from geodrake.boundary.whole_files import Content, write_together
-from geodrake.cli.model_options import repairs_in_short
+from geodrake.cli.input_options import repairs_in_short
 from geodrake.cli.options import FleetOptions
 from geodrake.cli.progress import Activity, progress
 from geodrake.cli.session import Command, Input, run
@@ -23,8 +23,7 @@ from geodrake.fleet.fleet_file import Fleet, read_fleet
 from geodrake.fleet.fleet_logs import FleetDigests
 from geodrake.fleet.fleet_result import FleetResult, keep_told, new_findings
 from geodrake.fleet.fleet_run import FleetWork, look_at_fleet, run_fleet
-from geodrake.report.fleet_json import finding_line, fleet_dict, parquet_contents
-from geodrake.report.fleets import WatchedFleet
+from geodrake.report.fleets import WatchedFleet, finding_line, fleet_dict, parquet_contents
 from geodrake.report.html import render
 from geodrake.report.json_output import to_json
 from geodrake.report.page import About

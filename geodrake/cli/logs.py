@@ -5,7 +5,7 @@ from __future__ import annotations
 import shlex
 from collections.abc import Mapping, Sequence
 
-from geodrake.cli.known_payloads import known_payloads
+from geodrake.cli.option_values import known_payloads
 from geodrake.cli.options import DigestOptions, LogCommandOptions
 from geodrake.cli.session import Command, Input, Maker, found_columns, run
 from geodrake.diagnosis.columns import ColumnFinding, corrected_columns

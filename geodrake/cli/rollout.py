@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import replace
 from pathlib import Path
 
-from geodrake.cli.model_options import tell_repairs
+from geodrake.cli.input_options import tell_repairs
 from geodrake.cli.options import RolloutOptions
 from geodrake.cli.session import Command, Input, run
 from geodrake.control.rollout import (

@@ -17,13 +17,11 @@ from rich.console import Console
 
 from geodrake.boundary.version import version
 from geodrake.boundary.whole_files import Content, write_together
-from geodrake.cli.axis_model import AxisOptions, written_axis
 from geodrake.cli.guard import INTERRUPTED
-from geodrake.cli.known_payloads import with_facts, with_known_payloads
-from geodrake.cli.model_options import read_model
+from geodrake.cli.input_options import AxisOptions, proposing, read_model, written_axis
+from geodrake.cli.option_values import with_facts, with_known_payloads
+from geodrake.cli.options import Options
 from geodrake.cli.progress import Activity, progress
-from geodrake.cli.reading_options import proposing
-from geodrake.cli.shared_options import Options
 from geodrake.cli.surroundings import print_whole, printing, results
 from geodrake.cli.targets import SAVED, STDOUT, Targets
 from geodrake.diagnosis.columns import (

@@ -10,7 +10,6 @@ import numpy as np
 from geodrake.excitation import ExcitationResult, FourierMotion, Separation, SplineMotion
 from geodrake.excitation.design import THRESHOLD, identifiable_directions, improvement
 from geodrake.excitation.identifiable import LogIdentifiability
-from geodrake.excitation.limits import MotionLimits
 from geodrake.excitation.tell_apart import CLEAR, distinguished_pairs
 from geodrake.inertia import Array
 from geodrake.report.charts import MOST_PANELS, Chart, Panel, Plot, Stage
@@ -20,13 +19,11 @@ from geodrake.report.page import About, Cell, Page, Records, Section, Table, Til
 from geodrake.report.series_table import Columns
 from geodrake.report.words import effect_label, listed, places_label
 
+_COMBINATION = ("combination", "in the model", "deviation", "relative")
+_STARTS = ("seed", "solver", "random motion", "designed", "evaluations", "seconds")
 _FINE = 600  # instants that are drawn
-_COLUMNS = (
-    ("position", "rad", ""),
-    ("velocity", "rad/s", "velocity"),
-    ("acceleration", "rad/s²", "acceleration"),
-    ("effort", "N·m", "effort"),
-)
+_COLUMNS = {"position": "rad", "velocity": "rad/s", "acceleration": "rad/s²", "effort": "N·m"}
+_REACH = 2.5  # times the largest value, up to which a limit is drawn
 _DESIGNED = Stage("designed", "designed", "after")
 _DOTS = Stage("designed", "designed", "after", look="dots")
 _EFFECT, _IMITATION = (
@@ -48,6 +45,13 @@ def excitation_page(result: ExcitationResult, about: About) -> Page:
     """Say what a designed motion is worth, and how it uses the robot's limits."""
     apart = isinstance(result.objective, Separation)
     units, nearest = Units.of(result.objective.target.model), _nearest(result)
+    starts = [
+        cells(
+            *(each.seed, each.status, each.random_value, each.value, each.evaluations),
+            f"{each.seconds:.1f}",
+        )
+        for each in result.outcomes
+    ]
     return Page(
         about.title,
         f"{about.model}: {motion_words(result)}",
@@ -55,7 +59,7 @@ def excitation_page(result: ExcitationResult, about: About) -> Page:
         "designed",
         excitation_verdict(result),
         tuple(filter(None, (f"Nearest to each other: {nearest}" * bool(nearest), _time(result)))),
-        _pair_tiles(result) if apart else _tiles(result),
+        _tiles(result),
         (
             _pairs_section(result, units) if apart else _directions_section(result),
             Section(
@@ -72,7 +76,7 @@ def excitation_page(result: ExcitationResult, about: About) -> Page:
                     if apart
                     else f"The criterion is {result.objective.criterion.name}.",
                 ),
-                tables=(_starts_table(result),),
+                tables=(Table(_STARTS, starts, words=2),),
             ),
             Section("Notes", items=result.notes),
         ),
@@ -158,29 +162,21 @@ def _time(result: ExcitationResult) -> str:
 
 
 def _tiles(result: ExcitationResult) -> tuple[Tile, ...]:
-    objective, count = result.objective, len(result.eigenvalues)
-    criterion = objective.criterion.name.replace("_", " ")
-    tiles = (
-        Tile(criterion, number(result.value), f"{objective.normalization} normalization"),
-        Tile("better than random", f"{number(improvement(result))} ×", "than the best start"),
-    )
-    if objective.normalization != "geometric":
-        return tiles
-    found = f"{identifiable_directions(result)} of {count}"
-    most = percent(float(np.sqrt(THRESHOLD)))
-    return (*tiles, Tile("directions identifiable", found, f"to {most}"))
-
-
-def _pair_tiles(result: ExcitationResult) -> tuple[Tile, ...]:
-    """Return the hardest pair in numbers."""
-    pairs = distinguished_pairs(result)
-    factor = float(np.sqrt(improvement(result)))
-    clear = sum(entry.deviations >= CLEAR for entry in pairs)
-    return (
-        Tile("least difference", f"{number(pairs[0].deviations)} σ", "of the noise of all samples"),
-        Tile("better than random", f"{number(factor)} ×", "than the best start"),
-        Tile("pairs", str(len(pairs)), f"with at least {number(CLEAR)} σ: {clear}"),
-    )
+    """Return what a motion is worth in numbers; of pairs the hardest one."""
+    objective, gained = result.objective, improvement(result)
+    if pairs := distinguished_pairs(result):
+        least, gained = f"{number(pairs[0].deviations)} σ", gained**0.5
+        clear = sum(entry.deviations >= CLEAR for entry in pairs)
+        first = Tile("least difference", least, "of the noise of all samples")
+        last = [Tile("pairs", str(len(pairs)), f"with at least {number(CLEAR)} σ: {clear}")]
+    else:
+        criterion = objective.criterion.name.replace("_", " ")
+        first = Tile(criterion, number(result.value), f"{objective.normalization} normalization")
+        found = f"{identifiable_directions(result)} of {len(result.eigenvalues)}"
+        last = [Tile("directions identifiable", found, f"to {percent(THRESHOLD**0.5)}")]
+        last *= objective.normalization == "geometric"
+    better = Tile("better than random", f"{number(gained)} ×", "than the best start")
+    return (first, better, *last)
 
 
 def _directions_section(result: ExcitationResult) -> Section:
@@ -188,12 +184,10 @@ def _directions_section(result: ExcitationResult) -> Section:
     values = result.eigenvalues[::-1]
     deviations = 1.0 / np.sqrt(np.where(values > 0, values, np.nan))
     geometric = result.objective.normalization == "geometric"
-    limits = (float(np.sqrt(THRESHOLD)),) * geometric
-    plot = _over_directions("deviation", {_DOTS.key: deviations}, limits)
     caption = "Relative deviation of an estimate along every principal direction."
-    if geometric:
-        caption += f" Dotted: {percent(THRESHOLD**0.5)}."
-    chart = Chart("directions", caption, (_DOTS,), (Panel("", "", _NONE, (plot,)),), abreast=True)
+    caption += f" Dotted: {percent(THRESHOLD**0.5)}." * geometric
+    limits, curves = (THRESHOLD**0.5,) * geometric, {_DOTS: deviations}
+    chart = _directions_chart("deviation", caption, curves, limits)
     return Section(
         "What it identifies",
         f"From {result.samples} samples, along directions in the space of all parameters.",
@@ -206,12 +200,14 @@ def _directions_section(result: ExcitationResult) -> Section:
     )
 
 
-_NONE = np.array([])
-
-
-def _over_directions(label: str, curves: dict[str, Array], limits: tuple[float, ...]) -> Plot:
+def _directions_chart(
+    label: str, caption: str, curves: dict[Stage, Array], limits: tuple[float, ...]
+) -> Chart:
     count = np.arange(1.0, 1.0 + len(next(iter(curves.values()))))
-    return Plot(label, curves, limits, log=True, over=count, axis="principal direction")
+    keyed = {stage.key: values for stage, values in curves.items()}
+    plot = Plot(label, keyed, limits, log=True, over=count, axis="principal direction")
+    panels = (Panel("", "", np.array([]), (plot,)),)
+    return Chart("directions", caption, tuple(curves), panels, abreast=True)
 
 
 def _pairs_section(result: ExcitationResult, units: Units) -> Section:
@@ -232,16 +228,11 @@ def _pairs_section(result: ExcitationResult, units: Units) -> Section:
 
 def _pairs_table(result: ExcitationResult, units: Units) -> Table:
     """Return pairs of effects and by how much they differ on a motion, the most alike first."""
-    rows = tuple(
-        cells(
-            _shaped(entry.pair.truth),
-            places_label(entry.pair.where, units.joints),
-            _shaped(entry.pair.rival),
-            f"{number(entry.deviations)} σ",
-            number(entry.effort),
-        )
-        for entry in distinguished_pairs(result)[:_MOST_PAIRS]
-    )
+    rows = []
+    for entry in distinguished_pairs(result)[:_MOST_PAIRS]:
+        truth, rival = _shaped(entry.pair.truth), _shaped(entry.pair.rival)
+        where, apart = places_label(entry.pair.where, units.joints), f"{number(entry.deviations)} σ"
+        rows.append(cells(truth, where, rival, apart, entry.effort))
     unit = units.effort(result.limits.joints)
     head = ("if the robot has", "where", "and is thought to have", "they differ by", f"RMS, {unit}")
     return Table(head, rows, words=3)
@@ -287,44 +278,23 @@ def _imitation_chart(result: ExcitationResult, units: Units) -> Chart:
 
 def limits_table(result: ExcitationResult, units: Units) -> Table:
     """Return ranges of the joints, and the largest shares of their limits that a motion uses."""
-    limits, use = result.limits, result.use
+    limits, use, rows = result.limits, result.use, []
     q = result.trajectory.states(result.trajectory.family.times(result.samples))[0]
-    rows = tuple(
-        cells(
-            f"{joint}, {units.at(joint, 'rad')}",
-            f"{number(float(limits.lower[j]))} … {number(float(limits.upper[j]))}",
-            f"{number(float(q[:, j].min()))} … {number(float(q[:, j].max()))}",
-            percent(float(use.position[j])),
-            *(
-                percent(float(getattr(use, name)[j]))
-                if np.isfinite(getattr(limits, name)[j])
-                else UNKNOWN
-                for name in ("velocity", "acceleration", "jerk", "effort")
-            ),
-            *(number(float(use.peaks[name][j])) for name in ("velocity", "acceleration")),
+    for j, joint in enumerate(limits.joints):
+        ends = (limits.lower[j], limits.upper[j]), (q[:, j].min(), q[:, j].max())
+        ranges = (f"{number(float(low))} … {number(float(high))}" for low, high in ends)
+        shares = (
+            percent(float(getattr(use, name)[j]))
+            if np.isfinite(getattr(limits, name)[j])
+            else UNKNOWN
+            for name in ("velocity", "acceleration", "jerk", "effort")
         )
-        for j, joint in enumerate(limits.joints)
-    )
-    shares = ("range", "velocity", "acceleration", "jerk", "effort")
-    head = ("joint", "limits", "moves in", *shares, "peak speed", "peak acceleration")
+        peaks = (float(use.peaks[name][j]) for name in ("velocity", "acceleration"))
+        name = f"{joint}, {units.at(joint, 'rad')}"
+        rows.append(cells(name, *ranges, percent(float(use.position[j])), *shares, *peaks))
+    shares_of = ("range", "velocity", "acceleration", "jerk", "effort")
+    head = ("joint", "limits", "moves in", *shares_of, "peak speed", "peak acceleration")
     return Table(head, rows)
-
-
-def _starts_table(result: ExcitationResult) -> Table:
-    """Return what a design made of every random motion that it began with."""
-    rows = tuple(
-        cells(
-            str(outcome.seed),
-            outcome.status,
-            number(outcome.random_value),
-            number(outcome.value),
-            str(outcome.evaluations),
-            f"{outcome.seconds:.1f}",
-        )
-        for outcome in result.outcomes
-    )
-    head = ("seed", "solver", "random motion", "designed", "evaluations", "seconds")
-    return Table(head, rows, words=2)
 
 
 def motion_chart(result: ExcitationResult, units: Units) -> Chart:
@@ -338,16 +308,16 @@ def motion_chart(result: ExcitationResult, units: Units) -> Chart:
     stage = _DESIGNED if timed else _DOTS
     panels = []
     for j, joint in enumerate(limits.joints):
-        plots = tuple(
-            Plot(
-                f"{name}, {units.at(joint, unit)}",
-                {stage.key: values[:, j]},
-                tuple(b for b in _bounds(limits, j, limit) if abs(b) <= _reach(values[:, j])),
-                tall=name == "position",
-            )
-            for values, (name, unit, limit) in zip((*states, effort), _COLUMNS, strict=True)
-        )
-        panels.append(Panel(joint, "", at, plots, shown=j < MOST_PANELS))
+        plots = []
+        for values, (name, unit) in zip((*states, effort), _COLUMNS.items(), strict=True):
+            ends = limits.lower[j], limits.upper[j]
+            if name != "position":
+                ends = -getattr(limits, name)[j], getattr(limits, name)[j]
+            reach = _REACH * max(float(np.abs(values[:, j]).max()), 1e-9)
+            near = tuple(float(end) for end in ends if abs(end) <= reach)
+            label, curves = f"{name}, {units.at(joint, unit)}", {stage.key: values[:, j]}
+            plots.append(Plot(label, curves, near, tall=name == "position"))
+        panels.append(Panel(joint, "", at, tuple(plots), shown=j < MOST_PANELS))
     caption = (
         "Position, velocity, acceleration and effort of every joint. Dotted lines are limits; an "
         "axis without them shows a motion that stays far inside."
@@ -357,27 +327,16 @@ def motion_chart(result: ExcitationResult, units: Units) -> Chart:
     return Chart("motion", caption, (stage,), tuple(panels), spans, axis)
 
 
-def _bounds(limits: MotionLimits, j: int, name: str) -> tuple[float, float]:
-    """Return the limits of a joint's position, or of another signal by name."""
-    if not name:
-        return float(limits.lower[j]), float(limits.upper[j])
-    most = float(getattr(limits, name)[j])
-    return -most, most
-
-
-def _reach(values: Array) -> float:
-    """Return how far away a limit may be to be drawn."""
-    return 2.5 * max(float(np.abs(values).max()), 1e-9)
-
-
 def identifiability_page(found: LogIdentifiability, about: About) -> Page:
     """Say which parameters logs identify, and which they do not."""
     units, most = about.units, percent(found.identifiable.threshold**0.5)
-    count = sum(entry.is_identifiable for entry in found.effects)
-    effects = (
-        [Tile("effects identifiable", f"{count} of {len(found.effects)}")] if found.effects else []
-    )
+    count, of = sum(entry.is_identifiable for entry in found.effects), len(found.effects)
+    effects = [Tile("effects identifiable", f"{count} of {of}")] if of else []
     rest = found.unidentifiable
+    combinations = [
+        cells(each.words, each.value, each.deviation, relative(each.relative))
+        for each in rest[:_MOST_COMBINATIONS]
+    ]
     return Page(
         about.title,
         about.against,
@@ -404,7 +363,7 @@ def identifiability_page(found: LogIdentifiability, about: About) -> Page:
                     "A body has ten inertial parameters; so many of them are identifiable from the "
                     "best of motions, some only together with those of others. Part of one can be.",
                 ),
-                tables=(bodies_identifiable_table(found),),
+                tables=(_bodies_table(found),),
             ),
             Section(
                 "Effects",
@@ -415,13 +374,13 @@ def identifiability_page(found: LogIdentifiability, about: About) -> Page:
                 "Directions",
                 "Relative deviation along principal directions, and what these are mostly of.",
                 tables=(_directions_table(found),),
-                charts=(_directions_chart(found),),
+                charts=(_identifiable_chart(found),),
             ),
             Section(
                 "Not identifiable",
                 f"{len(rest)} of {found.possible} combinations of parameters, SI units, the worst "
-                f"{min(len(rest), _MOST_COMBINATIONS)} first; --json has all.",
-                tables=(_combinations_table(found),),
+                f"{len(combinations)} first; --json has all.",
+                tables=(Table(_COMBINATION, combinations),),
             ),
             Section("Notes", items=found.notes),
         ),
@@ -454,20 +413,15 @@ def _beyond(found: LogIdentifiability) -> str:
 def _identifiable_share(found: LogIdentifiability) -> str:
     """Return `9 of 12 directions are identifiable to within 10 %; hand in full`."""
     most = percent(found.identifiable.threshold**0.5)
-    share = f"{found.count} of {found.possible} directions are identifiable to within {most}"
-    return share + _whose_bodies(found)
-
-
-def _whose_bodies(found: LogIdentifiability) -> str:
-    """Return which bodies are identifiable in full, and which hardly at all."""
+    words = f"{found.count} of {found.possible} directions are identifiable to within {most}"
     seen = [body for body in found.bodies if body.possible >= _HALF]
     full = [body.name for body in seen if body.share > _FULL]
     none = [body.name for body in seen if body.share < _HARDLY]
-    words = f"; {listed(full)} in full" if full else ""
+    words += f"; {listed(full)} in full" if full else ""
     return f"{words}; {listed(none)} hardly at all" if none else words
 
 
-def bodies_identifiable_table(found: LogIdentifiability) -> Table:
+def _bodies_table(found: LogIdentifiability) -> Table:
     """Return how many parameters of every body are identifiable, of those that a motion shows."""
     rows = [
         cells(
@@ -478,26 +432,19 @@ def bodies_identifiable_table(found: LogIdentifiability) -> Table:
         )
         for body in found.bodies
     ]
-    counts = [
-        f"{sum(getattr(b, name) for b in found.bodies):.1f}" for name in ("count", "possible")
-    ]
-    head = ("body", "identifiable", "of", "share")
-    return Table(head, (*rows, cells("all bodies", *counts, "")), total=1)
+    sums = (sum(getattr(b, name) for b in found.bodies) for name in ("count", "possible"))
+    rows.append(cells("all bodies", *(f"{each:.1f}" for each in sums), ""))
+    return Table(("body", "identifiable", "of", "share"), rows, total=1)
 
 
 def _effects_table(found: LogIdentifiability, units: Units) -> Table:
     """Return every parameter of an effect with the deviation of an estimate."""
-    rows = tuple(
-        cells(
-            entry.name,
-            places_label(entry.where, units.joints),
-            "identifiable" if entry.is_identifiable else "not identifiable",
-            number(entry.value),
-            number(entry.deviation),
-            units.parameter(entry.effect, entry.parameter, " & ".join(entry.where)),
-        )
-        for entry in found.effects
-    )
+    rows = []
+    for entry in found.effects:
+        told = "identifiable" if entry.is_identifiable else "not identifiable"
+        unit = units.parameter(entry.effect, entry.parameter, " & ".join(entry.where))
+        where = places_label(entry.where, units.joints)
+        rows.append(cells(entry.name, where, told, entry.value, entry.deviation, unit))
     head = ("parameter", "where", "", "value", "deviation", "unit")
     return Table(head, rows, words=3)
 
@@ -528,30 +475,21 @@ def _directions_table(found: LogIdentifiability) -> Table:
     return Table(head, tuple(rows), words=3)
 
 
-def _directions_chart(found: LogIdentifiability) -> Chart:
+def _identifiable_chart(found: LogIdentifiability) -> Chart:
     """Return the deviations along all principal directions, the most certain first."""
     kept = np.arange(found.possible) < found.count
-    deviations = np.sqrt(found.identifiable.variances)
-    drawn = np.where(np.isfinite(deviations), np.maximum(deviations, _CERTAIN), np.nan)
-    ideal = np.sqrt(found.floor_variances)
-    curves = {
-        _FOUND.key: np.where(kept, drawn, np.nan),
-        _LOST.key: np.where(kept, np.nan, drawn),
-        _IDEAL.key: np.where(np.isfinite(ideal), np.maximum(ideal, _CERTAIN), np.nan),
-    }
-    plot = _over_directions("relative deviation", curves, (found.identifiable.threshold**0.5,))
-    caption = "Directions below the dotted line are identifiable."
-    panels = (Panel("", "", _NONE, (plot,)),)
-    return Chart("directions", caption, (_FOUND, _LOST, _IDEAL), panels, abreast=True)
-
-
-def _combinations_table(found: LogIdentifiability) -> Table:
-    """Return the base parameters that are not identifiable, worst first."""
-    rows = tuple(
-        cells(c.words, number(c.value), number(c.deviation), relative(c.relative))
-        for c in found.unidentifiable[:_MOST_COMBINATIONS]
+    drawn, ideal = (
+        np.where(np.isfinite(deviations), np.maximum(deviations, _CERTAIN), np.nan)
+        for deviations in (np.sqrt(found.identifiable.variances), np.sqrt(found.floor_variances))
     )
-    return Table(("combination", "in the model", "deviation", "relative"), rows)
+    curves = {
+        _FOUND: np.where(kept, drawn, np.nan),
+        _LOST: np.where(kept, np.nan, drawn),
+        _IDEAL: ideal,
+    }
+    caption = "Directions below the dotted line are identifiable."
+    limits = (found.identifiable.threshold**0.5,)
+    return _directions_chart("relative deviation", caption, curves, limits)
 
 
 def excitation_dict(result: ExcitationResult) -> dict[str, Any]:

@@ -1,13 +1,26 @@
-"""The page of `fleet`: all robots at a glance, then each that changed."""
+"""What was found in a fleet: the page of `fleet`, JSON, a line at a time, and tables in Parquet.
+
+Numbers have six significant digits, of themselves or of their deviation: more would be rounding,
+which differs from one machine to another, and files of one result are to be the same.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import json
+import math
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from functools import partial
+from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from geodrake.boundary.escaping import json_text
+from geodrake.boundary.optional_packages import optional_package
+from geodrake.boundary.whole_files import Content
+from geodrake.errors import FleetError
 from geodrake.fleet.fleet_result import (
     CHANGED,
     STEADY,
@@ -15,6 +28,7 @@ from geodrake.fleet.fleet_result import (
     ChangedParameter,
     FleetFinding,
     FleetResult,
+    OwnParameter,
     ParameterHistory,
     RobotResult,
 )
@@ -24,7 +38,7 @@ from geodrake.fleet.type_columns import RAMP, STEP
 from geodrake.fleet.type_layout import BODIES, FleetParameter
 from geodrake.report.charts import Chart, Panel, Plot, Shade, Stage
 from geodrake.report.explaining import notes_section
-from geodrake.report.fleet_json import fleet_dict
+from geodrake.report.json_output import number_or, picked
 from geodrake.report.numbers import chance, number, percent, with_deviation
 from geodrake.report.page import About, Cell, Page, Section, Table, Tile, View, cells
 from geodrake.report.words import effect_label
@@ -35,6 +49,10 @@ _VALUE = Stage("value", "value of each log", "after")
 _INTERVAL = Stage("interval", "95 % interval", "measured")
 _LEVEL = Stage("level", "mean before and after a change", "before", look="wide")
 
+_DIGITS = 6
+_LEAST_CHANCE = 1e-12  # what is less likely is told as this
+_NO_SHARE = "it is no share of anything"
+_NOT_SAID = "the model does not say it"
 _MOST_PAGES = 12  # robots that are shown by themselves
 _MOST_PLACES = 12  # joints of the table of robots and joints
 _MOST_ROBOTS, _MOST_UNUSED = 20, 20  # that are listed
@@ -178,21 +196,15 @@ def _change_label(finding: FleetFinding) -> str:
 
 
 def _findings_table(findings: Sequence[FleetFinding]) -> Table:
-    rows = tuple(
-        cells(
-            finding.robot,
-            Cell(_change_label(finding), typed=finding.effect),
-            finding.where,
-            _since(finding),
-            _size(finding),
-            "; ".join(
-                f"{_label(r.effect)} of {r.where}, {percent(r.probability)}" for r in finding.rivals
-            ),
-            chance(finding.probability),
-            chance(finding.false_alarm_probability),
+    rows = []
+    for finding in findings:
+        others = (
+            f"{_label(r.effect)} of {r.where}, {percent(r.probability)}" for r in finding.rivals
         )
-        for finding in findings
-    )
+        what = Cell(_change_label(finding), typed=finding.effect)
+        chances = map(chance, (finding.probability, finding.false_alarm_probability))
+        said = _since(finding), _size(finding), "; ".join(others)
+        rows.append(cells(finding.robot, what, finding.where, *said, *chances))
     head = ("robot", "effect", "where", "since", "change", "or", "probability", "by chance")
     return Table(head, rows, words=6)
 
@@ -201,23 +213,14 @@ def _robots_table(robots: Sequence[RobotResult]) -> Table:
     """Return what is known of robots, and what is farthest from others."""
     rows = []
     for robot in robots:
-        ends = robot.dates[[0, -1]].tolist() if len(robot.dates) else []
-        first, last = map(_day, ends) if ends else ("", "")
-        farthest = robot.farthest
-        rows.append(
-            cells(
-                robot.robot,
-                robot.type,
-                robot.state,
-                first,
-                last,
-                "" if farthest is None else _parameter(farthest.parameter),
-                str(robot.logs),
-                "" if farthest is None else number(farthest.apart, 2),
-            )
-        )
+        ends = map(_day, robot.dates[[0, -1]].tolist()) if len(robot.dates) else ("", "")
+        name, apart = "", ""
+        if robot.farthest is not None:
+            name = _parameter(robot.farthest.parameter)
+            apart = number(robot.farthest.apart, 2)
+        rows.append(cells(robot.robot, robot.type, robot.state, *ends, name, robot.logs, apart))
     head = ("robot", "type", "state", "from", "to", "farthest from others", "logs", "spreads")
-    return Table(head, tuple(rows), words=6)
+    return Table(head, rows, words=6)
 
 
 def _parameter(parameter: FleetParameter) -> str:
@@ -242,7 +245,7 @@ def _glance_tables(robots: Sequence[RobotResult]) -> tuple[Table, ...]:
             at = (_place_cell(robot, place) for place in places)
             rows.append(cells(robot.robot, robot.state, bodies, *at))
         head = ("robot", "state", "bodies", *places)
-        tables.append(Table(head, tuple(rows), words=3, title=kind))
+        tables.append(Table(head, rows, words=3, title=kind))
     return tuple(tables)
 
 
@@ -257,19 +260,15 @@ def _place_cell(robot: RobotResult, place: str) -> Cell:
 def _robot_section(robot: RobotResult, at: int) -> Section:
     """Return one robot: its joints over time, and what it has beside others."""
     farthest = sorted(robot.own, key=lambda each: -abs(each.apart))[:_MOST_PLACES]
-    rows = tuple(
+    rows = [
         cells(
-            _parameter(each.parameter),
-            each.parameter.unit,
-            number(each.value),
-            number(each.deviation, 2),
-            number(each.common),
-            number(each.spread, 2),
-            number(each.of_model),
+            *(_parameter(each.parameter), each.parameter.unit),
+            *(each.value, number(each.deviation, 2), each.common, number(each.spread, 2)),
+            each.of_model,
             Cell(number(each.apart, 2), bar=min(1.0, abs(each.apart) / _FAR)),
         )
         for each in farthest
-    )
+    ]
     head = ("parameter", "unit", "value", "±", "others", "spread", "model", "spreads apart")
     others = Table(head, rows, words=2, title="Farthest from others, without changes")
     return Section(
@@ -362,6 +361,183 @@ def _levels(history: ParameterHistory, changes: Sequence[FleetFinding], dates: A
         own = number_of == each
         found[own] = np.average(history.values[own], weights=weights[own])
     return found
+
+
+def rounded(value: float, deviation: float = 0.0) -> float:
+    """Return a value to six digits of itself or of its deviation, whichever is larger."""
+    largest = max(abs(value), abs(deviation) if math.isfinite(deviation) else 0.0)
+    if not math.isfinite(value) or largest == 0.0:
+        return value
+    decimals = _DIGITS - 1 - math.floor(math.log10(largest))
+    # Of numbers with few digits before the point, rounding by decimals is that of their text.
+    return round(value, decimals) + 0.0
+
+
+def fleet_dict(result: FleetResult) -> dict[str, Any]:
+    """Return a result: robots worst first, with findings and parameters; logs left out."""
+    return {
+        "false_alarms": result.false_alarms,
+        "counts": {state: result.count(state) for state in (CHANGED, STEADY, UNKNOWN)},
+        "findings": [finding_dict(finding) for finding in result.findings],
+        "robots": [_robot(robot) for robot in result.robots],
+        "unused": [vars(log) for log in result.unused],
+        "settings": dict(result.settings),
+        "notes": list(result.repairs),
+    }
+
+
+def finding_dict(finding: FleetFinding) -> dict[str, Any]:
+    """Return a finding."""
+    chance = max(finding.false_alarm_probability, _LEAST_CHANCE)
+    return {
+        **picked(finding, "robot", "effect", "where", "kind"),
+        "since": date_text(finding.date),
+        "interval": [date_text(end) for end in finding.interval],
+        "parameters": {
+            each.name: {
+                "change": rounded(each.size, each.deviation),
+                "deviation": rounded(each.deviation),
+                "unit": each.unit,
+                "share": number_or(rounded(each.share), _NO_SHARE),
+            }
+            for each in finding.parameters
+        },
+        "probability": rounded(finding.probability, 1.0),
+        "rivals": [
+            {**vars(rival), "probability": rounded(rival.probability, 1.0)}
+            for rival in finding.rivals
+        ],
+        "false_alarm_probability": rounded(chance),
+    }
+
+
+def finding_line(finding: FleetFinding) -> str:
+    """Return a finding as one line of JSON."""
+    said = {"finding": _without_reasons(finding)}
+    return json_text(json.dumps(said, ensure_ascii=False, allow_nan=False))
+
+
+def _without_reasons(finding: FleetFinding) -> dict[str, Any]:
+    """Return a finding with nothing, and no reason, where a change is no share of anything."""
+    said = finding_dict(finding)
+    for own in said["parameters"].values():
+        own["share"] = own["share"] if isinstance(own["share"], float) else None
+    return said
+
+
+def _robot(robot: RobotResult) -> dict[str, Any]:
+    return {
+        **picked(robot, "robot", "type", "state", "logs"),
+        "dates": [date_text(date) for date in robot.dates.tolist()],
+        "findings": [finding_dict(finding) for finding in robot.findings],
+        "parameters": [
+            {
+                **vars(each.parameter),
+                "values": list(map(rounded, each.values.tolist(), each.deviations.tolist())),
+                "deviations": list(map(rounded, each.deviations.tolist())),
+                "shown": each.shown.tolist(),
+            }
+            for each in robot.histories
+        ],
+        "beside_others": [_own(own) for own in robot.own],
+    }
+
+
+def _own(own: OwnParameter) -> dict[str, Any]:
+    return {
+        **vars(own.parameter),
+        "value": rounded(own.value, own.deviation),
+        "deviation": rounded(own.deviation),
+        "common": rounded(own.common, own.spread),
+        "spread": rounded(own.spread),
+        "apart": rounded(own.apart, 1.0),
+        "of_model": number_or(rounded(own.of_model, own.spread), _NOT_SAID),
+    }
+
+
+def parquet_contents(result: FleetResult, folder: Path) -> Mapping[Path, Content]:
+    """File -> content of three tables: `findings`, `parameters` over time, and `unused_logs`."""
+    arrow = optional_package("pyarrow", "fleet", "tables in Parquet", FleetError)
+    parquet = optional_package("pyarrow.parquet", "fleet", "tables in Parquet", FleetError)
+    text, real, flag = arrow.string(), arrow.float64(), arrow.bool_()
+    instant = arrow.timestamp("s", tz="UTC")
+    kinds = {
+        **dict.fromkeys(("since", "earliest", "latest", "date"), instant),
+        **dict.fromkeys(
+            ("change", "deviation", "share", "probability", "false_alarm_probability", "value"),
+            real,
+        ),
+        "shown": flag,
+    }
+    tables = {
+        "findings": (_FINDINGS, _finding_rows(result)),
+        "parameters": (_PARAMETERS, _parameter_rows(result)),
+        "unused_logs": (_UNUSED, [vars(log) for log in result.unused]),
+    }
+    return {
+        folder / f"{name}.parquet": partial(
+            parquet.write_table,
+            arrow.Table.from_pylist(
+                rows, schema=arrow.schema([(c, kinds.get(c, text)) for c in columns])
+            ),
+        )
+        for name, (columns, rows) in tables.items()
+    }
+
+
+_FINDINGS = (
+    *("robot", "type", "effect", "where", "kind", "since", "earliest", "latest", "parameter"),
+    *("unit", "change", "deviation", "share", "probability", "false_alarm_probability"),
+)
+_PARAMETERS = (
+    *("robot", "type", "effect", "where", "parameter", "unit", "date", "value", "deviation"),
+    "shown",
+)
+_UNUSED = ("robot", "log", "reason")
+
+
+def _finding_rows(result: FleetResult) -> list[dict[str, Any]]:
+    """Return a row for each parameter of each finding."""
+    return [
+        {
+            "type": robot.type,
+            **said,
+            "since": round(finding.date),
+            "earliest": round(finding.interval[0]),
+            "latest": round(finding.interval[1]),
+            "parameter": name,
+            **change,
+        }
+        for robot in result.robots
+        for finding in robot.findings
+        for said in (_without_reasons(finding),)
+        for name, change in said["parameters"].items()
+    ]
+
+
+def _parameter_rows(result: FleetResult) -> list[dict[str, Any]]:
+    """Return a row for each parameter of effects and each time of each robot."""
+    return [
+        {
+            "robot": robot.robot,
+            "type": robot.type,
+            **vars(history.parameter),
+            "parameter": history.parameter.name,
+            "date": round(date),
+            "value": rounded(value, deviation),
+            "deviation": rounded(deviation),
+            "shown": shown,
+        }
+        for robot in result.robots
+        for history in robot.histories
+        for date, value, deviation, shown in zip(
+            robot.dates.tolist(),
+            history.values.tolist(),
+            history.deviations.tolist(),
+            history.shown.tolist(),
+            strict=True,
+        )
+    ]
 
 
 VIEWS = {

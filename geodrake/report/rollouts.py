@@ -144,18 +144,12 @@ def departures_table(after: Rollout, before: Rollout | None, units: Units) -> Ta
     rows = []
     for j, joint in enumerate(after.joints):
         log, instant = joint.worst
-        rows.append(
-            cells(
-                f"{joint.joint}, {units.at(joint.joint, 'rad')}",
-                number(joint.moved),
-                *([number(before.joints[j].rms)] if before else []),
-                number(joint.rms),
-                departure(joint.relative),
-                f"{log} {instant:.1f} s",
-            )
-        )
-    ends = ("before", "after") if before else ("departure",)
-    return Table(("joint", "moved", *ends, "share of motion", "worst at"), tuple(rows))
+        ends = (before.joints[j].rms, joint.rms) if before else (joint.rms,)
+        worst = f"{log} {instant:.1f} s"
+        name = f"{joint.joint}, {units.at(joint.joint, 'rad')}"
+        rows.append(cells(name, joint.moved, *ends, departure(joint.relative), worst))
+    heads = ("before", "after") if before else ("departure",)
+    return Table(("joint", "moved", *heads, "share of motion", "worst at"), rows)
 
 
 def stages_table(stages: Sequence[Rollout], units: Units) -> Table:
@@ -164,11 +158,11 @@ def stages_table(stages: Sequence[Rollout], units: Units) -> Table:
     rows = [
         cells(
             f"{joint.joint}, {units.at(joint.joint, 'rad')}",
-            *(number(stage.joints[j].rms) for stage in stages),
+            *(stage.joints[j].rms for stage in stages),
         )
         for j, joint in enumerate(stages[0].joints)
     ]
-    return Table(("joint", "before", *steps), tuple(rows), title="Step by step", detailed=True)
+    return Table(("joint", "before", *steps), rows, title="Step by step", detailed=True)
 
 
 def _values_table(found: RolloutFit, units: Units) -> Table:
@@ -180,16 +174,10 @@ def _values_table(found: RolloutFit, units: Units) -> Table:
             units.shown(value.effect, value.name, size)
             for size in (value.before, value.after, value.deviation)
         )
-        rows.append(
-            cells(
-                effect_label(value.effect),
-                value.joint,
-                f"{effect_label(value.name)}, {unit}" if unit else effect_label(value.name),
-                number(before),
-                with_deviation(after, deviation),
-            )
-        )
-    return Table(("effect", "joint", "value", "before", "fitted"), tuple(rows), words=3)
+        name = ", ".join(filter(None, (effect_label(value.name), unit)))
+        fitted = with_deviation(after, deviation)
+        rows.append(cells(effect_label(value.effect), value.joint, name, before, fitted))
+    return Table(("effect", "joint", "value", "before", "fitted"), rows, words=3)
 
 
 def _fit_table(found: RolloutFit, units: Units) -> Table:
@@ -198,7 +186,7 @@ def _fit_table(found: RolloutFit, units: Units) -> Table:
     rows = [
         cells(
             f"{joint.joint}, {units.at(joint.joint, 'rad')}",
-            *(number(stage.joints[j].rms) for stage in stages),
+            *(stage.joints[j].rms for stage in stages),
             *(departure(stage.joints[j].relative) for stage in stages[2:]),
         )
         for j, joint in enumerate(found.before.joints)

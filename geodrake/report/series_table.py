@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import csv
 import io
 from collections.abc import Iterable, Mapping, Sequence
 from functools import partial
@@ -32,7 +33,10 @@ def comparison_series(now: Comparison, before: Comparison | None = None) -> Colu
     """
     stages = {"": now} if before is None else {"_before": before, "": now}
     index = _index((s.log, s.time) for c in stages.values() for s in c.series)
-    columns = _head(index)
+    columns: dict[str, Sequence[str] | Array] = {
+        "time": np.array([time for _, time in index]),
+        "log": [log for log, _ in index],
+    }
     for joint in dict.fromkeys(s.joint for s in now.series):
         values = {f"{joint}.measured": np.full(len(index), np.nan)}
         for stage, comparison in stages.items():
@@ -80,9 +84,9 @@ def series_content(columns: Columns, path: Path) -> Content:
         arrow, parquet = optional("pyarrow", "logs"), optional("pyarrow.parquet", "logs")
         return partial(parquet.write_table, arrow.table(dict(columns)))
     lines = io.StringIO()
-    lines.write(",".join(map(_field, columns)) + "\n")
-    for row in zip(*map(_texts, columns.values()), strict=True):
-        lines.write(",".join(row) + "\n")
+    writer = csv.writer(lines, lineterminator="\n")
+    writer.writerow(columns)
+    writer.writerows(zip(*map(_texts, columns.values()), strict=True))
     return lines.getvalue()
 
 
@@ -106,21 +110,11 @@ def _index(stretches: Iterable[tuple[str, Array]]) -> dict[tuple[str, float], in
     return {row: k for k, row in enumerate(rows)}
 
 
-def _head(index: Mapping[tuple[str, float], int]) -> dict[str, Sequence[str] | Array]:
-    times = np.array([time for _, time in index])
-    return {"time": times, "log": [log for log, _ in index]}
-
-
 def _stacked(windows: Sequence[Window], name: str) -> Array:
     return np.concatenate([getattr(w, name) for w in windows])
 
 
-def _texts(values: Sequence[str] | Array) -> list[str]:
+def _texts(values: Sequence[str] | Array) -> Sequence[str]:
     if isinstance(values, np.ndarray):
         return [f"{value:.10g}" if np.isfinite(value) else "" for value in values.tolist()]
-    return [_field(value) for value in values]
-
-
-def _field(text: str) -> str:
-    """Return a field of a CSV, in quotes where it must be."""
-    return '"{}"'.format(text.replace('"', '""')) if set(text) & set(',"\r\n') else text
+    return values

@@ -59,7 +59,7 @@ BAD = {
         "--lock left=1": "'left' cannot be held at 1: its limits are 0 … 0.04",
         "--lock left=nan": "finite",
         "--lock right=0": "'right' cannot be held, as it follows 'left'",
-        "--lock left": "--lock has 'left', which cannot be read",
+        "--lock left": "--lock has 'left'",
         "--lock left=0 --lock left=0": "names 'left' twice",
         "--lock left=0 --lock shoulder=0 --lock elbow=0": "All joints",
         "--json none/x.json": "no folder",

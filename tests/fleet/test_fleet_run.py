@@ -48,7 +48,7 @@ from geodrake.fleet.log_places import (
 from geodrake.fleet.settings import read_settings
 from geodrake.logs.files import write_log
 from geodrake.model.saved_model import load_model, save_model
-from geodrake.report.fleet_json import fleet_dict
+from geodrake.report.fleets import fleet_dict
 from geodrake.report.json_output import to_json
 
 HERE = FleetWork(workers=0)

@@ -12,7 +12,7 @@ from good_files import FLEET
 from hostile import Row, link
 
 from geodrake.cli.app import app
-from geodrake.cli.reading_options import ReadingOptions
+from geodrake.cli.input_options import ReadingOptions
 
 DATA = "robot.urdf log.csv"
 EXCITE = "excite robot.urdf --limits acceleration=10 --seeds 1 --iterations 2 --seconds 5 --quiet"

@@ -1,0 +1,376 @@
+"""How MODEL and LOG are to be read: options of all commands that take them, and the reading.
+
+What reads is imported when a command runs, so that help is quick.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, ClassVar
+from xml.sax.saxutils import quoteattr
+
+from geodrake.boundary.whole_files import write_whole
+from geodrake.errors import ArgumentError, LogError, OutputError
+
+if TYPE_CHECKING:
+    from geodrake.cli.progress import Activity
+    from geodrake.effects import Effect
+    from geodrake.logs.files import Reading
+    from geodrake.logs.motors import Motor
+    from geodrake.model import Given, RobotModel
+
+_MOST_REPAIRS = 5  # that are said one by one; notes have all
+_KINDS = ("prismatic", "revolute")
+_RADIUS = 0.1  # m, of gyration of what turns: a guess, as is the mass
+_URDF = """<?xml version="1.0"?>
+<!-- One horizontal {kind} axis, written by geodrake: nothing is known of it but its mass. -->
+<robot name="axis">
+  <link name="base"/>
+  <link name="moving">
+    <inertial>
+      <mass value="{mass!r}"/>
+      <inertia ixx="{inertia!r}" iyy="{inertia!r}" izz="{inertia!r}" ixy="0" ixz="0" iyz="0"/>
+    </inertial>
+  </link>
+  <joint name={joint} type="{kind}">
+    <parent link="base"/>
+    <child link="moving"/>
+    <axis xyz="1 0 0"/>
+  </joint>
+</robot>
+"""
+
+
+@dataclass(frozen=True, kw_only=True)
+class ReadingOptions:
+    """How logs are to be read, where names of columns do not say it.
+
+    Attributes:
+        mapping (FILE.yaml): Which column is what. Where names are not understood, a proposal to
+            edit is written into the working folder.
+        columns (NAME,…): Names of the columns, for logs without a header: time,q1,q2,tau1,tau2; _
+            for one that is not used.
+        rate (HZ): Rows a second, for logs without time.
+        units (QUANTITY=UNIT,…): Units other than SI that names of columns do not say, such as
+            position=deg,current=mA.
+        gain (JOINT=VALUE[±DEVIATION]): What makes efforts of a joint's currents, voltages or duty
+            cycles, such as torque constant × gear ratio; found from the model's inertias if absent.
+            Repeatable.
+        kind ([JOINT=]KIND): What columns of efforts are: effort, current, voltage, pwm; or command,
+            for what a servo was told in their place. Repeatable.
+        motor ([JOINT=]MOTOR): Which servo or actuator a joint has, such as sts3215: what its data
+            sheet says of gains is expected of the logs. Repeatable.
+        motors (FILE.yaml): Motors beside those of geodrake's table, in its form.
+        passive (JOINT): A joint without a motor: its bodies and friction need no effort together.
+            Repeatable.
+        topic (NAME): Topic of a bag, or channel of an LCM log, where several have joints; an
+            unknown one such as x lists them. Repeatable: topics of a bag are joined by time.
+        episode (N): Episode of a LeRobot dataset, from 0 on; all if absent.
+        skip_bad_rows: Leave out rows that no recorder meant, up to 1 %, and say how many.
+    """
+
+    PANEL: ClassVar = "logs"
+
+    mapping: Path | None = None
+    columns: str | None = None
+    rate: float | None = None
+    units: str | None = None
+    gain: list[str] | None = None
+    kind: list[str] | None = None
+    motor: list[str] | None = None
+    motors: Path | None = None
+    passive: list[str] | None = None
+    topic: list[str] | None = None
+    episode: int | None = None
+    skip_bad_rows: bool = False
+
+    @property
+    def reading(self) -> Reading:
+        """How logs are to be read.
+
+        Raises:
+            GeodrakeError: An option, or the mapping, cannot be read.
+        """
+        from geodrake.logs.files import Reading, read_mapping
+
+        if self.columns is not None and self.mapping is not None:
+            raise ArgumentError(
+                "--columns and --mapping are given.", advice="A mapping has numbers of columns."
+            )
+        gains = self._gains
+        return Reading(
+            mapping=None if self.mapping is None else read_mapping(self.mapping),
+            columns=tuple(part.strip() for part in (self.columns or "").split(",") if part.strip()),
+            rate=self.rate,
+            units=dict(pairs("--units", [self.units or ""], "position=deg,time=ms")),
+            gains={joint: gain for joint, (gain, _) in gains.items()},
+            gain_deviations={j: spread for j, (_, spread) in gains.items() if spread is not None},
+            kinds=self._kinds,
+            motors=self._motors,
+            skip_bad_rows=self.skip_bad_rows,
+            topic=tuple(self.topic or ()),
+            episode=self.episode,
+        )
+
+    @property
+    def _gains(self) -> dict[str, tuple[float, float | None]]:
+        """Joint -> gain, and its deviation if there is one."""
+        from geodrake.logs.files.reading import parsed_gain
+
+        said = pairs("--gain", self.gain or (), "elbow_joint=13.2")
+        return {joint: parsed_gain(text, f"--gain of {joint!r}") for joint, text in said}
+
+    @property
+    def _motors(self) -> dict[str, Motor]:
+        """Joint -> motor; that of all joints by the name ""."""
+        from geodrake.logs.motors import known_motors, motor_named
+
+        of_all, named = of_all_and_named("--motor", self.motor or (), "elbow_flex=sts3215")
+        if not (of_all or named or self.motors):
+            return {}
+        table = known_motors(self.motors)
+        return {joint: motor_named(name, table) for joint, name in [*of_all, *named]}
+
+    @property
+    def _kinds(self) -> dict[str, str]:
+        """Joint -> kind; that of all joints by the name ""."""
+        of_all, named = of_all_and_named("--kind", self.kind or (), "elbow_joint=current")
+        passive = [part.strip() for part in ",".join(self.passive or ()).split(",")]
+        without = [(joint, "passive") for joint in passive if joint]
+        if twice := sorted(dict(named).keys() & dict(without).keys()):
+            raise ArgumentError(
+                f"--passive says that {twice[0]!r} has no motor, and --kind that it is "
+                f"{dict(named)[twice[0]]}.",
+                advice="Leave one of both out.",
+            )
+        return dict([*of_all, *named, *without])
+
+
+def of_all_and_named(
+    option: str, given: Sequence[str], example: str
+) -> tuple[list[tuple[str, str]], list[tuple[str, str]]]:
+    """Return what an option says of all joints, by the name "", and of single ones."""
+    parts = [part.strip() for part in ",".join(given).split(",")]
+    of_all = [part for part in parts if part and "=" not in part]
+    if len(of_all) > 1:
+        form = f"JOINT={example.rpartition('=')[2].upper()}"
+        raise ArgumentError(
+            f"{option} is {' and '.join(of_all)} of all joints.", advice=f"Write {form}."
+        )
+    named = pairs(option, [part for part in parts if "=" in part], example)
+    return [("", each) for each in of_all], named
+
+
+def pairs(option: str, given: Sequence[str], example: str) -> list[tuple[str, str]]:
+    """Return what is before and after each equals sign; each name once."""
+    found: dict[str, str] = {}
+    for part in filter(None, ",".join(given).split(",")):
+        name, sign, value = (word.strip() for word in part.rpartition("="))
+        if not (name and sign and value):
+            raise ArgumentError(f"{option} has {part!r}.", advice=f"Write {option} {example}.")
+        if name in found:
+            raise ArgumentError(f"{option} names {name!r} twice.", advice="Name it once.")
+        found[name] = value
+    return list(found.items())
+
+
+@contextmanager
+def proposing(logs: Sequence[Path]) -> Iterator[None]:
+    """Write a proposed mapping for a log whose columns are not understood, and say so.
+
+    Raises:
+        LogError: What the body raised, with where the proposal is.
+    """
+    try:
+        yield
+    except LogError as error:
+        proposal, path = error.evidence.get("proposal"), error.evidence.get("path")
+        if proposal is None or path is None:
+            raise
+        words = _written(_beside(Path(path), logs), proposal)
+        raise LogError(error.problem, advice=f"{error.advice} {words}", **error.evidence) from error
+
+
+def _beside(path: Path, logs: Sequence[Path]) -> Path:
+    """Return where a log's proposal goes: the working folder; joined files share one."""
+    first = Path(str(next((log for log in logs if log.name == path.name), path)).split("+")[0])
+    from geodrake.logs.files.packed_files import log_name
+
+    return Path(f"{log_name(first)}.mapping.yaml")
+
+
+def _written(target: Path, proposal: str) -> str:
+    """Write a proposal where there is nothing yet, and what to do then, in words."""
+    if target.exists() or target.is_symlink():
+        return f"Edit {target}, which is there, and give it by --mapping."
+    try:
+        write_whole(target, proposal)
+    except OutputError:
+        return "Or say which column is what by --mapping."
+    return f"A proposal is in {target}: edit it, and give it by --mapping."
+
+
+@dataclass(frozen=True, kw_only=True)
+class ModelOptions:
+    """How a model file is to be read.
+
+    Attributes:
+        lock (JOINT=VALUE): Hold a joint there, rad or m: it is no joint of the model. Joints that
+            no log has are held unasked. Repeatable.
+        robot (NAME): The robot of a file that has several; an unknown name such as x lists them.
+        package (NAME=FOLDER): Where a ROS package is that the model names, beside those of
+            ROS_PACKAGE_PATH, AMENT_PREFIX_PATH and of folders above it. Repeatable.
+        xacro_arg (NAME:=VALUE): Argument of a xacro file. Repeatable.
+        trust_xacro: Evaluate any expression of a xacro file and let it read any file, where you
+            trust who wrote it. If absent, expressions of values and xacro's own functions, and
+            files in its folder and packages.
+        transmission (FILE.yaml|file|none): What moves joints in their place: gears, coupled wrists,
+            linkages, between the logged actuators and the model's joints; `file` takes what MODEL
+            itself states of motors. If absent, ARM.transmission.yaml beside ARM.urdf, if there is
+            one.
+        floating: Leave roots free that nothing fixes to the world.
+    """
+
+    PANEL: ClassVar = "models"
+
+    lock: list[str] | None = None
+    robot: str | None = None
+    package: list[str] | None = None
+    xacro_arg: list[str] | None = None
+    trust_xacro: bool = False
+    transmission: str | None = None
+    floating: bool = False
+
+    @property
+    def given(self) -> Given:
+        """Return how the file is to be read."""
+        from geodrake.model import Given
+
+        return Given.of_words(
+            self.robot, self.package or (), self.xacro_arg or (), trust_xacro=self.trust_xacro
+        )
+
+    @property
+    def transmission_files(self) -> list[Path]:
+        """Return the transmission file that is named, which no output may replace."""
+        words = self.transmission
+        return [Path(words)] if words is not None and Path(words).is_file() else []
+
+    @property
+    def held(self) -> dict[str, float]:
+        """Joint -> where it is to be held, rad or m."""
+        found = dict(pairs("--lock", self.lock or (), "finger=0.04, in rad or m"))
+        try:
+            return {joint: float(value) for joint, value in found.items()}
+        except ValueError as error:
+            raise ArgumentError(
+                f"--lock {' '.join(self.lock or ())}: {error}.", advice="Give rad or m."
+            ) from error
+
+
+def read_model(
+    path: Path, options: ModelOptions, told: Activity, extra: Sequence[type[Effect]] = ()
+) -> RobotModel:
+    """Read the model of a command, and report at once what was repaired in its file."""
+    from geodrake.model import load_model
+    from geodrake.robot.files.named_robots import planned_download
+
+    download = planned_download(path)
+    if download:
+        told.warning(download)
+    model = load_model(
+        path,
+        floating=options.floating,
+        extra=extra,
+        lock=options.held,
+        given=options.given,
+        transmission=options.transmission,
+    )
+    tell_repairs(model, told)
+    return model
+
+
+def tell_repairs(model: RobotModel, told: Activity) -> None:
+    """Say what of a model's file is not believed."""
+    for repair in repairs_in_short(model.repairs):
+        told.warning(f"Warning: {model.path.name} is not used as it stands. {repair}")
+
+
+def repairs_in_short(repairs: Sequence[str]) -> tuple[str, ...]:
+    """Describe the first of many repairs, and count them."""
+    more = len(repairs) - _MOST_REPAIRS
+    rest = [f"{more} more of its parts were replaced or left out."] if more > 0 else []
+    return (*repairs[:_MOST_REPAIRS], *rest)
+
+
+@dataclass(frozen=True, kw_only=True)
+class AxisOptions(ReadingOptions):
+    """A single axis in place of a model file.
+
+    Attributes:
+        axis (prismatic|revolute): Without any model file: one horizontal axis with --mass, which is
+            written as MODEL, a .urdf that is not there yet.
+        mass (KG): About what the --axis moves, kg; the fit corrects it.
+    """
+
+    PANEL: ClassVar = "models"
+
+    axis: str | None = None
+    mass: float | None = None
+
+
+@contextmanager
+def written_axis(options: AxisOptions, model: Path, log: Path) -> Iterator[None]:
+    """Write MODEL if options ask for an axis; what fails takes it away again."""
+    if options.axis is None:
+        if options.mass is not None:
+            raise ArgumentError("--mass is for --axis.", advice="Add --axis prismatic.")
+        yield
+        return
+    write_whole(model, _text(options, model, log))
+    try:
+        yield
+    except BaseException:
+        model.unlink(missing_ok=True)
+        raise
+
+
+def _text(options: AxisOptions, model: Path, log: Path) -> str:
+    """Return the URDF, its joint named as that of the first log."""
+    from geodrake.logs.files import read_log
+
+    kind, mass = options.axis, options.mass
+    if kind not in _KINDS:
+        raise ArgumentError(f"--axis is {kind!r}.", advice=f"It is {' or '.join(_KINDS)}.")
+    if mass is None or not (math.isfinite(mass) and mass > 0):
+        raise ArgumentError(
+            f"--axis needs a positive --mass; got {mass}.", advice="About how many kg move?"
+        )
+    if model.exists() or model.is_symlink():
+        raise OutputError(
+            f"--axis writes MODEL, and {model} is there.",
+            advice="Name a new file, or leave --axis out to use this one.",
+            path=model,
+        )
+    if model.suffix.lower() != ".urdf":
+        raise OutputError(
+            f"--axis writes MODEL, and {model} does not end in .urdf.",
+            advice=f"Name it {model.stem or 'axis'}.urdf.",
+        )
+    joints = read_log(log, reading=options.reading).joints
+    if len(joints) > 1:
+        raise ArgumentError(
+            f"--axis is for one joint; {log} has {len(joints)}: {', '.join(joints)}.",
+            advice="Give a model file.",
+        )
+    inertia = mass * _RADIUS**2
+    return _URDF.format(
+        kind=kind,
+        mass=mass,
+        inertia=inertia,
+        joint=quoteattr(joints[0]),
+    )
