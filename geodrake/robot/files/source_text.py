@@ -9,8 +9,9 @@ from __future__ import annotations
 
 import re
 from collections.abc import Container, Iterable, Mapping, Sequence
+from copy import deepcopy
 from pathlib import Path
-from xml.etree.ElementTree import Element, tostring
+from xml.etree.ElementTree import Element, indent, tostring
 from xml.sax.saxutils import escape, quoteattr
 
 from geodrake.boundary.escaping import printable
@@ -150,19 +151,12 @@ class _Edits:
         return found
 
 
-def _lines(element: Element) -> Iterable[str]:
-    """Yield lines of a new element, those of its children with two more spaces."""
-    if callable(element.tag):  # of a comment
-        yield f"<!--{element.text}-->"
-        return
-    if not any(len(child) or child.attrib for child in element):
-        yield tostring(element, encoding="unicode").replace(" />", "/>")
-        return
-    attributes = "".join(f" {key}={quoteattr(word)}" for key, word in element.attrib.items())
-    yield f"<{element.tag}{attributes}>"
-    for child in element:
-        yield from (f"  {line}" for line in _lines(child))
-    yield f"</{element.tag}>"
+def _lines(element: Element) -> list[str]:
+    """Return lines of a new element, indented by two spaces within it."""
+    made = deepcopy(element)
+    if any(len(child) or child.attrib for child in element):
+        indent(made)
+    return tostring(made, encoding="unicode").replace(" />", "/>").splitlines()
 
 
 def comment_words(sentence: str) -> str:
