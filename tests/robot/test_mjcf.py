@@ -169,12 +169,12 @@ TAKEN = {
     "springs between two points": (
         mjcf(
             '<site name="w" pos=".1 .2 .9"/>'
-            + tip(geom=GEOM + '<site name="u" pos="0 0 .1"/>')
+            + tip(geom=GEOM + '<site name="u" pos="0 0 .1"/><site name="x" pos=".1 0 0"/>')
             + f'<body pos=".2 0 0" euler="9 8 7">{GEOM}<site name="v" pos=".1 .2 .3"/></body>',
             tail='<tendon><spatial stiffness="40" damping="3"><site site="w"/><site site="u"/>'
             '</spatial><spatial stiffness="20" springlength=".1" damping="2"><site site="v"/>'
-            '<site site="u"/></spatial><spatial stiffness="9"><site site="w"/><site site="v"/>'
-            "</spatial></tendon>",
+            '<site site="u"/><site site="x"/></spatial><spatial stiffness="9"><site site="w"/>'
+            '<site site="v"/></spatial></tendon>',
         )
     ),
     "compensated gravity of all": (
@@ -256,8 +256,8 @@ LEFT_OUT = {
     ),
     "tendon p with stiffness 40": (
         mjcf(
-            tip(geom=GEOM + '<site name="u" pos="0 0 .1"/><site name="v"/>'),
-            arm=GEOM + '<site name="s" pos="1 0 0"/>',
+            tip(geom=GEOM + '<site name="u" pos="0 0 .1"/>'),
+            arm=GEOM + '<site name="s" pos="1 0 0"/><site name="v"/>',
             tail='<tendon><spatial name="p" stiffness="40"><site site="s"/><site site="u"/>'
             '<site site="v"/></spatial></tendon>',
         ),

@@ -14,7 +14,7 @@ from __future__ import annotations
 
 import copy
 from collections.abc import Callable, Mapping
-from itertools import combinations_with_replacement
+from itertools import combinations_with_replacement, pairwise
 from typing import Any
 
 import numpy as np
@@ -219,24 +219,31 @@ class MjcfTerms:
         self._add("armature", joint, share**2 * inertia)
 
     def _take_strut(self, at: int, has: dict[str, Array], length: float | None) -> None:
-        """Take the spring and the damper of a tendon between two sites."""
-        m, first = self.m, int(self.m.tendon_adr[at])
+        """Take spring and damper of a tendon over sites that changes between two of them alone."""
+        m, mujoco, first = self.m, self.mujoco, int(self.m.tendon_adr[at])
         wraps = range(first, first + int(m.tendon_num[at]))
-        sites = [int(m.wrap_objid[k]) for k in wraps]
-        site = self.mujoco.mjtWrap.mjWRAP_SITE
-        straight = len(sites) == 2 and all(int(m.wrap_type[k]) == site for k in wraps)
-        if not straight or has["stiffness"][0] < 0.0:
+        over_sites = all(int(m.wrap_type[k]) == mujoco.mjtWrap.mjWRAP_SITE for k in wraps)
+        parts = list(pairwise(int(m.wrap_objid[k]) for k in wraps)) if over_sites else []
+        moving = [part for part in parts if len(set(m.body_weldid[m.site_bodyid[[*part]]])) > 1]
+        if not parts or len(moving) > 1 or has["stiffness"][0] < 0.0:
             return
         (stiffness,) = [0.0] if length is None else _pop(has, "stiffness")
         (damping,) = _pop(has, "damping")
-        ends = [int(m.site_bodyid[site]) for site in sites]
-        one, two = (self._body(body) if body else "WorldModelInstance::world" for body in ends)
-        points = np.array(m.site_pos[sites[0]]), np.array(m.site_pos[sites[1]])
-        strut = StatedStrut((one, two), points, stiffness, length or 0.0, damping)
-        if stiffness or damping:
-            self.found.struts.append(strut)
         for what in ("stiffness", "damping"):
             getattr(self.reference, f"tendon_{what}")[at] = 0.0
+        if not moving or not (stiffness or damping):
+            return
+        data, rest = mujoco.MjData(m), length or 0.0
+        mujoco.mj_kinematics(m, data)
+        for one, two in (part for part in parts if part not in moving):
+            rest -= float(np.linalg.norm(data.site_xpos[one] - data.site_xpos[two]))
+        ends = [int(m.site_bodyid[site]) for site in moving[0]]
+        first_body, second_body = (
+            self._body(body) if body else "WorldModelInstance::world" for body in ends
+        )
+        points = np.array(m.site_pos[moving[0][0]]), np.array(m.site_pos[moving[0][1]])
+        strut = StatedStrut((first_body, second_body), points, stiffness, rest, damping)
+        self.found.struts.append(strut)
 
     def _leave_rest(
         self, what: str, has: dict[str, Array], where: Callable[[str], tuple[str, slice]]
