@@ -13,6 +13,7 @@ from geodrake.cli.option_values import joint_values, limits_of, split_effects
 from geodrake.cli.options import ExciteOptions, IdentifiableOptions
 from geodrake.cli.progress import STOPPING, Activity
 from geodrake.cli.session import Command, Input, run
+from geodrake.cli.targets import Output
 from geodrake.effects import Effect, effect_class
 from geodrake.errors import ArgumentError, ModelError
 from geodrake.excitation import (
@@ -50,7 +51,6 @@ from geodrake.robot.shapes import robot_shapes
 
 Array = NDArray[np.float64]
 
-_SAVE = (".csv", ".npz", ".txt", ".yaml", ".yml")
 _FAMILIES = {"fourier": ("harmonics", "frequency"), "spline": ("points",), "free": ()}
 _MARGIN = 0.9  # of the limits of speed, where nobody says others
 _NOISE_SHARE = 0.01  # of the limits of effort
@@ -73,18 +73,20 @@ def run_excite(options: ExciteOptions) -> None:
         "excite",
         "Designing",
         lambda given: _designed(options, given, names, family),
-        more={"meshcat": options.meshcat},
-        suffixes={"save": _SAVE},
-        makers=lambda found: {
-            "save": lambda: trajectory_content(
-                found.executed,
-                options.save or "motion.csv",
-                found.objective.target.model,
-                rate=options.rate,
+        outputs={
+            "save": Output(
+                options.save,
+                "motion",
+                (".csv", ".npz", ".txt", ".yaml", ".yml"),
+                lambda found: trajectory_content(
+                    found.executed,
+                    options.save or "motion.csv",
+                    found.objective.target.model,
+                    rate=options.rate,
+                ),
             ),
-            "meshcat": lambda: _replay(found),
+            "meshcat": Output(options.meshcat, "replay of the motion", make=_replay),
         },
-        saved={"save": "motion", "meshcat": "replay of the motion"},
     )
     run(command, replace(options, effects=files))
 

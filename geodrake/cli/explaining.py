@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from contextlib import suppress
 from functools import partial
 from pathlib import Path
 
 from geodrake.cli.options import AddOptions, ExplainOptions, Options
 from geodrake.cli.progress import step_teller
-from geodrake.cli.session import Command, Input, Maker, run
+from geodrake.cli.session import Command, Input, run
+from geodrake.cli.targets import Output
 from geodrake.control.rollout import Rollout, commanded_motions
 from geodrake.diagnosis.add import add, check_places
 from geodrake.diagnosis.diagnose import diagnose
@@ -75,8 +75,7 @@ def run_explain(options: ExplainOptions | Options, promise: str = "") -> None:
         "explain",
         "Explaining",
         partial(_explained, every_step=every_step) if target is None else _drafted,
-        more={"draft-effect": target},
-        makers=_makers,
+        outputs={"draft-effect": Output(target, "drafted effects", (".py",), _source)},
         promise=promise,
     )
     run(command, options)
@@ -116,6 +115,5 @@ def _motions(given: Input, found: Explanation, *, every_step: bool) -> tuple[Rol
     return None
 
 
-def _makers(found: Explained) -> Mapping[str, Maker]:
-    draft = found.draft
-    return {} if draft is None or not draft.effects else {"draft-effect": lambda: source_of(draft)}
+def _source(found: Explained) -> str | None:
+    return source_of(found.draft) if found.draft and found.draft.effects else None

@@ -15,9 +15,9 @@ from geodrake.boundary.whole_files import Content, write_together
 from geodrake.cli.input_options import repairs_in_short
 from geodrake.cli.options import FleetOptions
 from geodrake.cli.progress import Activity, progress
-from geodrake.cli.session import Command, Input, run
+from geodrake.cli.session import Command, Input, run, usual_outputs
 from geodrake.cli.surroundings import printing, results, warn
-from geodrake.cli.targets import STDOUT, Targets
+from geodrake.cli.targets import STDOUT, check_outputs
 from geodrake.errors import ArgumentError, FleetError
 from geodrake.fleet.fleet_file import Fleet, read_fleet
 from geodrake.fleet.fleet_logs import FleetDigests
@@ -49,9 +49,8 @@ def run_fleet_command(options: FleetOptions) -> None:
                 "--json - and the lines of findings would both go to standard output.",
                 advice="Name a file.",
             )
-        targets = Targets({"json": options.json, "report": options.report})
-        targets.check(fleet.files)
-        _watch(fleet, work, options, targets)
+        check_outputs(usual_outputs(options), fleet.files)
+        _watch(fleet, work, options)
         return
 
     def looked(given: Input) -> WatchedFleet:
@@ -91,7 +90,7 @@ def _own_contents(fleet: Fleet, result: FleetResult) -> dict[Path, Content]:
     return {fleet.folder / _RESULT: _numbers(result), **tables}
 
 
-def _watch(fleet: Fleet, work: FleetWork, options: FleetOptions, targets: Targets) -> None:
+def _watch(fleet: Fleet, work: FleetWork, options: FleetOptions) -> None:
     """Look for new logs once, or again and again until the command is ended.
 
     What fails at the first look is a mistake of the fleet file. Later, places of logs and
@@ -100,7 +99,7 @@ def _watch(fleet: Fleet, work: FleetWork, options: FleetOptions, targets: Target
     seen: FleetDigests | None = None
     while True:
         try:
-            seen, is_new = _look(fleet, work, options, targets, seen)
+            seen, is_new = _look(fleet, work, options, seen)
             if options.once:
                 if is_new:
                     raise typer.Exit(NEW_FINDING)
@@ -113,11 +112,7 @@ def _watch(fleet: Fleet, work: FleetWork, options: FleetOptions, targets: Target
 
 
 def _look(
-    fleet: Fleet,
-    work: FleetWork,
-    options: FleetOptions,
-    targets: Targets,
-    seen: FleetDigests | None,
+    fleet: Fleet, work: FleetWork, options: FleetOptions, seen: FleetDigests | None
 ) -> tuple[FleetDigests, bool]:
     """Take in new logs, and tell new findings; statistics only if something is not as before."""
     with progress(f"Reading {fleet.path.name}", quiet=options.quiet) as update:
@@ -127,12 +122,12 @@ def _look(
         if seen is None:
             _tell_repairs(digests, update)
     contents = _own_contents(fleet, result)
-    if "json" in targets.files:
-        contents[targets.files["json"]] = _numbers(result)
-    if "report" in targets.files:
+    if options.json is not None:
+        contents[options.json] = _numbers(result)
+    if options.report is not None:
         about = About(fleet.path.name, (), "fleet")
         page = page_of(WatchedFleet(result, str(fleet.folder)), about)
-        contents[targets.files["report"]] = render(page)
+        contents[options.report] = render(page)
     write_together(contents)
     new = new_findings(fleet.folder, result.findings)
     with printing():

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 
 from geodrake.cli.option_values import split_effects
 from geodrake.cli.options import IdentifyOptions
-from geodrake.cli.session import Command, Input, Maker, run
+from geodrake.cli.session import Command, Input, run
+from geodrake.cli.targets import Output
 from geodrake.effects import Effect, effect_class, make_effect
 from geodrake.errors import ArgumentError
 from geodrake.identification.models import (
@@ -52,8 +53,21 @@ def run_identify(options: IdentifyOptions) -> None:
         "identify",
         "Identifying",
         identified,
-        more={name: getattr(options, name) for name in ("export", "ellipsoids", "meshcat")},
-        makers=lambda found: _makers(found, options),
+        outputs={
+            "export": Output(
+                options.export,
+                "model file with the identified inertias",
+                (".urdf", ".sdf", ".xml", ".mjcf", ".world"),
+                lambda found: export_model(found.model).content,
+            ),
+            "ellipsoids": Output(
+                options.ellipsoids,
+                "ellipsoids",
+                (".png", ".pdf", ".svg"),
+                lambda found: _figure(found, options.ellipsoids or Path("a.png")),
+            ),
+            "meshcat": Output(options.meshcat, "page of ellipsoids", make=_page),
+        },
         check=check,
     )
     run(command, replace(options, effects=files))
@@ -111,23 +125,14 @@ def _check_places(places: Sequence[str], model: RobotModel, *, on_bodies: bool) 
             )
 
 
-def _makers(found: ModelIdentification, options: IdentifyOptions) -> Mapping[str, Maker]:
-    """Return the writers of the files that only this command writes."""
-    from geodrake.report.ellipsoids import identification_sets
+def _figure(found: ModelIdentification, path: Path) -> bytes:
+    from geodrake.report.ellipsoids import ellipsoid_figure, figure_bytes, identification_sets
 
-    def figure() -> bytes:
-        from geodrake.report.ellipsoids import ellipsoid_figure, figure_bytes
+    figure = ellipsoid_figure(found.model.plant, identification_sets(found))
+    return figure_bytes(figure, path.suffix.lower().lstrip("."))
 
-        kind = (options.ellipsoids or Path("a.png")).suffix.lower().lstrip(".")
-        return figure_bytes(ellipsoid_figure(found.model.plant, identification_sets(found)), kind)
 
-    def page() -> str:
-        from geodrake.report.ellipsoids import ellipsoid_page
+def _page(found: ModelIdentification) -> str:
+    from geodrake.report.ellipsoids import ellipsoid_page, identification_sets
 
-        return ellipsoid_page(found.model.plant, identification_sets(found))
-
-    return {
-        "export": lambda: export_model(found.model).content,
-        "ellipsoids": figure,
-        "meshcat": page,
-    }
+    return ellipsoid_page(found.model.plant, identification_sets(found))

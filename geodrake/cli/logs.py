@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 import shlex
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 
 from geodrake.cli.option_values import known_payloads
 from geodrake.cli.options import DigestOptions, LogCommandOptions
-from geodrake.cli.session import Command, Input, Maker, found_columns, run
+from geodrake.cli.session import Command, Input, found_columns, run
+from geodrake.cli.targets import Output, files_of
 from geodrake.diagnosis.columns import ColumnFinding, corrected_columns
 from geodrake.errors import ArgumentError, GeodrakeError
 from geodrake.fleet.digest_folder import FAILED, DigestRun, digest_logs
@@ -24,42 +25,43 @@ from geodrake.report.exports import InspectedLogs, log_chart
 SOME_FAILED = 1
 """Exit code where logs have no digest; those of the others are there."""
 
-_SUFFIXES = {
-    "convert": (".csv", ".npz", ".txt"),
-    "figure": (".png",),
-    "write-mapping": (".yaml", ".yml"),
-}
-
 
 def run_log(options: LogCommandOptions) -> None:
     """Say what is understood of logs."""
-    more = {name: getattr(options, name.replace("-", "_")) for name in _SUFFIXES}
-    asked = [name for name, path in more.items() if path is not None]
+    outputs = {
+        "convert": Output(
+            options.convert,
+            "log",
+            (".csv", ".npz", ".txt"),
+            lambda found: log_content(found.logs[0][1].log, options.convert or "log.csv"),
+        ),
+        "figure": Output(options.figure, "preview", (".png",), _preview),
+        "write-mapping": Output(
+            options.write_mapping,
+            "mapping",
+            (".yaml", ".yml"),
+            lambda found: _mapping(found, options),
+        ),
+    }
+    asked = [*files_of(outputs)]
     if asked and len(options.logs) > 1:
         raise ArgumentError(
             f"--{asked[0]} is for one log; {len(options.logs)} are given.",
             advice="Give them one by one.",
         )
+    last = ""
+    if options.write_mapping and options.model:
+        words = ["geodrake", "explain", options.model, *options.logs]
+        last = shlex.join(map(str, [*words, "--mapping", options.write_mapping]))
     command = Command(
         "log",
         "Looking at the logs",
         lambda given: _inspected(options, given),
         reads_logs=False,
-        more=more,
-        suffixes=_SUFFIXES,
-        makers=lambda found: _makers(found, options),
-        saved={"convert": "log", "figure": "preview", "write-mapping": "mapping"},
-        last=_explain_command(options),
+        outputs=outputs,
+        last=last,
     )
     run(command, options)
-
-
-def _explain_command(options: LogCommandOptions) -> str:
-    """Return the command that uses the mapping that is written; "" without one."""
-    if not (options.write_mapping and options.model):
-        return ""
-    words = ["geodrake", "explain", options.model, *options.logs]
-    return shlex.join(map(str, [*words, "--mapping", options.write_mapping]))
 
 
 def _inspected(options: LogCommandOptions, given: Input) -> InspectedLogs:
@@ -98,25 +100,19 @@ def _columns(model: RobotModel, logs: Sequence[JointLog]) -> tuple[tuple[ColumnF
         return (), error.problem
 
 
-def _makers(found: InspectedLogs, options: LogCommandOptions) -> Mapping[str, Maker]:
-    """Return the writers of the files: the log, its preview, and a mapping that reads it so."""
-    (_, first), *_ = found.logs
+def _mapping(found: InspectedLogs, options: LogCommandOptions) -> str:
+    """Return a mapping that reads the log so."""
+    (_, log), *_ = found.logs
+    columns = corrected_columns(log.columns, found.columns)
+    return mapping_text(options.logs[0], log, columns, options.reading.gain_deviations)
 
-    def mapping() -> str:
-        columns = corrected_columns(first.columns, found.columns)
-        return mapping_text(options.logs[0], first, columns, options.reading.gain_deviations)
 
-    def preview() -> bytes:
-        from geodrake.report.figures import chart_figure
-        from geodrake.report.style import png
+def _preview(found: InspectedLogs) -> bytes:
+    from geodrake.report.figures import chart_figure
+    from geodrake.report.style import png
 
-        return png(chart_figure(log_chart(first), most=len(first.log.joints)))
-
-    return {
-        "convert": lambda: log_content(first.log, options.convert or "log.csv"),
-        "figure": preview,
-        "write-mapping": mapping,
-    }
+    (_, log), *_ = found.logs
+    return png(chart_figure(log_chart(log), most=len(log.log.joints)))
 
 
 def run_digest(options: DigestOptions) -> None:

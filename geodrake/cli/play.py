@@ -8,7 +8,8 @@ from geodrake.boundary.arguments import positive
 from geodrake.cli.options import PlayOptions
 from geodrake.cli.rollout import other_model
 from geodrake.cli.serving import page_server, serve_page
-from geodrake.cli.session import Command, Input, Maker, run
+from geodrake.cli.session import Command, Input, run
+from geodrake.cli.targets import Output
 from geodrake.model.robot_model import RobotModel, read_again
 from geodrake.model.saved_model import is_saved_model
 from geodrake.report.pictures import check_video, video
@@ -56,22 +57,20 @@ def run_play(options: PlayOptions) -> None:
             found, title=title, log_names=[log.name for log in options.logs], speed=speed
         )
 
-    def makers(found: Played) -> dict[str, Maker]:
-        made: dict[str, Maker] = {"out": lambda: page(found)}
-        if (file := options.video) is not None:
-            made["video"] = lambda: video(found, file.suffix.lower(), speed=speed)
-        if to is not None:
-            made["to"] = lambda: recording(to, found, title=title)
-        return made
+    def filmed(found: Played) -> bytes:
+        return video(found, (options.video or Path()).suffix.lower(), speed=speed)
 
-    command = Command(
-        "play",
-        "Comparing",
-        played,
-        more={"out": out, "video": options.video, "to": recorded},
-        makers=makers,
-        saved={"out": "page that plays the logs", "video": "video", "to": "recording"},
-    )
+    outputs = {
+        "out": Output(out, "page that plays the logs", make=page),
+        "video": Output(options.video, "video", (".mp4", ".gif"), filmed),
+        "to": Output(
+            recorded,
+            "recording",
+            (".rrd", ".mcap"),
+            lambda found: recording(to or "", found, title=title),
+        ),
+    }
+    command = Command("play", "Comparing", played, outputs=outputs)
     try:
         found = run(command, options)
         if server is not None:

@@ -4,10 +4,12 @@ from __future__ import annotations
 
 from dataclasses import replace
 from pathlib import Path
+from typing import Any, cast
 
 from geodrake.cli.input_options import tell_repairs
 from geodrake.cli.options import RolloutOptions
 from geodrake.cli.session import Command, Input, run
+from geodrake.cli.targets import Output
 from geodrake.control.rollout import (
     Rollout,
     RolloutFit,
@@ -21,8 +23,6 @@ from geodrake.model.robot_model import RobotModel
 from geodrake.model.saved_model import is_saved_model, load_model
 from geodrake.report.rollouts import Simulated
 from geodrake.robot.files.xacro_file import is_xacro
-
-_SAVED = {"meshcat": "replay of measured and simulated motion"}
 
 
 def run_rollout(options: RolloutOptions) -> None:
@@ -39,68 +39,40 @@ def run_rollout(options: RolloutOptions) -> None:
             "compared with that.",
             advice="Fit and save the model first, then roll it out with --before.",
         )
-    if options.fit:
-        run(_fitting(options), options)
-    else:
-        run(_simulating(options), options)
+    how: dict[str, Any] = {
+        "horizon": options.horizon,
+        "most": options.windows,
+        "commands": options.commands,
+    }
 
-
-def _fitting(options: RolloutOptions) -> Command[RolloutFit]:
     def fitted(given: Input) -> RolloutFit:
         return fit_rollouts(
-            given.model,
-            given.logs,
-            horizon=options.horizon,
-            most=options.windows,
-            commands=options.commands,
-            **given.settings,
-            progress=given.progress,
+            given.model, given.logs, **how, **given.settings, progress=given.progress
         )
 
-    return Command(
-        "rollout",
-        "Fitting",
-        fitted,
-        more={"meshcat": options.meshcat},
-        makers=lambda found: {"meshcat": lambda: _replay(found.model, found.after, found.before)},
-        saved=_SAVED,
-        check=lambda model: _refuse_rigid(model, commands=options.commands),
-    )
-
-
-def _refuse_rigid(model: RobotModel, *, commands: bool) -> None:
-    if not commands:
-        rollout_values(model)
-
-
-def _simulating(options: RolloutOptions) -> Command[Simulated]:
-    def simulated(given: Input) -> Simulated:
-        before = None
-        if options.before is not None:
-            before = rolled_out(other_model(options.before, given), given, "before: ")
-        return Simulated(rolled_out(given.model, given, ""), before)
-
-    def rolled_out(model: RobotModel, given: Input, prefix: str) -> Rollout:
+    def rolled_out(model: RobotModel, given: Input, prefix: str = "") -> Rollout:
         return roll_out(
             model,
             given.logs,
-            horizon=options.horizon,
-            most=options.windows,
-            commands=options.commands,
+            **how,
             **given.settings,
             progress=lambda words, share: given.progress(f"{prefix}{words}", share),
         )
 
-    model: list[RobotModel] = []
-    return Command(
-        "rollout",
-        "Simulating",
-        simulated,
-        more={"meshcat": options.meshcat},
-        makers=lambda found: {"meshcat": lambda: _replay(model[0], found.after, found.before)},
-        saved=_SAVED,
-        check=model.append,
-    )
+    def simulated(given: Input) -> Simulated:
+        before = None
+        if options.before is not None:
+            before = rolled_out(other_model(options.before, given), given, "before: ")
+        return Simulated(rolled_out(given.model, given), before, given.model)
+
+    def check(model: RobotModel) -> None:
+        if options.fit and not options.commands:
+            rollout_values(model)  # where there are none there is nothing to fit
+
+    working, work = ("Fitting", fitted) if options.fit else ("Simulating", simulated)
+    words = "replay of measured and simulated motion"
+    outputs = {"meshcat": Output(options.meshcat, words, make=_replay)}
+    run(Command[Any]("rollout", working, work, outputs=outputs, check=check), options)
 
 
 def other_model(path: Path, given: Input) -> RobotModel:
@@ -116,7 +88,7 @@ def other_model(path: Path, given: Input) -> RobotModel:
     return holding(other, {j: place for j, place in model.held.items() if j in other.joints})
 
 
-def _replay(model: RobotModel, after: Rollout, before: Rollout | None) -> str:
+def _replay(found: RolloutFit | Simulated) -> str:
     from geodrake.report.meshcat_scene import rollout_replay_page
 
-    return rollout_replay_page(model, after, before)
+    return rollout_replay_page(cast("RobotModel", found.model), found.after, found.before)

@@ -7,7 +7,6 @@ import sys
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from contextlib import AbstractContextManager, nullcontext
 from dataclasses import dataclass, field, replace
-from functools import partial
 from pathlib import Path
 from typing import Any, Generic, TypeVar, cast
 from urllib.parse import quote
@@ -23,7 +22,7 @@ from geodrake.cli.option_values import with_facts, with_known_payloads
 from geodrake.cli.options import Options
 from geodrake.cli.progress import Activity, progress
 from geodrake.cli.surroundings import print_whole, printing, results
-from geodrake.cli.targets import SAVED, STDOUT, Targets
+from geodrake.cli.targets import PAGE, STDOUT, Output, check_outputs, files_of
 from geodrake.diagnosis.columns import (
     MOST_JOINTS,
     ColumnFinding,
@@ -48,7 +47,6 @@ from geodrake.report.terminal import ResultsConsole, show_page, show_saved
 from geodrake.report.views import samples, view_of
 
 R = TypeVar("R")
-Maker = Callable[[], Content]
 
 _UNCORRECTED = (
     "The rest goes on with the columns as they are; --correct-columns corrects them first."
@@ -92,9 +90,7 @@ class Command(Generic[R]):
         inputs: Files that are read beside those of the options.
         reads_logs: Whether the logs are read before the work; else the command does so itself.
         takes_bad_logs: Whether it says itself what is wrong with logs that are not there.
-        more: Option -> what else the command writes.
-        makers: What makes these files; nothing is written without one.
-        saved: Option -> what its file is, where that is not the usual.
+        outputs: Option -> what the command writes beside numbers, page, model and samples.
         check_effects: Refuses effects that do not exist, before anything is read.
         check: Refuses a model that the command cannot work on, before the logs are looked at.
         write: Writes the files, and returns those that no option names.
@@ -109,10 +105,7 @@ class Command(Generic[R]):
     inputs: Sequence[Path] = ()
     reads_logs: bool = True
     takes_bad_logs: bool = False
-    more: Mapping[str, Path | None] = field(default_factory=dict)
-    suffixes: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
-    makers: Callable[[R], Mapping[str, Maker]] = lambda result: {}
-    saved: Mapping[str, str] = field(default_factory=dict)
+    outputs: Mapping[str, Output] = field(default_factory=dict)
     check_effects: Callable[[Sequence[type[Effect]]], object] = lambda extra: None
     check: Callable[[RobotModel], None] = lambda model: None
     write: Callable[[R, Mapping[Path, Content]], Sequence[Path]] = _write
@@ -132,12 +125,12 @@ def run(command: Command[R], options: Any) -> R:
 
 
 def _run(command: Command[R], options: Any) -> R:
-    targets, series = _checked_targets(command, options), getattr(options, "series", None)
+    outputs = _checked_outputs(command, options)
     if command.promise and not options.quiet:
         print(command.promise, file=sys.stderr, flush=True)
     name = (_models(options) or options.logs)[0].name
     with progress(f"Reading {name}", quiet=options.quiet) as update:
-        given = _read(command, options, targets, update)
+        given = _read(command, options, outputs, update)
         given, columns, corrects = _with_columns(options, given, update)
         update(command.working)
         result = command.work(given)
@@ -154,22 +147,25 @@ def _run(command: Command[R], options: Any) -> R:
         said = (*column_words(columns or (), corrected=corrects), *unchecked)
         mistakes = Section("Check first: the columns of the logs", items=said)
         page = replace(page, first=(mistakes, *page.first))
-        makers: dict[str, Maker] = {
-            "json": lambda: numbers,
-            "report": lambda: _html(page, fitted, view.drawn(result)),
-            "save": partial(saved_text, fitted, getattr(options, "save", None) or Path()),
-            "series": lambda: series_content(samples(result), series or Path()),
-            **command.makers(result),
+        makers: dict[str, Callable[[Path], Content | None]] = {
+            "json": lambda path: numbers,
+            "report": lambda path: _html(page, fitted, view.drawn(result)),
+            "save": lambda path: saved_text(fitted, path),
+            "series": lambda path: series_content(samples(result), path),
         }
-        written = {option: path for option, path in targets.files.items() if option in makers}
-        contents = {path: makers[option]() for option, path in written.items()}
+        contents, saved = dict[Path, Content](), dict[Path, str]()
+        for option, path in files_of(outputs).items():
+            own = option in command.outputs
+            content = outputs[option].make(result) if own else makers[option](path)
+            if content is not None:
+                contents[path], saved[path] = content, outputs[option].words
         others = command.write(result, contents)
     with printing():
         if options.json == STDOUT:
             print_whole(numbers)
         console = make_console(stderr=options.json == STDOUT)
         show_page(console, page, details=getattr(options, "details", True))
-        show_saved(console, written, {**SAVED, **command.saved}, others)
+        show_saved(console, saved, others)
         if command.last:
             console.print(f"\n{command.last}", soft_wrap=True)
     if code := INTERRUPTED if getattr(result, "is_interrupted", False) else command.code(result):
@@ -191,10 +187,10 @@ def _about(
     save, models = getattr(options, "save", None), _models(options)
     folder = (getattr(options, "report", None) or Path()).resolve().parent
     links = {}
-    for option, path in command.more.items():
-        if path is not None and path.suffix.lower() in (".html", ".htm"):
-            words = {**SAVED, **command.saved}[option].capitalize()
-            links[words] = quote(Path(os.path.relpath(path.resolve(), folder)).as_posix())
+    for path, words in ((each.path, each.words) for each in command.outputs.values()):
+        if path is not None and path.suffix.lower() in PAGE:
+            place = Path(os.path.relpath(path.resolve(), folder))
+            links[words.capitalize()] = quote(place.as_posix())
     return About(
         models[0].name if models else "",
         tuple(file_names(path) for path in getattr(options, "logs", None) or ()),
@@ -224,20 +220,34 @@ def inputs_of(options: Any) -> list[Path]:
     ]
 
 
-def _checked_targets(command: Command[R], options: Any) -> Targets:
+_USUAL = {
+    "save": ("model", (".yaml", ".yml")),
+    "json": ("numbers", (".json",)),
+    "report": ("report", PAGE),
+    "series": ("samples", (".csv", ".parquet")),
+}
+"""Option -> what its file is in most commands, and how it may end."""
+
+
+def usual_outputs(options: Any) -> dict[str, Output]:
+    """Return what options ask for that most commands write."""
+    return {name: Output(getattr(options, name, None), *how) for name, how in _USUAL.items()}
+
+
+def _checked_outputs(command: Command[R], options: Any) -> dict[str, Output]:
     """Return where the results go, all of which can be written."""
-    names = ("save", "json", "report", "series")
-    asked = {name: getattr(options, name, None) for name in names} | dict(command.more)
-    targets = Targets(asked, command.suffixes)
+    outputs = {**usual_outputs(options), **command.outputs}
     if not command.takes_bad_logs:
         check_logs([part for log in getattr(options, "logs", None) or () for part in parts_of(log)])
-    targets.check([*inputs_of(options), *command.inputs])
-    if "series" in targets.files:
-        check_series(targets.files["series"])
-    return targets
+    check_outputs(outputs, [*inputs_of(options), *command.inputs])
+    if (path := outputs["series"].path) is not None:
+        check_series(path)
+    return outputs
 
 
-def _read(command: Command[R], options: Any, targets: Targets, update: Activity) -> Input:
+def _read(
+    command: Command[R], options: Any, outputs: Mapping[str, Output], update: Activity
+) -> Input:
     """Return the model, the logs and what is known of them."""
     extra = own_effects(getattr(options, "effects", None) or ())
     command.check_effects(extra)
@@ -245,7 +255,7 @@ def _read(command: Command[R], options: Any, targets: Targets, update: Activity)
     if getattr(options, "model", None) is None:
         return Input(cast("RobotModel", None), (), extra, settings, update)
     model = read_model(options.model, options, update, extra)
-    targets.check([*inputs_of(options), model.path])  # a saved model reads another one
+    check_outputs(outputs, [*inputs_of(options), model.path])  # a saved model reads another one
     logs: tuple[JointLog, ...] = ()
     given, asked = getattr(options, "logs", None), getattr(options, "reading", None)
     if command.reads_logs and given:

@@ -3,74 +3,55 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Iterable, Mapping
-from dataclasses import dataclass, field
+from collections.abc import Callable, Iterable, Mapping
+from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
-from geodrake.boundary.whole_files import check_writable
+from geodrake.boundary.whole_files import Content, check_writable
 from geodrake.errors import OutputError
 
 STDOUT = Path("-")
-_SUFFIXES = {
-    "json": (".json",),
-    "report": (".html", ".htm"),
-    "save": (".yaml", ".yml"),
-    "export": (".urdf", ".sdf", ".xml", ".mjcf", ".world"),
-    "ellipsoids": (".png", ".pdf", ".svg"),
-    "meshcat": (".html", ".htm"),
-    "out": (".html", ".htm"),
-    "video": (".mp4", ".gif"),
-    "to": (".rrd", ".mcap"),
-    "draft-effect": (".py",),
-    "series": (".csv", ".parquet"),
-}
-
-
-SAVED = {
-    "save": "model",
-    "json": "numbers",
-    "report": "report",
-    "export": "model file with the identified inertias",
-    "ellipsoids": "ellipsoids",
-    "meshcat": "page of ellipsoids",
-    "draft-effect": "drafted effects",
-    "series": "samples",
-}
-"""Option -> what its file is."""
+PAGE = (".html", ".htm")
 
 
 @dataclass(frozen=True)
-class Targets:
-    """Where to write what.
+class Output:
+    """A file that a command writes if an option names it.
 
     Attributes:
-        asked: Option -> its file; None for what is not asked for, `-` for standard output.
-        suffixes: Option -> suffixes of its file, where they are others than usual.
+        path: Where it goes; None if nobody asked for it, `-` for standard output.
+        words: What it is.
+        suffixes: How its name may end.
+        make: What goes into it, of the result; None if there is nothing to write.
     """
 
-    asked: Mapping[str, Path | None]
-    suffixes: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
+    path: Path | None
+    words: str
+    suffixes: tuple[str, ...] = PAGE
+    make: Callable[[Any], Content | None] = lambda found: None
 
-    @property
-    def files(self) -> dict[str, Path]:
-        """Option -> file, those asked for."""
-        return {name: path for name, path in self.asked.items() if path not in (None, STDOUT)}
 
-    def check(self, inputs: Iterable[Path]) -> None:
-        """Refuse targets that cannot be written or that would overwrite something else."""
-        for name, path in self.asked.items():
-            if path is not None and path == STDOUT and name != "json":
-                reason = "is standard output, which takes --json alone"
-                raise _refusal(name, path, reason, "Name a file.")
-        taken = {_place(path): "is an input of this command" for path in inputs}
-        for name, path in self.files.items():
-            _check_kind(name, path, self.suffixes.get(name, _SUFFIXES.get(name, ())))
-            if _place(path) in taken:
-                raise _refusal(name, path, taken[_place(path)], "Choose another name.")
-            taken[_place(path)] = f"is already the target of --{name}"
-            reason, advice = _obstacle(path)
-            if reason:
-                raise _refusal(name, path, reason, advice)
+def files_of(outputs: Mapping[str, Output]) -> dict[str, Path]:
+    """Option -> file, those asked for."""
+    return {name: one.path for name, one in outputs.items() if one.path not in (None, STDOUT)}
+
+
+def check_outputs(outputs: Mapping[str, Output], inputs: Iterable[Path]) -> None:
+    """Refuse files that cannot be written or that would overwrite something else."""
+    for name, output in outputs.items():
+        if output.path == STDOUT and name != "json":
+            reason = "is standard output, which takes --json alone"
+            raise _refusal(name, STDOUT, reason, "Name a file.")
+    taken = {_place(path): "is an input of this command" for path in inputs}
+    for name, path in files_of(outputs).items():
+        _check_kind(name, path, outputs[name].suffixes)
+        if _place(path) in taken:
+            raise _refusal(name, path, taken[_place(path)], "Choose another name.")
+        taken[_place(path)] = f"is already the target of --{name}"
+        reason, advice = _obstacle(path)
+        if reason:
+            raise _refusal(name, path, reason, advice)
 
 
 def _place(path: Path) -> str:

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from geodrake.control.rollout import Rollout, RolloutFit
 from geodrake.control.rollout.rollout_values import is_soft
 from geodrake.model.effort_signal import SERVO
+from geodrake.model.robot_model import RobotModel
 from geodrake.report.charts import MOST_PANELS, Chart, Panel, Plot, Stage, gap_filled
 from geodrake.report.json_output import finite, number_or, picked
 from geodrake.report.numbers import Units, number, with_deviation
@@ -43,6 +44,7 @@ class Simulated:
 
     after: Rollout
     before: Rollout | None = None
+    model: RobotModel | None = None
 
 
 def rollout_page(found: Simulated | Rollout, about: About) -> Page:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from pathlib import Path
 from typing import Any
 
 from rich import box
@@ -72,19 +73,14 @@ def show_section(console: Console, section: Section) -> None:
         _show_items(console, each.items)
 
 
-def show_saved(
-    console: Console,
-    files: Mapping[str, object],
-    words: Mapping[str, str],
-    others: Sequence[object] = (),
-) -> None:
-    """Print where files went; `words` says what the file of an option is."""
-    if files or others:
+def show_saved(console: Console, saved: Mapping[Path, str], others: Sequence[object] = ()) -> None:
+    """Print where files went, and what each is."""
+    if saved or others:
         console.print()
     for path in others:
         console.print(f"Saved: {path}", soft_wrap=True)
-    for option, path in files.items():
-        console.print(f"Saved the {words[option]}: {path}", soft_wrap=True)
+    for path, words in saved.items():
+        console.print(f"Saved the {words}: {path}", soft_wrap=True)
 
 
 def show_paragraph(console: Console, head: str, sentence: str) -> None:
