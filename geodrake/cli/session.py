@@ -57,21 +57,15 @@ _PIPE_WIDTH = 160  # room for long names; tables are as wide as what is in them
 
 @dataclass(frozen=True)
 class Input:
-    """What a command works on.
+    """What a command works on."""
 
-    Attributes:
-        model: The model as it stands; None, which only commands without MODEL see, for none.
-        logs: What was read of the logs.
-        extra: Effects of the user's own.
-        settings: How logs are prepared: bandwidth and, with folds, blocks, as keyword arguments.
-        progress: Called with what is going on, in words and as a share.
-    """
-
+    # The model as it stands; None, which only commands without MODEL see, for none.
     model: RobotModel
-    logs: tuple[JointLog, ...]
-    extra: tuple[type[Effect], ...]
+    logs: tuple[JointLog, ...]  # what was read of the logs
+    extra: tuple[type[Effect], ...]  # effects of the user's own
+    # How logs are prepared: bandwidth and, with folds, blocks, as keyword arguments.
     settings: Mapping[str, Any]
-    progress: Activity
+    progress: Activity  # called with what is going on, in words and as a share
 
 
 def _write(result: object, contents: Mapping[Path, Content]) -> Sequence[Path]:
@@ -82,36 +76,27 @@ def _write(result: object, contents: Mapping[Path, Content]) -> Sequence[Path]:
 
 @dataclass(frozen=True)
 class Command(Generic[R]):
-    """The parts in which commands differ.
+    """The parts in which commands differ."""
 
-    Attributes:
-        name: What the command is called.
-        working: What it does, for the progress bar.
-        inputs: Files that are read beside those of the options.
-        reads_logs: Whether the logs are read before the work; else the command does so itself.
-        takes_bad_logs: Whether it says itself what is wrong with logs that are not there.
-        outputs: Option -> what the command writes beside numbers, page, model and samples.
-        check_effects: Refuses effects that do not exist, before anything is read.
-        check: Refuses a model that the command cannot work on, before the logs are looked at.
-        write: Writes the files, and returns those that no option names.
-        code: The exit code, 0 if all is well.
-        promise: What is said at the start.
-        last: What is said at the end, such as the command that comes next.
-    """
-
-    name: str
-    working: str
+    name: str  # what the command is called
+    working: str  # what it does, for the progress bar
     work: Callable[[Input], R]
-    inputs: Sequence[Path] = ()
+    inputs: Sequence[Path] = ()  # files that are read beside those of the options
+    # Whether the logs are read before the work; else the command does so itself.
     reads_logs: bool = True
+    # Whether it says itself what is wrong with logs that are not there.
     takes_bad_logs: bool = False
+    # Option -> what the command writes beside numbers, page, model and samples.
     outputs: Mapping[str, Output] = field(default_factory=dict)
+    # Refuses effects that do not exist, before anything is read.
     check_effects: Callable[[Sequence[type[Effect]]], object] = lambda extra: None
+    # Refuses a model that the command cannot work on, before the logs are looked at.
     check: Callable[[RobotModel], None] = lambda model: None
+    # Writes the files, and returns those that no option names.
     write: Callable[[R, Mapping[Path, Content]], Sequence[Path]] = _write
-    code: Callable[[R], int] = lambda result: 0
-    promise: str = ""
-    last: str = ""
+    code: Callable[[R], int] = lambda result: 0  # the exit code, 0 if all is well
+    promise: str = ""  # what is said at the start
+    last: str = ""  # what is said at the end, such as the command that comes next
 
 
 def run(command: Command[R], options: Any) -> R:

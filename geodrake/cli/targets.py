@@ -17,18 +17,12 @@ PAGE = (".html", ".htm")
 
 @dataclass(frozen=True)
 class Output:
-    """A file that a command writes if an option names it.
+    """A file that a command writes if an option names it."""
 
-    Attributes:
-        path: Where it goes; None if nobody asked for it, `-` for standard output.
-        words: What it is.
-        suffixes: How its name may end.
-        make: What goes into it, of the result; None if there is nothing to write.
-    """
-
-    path: Path | None
-    words: str
-    suffixes: tuple[str, ...] = PAGE
+    path: Path | None  # where it goes; None if nobody asked for it, `-` for standard output
+    words: str  # what it is
+    suffixes: tuple[str, ...] = PAGE  # how its name may end
+    # What goes into it, of the result; None if there is nothing to write.
     make: Callable[[Any], Content | None] = lambda found: None
 
 

@@ -33,20 +33,13 @@ _LEAST = 1e-6  # nrms, so that a perfect model has a place on a logarithmic axis
 
 @dataclass(frozen=True)
 class Stage:
-    """What curves of one colour show: the measurement, or a model.
+    """What curves of one colour show: the measurement, or a model."""
 
-    Attributes:
-        key: Short name, the same in all charts of a page.
-        color: Name of the colour in the page's style sheet.
-        shown: Whether it is shown at first.
-        look: "line", "wide", which is behind the others, or "dots".
-    """
-
-    key: str
+    key: str  # short name, the same in all charts of a page
     label: str
-    color: str
-    shown: bool = True
-    look: str = "line"
+    color: str  # name of the colour in the page's style sheet
+    shown: bool = True  # whether it is shown at first
+    look: str = "line"  # "line", "wide", which is behind the others, or "dots"
 
 
 @dataclass(frozen=True, eq=False)
@@ -60,32 +53,22 @@ class Trend:
 
 @dataclass(frozen=True, eq=False)
 class Plot:
-    """One axis with curves.
+    """One axis with curves."""
 
-    Attributes:
-        label: What is shown, with its unit.
-        curves: Stage -> (K,) values; NaN where a line breaks.
-        floor: Half the width of a band about zero, the noise; 0 for none.
-        centred: Whether zero is in the middle, and what is far larger than the best is cut off.
-        span: Lowest and highest value shown; None for those of the curves.
-        tall: Whether the plot is the taller one of its panel.
-        log: Whether the axis is logarithmic.
-        over: (K,) increasing values that it is drawn over; None for the time of its panel.
-        axis: What these are, with their unit.
-        trends: Stage -> mean and RMS of its curve.
-    """
-
-    label: str
-    curves: Mapping[str, Array]
+    label: str  # what is shown, with its unit
+    curves: Mapping[str, Array]  # stage -> (K,) values; NaN where a line breaks
     limits: tuple[float, ...] = ()
-    floor: float = 0.0
+    floor: float = 0.0  # half the width of a band about zero, the noise; 0 for none
+    # Whether zero is in the middle, and what is far larger than the best is cut off.
     centred: bool = False
+    # Lowest and highest value shown; None for those of the curves.
     span: tuple[float, float] | None = None
-    tall: bool = True
-    log: bool = False
+    tall: bool = True  # whether the plot is the taller one of its panel
+    log: bool = False  # whether the axis is logarithmic
+    # (K,) increasing values that it is drawn over; None for the time of its panel.
     over: Array | None = None
-    axis: str = ""
-    trends: Mapping[str, Trend] = field(default_factory=dict)
+    axis: str = ""  # what these are, with their unit
+    trends: Mapping[str, Trend] = field(default_factory=dict)  # stage -> mean and RMS of its curve
 
 
 @dataclass(frozen=True)
@@ -100,46 +83,31 @@ class Shade:
 
 @dataclass(frozen=True, eq=False)
 class Panel:
-    """The plots of one joint.
-
-    Attributes:
-        detail: Its errors, in words.
-        time: (K,) increasing instants on the chart's axis, s.
-        badge: What is special about the joint, in words; "" for nothing.
-        shown: Whether the panel is shown at first.
-    """
+    """The plots of one joint."""
 
     title: str
-    detail: str
-    time: Array
+    detail: str  # its errors, in words
+    time: Array  # (K,) increasing instants on the chart's axis, s
     plots: tuple[Plot, ...]
     shades: tuple[Shade, ...] = ()
-    badge: str = ""
-    shown: bool = True
+    badge: str = ""  # what is special about the joint, in words; "" for nothing
+    shown: bool = True  # whether the panel is shown at first
 
 
 @dataclass(frozen=True, eq=False)
 class Chart:
-    """Panels with one common axis, or with plots side by side that have their own.
+    """Panels with one common axis, or with plots side by side that have their own."""
 
-    Attributes:
-        name: Short name, different from those of other charts of a page.
-        stages: Of which stages the curves are, measured first.
-        spans: Name, first and last instant, and shift to the common axis, of every log, s.
-        axis: What the common axis is, with its unit.
-        parts: What the panels are of.
-        unit: Unit of the common axis.
-        abreast: Whether the plots of a panel stand side by side, each over an axis of its own.
-    """
-
-    name: str
+    name: str  # short name, different from those of other charts of a page
     caption: str
-    stages: tuple[Stage, ...]
+    stages: tuple[Stage, ...]  # of which stages the curves are, measured first
     panels: tuple[Panel, ...]
+    # Name, first and last instant, and shift to the common axis, of every log, s.
     spans: tuple[tuple[str, float, float, float], ...] = ()
-    axis: str = "time in the log, s"
-    parts: str = "Joints"
-    unit: str = "s"
+    axis: str = "time in the log, s"  # what the common axis is, with its unit
+    parts: str = "Joints"  # what the panels are of
+    unit: str = "s"  # unit of the common axis
+    # Whether the plots of a panel stand side by side, each over an axis of its own.
     abreast: bool = False
 
     @property
@@ -303,18 +271,12 @@ def gap_filled(time: Array) -> Array:
 
 @dataclass(frozen=True)
 class Color:
-    """What a colour of bars stands for.
+    """What a colour of bars stands for."""
 
-    Attributes:
-        name: Its name in the style sheet.
-        opacity: How strong it is, from 0 to 1.
-        thin: Whether it is that of a mark rather than of bars.
-    """
-
-    name: str
-    opacity: float = 1.0
+    name: str  # its name in the style sheet
+    opacity: float = 1.0  # how strong it is, from 0 to 1
     label: str = ""
-    thin: bool = False
+    thin: bool = False  # whether it is that of a mark rather than of bars
 
 
 NOISE = Color("noise", label="sensor noise", thin=True)
@@ -350,17 +312,13 @@ class BarRow:
 
 @dataclass(frozen=True)
 class Bars:
-    """A figure of bars, by a short name; the note is what to know of it, "" for nothing.
-
-    Attributes:
-        log: Whether the axis is logarithmic.
-    """
+    """A figure of bars, by a short name; the note is what to know of it, "" for nothing."""
 
     name: str
     caption: str
     rows: tuple[BarRow, ...]
     note: str = ""
-    log: bool = True
+    log: bool = True  # whether the axis is logarithmic
 
     @property
     def legend(self) -> tuple[Color, ...]:

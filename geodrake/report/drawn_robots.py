@@ -71,46 +71,29 @@ def error_colors(relative: Array, top: float) -> NDArray[np.uint8]:
 
 @dataclass(frozen=True, eq=False)
 class ColoredRobot:
-    """A robot in the colours of the errors of its joints.
-
-    Attributes:
-        place: (3,) where it stands, m.
-        colors: (F, nv, 4) of the joints, RGBA.
-    """
+    """A robot in the colours of the errors of its joints."""
 
     links: list[PosedLink]
-    place: Array
-    colors: NDArray[np.uint8]
+    place: Array  # (3,) where it stands, m
+    colors: NDArray[np.uint8]  # (F, nv, 4) of the joints, RGBA
 
 
 @dataclass(frozen=True, eq=False)
 class _Surface:
-    """The triangles of a link.
+    """The triangles of a link."""
 
-    Attributes:
-        corners: (m, 3, 3) in the link's frame, m.
-        colors: (m, 3) that the file gives them, 0 to 255.
-    """
-
-    corners: Array
-    colors: Array
+    corners: Array  # (m, 3, 3) in the link's frame, m
+    colors: Array  # (m, 3) that the file gives them, 0 to 255
 
 
 @dataclass(frozen=True)
 class Camera:
-    """Where pictures are taken from, and their size.
+    """Where pictures are taken from, and their size."""
 
-    Attributes:
-        place: (3,) of the camera in the world, m.
-        target: (3,) what is in the middle, m.
-        width: In pixels.
-        height: In pixels, for an angle of `VIEW`.
-    """
-
-    place: Array
-    target: Array
-    width: int
-    height: int
+    place: Array  # (3,) of the camera in the world, m
+    target: Array  # (3,) what is in the middle, m
+    width: int  # in pixels
+    height: int  # in pixels, for an angle of `VIEW`
 
     @property
     def R_WC(self) -> Array:

@@ -48,18 +48,12 @@ _WORDS = "Each body as the uniform ellipsoid with its mass, centre of mass and i
 
 @dataclass(frozen=True, eq=False)
 class EllipsoidSet:
-    """The bodies of one model of a robot.
+    """The bodies of one model of a robot."""
 
-    Attributes:
-        name: What the model is called, such as "prior" or "truth".
-        color: Colour of its bodies, #rrggbb.
-        phi: (nb, 10) physical inertial parameters, bodies in the order of `lumped_bodies`.
-        at_boundary: (nb,) whether a body is at the boundary of physical consistency.
-    """
-
-    name: str
-    color: str
-    phi: Array
+    name: str  # what the model is called, such as "prior" or "truth"
+    color: str  # colour of its bodies, #rrggbb
+    phi: Array  # (nb, 10) physical inertial parameters, bodies in the order of `lumped_bodies`
+    # (nb,) whether a body is at the boundary of physical consistency.
     at_boundary: NDArray[np.bool_]
 
     @classmethod
@@ -85,17 +79,11 @@ class EllipsoidSet:
 
 @dataclass(frozen=True, eq=False)
 class PlacedEllipsoids:
-    """Ellipsoids in the world, ascending semi-axes no less than `LEAST_THICKNESS`.
+    """Ellipsoids in the world, ascending semi-axes no less than `LEAST_THICKNESS`."""
 
-    Attributes:
-        center: (nb, 3) centres, m.
-        semi_axes: (nb, 3) semi-axes, m.
-        rotation: (nb, 3, 3) rotations R_WE.
-    """
-
-    center: Array
-    semi_axes: Array
-    rotation: Array
+    center: Array  # (nb, 3) centres, m
+    semi_axes: Array  # (nb, 3) semi-axes, m
+    rotation: Array  # (nb, 3, 3) rotations R_WE
 
     def points(self, around: int = 20) -> Array:
         """Return (nb, around // 2 + 1, around + 1, 3) points of the surfaces, a net of angles."""

@@ -53,13 +53,9 @@ def excitation_page(result: ExcitationResult, about: About) -> Page:
         for each in result.outcomes
     ]
     return Page(
-        about.title,
-        f"{about.model}: {motion_words(result)}",
-        "compared",
+        about,
         "designed",
         excitation_verdict(result),
-        tuple(filter(None, (f"Nearest to each other: {nearest}" * bool(nearest), _time(result)))),
-        _tiles(result),
         (
             _pairs_section(result, units) if apart else _directions_section(result),
             Section(
@@ -80,9 +76,13 @@ def excitation_page(result: ExcitationResult, about: About) -> Page:
             ),
             Section("Notes", items=result.notes),
         ),
-        "Made by geodrake: limits hold between samples too; information is that of the samples "
-        "with the noise that was asked for.",
-        about.links,
+        of=f"{about.model}: {motion_words(result)}",
+        lead=tuple(
+            filter(None, (f"Nearest to each other: {nearest}" * bool(nearest), _time(result)))
+        ),
+        tiles=_tiles(result),
+        footer="Made by geodrake: limits hold between samples too; information is that of the "
+        "samples with the noise that was asked for.",
     )
 
 
@@ -338,23 +338,9 @@ def identifiability_page(found: LogIdentifiability, about: About) -> Page:
         for each in rest[:_MOST_COMBINATIONS]
     ]
     return Page(
-        about.title,
-        about.against,
-        "compared",
+        about,
         "identifiable",
         f"{_identifiable_share(found)}.",
-        tuple(filter(None, [_beyond(found)])),
-        (
-            Tile(
-                "directions identifiable",
-                f"{found.count} of {found.possible}",
-                f"to within {most}",
-            ),
-            Tile(
-                "at sensor noise alone", f"{found.count_at_floor}", "if the model left nothing else"
-            ),
-            *effects,
-        ),
         (
             Section(
                 "Bodies",
@@ -384,9 +370,20 @@ def identifiability_page(found: LogIdentifiability, about: About) -> Page:
             ),
             Section("Notes", items=found.notes),
         ),
-        "Made by geodrake: relative deviations are lengths in the geometric metric of inertial "
-        "parameters, and depend neither on frames nor on units.",
-        about.links,
+        lead=tuple(filter(None, [_beyond(found)])),
+        tiles=(
+            Tile(
+                "directions identifiable",
+                f"{found.count} of {found.possible}",
+                f"to within {most}",
+            ),
+            Tile(
+                "at sensor noise alone", f"{found.count_at_floor}", "if the model left nothing else"
+            ),
+            *effects,
+        ),
+        footer="Made by geodrake: relative deviations are lengths in the geometric metric of "
+        "inertial parameters, and depend neither on frames nor on units.",
     )
 
 

@@ -90,20 +90,14 @@ _PERCENT_COLUMNS = (
 
 @dataclass(frozen=True, eq=False)
 class Explained:
-    """An explanation, and what its command adds.
-
-    Attributes:
-        correlates: What the error varies with that is left.
-        motions: Rollouts under commands before, after the steps, and after the last, if any.
-        draft: Formulas for the rest, where they were asked for.
-        added: Whether the effect was asked for, and not found.
-    """
+    """An explanation, and what its command adds."""
 
     explanation: Explanation
-    correlates: Sequence[Correlate] = ()
+    correlates: Sequence[Correlate] = ()  # what the error varies with that is left
+    # Rollouts under commands before, after the steps, and after the last, if any.
     motions: Sequence[Rollout] | None = None
-    draft: Draft | None = None
-    added: bool = False
+    draft: Draft | None = None  # formulas for the rest, where they were asked for
+    added: bool = False  # whether the effect was asked for, and not found
 
     @property
     def model(self) -> RobotModel:
@@ -118,15 +112,10 @@ class Explained:
 
 @dataclass(frozen=True, eq=False)
 class _Errors:
-    """How far models are from the same logs, which pages of errors show alike.
+    """How far models are from the same logs, which pages of errors show alike."""
 
-    Attributes:
-        stages: Title -> errors of a model, from the first to the last.
-        models: The first model and the last, or one of them.
-    """
-
-    stages: Mapping[str, ErrorTable]
-    models: Mapping[Stage, Comparison]
+    stages: Mapping[str, ErrorTable]  # title -> errors of a model, from the first to the last
+    models: Mapping[Stage, Comparison]  # the first model and the last, or one of them
     units: Units
     bars: Bars
     chart: Chart
@@ -198,21 +187,18 @@ def comparison_page(comparison: Comparison, about: About) -> Page:
     shown = _Errors({"RMS": errors}, {BEFORE: comparison}, units, joint_bars(errors), chart)
     joints, failing = shown.sections()
     return Page(
-        about.title,
-        about.against,
-        "compared",
+        about,
         "compared",
         words.comparison_headline(comparison),
-        words.comparison_lead(comparison),
-        shown.tiles(_error_tile("error", errors, units), of="of the squared error"),
         (
             joints,
             replace(failing, deep=False),
             *shown.ends(comparison, comparison.notes, refitted=False),
         ),
-        _footer(comparison),
-        about.links,
-        (first_section(comparison.first),),
+        lead=words.comparison_lead(comparison),
+        tiles=shown.tiles(_error_tile("error", errors, units), of="of the squared error"),
+        footer=_footer(comparison),
+        first=(first_section(comparison.first),),
     )
 
 
@@ -237,26 +223,24 @@ def diagnosis_page(diagnosis: Diagnosis, about: About) -> Page:
     )
     with_it = [] if best is None else [Tile("with the effect", number(best), "nrms, held-out data")]
     return Page(
-        about.title,
-        about.against,
-        diagnosis.verdict,
+        about,
         diagnosis.verdict if best is None else "effect found",
         words.diagnosis_headline(diagnosis, units),
-        words.diagnosis_lead(diagnosis),
-        shown.tiles(
-            _error_tile("as it stands", start, units),
-            _error_tile("refitted", diagnosis.refitted, units, "held-out data"),
-            *with_it,
-        ),
         (
             ranking,
             settling_section(diagnosis, about),
             *shown.sections(),
             *shown.ends(comparison, diagnosis.notes),
         ),
-        _footer(comparison),
-        about.links,
-        (first_section(comparison.first),),
+        verdict=diagnosis.verdict,
+        lead=words.diagnosis_lead(diagnosis),
+        tiles=shown.tiles(
+            _error_tile("as it stands", start, units),
+            _error_tile("refitted", diagnosis.refitted, units, "held-out data"),
+            *with_it,
+        ),
+        footer=_footer(comparison),
+        first=(first_section(comparison.first),),
     )
 
 
@@ -283,13 +267,9 @@ def explanation_page(found: Explained | Explanation, about: About) -> Page:
         tiles.append(Tile("explained", said, "of the squared error"))
     joints, failing = shown.sections()
     return Page(
-        about.title,
-        about.against,
-        explanation.verdict,
+        about,
         words.explanation_mark(explanation, added=found.added),
         words.explanation_headline(explanation, units, added=found.added),
-        (*words.explanation_lead(explanation), *filter(None, [advice])),
-        shown.tiles(*tiles, of="of the squared error left"),
         (
             Section(
                 "What is missing",
@@ -326,9 +306,11 @@ def explanation_page(found: Explained | Explanation, about: About) -> Page:
             limits_section(signals, units),
             *shown.ends(explanation.before, explanation.notes),
         ),
-        _footer(explanation.before),
-        about.links,
-        (first_section(explanation.before.first),),
+        verdict=explanation.verdict,
+        lead=(*words.explanation_lead(explanation), *filter(None, [advice])),
+        tiles=shown.tiles(*tiles, of="of the squared error left"),
+        footer=_footer(explanation.before),
+        first=(first_section(explanation.before.first),),
     )
 
 
@@ -355,17 +337,9 @@ def identification_page(found: ModelIdentification, about: About) -> Page:
         "but that keeps the data from asking for the impossible."
     )
     return Page(
-        about.title,
-        about.against,
-        "identified",
+        about,
         "identified",
         f"{headline}{noise}.",
-        (lead, bounded) if found.at_boundary else (lead,),
-        shown.tiles(
-            _error_tile("as it stands", before, units),
-            _error_tile("identified", after, units, "held-out data"),
-            of="of the squared error left",
-        ),
         (
             joints,
             Section(
@@ -384,8 +358,14 @@ def identification_page(found: ModelIdentification, about: About) -> Page:
             failing,
             *shown.ends(found.comparison, found.notes),
         ),
-        _footer(found.comparison),
-        about.links,
+        verdict="identified",
+        lead=(lead, bounded) if found.at_boundary else (lead,),
+        tiles=shown.tiles(
+            _error_tile("as it stands", before, units),
+            _error_tile("identified", after, units, "held-out data"),
+            of="of the squared error left",
+        ),
+        footer=_footer(found.comparison),
     )
 
 

@@ -49,13 +49,9 @@ def export_page(found: ProvenExport, about: About) -> Page:
     costed = "" if costs is None else f" nrms without each, {number(costs.whole)} with all."
     on = f", on {', '.join(about.logs)}" if about.logs else ""
     return Page(
-        about.title,
-        f"{about.model} to {found.form.name}{on}",
-        "compared",
+        about,
         "exported",
         f"{capitalized(headline.removesuffix('.'))}.",
-        (rest,) if rest else (),
-        tuple(tiles),
         (
             Section(
                 "What the files hold",
@@ -82,7 +78,10 @@ def export_page(found: ProvenExport, about: About) -> Page:
             ),
             notes_section(found.notes),
         ),
-        "Made by geodrake: a model written for a simulator, and loaded again.",
+        of=f"{about.model} to {found.form.name}{on}",
+        lead=(rest,) if rest else (),
+        tiles=tuple(tiles),
+        footer="Made by geodrake: a model written for a simulator, and loaded again.",
     )
 
 
@@ -180,13 +179,9 @@ def check_page(checked: CheckedModel, about: About) -> Page:
     ]
     table = Table(("quantity", "largest at", "difference", "of", "relative"), rows, words=2)
     return Page(
-        about.title,
-        f"{about.model} against MultibodyPlant, {states}",
-        "compared",
+        about,
         "checked",
         _check_words(found),
-        (),
-        (),
         (
             Section(
                 "Largest differences",
@@ -195,6 +190,7 @@ def check_page(checked: CheckedModel, about: About) -> Page:
             ),
             notes_section(checked.notes),
         ),
+        of=f"{about.model} against MultibodyPlant, {states}",
     )
 
 
@@ -247,13 +243,9 @@ def digests_page(run: DigestRun, about: About) -> Page:
     head = ("log", "digest", "", "began", "by", "s", "samples", "effective")
     failures = [f"{row.file}: {row.reason}" for row in run.rows if row.status == FAILED]
     return Page(
-        about.title,
-        about.against,
-        "compared",
+        about,
         "digested",
         headline,
-        (),
-        (),
         (
             Section(f"Digests in {run.folder}", tables=(Table(head, rows, words=5),)),
             Section("Logs without a digest", items=tuple(failures)),
@@ -300,20 +292,15 @@ def digest_notes(run: DigestRun) -> list[str]:
 
 @dataclass(frozen=True, eq=False)
 class InspectedLogs:
-    """Logs as they were understood, by name, and their columns beside a model.
-
-    Attributes:
-        columns: What is wrong with columns.
-        unchecked: Why columns were not compared with the model; "" if they were, or there is none.
-        repairs: What of the model's file is not believed; None without a model.
-        beyond: Where positions are beyond the model's limits, in sentences.
-    """
+    """Logs as they were understood, by name, and their columns beside a model."""
 
     logs: Sequence[tuple[str, LogInspection]]
-    columns: Sequence[ColumnFinding] = ()
+    columns: Sequence[ColumnFinding] = ()  # what is wrong with columns
+    # Why columns were not compared with the model; "" if they were, or there is none.
     unchecked: str = ""
+    # What of the model's file is not believed; None without a model.
     repairs: Sequence[str] | None = None
-    beyond: Sequence[str] = ()
+    beyond: Sequence[str] = ()  # where positions are beyond the model's limits, in sentences
 
 
 def logs_page(found: InspectedLogs, about: About) -> Page:
@@ -333,7 +320,15 @@ def logs_page(found: InspectedLogs, about: About) -> Page:
             notes_section(each.notes, each.first),
         ]
     first = first_section([f"{name}: {words}" for name, each in found.logs for words in each.first])
-    return Page(about.title, "", "", "understood", "", (), (), tuple(sections), first=(first,))
+    return Page(
+        about,
+        "understood",
+        "",
+        tuple(sections),
+        of="",
+        verdict="",
+        first=(first,),
+    )
 
 
 def _columns_table(found: LogInspection) -> Table:

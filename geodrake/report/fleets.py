@@ -84,13 +84,9 @@ def fleet_page(found: WatchedFleet | FleetResult, about: About) -> Page:
     unused = [f"{each.robot}: {each.log}: {each.reason}" for each in result.unused]
     more = [f"and {len(unused) - _MOST_UNUSED} more, in {folder}"]
     return Page(
-        about.title,
-        f"{about.model}: {found.words or count}",
-        CHANGED if changed else STEADY,
+        about,
         CHANGED if changed else STEADY,
         fleet_verdict(result),
-        (*map(_surest, result.findings[:1]), *([place.strip()] if place else [])),
-        _tiles(result),
         (
             Section(
                 "What changed",
@@ -121,8 +117,11 @@ def fleet_page(found: WatchedFleet | FleetResult, about: About) -> Page:
                 items=(*unused[:_MOST_UNUSED], *(more if len(unused) > _MOST_UNUSED else [])),
             ),
         ),
-        "Made by geodrake: which robot changed, at which joint, by what, since when.",
-        about.links,
+        of=f"{about.model}: {found.words or count}",
+        verdict=CHANGED if changed else STEADY,
+        lead=(*map(_surest, result.findings[:1]), *([place.strip()] if place else [])),
+        tiles=_tiles(result),
+        footer="Made by geodrake: which robot changed, at which joint, by what, since when.",
     )
 
 

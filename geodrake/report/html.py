@@ -19,7 +19,7 @@ from geodrake.report.page import Page, Table
 
 def render(page: Page) -> str:
     """Return a page as one HTML file that loads nothing from elsewhere; all text is escaped."""
-    for words, address in page.links.items():
+    for words, address in page.about.links.items():
         scheme, colon, _ = address.split("/")[0].partition(":")
         if colon and scheme.lower() not in ("http", "https"):
             raise ArgumentError(

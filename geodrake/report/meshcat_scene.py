@@ -176,16 +176,11 @@ def draw_efforts(meshcat: Meshcat, path: str, played: PlayedModel, size: float) 
 
 @dataclass(frozen=True)
 class Mark:
-    """Words at a place of the scene.
+    """Words at a place of the scene."""
 
-    Attributes:
-        path: Folder of the scene that is there.
-        place: The joint or body, or what else the effect is of.
-    """
-
-    path: str
+    path: str  # folder of the scene that is there
     words: str
-    place: str
+    place: str  # the joint or body, or what else the effect is of
 
 
 def draw_effects(

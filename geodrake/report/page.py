@@ -16,70 +16,26 @@ Records = Sequence[Mapping[str, Any]]
 
 
 @dataclass(frozen=True)
-class About:
-    """What a result is of.
-
-    Attributes:
-        model: What the model is called.
-        logs: What the logs are called.
-        command: What made the result, for the title.
-        units: Units of the model's joints and effects.
-        saved: How commands call the model from now on: where it was saved.
-        links: Words -> address of further pages, such as a replay.
-    """
-
-    model: str = "the model"
-    logs: tuple[str, ...] = ()
-    command: str = "report"
-    units: Units = field(default_factory=Units)
-    saved: str = "MODEL"
-    links: Mapping[str, str] = field(default_factory=dict)
-
-    @property
-    def title(self) -> str:
-        """Return the title of a page."""
-        return f"{self.model}: {self.command}"
-
-    @property
-    def against(self) -> str:
-        """Return what was compared with what, in words."""
-        return f"{self.model} against {', '.join(self.logs)}"
-
-
-@dataclass(frozen=True)
 class Cell:
-    """An entry of a table.
+    """An entry of a table."""
 
-    Attributes:
-        text: What it says, in lines.
-        note: What stands under it in small letters on an HTML page.
-        bar: Share in [0, 1] that an HTML page draws as a bar beside the text; None for no bar.
-        typed: How commands call it, which terminals and notebooks show in place of the text.
-    """
-
-    text: str
-    note: str = ""
+    text: str  # what it says, in lines
+    note: str = ""  # what stands under it in small letters on an HTML page
+    # Share in [0, 1] that an HTML page draws as a bar beside the text; None for no bar.
     bar: float | None = None
-    typed: str = ""
+    typed: str = ""  # how commands call it, which terminals and notebooks show in place of the text
 
 
 @dataclass(frozen=True)
 class Table:
-    """A table of words and numbers.
-
-    Attributes:
-        rows: The rows, as long as the head.
-        words: How many columns from the left hold words; the others hold numbers.
-        total: How many of the last rows sum the others up.
-        detailed: Whether HTML pages alone have it.
-    """
+    """A table of words and numbers."""
 
     head: tuple[str, ...]
-    rows: Sequence[tuple[Cell, ...]]
-    words: int = 1
+    rows: Sequence[tuple[Cell, ...]]  # the rows, as long as the head
+    words: int = 1  # how many columns from the left hold words; the others hold numbers
     title: str = ""
-    total: int = 0
-    detailed: bool = False
+    total: int = 0  # how many of the last rows sum the others up
+    detailed: bool = False  # whether HTML pages alone have it
 
 
 def cells(*entries: Cell | str | float | None) -> tuple[Cell, ...]:
@@ -106,27 +62,19 @@ class ColoredList:
 
 @dataclass(frozen=True)
 class Section:
-    """A part of a page under a heading.
-
-    Attributes:
-        text: What is seen here, in a sentence.
-        more: How to read it, in paragraphs that HTML pages show when asked.
-        commands: Commands to copy.
-        detailed: Whether HTML pages alone have it.
-        deep: Whether terminals show it only where details are asked for.
-    """
+    """A part of a page under a heading."""
 
     title: str
-    text: str = ""
-    more: tuple[str, ...] = ()
+    text: str = ""  # what is seen here, in a sentence
+    more: tuple[str, ...] = ()  # how to read it, in paragraphs that HTML pages show when asked
     bars: tuple[Bars, ...] = ()
     tables: tuple[Table, ...] = ()
     items: tuple[str, ...] = ()
     lists: tuple[ColoredList, ...] = ()
-    commands: tuple[str, ...] = ()
+    commands: tuple[str, ...] = ()  # commands to copy
     charts: tuple[Chart, ...] = ()
-    detailed: bool = False
-    deep: bool = False
+    detailed: bool = False  # whether HTML pages alone have it
+    deep: bool = False  # whether terminals show it only where details are asked for
 
     @property
     def shown_tables(self) -> tuple[Table, ...]:
@@ -160,19 +108,34 @@ class Picture:
 
 @dataclass(frozen=True)
 class Pictures:
-    """Pictures of a robot whose links are coloured by errors.
-
-    Attributes:
-        colors: Colours from no error to the largest.
-        top: The largest one, in words.
-        notes: What is not shown as the model's file has it, in words.
-    """
+    """Pictures of a robot whose links are coloured by errors."""
 
     shown: tuple[Picture, ...]
-    colors: tuple[str, ...]
-    top: str
+    colors: tuple[str, ...]  # colours from no error to the largest
+    top: str  # the largest one, in words
     text: str
-    notes: tuple[str, ...] = ()
+    notes: tuple[str, ...] = ()  # what is not shown as the model's file has it, in words
+
+
+@dataclass(frozen=True)
+class About:
+    """What a result is of.
+
+    Attributes:
+        model: What the model is called.
+        logs: What the logs are called.
+        command: What made the result, for the title.
+        units: Units of the model's joints and effects.
+        saved: How commands call the model from now on: where it was saved.
+        links: Words -> address of further pages, such as a replay.
+    """
+
+    model: str = "the model"
+    logs: tuple[str, ...] = ()
+    command: str = "report"
+    units: Units = field(default_factory=Units)
+    saved: str = "MODEL"
+    links: Mapping[str, str] = field(default_factory=dict)
 
 
 @dataclass(frozen=True)
@@ -180,29 +143,34 @@ class Page:
     """All that there is to say of a result.
 
     Attributes:
-        subject: What was compared with what.
-        verdict: "adequate", "explained", "unexplained" or "undecided", which decide the colour, or
-            another word where nothing is judged.
         mark: The verdict in a few words.
         headline: The answer, in a sentence.
+        verdict: "adequate", "explained", "unexplained" or "undecided", which decide the colour, or
+            another word where nothing is judged.
+        of: What was compared with what, if it is not the model with the logs.
         lead: What the answer means, in paragraphs.
         tiles: The numbers worth seeing first.
         first: What is to be known before all else: mistakes in columns, and what is left out.
         pictures: The robot, which HTML pages alone have.
     """
 
-    title: str
-    subject: str
-    verdict: str
+    about: About
     mark: str
     headline: str
-    lead: tuple[str, ...]
-    tiles: tuple[Tile, ...]
     sections: tuple[Section, ...]
+    verdict: str = "compared"
+    of: str | None = None
+    lead: tuple[str, ...] = ()
+    tiles: tuple[Tile, ...] = ()
     footer: str = ""
-    links: Mapping[str, str] = field(default_factory=dict)
     first: tuple[Section, ...] = ()
     pictures: Pictures | None = None
+
+    @property
+    def subject(self) -> str:
+        """Return what was compared with what, in words."""
+        against = f"{self.about.model} against {', '.join(self.about.logs)}"
+        return against if self.of is None else self.of
 
     @property
     def shown_sections(self) -> tuple[Section, ...]:
@@ -219,19 +187,13 @@ class Page:
 
 @dataclass(frozen=True)
 class View:
-    """How to see one kind of result.
-
-    Attributes:
-        numbers: The result as a dictionary, for JSON.
-        records: Function to rows of numbers, for a DataFrame; None if there are none.
-        samples: Function to the samples behind it, by column; None if there are none.
-        figure: Name of the chart or bars that say most.
-        drawn: Title -> comparison by whose errors the page colours the robot.
-    """
+    """How to see one kind of result."""
 
     page: Callable[[Any, About], Page]
+    # The result as a dictionary, for JSON.
     numbers: Callable[[Any], Mapping[str, Any]] = lambda found: {}
-    records: Any = None
-    samples: Any = None
-    figure: str = ""
+    records: Any = None  # function to rows of numbers, for a DataFrame; None if there are none
+    samples: Any = None  # function to the samples behind it, by column; None if there are none
+    figure: str = ""  # name of the chart or bars that say most
+    # Title -> comparison by whose errors the page colours the robot.
     drawn: Callable[[Any], Mapping[str, Comparison]] = lambda found: {}

@@ -39,80 +39,50 @@ _MOST_MOMENTS, _MOST_AT_ONE = 5, 2  # of a model, and at one joint
 
 @dataclass(frozen=True, eq=False)
 class Excerpt:
-    """Part of a log that is played.
-
-    Attributes:
-        began: The log's first time stamp, s.
-        time: (F,) instants of the frames in the log's own time, s.
-        q: (F, nv) positions by joint, rad or m.
-    """
+    """Part of a log that is played."""
 
     log: str
-    began: float
-    time: Array
-    q: Array
+    began: float  # the log's first time stamp, s
+    time: Array  # (F,) instants of the frames in the log's own time, s
+    q: Array  # (F, nv) positions by joint, rad or m
 
 
 @dataclass(frozen=True, eq=False)
 class PlayedModel:
-    """A model and its errors in every frame.
+    """A model and its errors in every frame."""
 
-    Attributes:
-        title: What the copy of the robot is called.
-        comparison: Its errors on the whole logs.
-        trained: Whether the model was fitted to these logs, so that errors are those of training.
-        measured: (F, nv) filtered efforts, N·m or N; NaN where nothing is compared.
-        predicted: (F, nv) what the model predicts.
-        error: (F, nv) RMS of measured − predicted around each frame.
-        relative: (F, nv) the same over the deviation of the joint's measured effort.
-        simulated: (F, nv) positions of its ghost by joint, rad or m; NaN where there is none.
-    """
-
-    title: str
+    title: str  # what the copy of the robot is called
     model: RobotModel
-    comparison: Comparison
+    comparison: Comparison  # its errors on the whole logs
+    # Whether the model was fitted to these logs, so that errors are those of training.
     trained: bool
-    measured: Array
-    predicted: Array
-    error: Array
-    relative: Array
-    simulated: Array
+    measured: Array  # (F, nv) filtered efforts, N·m or N; NaN where nothing is compared
+    predicted: Array  # (F, nv) what the model predicts
+    error: Array  # (F, nv) RMS of measured − predicted around each frame
+    relative: Array  # (F, nv) the same over the deviation of the joint's measured effort
+    simulated: Array  # (F, nv) positions of its ghost by joint, rad or m; NaN where there is none
 
 
 @dataclass(frozen=True)
 class Moment:
-    """An instant at which a model errs most.
+    """An instant at which a model errs most."""
 
-    Attributes:
-        played: Number of the model among those played.
-        frame: Number of the frame.
-        error: RMS error around it, N·m or N.
-        relative: The same over the deviation of the joint's measured effort.
-    """
-
-    played: int
+    played: int  # number of the model among those played
     joint: int
-    frame: int
-    error: float
-    relative: float
+    frame: int  # number of the frame
+    error: float  # RMS error around it, N·m or N
+    relative: float  # the same over the deviation of the joint's measured effort
 
 
 @dataclass(frozen=True, eq=False)
 class Playback:
-    """Motions and errors, frame by frame.
-
-    Attributes:
-        excerpts: What is played, one after another.
-        models: One model, or that before and that after.
-        moments: The worst moments of each model, worst first.
-        seconds_left_out: Length of the logs that is not played, s.
-    """
+    """Motions and errors, frame by frame."""
 
     joints: tuple[str, ...]
-    excerpts: tuple[Excerpt, ...]
-    models: tuple[PlayedModel, ...]
-    moments: tuple[Moment, ...]
-    seconds_left_out: float
+    excerpts: tuple[Excerpt, ...]  # what is played, one after another
+    models: tuple[PlayedModel, ...]  # one model, or that before and that after
+    moments: tuple[Moment, ...]  # the worst moments of each model, worst first
+    seconds_left_out: float  # length of the logs that is not played, s
 
     @property
     def q(self) -> Array:

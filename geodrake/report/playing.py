@@ -24,15 +24,11 @@ from geodrake.robot.shapes import RobotShapes
 
 @dataclass(frozen=True, eq=False)
 class PlayedRobot(ColoredRobot):
-    """One copy of the robot.
-
-    Attributes:
-        name: Its title, as part of a path.
-        findings: What was found, and the link at which it is said; None for the whole robot.
-    """
+    """One copy of the robot."""
 
     played: PlayedModel
-    name: str
+    name: str  # its title, as part of a path
+    # What was found, and the link at which it is said; None for the whole robot.
     findings: list[tuple[str, str | None]]
 
 

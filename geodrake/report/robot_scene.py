@@ -35,38 +35,25 @@ _LONGEST = 0.3  # of a stick to a centre of mass, over the size of the robot
 
 @dataclass(frozen=True, eq=False)
 class PosedLink:
-    """A link and its poses.
-
-    Attributes:
-        shapes: Its shapes, in its own frame.
-        joint: Place, among the model's joints, of the one that moves it; None if none does.
-        X_WB: Its pose in the world at each instant.
-        fixed: Whether it never moves.
-    """
+    """A link and its poses."""
 
     name: str
-    shapes: tuple[LinkShape, ...]
+    shapes: tuple[LinkShape, ...]  # its shapes, in its own frame
+    # Place, among the model's joints, of the one that moves it; None if none does.
     joint: int | None
-    X_WB: tuple[RigidTransform, ...]
-    fixed: bool = False
+    X_WB: tuple[RigidTransform, ...]  # its pose in the world at each instant
+    fixed: bool = False  # whether it never moves
 
 
 @dataclass(frozen=True, eq=False)
 class JointPlace:
-    """Where a joint of one degree of freedom is, and what it moves.
-
-    Attributes:
-        at: Its place among the model's joints; None of one that follows others.
-        link: The link that the joint moves.
-        X_BJ: Pose of the joint in the link, z along its axis.
-        moved: All links that it moves as one.
-    """
+    """Where a joint of one degree of freedom is, and what it moves."""
 
     joint: str
-    at: int | None
-    link: str
-    X_BJ: RigidTransform
-    moved: tuple[str, ...]
+    at: int | None  # its place among the model's joints; None of one that follows others
+    link: str  # the link that the joint moves
+    X_BJ: RigidTransform  # pose of the joint in the link, z along its axis
+    moved: tuple[str, ...]  # all links that it moves as one
 
 
 def drawn_shapes(model: RobotModel) -> RobotShapes:
@@ -217,23 +204,14 @@ def _full(body: RigidBody) -> str:
 
 @dataclass(frozen=True, eq=False)
 class Extent:
-    """Where a robot goes.
+    """Where a robot goes."""
 
-    Attributes:
-        low: (3,) least coordinates of its links' origins in the world, m.
-        high: (3,) largest ones.
-        left: The farthest that it goes to the left of the camera, m.
-        right: The farthest that it goes to the right, m.
-        widest: Its largest width to the camera in any one posture, m.
-        size: Its largest side in any one posture with a margin for links, m.
-    """
-
-    low: Array
-    high: Array
-    left: float
-    right: float
-    widest: float
-    size: float
+    low: Array  # (3,) least coordinates of its links' origins in the world, m
+    high: Array  # (3,) largest ones
+    left: float  # the farthest that it goes to the left of the camera, m
+    right: float  # the farthest that it goes to the right, m
+    widest: float  # its largest width to the camera in any one posture, m
+    size: float  # its largest side in any one posture with a margin for links, m
 
     @classmethod
     def of(cls, model: RobotModel, q: Array) -> Extent:

@@ -60,17 +60,9 @@ def rollout_page(found: Simulated | Rollout, about: About) -> Page:
     if after.broken:
         headline += f"; in {after.broken} of {count} windows the simulation breaks off"
     return Page(
-        about.title,
-        _subject(after, about),
-        "compared",
+        about,
         "simulated",
         f"{headline}.",
-        (),
-        (
-            *([Tile("before", departure(before.relative), "of the motion")] if before else []),
-            Tile("departure", departure(after.relative), "of the motion"),
-            Tile("horizon", horizon, "from a measured state on"),
-        ),
         (
             Section(
                 "Departure from the measured motion",
@@ -85,8 +77,13 @@ def rollout_page(found: Simulated | Rollout, about: About) -> Page:
             ),
             Section("Notes", items=after.notes),
         ),
-        _footer(after),
-        about.links,
+        of=_subject(after, about),
+        tiles=(
+            *([Tile("before", departure(before.relative), "of the motion")] if before else []),
+            Tile("departure", departure(after.relative), "of the motion"),
+            Tile("horizon", horizon, "from a measured state on"),
+        ),
+        footer=_footer(after),
     )
 
 
@@ -99,17 +96,9 @@ def rollout_fit_page(found: RolloutFit, about: About) -> Page:
     if not is_soft(found.model):
         free = "Servos, and what resists them,"
     return Page(
-        about.title,
-        _subject(after, about),
-        "compared",
+        about,
         "fitted" if found.taken else "stays",
         capitalized(rollout_fit_words(found)),
-        (f"{free} were fitted to how the simulated robot moves; all else stays.",),
-        (
-            Tile("before", departure(before.relative), "of the motion, held out"),
-            Tile("fitted", departure(after.relative), "of the motion, held out"),
-            Tile("horizon", f"{after.horizon:g} s", "from a measured state on"),
-        ),
         (
             Section(
                 "What was fitted",
@@ -125,8 +114,14 @@ def rollout_fit_page(found: RolloutFit, about: About) -> Page:
             ),
             Section("Notes", items=found.notes),
         ),
-        _footer(after),
-        about.links,
+        of=_subject(after, about),
+        lead=(f"{free} were fitted to how the simulated robot moves; all else stays.",),
+        tiles=(
+            Tile("before", departure(before.relative), "of the motion, held out"),
+            Tile("fitted", departure(after.relative), "of the motion, held out"),
+            Tile("horizon", f"{after.horizon:g} s", "from a measured state on"),
+        ),
+        footer=_footer(after),
     )
 
 
