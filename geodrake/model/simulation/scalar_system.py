@@ -6,12 +6,12 @@ import functools
 import sys
 from collections.abc import Callable, Sequence
 from threading import RLock
-from typing import TYPE_CHECKING, Any, TypeVar
+from typing import Any, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 from pydrake.autodiffutils import AutoDiffXd, ExtractGradient, ExtractValue, InitializeAutoDiff
-from pydrake.systems.framework import BasicVector_, LeafSystem, LeafSystem_
+from pydrake.systems.framework import BasicVector_, LeafSystem_
 from pydrake.systems.scalar_conversion import TemplateSystem
 
 from geodrake.inertia import Array
@@ -65,40 +65,7 @@ def by_differences(
 
 
 System = TypeVar("System", bound=type)
-
-
-class _LazyTemplate(TemplateSystem):
-    """The template of a system of floats, which begins as the first system is constructed.
-
-    For each instantiation pydrake looks through the whole call stack. That is long, and slow to
-    look through, while modules import one another: begun there, templates take seconds.
-    """
-
-    def __init__(self, made: type, other: Callable[[], type], constructor: Any) -> None:
-        """Give the class a constructor that begins the template."""
-        kind: Any = made
-        types, scope = [float, AutoDiffXd], sys.modules[made.__module__]
-        super().__init__(f"{made.__name__}_", types, scope=scope)
-        self._made, self._documented, self._lock = kind, constructor, RLock()
-
-        @functools.wraps(constructor)
-        def begin(system: Any, *args: Any, **options: Any) -> None:
-            with self._lock:
-                self.get_instantiation(float)  # which gives the class Drake's constructor
-            kind.__init__(system, *args, **options)
-
-        kind.__init__ = begin
-        self.add_instantiations(
-            lambda param: made if param == (float,) else other(), [(x,) for x in types]
-        )
-
-    def _on_add(self, param: Any, cls: Any, skip_rename: bool) -> Any:
-        if cls is not self._made:
-            return super()._on_add(param, cls, skip_rename)
-        del cls.__init__
-        super()._on_add(param, cls, skip_rename=True)
-        functools.update_wrapper(cls.__init__, self._documented)
-        return cls
+_ONE_AT_A_TIME = RLock()
 
 
 def differenced(made: System) -> System:
@@ -135,26 +102,31 @@ def differenced(made: System) -> System:
         own = {name: vars(_Differenced)[name] for name in ("_construct", "_construct_copy")}
         return type(made.__name__, (_Differenced, LeafSystem_[AutoDiffXd]), {**own, "Clone": clone})
 
-    _LazyTemplate(made, other, init)
+    # For each instantiation pydrake looks through the whole call stack. That is long, and slow to
+    # look through, while modules import one another: begun there, templates take seconds.
+    @functools.wraps(init)
+    def begin(system: Any, *args: Any, **options: Any) -> None:
+        with _ONE_AT_A_TIME:
+            if kind.__init__ is begin:
+                del kind.__init__  # as Drake gives the class a constructor
+                scope, types = sys.modules[made.__module__], [float, AutoDiffXd]
+                template = TemplateSystem(f"{made.__name__}_", types, scope=scope)
+                template.add_instantiation((float,), kind, skip_rename=True)
+                template.add_instantiations(lambda _: other(), [(AutoDiffXd,)])
+                functools.update_wrapper(kind.__init__, init)
+        kind.__init__(system, *args, **options)
+
+    kind.__init__ = begin
     return made
 
 
-if TYPE_CHECKING:
-
-    class _Base(LeafSystem):
-        """One of Drake's LeafSystems, of AutoDiffXd."""
-
-else:
-    _Base = object
-
-
-class _Differenced(_Base):
+class _Differenced:
     """A system of AutoDiffXd whose values are those of one of floats."""
 
-    def _construct(self, *args: Any, converter: Any = None, **options: Any) -> None:
+    def _construct(self: Any, *args: Any, converter: Any = None, **options: Any) -> None:
         raise TypeError("Make the system of floats, and convert it: system.ToAutoDiffXd().")
 
-    def _construct_copy(self, other: Any, converter: Any = None) -> None:
+    def _construct_copy(self: Any, other: Any, converter: Any = None) -> None:
         LeafSystem_[AutoDiffXd].__init__(self, converter=converter)
         self._source = source = getattr(other, "_source", other)
         self._made_of = other._made_of
@@ -184,10 +156,12 @@ class _Differenced(_Base):
                 inner | {inputs[i].ticket() for i in through},
             )
 
-    def _calc_output(self, function: Any, through: Sequence[int], context: Any, out: Any) -> None:
+    def _calc_output(
+        self: Any, function: Any, through: Sequence[int], context: Any, out: Any
+    ) -> None:
         out.SetFromVector(self._values(context, function, through))
 
-    def DoCalcTimeDerivatives(self, context: Any, derivatives: Any) -> None:
+    def DoCalcTimeDerivatives(self: Any, context: Any, derivatives: Any) -> None:
         """Rates of the continuous states, per second."""
         if derivatives.size():
             rates = self._values(
@@ -195,7 +169,7 @@ class _Differenced(_Base):
             )
             derivatives.get_mutable_vector().SetFromVector(rates)
 
-    def _update(self, context: Any, state: Any) -> None:
+    def _update(self: Any, context: Any, state: Any) -> None:
         groups = range(context.num_discrete_state_groups())
 
         def following(inner: Any) -> Array:
@@ -208,7 +182,10 @@ class _Differenced(_Base):
             state.set_value(i, part)
 
     def _values(
-        self, context: Any, function: Callable[[Any], Array], inputs: Sequence[int] | None = None
+        self: Any,
+        context: Any,
+        function: Callable[[Any], Array],
+        inputs: Sequence[int] | None = None,
     ) -> Scalars:
         """Return what a function (n,) of a Context of the source gives, with derivatives.
 
