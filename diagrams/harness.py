@@ -36,6 +36,9 @@ VERSION = 2
 """Of what a draw is; one more when kept draws of older versions must not be used."""
 JOBS = min(2, os.cpu_count() or 1)
 
+SHADES = (style.AFTER, style.BEFORE, style.FLOOR, *(f"C{k}" for k in range(3, 10)))
+_BESIDE = 3  # panels
+
 _PEAK = """
 import resource, sys
 from pathlib import Path
@@ -306,72 +309,108 @@ def titled(ax: Axes, title: str, grid: str = "both") -> Axes:
 
 
 def panels(
-    height: float,
-    titles: Sequence[str],
-    *,
-    x: str = "",
-    y: str = "",
-    grid: str = "both",
-    **how: Any,
+    height: float, titles: Sequence[str], *, x: str = "", grid: str = "both", **how: Any
 ) -> tuple[Figure, list[Axes]]:
-    """Return a figure with a panel for each title, side by side; `how` is that of subplots."""
-    figure = style.new_figure(height)
-    axes = figure.subplots(1, len(titles), squeeze=False, **how)[0]
-    for ax, title in zip(axes, titles, strict=True):
-        titled(ax, title, grid)
+    """Return a figure with a panel for each title, three in a line; `how` is that of subplots."""
+    count = min(len(titles), _BESIDE)
+    lines = -(-len(titles) // max(count, 1))
+    figure = style.new_figure(height * lines)
+    axes = figure.subplots(lines, count, squeeze=False, **how).ravel()
+    for ax, title in zip(axes, titles, strict=False):
+        titled(ax, style.label(title, 60), grid)
         ax.set_xlabel(x, **style.plain(style.SMALL, style.QUIET))
-    axes[0].set_ylabel(y, **style.plain())
-    return figure, list(axes)
+    for ax in axes[len(titles) :]:
+        ax.set_axis_off()
+    return figure, list(axes[: len(titles)])
 
 
-def draw_lines(
-    ax: Axes, lines: Mapping[str, tuple[Any, ...]], colors: Mapping[str, str], **look: Any
-) -> None:
-    """Draw lines (x, y) by name, or with errors of y in third place."""
-    for name, (x, y, *error) in lines.items():
-        own = {"color": colors[name], "linewidth": 1.2, "label": name, **look}
-        if error:
-            ax.errorbar(x, y, *error, capsize=2, **own)
-        else:
-            ax.plot(x, y, **own)
-
-
-def dots(
-    height: float,
-    names: Sequence[str],
-    columns: Mapping[str, Sequence[float]],
-    colors: Sequence[str],
+def chart(
+    rows: Sequence[Mapping[str, Any]],
+    x: str,
+    ys: str | Sequence[str],
+    by: str = "",
+    *,
+    panel: str = "",
+    levels: Mapping[str, Mapping[str, Any]] | None = None,
+    joined: bool = True,
+    note: str = "",
 ) -> Figure:
-    """Draw a row of dots for each name, a panel for each column."""
-    figure, axes = panels(height, list(columns), sharey=True)
-    for ax, values in zip(axes, columns.values(), strict=True):
-        ax.scatter(values, range(len(names)), color=list(colors), s=28)
-        style.log_scale(ax, "x")
-        ax.tick_params(axis="x", labelrotation=60)
-    axes[0].set_yticks(range(len(names)), names)
-    axes[0].invert_yaxis()
+    """Draw columns of rows over column x: a panel for each, and each value of column `panel`.
+
+    What has the same value of column `by` has one color. Over words there are bars. A list is a
+    line of its own, over the list x or, without one, over its places. `NAME_deviation` is an error,
+    or a pair of what is below and above.
+
+    Args:
+        levels: Name -> a row whose values are lines across all of a panel.
+        joined: Whether points are joined.
+    """
+    names = (ys,) if isinstance(ys, str) else tuple(ys)
+    parts, kinds, places = (_values(rows, name) for name in (panel, by, x))
+    is_words = isinstance(places[0], str) and bool(x)
+    cells = [(name, part) for part in parts for name in names]
+    titles = [", ".join(_word(each) for each in cell if each not in (None, "")) for cell in cells]
+    height = 0.9 + 0.05 * len(places) * (len(kinds) + 3) if is_words else 3.4
+    how = {"sharey": True} if is_words else {}
+    figure, axes = panels(height, titles, x="" if is_words else _word(x), **how)
+    for ax, (name, part) in zip(axes, cells, strict=True):
+        for k, kind in enumerate(kinds):
+            of_panel = [row for row in rows if row.get(panel) == part and row.get(by) == kind]
+            own = [row for row in of_panel if row.get(name) is not None]
+            look = {"color": SHADES[k % len(SHADES)], "label": _word(kind)}
+            values = [row[name] for row in own]
+            spreads = [np.broadcast_to(row.get(f"{name}_deviation", 0.0), 2) for row in own]
+            errors = np.transpose(spreads) if np.any(spreads) else None
+            if errors is not None:  # bars and logarithms begin above zero
+                errors = [np.minimum(errors[0], 0.9 * np.abs(values)), errors[1]]
+            if own and isinstance(values[0], list):
+                for row in own:
+                    at = row[x] if x else range(1, len(row[name]) + 1)
+                    ax.plot(at, [np.nan if y is None else y for y in row[name]], lw=1.1, **look)
+            elif is_words:
+                width = 0.8 / len(kinds)
+                at = [places.index(row[x]) + width * (k + 0.5) - 0.4 for row in own]
+                ax.barh(at, values, 0.9 * width, xerr=errors, ecolor=style.INK, **look)
+            elif own:
+                marks = {"fmt": "o-" if joined else "o", "markersize": 3.5, "capsize": 2}
+                ax.errorbar([row[x] for row in own], values, errors, lw=1.2, **marks, **look)
+        for (level, row), dashes in zip((levels or {}).items(), ("--", ":", "-."), strict=False):
+            across = {"color": style.QUIET, "linestyle": dashes, "linewidth": 1.2, "label": level}
+            if row.get(name) is not None:
+                (ax.axvline if is_words else ax.axhline)(row[name], **across)
+        _scale(ax, "x" if is_words else "y", [row.get(name) for row in rows], 50.0)
+        if not is_words and x != "time":
+            _scale(ax, "x", [row.get(x) for row in rows if row.get(name) is not None], 20.0)
+    if is_words:
+        axes[0].set_yticks(range(len(places)), [_word(place) for place in places])
+        axes[0].invert_yaxis()
+    shown = {one.get_label(): one for ax in axes for one in ax.get_legend_handles_labels()[0]}
+    style.legend_above(figure, [one for label, one in shown.items() if label])
+    style.note_below(figure, note)
     return figure
 
 
-def draw_bars(
-    ax: Axes,
-    groups: Sequence[str],
-    heights: Mapping[str, Sequence[float | None]],
-    colors: Mapping[str, str],
-    errors: Mapping[str, Sequence[float | None]] | None = None,
-) -> None:
-    """Draw bars by name, side by side in every group, with errors; None is left out."""
-    width = 0.8 / len(heights)
-    for k, (name, own) in enumerate(heights.items()):
-        height = np.array(own, float)
-        at = np.arange(len(groups)) + width * (k - 0.5 * (len(heights) - 1))
-        look: dict[str, Any] = {"color": colors[name], "label": name}
-        if errors is not None:
-            error = np.nan_to_num(np.array(errors[name], float))
-            look |= {"yerr": [np.minimum(error, 0.9 * height), error], "ecolor": style.INK}
-            look["error_kw"] = {"elinewidth": 0.8, "capsize": 1.5}
-        ax.bar(at, height, 0.9 * width, **look)
-    ax.set_xticks(range(len(groups)), groups)
+def _values(rows: Sequence[Mapping[str, Any]], name: str) -> list[Any]:
+    """Return the different values of a column, in their order; None alone without a column."""
+    values = (row.get(name) for row in rows)
+    return list(dict.fromkeys(None if isinstance(each, list) else each for each in values))
+
+
+def _word(value: Any) -> str:
+    if isinstance(value, float):
+        return f"{value:g}"
+    return "" if value is None else str(value).replace("_", " ")
+
+
+def _scale(ax: Axes, axis: str, values: Sequence[Any], most: float) -> None:
+    """Make an axis logarithmic whose values are many times larger than others, and positive."""
+    flat = [one for each in values for one in (each if isinstance(each, list) else [each])]
+    numbers = np.array([one for one in flat if isinstance(one, int | float)], float)
+    numbers = numbers[np.isfinite(numbers)]
+    if len(numbers) and numbers.min() > 0.0 and numbers.max() > most * numbers.min():
+        style.log_scale(ax, axis)
+    else:
+        ax.locator_params(axis=axis, nbins=6)
 
 
 def bars(panels: Mapping[str, Mapping[str, float]], unit: str) -> Figure:

@@ -27,9 +27,8 @@ from pydrake.multibody.parsing import Parser
 from pydrake.multibody.plant import MultibodyPlant
 from pydrake.trajectories import PiecewisePolynomial
 
-from diagrams.harness import MODELS, run_draws, script_parser, show, write
+from diagrams.harness import MODELS, chart, run_draws, script_parser, show, write
 from diagrams.studies.adaptive.faults import FAULTS, Array, Episode, Moment, moments
-from diagrams.studies.adaptive.figures import soak_figure
 from geodrake.control import (
     ControlModel,
     PassivityBasedAdaptiveController,
@@ -236,7 +235,11 @@ def main() -> None:
     guarded = [row for row in rows if row["controller"] != "unguarded"]
     show("Worst of each fault", worst(guarded))
     table = {"rows": rows, "worst": worst(guarded)}
-    write(options, table, adaptive_soak=lambda: soak_figure(rows))
+    write(
+        options,
+        table,
+        adaptive_soak=lambda: chart(rows, "time", ("distance", "error"), "controller"),
+    )
 
 
 def worst(rows: Sequence[dict[str, Any]]) -> list[dict[str, Any]]:

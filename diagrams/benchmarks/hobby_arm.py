@@ -28,7 +28,7 @@ from numpy.typing import NDArray
 from scipy.optimize import least_squares
 from scipy.signal import cont2discrete, lfilter
 
-from diagrams.harness import panels, script_parser, show, write
+from diagrams.harness import chart, script_parser, show, write
 from diagrams.public_data import add_folder_option, require
 from geodrake import load_model
 from geodrake.identification.logs.servo_fit import PARAMETERS, motions_of
@@ -307,16 +307,12 @@ def pendulum_row(folder: Path) -> dict[str, Any]:
 
 def errors_figure(rows: Sequence[Mapping[str, Any]]) -> Figure:
     """Draw how far every joint departs with each model, a panel for each log."""
-    logs = list(dict.fromkeys(row["log"] for row in rows))
-    figure, axes = panels(3.2, logs, sharey=True, x="", y="RMS, rad", grid="y")
-    for panel, log in zip(axes, logs, strict=True):
-        for row in (row for row in rows if row["log"] == log):
-            panel.plot(list(row["joints, rad"].values()), "o", label=row["model"])
-        panel.set_yscale("log")
-        names = list(row["joints, rad"])
-        panel.set_xticks(range(len(names)), names, rotation=60, ha="right")
-    axes[0].legend()
-    return figure
+    drawn = [
+        {**row, "joint": joint, "RMS, rad": error}
+        for row in rows
+        for joint, error in row["joints, rad"].items()
+    ]
+    return chart(drawn, "joint", "RMS, rad", "model", panel="log")
 
 
 def main() -> None:

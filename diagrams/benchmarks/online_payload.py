@@ -19,6 +19,7 @@ import argparse
 import time
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -28,9 +29,8 @@ from pydrake.systems.analysis import Simulator
 from pydrake.systems.framework import DiagramBuilder
 from pydrake.systems.primitives import LogVectorOutput
 
-from diagrams.harness import first_samples, run_draws, script_parser, show, write
+from diagrams.harness import chart, first_samples, run_draws, script_parser, show, write
 from diagrams.public_data import add_folder_option, require
-from diagrams.studies.adaptive.figures import mass_figure
 from geodrake.control import (
     BregmanProjectionEstimator,
     ControlModel,
@@ -265,7 +265,9 @@ def main() -> None:
     rows = run(parser, options)
     show("Mass of the payload in kg, times in s", rows)
     exact = [row for row in rows if row["method"] == "projection"]
-    write(options, {"rows": rows}, online_payload=lambda: mass_figure(exact, OFFLINE_MASS))
+    levels = {"by explain": {"mass_over_time": OFFLINE_MASS}}
+    draw = partial(chart, exact, "time", "mass_over_time", "log", panel="way", levels=levels)
+    write(options, {"rows": rows}, online_payload=draw)
 
 
 def run(parser: argparse.ArgumentParser, options: argparse.Namespace) -> Sequence[dict[str, Any]]:

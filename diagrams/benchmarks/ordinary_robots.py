@@ -34,10 +34,9 @@ from diagrams.benchmarks.ordinary.logs import (
     draw,
     make_recording,
 )
-from diagrams.harness import positive_number, run_draws, script_parser, titled, write
+from diagrams.harness import chart, positive_number, run_draws, script_parser, write
 from geodrake.diagnosis import Step, explain
 from geodrake.errors import GeodrakeError
-from geodrake.report import style
 
 WRONG_INERTIA = "wrong_inertia"
 
@@ -248,51 +247,24 @@ def _quantiles(figure: str, values: Sequence[float], bar: float | None) -> list[
 
 
 def calibration_figure(rows: Sequence[Mapping[str, Any]]) -> Figure:
-    """Return how many of the things said with a probability are true, against that probability.
-
-    Probabilities are those of the odds' logarithm, so that 0.9 and 0.99 stand apart.
-    """
-    figure = style.new_figure(4.2)
-    axes = figure.subplots()
-    steps = [step for row in rows for step in row["steps"]]
-    ideal = np.linspace(0.5, 0.9995, 400)
-    axes.plot(_place(ideal), 100 * ideal, color=style.FLOOR, linewidth=1.2, label="as said")
+    """Return how many of the things said with a probability are true, over the odds of that."""
+    steps, drawn = [step for row in rows for step in row["steps"]], []
     for (low, high), line in zip(BINS, calibration(rows), strict=True):
         said = [step["probability"] for step in steps if low < step["probability"] <= high]
-        if line.value is None:
-            continue
-        at = float(_place(np.mean(said)))
-        axes.plot([at, at], [100 * line.low, 100 * line.high], color=style.AFTER, alpha=0.35, lw=5)
-        axes.plot(at, 100 * line.value, "o", color=style.AFTER)
-        axes.annotate(
-            f"{sum(step['right'] for step in steps if low < step['probability'] <= high)}"
-            f" of {line.logs}",
-            (at, 100 * line.value),
-            xytext=(8, -4),
-            textcoords="offset points",
-            **style.plain(style.SMALL, style.QUIET),
-        )
-    ticks = np.array([0.5, 0.7, 0.9, 0.97, 0.99, 0.999])
-    axes.set_xticks(_place(ticks), [f"{100 * tick:g} %" for tick in ticks])
-    edges = np.array([low for low, _ in BINS[1:]])
-    for edge in _place(edges):
-        axes.axvline(edge, color=style.RULE, linewidth=1.0)
-    axes.set_ylim(0.0, 103.0)
-    axes.set_xlabel("probability that was said, mean of the bin", **style.plain())
-    axes.set_ylabel("of these true, %", **style.plain())
-    titled(
-        axes,
-        f"What was said of {len(rows)} robots: how much of it is true (95 % interval)",
-        grid="y",
-    )
-    style.note_below(figure, "Green: as many as said. Grey: the bins' edges.")
-    return figure
+        if line.value is not None:
+            spread = line.value - line.low, line.high - line.value
+            own = {"true": line.value, "true_deviation": spread, "kind": "found"}
+            drawn.append({"odds": _odds(float(np.mean(said))), **own})
+    ideal = np.linspace(0.5, 0.9995, 400).tolist()
+    drawn.append({"odds": [*map(_odds, ideal)], "true": ideal, "kind": "as said"})
+    note = f"What was said of {len(rows)} robots: how much of it is true (95 % interval)"
+    return chart(drawn, "odds", "true", "kind", note=note)
 
 
-def _place(probability: Any) -> Any:
-    """Where a probability stands: decades of its odds, at most as of 0.9995."""
-    p = np.minimum(probability, 0.9995)
-    return np.log10(p / (1.0 - p))
+def _odds(probability: float) -> float:
+    """Return the odds of a probability, at most those of 0.9995."""
+    p = min(probability, 0.9995)
+    return p / (1.0 - p)
 
 
 def quick_draws(seed: int) -> list[Draw]:

@@ -38,7 +38,7 @@ from diagrams.benchmarks.hidden.robots import (
     robot_names,
 )
 from diagrams.harness import (
-    panels,
+    chart,
     positive_number,
     run_draws,
     script_parser,
@@ -51,7 +51,6 @@ from geodrake.diagnosis import Explanation, explain
 from geodrake.effects import CoulombFriction, FittedEffect, RotorInertia, ViscousFriction
 from geodrake.logs.motion import JointLog
 from geodrake.model import EffortSignal, RobotModel
-from geodrake.report import style
 
 Array = NDArray[np.float64]
 
@@ -508,25 +507,26 @@ TITLES: Mapping[str, str] = {
     "viscous_friction": "viscous friction",
     "rotor_inertia": "armature",
 }
-_RANGE = (0.5, 2.0)
 
 
 def ratios_figure(rows: Sequence[Mapping[str, Any]]) -> Figure:
     """Draw every value over the truth with its interval, a panel for each quantity."""
     values = [value for row in rows for value in row["values"] if value["ratio"]]
-    kinds = [kind for kind in TITLES if any(value["what"] == kind for value in values)]
-    how = {"x": "joints", "y": "found / true, ± 2 standard deviations", "grid": "none"}
-    figure, panel = panels(3.2, [TITLES[kind] for kind in kinds], sharey=True, **how)
-    for axes, kind in zip(panel, kinds, strict=True):
-        same = sorted((v for v in values if v["what"] == kind), key=lambda v: v["ratio"])
-        ratios = np.array([value["ratio"] for value in same])
-        spread = 2.0 * np.array([v["deviation"] / abs(v["truth"]) for v in same])
-        places = np.arange(len(same))
-        axes.vlines(places, ratios - spread, ratios + spread, color=style.BEFORE, linewidth=0.8)
-        axes.plot(places, ratios, "o", markersize=2.5, color=style.AFTER)
-        axes.axhline(1.0, color="0.3", linewidth=0.8)
-        axes.set(ylim=_RANGE)
-    return figure
+    drawn = [
+        {
+            "quantity": title,
+            "joint": place,
+            "found over true": value["ratio"],
+            "found over true_deviation": 2.0 * value["deviation"] / abs(value["truth"]),
+        }
+        for kind, title in TITLES.items()
+        for place, value in enumerate(
+            sorted((v for v in values if v["what"] == kind), key=lambda v: v["ratio"])
+        )
+    ]
+    level = {"true": {"found over true": 1.0}}
+    how = {"panel": "quantity", "levels": level, "joined": False}
+    return chart(drawn, "joint", "found over true", **how, note="± 2 standard deviations")
 
 
 def summary(rows: Sequence[Mapping[str, Any]]) -> dict[str, Any]:

@@ -24,12 +24,11 @@ from typing import Any
 
 import numpy as np
 from matplotlib.figure import Figure
-from matplotlib.lines import Line2D
 from numpy.typing import NDArray
 from pydrake.multibody.parsing import Parser
 from pydrake.multibody.plant import MultibodyPlant
 
-from diagrams.harness import MODELS, run_draws, script_parser, show, sines, write
+from diagrams.harness import MODELS, chart, run_draws, script_parser, show, sines, write
 from geodrake.diagnosis import Diagnosis, diagnose
 from geodrake.effects import effect_class
 from geodrake.excitation import (
@@ -48,7 +47,6 @@ from geodrake.excitation.starts import possible_postures, random_guess
 from geodrake.identification.logs.unknowns import pullback_information
 from geodrake.logs import JointLog, Motion
 from geodrake.model import RobotModel, load_model
-from geodrake.report import style
 from geodrake.report.words import effect_label
 from geodrake.robot import inverse_dynamics
 
@@ -420,8 +418,7 @@ def verdict(case: Case, diagnosis: Diagnosis) -> dict[str, Any]:
     }
 
 
-LOGS = {"first": style.MEASURED, "random": style.BEFORE, "designed": style.AFTER}
-LEAST_SHOWN = 0.01  # deviations
+LOGS = ("first", "random", "designed")
 
 
 @dataclass(frozen=True)
@@ -494,46 +491,19 @@ def tell(rows: Sequence[dict[str, Any]]) -> None:
 
 def draw(table: dict[str, Any]) -> Figure:
     """How many pairs are distinguished, and by how many deviations of the noise they differ."""
-    rows, plan = table["rows"], table["plan"]
-    figure = style.new_figure(1.2 + 0.55 * len(rows))
-    left, right = figure.subplots(1, 2, sharey=True, gridspec_kw={"width_ratios": [2, 3]})
-    at = np.arange(len(rows))
-    for shift, log in ((-0.17, "random"), (0.17, "designed")):
-        counts = [row[log]["told"] for row in rows]
-        left.barh(at + shift, counts, height=0.3, color=LOGS[log])
-        for y, row in zip(at + shift, rows, strict=True):
-            left.text(row[log]["told"] + 0.1, y, str(row[log]["told"]), va="center", fontsize=8)
-    for k, case, (shift, log) in (
-        (k, case, one)
-        for k, case in enumerate(plan["cases"])
-        for one in zip((-0.22, 0.0, 0.22), LOGS, strict=True)
-    ):
-        own = [d for d in table["draws"] if d["case"] == case and d["ambiguous"]]
-        values = np.maximum([d[f"{log}_deviations"] for d in own], LEAST_SHOWN)
-        marks = np.array([d[log]["told"] for d in own], bool)
-        y = np.full(len(own), k + shift)
-        right.plot(values[marks], y[marks], "o", color=LOGS[log], markersize=5)
-        right.plot(values[~marks], y[~marks], "o", color=LOGS[log], markersize=5, fillstyle="none")
-    names = [f"{effect_label(r['truth'])},\nnot {effect_label(r['rival'])}" for r in rows]
-    left.set_yticks(at, names)
-    left.invert_yaxis()
-    for ax in (left, right):
-        style.polish(ax)
-    style.log_scale(right, "x")
-    left.set_xlim(0, 1.12 * max(row["ambiguous"] for row in rows) + 0.5)
-    label = style.plain(style.SMALL, style.QUIET)
-    left.set_xlabel(
-        f"distinguished, of {plan['wanted']} that the first log left ambiguous", **label
-    )
-    right.set_xlabel(
-        f"deviations of the noise, from {LEAST_SHOWN:g} on; hollow: not distinguished", **label
-    )
-    handles = [
-        Line2D([], [], color=color, marker="o", linewidth=0, label=f"{log} motion")
-        for log, color in LOGS.items()
+    drawn = [
+        {
+            "pair": f"{effect_label(row['truth'])}, not {effect_label(row['rival'])}",
+            "motion": log,
+            **row[log],
+        }
+        for row in table["rows"]
+        for log in LOGS
     ]
-    style.legend_above(figure, handles)
-    return figure
+    note = f"of {table['plan']['wanted']} that the first log left ambiguous; deviations: medians"
+    return chart(
+        drawn, "pair", ("told", "deviations"), "motion", note=f"Distinguished (told) {note}"
+    )
 
 
 def main() -> None:

@@ -32,7 +32,7 @@ from pydrake.systems.framework import DiagramBuilder
 from pydrake.systems.primitives import LogVectorOutput
 from pydrake.trajectories import PiecewisePolynomial
 
-from diagrams.harness import MODELS, script_parser, sines, tell
+from diagrams.harness import MODELS, chart, script_parser, sines, tell
 from geodrake.control import DelayedEffort, EffectForce, add_tracking_drives
 from geodrake.effects import Effect, EffortDelay, make_effect
 from geodrake.effects.sensors import delays_of
@@ -217,16 +217,13 @@ def summary(log: JointLog, *, scenario: Scenario) -> dict[str, object]:
 
 def draw(log: JointLog) -> Figure:
     """Return position and effort of every joint over time."""
-    figure = Figure(figsize=(9.0, 6.0), layout="constrained")
-    panels = figure.subplots(2, 1, sharex=True)
-    signals = {"position, rad": log.position, "effort, N·m": log.effort}
-    for axes, (what, values) in zip(panels, signals.items(), strict=True):
-        axes.plot(log.time, values, lw=0.8, label=log.joints)
-        axes.set_ylabel(what)
-        axes.spines[["top", "right"]].set_visible(False)
-    panels[0].legend(ncols=4, frameon=False, fontsize="small")
-    panels[1].set_xlabel("time, s")
-    return figure
+    columns = zip(log.joints, log.position.T.tolist(), log.effort.T.tolist(), strict=True)
+    time, names = log.time.tolist(), ("position, rad", "effort, N·m")
+    rows = [
+        {"joint": joint, "time": time, **dict(zip(names, both, strict=True))}
+        for joint, *both in columns
+    ]
+    return chart(rows, "time", names, "joint")
 
 
 def read_options(arguments: Sequence[str] | None = None) -> argparse.Namespace:

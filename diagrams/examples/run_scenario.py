@@ -42,7 +42,7 @@ from pydrake.systems.primitives import LogVectorOutput, VectorLogSink
 from pydrake.trajectories import PiecewisePolynomial
 
 from diagrams.examples.iiwa_messages import IiwaMessages, add_simulated_iiwa, iiwa_ports
-from diagrams.harness import panels, script_parser, show, write
+from diagrams.harness import chart, script_parser, show, write
 from geodrake import load_model
 from geodrake.boundary.arguments import number, one_of, positive
 from geodrake.boundary.escaping import printable
@@ -439,12 +439,12 @@ def moved_objects(plant: MultibodyPlant, contexts: tuple[Context, Context]) -> d
 
 def error_figure(errors: Mapping[str, tuple[tuple[str, ...], Array, Array]]) -> Figure:
     """Draw errors of all joints over time, a panel a robot."""
-    figure, axes = panels(2.4, [f"{name}: q − q_d, rad or m" for name in errors], x="time, s")
-    for (joints, times, error), ax in zip(errors.values(), axes, strict=True):
-        for joint, values in zip(joints, error.T, strict=True):
-            ax.plot(times, values, lw=1.2, label=joint)
-        ax.legend(frameon=False, fontsize=7)
-    return figure
+    rows = [
+        {"robot": name, "joint": joint, "time": times.tolist(), "q − q_d": values.tolist()}
+        for name, (joints, times, error) in errors.items()
+        for joint, values in zip(joints, error.T, strict=True)
+    ]
+    return chart(rows, "time", "q − q_d", "joint", panel="robot", note="rad or m, s")
 
 
 def run(options: argparse.Namespace) -> None:

@@ -24,20 +24,18 @@ from pydrake.systems.framework import DiagramBuilder
 from pydrake.systems.primitives import LogVectorOutput, TrajectorySource
 from pydrake.trajectories import PiecewisePolynomial
 
-from diagrams.harness import first_samples, script_parser, show, write
+from diagrams.harness import chart, first_samples, script_parser, show, write
 from geodrake import load_model
 from geodrake.diagnosis import explain
 from geodrake.effects import Role
 from geodrake.logs import JointLog
 from geodrake.logs.files import read_log
 from geodrake.model import RobotModel
-from geodrake.report import style
 
 Array = NDArray[np.float64]
 
 DEMO = Path(str(files("geodrake") / "demo"))
 FILE, BODIES, FITTED = "model file", "fitted bodies", "fitted, with friction"
-COLORS = {FILE: style.BEFORE, BODIES: style.TIED, FITTED: style.AFTER}
 KNOT = 0.04  # s between those of the motion that is followed
 BANDWIDTH = 60.0  # of the controller, rad/s
 SETTLED = 0.2  # s from the start on that are not compared
@@ -96,19 +94,13 @@ def errors(log: JointLog, efforts: dict[str, Array]) -> list[dict[str, Any]]:
 
 def effort_figure(log: JointLog, efforts: dict[str, Array]) -> Figure:
     """Return every joint: the logged effort, and that of each robot."""
-    rows = (len(log.joints) + 1) // 2
-    figure = style.new_figure(1.8 * rows)
-    axes = figure.subplots(rows, 2, sharex=True, squeeze=False).ravel()
-    for j, (joint, ax) in enumerate(zip(log.joints, axes, strict=False)):
-        style.polish(ax)
-        count = len(efforts[FILE])
-        time = log.time[:count]
-        ax.plot(time, log.effort[:count, j], color=style.MEASURED, lw=4, label="log")
-        for name, color in COLORS.items():
-            ax.plot(time, efforts[name][:, j], color=color, lw=1.2, label=name)
-        ax.set_title(f"{joint}, N·m", loc="left", **style.plain())
-    figure.legend(*axes[0].get_legend_handles_labels(), loc="outside upper right", ncols=4)
-    return figure
+    count = len(efforts[FILE])
+    rows = [
+        {"robot": name, "joint": joint, "time": log.time[:count].tolist(), "N·m": values.tolist()}
+        for name, own in {"log": log.effort[:count], **efforts}.items()
+        for joint, values in zip(log.joints, own.T, strict=True)
+    ]
+    return chart(rows, "time", "N·m", "robot", panel="joint")
 
 
 def main() -> None:
@@ -123,7 +115,7 @@ def main() -> None:
         one | {other["robot"]: other["rms"] for other in found if other["joint"] == one["joint"]}
         for one in found[: len(log.joints)]
     ]
-    show("RMS of simulated − logged effort, N·m", lines, "joint", *COLORS, "logged")
+    show("RMS of simulated − logged effort, N·m", lines, "joint", FILE, BODIES, FITTED, "logged")
     write(options, found, simulate_fitted=lambda: effort_figure(log, efforts))
 
 

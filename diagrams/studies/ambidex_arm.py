@@ -25,11 +25,9 @@ from statistics import fmean, pstdev
 from typing import Any
 
 import numpy as np
-from matplotlib.axes import Axes
 from matplotlib.figure import Figure
-from matplotlib.lines import Line2D
 
-from diagrams.harness import draw_lines, plain, run_draws, script_parser, show, titled, write
+from diagrams.harness import SHADES, chart, plain, run_draws, script_parser, show, write
 from diagrams.studies.ambidex.arm import (
     LINKS,
     PERIOD,
@@ -231,23 +229,6 @@ def zmp(measured: Measurements, phi: Array) -> Array:
     return zero_moment_point(measured.wrenches(phi))
 
 
-COLORS = {
-    "euclidean": "#c8442f",
-    "point_mass_euclidean": "#e08a3c",
-    "point_mass_kl": "#b9a03a",
-    "pullback": "#3f9c6b",
-    "entropic": "#1b6ca8",
-    "riemannian": "#7b5aa6",
-}
-LABELS = {
-    "euclidean": "Euclidean",
-    "point_mass_euclidean": "Euclidean, point masses",
-    "point_mass_kl": "KL, point masses",
-    "pullback": "constant pullback",
-    "entropic": "entropic",
-    "riemannian": "Riemannian",
-}
-MILLI = 1e3
 SHOWN = 400  # samples of the ZMP, 4 s
 EXAMPLE = 30  # training samples of the fits that are drawn
 TRUTH, PRIOR = "true bodies", "prior"
@@ -261,96 +242,49 @@ def figures_of(
     models = example(measured, plan)
     return {
         "ambidex_errors": error_figure(summary, plan),
-        "ambidex_zmp": zmp_figure(measured, models),
+        **zmp_figures(measured, models),
         "ambidex_ellipsoids": link_figure(arm, models),
     }
 
 
 def error_figure(summary: Sequence[dict[str, Any]], plan: Plan) -> Figure:
     """Return errors against the number of training samples, like figure 3.7 of the source."""
-    figure = style.new_figure(7.4)
-    panels = {
-        "training": "Motor torques, training samples: RMS error, mN·m",
-        "test": "Motor torques, test samples: RMS error, mN·m",
-        "rigid": "Torques of the true bodies on test motions: RMS error, mN·m",
-        "distance": "Geodesic distance of the links from the true ones",
-    }
-    axes = figure.subplots(2, 2).ravel()
-    for ax, (column, title) in zip(axes, panels.items(), strict=True):
-        titled(ax, title)
-        scale = 1.0 if column == "distance" else MILLI
-        _draw_errors(ax, summary, column, scale)
-        ax.set_xscale("log")
-        ax.set_xticks(plan.counts, [str(count) for count in plan.counts])
-        ax.minorticks_off()
-        ax.set_xlabel("training samples, at 100 Hz", **style.plain(style.SMALL, style.QUIET))
-    style.log_scale(axes[3], "y")
-    handles = [
-        Line2D([], [], color=COLORS[name], marker="o", markersize=4, label=LABELS[name])
-        for name in NAMES
-    ]
-    handles.append(Line2D([], [], color=style.QUIET, linestyle="--", label="prior"))
-    handles.append(Line2D([], [], color="black", linewidth=2, label="entropic, all samples"))
-    style.legend_above(figure, handles, columns=4)
-    style.note_below(
-        figure,
-        f"Means and standard deviations over {plan.draws} draws of prior and samples; all at the "
-        f"training residual of the entropic divergence with γ = {plan.gamma:g} (N·m)², the "
-        "Riemannian distance at its γ.",
-    )
-    return figure
-
-
-def _draw_errors(ax: Axes, summary: Sequence[dict[str, Any]], column: str, scale: float) -> None:
-    """One line a regularizer, side by side at each number of samples."""
-    for k, name in enumerate(NAMES):
-        lines = [line for line in summary if line["regularizer"] == name]
-        count = np.array([line["samples"] for line in lines]) * 1.06 ** (k - len(NAMES) / 2)
-        mean = scale * np.array([line[column] for line in lines])
-        deviation = scale * np.array([line[f"{column}_deviation"] for line in lines])
-        if column == "distance":  # whose axis is logarithmic
-            deviation = np.minimum(deviation, 0.9 * mean)
-        draw_lines(ax, {name: (count, mean, deviation)}, COLORS, marker="o", markersize=3.5)
+    fits = [line for line in summary if line["regularizer"] != "prior"]
     prior = next(line for line in summary if line["regularizer"] == "prior")
-    entropic = [line for line in summary if line["regularizer"] == "entropic"]
-    if column in prior:
-        ax.axhline(scale * prior[column], color=style.QUIET, linestyle="--", linewidth=1.4)
-        last = max(entropic, key=lambda line: line["samples"])
-        ax.axhline(scale * last[column], color="black", linewidth=1.8, zorder=0.5)
-
-
-def zmp_figure(measured: Measurements, models: Sequence[EllipsoidSet]) -> Figure:
-    """Return zero-moment points on the ground, like figure 3.9 of the source."""
-    points = {one.name: 100.0 * zmp(measured, one.phi)[: SHOWN // 5] for one in models}
-    colors = {one.name: one.color for one in models}
-    time = 5 * PERIOD * np.arange(SHOWN // 5)
-    figure = style.new_figure(4.6)
-    grid = figure.add_gridspec(2, 2, width_ratios=(1.6, 1.0))
-    axes = [figure.add_subplot(grid[0, 0]), figure.add_subplot(grid[1, 0])]
-    plane = figure.add_subplot(grid[:, 1])
-    for name, at in points.items():
-        look = {
-            "color": colors[name],
-            "linewidth": 2.4 if name == TRUTH else 1.2,
-            "linestyle": "--" if name == PRIOR else "-",
-            "label": name,
-        }
-        for ax, values in zip(axes, at.T, strict=True):
-            ax.plot(time, values, **look)
-        plane.plot(at[:, 0], at[:, 1], **look)
-    for ax, name in zip(axes, "xy", strict=True):
-        style.polish(ax).set_ylabel(f"{name}, cm", **style.plain())
-    axes[1].set_xlabel("time, s", **style.plain())
-    style.polish(plane).set_xlabel("x, cm", **style.plain())
-    plane.set_ylabel("y, cm", **style.plain())
-    plane.set_aspect("equal", adjustable="datalim")
-    style.legend_above(figure, plane.get_legend_handles_labels()[0])
-    style.note_below(
-        figure,
-        "Zero-moment point of the arm alone on the ground, 1 m below its shoulder; test motions, "
-        "one draw, 30 training samples.",
+    entropic = [line for line in fits if line["regularizer"] == "entropic"]
+    last = max(entropic, key=lambda line: line["samples"])
+    return chart(
+        fits,
+        "samples",
+        ("training", "test", "rigid", "distance"),
+        "regularizer",
+        levels={"prior": prior, "entropic, all samples": last},
+        note=f"N·m; means and standard deviations over {plan.draws} draws of prior and samples. "
+        f"All at the training residual of the entropic divergence with γ = {plan.gamma:g} (N·m)², "
+        "the Riemannian distance at its γ.",
     )
-    return figure
+
+
+def zmp_figures(measured: Measurements, models: Sequence[EllipsoidSet]) -> dict[str, Figure]:
+    """Return zero-moment points over time and on the ground, like figure 3.9 of the source."""
+    time = (5 * PERIOD * np.arange(SHOWN // 5)).tolist()
+    rows = [
+        {
+            "bodies": one.name,
+            "time": time,
+            **dict(zip(("x, cm", "y, cm"), at.T.tolist(), strict=True)),
+        }
+        for one in models
+        for at in (100.0 * zmp(measured, one.phi)[: SHOWN // 5],)
+    ]
+    note = (
+        "Zero-moment point of the arm alone on the ground, 1 m below its shoulder; test motions, "
+        "one draw, 30 training samples."
+    )
+    return {
+        "ambidex_zmp": chart(rows, "time", ("x, cm", "y, cm"), "bodies", note=note),
+        "ambidex_zmp_ground": chart(rows, "x, cm", "y, cm", "bodies", note=note),
+    }
 
 
 def link_figure(arm: Arm, models: Sequence[EllipsoidSet]) -> Figure:
@@ -376,9 +310,9 @@ def example(measured: Measurements, plan: Plan) -> list[EllipsoidSet]:
         EllipsoidSet.of(TRUTH, measured.truth, color=style.INK),
         EllipsoidSet.of(PRIOR, prior, color=style.QUIET),
     ]
-    for name, one in fits.items():
+    for shade, (name, one) in zip(SHADES, fits.items(), strict=False):
         flat = [column // PARAMETERS_PER_BODY for column in one.active_blocks]
-        models.append(EllipsoidSet.of(LABELS[name], one.phi, color=COLORS[name], at_boundary=flat))
+        models.append(EllipsoidSet.of(name, one.phi, color=shade, at_boundary=flat))
     return models
 
 

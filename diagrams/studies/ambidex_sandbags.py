@@ -26,8 +26,7 @@ from pydrake.systems.framework import BasicVector, Context, DiagramBuilder, Leaf
 from pydrake.systems.primitives import Adder, MatrixGain
 from pydrake.trajectories import PiecewisePolynomial, Trajectory
 
-from diagrams.harness import run_draws, script_parser, show, write
-from diagrams.studies.adaptive.figures import sandbag_figure
+from diagrams.harness import chart, run_draws, script_parser, show, write
 from diagrams.studies.adaptive.laws import (
     CALIBRATION_SEED,
     EUCLIDEAN,
@@ -449,7 +448,13 @@ def main() -> None:
     show(f"Tracking RMS in degrees, gains: {options.gains}", rows)
     period = SHOWN * LOG_PERIOD
     table = {"gains": options.gains, "period": period, "rows": rows}
-    write(options, table, ambidex_sandbags=lambda: sandbag_figure(rows, period))
+    times = [[period * k for k in range(len(row["series"]))] for row in rows]
+    drawn = [{**row, "time": own} for row, own in zip(rows, times, strict=True)]
+    figures = {
+        "ambidex_sandbags": lambda: chart(rows, "case", "rms", "law", note="RMS in degrees"),
+        "ambidex_sandbags_course": lambda: chart(drawn, "time", "series", "law", panel="case"),
+    }
+    write(options, table, **figures)
 
 
 if __name__ == "__main__":

@@ -27,7 +27,7 @@ from pydrake.multibody.parsing import Parser
 from pydrake.multibody.plant import MultibodyPlant
 from pydrake.multibody.tree import FixedOffsetFrame, RevoluteJoint, SpatialInertia
 
-from diagrams.harness import run_draws, script_parser, show, write
+from diagrams.harness import chart, run_draws, script_parser, show, write
 from diagrams.public_data import add_folder_option
 from geodrake.excitation import (
     ExcitationTrajectory,
@@ -42,7 +42,6 @@ from geodrake.excitation.trajectory import joint_order
 from geodrake.inertia import inertial_parameters, perturb
 from geodrake.logs import Motion
 from geodrake.model import RobotModel
-from geodrake.report import style
 from geodrake.robot import (
     base_wrench_regressor,
     inverse_dynamics_regressor,
@@ -362,34 +361,26 @@ def tell(table: dict[str, Any]) -> None:
     print(f"Full over reduced parameter error: {table['error_full_over_reduced']:.3g}")
 
 
-def draw(table: dict[str, Any]) -> Figure:
-    """Return figure 4.7: variances along principal directions, beside errors of accelerations."""
-    figure = style.new_figure(3.8)
-    left, right = figure.subplots(1, 2)
-    variances, threshold = np.array(table["variances"]), table["plan"]["threshold"]
-    index = np.arange(1, len(variances) + 1)
-    for those, color in (
-        (variances <= threshold, style.AFTER),
-        (variances > threshold, style.BEFORE),
-    ):
-        left.semilogy(index[those], variances[those], ".", color=color)
-    left.axhline(threshold, color=style.INK, linewidth=1.0, linestyle="--")
-    left.set_title(
-        f"Variances: {table['identifiable']} of {len(variances)} are identifiable to {threshold:g}",
-        loc="left",
-        **style.plain(),
-    )
-    left.set_xlabel("direction", **style.plain(8.5, style.QUIET))
-    colors = {"prior": style.MEASURED, "full": style.BEFORE, "reduced": style.AFTER}
-    for row in table["rows"]:
-        values = row["acceleration"]
-        right.semilogy(range(len(values)), list(values.values()), "o", color=colors[row["way"]])
-        right.set_xticks(range(len(values)), list(values))
-    right.set_title("RMS error of accelerations, rad/s²", loc="left", **style.plain())
-    right.legend(list(colors), frameon=False, fontsize=8.5)
-    for ax in (left, right):
-        style.polish(ax)
-    return figure
+def figures_of(table: dict[str, Any]) -> dict[str, Figure]:
+    """Return figure 4.7: variances along principal directions, and errors of accelerations."""
+    threshold = table["plan"]["threshold"]
+    variances = [
+        {"direction": k + 1, "variance": x, "identifiable": "yes" if x <= threshold else "no"}
+        for k, x in enumerate(table["variances"])
+        if np.isfinite(x)
+    ]
+    errors = [
+        {"way": row["way"], "joint": joint, kind: row[kind][joint]}
+        for row in table["rows"]
+        for kind in ("effort", "acceleration")
+        for joint in row[kind]
+    ]
+    levels = {"threshold": {"variance": threshold}}
+    by = {"levels": levels, "joined": False}
+    return {
+        "atlas_variances": chart(variances, "direction", "variance", "identifiable", **by),
+        "atlas_identification": chart(errors, "joint", ("effort", "acceleration"), "way"),
+    }
 
 
 def main() -> None:
@@ -416,7 +407,7 @@ def main() -> None:
     task, numbers = partial(one_motion, plan=plan), range(plan.motions)
     table = run(run_draws(parser, options, task, numbers, shared=not small), plan)
     tell(table)
-    write(options, table, atlas_identification=lambda: draw(table))
+    write(options, table, atlas_identification=lambda: figures_of(table))
 
 
 if __name__ == "__main__":

@@ -17,7 +17,7 @@ from matplotlib.figure import Figure
 from matplotlib.patches import Ellipse
 from scipy.spatial.transform import Rotation
 
-from diagrams.harness import script_parser, write
+from diagrams.harness import chart, script_parser, write
 from geodrake.inertia import (
     Ellipsoid,
     change_frame,
@@ -38,13 +38,8 @@ MASS = 5.0  # kg
 SIZE = np.array([0.3, 0.1, 0.1])  # semi-axes of the long body, m
 APART = 0.15  # m between the centres of figure 3.3(a)
 RADIUS = 0.1  # m, of the ball of figure 3.4(b)
-STYLES = {
-    "euclidean, kg-m": {"color": style.BEFORE, "linewidth": 1.8},
-    "euclidean, inch-pound": {"color": style.BEFORE, "linewidth": 1.8, "linestyle": "--"},
-    "pullback": {"color": style.MEASURED, "linewidth": 4.5},
-    "entropic": {"color": style.FLOOR, "linewidth": 2.8},
-    "riemannian": {"color": style.AFTER, "linewidth": 1.4},
-}
+MEASURES = ("euclidean, kg-m", "euclidean, inch-pound", "pullback", "entropic", "riemannian")
+
 Curves = dict[str, Any]
 
 
@@ -79,33 +74,30 @@ def normalized(name: str, unit: str, x: np.ndarray, bodies: tuple[Any, Any], at:
     return {"name": name, "unit": unit, "x": x.tolist(), "normalized_at": float(x[k]), **lists}
 
 
-def position_curves(points: int) -> tuple[Curves, np.ndarray, np.ndarray]:
+def position_curves(points: int) -> Curves:
     """Figure 3.3(a): the same body with its centre moved by one length in every direction."""
     angle = np.linspace(0.0, 180.0, points)
     target = long_body()
     direction = turns(np.deg2rad(angle))[..., 0]
     phi = change_frame(target, np.eye(3), APART * direction)
-    curves = normalized("moved in this direction", "°", angle, (phi, target), 90.0)
-    return curves, phi, target
+    return normalized("moved in this direction", "°", angle, (phi, target), 90.0)
 
 
-def orientation_curves(points: int) -> tuple[Curves, np.ndarray, np.ndarray]:
+def orientation_curves(points: int) -> Curves:
     """Return figure 3.3(b): the same body turned about one of its ends."""
     angle = np.linspace(2.0, 180.0, points)
     target = long_body((SIZE[0], 0.0, 0.0))
     phi = change_frame(target, turns(np.deg2rad(angle)), np.zeros(3))
-    curves = normalized("turned about its end by", "°", angle, (phi, target), 90.0)
-    return curves, phi, target
+    return normalized("turned about its end by", "°", angle, (phi, target), 90.0)
 
 
-def volume_curves(points: int) -> tuple[Curves, np.ndarray, np.ndarray]:
+def volume_curves(points: int) -> Curves:
     """Return figure 3.4(a): a body of the same mass and shape that grows from its foot."""
     length = np.geomspace(0.01, 1.25, points)
     target = long_body((SIZE[0], 0.0, 0.0))
     center, semi_axes = np.outer(length, [SIZE[0], 0.0, 0.0]), np.outer(length, SIZE)
     phi = Ellipsoid(center, semi_axes, np.eye(3)).uniform_body(MASS)
-    curves = normalized("volume over the target's", "", length**3, (phi, target), 0.2)
-    return curves, phi, target
+    return normalized("volume over the target's", "", length**3, (phi, target), 0.2)
 
 
 def mass_curves(masses: np.ndarray, samples: int, rng: np.random.Generator) -> Curves:
@@ -140,47 +132,36 @@ def frame_and_unit_table(changes: int, rng: np.random.Generator) -> dict[str, An
     return {"squared_distance": reference, "largest_over_smallest_less_1": spread}
 
 
-def measure(*, quick: bool, seed: int) -> tuple[dict[str, Any], list[Any]]:
-    """Return all curves and the table, and the bodies that the figures show."""
-    rng = np.random.default_rng(seed)
-    points = 37 if quick else 181
-    shown = [position_curves(points), orientation_curves(points), volume_curves(points)]
+def measure(*, quick: bool, seed: int) -> dict[str, Any]:
+    """Return all curves and the table."""
+    rng, points = np.random.default_rng(seed), 37 if quick else 181
+    position, volume = position_curves(points), volume_curves(points)
     masses = np.geomspace(0.5, 20.0, 5 if quick else 15)
     by_mass = mass_curves(masses, 200 if quick else 500, rng)
-    geometric = ("pullback", "entropic", "riemannian")
-    position, names = shown[0][0], ("position", "orientation", "volume")
-    table = {
+    curves = {"mass": by_mass, "position": position, "orientation": orientation_curves(points)}
+    return {
         "frames_and_units": frame_and_unit_table(10 if quick else 100, rng),
         "shortest_over_longest_by_direction": {
-            key: min(position[key]) / max(position[key]) for key in STYLES
+            key: min(position[key]) / max(position[key]) for key in MEASURES
         },
         "direction_of_shortest_deg": {
-            key: position["x"][int(np.argmin(position[key]))] for key in geometric
+            key: position["x"][int(np.argmin(position[key]))] for key in MEASURES[2:]
         },
         "largest_over_smallest_by_mass": {
-            key: max(by_mass[key]) / min(by_mass[key]) for key in STYLES
+            key: max(by_mass[key]) / min(by_mass[key]) for key in MEASURES
         },
-        "at_smallest_volume_over_at_0.2": {key: shown[2][0][key][0] for key in STYLES},
-        "curves": {"mass": by_mass, **dict(zip(names, (x[0] for x in shown), strict=True))},
+        "at_smallest_volume_over_at_0.2": {key: volume[key][0] for key in MEASURES},
+        "curves": {**curves, "volume": volume},
     }
-    return table, shown
 
 
-def add_body(axes: Any, phi: np.ndarray, offset: float = 0.0, **look: Any) -> None:
-    """The outline of a body's equivalent ellipsoid in the xy-plane, moved along x."""
+def add_body(axes: Any, phi: np.ndarray, **look: Any) -> None:
+    """The outline of a body's equivalent ellipsoid in the xy-plane."""
     body = equivalent_ellipsoid(phi)
     shape = (body.rotation * body.semi_axes**2) @ body.rotation.T
     squares, sides = np.linalg.eigh(shape[:2, :2])
     angle = np.rad2deg(np.arctan2(sides[1, 1], sides[0, 1]))
-    center = body.center[:2] + np.array([offset, 0.0])
-    axes.add_patch(Ellipse(center, *(2 * np.sqrt(squares[::-1])), angle=angle, **look))
-
-
-def bare(axes: Any) -> None:
-    """Axes without a frame and with equal scales."""
-    axes.set_aspect("equal")
-    axes.autoscale_view()
-    axes.set_axis_off()
+    axes.add_patch(Ellipse(body.center[:2], *(2 * np.sqrt(squares[::-1])), angle=angle, **look))
 
 
 def draw_geodesics() -> Figure:
@@ -217,75 +198,36 @@ def draw_geodesics() -> Figure:
     title = f"A geodesic: bodies, their centres of mass; {MASS:g} kg fall to {lightest:.2g} kg"
     right.set_title(title, loc="left", **style.plain())
     for axes in (left, right):
-        bare(axes)
+        axes.set_aspect("equal")
+        axes.autoscale_view()
+        axes.set_axis_off()
     return figure
 
 
-def draw_sketches(axes: Any, curves: Curves, phi: np.ndarray, target: np.ndarray) -> None:
-    """Some of the bodies of a curve, over the target."""
-    for k, pick in enumerate(np.linspace(0, len(phi) - 1, 5).astype(int)):
-        add_body(axes, target, 1.25 * k, facecolor=style.MEASURED, edgecolor="none")
-        add_body(axes, phi[pick], 1.25 * k, fill=False, edgecolor="#b3261e", linewidth=1.3)
-        label = f"{curves['x'][pick]:.3g}{curves['unit']}"
-        axes.text(
-            1.25 * k + target[1] / target[0],
-            -0.42,
-            label,
-            ha="center",
-            va="bottom",
-            **style.plain(8, style.QUIET),
-        )
-    axes.set_ylim(-0.45, 0.65)
-    bare(axes)
-
-
-def draw_curves(panels: list[tuple[Curves, Any, Any]], log: Sequence[str]) -> Figure:
-    """Return figures 3.3 and 3.4: curves of every measure, with the bodies above them.
-
-    Args:
-        panels: Curves with their bodies and target, None if there are no bodies to show.
-    """
-    figure = style.new_figure(4.4)
-    rows = figure.subplots(2, len(panels), height_ratios=[1, 3], squeeze=False)
-    lines: list[Any] = []
-    for top, axes, (curves, phi, target), scales in zip(*rows, panels, log, strict=True):
-        lines = [
-            axes.plot(curves["x"], curves[key], label=key, **line)[0]
-            for key, line in STYLES.items()
-        ]
-        axes.axvline(curves["normalized_at"], color=style.INK, linestyle=":", linewidth=1.0)
-        style.polish(axes)
-        for scale in scales:
-            style.log_scale(axes, scale)
-        unit = f", {curves['unit']}" if curves["unit"] else ""
-        axes.set_xlabel(curves["name"] + unit, **style.plain(8.5, style.QUIET))
-        if phi is not None:
-            draw_sketches(top, curves, phi, target)
-            continue
-        top.set_axis_off()
-        note = (
-            "Mean of balls of 0.1 m radius, perturbed by\npoint masses of up to 30 % of their mass"
-        )
-        top.text(0.0, 0.3, note, transform=top.transAxes, **style.plain(8.5, style.QUIET))
-    rows[1][0].set_ylabel(
-        "squared distance over that\nat the dotted line", **style.plain(8.5, style.QUIET)
-    )
-    style.legend_above(figure, lines)
-    return figure
+def draw_curves(curves: Sequence[Curves], note: str = "") -> Figure:
+    """Return figures 3.3 and 3.4: curves of every measure."""
+    rows = [
+        {"measure": key, "of": f"{one['name']} {one['unit']}", "x": one["x"], "squared": one[key]}
+        for one in curves
+        for key in MEASURES
+    ]
+    note = f"Squared distances over those at one place. {note}"
+    return chart(rows, "x", "squared", "measure", panel="of", note=note)
 
 
 def main() -> None:
     """Measures, prints, and writes what was asked for."""
     options = script_parser(__doc__).parse_args()
-    table, shown = measure(quick=options.quick, seed=options.seed)
+    table = measure(quick=options.quick, seed=options.seed)
     print(json.dumps({key: value for key, value in table.items() if key != "curves"}, indent=2))
-    by_mass = (table["curves"]["mass"], None, None)
+    mass = "Mass: mean of balls of 0.1 m radius, perturbed by point masses of up to 30 %."
+    curves = table["curves"]
     write(
         options,
         table,
         body_distances_geodesic=draw_geodesics,
-        body_distances_pose=lambda: draw_curves(shown[:2], ["", ""]),
-        body_distances_size=lambda: draw_curves([shown[2], by_mass], ["x", "xy"]),
+        body_distances_pose=lambda: draw_curves([curves["position"], curves["orientation"]]),
+        body_distances_size=lambda: draw_curves([curves["volume"], curves["mass"]], mass),
     )
 
 

@@ -11,18 +11,17 @@ motion are ours, see `models/cheetah.dmd.yaml` and `gallop`.
 from __future__ import annotations
 
 import logging
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass
+from functools import partial
 from typing import Any
 
 import numpy as np
-from matplotlib.figure import Figure
 from pydrake.multibody.plant import MultibodyPlant
 from rich.progress import track
 
-from diagrams.harness import panels, script_parser, show, sines, write
+from diagrams.harness import chart, script_parser, show, sines, write
 from diagrams.studies.cheetah.leg import (
-    COLORS,
     JOINTS,
     MODELS,
     Array,
@@ -36,7 +35,6 @@ from geodrake.identification import PointMasses
 from geodrake.inertia import PARAMETERS_PER_BODY, is_realizable, perturb
 from geodrake.inertia.ellipsoids import ellipsoid_of_quadric
 from geodrake.logs import Motion
-from geodrake.report import style
 from geodrake.robot import (
     KinematicTree,
     LinearTransmission,
@@ -237,32 +235,6 @@ def run(*, seed: int, truths: int) -> tuple[list[dict[str, Any]], int]:
     return rows, base_parameters(A).rank
 
 
-def error_figure(rows: Sequence[dict[str, Any]]) -> Figure:
-    """Return errors in the gallop by regularizer, figure 3.12."""
-    names = list(dict.fromkeys(row["quantity"] for row in rows))
-    figure, axes = panels(3.6, names, grid="y")
-    for ax, name in zip(axes, names, strict=True):
-        *bars, prior = (row for row in rows if row["quantity"] == name)
-        mean, deviation = ([row[key] for row in bars] for key in ("mean", "deviation"))
-        ax.bar(
-            [row["regularizer"].replace(" ", "\n") for row in bars],
-            mean,
-            yerr=[np.minimum(mean, deviation), deviation],
-            color=[COLORS[row["regularizer"]] for row in bars],
-            ecolor=style.INK,
-            capsize=3,
-            width=0.65,
-        )
-        ax.set_ylabel(prior["unit"], **style.plain())
-        ax.set_title(f"prior: {prior['mean']:.3g}", loc="right", **style.plain(color=style.QUIET))
-        top = float(np.add(mean, deviation).max())
-        ax.set_ylim(0, 1.12 * top)
-        for k, row in enumerate(bars):
-            place = row["mean"] + row["deviation"] + 0.02 * top
-            ax.text(k, place, f"{row['mean']:.3g}", ha="center", **style.plain(style.SMALL))
-    return figure
-
-
 def main() -> None:
     """Run the study from the command line."""
     options = script_parser(__doc__, "five true legs instead of a hundred").parse_args()
@@ -270,7 +242,9 @@ def main() -> None:
     rows, rank = run(seed=options.seed, truths=5 if options.quick else 100)
     show("RMS", rows)
     print(f"The leg's motion tells {rank} base parameters of its 60 parameters.")
-    write(options, rows, cheetah_gallop_errors=lambda: error_figure(rows))
+    drawn = [{**row, "mean_deviation": row["deviation"]} for row in rows]
+    draw = partial(chart, drawn, "regularizer", "mean", panel="quantity", note="RMS, N and N·m")
+    write(options, rows, cheetah_gallop_errors=draw)
 
 
 if __name__ == "__main__":

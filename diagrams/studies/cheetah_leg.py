@@ -23,9 +23,8 @@ import numpy as np
 from matplotlib.figure import Figure
 from rich.progress import track
 
-from diagrams.harness import draw_lines, panels, script_parser, show, write
+from diagrams.harness import SHADES, chart, script_parser, show, write
 from diagrams.studies.cheetah.leg import (
-    COLORS,
     REGULARIZERS,
     Condensed,
     Leg,
@@ -111,39 +110,23 @@ def drawn(
 
 def error_figure(study: Study) -> Figure:
     """Return training and test errors against the number of training samples, figure 3.10."""
-    *_, last = study.rows
     drawn = [r for r in study.rows[: -len(REGULARIZERS)] if r["stretch"]]
-    sizes = sorted({r["samples"] for r in drawn})
-    how = {"x": "training samples", "y": "RMS joint torque, N·m"}
-    figure, axes = panels(4.2, ("training error", "test error"), **how)
-    for ax, what in zip(axes, ("train", "test"), strict=True):
-        for k, kind in enumerate(REGULARIZERS):
-            rows = [r for r in drawn if r["regularizer"] == kind]
-            at = np.array([r["samples"] for r in rows]) * 1.02 ** (k - 1.5)
-            error = [r["deviation"] for r in rows] if what == "test" else None
-            line = {kind: (at, [r[what] for r in rows], error)}
-            draw_lines(ax, line, COLORS, marker="o", markersize=4)
-        ax.set_xscale("log")
-        ax.set_xticks(sizes, [str(size) for size in sizes], minor=False)
-        ax.set_xticks([], minor=True)
-        ax.set_ylim(0, None)
-    axes[1].axhline(last["prior"], color="#c00000", linestyle="--", linewidth=1, label="prior")
-    label = f"all {last['samples']} samples"
-    axes[1].axhline(last["test"], color="black", linewidth=1.4, label=label)
-    axes[1].legend(frameon=False, fontsize=style.SMALL)
-    return figure
+    drawn = [{**r, "test_deviation": r["deviation"]} for r in drawn]
+    last = study.rows[-1]
+    levels = {"prior": {"test": last["prior"]}, f"all {last['samples']} samples": last}
+    return chart(drawn, "samples", ("train", "test"), "regularizer", levels=levels, note="N·m")
 
 
 def body_figure(study: Study) -> Figure:
     """Return the bodies identified from the first stretch of 30 samples, figure 3.11."""
     plant, sets = (
         study.leg.plant,
-        [EllipsoidSet.of("prior", study.leg.prior, color=COLORS["prior"])],
+        [EllipsoidSet.of("prior", study.leg.prior, color=style.MEASURED)],
     )
-    for kind, found in study.example.items():
+    for shade, (kind, found) in zip(SHADES, study.example.items(), strict=False):
         at = [first // 10 for first in found.active_blocks]
         name = kind.replace("_", " ")
-        sets.append(EllipsoidSet.of(name, found.phi, color=COLORS[kind], at_boundary=at))
+        sets.append(EllipsoidSet.of(name, found.phi, color=shade, at_boundary=at))
     context = plant.CreateDefaultContext()
     plant.SetPositions(context, study.leg.transmission.joint_positions(np.array([[0, 0.5, -1]]))[0])
     return ellipsoid_figure(plant, sets, context=context)

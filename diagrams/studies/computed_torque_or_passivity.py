@@ -19,9 +19,8 @@ from functools import partial
 from statistics import fmean
 from typing import Any
 
-from diagrams.harness import positive_number, run_draws, script_parser, show, write
+from diagrams.harness import chart, positive_number, run_draws, script_parser, show, write
 from diagrams.studies.adaptive.faults import NoisyVelocities
-from diagrams.studies.adaptive.figures import controller_figure
 from diagrams.studies.adaptive.laws import (
     CALIBRATION_SEED,
     EUCLIDEAN,
@@ -177,7 +176,11 @@ def main() -> None:
     summary = summarize(rows)
     show("Tracking RMS in degrees; CPU seconds a simulated second", summary)
     table = {"summary": summary, "rows": rows}
-    write(options, table, computed_torque_or_passivity=lambda: controller_figure(summary))
+    sigma = max(line["sigma"] for line in summary)
+    worst = [{**x, "rms_deviation": x["deviation"] or 0.0} for x in summary if x["sigma"] == sigma]
+    note = f"RMS in degrees at σ = {sigma:g}; noise of the velocity in rad/s"
+    draw = partial(chart, worst, "controller", "rms", "law", panel="noise", note=note)
+    write(options, table, computed_torque_or_passivity=draw)
 
 
 if __name__ == "__main__":

@@ -27,7 +27,7 @@ from matplotlib.patches import Ellipse
 from numpy.typing import NDArray
 from rich.progress import track
 
-from diagrams.harness import draw_bars, draw_lines, panels, script_parser, show, write
+from diagrams.harness import chart, script_parser, show, write
 from diagrams.public_data import add_folder_option, require
 from geodrake.identification import (
     PointMasses,
@@ -223,35 +223,6 @@ def _draw_bodies(ax: Axes, human: Human, phi: Array, color: str) -> None:
         ax.add_patch(patch)
 
 
-def mass_figure(human: Human, rows: Sequence[dict[str, Any]]) -> Figure:
-    """Mass of every body, side by side."""
-    figure, (ax,) = panels(3.6, (f"Mass of every body, kg, at α = {rows[0]['alpha']:g}",), grid="y")
-    masses = {"prior": human.prior[:, 0].tolist()} | {r["regularizer"]: r["masses"] for r in rows}
-    draw_bars(ax, NAMES, masses, {"prior": style.MEASURED, **COLORS})
-    ax.tick_params(axis="x", labelrotation=40)
-    style.legend_above(figure, ax.get_legend_handles_labels()[0])
-    return figure
-
-
-def sweep_figure(rows: Sequence[dict[str, Any]]) -> Figure:
-    """What α does: residual, distance from the prior, and how flat the flattest body gets."""
-    names = {
-        "residual": "residual ‖AΦ − b‖²",
-        "distance": "geodesic distance from the prior",
-        "least": "smallest eigenvalue of P(φ⁰)⁻¹P(φ)",
-    }
-    figure, axes = panels(3.2, list(names.values()), x="α")
-    for ax, field in zip(axes, names, strict=True):
-        own = {name: [row for row in rows if row["regularizer"] == name] for name in COLORS}
-        lines = {n: ([r["alpha"] for r in x], [r[field] for r in x]) for n, x in own.items()}
-        draw_lines(ax, lines, COLORS, marker="o", ms=3)
-        style.log_scale(ax, "x")
-        if field != "distance":
-            style.log_scale(ax, "y")
-    style.legend_above(figure, axes[0].get_legend_handles_labels()[0])
-    return figure
-
-
 REGULARIZERS = ("euclidean", "point_mass_euclidean", "pullback", "entropic", "riemannian")
 BASELINE = 1e-2
 ALPHAS, QUICK_ALPHAS = (1e-5, 1e-4, 1e-3, 1e-2, 1e-1, 1.0), (1e-2, 1.0)
@@ -310,12 +281,20 @@ def main() -> None:
     show("RMS errors", [{k: _named(v) for k, v in each.items()} for each in errors])
     shown = {alpha: found[alpha] for alpha in (1e-4, BASELINE, 1.0) if alpha in found}
     baseline = [row for row in rows if row["alpha"] == BASELINE]
+    masses = [
+        {"regularizer": name, "body": body, "mass": float(mass)}
+        for name, own in (
+            ("prior", human.prior[:, 0]),
+            *((row["regularizer"], row["masses"]) for row in baseline),
+        )
+        for body, mass in zip(NAMES, own, strict=True)
+    ]
     write(
         options,
         {"fits": rows, "errors": errors},
         human_ellipsoids=lambda: ellipsoid_figure(human, shown),
-        human_masses=lambda: mass_figure(human, baseline),
-        human_sweep=lambda: sweep_figure(rows),
+        human_masses=lambda: chart(masses, "body", "mass", "regularizer", note="kg"),
+        human_sweep=lambda: chart(rows, "alpha", ("residual", "distance", "least"), "regularizer"),
     )
 
 

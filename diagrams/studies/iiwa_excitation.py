@@ -25,7 +25,7 @@ import numpy as np
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
-from diagrams.harness import MODELS, dots, run_draws, script_parser, show, write
+from diagrams.harness import MODELS, chart, run_draws, script_parser, show, write
 from diagrams.public_data import add_folder_option
 from geodrake.excitation import (
     NORMALIZATIONS,
@@ -50,7 +50,6 @@ from geodrake.excitation.starts import random_guess, within_limits
 from geodrake.inertia import perturb
 from geodrake.logs import Motion
 from geodrake.model import RobotModel, load_description
-from geodrake.report import style
 from geodrake.robot import BaseParameters, inverse_dynamics_regressor, pushforward_metric
 
 Array = NDArray[np.float64]
@@ -390,20 +389,16 @@ def tell(table: dict[str, Any]) -> None:
 
 def draw(rows: Sequence[dict[str, Any]]) -> Figure:
     """Return errors by criterion and base representation."""
-    colors = {"none": style.MEASURED, "diagonal": style.BEFORE, "geometric": style.AFTER}
-    kinds = [row["normalization"].split(",")[0] for row in rows]
-    names = [
-        f"{r['normalization']}: {r['criterion'].replace('_', ' ')}, base {r['base']}"
-        if kind in colors
-        else r["normalization"]
-        for kind, r in zip(kinds, rows, strict=True)
+    last = "acceleration of the last joint"
+    drawn = [
+        {
+            **row,
+            "motion": f"{row['normalization']}: {row['criterion']}, base {row['base']}",
+            last: [*row["acceleration"].values()][-1],
+        }
+        for row in rows
     ]
-    columns = {
-        "parameter error": [row["error"] for row in rows],
-        "acceleration of the last joint, rad/s²": [[*r["acceleration"].values()][-1] for r in rows],
-        "criterion over the best": [row["criterion_over_best_geometric"] for row in rows],
-    }
-    return dots(4.2, names, columns, [colors.get(kind, style.FLOOR) for kind in kinds])
+    return chart(drawn, "motion", ("error", last, "criterion_over_best_geometric"))
 
 
 def main() -> None:

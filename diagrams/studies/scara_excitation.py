@@ -18,7 +18,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from matplotlib.figure import Figure
 from numpy.typing import NDArray
 from pydrake.math import RigidTransform, RotationMatrix
 from pydrake.multibody.plant import MultibodyPlant
@@ -29,7 +28,7 @@ from pydrake.multibody.tree import (
     SpatialInertia,
 )
 
-from diagrams.harness import dots, run_draws, script_parser, show, write
+from diagrams.harness import chart, run_draws, script_parser, show, write
 from diagrams.studies.iiwa_excitation import identified_by, parameter_error, root_covariance
 from geodrake.excitation import (
     CRITERIA,
@@ -46,7 +45,6 @@ from geodrake.excitation import (
 )
 from geodrake.inertia import inertial_parameters
 from geodrake.model import RobotModel
-from geodrake.report import style
 
 Array = NDArray[np.float64]
 
@@ -234,15 +232,6 @@ def spread(rows: Sequence[dict[str, Any]], normalization: str) -> dict[str, floa
     }
 
 
-def draw(rows: Sequence[dict[str, Any]]) -> Figure:
-    """Return errors by normalization and frame."""
-    colors = {"none": style.MEASURED, "diagonal": style.BEFORE, "geometric": style.AFTER}
-    names = [f"{row['normalization']} {row['frame']}" for row in rows]
-    columns = {f"RMS {title}": [row[key] for row in rows] for key, title in COLUMNS.items()}
-    shades = [colors.get(row["normalization"], style.FLOOR) for row in rows]
-    return dots(3.0, names, columns, shades)
-
-
 def main() -> None:
     """Run the study from the command line."""
     parser = script_parser(__doc__, draws=True)
@@ -266,7 +255,9 @@ def main() -> None:
             f"errors of the designs by {error:.3g}, and their samples by {apart:.3g}"
         )
     table = {"plan": plan, "rows": rows, "spread": spreads}
-    write(options, table, scara_excitation=lambda: draw(rows))
+    write(
+        options, table, scara_excitation=lambda: chart(rows, "frame", [*COLUMNS], "normalization")
+    )
 
 
 if __name__ == "__main__":

@@ -24,9 +24,9 @@ from functools import partial
 from typing import Any
 
 import numpy as np
+from matplotlib.figure import Figure
 
-from diagrams.harness import positive_number, run_draws, script_parser, show, write
-from diagrams.studies.adaptive.figures import adaptation_figures
+from diagrams.harness import chart, positive_number, run_draws, script_parser, show, write
 from diagrams.studies.adaptive.laws import (
     CALIBRATION_SEED,
     EUCLIDEAN,
@@ -164,6 +164,18 @@ def summarize(rows: Sequence[Any]) -> list[dict[str, Any]]:
     return lines
 
 
+def figures_of(summary: Sequence[dict[str, Any]]) -> dict[str, Figure]:
+    """Return figures 5.4 and 5.5 of the source, and one of time steps."""
+    lines = [{**line, "rms_deviation": line["deviation"] or 0.0} for line in summary]
+    noise, growing, steps = ([x for x in lines if x["part"] == p] for p in (NOISE, ROUNDS, STEP))
+    both = ("rms", "unphysical")
+    return {
+        "wam_initial_error": chart(noise, "sigma", both, "law", note="RMS in degrees"),
+        "wam_rounds": chart(growing, "", "rounds", "law", note="RMS of each round, degrees"),
+        "wam_time_steps": chart(steps, "step", both, "law", note="time steps in s, degrees"),
+    }
+
+
 def main() -> None:
     """Run the study from the command line."""
     parser = script_parser(__doc__, draws=True)
@@ -184,7 +196,7 @@ def main() -> None:
     summary = summarize(rows)
     show(f"Tracking RMS in degrees, gains: {options.gains}", summary)
     table = {"gains": options.gains, "summary": summary, "rows": rows}
-    write(options, table, wam=lambda: adaptation_figures(summary))
+    write(options, table, wam=lambda: figures_of(summary))
 
 
 if __name__ == "__main__":

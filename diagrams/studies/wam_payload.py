@@ -17,8 +17,7 @@ from typing import Any
 
 import numpy as np
 
-from diagrams.harness import run_draws, script_parser, show, write
-from diagrams.studies.adaptive.figures import load_figure
+from diagrams.harness import chart, run_draws, script_parser, show, write
 from diagrams.studies.adaptive.laws import (
     CALIBRATION_SEED,
     EUCLIDEAN,
@@ -122,7 +121,13 @@ def main() -> None:
     show(f"Tracking RMS in degrees, gains: {options.gains}", lines)
     period = SHOWN * LOG_PERIOD
     table = {"gains": options.gains, "period": period, "rows": rows}
-    write(options, table, wam_payload=lambda: load_figure(rows, period))
+    times = [[period * k for k in range(len(row["series"]))] for row in rows]
+    drawn = [{**row, "time": own} for row, own in zip(rows, times, strict=True)]
+    figures = {
+        "wam_payload_rounds": lambda: chart(rows, "", "rounds", "law", panel="load"),
+        "wam_payload": lambda: chart(drawn, "time", "series", "law", panel="load"),
+    }
+    write(options, table, **figures)
 
 
 if __name__ == "__main__":

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from typing import Any
 
+import numpy as np
 from matplotlib.figure import Figure
 
 from diagrams.benchmarks.fleets.logs import (
@@ -17,12 +18,11 @@ from diagrams.benchmarks.fleets.logs import (
     day_of,
     type_file,
 )
-from diagrams.harness import draw_lines, panels
+from diagrams.harness import chart
 from geodrake.fleet import FleetFinding, FleetResult, ParameterHistory, RobotResult
 from geodrake.fleet.changes import MONTH
 from geodrake.fleet.fleet_result import ChangeRival
 from geodrake.fleet.type_columns import RAMP, STEP
-from geodrake.report import style
 
 _DRY, _VISCOUS = frozenset({"coulomb_friction"}), frozenset({"viscous_friction"})
 
@@ -158,25 +158,30 @@ def figures_of(rows: Sequence[Mapping[str, Any]], result: FleetResult) -> dict[s
 
 def _days_figure(rows: Sequence[Mapping[str, Any]]) -> Figure:
     """Draw days that were found over those that were hidden, with their intervals."""
-    how = {"x": "day of the change", "y": "day that was found", "sharey": True}
-    figure, panel = panels(3.0, list(FAMILIES), **how)
-    for axes, what in zip(panel, FAMILIES, strict=True):
-        for row in rows:
-            if row["hidden"] == what:
-                for named in row["named"]:
-                    low, high = named["interval"]
-                    axes.vlines(row["hidden day"], low, high, color=style.BEFORE, linewidth=1.0)
-                    axes.plot(row["hidden day"], named["day"], "o", markersize=3, color=style.AFTER)
-        axes.plot([0, 30], [0, 30], color="0.3", linewidth=0.6)
-    return figure
+    drawn = [
+        {
+            "hidden": row["hidden"],
+            "hidden day": row["hidden day"],
+            "day that was found": named["day"],
+            "day that was found_deviation": np.abs(np.subtract(named["interval"], named["day"])),
+        }
+        for row in rows
+        if row["hidden"] is not None
+        for named in row["named"]
+    ]
+    return chart(drawn, "hidden day", "day that was found", "hidden", joined=False)
 
 
 def _history_figure(robot: RobotResult, finding: FleetFinding, history: ParameterHistory) -> Figure:
     name, unit = history.parameter.name, history.parameter.unit
-    title = f"{finding.effect} of {finding.where}, {robot.robot}"
     y = f"{name}, {unit}" if unit else name
-    figure, (axes,) = panels(3.0, (title,), x="day", y=y)
-    line = {name: (day_of(robot.dates), history.values, 1.96 * history.deviations)}
-    draw_lines(axes, line, {name: style.AFTER}, fmt="o", markersize=3, ecolor=style.BEFORE)
-    axes.axvline(day_of(finding.date), color="0.3", linewidth=0.6)
-    return figure
+    rows = [
+        {"day": float(day_of(date)), y: float(value), f"{y}_deviation": 1.96 * float(deviation)}
+        for date, value, deviation in zip(
+            robot.dates, history.values, history.deviations, strict=True
+        )
+    ]
+    note = (
+        f"{finding.effect} of {finding.where}, {robot.robot}, from day {day_of(finding.date):.0f}"
+    )
+    return chart(rows, "day", y, joined=False, note=note)

@@ -24,7 +24,7 @@ from diagrams.benchmarks.hidden.logs import (
 )
 from diagrams.benchmarks.hidden.robots import SLOW
 from diagrams.benchmarks.hidden.truths import KINDS, TRUTHS
-from diagrams.harness import show, titled
+from diagrams.harness import chart, show, titled
 from geodrake.report import style
 
 Row = Mapping[str, Any]
@@ -275,9 +275,6 @@ def _both(row: Row) -> bool:
     return bool(row["named"] and not row["extra"])
 
 
-_REACHED, _MISSED, _OTHER = style.AFTER, style.BEFORE, style.MEASURED
-
-
 def figures_of(
     lines: Sequence[Line],
     confused: Mapping[str, Mapping[str, int]],
@@ -288,33 +285,29 @@ def figures_of(
     if confused:
         figures["hidden_effects_confusions"] = confusion_figure(confused)
     if smallest:
-        figures["hidden_effects_smallest"] = smallest_figure(smallest)
+        note = f"At 1 % noise, {smallest[0]['logs']} logs each; smallest: found in nine of ten"
+        both = ("smallest", "median")
+        figures["hidden_effects_smallest"] = chart(smallest, "effect", both, note=note)
     return figures
 
 
 def bars_figure(lines: Sequence[Line]) -> Figure:
-    """Return what was reached, with its interval, against what was asked for."""
-    shown = [line for line in lines if line.value is not None and not line.figure.count("seconds")]
-    shares = [line for line in shown if "floor" not in line.figure]
-    figure = style.new_figure(0.9 + 0.27 * len(shares))
-    axes = figure.subplots()
-    for k, line in enumerate(shares):
-        color = {True: _REACHED, False: _MISSED, None: _OTHER}[line.reached]
-        axes.plot([line.low, line.high], [k, k], color=color, linewidth=5.0, alpha=0.35)
-        axes.plot(line.value, k, "o", color=color, markersize=6.0)
-        for at in (line.bar, line.highest):
-            if at is not None:
-                axes.plot([at, at], [k - 0.38, k + 0.38], color=style.INK, linewidth=1.4)
-        text = f"{100 * line.value:.1f} %  of {line.logs}"
-        axes.text(1.03, k, text, va="center", **style.plain(style.SMALL, style.QUIET))
-    axes.set_yticks(range(len(shares)), [line.figure for line in shares])
-    axes.set(xlim=(-0.02, 1.02), ylim=(len(shares) - 0.4, -0.6))
-    axes.set_xticks(
-        np.arange(0.0, 1.01, 0.2), [f"{100 * x:.0f} %" for x in np.arange(0, 1.01, 0.2)]
-    )
-    titled(axes, "Hidden effects: share of logs, 95 % interval, and the bar (black)", grid="x")
-    style.note_below(figure, "Blue: the bar is reached. Orange: missed. Grey: no bar.")
-    return figure
+    """Return what was reached, with half of its interval, against what was asked for."""
+    shown = [line for line in lines if line.value is not None and "seconds" not in line.figure]
+    words = {True: "reached", False: "missed", None: "no bar"}
+    rows = [
+        {
+            "figure": f"{line.figure} (of {line.logs}"
+            + ("" if line.bar is None else f", {'≤' if line.most else '≥'} {line.bar:g}")
+            + ")",
+            "share": line.value,
+            "share_deviation": (line.value - line.low, line.high - line.value),
+            "bar": words[line.reached],
+        }
+        for line in shown
+        if "floor" not in line.figure
+    ]
+    return chart(rows, "figure", "share", "bar", note="Shares of logs; whiskers: 95 % intervals")
 
 
 def confusion_figure(confused: Mapping[str, Mapping[str, int]]) -> Figure:
@@ -338,29 +331,5 @@ def confusion_figure(confused: Mapping[str, Mapping[str, int]]) -> Figure:
         axes,
         "What hidden effects were called: logs of one effect, all motions and priors",
         grid="none",
-    )
-    return figure
-
-
-def smallest_figure(smallest: Sequence[Mapping[str, Any]]) -> Figure:
-    """Return the smallest effects that are found."""
-    figure = style.new_figure(1.0 + 0.27 * len(smallest))
-    axes = figure.subplots()
-    for k, line in enumerate(smallest):
-        if line["smallest"] is not None:
-            axes.plot(100 * line["smallest"], k, "o", color=_REACHED)
-        else:
-            axes.text(26.0, k, "not found", va="center", **style.plain(style.SMALL, _MISSED))
-        if line["median"] is not None:
-            axes.plot(100 * line["median"], k, "o", color=_REACHED, fillstyle="none")
-    axes.set_yticks(range(len(smallest)), [line["effect"] for line in smallest])
-    axes.set(ylim=(len(smallest) - 0.4, -0.6), xlim=(0.15, 40.0))
-    style.log_scale(axes, "x")
-    axes.set_xlabel("RMS of the effect, % of the deviation of the effort", **style.plain())
-    logs = smallest[0]["logs"]
-    titled(
-        axes,
-        f"Smallest effect found in nine of ten logs (open: in half) at 1 % noise; {logs} logs each",
-        grid="both",
     )
     return figure

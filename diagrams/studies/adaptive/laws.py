@@ -26,20 +26,6 @@ Array = NDArray[np.float64]
 NONE, EUCLIDEAN, PULLBACK, NATURAL = "none", "euclidean", "pullback", "natural"
 NATURAL_EULER = "natural_euler"
 LAWS = (NONE, EUCLIDEAN, PULLBACK, NATURAL)
-LABELS = {
-    NONE: "no adaptation",
-    EUCLIDEAN: "Euclidean",
-    PULLBACK: "constant pullback",
-    NATURAL: "natural",
-    NATURAL_EULER: "natural, Euler steps",
-}
-COLORS = {
-    NONE: "#6b7683",
-    EUCLIDEAN: "#c8442f",
-    PULLBACK: "#3f9c6b",
-    NATURAL: "#1b6ca8",
-    NATURAL_EULER: "#9cc3e0",
-}
 SOURCE_SPEEDS = {EUCLIDEAN: 5e-5, PULLBACK: 1.0, NATURAL: 1.0, NATURAL_EULER: 1.0}
 """γ⁻¹ of [Lee2019] §5.5."""
 

@@ -146,16 +146,6 @@ def measure(leg: Leg, rng: np.random.Generator) -> tuple[Samples, Samples]:
 
 
 REGULARIZERS = ("euclidean", "point_mass_euclidean", "pullback", "entropic", "riemannian")
-COLORS = {
-    "prior": "#a9b4c0",
-    "euclidean": "#e08a3c",
-    "point_mass_euclidean": "#c8a415",
-    "264 point masses": "#d9c25c",
-    "687 point masses": "#a8860b",
-    "pullback": "#3f9c6b",
-    "entropic": "#1b6ca8",
-    "riemannian": "#8064a2",
-}
 GAMMA = 0.2
 """Weight of the entropic and the Riemannian regularizer, [Lee2019] §3.6.2.1."""
 NEAR = 1.001
