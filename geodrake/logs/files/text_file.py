@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import csv
 import re
-from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from contextlib import AbstractContextManager, nullcontext, suppress
 from dataclasses import dataclass, field, replace
 from functools import cached_property, partial
@@ -115,59 +115,41 @@ class TextLayout:
 
 def text_layout(path: Path, file: Iterator[str], reading: Reading) -> TextLayout:
     """Return the layout of a table of some lines."""
-    comment, first, count, file = _first_line(file)
-    separator = _separator(first)
-    cells, used, rest = _header_cells(path, first, file, separator)
-    if not reading.columns and (named := _joint_state(cells)):
-        layout = TextLayout(named, separator, ".", count)
-        return _with_contents(layout, chain([first], rest))
-    if not (_are_numbers(cells) or any(map(_is_measured, cells))):
+    lines = [*islice(file, _HEADER_LINES + _LINES_AHEAD)]
+    begin, comment = _first_line(lines)
+    lines.append("")
+    separator = _separator(lines[begin])
+    cells, after = _header_cells(path, lines, begin, separator)
+    names: Sequence[str] = () if reading.columns else _joint_state(cells)
+    units, unnamed = dict[str, str](), tuple[str, ...]()
+    if not names and (_are_numbers(cells) or any(map(_MEASURED.fullmatch, cells))):
+        told = renamed(path, reading, cells) if reading.columns else ()
+        names = told or _names_in_comment(cells, comment)
+        unnamed = () if names else tuple(cells)
+        names = names or numbered(cells)
+    elif not names:
         header = renamed(path, reading, cells) if reading.columns else cells
         check_text(path, header)
         if not any(header):
             raise no_header(path, header)
-        following = next(rest, "")
-        below = _cells_of(following, separator)
-        if _completes(header, below):
-            header = [f"{b}.{a}".strip(".") for a, b in zip(header, below, strict=True)]
-            following, used = next(rest, ""), used + 1
-            index = _cells_of(following, separator)
-            if index[:1] > [""] and not any(index[1:]):  # which pandas names in a line of its own
-                header[0], following, used = index[0], next(rest, ""), used + 1
-        cells = _cells_of(following, separator)
-        if len(cells) == len(header) + 1 and all(cells) and any(map(is_number, cells)):
-            header = ["_row", *header]  # which have numbers or names, as R and pandas write them
-        units = _units(header, following, separator)
-        if units:
-            following, used = next(rest, ""), used + 1
-        decimal = _decimal(separator, following)
-        layout = TextLayout(tuple(header), separator, decimal, count + used, units)
-        return _with_contents(layout, chain([following], rest))
-    decimal = _decimal(separator, first)
-    names = (reading.columns and renamed(path, reading, cells)) or _names_in_comment(cells, comment)
-    unnamed = () if names else tuple(cells)
-    layout = TextLayout(tuple(names or numbered(cells)), separator, decimal, count)
-    return _with_contents(replace(layout, unnamed=unnamed), chain([first], rest))
+        header, begin = _whole_header(header, lines, after, separator)
+        units = _units(header, lines[begin], separator)
+        names, begin = header, begin + bool(units)
+    decimal = _decimal(separator, lines[begin])
+    layout = TextLayout(tuple(names), separator, decimal, begin, units, unnamed=unnamed)
+    return replace(layout, first=_first_cells(layout, lines[begin : begin + _LINES_AHEAD]))
 
 
-def _first_line(file: Iterator[str]) -> tuple[str, str, int, Iterator[str]]:
-    """Return the last comment, the line after it, how many come before, and those after that."""
-    comment, first, count = "", "", 0
-    for first in islice(file, _HEADER_LINES):
-        plain = first.strip()
-        if _EXCEL.fullmatch(plain):
-            pass
-        elif plain.startswith(COMMENTS) and not plain.startswith("%time"):
+def _first_line(lines: Sequence[str]) -> tuple[int, str]:
+    """Return the place of the line with the names, or else of the first row; the last comment."""
+    comment = ""
+    for k, line in enumerate(lines[:_HEADER_LINES]):
+        plain = line.strip()
+        if plain.startswith(COMMENTS) and not plain.startswith("%time"):
             comment = plain.lstrip("#%/ \t")
-        elif plain:
-            break
-        count += 1
-    else:
-        first = ""
-    ahead = list(islice(file, _PREFACE))
-    if before := _preface([first, *ahead]):
-        count, (first, *ahead) = count + before, [first, *ahead][before:]
-    return comment, first, count, chain(ahead, file)
+        elif plain and not _EXCEL.fullmatch(plain):
+            return k + _preface(lines[k : k + _PREFACE]), comment
+    return len(lines), comment
 
 
 def _preface(lines: Sequence[str]) -> int:
@@ -194,11 +176,25 @@ def _cells_of(line: str, separator: str | None) -> list[str]:
     return []
 
 
-def _completes(header: Sequence[str], below: Sequence[str]) -> bool:
-    """Return whether names that come twice have a second level in the line below them."""
-    if not len(set(header)) < len(header) == len(below) or any(map(is_number, below)):
-        return False
-    return len({*zip(header, below, strict=True)}) == len(header)
+def _whole_header(
+    header: Sequence[str], lines: Sequence[str], after: int, separator: str | None
+) -> tuple[Sequence[str], int]:
+    """Return the header with what lines below it say of it, and the place of the line after it.
+
+    Names that come twice may have a second level below. Rows may have names that no column has.
+    """
+    below = _cells_of(lines[after], separator)
+    levels = [*zip(header, below, strict=False)]
+    is_level = len(set(header)) < len(header) == len(below) == len(set(levels))
+    if is_level and not any(map(is_number, below)):
+        header, after = [f"{b}.{a}".strip(".") for a, b in levels], after + 1
+        below = _cells_of(lines[after], separator)
+        if below[:1] > [""] and not any(below[1:]):  # a name that pandas gives the index
+            header, after = [below[0], *header[1:]], after + 1
+            below = _cells_of(lines[after], separator)
+    if len(below) == len(header) + 1 and all(below) and any(map(is_number, below)):
+        header = ["_row", *header]  # which have numbers or names, as R and pandas write them
+    return header, after
 
 
 def _joint_state(cells: Sequence[str]) -> tuple[str, ...]:
@@ -223,15 +219,15 @@ def _pointed(cell: str) -> str:
     return cell if cell.lstrip().startswith(("[", "(")) else cell.replace(",", ".")
 
 
-def _with_contents(layout: TextLayout, lines: Iterable[str]) -> TextLayout:
-    """Return the layout with the first cells of columns that have something."""
+def _first_cells(layout: TextLayout, lines: Sequence[str]) -> dict[str, str]:
+    """Return the first cells of columns that have something."""
     first: dict[str, str] = {}
     with suppress(csv.Error):  # said when the rows are read
-        for _, cells in layout.cells([*islice(lines, _LINES_AHEAD)]):
+        for _, cells in layout.cells(lines):
             for name, cell in zip(layout.names, cells, strict=False):
                 if name not in first and not is_nothing(cell):
                     first[name] = cell
-    return replace(layout, first=first)
+    return first
 
 
 def _units(header: Sequence[str], line: str, separator: str | None) -> dict[str, str]:
@@ -257,22 +253,20 @@ def _separator(line: str) -> str | None:
 
 
 def _header_cells(
-    path: Path, first: str, file: Iterator[str], separator: str | None
-) -> tuple[list[str], int, Iterator[str]]:
-    """Return cells of the first line, how many lines they fill, and the lines after it."""
+    path: Path, lines: Sequence[str], begin: int, separator: str | None
+) -> tuple[list[str], int]:
+    """Return cells of a line, which may go on in those below it, and the place after it."""
     if separator is None:
-        return first.split(), 1, file
-    reader = csv.reader(
-        chain([first], islice(file, _HEADER_LINES)), strict=True, delimiter=separator
-    )
+        return lines[begin].split(), begin + 1
+    below = lines[begin : begin + _HEADER_LINES]
+    reader = csv.reader(below, strict=True, delimiter=separator)
     try:
-        cells = [name.strip() for name in next(reader, [])]
+        return [name.strip() for name in next(reader, [])], begin + reader.line_num
     except csv.Error as error:
         raise LogError(
             f"The header of log {str(path)!r} cannot be read: {error}.",
             advice=f"Is there a quote that never closes? {HEADER_ADVICE}",
         ) from error
-    return cells, reader.line_num, file
 
 
 def is_number(cell: str) -> bool:
@@ -282,11 +276,6 @@ def is_number(cell: str) -> bool:
     except ValueError:
         return False
     return True
-
-
-def _is_measured(cell: str) -> bool:
-    """Return whether a cell is a number with digits behind a point, which names no column."""
-    return bool(_MEASURED.fullmatch(cell.strip()))
 
 
 def _are_numbers(cells: Sequence[str]) -> bool:
@@ -303,13 +292,13 @@ def renamed(path: Path, reading: Reading, cells: Sequence[str]) -> Sequence[str]
     return [f"_{k}" if name == "_" else name for k, name in enumerate(reading.columns, 1)]
 
 
-def _names_in_comment(cells: Sequence[str], comment: str) -> Sequence[str] | None:
+def _names_in_comment(cells: Sequence[str], comment: str) -> Sequence[str]:
     """Return names in the comment before a first line of numbers, if they are as many."""
     named = [name.strip() for name in comment.replace(";", ",").replace("\t", ",").split(",")]
     for names in (named, comment.split()):
         if len(names) == len(cells) and all(names) and not _are_numbers(names):
             return names
-    return None
+    return ()
 
 
 Array = NDArray[np.float64]
