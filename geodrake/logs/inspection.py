@@ -110,7 +110,7 @@ def inspect_log(
         log = without_faults(raw)
         unused = _unused(log)
     except LogError as error:  # of sensors that failed for good: there is still much to show
-        log, notes, unused = raw, [error.problem], f"cannot be used: {error.problem}"
+        log, notes, unused = raw, [error.problem], f"cannot be used: {error}"
     steps = np.diff(_known(log.time))
     period = float(np.median(steps))
     gap = steps > longest_step(period)
@@ -140,7 +140,7 @@ def _unused(log: JointLog) -> str:
     try:
         (trajectory,) = prepare_logs([make_uniform(log, faultless=True)])
     except LogError as error:
-        return f"cannot be used: {error.problem}"
+        return f"cannot be used: {error}"
     return trajectory.left_out
 
 

@@ -6,6 +6,7 @@ import h5py
 import numpy as np
 import pandas
 import pytest
+from scipy.io import savemat
 
 from geodrake.errors import LogError
 from geodrake.logs.files import Reading, read_log, text_file
@@ -131,6 +132,16 @@ SHAPES = {
     "levels.csv": table(PLAIN.set_axis(pandas.MultiIndex.from_arrays(LEVELS), axis=1)),
     "index.csv": lambda path: PLAIN.set_axis(pandas.MultiIndex.from_arrays(LEVELS), axis=1)
         .set_index([("time", "")]).rename_axis(index="time").to_csv(path),
+    "merged.csv": text("time,position,,effort,\n,base,elbow,base,elbow\n"
+        + PLAIN.to_csv(index=False, header=False)),
+    "keyed.log": text("\n".join(
+        " ".join(f"{name}={value!r}" for name, value in zip(PLAIN.columns, row, strict=True))
+        for row in PLAIN.to_numpy().tolist())),
+    "utf16.txt": lambda path: path.write_text(PLAIN.to_csv(index=False, sep="\t"), "utf-16"),
+    "footer.csv": text(PLAIN.to_csv(index=False) + "\nrows: 60\nend\n"),
+    "rate.npz": lambda path: np.savez(path, q=POSITION, tau=EFFORT, fs=100),
+    "rate.mat": lambda path: savemat(path, {"run": {"q": POSITION, "tau": EFFORT, "Ts": 0.01}}),
+    "rate.json": text(json.dumps({"dt": 0.01, **listed({n: LISTS[n] for n in ("q", "tau")})})),
     "date.csv": table(PLAIN.rename(columns={"time": "Zeitpunkt"}).assign(Zeitpunkt=MOMENTS)),
     "long_date.csv": table(A_ROW_A_JOINT.drop(columns="time").assign(when=MOMENTS.repeat(2))),
     "brackets.csv": table(IN_GERMAN, sep=";", decimal=","),

@@ -56,7 +56,8 @@ def read_json(path: Path, reading: Reading) -> LogTable:
             content = json.loads(text.decode("utf-8-sig"))
     content = _of_pandas(content)
     if isinstance(content, Mapping):
-        lists = {n: x for n, x in _fields(content) if isinstance(x, list) and len(x) > 1}
+        fields = [(n, x) for n, x in _fields(content) if isinstance(x, list | int | float)]
+        lists = {n: x for n, x in fields if not isinstance(x, list) or len(x) > 1}
         return numeric_table(path, lists, rows_of(lists))
     if not isinstance(content, list) or not all(isinstance(row, Mapping) for row in content):
         raise LogError(f"Log {str(path)!r} is neither an object nor records.", advice=_JSON_ADVICE)
@@ -109,7 +110,7 @@ def read_mat(path: Path, reading: Reading) -> LogTable:
         variables = _of_hdf5(path) if _is_hdf5(path) else loadmat(path, simplify_cells=True)
     own = {name: value for name, value in variables.items() if not name.startswith(("__", "#"))}
     arrays = _arrays(own)
-    rows = max((max(array.shape) for array in arrays.values()), default=0)
+    rows = max((max(np.shape(array), default=0) for array in arrays.values()), default=0)
     table = numeric_table(path, {name: np.squeeze(x) for name, x in arrays.items()}, rows)
     if not table.columns:
         raise LogError(
@@ -172,10 +173,11 @@ def _of_hdf5(path: Path, *, matlab: bool = True) -> dict[str, Any]:
 
 
 def _arrays(variables: dict[str, Any]) -> dict[str, Any]:
-    """Return arrays with two numbers or more; a struct around all else says nothing."""
+    """Return arrays, and numbers alone; a struct around all else says nothing."""
     while len(variables) == 1 and isinstance(inner := next(iter(variables.values())), Mapping):
         variables = dict(inner)
-    return {n: x for n, x in _fields(variables) if isinstance(x, np.ndarray) and x.size > 1}
+    fields = [(n, x) for n, x in _fields(variables) if isinstance(x, np.ndarray | float | int)]
+    return {n: x for n, x in fields if not isinstance(x, np.ndarray) or x.size > 1}
 
 
 def read_parquet(path: Path, reading: Reading) -> LogTable:
@@ -285,7 +287,7 @@ def read_npz(path: Path, reading: Reading) -> LogTable:
         entries = {e: e.filename.removesuffix(".npy").strip() for e in archive.infolist()}
         check_once(path, [*entries.values()])
         declared = {entry: _declared(archive, entry) for entry in entries}
-        wanted = {e: said for e, said in declared.items() if len(said[0]) in (1, 2)}
+        wanted = {e: said for e, said in declared.items() if len(said[0]) <= 2}
         size = sum(math.prod(shape) for shape, _ in wanted.values())
         check_room(path, size, f"{size} numbers")
         for entry, name in entries.items():

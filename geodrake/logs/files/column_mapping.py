@@ -437,8 +437,11 @@ class Columns:
         if (time := time_source(meanings, reading, table)) is not None:
             places = {("", "time"): time, **places}
         own = frozenset(m.joint for m in of_joints if m.style[0] == "own")
-        notes = (*notes, *choice_words(best))
-        return cls(path, names, reading, places, notes, reading.rate, own, others)
+        notes, rate = (*notes, *choice_words(best)), reading.rate
+        if rate is None and time is None and table.rate is not None:
+            rate, said = table.rate
+            notes = (*notes, f"{rate:.6g} rows a second, as {said!r} in the file says")
+        return cls(path, names, reading, places, notes, rate, own, others)
 
     @classmethod
     def by_mapping(cls, table: LogTable, reading: Reading) -> Columns:

@@ -156,6 +156,7 @@ MOST = 0.01
 """Share of the rows that may be left out."""
 
 _NAMED = 8  # rows, or runs of them, that are named
+_AT_END = 3  # bad rows behind all others, which are left out unasked
 ADVICE = f"--skip-bad-rows leaves such rows out, up to {100 * MOST:g} % of a log."
 
 
@@ -179,7 +180,8 @@ class TornRows:
     def settle(self, time: Array) -> tuple[Mask | None, tuple[str, ...]]:
         """Return which rows are kept, all if None, and what was left out, by time stamps (N,)."""
         bad = np.array(self.rows, int)
-        cut = self.rows == [len(time) - 1]  # off, in the middle of the last row
+        count = min(len(self.rows), _AT_END)  # a last row that was cut off, or a few words
+        cut = self.rows == [*range(len(time) - count, len(time))]
         if self.first is not None and not (self.skip or cut):
             raise self._refusal(self.rows, len(time), f"of {len(time)}")
         backwards = rows_out_of_order(time)
@@ -188,7 +190,7 @@ class TornRows:
         bad = np.union1d(bad, backwards)
         if not len(bad):
             return None, ()
-        if len(bad) > MOST * len(time):
+        if len(bad) > MOST * len(time) + cut * count:
             raise self._refusal(bad.tolist(), len(time), f"of {len(time)}")
         kept = np.ones(len(time), bool)
         kept[bad] = False
@@ -276,6 +278,7 @@ class LogTable:
         unnamed: Cells of the first row, where nobody names the columns: they are called by their
             numbers from 1 on.
         order: Names that mappings count by, where columns were left out.
+        rate: Rows a second and where the file says them, as in `dt`; used where it has no time.
     """
 
     path: Path
@@ -287,6 +290,7 @@ class LogTable:
     words: Mapping[str, NDArray[np.object_]] = field(default_factory=dict)
     unnamed: tuple[str, ...] = ()
     order: Sequence[str] = ()
+    rate: tuple[float, str] | None = None
 
     def __len__(self) -> int:
         """Return the number of rows."""
@@ -421,11 +425,15 @@ def numeric_table(path: Path, arrays: Mapping[str, Any], rows: int) -> LogTable:
     """Return a table of numbers, wider arrays as columns `name[0]`, `name[1]` and so on.
 
     Arrays are (N,) or (N, n), of whatever can be made one. Dates and times become seconds: dates
-    from the first row on. A note says what was left out.
+    from the first row on. A note says what was left out. A number alone may be the time from row to
+    row, or the rows a second.
     """
     columns, notes = dict[str, Array](), dict[str, None]()
     origins, silent, words = {}, {}, dict[str, NDArray[np.object_]]()
+    rates = {name: rate for name, x in arrays.items() if (rate := _rate(name, x)) is not None}
     for name, given in arrays.items():
+        if name in rates:
+            continue
         values = _array(given) if isinstance(given, list) else given
         found, origin, note = numbers(values)
         if found is not None and found.ndim == 2 and found.shape[0] != rows == found.shape[1]:
@@ -443,7 +451,23 @@ def numeric_table(path: Path, arrays: Mapping[str, Any], rows: int) -> LogTable:
         named = ", ".join([*silent][:_MOST_NAMES])
         notes[f"columns without a number for each row: {named}{more}"] = None
     said = tuple(notes)
-    return LogTable(path, columns, notes=said, origins=origins, silent=silent, words=words)
+    told = next(((rate, name) for name, rate in rates.items()), None)
+    return LogTable(path, columns, {}, said, origins, silent, words, rate=told)
+
+
+_PERIODS = ("dt", "ts", "period", "timestep", "sampletime", "sampleperiod", "samplingtime")
+_RATES = ("fs", "rate", "hz", "fps", "freq", "frequency", "samplerate", "samplingrate")
+
+
+def _rate(name: str, value: Any) -> float | None:
+    """Return the rows a second that a number alone in a file gives by its name, if it does."""
+    word = re.sub(r"[^a-z]", "", re.split(r"[./]", name.lower())[-1])
+    if not _is_alone(value) or word not in (*_PERIODS, *_RATES):
+        return None
+    number = number_in(value)
+    if not number or not 0.0 < number < np.inf:
+        return None
+    return number if word in _RATES else 1.0 / number
 
 
 def _texts(name: str, values: Any, rows: int) -> dict[str, NDArray[np.object_]]:
@@ -473,10 +497,15 @@ def _text(value: Any) -> str | list[str] | None:
     return items if all(isinstance(item, str) for item in items) else None  # type: ignore[return-value]
 
 
+def _is_alone(value: Any) -> bool:
+    return np.isscalar(value) or getattr(value, "shape", None) == ()
+
+
 def rows_of(arrays: Mapping[str, Any]) -> int:
     """Return how many rows a log of some arrays has: those of its time, or of most arrays."""
-    times = [len(values) for name, values in arrays.items() if is_time(name)]
-    lengths = times or [len(values) for values in arrays.values()]
+    several = {name: len(values) for name, values in arrays.items() if not _is_alone(values)}
+    times = [length for name, length in several.items() if is_time(name)]
+    lengths = times or [*several.values()]
     return max(set(lengths), key=lambda length: (lengths.count(length), length), default=0)
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import csv
 import re
+from codecs import BOM_UTF16_BE, BOM_UTF16_LE
 from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from contextlib import AbstractContextManager, nullcontext, suppress
 from dataclasses import dataclass, field, replace
@@ -46,6 +47,7 @@ _HEADER_LINES = 1000  # of a header whose names have line ends
 _PREFACE = 100  # lines, among which names are looked for
 _LINES_AHEAD = 1000  # in which dates, lists and words are looked for
 _WHITESPACE = None
+_KEYED = re.compile(r"\s*([A-Za-z_][^:=\s]*)\s*[:=]\s*([+-]?(?:\.?\d|nan|inf).*)")
 _MEASURED = re.compile(r"[+-]?\d+[.,]\d+([eE][+-]?\d+)?")
 _HEADS = (
     ("header.stamp.sec", "header.stamp.nanosec", "header.frame_id"),
@@ -62,6 +64,7 @@ class TextLayout:
 
     Attributes:
         units: Units of columns, where the line after the header has them.
+        is_keyed: Whether each cell has its name, as in `q=0.1`.
         first: The first cells of columns that have something.
         day_first: Columns of dates in which days come before months.
         unnamed: Cells of the first row, where nobody names the columns; see `LogTable`.
@@ -72,9 +75,10 @@ class TextLayout:
     decimal: str
     lines: int
     units: Mapping[str, str] = field(default_factory=dict)
+    unnamed: tuple[str, ...] = ()
+    is_keyed: bool = False
     first: Mapping[str, str] = field(default_factory=dict)
     day_first: frozenset[str] = frozenset()
-    unnamed: tuple[str, ...] = ()
 
     @cached_property
     def kinds(self) -> dict[str, Cells | None]:
@@ -110,6 +114,7 @@ class TextLayout:
                 continue
             trailing = len(cells) == len(self.names) + 1 and not cells[-1].strip()
             kept = cells[:-1] if trailing else cells  # a separator behind the last cell
+            kept = [_KEYED.sub(r"\2", cell) for cell in kept] if self.is_keyed else kept
             yield line, [_pointed(c) for c in kept] if self.decimal == "," else kept
 
 
@@ -122,7 +127,10 @@ def text_layout(path: Path, file: Iterator[str], reading: Reading) -> TextLayout
     cells, after = _header_cells(path, lines, begin, separator)
     names: Sequence[str] = () if reading.columns else _joint_state(cells)
     units, unnamed = dict[str, str](), tuple[str, ...]()
-    if not names and (_are_numbers(cells) or any(map(_MEASURED.fullmatch, cells))):
+    keyed = [found[1] for cell in cells if (found := _KEYED.fullmatch(cell))]
+    if is_keyed := len(keyed) == len(cells) > 1:
+        names = keyed
+    elif not names and (_are_numbers(cells) or any(map(_MEASURED.fullmatch, cells))):
         told = renamed(path, reading, cells) if reading.columns else ()
         names = told or _names_in_comment(cells, comment)
         unnamed = () if names else tuple(cells)
@@ -136,7 +144,7 @@ def text_layout(path: Path, file: Iterator[str], reading: Reading) -> TextLayout
         units = _units(header, lines[begin], separator)
         names, begin = header, begin + bool(units)
     decimal = _decimal(separator, lines[begin])
-    layout = TextLayout(tuple(names), separator, decimal, begin, units, unnamed=unnamed)
+    layout = TextLayout(tuple(names), separator, decimal, begin, units, unnamed, is_keyed)
     return replace(layout, first=_first_cells(layout, lines[begin : begin + _LINES_AHEAD]))
 
 
@@ -183,9 +191,11 @@ def _whole_header(
 
     Names that come twice may have a second level below. Rows may have names that no column has.
     """
-    below = _cells_of(lines[after], separator)
-    levels = [*zip(header, below, strict=False)]
-    is_level = len(set(header)) < len(header) == len(below) == len(set(levels))
+    below, spread = _cells_of(lines[after], separator), list[str]()
+    for name in header:  # that of several cells stands in the first
+        spread.append(name or "".join(spread[-1:]))
+    levels = [*zip(spread, below, strict=False)]
+    is_level = len(set(spread)) < len(header) == len(below) == len(set(levels))
     if is_level and not any(map(is_number, below)):
         header, after = [f"{b}.{a}".strip(".") for a, b in levels], after + 1
         below = _cells_of(lines[after], separator)
@@ -305,6 +315,7 @@ Array = NDArray[np.float64]
 
 _MANY = 100_000  # lines, from which on Arrow is imported
 _BLOCK = 2_000_000  # bytes that are read at once
+_LARGEST_UTF16 = 500_000_000  # bytes that are read
 _LONGEST = 8_000_000  # bytes of a line, which hold 400,000 numbers
 _LINE_ENDS = re.compile(rb"\r\n?|\n")
 
@@ -429,6 +440,13 @@ class TextTable(LogTable):
 def read_text(path: Path, reading: Reading) -> LogTable:
     """Return the columns of a table of text, which may be packed."""
     regular_file(path, "log", LogError)
+    with readable(path, f"{path.suffix} file"), open_log(path) as file:
+        content = file.read(2)
+        if content in (BOM_UTF16_LE, BOM_UTF16_BE):  # as Excel writes text
+            content += file.read(_LARGEST_UTF16)
+            check_room(path, len(content), f"{len(content) / 1e9:.3g} GB of UTF-16")
+    if content[2:]:
+        return _text_table(path, reading, partial(BytesIO, content.decode("utf-16").encode()))
     return _text_table(path, reading, lambda: open_log(path))
 
 

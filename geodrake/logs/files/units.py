@@ -11,6 +11,7 @@ from functools import lru_cache
 from geodrake.errors import ArgumentError
 
 _ANGLES = {"rad": 1.0, "mrad": 1e-3, "deg": math.pi / 180, "rev": 2 * math.pi}
+_ANGLES["mdeg"] = 1e-3 * _ANGLES["deg"]
 _ANGLES["ticks"] = 2 * math.pi / 4096  # of servos with twelve bits a turn
 _LENGTHS = {"m": 1.0, "cm": 1e-2, "mm": 1e-3, "um": 1e-6}
 _TIMES = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9, "min": 60.0}
