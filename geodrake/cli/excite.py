@@ -12,8 +12,7 @@ from geodrake.cli.identify import named_effects
 from geodrake.cli.option_values import joint_values, limits_of, split_effects
 from geodrake.cli.options import ExciteOptions, IdentifiableOptions
 from geodrake.cli.progress import STOPPING, Activity
-from geodrake.cli.session import Command, Input, run
-from geodrake.cli.targets import Output
+from geodrake.cli.session import Command, Input, Output, run
 from geodrake.effects import Effect, effect_class
 from geodrake.errors import ArgumentError, ModelError
 from geodrake.excitation import (

@@ -8,8 +8,7 @@ from pathlib import Path
 
 from geodrake.cli.options import AddOptions, ExplainOptions, Options
 from geodrake.cli.progress import step_teller
-from geodrake.cli.session import Command, Input, run
-from geodrake.cli.targets import Output
+from geodrake.cli.session import Command, Input, Output, run
 from geodrake.control.rollout import Rollout, commanded_motions
 from geodrake.diagnosis.add import add, check_places
 from geodrake.diagnosis.diagnose import diagnose

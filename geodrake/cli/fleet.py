@@ -15,9 +15,8 @@ from geodrake.boundary.whole_files import Content, write_together
 from geodrake.cli.input_options import repairs_in_short
 from geodrake.cli.options import FleetOptions
 from geodrake.cli.progress import Activity, progress
-from geodrake.cli.session import Command, Input, run, usual_outputs
+from geodrake.cli.session import STDOUT, Command, Input, check_outputs, run, usual_outputs
 from geodrake.cli.surroundings import printing, results, warn
-from geodrake.cli.targets import STDOUT, check_outputs
 from geodrake.errors import ArgumentError, FleetError
 from geodrake.fleet.fleet_file import Fleet, read_fleet
 from geodrake.fleet.fleet_logs import FleetDigests

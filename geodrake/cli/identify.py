@@ -8,8 +8,7 @@ from pathlib import Path
 
 from geodrake.cli.option_values import split_effects
 from geodrake.cli.options import IdentifyOptions
-from geodrake.cli.session import Command, Input, run
-from geodrake.cli.targets import Output
+from geodrake.cli.session import Command, Input, Output, run
 from geodrake.effects import Effect, effect_class, make_effect
 from geodrake.errors import ArgumentError
 from geodrake.identification.models import (

@@ -8,14 +8,12 @@ from geodrake.boundary.arguments import positive
 from geodrake.cli.options import PlayOptions
 from geodrake.cli.rollout import other_model
 from geodrake.cli.serving import page_server, serve_page
-from geodrake.cli.session import Command, Input, run
-from geodrake.cli.targets import Output
+from geodrake.cli.session import Command, Input, Output, run
 from geodrake.model.robot_model import RobotModel, read_again
 from geodrake.model.saved_model import is_saved_model
 from geodrake.report.pictures import check_video, video
 from geodrake.report.play_page import play_page
-from geodrake.report.playback import play_back
-from geodrake.report.playing import Played
+from geodrake.report.playback import Played, play_back
 from geodrake.report.recordings import check_viewer, recording
 from geodrake.report.robot_scene import drawn_shapes
 

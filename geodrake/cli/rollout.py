@@ -8,8 +8,7 @@ from typing import Any, cast
 
 from geodrake.cli.input_options import tell_repairs
 from geodrake.cli.options import RolloutOptions
-from geodrake.cli.session import Command, Input, run
-from geodrake.cli.targets import Output
+from geodrake.cli.session import Command, Input, Output, run
 from geodrake.control.rollout import (
     Rollout,
     RolloutFit,

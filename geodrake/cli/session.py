@@ -15,14 +15,12 @@ import typer
 from rich.console import Console
 
 from geodrake.boundary.version import version
-from geodrake.boundary.whole_files import Content, write_together
-from geodrake.cli.guard import INTERRUPTED
+from geodrake.boundary.whole_files import Content, check_writable, write_together
 from geodrake.cli.input_options import AxisOptions, proposing, read_model, written_axis
 from geodrake.cli.option_values import with_facts, with_known_payloads
 from geodrake.cli.options import Options
 from geodrake.cli.progress import Activity, progress
-from geodrake.cli.surroundings import print_whole, printing, results
-from geodrake.cli.targets import PAGE, STDOUT, Output, check_outputs, files_of
+from geodrake.cli.surroundings import INTERRUPTED, print_whole, printing, results
 from geodrake.diagnosis.columns import (
     MOST_JOINTS,
     ColumnFinding,
@@ -32,7 +30,7 @@ from geodrake.diagnosis.columns import (
 )
 from geodrake.effects import load_effect_file
 from geodrake.effects.base import Effect
-from geodrake.errors import ArgumentError, GeodrakeError, LogError
+from geodrake.errors import ArgumentError, GeodrakeError, LogError, OutputError
 from geodrake.identification.logs.model_errors import Comparison
 from geodrake.logs.files import Reading, check_log, file_names, parts_of, read_log
 from geodrake.logs.motion import JointLog
@@ -42,9 +40,77 @@ from geodrake.model.saved_model import saved_text
 from geodrake.report.json_output import columns_list, to_json
 from geodrake.report.numbers import Units
 from geodrake.report.page import About, Page, Section
-from geodrake.report.series_table import check_series, series_content
 from geodrake.report.terminal import ResultsConsole, show_page, show_saved
-from geodrake.report.views import samples, view_of
+from geodrake.report.views import check_series, samples, series_content, view_of
+
+STDOUT = Path("-")
+PAGE = (".html", ".htm")
+
+
+@dataclass(frozen=True)
+class Output:
+    """A file that a command writes if an option names it."""
+
+    path: Path | None  # where it goes; None if nobody asked for it, `-` for standard output
+    words: str  # what it is
+    suffixes: tuple[str, ...] = PAGE  # how its name may end
+    # What goes into it, of the result; None if there is nothing to write.
+    make: Callable[[Any], Content | None] = lambda found: None
+
+
+def files_of(outputs: Mapping[str, Output]) -> dict[str, Path]:
+    """Option -> file, those asked for."""
+    return {name: one.path for name, one in outputs.items() if one.path not in (None, STDOUT)}
+
+
+def check_outputs(outputs: Mapping[str, Output], inputs: Iterable[Path]) -> None:
+    """Refuse files that cannot be written or that would overwrite something else."""
+    for name, output in outputs.items():
+        if output.path == STDOUT and name != "json":
+            reason = "is standard output, which takes --json alone"
+            raise _refusal(name, STDOUT, reason, "Name a file.")
+    taken = {_place(path): "is an input of this command" for path in inputs}
+    for name, path in files_of(outputs).items():
+        _check_kind(name, path, outputs[name].suffixes)
+        if _place(path) in taken:
+            raise _refusal(name, path, taken[_place(path)], "Choose another name.")
+        taken[_place(path)] = f"is already the target of --{name}"
+        reason, advice = _obstacle(path)
+        if reason:
+            raise _refusal(name, path, reason, advice)
+
+
+def _place(path: Path) -> str:
+    """Return where a path leads, also one whose links lead nowhere."""
+    return os.path.realpath(path)
+
+
+def _check_kind(name: str, path: Path, suffixes: tuple[str, ...]) -> None:
+    if path.suffix.lower() not in suffixes:
+        reason = f"does not end in {' or '.join(suffixes)}"
+        raise _refusal(name, path, reason, f"Name it {path.stem or name}{suffixes[0]}.")
+
+
+def _obstacle(path: Path) -> tuple[str, str]:
+    """Return why a file cannot be written, and what to do about it; nothing if it can."""
+    try:
+        if not path.parent.is_dir():
+            return f"is in {path.parent}, which is no folder", "Choose a folder that exists."
+        if path.exists() and not path.is_file():
+            return "is there and is no file", "Choose another name."
+        if path.exists() and not os.access(path, os.W_OK):
+            return "is there and is read-only", "Choose another name."
+        check_writable(path)
+    except OSError as error:
+        return f"cannot be written: {error.strerror}", "Choose another place."
+    except OutputError as error:
+        return f"cannot be written: {error.evidence['reason']}", "Choose another place."
+    return "", ""
+
+
+def _refusal(name: str, path: Path, reason: str, advice: str) -> OutputError:
+    return OutputError(f"Cannot write --{name} {path}: it {reason}.", advice=advice, path=path)
+
 
 R = TypeVar("R")
 

@@ -16,7 +16,7 @@ from geodrake.report.charts import MOST_PANELS, Chart, Panel, Plot, Stage
 from geodrake.report.json_output import number_or, picked
 from geodrake.report.numbers import UNKNOWN, Units, number, percent, relative
 from geodrake.report.page import About, Cell, Page, Records, Section, Table, Tile, View, cells
-from geodrake.report.series_table import Columns
+from geodrake.report.views import Columns
 from geodrake.report.words import effect_label, listed, places_label
 
 _COMBINATION = ("combination", "in the model", "deviation", "relative")

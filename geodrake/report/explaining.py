@@ -68,7 +68,7 @@ from geodrake.report.page import (
     cells,
 )
 from geodrake.report.rollouts import departures_table, motions_dict, stages_table
-from geodrake.report.series_table import Columns, comparison_series
+from geodrake.report.views import Columns, comparison_series
 
 REST = "What the remaining error varies with"
 _EVEN = "No joint has a much larger error in some circumstance than elsewhere."

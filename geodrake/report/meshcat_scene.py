@@ -32,8 +32,7 @@ from geodrake.inertia.ellipsoids import equivalent_ellipsoid
 from geodrake.model.robot_model import RobotModel
 from geodrake.report import style
 from geodrake.report.numbers import Units
-from geodrake.report.playback import Excerpt, PlayedModel
-from geodrake.report.playing import effect_words
+from geodrake.report.playback import Excerpt, PlayedModel, effect_words
 from geodrake.report.robot_scene import (
     FRAMES,
     Extent,

@@ -31,8 +31,7 @@ from geodrake.report.drawn_robots import (
 )
 from geodrake.report.numbers import number, percent
 from geodrake.report.page import Picture, Pictures
-from geodrake.report.playback import Playback
-from geodrake.report.playing import Played
+from geodrake.report.playback import Playback, Played
 from geodrake.report.robot_scene import FRAMES, Extent, camera_place, drawn_shapes, posed_links
 from geodrake.report.words import capitalized
 

@@ -28,8 +28,7 @@ from geodrake.report.meshcat_scene import (
     recording,
 )
 from geodrake.report.numbers import number, percent
-from geodrake.report.playback import Moment, PlayedModel
-from geodrake.report.playing import Played, PlayedRobot
+from geodrake.report.playback import Moment, Played, PlayedModel, PlayedRobot
 from geodrake.report.robot_scene import FRAMES, camera_place, own_joints, posed_links
 
 _GHOSTLY, _INNER = 0.35, 0.99  # opacity and size of ghosts, which are seen where they depart

@@ -17,8 +17,7 @@ from geodrake.boundary.optional_packages import optional_package
 from geodrake.errors import OutputError
 from geodrake.inertia import Array
 from geodrake.report.drawn_robots import GRAYS, link_triangles
-from geodrake.report.playback import Moment, Playback, PlayedModel
-from geodrake.report.playing import Played, PlayedRobot
+from geodrake.report.playback import Moment, Playback, Played, PlayedModel, PlayedRobot
 from geodrake.report.robot_scene import PosedLink
 
 _MARK = 0.05  # m, of the balls whose colour is a joint's error

@@ -17,7 +17,7 @@ from geodrake.report.charts import MOST_PANELS, Chart, Panel, Plot, Stage, gap_f
 from geodrake.report.json_output import finite, number_or, picked
 from geodrake.report.numbers import Units, number, with_deviation
 from geodrake.report.page import About, Page, Section, Table, Tile, View, cells
-from geodrake.report.series_table import rollout_series
+from geodrake.report.views import rollout_series
 from geodrake.report.words import (
     capitalized,
     departure,

@@ -5,13 +5,25 @@
 
 from __future__ import annotations
 
+import csv
+import io
+from collections.abc import Iterable, Mapping, Sequence
+from functools import partial
 from importlib import import_module
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+import numpy as np
+from numpy.typing import NDArray
+
+from geodrake.boundary.optional_packages import optional_package
+from geodrake.boundary.whole_files import Content
+from geodrake.control.rollout import Rollout
+from geodrake.control.rollout.results import Window
 from geodrake.errors import ArgumentError
+from geodrake.identification.logs.model_errors import Comparison
 from geodrake.report.numbers import Units
 from geodrake.report.page import About, Page, View
-from geodrake.report.series_table import Columns, optional
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -24,7 +36,7 @@ _KINDS = {
     "rollouts": ("Rollout", "Simulated", "RolloutFit"),
     "fleets": ("FleetResult", "WatchedFleet"),
     "exports": ("ProvenExport", "CheckedModel", "DigestRun", "InspectedLogs"),
-    "playing": ("Played",),
+    "playback": ("Played",),
 }
 """Module here -> the results that its `VIEWS` are of; imported only where there is one of them."""
 
@@ -93,3 +105,104 @@ def figure(result: object) -> Figure:
     if name not in bars.keys() | charts.keys():
         raise ArgumentError(f"{type(result).__name__} has no figure.")
     return bars_figure(bars[name]) if name in bars else chart_figure(charts[name])
+
+
+Array = NDArray[np.float64]
+Columns = Mapping[str, Sequence[str] | Array]
+"""Name of a column -> its values, all of one length."""
+
+
+def comparison_series(now: Comparison, before: Comparison | None = None) -> Columns:
+    """Return efforts of a comparison, N·m or N; NaN where a joint's sample was left out.
+
+    Returns:
+        `time`, `log`, and of every joint `measured`, `predicted` and `residual`, measured −
+        predicted; with a model before also `predicted_before` and `residual_before`.
+    """
+    stages = {"": now} if before is None else {"_before": before, "": now}
+    index = _index((s.log, s.time) for c in stages.values() for s in c.series)
+    columns: dict[str, Sequence[str] | Array] = {
+        "time": np.array([time for _, time in index]),
+        "log": [log for log, _ in index],
+    }
+    for joint in dict.fromkeys(s.joint for s in now.series):
+        values = {f"{joint}.measured": np.full(len(index), np.nan)}
+        for stage, comparison in stages.items():
+            predicted = np.full(len(index), np.nan)
+            for s in (s for s in comparison.series if s.joint == joint):
+                at = [index[s.log, time] for time in s.time.tolist()]
+                values[f"{joint}.measured"][at], predicted[at] = s.measured, s.predicted
+            values[f"{joint}.predicted{stage}"] = predicted
+            values[f"{joint}.residual{stage}"] = values[f"{joint}.measured"] - predicted
+        columns |= values
+    return columns
+
+
+def rollout_series(now: Rollout, before: Rollout | None = None) -> Columns:
+    """Return positions of a rollout, rad or m, window after window.
+
+    Returns:
+        `time`, `log`, `window`, and of every joint `measured`, `predicted` and `residual`, measured
+        − predicted; with a model before also `predicted_before` and `residual_before`.
+    """
+    windows = now.windows
+    columns: dict[str, Sequence[str] | Array] = {
+        "time": np.concatenate([w.time for w in windows]),
+        "log": [w.log for w in windows for _ in w.time],
+        "window": np.concatenate([np.full(len(w.time), float(k)) for k, w in enumerate(windows)]),
+    }
+    measured = _stacked(windows, "measured")
+    stages = {"": now} if before is None else {"_before": before, "": now}
+    for j, joint in enumerate(now.joints):
+        columns[f"{joint.joint}.measured"] = measured[:, j]
+        for stage, rollout in stages.items():
+            predicted = _stacked(rollout.windows, "simulated")[:, j]
+            columns[f"{joint.joint}.predicted{stage}"] = predicted
+            columns[f"{joint.joint}.residual{stage}"] = measured[:, j] - predicted
+    return columns
+
+
+def series_content(columns: Columns, path: Path) -> Content:
+    """Return what goes into a file of samples, by its suffix.
+
+    Args:
+        path: The file, CSV or Parquet; empty entries of a CSV are samples that were left out.
+    """
+    if path.suffix.lower() == ".parquet":
+        arrow, parquet = optional("pyarrow", "logs"), optional("pyarrow.parquet", "logs")
+        return partial(parquet.write_table, arrow.table(dict(columns)))
+    lines = io.StringIO()
+    writer = csv.writer(lines, lineterminator="\n")
+    writer.writerow(columns)
+    writer.writerows(zip(*map(_texts, columns.values()), strict=True))
+    return lines.getvalue()
+
+
+def check_series(path: Path) -> None:
+    """Refuse a file of samples that could not be written in the end."""
+    if path.suffix.lower() == ".parquet":
+        optional("pyarrow", "logs")
+
+
+def optional(module: str, extra: str) -> Any:
+    """Return a module of a package that results can do without."""
+    return optional_package(module, extra, "tables of results", ArgumentError)
+
+
+def _index(stretches: Iterable[tuple[str, Array]]) -> dict[tuple[str, float], int]:
+    """Log and instant -> row, in the order of logs and of time."""
+    logs: dict[str, set[float]] = {}
+    for log, time in stretches:
+        logs.setdefault(log, set()).update(time.tolist())
+    rows = ((log, time) for log, times in logs.items() for time in sorted(times))
+    return {row: k for k, row in enumerate(rows)}
+
+
+def _stacked(windows: Sequence[Window], name: str) -> Array:
+    return np.concatenate([getattr(w, name) for w in windows])
+
+
+def _texts(values: Sequence[str] | Array) -> Sequence[str]:
+    if isinstance(values, np.ndarray):
+        return [f"{value:.10g}" if np.isfinite(value) else "" for value in values.tolist()]
+    return values

@@ -23,8 +23,7 @@ from geodrake.logs import JointLog, read_log
 from geodrake.report.drawn_robots import COLORS, UNKNOWN, levels
 from geodrake.report.meshcat_scene import rollout_replay_page
 from geodrake.report.play_page import play_page
-from geodrake.report.playback import play_back
-from geodrake.report.playing import Played
+from geodrake.report.playback import Played, play_back
 from geodrake.report.robot_scene import FRAMES, drawn_shapes
 
 

@@ -15,8 +15,7 @@ from report_results import JOINT, LOG, URDF
 from geodrake import load_model
 from geodrake.report import pictures, recordings
 from geodrake.report.drawn_robots import triangles
-from geodrake.report.playback import play_back
-from geodrake.report.playing import Played
+from geodrake.report.playback import Played, play_back
 from geodrake.report.robot_scene import drawn_shapes, posed_links
 
 
