@@ -5,9 +5,16 @@ from __future__ import annotations
 import shlex
 from collections.abc import Sequence
 
-from geodrake.cli.option_values import known_payloads
 from geodrake.cli.options import DigestOptions, LogCommandOptions
-from geodrake.cli.session import Command, Input, Output, files_of, found_columns, run
+from geodrake.cli.session import (
+    Command,
+    Input,
+    Output,
+    files_of,
+    found_columns,
+    known_payloads,
+    run,
+)
 from geodrake.diagnosis.columns import ColumnFinding, corrected_columns
 from geodrake.errors import ArgumentError, GeodrakeError
 from geodrake.fleet.digest_folder import FAILED, DigestRun, digest_logs
