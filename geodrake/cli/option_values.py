@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -47,59 +47,6 @@ def joint_values(text: str, model: RobotModel, option: str) -> Array:
     return np.array([values[joint] for joint in model.joints])
 
 
-@dataclass
-class _Limits:
-    """What --limits said so far."""
-
-    model: RobotModel
-    scale: float = 1.0
-    absolute: dict[str, dict[str, float]] = field(default_factory=dict)
-    shares: dict[str, dict[str, float]] = field(default_factory=dict)
-    position: dict[str, tuple[float, float]] = field(default_factory=dict)
-    signals: dict[str, float] = field(default_factory=dict)
-
-    def add(self, text: str) -> None:
-        """Take one limit in; see `limits_of`."""
-        key, equals, value = (part.strip() for part in text.partition("="))
-        if not equals:
-            self.scale *= _share(text)
-            return
-        joint, _, quantity = key.rpartition(".")
-        if quantity not in _QUANTITIES:
-            raise ArgumentError(
-                f"--limits has {text!r}, and there is no limit {quantity!r}.",
-                advice=f"Limits are {', '.join(_QUANTITIES)}. {_EXAMPLE}",
-            )
-        if joint:
-            _check_joint(joint, self.model, "--limits")
-        joints = [joint] if joint else list(self.model.joints)
-        if quantity == "position":
-            self.position |= dict.fromkeys(joints, _range(value))
-        elif quantity in SIGNAL_KINDS and value.endswith("%"):
-            raise ArgumentError(
-                f"--limits has {text!r}; there is no limit of {quantity}s that it is a share of.",
-                advice=f"Write it as a number, such as {quantity}=8.",
-            )
-        elif quantity in SIGNAL_KINDS:
-            self._add_signal(quantity, joint, _number(value, "--limits"))
-        elif value.endswith("%"):
-            self.shares.setdefault(quantity, {}).update(dict.fromkeys(joints, _share(value)))
-        else:
-            numbers = dict.fromkeys(joints, _number(value, "--limits"))
-            self.absolute.setdefault(quantity, {}).update(numbers)
-
-    def _add_signal(self, kind: str, joint: str, value: float) -> None:
-        """Take in the limit of a current, voltage or duty cycle, of one joint or of all such."""
-        own = [each.joint for each in self.model.effort_signals if each.kind == kind]
-        if not own or (joint and joint not in own):
-            raise ArgumentError(
-                f"--limits has a {kind}{f' of {joint}' * bool(joint)}, and the model knows no "
-                "efforts by it.",
-                advice="Limit the effort, or start from a model that was fitted to such a log.",
-            )
-        self.signals.update(dict.fromkeys([joint] if joint else own, value))
-
-
 def limits_of(
     given: Sequence[str] | None, model: RobotModel, *, bounded: bool = False
 ) -> MotionLimits:
@@ -112,26 +59,51 @@ def limits_of(
             Each may hold several, with commas between them; later ones win.
         bounded: As for `motion_limits`.
     """
-    said = _Limits(model)
-    for text in given or ():
-        for part in filter(None, text.split(",")):
-            said.add(part)
-    absolute: Mapping[str, Mapping[str, float]] = said.absolute
-    limits = motion_limits(
-        model,
-        position=said.position,
-        velocity=absolute.get("velocity"),
-        acceleration=absolute.get("acceleration"),
-        effort=absolute.get("effort"),
-        jerk=absolute.get("jerk"),
-        bounded=bounded,
-    )
-    for quantity, shares in said.shares.items():
-        factors = np.array([shares.get(joint, 1.0) for joint in model.joints])
-        limits = replace(limits, **{quantity: factors * getattr(limits, quantity)})
+    scale, said = 1.0, {quantity: dict[str, str]() for quantity in _QUANTITIES}
+    for text in filter(None, ",".join(given or ()).split(",")):
+        key, equals, value = (part.strip() for part in text.partition("="))
+        if not equals:
+            scale *= _share(text)
+            continue
+        joint, _, quantity = key.rpartition(".")
+        if quantity not in _QUANTITIES:
+            raise ArgumentError(
+                f"--limits has {text!r}, and there is no limit {quantity!r}.",
+                advice=f"Limits are {', '.join(_QUANTITIES)}. {_EXAMPLE}",
+            )
+        if joint:
+            _check_joint(joint, model, "--limits")
+        if quantity in SIGNAL_KINDS and value.endswith("%"):
+            raise ArgumentError(
+                f"--limits has {text!r}; there is no limit of {quantity}s that it is a share of.",
+                advice=f"Write it as a number, such as {quantity}=8.",
+            )
+        joints = _joints_by(quantity, model) if quantity in SIGNAL_KINDS else model.joints
+        if not joints or (joint and joint not in joints):
+            raise ArgumentError(
+                f"--limits has a {quantity}{f' of {joint}' * bool(joint)}, and the model knows no "
+                "efforts by it.",
+                advice="Limit the effort, or start from a model that was fitted to such a log.",
+            )
+        said[quantity] |= dict.fromkeys([joint] if joint else joints, value)
+    position = {joint: _range(value) for joint, value in said.pop("position").items()}
+    signals = [each for kind in SIGNAL_KINDS for each in said.pop(kind).items()]
+    absolute = {
+        quantity: {j: _number(v, "--limits") for j, v in own.items() if not v.endswith("%")}
+        for quantity, own in said.items()
+    }
+    limits = motion_limits(model, position=position, bounded=bounded, **absolute)
+    for quantity, own in said.items():
+        shares = [_share(v) if (v := own.get(j, "")).endswith("%") else 1.0 for j in model.joints]
+        limits = replace(limits, **{quantity: np.array(shares) * getattr(limits, quantity)})
     # After the shares, which are of the model's limits: the lesser counts.
-    effort = np.minimum(limits.effort, signal_limits(model, said.signals))
-    return replace(limits, effort=effort).scaled(said.scale)
+    most = signal_limits(model, {joint: _number(value, "--limits") for joint, value in signals})
+    return replace(limits, effort=np.minimum(limits.effort, most)).scaled(scale)
+
+
+def _joints_by(kind: str, model: RobotModel) -> list[str]:
+    """Return the joints whose efforts are known by a current, voltage or duty cycle."""
+    return [each.joint for each in model.effort_signals if each.kind == kind]
 
 
 def _share(text: str) -> float:

@@ -11,7 +11,7 @@ import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Protocol
+from typing import TYPE_CHECKING
 
 from rich.console import Console
 from rich.progress import BarColumn, Progress, SpinnerColumn, TaskID, TextColumn
@@ -32,70 +32,49 @@ _LEAST_SHARE = 0.05  # from which on the time left can be told
 _WIDTH = 44
 
 
-class Activity(Protocol):
-    """Shows what is going on."""
+@dataclass(kw_only=True)
+class Activity:
+    """Shows what is going on; this one shows nothing but warnings."""
+
+    begin: float = field(default_factory=time.monotonic)
+    last: tuple[str, float | None] = ("", None)  # words and share that were shown last
 
     def __call__(self, words: str, share: float | None = None) -> None:
         """Show what is being done, and the share of it that is done; None where that is unknown."""
+        self.last = (words, share)
 
     def history(self, line: str) -> None:
         """Print a line that stays."""
 
     def warning(self, line: str) -> None:
         """Print a line that stays, also where progress is not shown."""
-
-
-@dataclass
-class _Clock:
-    """Time since the work began, and what is left of it."""
-
-    begin: float = field(default_factory=time.monotonic)
-
-    @property
-    def passed(self) -> float:
-        return time.monotonic() - self.begin
-
-    def words(self, share: float | None) -> str:
-        """Return `12 s`, or `40 %, 12 s, about 18 s left`."""
-        if share is None or not _LEAST_SHARE <= share <= 1.0:
-            return f"{self.passed:.0f} s"
-        left = self.passed * (1.0 - share) / share
-        return f"{100.0 * share:.0f} %, {self.passed:.0f} s, about {left:.0f} s left"
-
-
-@dataclass
-class _Quiet:
-    """Shows nothing."""
-
-    def __call__(self, words: str, share: float | None = None) -> None:
-        pass
-
-    def history(self, line: str) -> None:
-        pass
-
-    def warning(self, line: str) -> None:
         warn(line)
 
+    def time(self, share: float | None) -> str:
+        """Return `12 s`, or `40 %, 12 s, about 18 s left`."""
+        passed = time.monotonic() - self.begin
+        if share is None or not _LEAST_SHARE <= share <= 1.0:
+            return f"{passed:.0f} s"
+        left = passed * (1.0 - share) / share
+        return f"{100.0 * share:.0f} %, {passed:.0f} s, about {left:.0f} s left"
 
-@dataclass
-class _Lines:
+
+@dataclass(kw_only=True)
+class _Lines(Activity):
     """Plain lines on stderr; the last words again and again while nothing else is said."""
 
-    last: tuple[str, float | None]
-    clock: _Clock = field(default_factory=_Clock)
-    told: float = 0.0
+    told: float = field(default_factory=time.monotonic)
 
     def __call__(self, words: str, share: float | None = None) -> None:
-        self.last = (words, share)
-        if self.clock.passed - self.told >= _SILENT:
-            self.history(f"{words} ({self.clock.words(share)})")
+        super().__call__(words, share)
+        if time.monotonic() - self.told >= _SILENT:
+            self.history(f"{words} ({self.time(share)})")
 
     def history(self, line: str) -> None:
-        self.told = self.clock.passed
+        self.told = time.monotonic()
         warn(line)
 
-    def warning(self, line: str) -> None:
-        self.history(line)
+    warning = history
 
     @contextmanager
     def repeating(self) -> Iterator[None]:
@@ -115,17 +94,15 @@ class _Lines:
             thread.join()
 
 
-@dataclass
-class _Bar:
+@dataclass(kw_only=True)
+class _Bar(Activity):
     """A moving bar in a terminal, lines above it."""
 
     bar: Progress
     task: TaskID
-    clock: _Clock = field(default_factory=_Clock)
-    last: tuple[str, float | None] = ("", None)
 
     def __call__(self, words: str, share: float | None = None) -> None:
-        self.last = (words, share)
+        super().__call__(words, share)
         self.show(words, share)
 
     def show(self, words: str, share: float | None = None) -> None:
@@ -134,14 +111,13 @@ class _Bar:
             description=printable(words)[:_WIDTH],
             total=None if share is None else 1.0,
             completed=share or 0.0,
-            time=self.clock.words(share),
+            time=self.time(share),
         )
 
     def history(self, line: str) -> None:
         self.bar.console.print(printable(line), soft_wrap=True)
 
-    def warning(self, line: str) -> None:
-        self.history(line)
+    warning = history
 
 
 @contextmanager
@@ -153,10 +129,10 @@ def progress(words: str, *, quiet: bool = False) -> Iterator[Activity]:
     """
     console = Console(stderr=True, markup=False, emoji=False, highlight=False)
     if quiet:
-        yield _Quiet()
+        yield Activity()
         return
     if not console.is_terminal:
-        lines = _Lines((words, None))
+        lines = _Lines(last=(words, None))
         with lines.repeating():
             yield lines
         return
@@ -171,7 +147,8 @@ def progress(words: str, *, quiet: bool = False) -> Iterator[Activity]:
         redirect_stderr=False,
     )
     with bar:
-        shown = _Bar(bar, bar.add_task(printable(words), total=None, time=""))
+        task = bar.add_task(printable(words), total=None, time="")
+        shown = _Bar(bar=bar, task=task)
         shown(words)
         with while_compiling(lambda: shown.show(_COMPILING), lambda: shown.show(*shown.last)):
             yield shown
