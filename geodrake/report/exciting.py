@@ -70,7 +70,7 @@ def excitation_page(result: ExcitationResult, about: About) -> Page:
                 (
                     "The criterion is one over the squared deviations of the hardest pair."
                     if apart
-                    else f"The criterion is {result.objective.criterion.name}.",
+                    else f"The criterion is {result.objective.criterion.name}."
                 ),
                 tables=(Table(_STARTS, starts, words=2),),
             ),
@@ -191,10 +191,8 @@ def _directions_section(result: ExcitationResult) -> Section:
     return Section(
         "What it identifies",
         f"From {result.samples} samples, along directions in the space of all parameters.",
-        (
-            "Directions are combinations of inertial parameters and of those of effects, in the "
-            "units of the normalization.",
-        ),
+        "Directions are combinations of inertial parameters and of those of effects, in the "
+        "units of the normalization.",
         charts=(chart,),
         detailed=True,
     )
@@ -217,10 +215,8 @@ def _pairs_section(result: ExcitationResult, units: Units) -> Section:
     return Section(
         "What it distinguishes",
         f"How far two effects differ once everything else is refitted{some}.",
-        (
-            f"In standard deviations of the noise of all {result.samples} samples together. RMS is "
-            "at the joint where it is most.",
-        ),
+        f"In standard deviations of the noise of all {result.samples} samples together. RMS is "
+        "at the joint where it is most.",
         tables=(_pairs_table(result, units),),
         charts=(_imitation_chart(result, units),),
     )
@@ -345,10 +341,8 @@ def identifiability_page(found: LogIdentifiability, about: About) -> Page:
             Section(
                 "Bodies",
                 f"Parameters identifiable to within {most}, of those that any motion could show.",
-                (
-                    "A body has ten inertial parameters; so many of them are identifiable from the "
-                    "best of motions, some only together with those of others. Part of one can be.",
-                ),
+                "A body has ten inertial parameters; so many of them are identifiable from the "
+                "best of motions, some only together with those of others. Part of one can be.",
                 tables=(_bodies_table(found),),
             ),
             Section(

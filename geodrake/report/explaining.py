@@ -14,7 +14,6 @@ import numpy as np
 from geodrake.control.rollout import Rollout
 from geodrake.diagnosis.ambiguity import distinguishing_commands
 from geodrake.diagnosis.drafting import Correlate, Draft
-from geodrake.diagnosis.drafting.results import DraftedEffect
 from geodrake.diagnosis.results import Diagnosis, Explanation, Step
 from geodrake.effects import Role
 from geodrake.identification.logs.model_errors import Comparison, ErrorTable
@@ -81,10 +80,11 @@ _MOST_DOTS = 400
 _MILLIMETRES = 1e3
 _FAR = 1e6  # mm, from which deviations are told as multiples of a power of ten
 _PERCENT_COLUMNS = (
-    "Blocks better is the share of held-out blocks in which the error falls where the effect acts.",
+    "Blocks better is the share of held-out blocks in which the error falls where the effect "
+    "acts.\n"
     "Probability is that of all explanations of the logs that have the finding. In the others "
     "something else is in its place, something unknown, or nothing; by chance is the probability "
-    "of nothing.",
+    "of nothing."
 )
 
 
@@ -121,29 +121,29 @@ class _Errors:
     chart: Chart
 
     @property
-    def first(self) -> ErrorTable:
-        """Return the errors at the start."""
-        return next(iter(self.stages.values()))
-
-    @property
     def last(self) -> ErrorTable:
         """Return the errors in the end."""
         return list(self.stages.values())[-1]
 
-    def tiles(self, *between: Tile, of: str = "") -> tuple[Tile, ...]:
+    def tiles(self, *first: Tile, ends: Sequence[ErrorTable], of: str = "") -> tuple[Tile, ...]:
         """Return what is worth seeing first.
 
         Args:
+            ends: Errors at the start and, if it was fitted, in the end.
             of: What it is that a better model could remove a share of; "" to leave that out.
         """
-        one = len(self.stages) == 1
-        removable = percent(words.removable_share(self.last))
-        return (
-            *between,
-            _worst_tile(self.first, None if one else self.last),
-            _noise_tile(self.last),
-            *([Tile("removable", removable, of)] if of and self.last.shows_noise else []),
-        )
+        worst = words.worst_joint(ends[-1]).joint
+        nrms = [next(j.nrms for j in table.joints if j.joint == worst) for table in ends]
+        tiles = [
+            *first,
+            Tile("worst joint", worst, f"nrms {' → '.join(map(number, nrms))}", words=True),
+            Tile("sensor noise", number(self.last.floor_nrms), "the nrms of a perfect model"),
+        ]
+        if not self.last.shows_noise:
+            tiles[-1] = Tile("sensor noise", "not seen", "nothing to compare the error with")
+        elif of:
+            tiles.append(Tile("removable", percent(words.removable_share(self.last)), of))
+        return tuple(tiles)
 
     def sections(self) -> tuple[Section, Section]:
         """Return the errors of every joint, and where they are concentrated."""
@@ -156,12 +156,10 @@ class _Errors:
             Section(
                 "Joint by joint",
                 f"RMS of measured − predicted effort in {_unit(self.last, self.units)}.",
-                (
-                    "std is the standard deviation of the measured effort, and nrms the error over "
-                    "it. Removable is the share of the squared error above the sensor noise: some "
-                    "model could still take it away, though perhaps none of positions and "
-                    "velocities alone.",
-                ),
+                "std is the standard deviation of the measured effort, and nrms the error over "
+                "it. Removable is the share of the squared error above the sensor noise: some "
+                "model could still take it away, though perhaps none of positions and "
+                "velocities alone.",
                 (self.bars,),
                 (errors_table(self.stages, self.units),),
             ),
@@ -196,7 +194,9 @@ def comparison_page(comparison: Comparison, about: About) -> Page:
             *shown.ends(comparison, comparison.notes, refitted=False),
         ),
         lead=words.comparison_lead(comparison),
-        tiles=shown.tiles(_error_tile("error", errors, units), of="of the squared error"),
+        tiles=shown.tiles(
+            _error_tile("error", errors, units), ends=[errors], of="of the squared error"
+        ),
         footer=_footer(comparison),
         first=(first_section(comparison.first),),
     )
@@ -213,11 +213,9 @@ def diagnosis_page(diagnosis: Diagnosis, about: About) -> Page:
     ranking = Section(
         "Candidates",
         "Each effect was added alone to the model, and everything refitted: nrms before and after.",
-        (
-            "Evidence is twice the logarithm of how much likelier it makes the model, prior odds "
-            "counted. The first is the first step of the most probable explanation; = marks what "
-            "may stand in its place. Chance is how probable it is that it is not needed there.",
-        ),
+        "Evidence is twice the logarithm of how much likelier it makes the model, prior odds "
+        "counted. The first is the first step of the most probable explanation; = marks what "
+        "may stand in its place. Chance is how probable it is that it is not needed there.",
         (candidate_bars(diagnosis),) if diagnosis.candidates else (),
         (candidates_table(diagnosis, units),),
     )
@@ -238,6 +236,7 @@ def diagnosis_page(diagnosis: Diagnosis, about: About) -> Page:
             _error_tile("as it stands", start, units),
             _error_tile("refitted", diagnosis.refitted, units, "held-out data"),
             *with_it,
+            ends=[start],
         ),
         footer=_footer(comparison),
         first=(first_section(comparison.first),),
@@ -283,7 +282,7 @@ def explanation_page(found: Explained | Explanation, about: About) -> Page:
             _parameters_section(explanation, units),
             Section(
                 REST,
-                more=("Shares of the error left at a joint on held-out data.",),
+                more="Shares of the error left at a joint on held-out data.",
                 items=tuple(map(words.correlate_words, found.correlates)),
                 deep=True,
             ),
@@ -295,10 +294,8 @@ def explanation_page(found: Explained | Explanation, about: About) -> Page:
                 "Bodies",
                 "Mass in kg and centre of mass in mm before and after, farthest change first; ± is "
                 "from noise alone.",
-                (
-                    "Centres of mass are in the frame of the body. What is attached to a body as a "
-                    "payload stands among the parameters.",
-                ),
+                "Centres of mass are in the frame of the body. What is attached to a body as a "
+                "payload stands among the parameters.",
                 tables=(bodies_table(explanation.bodies),) if explanation.bodies else (),
                 deep=True,
             ),
@@ -308,7 +305,9 @@ def explanation_page(found: Explained | Explanation, about: About) -> Page:
         ),
         verdict=explanation.verdict,
         lead=(*words.explanation_lead(explanation), *filter(None, [advice])),
-        tiles=shown.tiles(*tiles, of="of the squared error left"),
+        tiles=shown.tiles(
+            *tiles, ends=[start, end] if steps else [start], of="of the squared error left"
+        ),
         footer=_footer(explanation.before),
         first=(first_section(explanation.before.first),),
     )
@@ -345,10 +344,8 @@ def identification_page(found: ModelIdentification, about: About) -> Page:
             Section(
                 "Bodies",
                 "Mass in kg and centre of mass in mm in the body's frame, ± standard deviation.",
-                (
-                    "At the boundary, only the bounds of what a body can be keep the data from "
-                    "asking for more.",
-                ),
+                "At the boundary, only the bounds of what a body can be keep the data from "
+                "asking for more.",
                 tables=(bodies_table(found.bodies),),
             ),
             Section("Effects", tables=(_effects_table(found, units),)),
@@ -363,6 +360,7 @@ def identification_page(found: ModelIdentification, about: About) -> Page:
         tiles=shown.tiles(
             _error_tile("as it stands", before, units),
             _error_tile("identified", after, units, "held-out data"),
+            ends=[before, after],
             of="of the squared error left",
         ),
         footer=_footer(found.comparison),
@@ -387,23 +385,20 @@ def _parameters_section(explanation: Explanation, units: Units) -> Section:
     noticed = (
         "A second deviation comes from the gains of the efforts, and from what stays unexplained. "
         "More data do not narrow it: a log with a payload of known mass does (--known-payload), "
-        "and what explains the rest.",
+        "and what explains the rest."
+    )
+    seen = (
+        is_noticed(step.deviations[place][name], systematic)
+        for step in explanation.steps
+        for place, own in step.systematic.items()
+        for name, systematic in own.items()
     )
     return Section(
         "Parameters found",
         "Value ± standard deviation, where the fit knows one.",
-        noticed if any(map(_has_noticed, explanation.steps)) else (),
+        noticed if any(seen) else "",
         tables=tuple(parameters_table(s, units) for s in explanation.steps if s.parameters),
         deep=True,
-    )
-
-
-def _has_noticed(step: Step) -> bool:
-    """Return whether a second deviation is shown of one of a step's parameters."""
-    return any(
-        is_noticed(step.deviations[place][name], systematic)
-        for place, own in step.systematic.items()
-        for name, systematic in own.items()
     )
 
 
@@ -416,11 +411,9 @@ def _motions_section(motions: Sequence[Rollout] | None, units: Units) -> Section
     return Section(
         title,
         f"RMS in windows of {after.horizon:g} s that start at the measured state.",
-        (
-            "The model is simulated under the logged commands, and its motion compared with the "
-            "measured one; before with the model as it was and the same servos, and after each "
-            "step.",
-        ),
+        "The model is simulated under the logged commands, and its motion compared with the "
+        "measured one; before with the model as it was and the same servos, and after each "
+        "step.",
         tables=(
             departures_table(after, before, units),
             *([stages_table(motions, units)] if len(motions) > 2 else []),
@@ -441,10 +434,8 @@ def _draft_sections(draft: Draft, units: Units) -> tuple[Section, ...]:
         title,
         f"They take the held-out nrms {nrms}, where sensor noise is "
         f"{number(draft.after.floor_nrms)}; a formula that fits is not yet a cause.",
-        (
-            "Sums of products of simple functions of the motion, found by a sparse search and "
-            "judged on held-out data. Use the file with --effects; the saved model is without it.",
-        ),
+        "Sums of products of simple functions of the motion, found by a sparse search and "
+        "judged on held-out data. Use the file with --effects; the saved model is without it.",
         tables=(formulas_table(draft),),
         items=(f"Needless beside the formulas: {', '.join(needless)}",) if needless else (),
         charts=(draft_chart(draft, units),),
@@ -501,32 +492,15 @@ def _error_tile(title: str, errors: ErrorTable, units: Units, where: str = "all 
     return Tile(title, f"{number(errors.pooled_rms)} {unit}", f"RMS, nrms {nrms}: {where}")
 
 
-def _noise_tile(errors: ErrorTable) -> Tile:
-    """Return what sensor noise alone would make, if the logs show any."""
-    if not errors.shows_noise:
-        return Tile("sensor noise", "not seen", "nothing to compare the error with")
-    return Tile("sensor noise", number(errors.floor_nrms), "the nrms of a perfect model")
-
-
-def _worst_tile(before: ErrorTable, after: ErrorTable | None = None) -> Tile:
-    """Return the joint that errs most, of the final model if there is one."""
-    worst = words.worst_joint(after or before).joint
-    tables = [before] if after is None else [before, after]
-    nrms = [next(j.nrms for j in table.joints if j.joint == worst) for table in tables]
-    return Tile("worst joint", worst, f"nrms {' → '.join(map(number, nrms))}", words=True)
-
-
 def gains_section(signals: Sequence[EffortSignal], units: Units) -> Section:
     """Return what makes efforts of currents, voltages and commands; empty where there are none."""
     return Section(
         "Gains",
         "Efforts of these joints were not measured: they are the gains times what was measured.",
-        (
-            "Of servos they are the stiffness times how far the command is ahead, the damping "
-            "times how much faster it is, and the integral gain times how far and how long it was "
-            "ahead. The scale of the gains is that of the model's inertias; a model fitted to "
-            "efforts, or a gain from a data sheet (--gain), tells it better.",
-        ),
+        "Of servos they are the stiffness times how far the command is ahead, the damping "
+        "times how much faster it is, and the integral gain times how far and how long it was "
+        "ahead. The scale of the gains is that of the model's inertias; a model fitted to "
+        "efforts, or a gain from a data sheet (--gain), tells it better.",
         tables=(signals_table([each for each in signals if each.kind != EFFORT], units),),
     )
 
@@ -555,11 +529,9 @@ def _method_section(comparison: Comparison, *, refitted: bool) -> Section:
     return Section(
         "How errors were measured",
         how,
-        (
-            "Efforts and everything they are compared with passed through the same zero-phase "
-            "filter, and were then reduced to the rate that its bandwidth allows. The noise floor "
-            "is estimated from the efforts themselves.",
-        ),
+        "Efforts and everything they are compared with passed through the same zero-phase "
+        "filter, and were then reduced to the rate that its bandwidth allows. The noise floor "
+        "is estimated from the efforts themselves.",
         items=(f"Folds: {', '.join(folds)}.",),
         detailed=True,
     )
@@ -739,25 +711,19 @@ def _limit(signal: EffortSignal, units: Units) -> str:
 
 def formulas_table(draft: Draft) -> Table:
     """Return drafted effects with their coefficients."""
-    rows = [
-        cells(
-            Cell(effect.formula.joint, typed=draft.names[effect.formula.joint]),
-            "\n".join((effect.formula.words(), *_coefficients(effect))),
-            *(effect.rms_before, effect.rms_after, effect.floor),
-            chance(effect.false_alarm_probability),
+    rows = []
+    for effect in draft.effects:
+        values = zip(effect.formula.parameters, effect.coefficients, effect.deviations, strict=True)
+        coefficients = (
+            f"{p.name} = {with_deviation(float(c), float(d))} {p.unit}".removesuffix(" 1")
+            for p, c, d in values
         )
-        for effect in draft.effects
-    ]
+        joint = Cell(effect.formula.joint, typed=draft.names[effect.formula.joint])
+        formula = "\n".join((effect.formula.words(), *coefficients))
+        errors = effect.rms_before, effect.rms_after, effect.floor
+        rows.append(cells(joint, formula, *errors, chance(effect.false_alarm_probability)))
     head = ("joint", "formula", "RMS before", "after", "noise", "false alarm")
     return Table(head, rows, words=2)
-
-
-def _coefficients(effect: DraftedEffect) -> list[str]:
-    values = zip(effect.formula.parameters, effect.coefficients, effect.deviations, strict=True)
-    return [
-        f"{p.name} = {with_deviation(float(c), float(d))} {p.unit}".removesuffix(" 1")
-        for p, c, d in values
-    ]
 
 
 def bodies_table(bodies: Sequence[BodyChange]) -> Table:

@@ -56,10 +56,7 @@ def export_page(found: ProvenExport, about: About) -> Page:
             Section(
                 "What the files hold",
                 "Values in the files, beside the inertias.",
-                (
-                    "Friction that they cannot hold is approximated by least squares over the "
-                    "motion.",
-                ),
+                "Friction that they cannot hold is approximated by least squares over the motion.",
                 tables=(_holds_table(found, units),),
             ),
             Section(
@@ -70,10 +67,8 @@ def export_page(found: ProvenExport, about: About) -> Page:
             Section(
                 "Loaded again",
                 "Each simulator read the files itself, and is compared with the model they hold.",
-                (
-                    "Efforts are those that the motion needs; positions those of rollouts from "
-                    "states of the motion on, in steps of a millisecond.",
-                ),
+                "Efforts are those that the motion needs; positions those of rollouts from "
+                "states of the motion on, in steps of a millisecond.",
                 tables=(_proof_table(found, units),),
             ),
             notes_section(found.notes),

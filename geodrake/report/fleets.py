@@ -81,6 +81,11 @@ def fleet_page(found: WatchedFleet | FleetResult, about: About) -> Page:
     place = f" All of it is in {folder}." if folder else ""
     logs = sum(robot.logs for robot in result.robots)
     count = f"{_counted(len(result.robots), 'robot')}, {_counted(logs, 'log')}"
+    surest = [
+        f"The surest: {_change_label(each)} of {each.where} in {each.robot}, since "
+        f"{_since(each)}: {_size(each)}."
+        for each in result.findings[:1]
+    ]
     unused = [f"{each.robot}: {each.log}: {each.reason}" for each in result.unused]
     more = [f"and {len(unused) - _MOST_UNUSED} more, in {folder}"]
     return Page(
@@ -91,17 +96,15 @@ def fleet_page(found: WatchedFleet | FleetResult, about: About) -> Page:
             Section(
                 "What changed",
                 "Robots, worst first, with what changed since when.",
-                (
-                    "A change is named if logs say so much for it hardly by chance: in robots in "
-                    f"which nothing changed, of at most {percent(result.false_alarms)} a "
-                    "robot-month.",
-                ),
+                "A change is named if logs say so much for it hardly by chance: in robots in "
+                f"which nothing changed, of at most {percent(result.false_alarms)} a "
+                "robot-month.",
                 tables=(_findings_table(result.findings),),
             ),
             Section(
                 "The fleet at a glance",
                 "How far each robot is from others of its type, in spreads by which these differ.",
-                ("At each joint the parameter that is farthest, without changes.",),
+                "At each joint the parameter that is farthest, without changes.",
                 tables=_glance_tables(result.robots),
                 detailed=True,
             ),
@@ -119,7 +122,7 @@ def fleet_page(found: WatchedFleet | FleetResult, about: About) -> Page:
         ),
         of=f"{about.model}: {found.words or count}",
         verdict=CHANGED if changed else STEADY,
-        lead=(*map(_surest, result.findings[:1]), *([place.strip()] if place else [])),
+        lead=(*surest, *([place.strip()] if place else [])),
         tiles=_tiles(result),
         footer="Made by geodrake: which robot changed, at which joint, by what, since when.",
     )
@@ -138,13 +141,6 @@ def fleet_verdict(result: FleetResult) -> str:
 
 def _counted(count: int, noun: str) -> str:
     return f"{count} {noun}" if count == 1 else f"{count} {noun}s"
-
-
-def _surest(finding: FleetFinding) -> str:
-    return (
-        f"The surest: {_change_label(finding)} of {finding.where} in {finding.robot}, since "
-        f"{_since(finding)}: {_size(finding)}."
-    )
 
 
 def _tiles(result: FleetResult) -> tuple[Tile, ...]:
@@ -241,19 +237,17 @@ def _glance_tables(robots: Sequence[RobotResult]) -> tuple[Table, ...]:
         for robot in own:
             others = [f for f in robot.findings if f.where not in places]
             bodies = ", ".join(f"{_change_label(f)} of {f.where}" for f in others)
-            at = (_place_cell(robot, place) for place in places)
+            at = []
+            for place in places:
+                spreads = [abs(e.apart) for e in robot.own if e.parameter.where == place]
+                apart = max(spreads, default=0.0)
+                changes = ", ".join(_label(f.effect) for f in robot.findings if f.where == place)
+                bar = min(1.0, apart / _FAR)
+                at.append(Cell(number(apart, 2), note=changes, bar=bar))
             rows.append(cells(robot.robot, robot.state, bodies, *at))
         head = ("robot", "state", "bodies", *places)
         tables.append(Table(head, rows, words=3, title=kind))
     return tuple(tables)
-
-
-def _place_cell(robot: RobotResult, place: str) -> Cell:
-    """Return how far a robot is from others at a joint, and what changed there."""
-    own = [abs(each.apart) for each in robot.own if each.parameter.where == place]
-    apart = max(own, default=0.0)
-    changes = ", ".join(_label(f.effect) for f in robot.findings if f.where == place)
-    return Cell(number(apart, 2), note=changes, bar=min(1.0, apart / _FAR))
 
 
 def _robot_section(robot: RobotResult, at: int) -> Section:
@@ -273,7 +267,7 @@ def _robot_section(robot: RobotResult, at: int) -> Section:
     return Section(
         robot.robot,
         "Each log by itself; shaded: when a change began, with a probability of 95 %.",
-        ("Intervals have what logs of this robot scatter.",),
+        "Intervals have what logs of this robot scatter.",
         tables=(_findings_table(robot.findings), others),
         charts=(_chart(robot, at),),
         detailed=True,

@@ -66,7 +66,7 @@ class Section:
 
     title: str
     text: str = ""  # what is seen here, in a sentence
-    more: tuple[str, ...] = ()  # how to read it, in paragraphs that HTML pages show when asked
+    more: str = ""  # how to read it, in lines that HTML pages show as paragraphs when asked
     bars: tuple[Bars, ...] = ()
     tables: tuple[Table, ...] = ()
     items: tuple[str, ...] = ()

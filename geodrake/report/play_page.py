@@ -170,18 +170,15 @@ def _data(found: Played, marks: Sequence[Sequence[Mark]], speed: float) -> dict[
                 "levels": _packed(levels(played.relative, playback.top)),
                 "errors": _packed(played.relative.astype("<f4")),
                 **{name: _packed(getattr(played, name).astype("<f4")) for name in curves},
-                "moved": _moved(played, k),
+                "moved": [
+                    [f"{link_path(_path(played, k), link)}/shapes" for link in place.moved]
+                    for place in own_joints(played.model)
+                ],
                 "marks": _labels(own),
             }
             for k, (played, own) in enumerate(zip(playback.models, marks, strict=True))
         ],
     }
-
-
-def _moved(played: PlayedModel, k: int) -> list[list[str]]:
-    """Return, joint by joint, the folders of the shapes that it moves."""
-    own, path = own_joints(played.model), _path(played, k)
-    return [[f"{link_path(path, link)}/shapes" for link in place.moved] for place in own]
 
 
 def _labels(marks: Sequence[Mark]) -> list[dict[str, str]]:

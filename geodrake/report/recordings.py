@@ -132,15 +132,18 @@ def _write_mcap(foxglove: Any, path: Path, found: Played, title: str) -> None:
     kinds, channels = foxglove.messages, foxglove.channels
     context = foxglove.Context()
     instants = np.rint(1e9 * (playback.times - playback.times[0])).astype(int)
+    names = ("position", *_joint_values(playback.models[0]))
+    numbers = {name: {"type": "number"} for name in names}
+    row = {"type": "object", "properties": numbers}
+    joints = {printable(joint): row for joint in playback.joints}
+    schema = {"title": "geodrake.Joints", "type": "object", "properties": joints}
     with foxglove.open_mcap(str(path), context=context):
         scene = channels.SceneUpdateChannel("/robot", context=context)
         marks = channels.SceneUpdateChannel("/errors", context=context)
         frames = channels.FrameTransformsChannel("/tf", context=context)
         findings = channels.LogChannel("/findings", context=context)
         plots = [
-            foxglove.Channel(
-                f"/joints/{robot.name}", schema=_joint_schema(playback.joints), context=context
-            )
+            foxglove.Channel(f"/joints/{robot.name}", schema=schema, context=context)
             for robot in robots
         ]
         entities = [e for robot in robots for e in _entities(kinds, robot)]
@@ -244,16 +247,6 @@ def _joint_row(playback: Playback, values: dict[str, Array], frame: int) -> dict
         known = {name: value for name, value in named.items() if np.isfinite(value)}
         row[printable(joint)] = {"position": float(playback.q[frame, j]), **known}
     return row
-
-
-def _joint_schema(joints: tuple[str, ...]) -> dict[str, Any]:
-    names = ("position", "measured", "predicted", "residual")
-    numbers = {"type": "object", "properties": {name: {"type": "number"} for name in names}}
-    return {
-        "title": "geodrake.Joints",
-        "type": "object",
-        "properties": {printable(joint): numbers for joint in joints},
-    }
 
 
 _Writer = Callable[[Any, Path, Played, str], None]

@@ -67,11 +67,9 @@ def rollout_page(found: Simulated | Rollout, about: About) -> Page:
             Section(
                 "Departure from the measured motion",
                 f"RMS of simulated − measured position in {count} windows of {horizon}.",
-                (
-                    "Moved is the RMS of what the joint moved since the window's start, and share "
-                    "of motion the departure over it. The model as a whole departs by the root "
-                    "mean square of these over the joints.",
-                ),
+                "Moved is the RMS of what the joint moved since the window's start, and share "
+                "of motion the departure over it. The model as a whole departs by the root "
+                "mean square of these over the joints.",
                 tables=(departures_table(after, before, units),),
                 charts=(rollout_chart(after, before, units),),
             ),
