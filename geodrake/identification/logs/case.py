@@ -428,7 +428,11 @@ def _hints(log: JointLog, model: RobotModel) -> list[str]:
     limits, doubt = model.position_limits, position_unit_hint(log)
     hints = [doubt, effort_sign_hint(log)]
     if doubt is None:  # or limits are passed for that reason
-        hints.append(effort_unit_hint(log, model.effort_limits))
+        largest = np.array(model.effort_limits, float)
+        for signal in model.effort_signals:  # with an unknown gain, efforts have no unit
+            if signal.joint in log.joints and signal.deviation >= abs(signal.gain):
+                largest[log.joints.index(signal.joint)] = np.inf
+        hints.append(effort_unit_hint(log, largest))
         if len(limits[0]) == len(log.joints):
             hints.append(position_limit_hint(log, *limits))
     return [hint for hint in hints if hint]

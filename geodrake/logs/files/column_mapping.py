@@ -274,7 +274,7 @@ _CONSTANT = " (torque constant × gear ratio)"
 _KIND_WORDS = {
     "current": "motor currents",
     "voltage": "voltages",
-    "pwm": "duty cycles or other shares",
+    "pwm": "duty cycles or percentages",
 }
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import csv
 import re
 from codecs import BOM_UTF16_BE, BOM_UTF16_LE
-from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import AbstractContextManager, nullcontext, suppress
 from dataclasses import dataclass, field, replace
 from functools import cached_property, partial
@@ -344,32 +344,33 @@ class TextTable(LogTable):
         self, names: Sequence[str], *, skip: bool = False
     ) -> tuple[dict[str, Array], TornRows]:
         """Return some columns (N,), filled block by block; see `LogTable`."""
-        return self._read(names, skip=skip, texts=())
+        return self._read(names, float, skip=skip)
 
     def _read(
-        self, names: Sequence[str], *, skip: bool, texts: Collection[str]
+        self, names: Sequence[str], form: type, *, skip: bool
     ) -> tuple[dict[str, Any], TornRows]:
-        """Return some columns (N,), those of texts as objects."""
+        """Return some columns (N,) as numbers, or as texts if their form is `object`."""
         layout, lines = self._layout, self._lines
         most, names = 1 + sum(lines), list(dict.fromkeys(names))
         check_room(self.path, most * len(names), f"{most} rows of {len(names)} numbers")
-        found = {name: np.empty(most, object if name in texts else float) for name in names}
+        found: dict[str, NDArray[Any]] = {name: np.empty(most, form) for name in names}
         torn, row = TornRows(self.path, most, skip), 0
         known = {name: (cell, item) for name, cell, item in reversed(layout.columns)}
         places = [known[name] for name in names]
-        kinds: dict[int, Cells | None] = {
-            k: layout.kinds.get(layout.names[k]) or Cells() for k, _ in places
-        }
-        kinds |= dict.fromkeys(known[name][0] for name in texts)
+        told = {k: layout.kinds.get(layout.names[k]) or Cells() for k, _ in places}
+        kinds = told if form is float else {}
         before = np.maximum(np.cumsum([0, *lines]), layout.lines).tolist()
         blocks = _blocks(self.path, self._opened, layout.lines)
         for block, line in zip(blocks, before, strict=False):
             table: Any = None
-            if all(kind == Cells() for kind in kinds.values()):
+            if kinds and all(kind == Cells() for kind in kinds.values()):
                 table = _numbers(layout, block, places, quick=sum(lines) > _MANY)
-            if table is None:
+            if table is None and kinds:
                 rows = self._cells(_lines(block), places, kinds, (row, line), torn)
-                table = [*zip(*rows, strict=True)] or [()]
+                table = np.array(rows).reshape(-1, len(places)).T
+            elif table is None:
+                cells = [each for _, each in layout.cells(_lines(block))]
+                table = [[c[k].strip() if k < len(c) else "" for c in cells] for k, _ in places]
             for values, column in zip(found.values(), table, strict=False):
                 values[row : row + len(column)] = column
             row += len(table[0])
@@ -379,7 +380,7 @@ class TextTable(LogTable):
         self,
         lines: Sequence[str],
         places: Sequence[tuple[int, int]],
-        kinds: Mapping[int, Cells | None],
+        kinds: Mapping[int, Cells],
         before: tuple[int, int],
         torn: TornRows,
     ) -> list[list[Any]]:
@@ -408,9 +409,9 @@ class TextTable(LogTable):
                             continue
                     found = dict[int, list[Any]]()
                     for k, kind in kinds.items():
-                        numbers = [cells[k].strip()] if kind is None else kind.numbers(cells[k])
+                        numbers = kind.numbers(cells[k])
                         if numbers is None:
-                            raise _refusal(path, row, names[k], cells[k], kind or Cells())
+                            raise _refusal(path, row, names[k], cells[k], kind)
                         found[k] = numbers
                     values.append([found[cell][item] for cell, item in places])
                 except LogError as error:
@@ -426,12 +427,14 @@ class TextTable(LogTable):
     def loaded(self) -> LogTable:
         """Return the table with all its columns read, those of words as texts."""
         texts = self._layout.words
-        columns, torn = self._read(self.names, skip=self._skip, texts=texts)
+        numbers = [name for name in self.names if name not in texts]
+        columns, torn = self.read(numbers, skip=self._skip)
+        words = self._read(texts, object, skip=True)[0] if texts else {}
         rows = len(next(iter(columns.values()), ()))
         kept, notes = torn.settle(np.arange(float(rows)))
         if kept is not None:
             columns = {name: values[kept] for name, values in columns.items()}
-        words = {name: columns.pop(name) for name in texts}
+            words = {name: cells[kept] for name, cells in words.items()}
         silent = {name: f"holds {cells[:1]}" for name, cells in words.items()}
         notes = (*self.notes, *notes)
         return LogTable(self.path, columns, self.units, notes, self.origins, silent, words)
@@ -532,7 +535,7 @@ def _count(block: bytes) -> int:
 
 
 def _lines(block: bytes) -> list[str]:
-    return [line.decode("utf-8-sig") for line in block.splitlines(keepends=True)]
+    return StringIO(block.decode().replace("\ufeff", ""), newline="").readlines()
 
 
 def _numbers(
