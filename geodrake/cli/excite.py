@@ -378,12 +378,7 @@ def rivals_in(text: str) -> tuple[tuple[str, tuple[str, ...]], tuple[str, tuple[
 def placed_rivals(
     text: str, model: RobotModel, limits: MotionLimits, *, extra: Sequence[type[Effect]] = ()
 ) -> tuple[Rival, Rival]:
-    """Return the two effects at their places.
-
-    Args:
-        text: What the option was given. A place said of one is that of the other too, if both are
-            at places of one kind.
-    """
+    """Return two effects at their places; that of one counts for both, if both have such places."""
     (first, there), (second, here) = rivals_in(text)
     if effect_class(first, extra).places == effect_class(second, extra).places:
         there, here = there or here, here or there

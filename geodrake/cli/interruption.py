@@ -28,14 +28,10 @@ class FirstInterrupt(Interruption, StopSearch):
 
 
 class _Handler:
-    """Raises an interruption, and remembers that it did.
-
-    Attributes:
-        arrived: The signal that came last; None before any.
-    """
+    """Raises an interruption, and remembers that it did."""
 
     def __init__(self) -> None:
-        self.arrived: signal.Signals | None = None
+        self.arrived: signal.Signals | None = None  # the signal that came last; None before any
 
     def __call__(self, number: int, frame: FrameType | None) -> None:
         del frame

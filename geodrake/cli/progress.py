@@ -122,11 +122,7 @@ class _Bar(Activity):
 
 @contextmanager
 def progress(words: str, *, quiet: bool = False) -> Iterator[Activity]:
-    """Show what is going on, until it is done.
-
-    Yields:
-        What shows other words.
-    """
+    """Show what is going on, until it is done."""
     console = Console(stderr=True, markup=False, emoji=False, highlight=False)
     if quiet:
         yield Activity()

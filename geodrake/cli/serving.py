@@ -21,16 +21,11 @@ _SECONDS = 20.0  # for a connection from its begin to its end
 
 
 class PageServer(ThreadingHTTPServer):
-    """A server of one page, to a few clients at once, each of which has a limited time.
-
-    Attributes:
-        page: The page, UTF-8.
-        seconds: How long a connection may last.
-    """
+    """A server of one page, to a few clients at once, each of which has a limited time."""
 
     daemon_threads = True
-    page: bytes = b""
-    seconds = _SECONDS
+    page: bytes = b""  # UTF-8
+    seconds = _SECONDS  # for which a connection may last
 
     def __init__(self, port: int) -> None:
         super().__init__((_HOST, port), _PageHandler)
@@ -106,12 +101,7 @@ def _hang_up(request: socket.socket) -> None:
 
 
 def page_server(port: int) -> PageServer:
-    """Return a server that has its port, and serves nothing yet.
-
-    Raises:
-        ArgumentError: It is none.
-        OutputError: It cannot be had.
-    """
+    """Return a server that has its port and serves nothing yet; refuse a port that is not free."""
     if not 0 <= port <= _LARGEST_PORT:
         raise ArgumentError(
             f"--live {port} is no port.",

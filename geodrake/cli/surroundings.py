@@ -66,11 +66,7 @@ def settled_surroundings() -> Iterator[None]:
 
 
 def check_surroundings() -> None:
-    """Refuse surroundings in which nothing can be read.
-
-    Raises:
-        GeodrakeError: The working directory is gone, or Python takes files for ASCII.
-    """
+    """Refuse surroundings in which nothing can be read: no folder, or a locale that is ASCII."""
     try:
         os.getcwd()  # noqa: PTH109
     except OSError as error:
@@ -135,12 +131,7 @@ def print_whole(text: str) -> None:
 
 @contextmanager
 def printing() -> Iterator[None]:
-    """Tell that results are being printed, so that what fails is standard output.
-
-    Raises:
-        GeodrakeError: It takes no more.
-        BrokenPipeError: Nobody reads it any more.
-    """
+    """Tell that results are being printed, so that what fails is standard output."""
     try:
         yield
         results().flush()
@@ -191,12 +182,7 @@ INTERRUPTED = 130  # 128 + SIGINT, as shells have it
 
 @contextmanager
 def guarded(*, debug: bool = False, effect_files: Sequence[Path] = ()) -> Iterator[None]:
-    """Turn errors into a message on stderr and an exit code.
-
-    Args:
-        debug: Show the traceback too; so does the environment variable GEODRAKE_DEBUG.
-        effect_files: Python files of the user's own, which may be what fails.
-    """
+    """Turn errors into a message on stderr and an exit code, also those of the user's own files."""
     try:
         check_surroundings()
         with results_apart():

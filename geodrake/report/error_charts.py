@@ -344,11 +344,7 @@ def candidate_bars(diagnosis: Diagnosis) -> Bars:
 
 
 def joint_bars(errors: ErrorTable, stages: Sequence[tuple[str, Sequence[float]]] = ()) -> Bars:
-    """Return the RMS error of each joint over its effort's deviation, on a logarithmic axis.
-
-    Args:
-        stages: Words and (nv,) RMS of every joint, N·m or N, after each step.
-    """
+    """Return the RMS of each joint, at first and after stages, over its effort's deviation."""
     shades = np.linspace(0.25, 1.0, len(stages)) if len(stages) > 1 else np.ones(len(stages))
     colors = [Color("after", round(float(shade), 2)) for shade in shades]
     colors = [replace(c, label=words) for c, (words, _) in zip(colors, stages, strict=True)]

@@ -484,12 +484,7 @@ def _identifiable_chart(found: LogIdentifiability) -> Chart:
 
 
 def excitation_dict(result: ExcitationResult) -> dict[str, Any]:
-    """Return a designed motion: its coefficients, what it is worth, what it uses of the limits.
-
-    Args:
-        result: The result of `geodrake.excitation.design_excitation`; of a `Separation`, its value
-            is 1/Δ of the pair that is hardest to distinguish.
-    """
+    """Return a designed motion: its coefficients, what it is worth, what it uses of the limits."""
     objective, family = result.objective, result.trajectory.family
     use, limits, target = result.use, result.limits, result.objective.target
     pairs, shares = distinguished_pairs(result), ("velocity", "acceleration", "effort", "jerk")
@@ -549,12 +544,7 @@ def excitation_dict(result: ExcitationResult) -> dict[str, Any]:
 
 
 def identifiable_dict(found: LogIdentifiability) -> dict[str, Any]:
-    """Return what is identifiable from logs: directions, bodies, effects and base parameters.
-
-    Returns:
-        `told` of `possible` directions, `threshold`, and `directions`, `bodies`, `effects`,
-        `combinations` with their (relative) deviations.
-    """
+    """Return what is identifiable from logs: directions, bodies, effects and base parameters."""
     identifiable = found.identifiable
     directions = zip(
         identifiable.variances, found.floor_variances, identifiable.shares.T, strict=True

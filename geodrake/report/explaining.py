@@ -666,11 +666,7 @@ def parameters_table(step: Step, units: Units) -> Table:
 
 
 def signals_table(signals: Sequence[EffortSignal], units: Units) -> Table:
-    """Return what makes efforts of the currents, voltages and commands of logs.
-
-    Args:
-        signals: Those of a model, without those of motors that are asked for efforts.
-    """
+    """Return what makes efforts of the currents, voltages and commands of logs."""
     served = any(signal.kind == COMMAND for signal in signals)
     summed = any(signal.integral for signal in signals)
     limited = any(signal.limit < math.inf for signal in signals)

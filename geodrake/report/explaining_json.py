@@ -22,12 +22,7 @@ _UNKNOWN = "the logs do not identify it"
 
 
 def comparison_dict(comparison: Comparison) -> dict[str, Any]:
-    """Return a comparison: errors of the whole and of each joint, and where they are concentrated.
-
-    Returns:
-        `error` (nrms, floor_nrms, pooled_rms, noise_is_known), `joints` by name (rms, std, nrms,
-        floor in N·m or N, removable, which is null without noise), `failing` and `notes`.
-    """
+    """Return a comparison: errors of the whole and of each joint, and where they are large."""
     errors = comparison.errors
     totals = ("nrms", "floor_nrms", "pooled_rms")
     return {

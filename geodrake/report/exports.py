@@ -400,13 +400,7 @@ def _effort_curve(found: LogInspection, row: int) -> tuple[NDArray[np.float64], 
 
 
 def _export_dict(found: ProvenExport) -> dict[str, Any]:
-    """Return an export: its files, what they hold and lack, and what simulators make of them.
-
-    Returns:
-        `format`, `files`; `holds`, the effects in them with their parameters; `lacks`, each with
-        what stands `into` its place and its `nrms`; `error` on the logs; `differences` from the
-        model by simulator (N·m or N, rad or m), `ignored` effects, and `notes`.
-    """
+    """Return an export: its files, what they hold and lack, and what simulators make of them."""
     error = {}
     if (costs := found.costs) is not None:
         error = {"nrms": costs.whole, "held_nrms": costs.held}

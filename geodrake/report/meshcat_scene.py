@@ -149,10 +149,7 @@ def draw_efforts(meshcat: Meshcat, path: str, played: PlayedModel, size: float) 
     """Record measured and predicted effort at every joint, as arrows along its axis.
 
     The direction is that of the right hand for joints that turn. Arrows of a joint's largest
-    measured effort have one length at all joints.
-
-    Args:
-        size: Size of the robot, m.
+    measured effort have one length at all joints, a share of the robot's size, m.
     """
     peak = np.nanmax(np.abs(played.measured), axis=0, initial=1e-12)
     kinds = (
@@ -263,15 +260,7 @@ def _draw_arrow(meshcat: Meshcat, path: str, length: float, color: str) -> None:
 
 
 def ring(radius: float, thickness: float) -> tuple[Array, NDArray[np.int32]]:
-    """Return a ring about z.
-
-    Args:
-        radius: From the axis to the middle of the ring, m.
-        thickness: Radius of the ring's section, m.
-
-    Returns:
-        (n, 3) vertices and (m, 3) corners of triangles.
-    """
+    """Return vertices (n, 3) and corners of triangles (m, 3) of a ring about z, m."""
     u, v = np.meshgrid(
         np.linspace(0, 2 * np.pi, _AROUND, endpoint=False),
         np.linspace(0, 2 * np.pi, _ACROSS, endpoint=False),

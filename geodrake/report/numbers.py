@@ -73,11 +73,7 @@ def is_noticed(deviation: float, systematic: float) -> bool:
 
 
 def estimate(value: float, deviation: float, systematic: float = math.nan) -> str:
-    """Return a value with its standard deviation; plain digits without one, as for a shape.
-
-    Args:
-        deviation: Its standard deviation in the same unit; not finite if there is none.
-    """
+    """Return a value with its standard deviation; plain digits without one, as for a shape."""
     if math.isfinite(deviation):
         return with_deviation(value, deviation, systematic)
     text = number(value, 4)
@@ -135,11 +131,7 @@ class Units:
 
     @classmethod
     def of(cls, model: RobotModel, extra: Sequence[type[Effect]] = ()) -> Units:
-        """Return the units of a model's joints, and of its effects.
-
-        Args:
-            extra: Effects of the user's own that the model need not have.
-        """
+        """Return the units of a model's joints, its effects, and others that it need not have."""
         own = {kind.name: kind for kind in (*extra, *(type(f.effect) for f in model.effects))}
         return cls(model.joints, frozenset(model.sliding_joints), {**cls().effects, **own})
 
@@ -156,11 +148,7 @@ class Units:
         return " or ".join(sorted(found, reverse=True))
 
     def parameter(self, effect: str, name: str, place: str) -> str:
-        """Unit in which a parameter is shown; "" for plain numbers and those nothing is known of.
-
-        Args:
-            place: Joint or body, or a pair of joints as `a & b`.
-        """
+        """Unit in which a parameter is shown at a place, such as `a & b`; "" for plain numbers."""
         if self._in_milliseconds(effect, name):
             return "ms"
         unit = self._unit(effect, name)

@@ -143,11 +143,7 @@ def _encoder() -> Any:
 
 
 def video(found: Played, suffix: str, *, speed: float = 1.0) -> bytes:
-    """Return a video of a playback, ".mp4" or ".gif".
-
-    Args:
-        speed: Seconds of the log in a second of the video.
-    """
+    """Return a video, ".mp4" or ".gif", at so many seconds of the log in a second."""
     rate, count = RATES[suffix], len(found.playback.q)
     step = FRAMES * speed / rate
     numbers = np.minimum(np.arange(0.0, count, step).round().astype(int), count - 1)

@@ -36,11 +36,7 @@ def check_viewer(to: str, file: Path) -> None:
 
 
 def recording(to: str, found: Played, *, title: str) -> bytes:
-    """Return a recording of the robots, their joints and efforts, and what was found.
-
-    Args:
-        to: "rerun" or "mcap".
-    """
+    """Return a recording for "rerun" or "mcap": robots, joints and efforts, and what was found."""
     _, module, write = _VIEWERS[one_of(to, "to", _VIEWERS)]
     package = optional_package(module, "viewers", f"recordings for {to}", OutputError)
     with TemporaryDirectory() as folder:

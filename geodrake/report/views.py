@@ -46,14 +46,7 @@ _PARTS = {"records": "rows of numbers"}
 
 
 def view_of(result: object, part: str = "page") -> View:
-    """Return how to see a result.
-
-    Args:
-        part: What of it is asked for, as `View` calls it.
-
-    Raises:
-        ArgumentError: It is no result, or has no such part.
-    """
+    """Return how to see a result; refuse what is none, or has no such part as `View` calls it."""
     for kind in type(result).__mro__:
         for module, names in _KINDS.items():
             if kind.__name__ in names:
@@ -64,11 +57,7 @@ def view_of(result: object, part: str = "page") -> View:
 
 
 def page_of(result: object, about: About | None = None) -> Page:
-    """Return all that there is to say of a result, to be printed by `render` or `show_page`.
-
-    Args:
-        about: What it is of; by default the result's own model, without names.
-    """
+    """Return all that there is to say of a result, by default of its own model, without names."""
     if about is None:
         model = getattr(result, "model", None)
         about = About() if model is None else About(units=Units.of(model))
