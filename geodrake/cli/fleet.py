@@ -28,8 +28,7 @@ from geodrake.report.json_output import to_json
 from geodrake.report.page import About
 from geodrake.report.views import page_of
 
-NEW_FINDING = 3
-"""Exit code of `--once` where there is a finding that was not told before."""
+NEW_FINDING = 3  # exit code of `--once` where there is a finding that was not told before
 
 _RESULT = "fleet.json"
 _SHORTEST, _LONGEST = 0.1, 1e6  # s between two looks

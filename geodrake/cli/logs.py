@@ -28,8 +28,7 @@ from geodrake.model.logged_joints import log_of_model, model_of_logs, reading_fo
 from geodrake.model.robot_model import RobotModel
 from geodrake.report.exports import InspectedLogs, log_chart
 
-SOME_FAILED = 1
-"""Exit code where logs have no digest; those of the others are there."""
+SOME_FAILED = 1  # exit code where logs have no digest; those of the others are there
 
 
 def run_log(options: LogCommandOptions) -> None:

@@ -28,8 +28,7 @@ from geodrake.inertia.bodies import lumped_bodies
 from geodrake.report import style
 from geodrake.report.ellipsoids import BOUNDARY, IDENTIFIED, SkeletonLines, placed, skeleton
 
-FRAME_PERIOD = 1.0 / 32.0
-"""Time between two pictures, s: that of MeshCat's recordings, nearly."""
+FRAME_PERIOD = 1.0 / 32.0  # time between two pictures, s: that of MeshCat's recordings, nearly
 
 
 class AdaptationView(LeafSystem):

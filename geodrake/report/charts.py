@@ -19,12 +19,9 @@ from geodrake.report.numbers import number
 
 Array = NDArray[np.float64]
 
-MOST_PANELS = 8
-"""Panels that are shown at first, and that figures have."""
-MOST_POINTS = 2000
-"""Largest number of points of a curve that a page holds."""
-CUT = 3.0
-"""Residuals are cut off at so many times the largest of the best model."""
+MOST_PANELS = 8  # panels that are shown at first, and that figures have
+MOST_POINTS = 2000  # largest number of points of a curve that a page holds
+CUT = 3.0  # residuals are cut off at so many times the largest of the best model
 
 _MOST_NUMBERS = 16_000  # points of all curves of a panel together
 _LARGEST, _MISSING = 32767, -32768

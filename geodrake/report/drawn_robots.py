@@ -34,8 +34,7 @@ Faces = NDArray[np.int32]
 COLORS = ("#d3d9e0", "#f2d27a", "#ee9d3d", "#d8492f", "#8f1239")
 """Colours of errors from none to the largest."""
 
-UNKNOWN = 255
-"""Level of a joint in a frame where nothing is compared."""
+UNKNOWN = 255  # level of a joint in a frame where nothing is compared
 
 GRAYS = np.array([[209, 214, 220, 255], [225, 228, 233, 255]], np.uint8)
 """Colours (RGBA) of links without a joint, and of joints where nothing is compared."""

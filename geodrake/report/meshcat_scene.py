@@ -46,11 +46,9 @@ from geodrake.report.robot_scene import (
 )
 from geodrake.robot.files.description import drake_messages
 
-MEASURED, PREDICTED, CONTACT = "#64748b", style.AFTER, "#c026a3"
-"""Colours of arrows."""
+MEASURED, PREDICTED, CONTACT = "#64748b", style.AFTER, "#c026a3"  # colours of arrows
 
-LEAST_THICKNESS = 0.002
-"""Semi-axis that is drawn at least, m: a body at the boundary may be flat."""
+LEAST_THICKNESS = 0.002  # semi-axis that is drawn at least, m: a body at the boundary may be flat
 
 _SMALLEST = 0.01  # scale of an arrow: one of no length has no direction
 _LARGEST = 1.6

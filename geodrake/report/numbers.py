@@ -21,8 +21,7 @@ _SERVO_UNITS = {
     "delay": "s",
 }
 _LEAST_CHANCE = 1e-6
-_NOTICED = 0.3
-"""A systematic deviation is shown from this share of the other one on."""
+_NOTICED = 0.3  # a systematic deviation is shown from this share of the other one on
 
 
 def number(value: float, digits: int = 3) -> str:

@@ -35,8 +35,7 @@ from geodrake.report.playback import Playback, Played
 from geodrake.report.robot_scene import FRAMES, Extent, camera_place, drawn_shapes, posed_links
 from geodrake.report.words import capitalized
 
-RATES = {".mp4": 30, ".gif": 10}
-"""Frames a second of a kind of video."""
+RATES = {".mp4": 30, ".gif": 10}  # frames a second of a kind of video
 
 _FARTHER = 1.3  # than a camera that sees the origins of all links, for shapes that reach beyond
 _CLOSER = 0.85  # than MeshCat's camera, beside whose view there are panels

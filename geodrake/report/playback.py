@@ -464,5 +464,4 @@ def effect_words(fitted: FittedEffect, units: Units) -> str:
     return f"{label} {shown} {units.parameter(effect.name, names[0], place)}".strip()
 
 
-VIEWS = {Played: View(playback_page, playback_dict)}
-"""How to see this result."""
+VIEWS = {Played: View(playback_page, playback_dict)}  # how to see this result

@@ -18,15 +18,13 @@ from geodrake.robot.base_joints import base_joints
 from geodrake.robot.followers import joint_names
 from geodrake.robot.shapes import GRAY, LinkShape, RobotShapes, robot_shapes
 
-FRAMES = 30.0
-"""Frames a second of recordings."""
+FRAMES = 30.0  # frames a second of recordings
 
 _AWAY = np.array([0.9, -0.65, 0.4]) / np.linalg.norm([0.9, -0.65, 0.4])
 RIGHT = np.array([0.65, 0.9, 0.0]) / np.linalg.norm([0.65, 0.9])
 """What is right to the camera, in the world."""
 
-VIEW = np.radians(75.0)
-"""Angle of MeshCat's view from top to bottom."""
+VIEW = np.radians(75.0)  # angle of MeshCat's view from top to bottom
 
 _ASPECT = 1.4  # of the view, width over height, at which everything fits
 _STICK, _JOINT = 0.012, 0.03  # radii, over the size of the robot

@@ -43,8 +43,7 @@ COLORS = {
 }
 """The colours of pages by their names in the style sheet."""
 
-WIDTH = 10.0
-"""Width of every figure, inches."""
+WIDTH = 10.0  # width of every figure, inches
 DPI = 130
 SMALL, NORMAL = 8.0, 9.0
 _MOST_LETTERS = 160

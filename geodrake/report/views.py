@@ -97,8 +97,7 @@ def figure(result: object) -> Figure:
 
 
 Array = NDArray[np.float64]
-Columns = Mapping[str, Sequence[str] | Array]
-"""Name of a column -> its values, all of one length."""
+Columns = Mapping[str, Sequence[str] | Array]  # name of a column -> its values, all of one length
 
 
 def comparison_series(now: Comparison, before: Comparison | None = None) -> Columns:
