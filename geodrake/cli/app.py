@@ -66,135 +66,109 @@ app = typer.Typer(
     epilog="Start with: geodrake demo. Then: geodrake explain robot.urdf log.csv",
 )
 
-_COMMANDS: dict[str, tuple[str, type[Any], str, tuple[str, ...]]] = {
+_COMMANDS: dict[str, tuple[Any, ...]] = {
     "compare": (
         "explaining.run_compare",
         Options,
         "How far the model is from the logs, at which joints, and in which circumstances.",
-        (
-            "robot.urdf log.csv --report page.html",
-            "robot.yaml log.mcap",
-        ),
+        "robot.urdf log.csv --report page.html",
+        "robot.yaml log.mcap",
     ),
     "diagnose": (
         "explaining.run_diagnose",
         Options,
         "Which effect the model lacks most, with the evidence.",
-        (
-            "robot.urdf log_1.csv log_2.csv",
-            "robot.yaml new_log.csv --report page.html",
-        ),
+        "robot.urdf log_1.csv log_2.csv",
+        "robot.yaml new_log.csv --report page.html",
     ),
     "add": (
         "explaining.run_add",
         options.AddOptions,
         "Add an effect to the model, refit, and show what it changes.",
-        (
-            "payload@flange robot.urdf log.csv --save robot.yaml",
-            "viscous_friction robot.urdf log.csv",
-        ),
+        "payload@flange robot.urdf log.csv --save robot.yaml",
+        "viscous_friction robot.urdf log.csv",
     ),
     "explain": (
         "explaining.run_explain",
         options.ExplainOptions,
         "Compare, diagnose and add, until only noise is left or nothing explains the rest.",
-        (
-            "robot.urdf log_1.csv log_2.csv --save robot.yaml --report page.html",
-            "robot.yaml log_with_something_new.csv",
-        ),
+        "robot.urdf log_1.csv log_2.csv --save robot.yaml --report page.html",
+        "robot.yaml log_with_something_new.csv",
     ),
     "rollout": (
         "rollout.run_rollout",
         options.RolloutOptions,
         "Simulate the model under logged efforts or commands; show where its motion departs.",
-        (
-            "robot.yaml log.csv --before robot.urdf",
-            "robot.yaml log.csv --fit --save soft.yaml",
-        ),
+        "robot.yaml log.csv --before robot.urdf",
+        "robot.yaml log.csv --fit --save soft.yaml",
     ),
     "play": (
         "play.run_play",
         options.PlayOptions,
         "Play the logs over the robot, coloured where the model fails: a page, video or recording.",
-        (
-            "robot.yaml log.csv --out play.html",
-            "robot.yaml log.csv --video play.mp4",
-            "robot.yaml log.csv --to rerun play.rrd",
-        ),
+        "robot.yaml log.csv --out play.html",
+        "robot.yaml log.csv --video play.mp4",
+        "robot.yaml log.csv --to rerun play.rrd",
     ),
     "identify": (
         "identify.run_identify",
         options.IdentifyOptions,
         "Fit the model's inertias, near what it says of them, and its effects; write them back.",
-        (
-            "robot.urdf log.csv --effects coulomb_friction,viscous_friction",
-            "robot.urdf log.csv --export identified.urdf",
-        ),
+        "robot.urdf log.csv --effects coulomb_friction,viscous_friction",
+        "robot.urdf log.csv --export identified.urdf",
     ),
     "excite": (
         "excite.run_excite",
         options.ExciteOptions,
         "Design the motion from which most is identifiable, within limits of the robot.",
-        (
-            "robot.urdf --save motion.csv",
-            "robot.yaml --tell-apart payload,wrong_inertia --save motion.csv",
-        ),
+        "robot.urdf --save motion.csv",
+        "robot.yaml --tell-apart payload,wrong_inertia --save motion.csv",
     ),
     "identifiable": (
         "excite.run_identifiable",
         options.IdentifiableOptions,
         "Which parameters are identifiable from the logs, to within a threshold, and which not.",
-        (
-            "robot.urdf log.csv",
-            "robot.urdf log_1.csv log_2.csv --report page.html",
-        ),
+        "robot.urdf log.csv",
+        "robot.urdf log_1.csv log_2.csv --report page.html",
     ),
     "digest": (
         "logs.run_digest",
         options.DigestOptions,
         "Digest each log into a small file; exit code 1 if a log could not be, the others are.",
-        ("robot.urdf monday.csv tuesday.csv --to digests",),
+        "robot.urdf monday.csv tuesday.csv --to digests",
     ),
     "fleet": (
         "fleet.run_fleet_command",
         options.FleetOptions,
         "Which robots of a fleet changed, at which joint, by which effect, since when.",
-        (
-            "fleet.yaml --report fleet.html",
-            "fleet.yaml --watch",
-        ),
+        "fleet.yaml --report fleet.html",
+        "fleet.yaml --watch",
     ),
     "export": (
         "export.run_export",
         options.ExportOptions,
         "Write the model for a simulator, and prove it: loaded again, and compared with the model.",
-        (
-            "robot.yaml --to mjcf exported",
-            "robot.yaml --to ros2 src/robot_feedforward",
-        ),
+        "robot.yaml --to mjcf exported",
+        "robot.yaml --to ros2 src/robot_feedforward",
     ),
     "check": (
         "export.run_check",
         options.CheckOptions,
         "Compare the model's dynamics with MultibodyPlant's; exit code 1 if they are not the same.",
-        (
-            "robot.urdf",
-            "scene.xml --robot arm",
-        ),
+        "robot.urdf",
+        "scene.xml --robot arm",
     ),
     "log": (
         "logs.run_log",
         options.LogCommandOptions,
         "What is understood of logs: joints, columns, units, rates, gaps, rest; no model needed.",
-        (
-            "recording.mcap --model robot.urdf",
-            "wrong.csv --model robot.urdf --write-mapping right.yaml",
-        ),
+        "recording.mcap --model robot.urdf",
+        "wrong.csv --model robot.urdf --write-mapping right.yaml",
     ),
 }
 """Command -> the function that runs it, its options, what it does, and what may follow it."""
 
-EXAMPLES = {name: examples for name, (*_, examples) in _COMMANDS.items()}
+EXAMPLES = {name: examples for name, (_, _, _, *examples) in _COMMANDS.items()}
 
 
 def main() -> None:
@@ -215,7 +189,7 @@ def _added(name: str, place: str, kind: type[Any], help_text: str) -> Callable[.
     return taking(kind)(command)
 
 
-for _name, (_place, _kind, _help, _examples) in _COMMANDS.items():
+for _name, (_place, _kind, _help, *_examples) in _COMMANDS.items():
     _epilog = "\n\n".join(["Examples:", *(f"geodrake {_name} {each}" for each in _examples)])
     app.command(name=_name, cls=_Command, epilog=_epilog)(_added(_name, _place, _kind, _help))
 
