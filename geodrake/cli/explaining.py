@@ -26,9 +26,7 @@ def run_compare(options: Options) -> None:
     """Compare a model with logs."""
     run(
         Command(
-            "compare",
-            "Comparing",
-            lambda given: compare(given.model, given.logs, **given.settings),
+            "compare", "Comparing", lambda given: compare(given.model, given.logs, **given.settings)
         ),
         options,
     )

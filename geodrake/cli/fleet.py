@@ -62,13 +62,7 @@ def run_fleet_command(options: FleetOptions) -> None:
         write_together({**_own_contents(fleet, found.result), **contents})
         return ()
 
-    command = Command(
-        "fleet",
-        "Looking at the fleet",
-        looked,
-        inputs=fleet.files,
-        write=write,
-    )
+    command = Command("fleet", "Looking at the fleet", looked, inputs=fleet.files, write=write)
     run(command, options)
 
 

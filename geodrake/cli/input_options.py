@@ -368,9 +368,4 @@ def _text(options: AxisOptions, model: Path, log: Path) -> str:
             advice="Give a model file.",
         )
     inertia = mass * _RADIUS**2
-    return _URDF.format(
-        kind=kind,
-        mass=mass,
-        inertia=inertia,
-        joint=quoteattr(joints[0]),
-    )
+    return _URDF.format(kind=kind, mass=mass, inertia=inertia, joint=quoteattr(joints[0]))

@@ -11,11 +11,7 @@ from types import FrameType
 
 from geodrake.boundary.interrupts import StopSearch
 
-_WORDS = {
-    signal.SIGINT: "Interrupted.",
-    signal.SIGTERM: "Terminated.",
-    signal.SIGHUP: "Hung up.",
-}
+_WORDS = {signal.SIGINT: "Interrupted.", signal.SIGTERM: "Terminated.", signal.SIGHUP: "Hung up."}
 _AGAIN = 0.05  # s after which an interrupt that came where nothing can be raised is raised again
 
 

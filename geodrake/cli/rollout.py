@@ -9,12 +9,7 @@ from typing import Any, cast
 from geodrake.cli.input_options import tell_repairs
 from geodrake.cli.options import RolloutOptions
 from geodrake.cli.session import Command, Input, Output, run
-from geodrake.control.rollout import (
-    Rollout,
-    RolloutFit,
-    fit_rollouts,
-    roll_out,
-)
+from geodrake.control.rollout import Rollout, RolloutFit, fit_rollouts, roll_out
 from geodrake.control.rollout.rollout_values import rollout_values
 from geodrake.errors import ArgumentError
 from geodrake.model.holding import holding

@@ -214,10 +214,7 @@ def ellipsoid_page(
 
 @style.own_look()
 def ellipsoid_figure(
-    plant: MultibodyPlant,
-    sets: Sequence[EllipsoidSet],
-    *,
-    context: Context | None = None,
+    plant: MultibodyPlant, sets: Sequence[EllipsoidSet], *, context: Context | None = None
 ) -> Figure:
     """Return the equivalent uniform ellipsoids of every body over the robot, a panel for each set.
 

@@ -367,9 +367,7 @@ def identifiability_page(found: LogIdentifiability, about: About) -> Page:
         lead=tuple(filter(None, [_beyond(found)])),
         tiles=(
             Tile(
-                "directions identifiable",
-                f"{found.count} of {found.possible}",
-                f"to within {most}",
+                "directions identifiable", f"{found.count} of {found.possible}", f"to within {most}"
             ),
             Tile(
                 "at sensor noise alone", f"{found.count_at_floor}", "if the model left nothing else"

@@ -55,17 +55,7 @@ from geodrake.report.numbers import (
     percent,
     with_deviation,
 )
-from geodrake.report.page import (
-    About,
-    Cell,
-    ColoredList,
-    Page,
-    Section,
-    Table,
-    Tile,
-    View,
-    cells,
-)
+from geodrake.report.page import About, Cell, ColoredList, Page, Section, Table, Tile, View, cells
 from geodrake.report.rollouts import departures_table, motions_dict, stages_table
 from geodrake.report.views import Columns, comparison_series
 

@@ -315,15 +315,7 @@ def logs_page(found: InspectedLogs, about: About) -> Page:
             notes_section(each.notes, each.first),
         ]
     first = first_section([f"{name}: {words}" for name, each in found.logs for words in each.first])
-    return Page(
-        about,
-        "understood",
-        "",
-        tuple(sections),
-        of="",
-        verdict="",
-        first=(first,),
-    )
+    return Page(about, "understood", "", tuple(sections), of="", verdict="", first=(first,))
 
 
 def _columns_table(found: LogInspection) -> Table:
@@ -345,7 +337,7 @@ def _row_words(found: LogInspection) -> tuple[str, ...]:
     source = f"time from {found.time_column}" if found.time_column else "time by rows a second"
     words = [
         f"{len(log)} rows in {number(found.seconds)} s, typically every "
-        f"{number(1e3 * found.period)} ms, {number(mean, 4)} a second on average; {source}",
+        f"{number(1e3 * found.period)} ms, {number(mean, 4)} a second on average; {source}"
     ]
     if found.jitter > 1e-3 * found.period:
         words.append(

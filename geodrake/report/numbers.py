@@ -14,12 +14,7 @@ from geodrake.model.robot_model import RobotModel
 
 UNKNOWN = "–"
 _SUPERSCRIPTS = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
-_SERVO_UNITS = {
-    "gain": "N·m/rad",
-    "damping": "N·m·s/rad",
-    "integral": "N·m/(rad·s)",
-    "delay": "s",
-}
+_SERVO_UNITS = {"gain": "N·m/rad", "damping": "N·m·s/rad", "integral": "N·m/(rad·s)", "delay": "s"}
 _LEAST_CHANCE = 1e-6
 _NOTICED = 0.3  # a systematic deviation is shown from this share of the other one on
 

@@ -13,12 +13,7 @@ from geodrake.diagnosis.drafting import Correlate
 from geodrake.diagnosis.results import Diagnosis, Explanation, Step
 from geodrake.diagnosis.search_progress import FoundStep
 from geodrake.effects import catalogue
-from geodrake.identification.logs.model_errors import (
-    Comparison,
-    ErrorTable,
-    Failing,
-    JointError,
-)
+from geodrake.identification.logs.model_errors import Comparison, ErrorTable, Failing, JointError
 from geodrake.report.numbers import Units, chance, estimate, number, percent
 
 _MOST_NAMED = 4
