@@ -177,7 +177,7 @@ def comparison_page(comparison: Comparison, about: About) -> Page:
     return Page(
         about,
         "compared",
-        words.comparison_headline(comparison),
+        f"The error is {words.error_size(errors)}.",
         (
             joints,
             replace(failing, deep=False),
@@ -240,7 +240,6 @@ def explanation_page(found: Explained | Explanation, about: About) -> Page:
     explanation, units = found.explanation, Units.of(found.model, [*about.units.effects.values()])
     start, end, steps = explanation.start, explanation.end, explanation.steps
     gone = words.explained_share(start.nrms, end.nrms)
-    advice = "" if found.draft or found.added else words.draft_advice(explanation)
     signals = explanation.model.effort_signals
     shown = _Errors(
         {"start": start, "refitted": explanation.refitted, "end": end},
@@ -294,7 +293,7 @@ def explanation_page(found: Explained | Explanation, about: About) -> Page:
             *shown.ends(explanation.before, explanation.notes),
         ),
         verdict=explanation.verdict,
-        lead=(*words.explanation_lead(explanation), *filter(None, [advice])),
+        lead=words.explanation_lead(explanation, advised=not (found.draft or found.added)),
         tiles=shown.tiles(
             *tiles, ends=[start, end] if steps else [start], of="of the squared error left"
         ),
@@ -632,8 +631,9 @@ def steps_table(explanation: Explanation, units: Units) -> Table:
 
 def effect_cell(name: str, units: Units) -> Cell:
     """Return an effect, or two that were found together, by name."""
-    label, typed = words.effect_label(name), name.replace(" + ", "\n+ ")
-    return Cell(label, words.effect_signature(name, units), typed=typed)
+    known = [units.effects[part] for part in name.split(" + ") if part in units.effects]
+    signature = words.listed([kind.signature for kind in known if kind.signature])
+    return Cell(words.effect_label(name), signature, typed=name.replace(" + ", "\n+ "))
 
 
 def parameters_table(step: Step, units: Units) -> Table:

@@ -58,12 +58,6 @@ def _spaced(name: str) -> str:
     return " ".join(_PROPER_NAMES.get(word, word) for word in words)
 
 
-def effect_signature(effect: str, units: Units) -> str:
-    """Return what an effect, or each of `a + b`, looks like; "" where nothing is known of it."""
-    known = [units.effects[name] for name in effect.split(" + ") if name in units.effects]
-    return listed([kind.signature for kind in known if kind.signature])
-
-
 def places_label(where: Sequence[str], joints: Collection[str], *, most: int | None = None) -> str:
     """Return where an effect acts: "all 6 joints", "the whole robot", "5 joints" or the names.
 
@@ -269,11 +263,11 @@ def _list(steps: Sequence[Step], units: Units) -> str:
     )
 
 
-def explanation_lead(explanation: Explanation) -> tuple[str, ...]:
-    """Return what an explanation means, in paragraphs."""
+def explanation_lead(explanation: Explanation, *, advised: bool) -> tuple[str, ...]:
+    """Return what an explanation means, in paragraphs, and what to do about what is left."""
     start, end = explanation.start, explanation.end
     if not explanation.steps:
-        first = f"The error of the model as it stands is {_size(start)}."
+        first = f"The error of the model as it stands is {error_size(start)}."
     else:
         gone = explained_share(start.nrms, end.nrms)
         share = in_words(gone) if gone > 0 else "none"
@@ -286,15 +280,14 @@ def explanation_lead(explanation: Explanation) -> tuple[str, ...]:
             names = listed([effect_label(step.effect) for step in worse])
             ends = f"nrms {number(worse[0].error_before)} -> {number(worse[0].error_after)}"
             first += f" {capitalized(names)} does not lower it ({ends})."
-    return first, _rest(explanation)
-
-
-def _rest(explanation: Explanation) -> str:
-    """Return what is left at the end of an explanation."""
-    end = explanation.end
     if explanation.verdict != "unexplained":
-        return f"{capitalized(noise_alone(end))}."
-    return " ".join((*_left(end), *_of_motion(explanation)))
+        return first, f"{capitalized(noise_alone(end))}."
+    advice = (
+        "For a formula of the remaining error, run geodrake explain with "
+        "--draft-effect my_effect.py, which writes what it finds as an effect."
+    )
+    rest = " ".join((*_left(end), *_of_motion(explanation)))
+    return (first, rest, advice) if advised else (first, rest)
 
 
 def _left(end: ErrorTable) -> tuple[str, ...]:
@@ -323,16 +316,6 @@ def _of_motion(explanation: Explanation) -> tuple[str, ...]:
     return (f"Positions and velocities predict some of its square: {listed(shown)}.",)
 
 
-def draft_advice(explanation: Explanation) -> str:
-    """Return what to do where an error is left that nothing explains; else nothing."""
-    if explanation.verdict != "unexplained":
-        return ""
-    return (
-        "For a formula of the remaining error, run geodrake explain with "
-        "--draft-effect my_effect.py, which writes what it finds as an effect."
-    )
-
-
 def diagnosis_headline(diagnosis: Diagnosis, units: Units) -> str:
     """Return the answer of a diagnosis in a sentence."""
     if not diagnosis.candidates:
@@ -345,7 +328,7 @@ def diagnosis_headline(diagnosis: Diagnosis, units: Units) -> str:
 def diagnosis_lead(diagnosis: Diagnosis) -> tuple[str, ...]:
     """Return what a diagnosis means, in paragraphs."""
     if not diagnosis.candidates:
-        first = f"The error of the model as it stands is {_size(diagnosis.start)}."
+        first = f"The error of the model as it stands is {error_size(diagnosis.start)}."
         if diagnosis.verdict != "unexplained":
             return first, f"{capitalized(noise_alone(diagnosis.refitted))}."
         return (first, *_left(diagnosis.refitted))
@@ -363,11 +346,6 @@ def diagnosis_lead(diagnosis: Diagnosis) -> tuple[str, ...]:
     return first, f"No other candidate {'does as well' if others else 'convinces'}."
 
 
-def comparison_headline(comparison: Comparison) -> str:
-    """Return the answer of a comparison in a sentence."""
-    return f"The error is {_size(comparison.errors)}."
-
-
 def comparison_lead(comparison: Comparison) -> tuple[str, ...]:
     """Return what a comparison means, in paragraphs."""
     errors, worst = comparison.errors, worst_joint(comparison.errors)
@@ -383,7 +361,7 @@ def comparison_lead(comparison: Comparison) -> tuple[str, ...]:
     return (first,)
 
 
-def _size(errors: ErrorTable) -> str:
+def error_size(errors: ErrorTable) -> str:
     """Return how large an error is, of the efforts and beside the noise."""
     words = (
         f"{in_words(errors.nrms)} of the standard deviation of the measured efforts "
