@@ -38,7 +38,6 @@ from geodrake.excitation import (
     measurement_factor,
     reduced_identification,
 )
-from geodrake.excitation.trajectory import joint_order
 from geodrake.inertia import inertial_parameters, perturb
 from geodrake.logs import Motion
 from geodrake.model import RobotModel
@@ -163,14 +162,12 @@ class Balance:
 
     def postures(self, rng: np.random.Generator, count: int) -> Array:
         """Return (count, nv) random postures by joint with the centre of mass over the sole."""
-        model, order = self.model, joint_order(self.model)
-        lower, upper = (np.empty(len(order)) for _ in range(2))
-        lower[order], upper[order] = position_limits(model.plant)
+        model, (lower, upper) = self.model, position_limits(self.model.plant)
         middle, half = 0.5 * (lower + upper), 0.5 * (upper - lower)
         ankle = [model.joints.index(name) for name in STANCE]
         found: list[Array] = []
         for _ in range(_TRIES):
-            tried = middle + rng.uniform(-_REACH, _REACH, (_BATCH, len(order))) * half
+            tried = middle + rng.uniform(-_REACH, _REACH, (_BATCH, len(lower))) * half
             aim = rng.uniform(-_AIM, _AIM, (_BATCH, 2)) * HALF_SOLE
             error = self._correct(tried, aim, ankle)
             within = ((tried >= lower) & (tried <= upper)).all(axis=1)
@@ -181,11 +178,10 @@ class Balance:
 
     def _correct(self, postures: Array, aim: Array, ankle: list[int]) -> Array:
         """Turn the ankle until centres of mass are over `aim`; the distances (N,) left, m."""
-        order = joint_order(self.model)
         still = np.zeros_like(postures)
 
         def off(x: Array) -> Array:
-            return self.zmp(x[:, order], still, still) - aim
+            return self.zmp(x, still, still) - aim
 
         error = off(postures)
         for _ in range(_NEWTON):
@@ -210,9 +206,8 @@ class Balance:
             detour = np.zeros_like(straight)
             detour[3:-3] = postures[1:-1] - straight[3:-3]
             for share in _SHARES:
-                trajectory = ExcitationTrajectory(
-                    FAMILY, straight + share * detour, self.model.joints, joint_order(self.model)
-                )
+                moving = straight + share * detour
+                trajectory = ExcitationTrajectory(FAMILY, moving, self.model.joints)
                 if self.keeps(trajectory):
                     return trajectory, float(share)
         raise RuntimeError("No random motion is in balance.")
@@ -266,9 +261,7 @@ def one_motion(number: int, *, plan: Plan) -> dict[str, Any]:
 
 def sampled(model: RobotModel, found: dict[str, Any], rate: float) -> Motion:
     """Return a motion at a rate (1/s)."""
-    order = joint_order(model)
-    coefficients = np.array(found["coefficients"])
-    trajectory = ExcitationTrajectory(FAMILY, coefficients, model.joints, order)
+    trajectory = ExcitationTrajectory(FAMILY, np.array(found["coefficients"]), model.joints)
     return trajectory.motion(FAMILY.times(round(rate * FAMILY.length)))
 
 

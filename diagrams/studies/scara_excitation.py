@@ -208,9 +208,7 @@ def random_samples(plan: Plan, count: int) -> dict[str, Any]:
     found = []
     for _ in range(count):
         coefficients = np.vstack([rng.uniform(-x, x, (SAMPLES, 2)) for x in rates])
-        trajectory = ExcitationTrajectory(
-            FreeSamples(SAMPLES), coefficients, bounds.joints, np.arange(2)
-        )
+        trajectory = ExcitationTrajectory(FreeSamples(SAMPLES), coefficients, bounds.joints)
         found.append({**errors(trajectory), **geometric_value(trajectory, plan)})
     means = {
         key: float(np.sqrt(np.mean([one[key] ** 2 for one in found])))

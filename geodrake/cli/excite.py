@@ -43,7 +43,7 @@ from geodrake.excitation.solve import Budget
 from geodrake.excitation.starts import possible_postures
 from geodrake.excitation.target import SIZE_WORDS, sized_effects
 from geodrake.excitation.tell_apart import Rival
-from geodrake.excitation.trajectory import joint_order, trajectory_content
+from geodrake.excitation.trajectory import trajectory_content
 from geodrake.identification.logs.dataset import is_payload
 from geodrake.model.robot_model import RobotModel
 from geodrake.robot.shapes import robot_shapes
@@ -309,7 +309,7 @@ def _below(
 ) -> str:
     """Say why a floor at the base cannot be: the robot hangs below it, or starts there."""
     if start is not None:
-        distance, names = world.distances(start[None, joint_order(model)])
+        distance, names = world.distances(start[None])
         if FLOOR in names[0].split(" and ") and distance[0] < world.clearance:
             link = next(name for name in names[0].split(" and ") if name != FLOOR)
             return f"{link} is below the base at the start"

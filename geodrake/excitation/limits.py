@@ -11,7 +11,6 @@ from numpy.typing import ArrayLike
 from geodrake.boundary.arguments import instance, instances, number, one_of, positive, real_array
 from geodrake.boundary.showing import Short
 from geodrake.errors import ArgumentError
-from geodrake.excitation.trajectory import joint_order
 from geodrake.inertia import Array
 from geodrake.logs.motion import SIGNAL_KINDS, Motion
 from geodrake.model.effort_signal import signal_of
@@ -131,9 +130,8 @@ def motion_limits(
             `motor_accelerations`, and a tenth of a second's rise to them.
     """
     instance(model, "model", RobotModel)
-    order = joint_order(model)
-    lower, upper = (np.empty(len(order)) for _ in range(2))
-    lower[order], upper[order] = model.position_limits
+    model.positions(np.zeros((1, len(model.joints))))  # refuses joints of several degrees
+    lower, upper = model.position_limits
     turning = np.array([name not in model.sliding_joints for name in model.joints])
     lower = np.where(turning & np.isneginf(lower), np.minimum(-np.pi, upper - 2 * np.pi), lower)
     upper = np.where(turning & np.isposinf(upper), np.maximum(np.pi, lower + 2 * np.pi), upper)
@@ -168,7 +166,7 @@ def motor_accelerations(model: RobotModel, limits: MotionLimits) -> Array:
     """
     random, nv = np.random.default_rng(0), len(limits.joints)
     shares = random.uniform(-1.0, 1.0, (_POSTURES, nv))
-    q = (limits.middle + limits.reach * shares)[:, joint_order(model)]
+    q = limits.middle + limits.reach * shares
     still = np.zeros((_POSTURES, nv))
     held, inertia = model.effort(Motion(q, still, still)), np.empty(nv)
     for j in range(nv):

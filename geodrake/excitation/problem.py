@@ -26,7 +26,7 @@ from geodrake.excitation.families import MotionFamily
 from geodrake.excitation.limits import MotionLimits, motion_limits
 from geodrake.excitation.objective import Objective
 from geodrake.excitation.regressor_gradient import effort_gradient
-from geodrake.excitation.trajectory import ExcitationTrajectory, joint_order
+from geodrake.excitation.trajectory import ExcitationTrajectory
 from geodrake.inertia import Array
 from geodrake.logs.motion import Motion
 from geodrake.model.robot_model import RobotModel
@@ -235,10 +235,8 @@ class DesignProblem(Short):
 
     def trajectory(self, variables: Array) -> ExcitationTrajectory:
         """Return the motion of variables."""
-        order = joint_order(self.model)
-        return ExcitationTrajectory(
-            self.family, self.coefficients(variables), self.limits.joints, order
-        )
+        coefficients = self.coefficients(variables)
+        return ExcitationTrajectory(self.family, coefficients, self.limits.joints)
 
     def cost(self, variables: Array) -> tuple[float, Array]:
         """Return what is minimized, and its gradient (f nv,)."""
@@ -262,7 +260,7 @@ class DesignProblem(Short):
         unlimited = ~np.isfinite(fastest)
         q = limits.middle + limits.reach * random.uniform(-1.0, 1.0, shape)
         vd = signs[1] * np.where(unlimited, 0.0, fastest)
-        motion = Motion(q[:, joint_order(self.model)], signs[0] * limits.velocity, vd)
+        motion = Motion(q, signs[0] * limits.velocity, vd)
         efforts = np.abs(self.model.effort(motion, sign_width=self.sign_width)).max(axis=0)
         near = unlimited.any() | (efforts > _NEAR * limits.effort)
         return np.flatnonzero(near & np.isfinite(limits.effort))
@@ -277,12 +275,10 @@ class DesignProblem(Short):
         weights = np.tile(np.eye(nv)[self.loaded] / limits[:, None], (n, 1))
         seen = self.model.motion(each, sign_width=width)
         gradient = effort_gradient(self.model, each, seen, weights)
-        by_joint = np.zeros_like(gradient.v)
-        by_joint[:, trajectory.order] = gradient.q
         free = basis @ self.free
         jacobian = sum(
             np.einsum("nij,nk->nikj", part.reshape(n, k, nv), free[order])
-            for order, part in enumerate((by_joint, gradient.v, gradient.vd))
+            for order, part in enumerate((gradient.q, gradient.v, gradient.vd))
         )
         jacobian = np.asarray(jacobian) * self.scale
         return (effort / limits).ravel(), jacobian.reshape(n * k, -1)
@@ -292,11 +288,8 @@ class DesignProblem(Short):
         if self.collisions is None:
             return np.zeros(0), np.zeros((0, self.scale.size))
         trajectory, basis = self.trajectory(variables), self.collision_basis
-        q = (basis[0] @ trajectory.coefficients)[:, trajectory.order]
-        values, gradients = self.collisions.constraint(q)
-        by_joint = np.zeros_like(gradients)
-        by_joint[:, trajectory.order] = gradients
-        jacobian = np.einsum("nj,nk->nkj", by_joint, basis[0] @ self.free) * self.scale
+        values, gradients = self.collisions.constraint(basis[0] @ trajectory.coefficients)
+        jacobian = np.einsum("nj,nk->nkj", gradients, basis[0] @ self.free) * self.scale
         return values, jacobian.reshape(len(values), -1)
 
 
@@ -308,6 +301,7 @@ def make_problem(
 ) -> DesignProblem:
     """Return the design problem of options."""
     model = objective.target.model
+    model.positions(np.zeros((1, len(model.joints))))  # refuses joints of several degrees
     limits = motion_limits(model, bounded=True) if limits is None else limits
     if limits.joints != model.joints:
         raise ArgumentError(

@@ -7,7 +7,6 @@ from contextlib import suppress
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 from pydrake.solvers import ClpSolver, MathematicalProgram
 
 from geodrake.boundary.arguments import real_array
@@ -17,7 +16,7 @@ from geodrake.excitation.limits import MotionLimits
 from geodrake.excitation.margins import COARSE, keeps_limits, stays_clear
 from geodrake.excitation.problem import DesignProblem, limit_motion
 from geodrake.excitation.solve import UNLIMITED, Budget, OutOfTimeError
-from geodrake.excitation.trajectory import ExcitationTrajectory, Ramp, RampedTrajectory, joint_order
+from geodrake.excitation.trajectory import ExcitationTrajectory, Ramp, RampedTrajectory
 from geodrake.inertia import Array
 from geodrake.logs.motion import Motion
 from geodrake.model.robot_model import RobotModel
@@ -35,9 +34,8 @@ def holding_efforts(model: RobotModel, postures: Array) -> Array:
 
     Dry friction is no help: what it would hold depends on how the robot came there.
     """
-    q = postures[:, joint_order(model)]
     still = np.zeros_like(postures)
-    return np.asarray(model.effort(Motion(q, still, still)))
+    return np.asarray(model.effort(Motion(postures, still, still)))
 
 
 def check_start(
@@ -70,7 +68,7 @@ def check_start(
             joint=limits.joints[i],
         )
     if collisions is not None:
-        distance, names = collisions.distances(start[None, joint_order(model)])
+        distance, names = collisions.distances(start[None])
         if distance[0] < collisions.clearance:
             raise ArgumentError(
                 f"The {name} is in collision: {names[0]} are {distance[0]:.4g} m apart, and shall "
@@ -109,17 +107,15 @@ def possible_postures(
     postures = postures[holds]
     if collisions is None:
         return postures[:most]
-    return _apart(postures, joint_order(model), collisions, most)
+    return _apart(postures, collisions, most)
 
 
-def _apart(
-    postures: Array, order: NDArray[np.intp], collisions: CollisionWorld, most: int
-) -> Array:
+def _apart(postures: Array, collisions: CollisionWorld, most: int) -> Array:
     """Return the first postures in which nothing collides; the others are not looked at."""
     free: list[Array] = []
     best, nearest = -np.inf, ""
     for posture in postures:
-        distance, names = collisions.distances(posture[None, order])
+        distance, names = collisions.distances(posture[None])
         if distance[0] >= collisions.clearance:
             free.append(posture)
         if distance[0] > best:
@@ -272,13 +268,13 @@ class RampPlanner:
         else:
             last = self._ramp(q[1], stand, trajectory)
         parts = [part for part in (first, trajectory, last) if part.length]
-        return RampedTrajectory(tuple(parts), trajectory.joints, trajectory.order)
+        return RampedTrajectory(tuple(parts), trajectory.joints)
 
     def _ramp(self, begin: Array, end: Array, like: ExcitationTrajectory) -> Ramp:
         if np.array_equal(begin, end):
-            return Ramp(np.array([begin, end]), np.zeros(1), like.joints, like.order)
+            return Ramp(np.array([begin, end]), np.zeros(1), like.joints)
         for postures in self._ways(begin, end):
-            way = Ramp(postures, self._durations(postures), like.joints, like.order)
+            way = Ramp(postures, self._durations(postures), like.joints)
             if self.collisions is not None and not _is_clear(way, self.collisions):
                 continue
             for _ in range(_TIMES):
@@ -318,4 +314,4 @@ def _is_clear(way: Ramp, collisions: CollisionWorld) -> bool:
         np.linspace(a, b, int(np.ceil(np.abs(b - a).max() / _STEP)) + 2)
         for a, b in zip(way.postures[:-1], way.postures[1:], strict=True)
     ]
-    return stays_clear(collisions, np.concatenate(steps)[:, way.order])
+    return stays_clear(collisions, np.concatenate(steps))

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 from pydrake.common.yaml import yaml_load
 from pydrake.math import BsplineBasis
 from pydrake.trajectories import BsplineTrajectory
@@ -35,10 +35,12 @@ _RAMP_STEPS = 400  # its intervals in a ramp
 
 
 class ExecutableMotion(Short, abc.ABC):
-    """Positions of all joints over time; each joint has one degree of freedom."""
+    """Positions of all joints over time.
+
+    Each joint has one degree of freedom, so that Drake's order of positions is that of velocities.
+    """
 
     joints: tuple[str, ...]  # names of the nv joints, in the order of velocities
-    order: NDArray[np.intp]  # (nv,) joint of each position in Drake's order
 
     @property
     @abc.abstractmethod
@@ -50,23 +52,23 @@ class ExecutableMotion(Short, abc.ABC):
         """Return positions, velocities and accelerations (3, N, nv) by joint at times (N,), s."""
 
     def motion(self, times: ArrayLike) -> Motion:
-        """Return the motion at instants (N,), in Drake's order."""
+        """Return the motion at instants (N,)."""
         return self.motion_of(self.states(times), np.atleast_1d(real_array(times, "times")))
 
     def motion_of(self, states: Array, times: Array | None = None) -> Motion:
-        """Return the motion in Drake's order of states (3, N, nv) by joint, at times (N,), s."""
+        """Return the motion of states (3, N, nv), at times (N,), s."""
         q, v, vd = states
-        return Motion(q[:, self.order], v, vd, times if self.length else None)
+        return Motion(q, v, vd, times if self.length else None)
 
     def to_drake(self) -> BsplineTrajectory:
-        """Return the positions in Drake's order as a Drake trajectory, with derivatives.
+        """Return the positions as a Drake trajectory, with derivatives.
 
         A spline motion is itself; a Fourier motion is interpolated to about 1e-9 of its size, ramps
         to 1e-5.
         """
         self._require_time("a Drake trajectory")
         knots, points, degree = self._spline()
-        controls = [np.array(point)[:, None] for point in points[:, self.order]]
+        controls = [np.array(point)[:, None] for point in points]
         return BsplineTrajectory(BsplineBasis(degree + 1, knots.tolist()), controls)
 
     @abc.abstractmethod
@@ -120,7 +122,6 @@ class ExcitationTrajectory(ExecutableMotion):
     family: MotionFamily
     coefficients: Array
     joints: tuple[str, ...]
-    order: NDArray[np.intp]
 
     @property
     def length(self) -> float:
@@ -137,9 +138,7 @@ class ExcitationTrajectory(ExecutableMotion):
         Args:
             basis: (3, N, count) `family.basis` of the samples.
         """
-        by_joint = np.zeros_like(gradient.v)
-        by_joint[:, self.order] = gradient.q
-        total = basis[0].T @ by_joint + basis[1].T @ gradient.v + basis[2].T @ gradient.vd
+        total = basis[0].T @ gradient.q + basis[1].T @ gradient.v + basis[2].T @ gradient.vd
         return np.asarray(total)
 
     def _instants(self) -> Array:
@@ -159,7 +158,6 @@ class Ramp(ExecutableMotion):
     postures: Array  # (k + 1, nv) by joint, rad or m
     durations: Array  # (k,) of the ways between them, s
     joints: tuple[str, ...]
-    order: NDArray[np.intp]
 
     @property
     def length(self) -> float:
@@ -193,7 +191,6 @@ class RampedTrajectory(ExecutableMotion):
 
     parts: tuple[ExecutableMotion, ...]
     joints: tuple[str, ...]
-    order: NDArray[np.intp]
 
     @property
     def length(self) -> float:
@@ -215,12 +212,6 @@ class RampedTrajectory(ExecutableMotion):
         starts = np.cumsum([0.0, *(part.length for part in self.parts)])
         pairs = zip(starts, self.parts, strict=False)
         return np.concatenate([[0.0], *(start + part._instants()[1:] for start, part in pairs)])
-
-
-def joint_order(model: RobotModel) -> NDArray[np.intp]:
-    """Return the joint (nq,) of each position in Drake's order."""
-    joints = np.arange(len(model.joints), dtype=float)
-    return np.asarray(np.rint(model.positions(joints[None])[0]), np.intp)
 
 
 def write_trajectory(
@@ -287,7 +278,7 @@ def ros_joint_trajectory(trajectory: ExecutableMotion, *, rate: float = 100.0) -
 
 
 def drake_trajectory(trajectory: ExecutableMotion) -> str:
-    """Return a motion's positions, in Drake's order, as YAML of a Drake BsplineTrajectory.
+    """Return a motion's positions as YAML of a Drake BsplineTrajectory.
 
     The fields are those by which Drake's C++ classes go through YAML: `LoadYamlFile` of
     `BsplineTrajectory<double>` takes it as well.
@@ -306,7 +297,7 @@ def read_drake_trajectory(path: str | Path) -> BsplineTrajectory:
     """Return a motion that was written to `.drake.yaml`.
 
     Returns:
-        The positions in Drake's order over time, s.
+        The positions over time, s.
     """
     path = file_path(path)
     try:

@@ -53,7 +53,7 @@ class TestScara:
     def test_expected_errors_are_those_of_drawn_noise(self):
         rng = np.random.default_rng(1)
         trajectory = ExcitationTrajectory(
-            FreeSamples(50), rng.uniform(-2, 2, (150, 2)), ("shoulder", "elbow"), np.arange(2)
+            FreeSamples(50), rng.uniform(-2, 2, (150, 2)), ("shoulder", "elbow")
         )
         target, model = scara.payload_target("3"), scara.scara("3", scara.payload(*scara.TRUTH))
         A = target.measure(trajectory.motion(np.zeros(50))).regressor.reshape(100, -1)[

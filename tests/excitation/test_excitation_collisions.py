@@ -261,9 +261,7 @@ def test_ramps_lead_around_what_is_in_the_way(tmp_path):
     post = Solid("post", Sphere(0.1), RigidTransform([1.0, 0.0, 0.0]))
     limits = motion_limits(model, bounded=True)
     still = FourierMotion(4.0, 1)
-    motion = ExcitationTrajectory(
-        still, np.array([[0.6], [0.0], [0.0]]), model.joints, np.arange(1)
-    )
+    motion = ExcitationTrajectory(still, np.array([[0.6], [0.0], [0.0]]), model.joints)
     free = RampPlanner(model, limits, CollisionWorld(model)).ramped(motion, np.array([-0.6]))
     times = np.linspace(0.0, free.length, 2001)
     q, v, vd = free.states(times)

@@ -9,10 +9,10 @@ from excitation_robots import arm
 
 from geodrake.errors import ArgumentError
 from geodrake.excitation.families import FourierMotion, FreeSamples, SplineMotion
+from geodrake.excitation.limits import motion_limits
 from geodrake.excitation.regressor_gradient import inverse_dynamics_regressor_gradient
 from geodrake.excitation.trajectory import (
     ExcitationTrajectory,
-    joint_order,
     read_drake_trajectory,
     ros_joint_trajectory,
     write_trajectory,
@@ -31,7 +31,7 @@ TIMED = [
 
 def trajectory_of(family, model, seed=0):
     coefficients = np.random.default_rng(seed).normal(size=(family.count, len(model.joints)))
-    return ExcitationTrajectory(family, coefficients, model.joints, joint_order(model))
+    return ExcitationTrajectory(family, coefficients, model.joints)
 
 
 @pytest.mark.parametrize("family", TIMED, ids=repr)
@@ -154,16 +154,12 @@ def test_files_that_hold_no_drake_trajectory(tmp_path):
             read_drake_trajectory(tmp_path / name)
 
 
-def test_positions_in_drakes_order():
-    """Of joints of one degree of freedom it is that of velocities; any other would be kept to."""
-    model = arm(joints="RPRR")
-    order = joint_order(model)
-    states = np.arange(12.0).reshape(3, 1, 4)
+def test_positions_are_in_the_order_of_joints():
+    """Of joints of one degree of freedom it is Drake's, too."""
+    model, states = arm(joints="RPRR"), np.arange(12.0).reshape(3, 1, 4)
     trajectory = trajectory_of(FourierMotion(), model)
     np.testing.assert_array_equal(trajectory.motion_of(states).q, states[0])
-    np.testing.assert_array_equal(order, np.arange(4))
-    turned = replace(trajectory, order=np.array([2, 0, 1, 3]))
-    np.testing.assert_array_equal(turned.motion_of(states).q, [[2, 0, 1, 3]])
+    np.testing.assert_array_equal(model.positions(states[0]), states[0])
 
 
 def test_rates():
@@ -181,4 +177,4 @@ def test_balls_have_no_order(tmp_path):
         '<geom size=".1"/></body></worldbody></mujoco>'
     )
     with pytest.raises(ArgumentError, match="several degrees"):
-        joint_order(load_description(path))
+        motion_limits(load_description(path))

@@ -117,7 +117,7 @@ def trajectory():
     family = FourierMotion(5.0, 2)
     size = (family.basis([0.0]).shape[-1], 2)
     coefficients = 0.1 * np.random.default_rng(0).normal(size=size)
-    return excitation.ExcitationTrajectory(family, coefficients, JOINTS, np.arange(2))
+    return excitation.ExcitationTrajectory(family, coefficients, JOINTS)
 
 
 @cache
