@@ -10,6 +10,7 @@ from scipy.io import savemat
 
 from geodrake.errors import LogError
 from geodrake.logs.files import Reading, read_log, text_file
+from geodrake.logs.files.reading import ColumnMapping, MappedColumn
 
 JOINTS = ("base", "elbow")
 ROWS = 60
@@ -168,6 +169,15 @@ def csv_of(folder, columns):
     """A CSV of columns by name."""
     pandas.DataFrame(columns).to_csv(folder / "log.csv", index=False)
     return folder / "log.csv"
+
+
+def mapped(joint, time):
+    """A mapping of columns that are called after joints."""
+    joints = {
+        name: {q: MappedColumn(f"{joint.format(name)}.{q}") for q in ("position", "effort")}
+        for name in JOINTS
+    }
+    return Reading(mapping=ColumnMapping(joints, MappedColumn(time)))
 
 
 @pytest.mark.parametrize("name", SHAPES)
@@ -440,6 +450,12 @@ def test_files_of_a_joint_each_are_named_after_them(tmp_path):
     np.testing.assert_allclose(log.position, POSITION, atol=1e-12)
     np.testing.assert_allclose(log.effort, EFFORT, atol=1e-12)
     assert read_log(path).joints == ("run 3 elbow", "run 3 base")
+    columns = {
+        j: {q: MappedColumn(f"run 3 {j}.{q}") for q in ("position", "effort")} for j in JOINTS
+    }
+    mapping = ColumnMapping(columns, MappedColumn("time"))
+    again = read_log(path, joints=JOINTS, reading=Reading(mapping=mapping))
+    np.testing.assert_allclose(again.effort, EFFORT, atol=1e-12)
     alone = read_log(tmp_path / "run 3 elbow.csv", joints=JOINTS, partial=True)
     assert alone.joints == ("elbow",)
     (tmp_path / "run 3 elbow.csv").rename(tmp_path / "run.csv")
@@ -463,3 +479,18 @@ def test_efforts_in_percent_are_no_newton_metres(tmp_path):
         **columns}))  # fmt: skip
     assert set(log.effort_kinds.values()) == {"pwm"}
     np.testing.assert_allclose(log.effort, 0.1 * EFFORT, atol=1e-12)
+
+
+def test_a_mapping_of_seconds_has_the_nanoseconds_beside_them(tmp_path):
+    columns = {"stamp.sec": 1.7e9, "stamp.nanosec": np.rint(1e9 * TIME)}
+    path = csv_of(tmp_path, columns | {name: PLAIN[name] for name in PLAIN.columns[1:]})
+    log = read_log(path, reading=mapped("{}", "stamp.sec"))
+    np.testing.assert_allclose(log.time - log.time[0], TIME, atol=1e-6)
+
+
+def test_of_a_column_that_two_files_have_that_of_the_first_is_taken(tmp_path):
+    PLAIN.to_csv(tmp_path / "a.csv", index=False)
+    PLAIN.assign(**{"elbow.effort": 0.0}).to_csv(tmp_path / "b.csv", index=False)
+    log = read_log(f"{tmp_path / 'a.csv'}+{tmp_path / 'b.csv'}", joints=JOINTS)
+    np.testing.assert_allclose(log.effort, EFFORT, atol=1e-12)
+    assert any("elbow.effort, which several parts have" in note for note in log.notes)

@@ -462,7 +462,10 @@ class Columns:
             text = mapped.unit or reading.units.get(quantity)
             unit = unit_of(text, quantity) if text else None
             meaning = Meaning(column, quantity, joint, unit=unit, style=MAPPED, gain=mapped.gain)
-            places[joint, meaning.log_quantity] = source_of(path, meaning, joint, reading, {})
+            source = source_of(path, meaning, joint, reading, {})
+            if quantity == "time" and unit is None:
+                source = replace(source, nanoseconds=_nanoseconds(column, names))
+            places[joint, meaning.log_quantity] = source
         for joint in [joint for joint, quantity in places if quantity == "command"]:
             if reading.kind_of(joint) == "command":  # in the place of its efforts
                 places.pop((joint, "effort"), None)
@@ -666,7 +669,12 @@ def time_source(meanings: Sequence[Meaning], reading: Reading, table: LogTable) 
     times = times or [Meaning(n, "time") for n in table.origins if table.is_time(n)]
     if not times:
         return None
-    time = times[0]
-    beside = [m for m in meanings if m.quantity == "nanoseconds" and m.style == time.style]
-    source = source_of(Path(), time, "", reading, table.units)
-    return replace(source, nanoseconds=beside[0].column if beside else None)
+    source = source_of(Path(), times[0], "", reading, table.units)
+    return replace(source, nanoseconds=_nanoseconds(source.column, table.names))
+
+
+def _nanoseconds(time: str, names: Sequence[str]) -> str | None:
+    """Return the column of nanoseconds beside a column of seconds."""
+    seconds, known = meaning_of(time), filter(None, map(meaning_of, names))
+    beside = (m for m in known if m.quantity == "nanoseconds")
+    return next((m.column for m in beside if seconds and m.style == seconds.style), None)

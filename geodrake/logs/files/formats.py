@@ -154,7 +154,9 @@ def joined_table(paths: Sequence[Path], reading: Reading) -> LogTable:
         {m.column: f"{unpacked(path).stem}.{m.quantity}" for m in meanings_of(table) if m.is_bare}
         for path, table in zip(paths, named, strict=True)
     ]
-    if reading.mapping is None and sum(map(bool, bare)) > 1:
+    new = {name for names in bare for name in names.values()}
+    told = {str(mapped.column) for _, mapped in reading.mapping or ()} or new
+    if sum(map(bool, bare)) > 1 and new & told:
         named = [_renamed(table, names) for table, names in zip(named, bare, strict=True)]
     return joined_tables(Path("+".join(path.name for path in paths)), named, reading)
 

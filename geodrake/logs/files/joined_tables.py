@@ -82,15 +82,18 @@ def joined_tables(log: Path, tables: Sequence[LogTable], reading: Reading) -> Lo
             f"The parts of log {str(log)!r} are of times that do not meet: {', '.join(spans)}.",
             advice="Use one clock for both.",
         )
-    columns, origins = {order[0]: known[base]}, {order[0]: origins["time"]}
+    columns, origins, again = {order[0]: known[base]}, {order[0]: origins["time"]}, list[str]()
     for table, time in zip(tables, known, strict=True):
         for column, values in table.columns.items():
-            if not _is_time(table, column, reading):
+            if column in columns:
+                again += [column] * (column != order[0])
+            elif not _is_time(table, column, reading):
                 holds = _what(column, reading)[1] in ("command", FLAG)
                 columns[column] = at_instants(known[base], time, values, holds=holds)
     rate = 1.0 / periods[base]
     note = f"joined by time, at the {rate:.4g} rows a second of {tables[base].path}"
-    notes = (note, *slow_notes, *clock_notes, *noted)
+    twice = [f"of {listed(again)}, which several parts have, those of the first are taken"]
+    notes = (note, *twice[: len(again)], *slow_notes, *clock_notes, *noted)
     silent = {column: why for table in tables for column, why in table.silent.items()}
     return LogTable(log, columns, units, notes, origins, {**silent, **rare}, order=order)
 
@@ -288,7 +291,7 @@ def _side_by_side(log: Path, tables: Sequence[LogTable]) -> dict[str, Array]:
         )
     columns: dict[str, Array] = {}
     for table in tables:
-        columns |= table.columns
+        columns = {**columns, **table.columns, **columns}
     return columns
 
 

@@ -207,14 +207,11 @@ def topics_table(
     ]
     made += [(rows, rows.tables()) for rows in base]
     clock = next(filter(None, (rows.clock for rows, _ in made)), None)
-    tables, known = list[LogTable](), set[str]()
+    tables = list[LogTable]()
     for rows, own in made:
         said += rows.clock_notes
-        for table in own:
-            stamped = table if rows.clock or len(made) == 1 else on_clock(table, clock)
-            new = {n: column for n, column in stamped.columns.items() if n not in known}
-            known |= new.keys() - {"time"}
-            tables += [replace(stamped, columns=new)] if len(new) > 1 else []
+        is_bare = len(made) > 1 and not rows.clock
+        tables += [on_clock(table, clock) for table in own] if is_bare else own
     table = joined_tables(path, tables, reading)
     columns, notes = _named_by_motion(table.columns) if not is_alone else (table.columns, [])
     return replace(table, columns=columns, notes=(*said, *table.notes, *notes))
