@@ -19,7 +19,8 @@ _OPTIMISTIC = 0.3
 makes them look as if they were worth less."""
 _COUNTED = 20  # neighbours, of those that promise most, are fitted by what residuals count now
 _JUDGED = 5
-"""So many neighbours that promise most have their own residuals counted."""
+"""So many neighbours that promise most, by what residuals count now, and by what they would count
+if nothing but noise was left, have their own residuals counted."""
 
 Watch = Callable[[Fit, Fit], None]
 """Called with the explanation before and after each step."""
@@ -94,12 +95,19 @@ def _step(
     if not hopeful:
         choices = [each.choice for each in tried[:_COUNTED]]
         promising += model.ranked(choices, own, fit.variance)[:_JUDGED]
+    promising += sorted(tried, key=lambda each: -_potential(model, fit, each, high))[:_JUDGED]
     best, gain = None, 1e-6
     for other in {each.choice.key: each for each in promising}.values():
         found = gain_of(model, fit, other, hopeful=hopeful)
         if found is not None and found[0] > gain:
             gain, best = found
     return best
+
+
+def _potential(model: LogModel, fit: Fit, other: Fit, shares: Array) -> float:
+    """Return the score of another fit if its residuals, where it leaves less, were white noise."""
+    fallen = np.log(np.maximum(fit.variance / np.maximum(other.variance, 1e-300), 1.0))
+    return other.score + float(((1.0 - shares) * model.rows) @ fallen)
 
 
 def _refitted(model: LogModel, fit: Fit, shares: Array) -> Fit:

@@ -83,7 +83,7 @@ def alone(model: LogModel, fit: Fit) -> Terms:
         here = [term for term in fit.terms if term.joint == joint]
         shaped = [(t,) for t in offered if t.effect is not None and t.effect.free_shapes]
         if sum(_complexity(term) > 0 for term in here) > 1 and shaped:
-            gains = finder.around.gains(shaped, finder.around.dropped(here))
+            gains = finder.around.promises(shaped, finder.around.dropped(here))
             best.append(shaped[int(np.argmax(gains))][0])
     return tuple(best)
 
@@ -135,7 +135,7 @@ class _Finder:
     ) -> list[tuple[float, Terms]]:
         """Return packages that may come to the rest, by their gains without prior odds."""
         possible = self.model.compatibility.beside(rest, packages)
-        gains = self.around.gains(possible, dropped)
+        gains = self.around.promises(possible, dropped)
         order = [k for k in np.argsort(-gains, kind="stable") if np.isfinite(gains[k])]
         return [(float(gains[k]), possible[k]) for k in order]
 
@@ -198,7 +198,7 @@ class _Finder:
         self, offered: list[Term], here: list[Term], dropped: Dropped | None
     ) -> list[Terms]:
         """Return what may replace the effects at a joint."""
-        gains = self.around.gains([(term,) for term in offered], dropped)
+        gains = self.around.promises([(term,) for term in offered], dropped)
         best = [offered[k] for k in np.argsort(-gains)[:_POOL]]
         simple = [t for t in offered if _complexity(t) <= 1 and len(t.columns) == 1]
         pool = list(dict.fromkeys([*best, *simple, *here]))
@@ -233,7 +233,7 @@ class _Finder:
         if term.joint is None:  # what it does together may be of one kind at several joints
             for kind in self.everywhere:
                 free = [t for t in kind if t not in rest]
-                gains = self.around.gains([(t,) for t in free], dropped)
+                gains = self.around.promises([(t,) for t in free], dropped)
                 best = [free[k] for k in np.argsort(-gains)]
                 others += [tuple(best[:count]) for count in range(2, len(best) + 1)]
         yield from (move for move in self._moves(rest, others, dropped) if move.gain > _HOPE)

@@ -28,6 +28,8 @@ from geodrake.model.signal_efforts import servos_of
 Array = NDArray[np.float64]
 Indices = NDArray[np.intp]
 
+_MOST_TAKEN = 1.0 - 1e-6  # share of a joint's squared errors
+
 
 @dataclass(frozen=True, eq=False)
 class Dropped:
@@ -37,6 +39,8 @@ class Dropped:
     rows: Array  # (i, P) rows of the dropped parameters in H⁻¹AᵀA
     inverse: Array  # (i, i) inverse of their covariance
     x: Array  # (i,) their values
+    square: float  # by how much weighted squared errors grow
+    joints: frozenset[str | None]  # whose own effects these are
 
 
 class Neighbourhood:
@@ -98,8 +102,10 @@ class Neighbourhood:
         covariance, x = self._inverse[np.ix_(at, at)], self.fit.x[at]
         inverse = np.linalg.inv(covariance)
         known = self._model.prior_scores[np.concatenate([self._model.at[t] for t in terms])].sum()
-        loss = -x @ inverse @ x - np.linalg.slogdet(covariance)[1] - known
-        return Dropped(float(loss), self._inverse[at] @ self._cross, inverse, x)
+        square = float(x @ inverse @ x)
+        loss = -square - np.linalg.slogdet(covariance)[1] - known
+        rows, joints = self._inverse[at] @ self._cross, frozenset(term.joint for term in terms)
+        return Dropped(float(loss), rows, inverse, x, square, joints)
 
     def gains(self, packages: Sequence[Terms], dropped: Dropped | None = None) -> Array:
         """Return (m,) what each package of terms adds to the score, without prior odds.
@@ -107,18 +113,38 @@ class Neighbourhood:
         No term of a package is in the fit, or only in `dropped`, which is left out first. Gains are
         without `dropped.loss`, and −∞ where something is negative that cannot be.
         """
+        return self._gained(packages, dropped)[0]
+
+    def promises(self, packages: Sequence[Terms], dropped: Dropped | None = None) -> Array:
+        """Return `gains` (m,), by the noise that packages of effects of one joint leave there."""
+        gains, squares = self._gained(packages, dropped)
+        if dropped is not None:
+            squares -= dropped.square
+        others = frozenset[str | None]() if dropped is None else dropped.joints
+        own = [{term.joint for term in package} | others for package in packages]
+        alone = [len(joints) == 1 and None not in joints for joints in own]
+        at = [self._model.model.joints.index(next(iter(own[k]))) for k in np.flatnonzero(alone)]
+        fit, fall = self.fit, squares[alone]
+        samples = fit.weights * np.maximum(fit.variance, self._model.floor) * self._model.rows
+        share = np.minimum(fall / samples[at], _MOST_TAKEN)
+        gains[alone] -= samples[at] * np.log1p(-share) + fall
+        return gains
+
+    def _gained(self, packages: Sequence[Terms], dropped: Dropped | None) -> tuple[Array, Array]:
+        """Return gains (m,) and by how much weighted squared errors fall (m,)."""
         model = self._model
         if not packages:
-            return np.zeros(0)
+            return np.zeros(0), np.zeros(0)
         own = [[model.at[term] for term in package] for package in packages]
         columns = np.concatenate([at for each in own for at in each])
         counts = [sum(map(len, each)) for each in own]
         gone = (self._cross[:0], np.zeros((0, 0)), np.zeros(0))
         if dropped is not None:
             gone = (dropped.rows, dropped.inverse, dropped.x)
-        return calc_gains(
+        found: tuple[Array, Array] = calc_gains(
             (self._schur, self._pull, model.prior_scores),
             (model.owner, model.positive),
             gone,
             (columns, np.cumsum([0, *counts])),
         )
+        return found

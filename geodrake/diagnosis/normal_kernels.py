@@ -184,15 +184,16 @@ def calc_gains(
     owners: tuple[Indices, NDArray[np.bool_]],  # (P,) term of each column; what must be positive
     dropped: tuple[Array, Array, Array],  # (i, P) rows, (i, i) inverse, (i,) values; i may be 0
     packages: tuple[Indices, Indices],  # columns of all packages, and where those of each end
-) -> Array:
+) -> tuple[Array, Array]:
     """Return what each package of columns adds to the score of a fit, without prior odds.
 
-    It is −∞ where a term has nothing left that is positive as it must be.
+    It is −∞ where a term has nothing left that is positive as it must be. Returned with it is by
+    how much weighted squared errors fall.
     """
     (schur, pull, scores), (owner, positive), (rows, inverse, values) = around, owners, dropped
     (columns, ends), gone = packages, len(values)
     turned, shift = inverse @ rows, inverse @ values
-    gains = np.full(len(ends) - 1, -np.inf)
+    gains, squares = np.full(len(ends) - 1, -np.inf), np.zeros(len(ends) - 1)
     for p in range(len(gains)):
         at = columns[ends[p] : ends[p + 1]]
         gram, x, prior = np.empty((len(at), len(at))), pull[at], 0.0
@@ -206,5 +207,5 @@ def calc_gains(
                     gram[a, b] += rows[i, at[a]] * turned[i, at[b]]
         square, logarithm = _solve_positive(gram, x)
         if not np.isnan(logarithm) and not _has_nothing(x, owner[at], positive[at]):
-            gains[p] = square - logarithm + prior
-    return gains
+            gains[p], squares[p] = square - logarithm + prior, square
+    return gains, squares

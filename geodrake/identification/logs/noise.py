@@ -210,7 +210,7 @@ def prepare_for_model(
 
 
 def _loss_of_precision(model: RobotModel, trajectories: Sequence[Trajectory]) -> float:
-    """Return the noise of efforts with that of accelerations over that without, averaged over joints.
+    """Return noise with that of accelerations over that of efforts alone, averaged over joints.
 
     Where accelerations are noisier than efforts, as those of an IMU may be, residuals are made of
     what columns have in them, too: bodies that feel accelerations less seem better.
