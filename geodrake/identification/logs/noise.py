@@ -158,7 +158,8 @@ def _residual(
 _EXCESS = 25.0  # times the other's power: five times the amplitude is a clear difference
 _FEWEST = 60  # filtered samples that a lower bandwidth leaves at least, as far as there are so many
 _ENOUGH = 400  # filtered samples of each joint, which make folds of some fifty
-_MOST_LOST = 2.0**0.5  # noise with that of accelerations over that of efforts: no higher for more
+_MOST_NOISE = 2.0  # power of noise, with that of accelerations, over that of efforts alone
+_MOST_OF_COLUMNS = 0.1  # noise of an acceleration over its deviation
 _WORTH_RAISING, _TRIES = 1.2, 4  # factor by which a bandwidth is raised at least, and so many tried
 _LARGEST_RATIO = 700.0  # logarithm of a ratio that is a number still
 
@@ -170,9 +171,9 @@ def prepare_for_model(
 
     The motion alone suggests a bandwidth (`prepare_logs`). It is lowered to where the motion asks
     for efforts that were not measured: vibration, play and elasticity behind the motor move the
-    joint without the motor's effort. It is raised where the log is short, as far as position noise
-    does not ask for more effort than was measured, unless accelerations are noisier than efforts
-    there, as those of an IMU may be. A rough model will do; logs have their joints in its order.
+    joint without the motor's effort. It is raised where the log is short, as far as noise of
+    positions and accelerations costs little. A rough model will do; logs have their joints in its
+    order.
     With the prepared logs comes a sentence on what was changed and why, if anything was.
     """
     uniform = [log if isinstance(log, UniformLog) else make_uniform(log) for log in logs]
@@ -203,32 +204,35 @@ def prepare_for_model(
         return trajectories, None
     for higher in np.geomspace(raised, _WORTH_RAISING * chosen, _TRIES).tolist():
         longer = prepare_logs(uniform, bandwidth=higher, how="chosen from the data")
-        if _loss_of_precision(model, longer) <= _MOST_LOST:
+        if _is_precise(model, longer):
             words = f"from {chosen:.3g} to {higher:.3g} Hz, as the log is short"
             return longer, f"bandwidth raised {words}"
     return trajectories, None
 
 
-def _loss_of_precision(model: RobotModel, trajectories: Sequence[Trajectory]) -> float:
-    """Return noise with that of accelerations over that of efforts alone, averaged over joints.
+def _is_precise(model: RobotModel, trajectories: Sequence[Trajectory]) -> bool:
+    """Return whether noise of accelerations costs little at a bandwidth.
 
-    Where accelerations are noisier than efforts, as those of an IMU may be, residuals are made of
-    what columns have in them, too: bodies that feel accelerations less seem better.
+    It makes residuals noisier, and bodies seem to feel accelerations less than they do: columns are
+    larger by the share of noise in accelerations, as those of an IMU may be.
     """
     losses = [np.zeros(0)]
     for trajectory in trajectories:
         robot, low_pass = carrying(model, trajectory.payloads), trajectory.filter
         for segment in trajectory.segments:
             start, rate = segment[:_SAMPLES], 1.0 / segment.period
+            size = start.acceleration.std(axis=0)
+            if np.any(trajectory.acceleration_noise > _MOST_OF_COLUMNS * size):
+                return False
             rows = contact_rows(robot, trajectory, start)
             measured = replace(start, effort=_taken(rows, start.effort))
             density = quiet_density(measured.effort, rate, low_pass.bandwidth)
             noise = density * low_pass.noise_gain**2 * rate / 2.0
             known = (noise > 0.0) & ~_is_silent(density, measured)
             carried = _carried(start, robot, trajectory, 0.0, rows)
-            losses.append(0.5 * np.log1p(carried[known] / noise[known]))
+            losses.append(np.log1p(carried[known] / noise[known]))
     together = np.concatenate(losses)
-    return float(np.exp(together.mean())) if len(together) else 1.0
+    return not len(together) or float(np.exp(together.mean())) <= _MOST_NOISE
 
 
 def coherent_bandwidth(model: RobotModel, trajectories: Sequence[Trajectory]) -> float | None:
