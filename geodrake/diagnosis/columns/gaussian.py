@@ -119,7 +119,8 @@ def calc_most_probable(
             m, p = np.sum(places[j, 1] >= 0), np.sum(places[j, 0] >= 0)
             at, columns = places[j, 0, :p], places[j, 1, :m]
             weights = sides[j, 1].copy()
-            weights[columns] = x[at[:m]]
+            for i in range(m):
+                weights[columns[i]] = x[at[i]]
             error = x[at[m]] if p > m else 0.0
             target = sides[j, 0] * np.exp(-error) - sides[j, 1] + error * weights
             of_target, of_weights = grams[j] @ target, grams[j] @ weights
@@ -161,12 +162,21 @@ def calc_most_probable(
 @compiled
 def calc_bounded(A: Array, b: Array, lower: Array, held: NDArray[np.bool_]) -> Array:
     """Solve a positive definite system, some of the unknowns at their lower bounds."""
-    x, free = np.where(held, lower, 0.0), np.flatnonzero(~held)
-    inner, right = np.empty((len(free), len(free))), b[free]
-    for row, i in enumerate(free):
-        for k in np.flatnonzero(held):
-            right[row] -= A[i, k] * x[k]
-        for column, k in enumerate(free):
-            inner[row, column] = A[i, k]
-    x[free] = calc_solution(inner, right, _RIDGE)[0]
+    x, free, size = lower.copy(), np.empty(len(b), np.intp), 0
+    for i in range(len(b)):
+        if not held[i]:
+            free[size] = i
+            size += 1
+    inner, right = np.empty((size, size)), np.empty(size)
+    for row in range(size):
+        i = free[row]
+        right[row] = b[i]
+        for k in range(len(b)):
+            if held[k]:
+                right[row] -= A[i, k] * lower[k]
+        for column in range(size):
+            inner[row, column] = A[i, free[column]]
+    found = calc_solution(inner, right, _RIDGE)[0]
+    for row in range(size):
+        x[free[row]] = found[row]
     return x
