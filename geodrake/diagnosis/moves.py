@@ -210,11 +210,14 @@ class _Finder:
         ]
         if len(here) > 2:
             packages += [tuple(t for t in here if t is not one) for one in here]
+        # One comes for one, for two, or two come for one.
+        trades: list[tuple[Terms, Terms]] = [((one,), (t,)) for one in here for t in pool]
+        trades += [((one,), pair) for one in here for pair in combinations(plain, 2)]
+        trades += [(pair, (t,)) for pair in combinations(here, 2) for t in pool]
         packages += [
-            (*(t for t in here if t is not one), term)
-            for one in here
-            for term in pool
-            if term not in here
+            (*(t for t in here if t not in gone), *come)
+            for gone, come in trades
+            if not set(come) & set(here)
         ]
         unique = {frozenset(package): package for package in packages}
         unique.pop(frozenset(here), None)
