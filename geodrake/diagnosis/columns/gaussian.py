@@ -118,9 +118,7 @@ def calc_most_probable(
         for j in range(n):
             m, p = np.sum(places[j, 1] >= 0), np.sum(places[j, 0] >= 0)
             at, columns = places[j, 0, :p], places[j, 1, :m]
-            weights = sides[j, 1].copy()
-            for i in range(m):
-                weights[columns[i]] = x[at[i]]
+            weights = calc_weights(sides[j, 1], columns, x, at)
             error = x[at[m]] if p > m else 0.0
             target = sides[j, 0] * np.exp(-error) - sides[j, 1] + error * weights
             of_target, of_weights = grams[j] @ target, grams[j] @ weights
@@ -157,6 +155,15 @@ def calc_most_probable(
         if change < _SETTLED:
             break
     return x, mse, H
+
+
+@compiled
+def calc_weights(known: Array, columns: Indices, x: Array, at: Indices) -> Array:
+    """Return weights (M,) of all columns: those that are known, and parameters of the others."""
+    weights = known.copy()
+    for i in range(len(columns)):
+        weights[columns[i]] = x[at[i]]
+    return weights
 
 
 @compiled
