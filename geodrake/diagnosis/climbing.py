@@ -19,8 +19,7 @@ _OPTIMISTIC = 0.3
 makes them look as if they were worth less."""
 _COUNTED = 20  # neighbours, of those that promise most, are fitted by what residuals count now
 _JUDGED = 5
-"""So many neighbours that promise most, by what residuals count now, and by what they would count
-if nothing but noise was left, have their own residuals counted."""
+"""So many neighbours that promise most have their own residuals counted."""
 
 Watch = Callable[[Fit, Fit], None]
 """Called with the explanation before and after each step."""
@@ -34,16 +33,17 @@ def climb(
     watch: Watch | None = None,
     pause: Callable[[Fit], bool] | None = None,
     joints: Collection[str] | None = None,
+    further: int = 0,
 ) -> Fit:
     """Climb from neighbour to more probable neighbour.
 
     Hopeful, residuals count for more than they do now, as terms may be missing still. `pause` tells
     whether to return with what a step led to, as it is to be made exact first. If `joints` are
-    given, their own effects alone may change.
+    given, their own effects alone may change. `further` is as of `neighbours`.
     """
     seen = {fit.choice.key}  # samples are counted anew at each step, which may lead back
     for _ in range(_MOST_STEPS):
-        better = _step(model, fit, seen, joints, hopeful=hopeful)
+        better = _step(model, fit, seen, joints, hopeful=hopeful, further=further)
         if better is None:
             break
         if watch is not None:
@@ -84,18 +84,20 @@ def _step(
     joints: Collection[str] | None,
     *,
     hopeful: bool,
+    further: int,
 ) -> Fit | None:
     """Return the best neighbour of a fit not seen yet, if it is more probable."""
     own = model.shares(fit)
     high = np.maximum(own, _OPTIMISTIC)
     fit = _refitted(model, fit, high if hopeful else own)
-    choices = [choice for choice in neighbours(model, fit, joints=joints) if choice.key not in seen]
+    choices = neighbours(model, fit, joints=joints, further=further)
+    choices = [choice for choice in choices if choice.key not in seen]
     tried = model.ranked(choices, high, fit.variance)
     promising = tried[:_JUDGED]
     if not hopeful:
         choices = [each.choice for each in tried[:_COUNTED]]
         promising += model.ranked(choices, own, fit.variance)[:_JUDGED]
-    promising += sorted(tried, key=lambda each: -_potential(model, fit, each, high))[:_JUDGED]
+        promising += sorted(tried, key=lambda each: -_potential(model, fit, each, high))[:further]
     best, gain = None, 1e-6
     for other in {each.choice.key: each for each in promising}.values():
         found = gain_of(model, fit, other, hopeful=hopeful)

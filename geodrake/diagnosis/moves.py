@@ -32,12 +32,18 @@ class Move:
 
 
 def neighbours(
-    model: LogModel, fit: Fit, *, most: int = _MOST, joints: Collection[str] | None = None
+    model: LogModel,
+    fit: Fit,
+    *,
+    most: int = _MOST,
+    joints: Collection[str] | None = None,
+    further: int = 0,
 ) -> list[Choice]:
     """Find the most promising neighbours of an explanation.
 
-    `most` counts them beside other widths of the bodies and the best delays. If `joints` are given,
-    their own effects alone may change.
+    `most` counts them beside other widths of the bodies and the best delays, and beside `further`
+    effects that promise most if they leave nothing but white noise. If `joints` are given, their
+    own effects alone may change.
     """
     finder = _Finder(model, fit)
     moves = finder.moves() if joints is None else finder.rebuilt(joints)
@@ -46,6 +52,7 @@ def neighbours(
     found = [move.choice for move in best]
     if joints is not None:
         return found
+    found += finder.hopeful(further)
     for move in best[: most // 2]:
         changed = set(move.choice.terms) ^ set(fit.terms)
         if any(term.joint is None for term in changed):  # it may spare bodies their way
@@ -83,7 +90,7 @@ def alone(model: LogModel, fit: Fit) -> Terms:
         here = [term for term in fit.terms if term.joint == joint]
         shaped = [(t,) for t in offered if t.effect is not None and t.effect.free_shapes]
         if sum(_complexity(term) > 0 for term in here) > 1 and shaped:
-            gains = finder.around.promises(shaped, finder.around.dropped(here))
+            gains = finder.around.gains(shaped, finder.around.dropped(here))
             best.append(shaped[int(np.argmax(gains))][0])
     return tuple(best)
 
@@ -135,7 +142,7 @@ class _Finder:
     ) -> list[tuple[float, Terms]]:
         """Return packages that may come to the rest, by their gains without prior odds."""
         possible = self.model.compatibility.beside(rest, packages)
-        gains = self.around.promises(possible, dropped)
+        gains = self.around.gains(possible, dropped)
         order = [k for k in np.argsort(-gains, kind="stable") if np.isfinite(gains[k])]
         return [(float(gains[k]), possible[k]) for k in order]
 
@@ -173,6 +180,17 @@ class _Finder:
                 terms, found = zip(*group.values(), strict=True)
                 yield Move(self._choice((*present, *terms)), sum(found))
 
+    def hopeful(self, most: int) -> list[Choice]:
+        """Add one effect of a joint that would gain if it left white noise, the best first."""
+        present = self.fit.terms
+        offered = [(t,) for t in self.model.terms if t.joint is not None and t not in present]
+        possible = [t for (t,) in self.model.compatibility.beside(present, offered)] if most else []
+        choices = [self._choice((*present, term)) for term in possible]
+        odds = np.array([self.model.odds_against(choice) for choice in choices])
+        hopes = self.around.hopes(possible) + self.base - odds
+        order = np.argsort(-hopes, kind="stable")[:most]
+        return [choices[k] for k in order if hopes[k] > 0.0]
+
     def rebuilt(self, joints: Collection[str]) -> Iterator[Move]:
         """Choose the own effects of some joints anew: alone, as pairs, and beside simple ones."""
         present, every, gone = self.fit.terms, list[Move](), set[Term]()
@@ -198,7 +216,7 @@ class _Finder:
         self, offered: list[Term], here: list[Term], dropped: Dropped | None
     ) -> list[Terms]:
         """Return what may replace the effects at a joint."""
-        gains = self.around.promises([(term,) for term in offered], dropped)
+        gains = self.around.gains([(term,) for term in offered], dropped)
         best = [offered[k] for k in np.argsort(-gains)[:_POOL]]
         simple = [t for t in offered if _complexity(t) <= 1 and len(t.columns) == 1]
         pool = list(dict.fromkeys([*best, *simple, *here]))
@@ -236,7 +254,7 @@ class _Finder:
         if term.joint is None:  # what it does together may be of one kind at several joints
             for kind in self.everywhere:
                 free = [t for t in kind if t not in rest]
-                gains = self.around.promises([(t,) for t in free], dropped)
+                gains = self.around.gains([(t,) for t in free], dropped)
                 best = [free[k] for k in np.argsort(-gains)]
                 others += [tuple(best[:count]) for count in range(2, len(best) + 1)]
         yield from (move for move in self._moves(rest, others, dropped) if move.gain > _HOPE)

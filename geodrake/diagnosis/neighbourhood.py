@@ -39,8 +39,6 @@ class Dropped:
     rows: Array  # (i, P) rows of the dropped parameters in H⁻¹AᵀA
     inverse: Array  # (i, i) inverse of their covariance
     x: Array  # (i,) their values
-    square: float  # by how much weighted squared errors grow
-    joints: frozenset[str | None]  # whose own effects these are
 
 
 class Neighbourhood:
@@ -102,10 +100,8 @@ class Neighbourhood:
         covariance, x = self._inverse[np.ix_(at, at)], self.fit.x[at]
         inverse = np.linalg.inv(covariance)
         known = self._model.prior_scores[np.concatenate([self._model.at[t] for t in terms])].sum()
-        square = float(x @ inverse @ x)
-        loss = -square - np.linalg.slogdet(covariance)[1] - known
-        rows, joints = self._inverse[at] @ self._cross, frozenset(term.joint for term in terms)
-        return Dropped(float(loss), rows, inverse, x, square, joints)
+        loss = -x @ inverse @ x - np.linalg.slogdet(covariance)[1] - known
+        return Dropped(float(loss), self._inverse[at] @ self._cross, inverse, x)
 
     def gains(self, packages: Sequence[Terms], dropped: Dropped | None = None) -> Array:
         """Return (m,) what each package of terms adds to the score, without prior odds.
@@ -115,20 +111,17 @@ class Neighbourhood:
         """
         return self._gained(packages, dropped)[0]
 
-    def promises(self, packages: Sequence[Terms], dropped: Dropped | None = None) -> Array:
-        """Return `gains` (m,), by the noise that packages of effects of one joint leave there."""
-        gains, squares = self._gained(packages, dropped)
-        if dropped is not None:
-            squares -= dropped.square
-        others = frozenset[str | None]() if dropped is None else dropped.joints
-        own = [{term.joint for term in package} | others for package in packages]
-        alone = [len(joints) == 1 and None not in joints for joints in own]
-        at = [self._model.model.joints.index(next(iter(own[k]))) for k in np.flatnonzero(alone)]
-        fit, fall = self.fit, squares[alone]
-        samples = fit.weights * np.maximum(fit.variance, self._model.floor) * self._model.rows
-        share = np.minimum(fall / samples[at], _MOST_TAKEN)
-        gains[alone] -= samples[at] * np.log1p(-share) + fall
-        return gains
+    def hopes(self, terms: Sequence[Term]) -> Array:
+        """Return the same (m,) of effects of single joints, if they left nothing but white noise.
+
+        What is missing makes residuals vary slowly, so that they count for few samples.
+        """
+        gains, falls = self._gained([(term,) for term in terms], None)
+        rows, joints = self._model.rows, self._model.model.joints
+        samples = self.fit.weights * np.maximum(self.fit.variance, self._model.floor) * rows
+        at = [joints.index(term.where[0]) for term in terms]
+        share = np.minimum(falls / samples[at], _MOST_TAKEN)
+        return gains - falls - rows[at] * np.log1p(-share)
 
     def _gained(self, packages: Sequence[Terms], dropped: Dropped | None) -> tuple[Array, Array]:
         """Return gains (m,) and by how much weighted squared errors fall (m,)."""

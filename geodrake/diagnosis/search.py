@@ -45,6 +45,7 @@ _MOST_ROUNDS = 12
 _FIRST_SHARE = 0.05
 _FORCED_SHARE = 0.3
 _MOST_FADINGS = 3
+_FURTHER = 5  # effects that would gain if they left white noise, at each step of one more climb
 _OTHER_DELAY, _ALIKE = 3.0, 0.125  # deviations, and steps, within which delays are alike
 
 
@@ -88,7 +89,7 @@ class Search:
         self._timed: Terms | None = None
         self._tried = [self._origin]  # delays (nv,) that have columns: the file's come first
         self._faded, self._crowded = list[Terms](), set[Terms]()
-        self._looked, self._doubted = set[frozenset[object]](), False
+        self._looked, self._climbed_far, self._doubted = set[frozenset[object]](), False, False
         self._is_stopped = False
         self._told: FoundStep | None = None
         self.model = self._made()
@@ -224,7 +225,7 @@ class Search:
         """Return the model with nothing new, its bodies as near to the file as the logs say."""
         return self.model.bare(np.full(len(self.model.rows), _FIRST_SHARE))
 
-    def _climb(self, *, hopeful: bool) -> None:
+    def _climb(self, *, hopeful: bool, further: int = 0) -> None:
         def watch(before: Fit, after: Fit) -> None:
             self.fit = after
             if self._progress is not None:
@@ -233,7 +234,12 @@ class Search:
 
         for _ in range(_MOST_ROUNDS):
             self.fit = climb(
-                self.model, self.fit, hopeful=hopeful, watch=watch, pause=self._is_inexact
+                self.model,
+                self.fit,
+                hopeful=hopeful,
+                watch=watch,
+                pause=self._is_inexact,
+                further=further,
             )
             if not self._is_inexact(self.fit) or not self._refined():
                 break
@@ -328,6 +334,12 @@ class Search:
                 self._climb(hopeful=True)
                 self._climb(hopeful=False)
                 return True
+        before = self.fit.choice.key
+        if not self._climbed_far:
+            self._climbed_far = True
+            self._climb(hopeful=False, further=_FURTHER)
+            if self.fit.choice.key != before:
+                return True
         if not self._doubted:
             self._doubted = True
             joints = self._doubtful()
@@ -336,7 +348,6 @@ class Search:
             functions = unknown_functions(self.case, self.model.hypothesis(self.fit), joints)
             self._effects += functions
             self._anew()
-            before = self.fit.choice.key
             self._climb(hopeful=False)
             kept = {term.effect for term in self.fit.terms}  # others get no columns anew
             self._effects = [e for e in self._effects if e in kept or e not in functions]
