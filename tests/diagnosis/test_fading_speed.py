@@ -99,3 +99,15 @@ def test_controllers_know_it(model):
     motion = Motion(still[None], slow[None], still[None])
     expected = fitted.effort(motion, sign_width=1e-2)[0]
     np.testing.assert_allclose(regressor @ control.prior, expected, rtol=1e-9)
+
+
+def test_what_is_more_at_low_speeds_is_stribeck_friction_where_directions_fade_below(model):
+    """Its curve in another formula: it is not taken for what no log tells of reversals."""
+
+    def hidden(seen):
+        height = 0.075 + 0.08 / (1.0 + (seen.v / 0.03) ** 2)
+        return height * np.tanh(seen.v / 0.012) * [1.0, 0.0]
+
+    found = explain(model, [effort_log("double_pendulum", 2, hidden, share=0.02, pace=0.1).log])
+    assert {step.effect for step in found.steps} == {"coulomb_friction", "stribeck_friction"}
+    assert found.verdict == "explained"

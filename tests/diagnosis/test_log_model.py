@@ -17,6 +17,7 @@ from geodrake import load_model
 from geodrake.diagnosis import Beliefs, explain
 from geodrake.diagnosis.climbing import gain_of
 from geodrake.diagnosis.log_model import Choice, LogModel
+from geodrake.diagnosis.moves import neighbours
 from geodrake.diagnosis.neighbourhood import Neighbourhood
 from geodrake.diagnosis.search import searched
 from geodrake.effects import CoulombFriction, EffortOffset, GravityCompensator, Payload
@@ -172,6 +173,33 @@ def test_what_cannot_be_negative_is_refused_below_zero(dry, is_possible):
     choice = Choice((term,), WIDTH, (0, 0))
     assert (model.fit(choice, SHARES) is not None) == is_possible
     assert np.isfinite(Neighbourhood(model, fit).gains([(term,)])).all() == is_possible
+
+
+def test_what_leaves_white_noise_is_a_neighbour_however_few_samples_residuals_count_for():
+    model = random_problem(dry=4.0)[0]
+    (term,) = [term for term in model.terms if term.effect == RUBBING]
+    fit = model.unbounded(Choice((), WIDTH, (0, 0)), np.full(2, 0.02))
+    assert (term,) not in [each.terms for each in neighbours(model, fit, most=0)]
+    assert (term,) in [each.terms for each in neighbours(model, fit, most=0, further=1)]
+
+
+def test_one_effect_gives_way_to_two_beside_others():
+    """Friction that differs by direction, where it is Coulomb and viscous friction and no more."""
+    found = searched(
+        open_case(
+            PENDULUM,
+            [pendulum_log(3, friction((0.0, 0.3), (0.0, 0.2)), seconds=20.0)],
+            candidates=True,
+        )
+    )
+    model, (*_, last) = found.model, JOINTS
+    named = {(term.name, term.where): term for term in model.terms}
+    plain = [named[name, (last,)] for name in ("coulomb_friction", "viscous_friction")]
+    beside = [named[name, (last,)] for name in ("rotor_inertia", "effort_offset")]
+    other = model.choice(found.fit.choice, [*beside, named["asymmetric_friction", (last,)]])
+    fit = model.unbounded(other, model.shares(found.fit))
+    near = {frozenset(choice.terms) for choice in neighbours(model, fit)}
+    assert frozenset([*beside, *plain]) in near
 
 
 # What a search ends with.
