@@ -335,11 +335,6 @@ class Search:
                 self._climb(hopeful=False)
                 return True
         before = self.fit.choice.key
-        if not self._climbed_far:
-            self._climbed_far = True
-            self._climb(hopeful=False, further=_FURTHER)
-            if self.fit.choice.key != before:
-                return True
         if not self._doubted:
             self._doubted = True
             joints = self._doubtful()
@@ -351,8 +346,12 @@ class Search:
             self._climb(hopeful=False)
             kept = {term.effect for term in self.fit.terms}  # others get no columns anew
             self._effects = [e for e in self._effects if e in kept or e not in functions]
-            return self.fit.choice.key != before
-        return False
+            if self.fit.choice.key != before:
+                return True
+        if not self._climbed_far:
+            self._climbed_far = True
+            self._climb(hopeful=False, further=_FURTHER)
+        return self.fit.choice.key != before
 
     def _doubtful(self) -> set[str]:
         """Return joints with more than noise left, or with something found at their motors."""
