@@ -182,8 +182,8 @@ class _Finder:
 
     def hopeful(self, most: int) -> list[Choice]:
         """Add one effect of a joint that would gain if it left white noise, the best first."""
-        present = self.fit.terms
-        offered = [(t,) for t in self.model.terms if t.joint is not None and t not in present]
+        present, joints = self.fit.terms, self.model.dataset.joints
+        offered = [(t,) for t in self.model.terms if t.joint in joints and t not in present]
         possible = [t for (t,) in self.model.compatibility.beside(present, offered)] if most else []
         choices = [self._choice((*present, term)) for term in possible]
         odds = np.array([self.model.odds_against(choice) for choice in choices])

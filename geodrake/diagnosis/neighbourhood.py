@@ -112,12 +112,12 @@ class Neighbourhood:
         return self._gained(packages, dropped)[0]
 
     def hopes(self, terms: Sequence[Term]) -> Array:
-        """Return the same (m,) of effects of single joints, if they left nothing but white noise.
+        """Return the same (m,) of effects of joints with rows, if they left only white noise.
 
         What is missing makes residuals vary slowly, so that they count for few samples.
         """
         gains, falls = self._gained([(term,) for term in terms], None)
-        rows, joints = self._model.rows, self._model.model.joints
+        rows, joints = self._model.rows, self._model.dataset.joints
         samples = self.fit.weights * np.maximum(self.fit.variance, self._model.floor) * rows
         at = [joints.index(term.where[0]) for term in terms]
         share = np.minimum(falls / samples[at], _MOST_TAKEN)
