@@ -13,9 +13,11 @@ a sandbag at link 8; there is no V here to rule out any, as the truth is not amo
 
 from __future__ import annotations
 
+import argparse
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from functools import cache, partial
+from functools import cache
+from itertools import product
 from typing import Any
 
 import numpy as np
@@ -26,21 +28,8 @@ from pydrake.systems.framework import BasicVector, Context, DiagramBuilder, Leaf
 from pydrake.systems.primitives import Adder, MatrixGain
 from pydrake.trajectories import PiecewisePolynomial, Trajectory
 
-from diagrams.harness import chart, run_draws, script_parser, show, write
-from diagrams.studies.adaptive.laws import (
-    CALIBRATION_SEED,
-    EUCLIDEAN,
-    GRID,
-    LAWS,
-    NATURAL,
-    NONE,
-    PULLBACK,
-    add_gains,
-    make_law,
-    speeds,
-    tell_grid,
-)
-from diagrams.studies.adaptive.loop import LOG_PERIOD, Record, resting, simulate_loop
+from diagrams.harness import chart, show, write
+from diagrams.studies.adaptive import laws, loop
 from diagrams.studies.ambidex.arm import (
     COULOMB,
     MODEL,
@@ -240,7 +229,7 @@ class CoupledArm:
     def law(self, name: str, speed: float) -> PartialLaw | None:
         """Return a law of links and friction, by its name and γ⁻¹."""
         size = self.manifold.dimension
-        law = make_law(name, self.manifold, self.control.prior[:size], speed)
+        law = laws.make_law(name, self.manifold, self.control.prior[:size], speed)
         part: NDArray[np.bool_] = np.arange(len(self.control.prior)) < size
         return None if law is None else PartialLaw(law, part)
 
@@ -308,7 +297,7 @@ def point_to_point(count: int, seed: int) -> PiecewisePolynomial:
     ends = np.vstack([np.zeros(7), rng.uniform(-REACH, REACH, (count, 7))])
     s = np.linspace(0.0, 1.0, 31)
     share = 10 * s**3 - 15 * s**4 + 6 * s**5
-    return resting(
+    return loop.resting(
         ((s + k) * DURATION, (ends[k] + share[:, None] * (ends[k + 1] - ends[k])).T)
         for k in range(count)
     )
@@ -341,7 +330,7 @@ def simulate_coupled(
     *,
     seed: int,
     end: float | None = None,
-) -> Record:
+) -> loop.Record:
     """Simulates the arm with sandbags over a motion of its turns, to `end`, or until it is lost."""
     builder = DiagramBuilder()
     plant = builder.AddSystem(make_coupled_plant(bags))
@@ -353,8 +342,8 @@ def simulate_coupled(
     _add_friction(builder, plant, seed)
     ends = measured.get_output_port(), None, applied.get_input_port()
     ports = RobotPorts(controller.control.joints, *ends)
-    loop = add_adaptive_loop(builder, ports, controller, motion, log_period=LOG_PERIOD)
-    return simulate_loop(builder, loop, plant, motion, end, joints=joint_map())
+    added = add_adaptive_loop(builder, ports, controller, motion, log_period=loop.LOG_PERIOD)
+    return loop.simulate_loop(builder, added, plant, motion, end, joints=joint_map())
 
 
 def _add_friction(builder: DiagramBuilder, plant: MultibodyPlant, seed: int) -> None:
@@ -378,7 +367,6 @@ RATE = 3.0  # λ, 1/s, [Lee2019] §5.6
 MOTIONS = 14
 GRID_CASE, GRID_BAGS = "grid", (7,)
 LINKS = 100  # parameters of the links
-SHOWN = 5  # logged samples between those of the time series
 
 
 @dataclass(frozen=True)
@@ -400,7 +388,8 @@ def known_arm(seed: int) -> Known:
 
 def run_draw(draw: Draw, *, seed: int) -> dict[str, Any]:
     """Return a row of the table."""
-    seed, bags = (seed, BAGS[draw.case]) if draw.case in BAGS else (CALIBRATION_SEED, GRID_BAGS)
+    seed = seed if draw.case in BAGS else laws.CALIBRATION_SEED
+    bags = BAGS.get(draw.case, GRID_BAGS)
     arm = CoupledArm.of(known_arm(seed))
     controller = PassivityBasedAdaptiveController(
         arm.control, arm.law(draw.law, draw.speed), gains=VaryingGains(RATE)
@@ -410,51 +399,51 @@ def run_draw(draw: Draw, *, seed: int) -> dict[str, Any]:
     p = record.parameters
     physical = is_physical(p[:, :LINKS].reshape(len(p), -1, 10)).all(axis=1)
     physical &= (p[:, LINKS:] > 0).all(axis=1)
-    series = np.degrees(np.sqrt(np.mean(record.error[::SHOWN] ** 2, axis=1)))
     return {
         **record.told(draw, controller),
         "case": draw.case,
         "rounds": record.rounds(DURATION, draw.motions),
         "unphysical": float(1.0 - physical.mean()),
         "added": float((p[-1] - p[0])[:LINKS:10].sum()),
-        "series": series.round(4).tolist(),
+        "series": record.series,
     }
 
 
-def all_draws(kind: str, *, quick: bool) -> list[Draw]:
+def all_draws(options: argparse.Namespace) -> list[Draw]:
     """Return every case with every law."""
-    speed = {NONE: 1.0, **speeds("sandbags", kind)}
-    cases = ("link 10",) if quick else tuple(BAGS)
-    motions, end = (1, 1.0) if quick else (MOTIONS, None)
-    return [Draw(case, law, speed[law], motions, end) for case in cases for law in LAWS]
+    speed = laws.speeds("sandbags", options.gains)
+    cases = ("link 10",) if options.quick else tuple(BAGS)
+    some = (1, 1.0) if options.quick else (MOTIONS, None)
+    return [Draw(case, law, speed[law], *some) for case, law in product(cases, laws.LAWS)]
 
 
-def main() -> None:
-    """Run the study from the command line."""
-    parser = script_parser(__doc__, draws=True)
-    add_gains(parser, "source")
-    options = parser.parse_args()
-    task = partial(run_draw, seed=options.seed)
-    if options.choose_gains:
-        laws = (EUCLIDEAN, PULLBACK, NATURAL)
-        draws = [Draw(GRID_CASE, law, speed, 3) for law in laws for speed in GRID]
-        tell_grid(options, run_draws(parser, options, task, draws), "case")
-        return
-    rows = run_draws(parser, options, task, all_draws(options.gains, quick=options.quick))
+def grid_draws(options: argparse.Namespace) -> list[Draw]:
+    """Return the draws that speeds are chosen on."""
+    tried = product(laws.LAWS[1:], laws.GRID)
+    return [Draw(GRID_CASE, law, speed, 3) for law, speed in tried]
+
+
+def tell(options: argparse.Namespace, rows: list[Any]) -> None:
+    """Print and write what came out."""
     for row in rows:
         row["motor"] = REDUCTION * row["rms"]
         half = [x for x in row["rounds"][len(row["rounds"]) // 2 :] if x is not None]
         row["late"] = float(np.mean(half)) if half else None
     show(f"Tracking RMS in degrees, gains: {options.gains}", rows)
-    period = SHOWN * LOG_PERIOD
-    table = {"gains": options.gains, "period": period, "rows": rows}
-    times = [[period * k for k in range(len(row["series"]))] for row in rows]
-    drawn = [{**row, "time": own} for row, own in zip(rows, times, strict=True)]
+    table = {"gains": options.gains, "period": loop.SHOWN_PERIOD, "rows": rows}
     figures = {
         "ambidex_sandbags": lambda: chart(rows, "case", "rms", "law", note="RMS in degrees"),
-        "ambidex_sandbags_course": lambda: chart(drawn, "time", "series", "law", panel="case"),
+        "ambidex_sandbags_course": lambda: chart(
+            loop.timed(rows), "time", "series", "law", panel="case"
+        ),
     }
     write(options, table, **figures)
+
+
+def main() -> None:
+    """Run the study from the command line."""
+    how = {"group": "case", "gains": "source"}
+    laws.run_study(__doc__, run_draw, all_draws, grid_draws, tell, **how)
 
 
 if __name__ == "__main__":

@@ -12,35 +12,18 @@ velocity is exact, or has noise; the acceleration, where it is used, is exact in
 
 from __future__ import annotations
 
+import argparse
 import time
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import partial
+from itertools import product
 from statistics import fmean
 from typing import Any
 
-from diagrams.harness import chart, positive_number, run_draws, script_parser, show, write
+from diagrams.harness import chart, show, write
+from diagrams.studies.adaptive import laws, loop, wam
 from diagrams.studies.adaptive.faults import NoisyVelocities
-from diagrams.studies.adaptive.laws import (
-    CALIBRATION_SEED,
-    EUCLIDEAN,
-    GRID,
-    NATURAL,
-    NONE,
-    cells,
-    make_law,
-    speeds,
-    tell_grid,
-)
-from diagrams.studies.adaptive.loop import rounds, simulate
-from diagrams.studies.adaptive.wam import (
-    AMPLITUDE,
-    PERIOD,
-    RATE,
-    first_estimate,
-    load_wam,
-    make_plant,
-)
 from geodrake.control import (
     AdaptiveComputedTorqueController,
     PassivityBasedAdaptiveController,
@@ -51,7 +34,7 @@ from geodrake.control.systems import AdaptiveController
 
 PASSIVITY, ACCELERATION, FILTERED = "passivity", "acceleration", "filtered"
 CONTROLLERS = (PASSIVITY, ACCELERATION, FILTERED)
-LAWS = (NONE, EUCLIDEAN, NATURAL)
+LAWS = (laws.NONE, laws.EUCLIDEAN, laws.NATURAL)
 SIGMAS = (0.1, 0.2, 0.4)
 NOISE = 0.02  # rad/s
 PREDICTION = PredictionError(1.0, alone=True)
@@ -68,39 +51,39 @@ class Draw:
     number: int
     noise: float = 0.0
     grid: bool = False
-    end: float = PERIOD
+    end: float = wam.PERIOD
 
 
 def make_controller(draw: Draw, seed: int) -> AdaptiveController:
     """Return the controller of a draw."""
-    wam = load_wam()
-    start = first_estimate(draw.sigma, seed, draw.number)
-    law = make_law(draw.law, wam.manifold, start, draw.speed)
+    arm = wam.load_wam()
+    start = wam.first_estimate(draw.sigma, seed, draw.number)
+    law = laws.make_law(draw.law, arm.manifold, start, draw.speed)
     if draw.controller == PASSIVITY:
         return PassivityBasedAdaptiveController(
-            wam.control, law, gains=VaryingGains(RATE), parameters=start, truth=wam.truth
+            arm.control, law, gains=VaryingGains(wam.RATE), parameters=start, truth=arm.truth
         )
     return AdaptiveComputedTorqueController(
-        wam.control,
+        arm.control,
         law,
-        rate=RATE,
+        rate=wam.RATE,
         prediction=PREDICTION if draw.controller == FILTERED else None,
         parameters=start,
-        truth=wam.truth,
+        truth=arm.truth,
     )
 
 
 def run_draw(draw: Draw, *, seed: int) -> dict[str, Any]:
     """Return a row of the table."""
-    wam = load_wam()
-    seed = CALIBRATION_SEED if draw.grid else seed
-    controller, size = make_controller(draw, seed), len(wam.control.joints)
+    arm = wam.load_wam()
+    seed = laws.CALIBRATION_SEED if draw.grid else seed
+    controller, size = make_controller(draw, seed), len(arm.control.joints)
     sensor = None
     if draw.noise:
-        sensor = NoisyVelocities(size, draw.noise, duration=PERIOD, seed=seed + draw.number)
-    motion = rounds((AMPLITUDE,), PERIOD, size)
+        sensor = NoisyVelocities(size, draw.noise, duration=wam.PERIOD, seed=seed + draw.number)
+    motion = loop.rounds((wam.AMPLITUDE,), wam.PERIOD, size)
     begin = time.process_time()
-    record = simulate(controller, make_plant(), motion, end=draw.end, sensor=sensor)
+    record = loop.simulate(controller, wam.make_plant(), motion, end=draw.end, sensor=sensor)
     return {
         **record.told(draw, controller),
         "controller": draw.controller,
@@ -108,7 +91,7 @@ def run_draw(draw: Draw, *, seed: int) -> dict[str, Any]:
         "draw": draw.number,
         "noise": draw.noise,
         "late": record.rms(0.5 * draw.end),
-        "unphysical": float(wam.unphysical(record.parameters).mean()),
+        "unphysical": float(arm.unphysical(record.parameters).mean()),
         "seconds": (time.process_time() - begin) / max(record.time[-1], 1e-3),
     }
 
@@ -116,33 +99,25 @@ def run_draw(draw: Draw, *, seed: int) -> dict[str, Any]:
 def speed_of(controller: str, law: str) -> float:
     """Return γ⁻¹ as chosen."""
     study = "wam" if controller == PASSIVITY else f"controller_{controller}"
-    return 1.0 if law == NONE else speeds(study, "rule")[law]
+    return laws.speeds(study, "rule")[law]
 
 
-def all_draws(draws: int, *, quick: bool) -> list[Draw]:
+def all_draws(options: argparse.Namespace) -> list[Draw]:
     """Return every controller with every law."""
-    sigmas, end = ((0.4,), 0.2) if quick else (SIGMAS, PERIOD)
+    sigmas, end = ((0.4,), 0.2) if options.quick else (SIGMAS, wam.PERIOD)
+    found = product((0.0, NOISE), sigmas, range(options.draws), CONTROLLERS, LAWS)
     return [
         Draw(controller, law, speed_of(controller, law), sigma, k, noise, end=end)
-        for noise in (0.0, NOISE)
-        for sigma in sigmas
-        for k in range(draws)
-        for controller in CONTROLLERS
-        for law in LAWS
+        for noise, sigma, k, controller, law in found
         # Without adaptation there is one computed torque.
-        if (controller, law) != (FILTERED, NONE)
+        if (controller, law) != (FILTERED, laws.NONE)
     ]
 
 
-def grid_draws(count: int) -> list[Draw]:
+def grid_draws(options: argparse.Namespace) -> list[Draw]:
     """Return the draws that speeds are chosen on."""
-    return [
-        Draw(controller, law, speed, SIGMAS[-1], k, grid=True)
-        for controller in (ACCELERATION, FILTERED)
-        for law in (EUCLIDEAN, NATURAL)
-        for speed in GRID
-        for k in range(count)
-    ]
+    tried = product(CONTROLLERS[1:], LAWS[1:], laws.GRID, range(options.draws))
+    return [Draw(kind, law, speed, SIGMAS[-1], k, grid=True) for kind, law, speed, k in tried]
 
 
 def summarize(rows: Sequence[Any]) -> list[dict[str, Any]]:
@@ -153,26 +128,12 @@ def summarize(rows: Sequence[Any]) -> list[dict[str, Any]]:
             "late": fmean(r["late"] for r in kept) if kept else None,
             "seconds": fmean(r["seconds"] for r in found),
         }
-        for line, found, kept in cells(rows, ("noise", "sigma", "controller", "law"))
+        for line, found, kept in laws.cells(rows, ("noise", "sigma", "controller", "law"))
     ]
 
 
-def main() -> None:
-    """Run the study from the command line."""
-    parser = script_parser(__doc__, draws=True)
-    parser.add_argument("--choose-gains", action="store_true", help="choose adaptation speeds")
-    parser.add_argument(
-        "--draws",
-        type=positive_number,
-        help="number of first estimates (2; 1 with --quick)",
-    )
-    options = parser.parse_args()
-    draws = options.draws or (1 if options.quick else 2)
-    task = partial(run_draw, seed=options.seed)
-    if options.choose_gains:
-        tell_grid(options, run_draws(parser, options, task, grid_draws(draws)), "controller")
-        return
-    rows = run_draws(parser, options, task, all_draws(draws, quick=options.quick))
+def tell(options: argparse.Namespace, rows: list[Any]) -> None:
+    """Print and write what came out."""
     summary = summarize(rows)
     show("Tracking RMS in degrees; CPU seconds a simulated second", summary)
     table = {"summary": summary, "rows": rows}
@@ -181,6 +142,12 @@ def main() -> None:
     note = f"RMS in degrees at σ = {sigma:g}; noise of the velocity in rad/s"
     draw = partial(chart, worst, "controller", "rms", "law", panel="noise", note=note)
     write(options, table, computed_torque_or_passivity=draw)
+
+
+def main() -> None:
+    """Run the study from the command line."""
+    how = {"group": "controller", "estimates": True}
+    laws.run_study(__doc__, run_draw, all_draws, grid_draws, tell, **how)
 
 
 if __name__ == "__main__":

@@ -18,45 +18,23 @@ source's (`--gains source`). There is no friction, and no limit of joints and ef
 
 from __future__ import annotations
 
+import argparse
 from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import partial
+from itertools import product
 from typing import Any
 
 import numpy as np
 from matplotlib.figure import Figure
 
-from diagrams.harness import chart, positive_number, run_draws, script_parser, show, write
-from diagrams.studies.adaptive.laws import (
-    CALIBRATION_SEED,
-    EUCLIDEAN,
-    GRID,
-    LAWS,
-    NATURAL,
-    NATURAL_EULER,
-    NONE,
-    PULLBACK,
-    add_gains,
-    cells,
-    make_law,
-    speeds,
-    tell_grid,
-)
-from diagrams.studies.adaptive.loop import rounds, simulate
-from diagrams.studies.adaptive.wam import (
-    AMPLITUDE,
-    PERIOD,
-    RATE,
-    first_estimate,
-    load_wam,
-    make_plant,
-)
+from diagrams.harness import chart, show, write
+from diagrams.studies.adaptive import laws, loop, wam
 from geodrake.control import PassivityBasedAdaptiveController, VaryingGains
 
 SIGMAS = tuple(round(0.05 * k, 2) for k in range(1, 9))
 AMPLITUDES = (0.4, 0.6, 0.8, 1.0, 1.2)  # rad
 STEPS = (1e-4, 1e-3, 1e-2)  # s
-STEPPED = (EUCLIDEAN, PULLBACK, NATURAL, NATURAL_EULER)
+STEPPED = (laws.EUCLIDEAN, laws.PULLBACK, laws.NATURAL, laws.NATURAL_EULER)
 NOISE, ROUNDS, STEP, TOO_FAST, GRID_PART = "noise", "rounds", "steps", "too_fast", "grid"
 
 
@@ -70,27 +48,27 @@ class Draw:
     sigma: float
     number: int
     step: float = 1e-3
-    amplitudes: tuple[float, ...] = (AMPLITUDE, AMPLITUDE)  # of the rounds, rad
-    period: float = PERIOD
+    amplitudes: tuple[float, ...] = (wam.AMPLITUDE, wam.AMPLITUDE)  # of the rounds, rad
+    period: float = wam.PERIOD
     end: float | None = None  # when to stop, s; None for the end of the last round
 
 
 def run_draw(draw: Draw, *, seed: int) -> dict[str, Any]:
     """Return a row of the table."""
-    wam = load_wam()
-    seed = CALIBRATION_SEED if draw.part == GRID_PART else seed
-    start = first_estimate(draw.sigma, seed, draw.number)
+    arm = wam.load_wam()
+    seed = laws.CALIBRATION_SEED if draw.part == GRID_PART else seed
+    start = wam.first_estimate(draw.sigma, seed, draw.number)
     controller = PassivityBasedAdaptiveController(
-        wam.control,
-        make_law(draw.law, wam.manifold, start, draw.speed),
-        gains=VaryingGains(RATE),
+        arm.control,
+        laws.make_law(draw.law, arm.manifold, start, draw.speed),
+        gains=VaryingGains(wam.RATE),
         time_step=draw.step,
         parameters=start,
         # V is not defined where Euler steps may take the natural law's estimate.
-        truth=None if draw.law == NATURAL_EULER else wam.truth,
+        truth=None if draw.law == laws.NATURAL_EULER else arm.truth,
     )
-    motion = rounds(draw.amplitudes, draw.period, len(wam.control.joints))
-    record = simulate(controller, make_plant(), motion, end=draw.end)
+    motion = loop.rounds(draw.amplitudes, draw.period, len(arm.control.joints))
+    record = loop.simulate(controller, wam.make_plant(), motion, end=draw.end)
     return {
         **record.told(draw, controller),
         "part": draw.part,
@@ -98,67 +76,62 @@ def run_draw(draw: Draw, *, seed: int) -> dict[str, Any]:
         "draw": draw.number,
         "step": draw.step,
         "rounds": record.rounds(draw.period, len(draw.amplitudes)),
-        "unphysical": float(wam.unphysical(record.parameters).mean()),
+        "unphysical": float(arm.unphysical(record.parameters).mean()),
     }
 
 
-def all_draws(kind: str, draws: int) -> list[Draw]:
-    """Return the draws of the three parts."""
-    speed = {NONE: 1.0, **speeds("wam", kind)}
-    few = range(max(draws // 2, 1))
+def all_draws(options: argparse.Namespace) -> list[Draw]:
+    """Return the draws of the three parts, or some short ones."""
+    if options.quick:
+        return quick_draws(options)
+    speed, worst = laws.speeds("wam", options.gains), SIGMAS[-1]
+    slow, few = laws.speeds("wam_100_hz", options.gains), range(max(options.draws // 2, 1))
     found = [
         Draw(NOISE, law, speed[law], sigma, k)
-        for sigma in SIGMAS
-        for k in range(draws)
-        for law in LAWS
+        for sigma, k, law in product(SIGMAS, range(options.draws), laws.LAWS)
     ]
     found += [
-        Draw(ROUNDS, law, speed[law], SIGMAS[-1], k, amplitudes=AMPLITUDES)
-        for k in few
-        for law in LAWS
+        Draw(ROUNDS, law, speed[law], worst, k, amplitudes=AMPLITUDES)
+        for k, law in product(few, laws.LAWS)
     ]
-    slow = speeds("wam_100_hz", kind)
-    for k in few:
-        for law in STEPPED:
-            found += [Draw(STEP, law, slow[law], SIGMAS[-1], k, h, (AMPLITUDE,)) for h in STEPS]
-            found.append(Draw(TOO_FAST, law, speed[law], SIGMAS[-1], k, STEPS[-1], (AMPLITUDE,)))
+    for k, law in product(few, STEPPED):
+        found += [Draw(STEP, law, slow[law], worst, k, h, (wam.AMPLITUDE,)) for h in STEPS]
+        found.append(Draw(TOO_FAST, law, speed[law], worst, k, STEPS[-1], (wam.AMPLITUDE,)))
     return found
 
 
-def quick_draws(kind: str, draws: int) -> list[Draw]:
+def quick_draws(options: argparse.Namespace) -> list[Draw]:
     """Return some short ones of all parts.
 
     Two seconds are enough for the geometric laws to be ahead. Rounds of two seconds are no faster
     than the chosen speeds bear: at 0.8 s the natural law's loop was lost.
     """
-    speed, slow = {NONE: 1.0, **speeds("wam", kind)}, speeds("wam_100_hz", kind)
+    speed, slow = (laws.speeds(name, options.gains) for name in ("wam", "wam_100_hz"))
     found = []
-    for k in range(draws):
-        for law in LAWS:
+    for k in range(options.draws):
+        for law in laws.LAWS:
             found += [
-                Draw(NOISE, law, speed[law], SIGMAS[-1], k, amplitudes=(AMPLITUDE,), end=2.0),
+                Draw(NOISE, law, speed[law], SIGMAS[-1], k, amplitudes=(wam.AMPLITUDE,), end=2.0),
                 Draw(ROUNDS, law, speed[law], SIGMAS[-1], k, 1e-3, AMPLITUDES[:2], 2.0, 2.4),
             ]
-        slowly = {"step": 1e-2, "amplitudes": (AMPLITUDE,), "end": 1.5}
+        slowly = {"step": 1e-2, "amplitudes": (wam.AMPLITUDE,), "end": 1.5}
         found += [Draw(STEP, law, slow[law], 0.4, k, **slowly) for law in STEPPED]
     return found
 
 
-def grid_draws(draws: int) -> list[Draw]:
+def grid_draws(options: argparse.Namespace) -> list[Draw]:
     """Return the draws that speeds are chosen on."""
+    tried = product((1e-3, 1e-2), laws.LAWS[1:], laws.GRID, range(options.draws))
     return [
-        Draw(GRID_PART, law, speed, SIGMAS[-1], k, step, (AMPLITUDE,))
-        for step in (1e-3, 1e-2)
-        for law in (EUCLIDEAN, PULLBACK, NATURAL)
-        for speed in GRID
-        for k in range(draws)
+        Draw(GRID_PART, law, speed, SIGMAS[-1], k, step, (wam.AMPLITUDE,))
+        for step, law, speed, k in tried
     ]
 
 
 def summarize(rows: Sequence[Any]) -> list[dict[str, Any]]:
     """Return means and deviations over draws, one line a part, σ, time step and law."""
     lines = []
-    for line, _, kept in cells(rows, ("part", "sigma", "step", "law")):
+    for line, _, kept in laws.cells(rows, ("part", "sigma", "step", "law")):
         rounds = np.mean([r["rounds"] for r in kept], axis=0).tolist() if kept else None
         lines.append({**line, "rounds": rounds, "last_round": rounds and rounds[-1]})
     return lines
@@ -176,27 +149,18 @@ def figures_of(summary: Sequence[dict[str, Any]]) -> dict[str, Figure]:
     }
 
 
-def main() -> None:
-    """Run the study from the command line."""
-    parser = script_parser(__doc__, draws=True)
-    add_gains(parser)
-    parser.add_argument(
-        "--draws",
-        type=positive_number,
-        help="number of first estimates (2; 1 with --quick)",
-    )
-    options = parser.parse_args()
-    draws = options.draws or (1 if options.quick else 2)
-    task = partial(run_draw, seed=options.seed)
-    if options.choose_gains:
-        tell_grid(options, run_draws(parser, options, task, grid_draws(draws)), "step")
-        return
-    wanted = (quick_draws if options.quick else all_draws)(options.gains, draws)
-    rows = run_draws(parser, options, task, wanted)
+def tell(options: argparse.Namespace, rows: list[Any]) -> None:
+    """Print and write what came out."""
     summary = summarize(rows)
     show(f"Tracking RMS in degrees, gains: {options.gains}", summary)
     table = {"gains": options.gains, "summary": summary, "rows": rows}
     write(options, table, wam=lambda: figures_of(summary))
+
+
+def main() -> None:
+    """Run the study from the command line."""
+    how = {"group": "step", "gains": "rule", "estimates": True}
+    laws.run_study(__doc__, run_draw, all_draws, grid_draws, tell, **how)
 
 
 if __name__ == "__main__":

@@ -11,41 +11,17 @@ source's, or with `--gains rule` chosen by one rule for all laws, on other loads
 
 from __future__ import annotations
 
+import argparse
 from dataclasses import dataclass
-from functools import partial
+from itertools import product
 from typing import Any
 
-import numpy as np
-
-from diagrams.harness import chart, run_draws, script_parser, show, write
-from diagrams.studies.adaptive.laws import (
-    CALIBRATION_SEED,
-    EUCLIDEAN,
-    GRID,
-    LAWS,
-    NATURAL,
-    NONE,
-    PULLBACK,
-    add_gains,
-    speeds,
-    tell_grid,
-)
-from diagrams.studies.adaptive.loop import LOG_PERIOD, rounds, simulate
-from diagrams.studies.adaptive.wam import (
-    AMPLITUDE,
-    GUESS,
-    LOADS,
-    PERIOD,
-    RATE,
-    load_loaded,
-    make_plant,
-    some_load,
-)
+from diagrams.harness import chart, show, write
+from diagrams.studies.adaptive import laws, loop, wam
 from geodrake.control import PassivityBasedAdaptiveController, VaryingGains
 from geodrake.inertia import is_physical, riemannian_distance
 
 ROUNDS = 5
-SHOWN = 5  # logged samples between those of the time series
 
 
 @dataclass(frozen=True)
@@ -61,73 +37,64 @@ class Draw:
 
 def run_draw(draw: Draw, *, seed: int) -> dict[str, Any]:
     """Return a row of the table; nothing is random but the loads of the choice of speeds."""
-    arm = load_loaded()
-    numbered = draw.load.isdigit()
-    load = some_load(CALIBRATION_SEED, int(draw.load)) if numbered else LOADS[draw.load]
+    arm = wam.load_loaded()
+    load = wam.LOADS.get(draw.load)
+    part = "loads" if load is not None else "grid"
+    load = wam.some_load(laws.CALIBRATION_SEED, int(draw.load)) if load is None else load
     controller = PassivityBasedAdaptiveController(
         arm.control,
         arm.law(draw.law, draw.speed),
-        gains=VaryingGains(RATE),
-        parameters=arm.parameters(GUESS),
+        gains=VaryingGains(wam.RATE),
+        parameters=arm.parameters(wam.GUESS),
         truth=arm.parameters(load),
     )
-    motion = rounds((AMPLITUDE,) * draw.rounds, PERIOD, len(arm.control.joints))
-    record = simulate(controller, make_plant(load), motion, end=draw.end)
+    motion = loop.rounds((wam.AMPLITUDE,) * draw.rounds, wam.PERIOD, len(arm.control.joints))
+    record = loop.simulate(controller, wam.make_plant(load), motion, end=draw.end)
     estimate = record.parameters[:, -len(load) :]
     physical = is_physical(estimate)
-    distance = riemannian_distance(estimate[-1], load) if physical[-1] else None
-    series = np.degrees(np.sqrt(np.mean(record.error**2, axis=1)))[::SHOWN]
+    distance = float(riemannian_distance(estimate[-1], load)) if physical[-1] else None
     return {
         **record.told(draw, controller),
-        "part": "grid" if numbered else "loads",
+        "part": part,
         "load": draw.load,
-        "rounds": record.rounds(PERIOD, draw.rounds),
+        "rounds": record.rounds(wam.PERIOD, draw.rounds),
         "unphysical": float(1.0 - physical.mean()),
         "mass": float(estimate[-1, 0]),
-        "distance": None if distance is None else float(distance),
-        "series": [] if numbered else [round(float(x), 5) for x in series],
+        "distance": distance,
+        "series": record.series,
     }
 
 
-def all_draws(kind: str, *, quick: bool) -> list[Draw]:
+def all_draws(options: argparse.Namespace) -> list[Draw]:
     """Return every load with every law."""
-    speed = {NONE: 1.0, **speeds("payload", kind)}
-    some = {"rounds": 1, "end": 1.2} if quick else {}
-    loads = ("ellipsoid 2",) if quick else tuple(LOADS)
-    return [Draw(load, law, speed[law], **some) for load in loads for law in LAWS]
+    speed = laws.speeds("payload", options.gains)
+    some = {"rounds": 1, "end": 1.2} if options.quick else {}
+    loads = ("ellipsoid 2",) if options.quick else tuple(wam.LOADS)
+    return [Draw(load, law, speed[law], **some) for load, law in product(loads, laws.LAWS)]
 
 
-def grid_draws(count: int) -> list[Draw]:
+def grid_draws(options: argparse.Namespace) -> list[Draw]:
     """Return the draws that speeds are chosen on."""
-    return [
-        Draw(str(k), law, speed, 1)
-        for law in (EUCLIDEAN, PULLBACK, NATURAL)
-        for speed in GRID
-        for k in range(count)
-    ]
+    tried = product(laws.LAWS[1:], laws.GRID, range(4))
+    return [Draw(str(k), law, speed, 1) for law, speed, k in tried]
+
+
+def tell(options: argparse.Namespace, rows: list[Any]) -> None:
+    """Print and write what came out."""
+    lines = [{**r, "first": r["rounds"][0], "last": r["rounds"][-1]} for r in rows]
+    show(f"Tracking RMS in degrees, gains: {options.gains}", lines)
+    table = {"gains": options.gains, "period": loop.SHOWN_PERIOD, "rows": rows}
+    figures = {
+        "wam_payload_rounds": lambda: chart(rows, "", "rounds", "law", panel="load"),
+        "wam_payload": lambda: chart(loop.timed(rows), "time", "series", "law", panel="load"),
+    }
+    write(options, table, **figures)
 
 
 def main() -> None:
     """Run the study from the command line."""
-    parser = script_parser(__doc__, draws=True)
-    add_gains(parser, "source")
-    options = parser.parse_args()
-    task = partial(run_draw, seed=options.seed)
-    if options.choose_gains:
-        tell_grid(options, run_draws(parser, options, task, grid_draws(4)), "part")
-        return
-    rows = run_draws(parser, options, task, all_draws(options.gains, quick=options.quick))
-    lines = [{**r, "first": r["rounds"][0], "last": r["rounds"][-1]} for r in rows]
-    show(f"Tracking RMS in degrees, gains: {options.gains}", lines)
-    period = SHOWN * LOG_PERIOD
-    table = {"gains": options.gains, "period": period, "rows": rows}
-    times = [[period * k for k in range(len(row["series"]))] for row in rows]
-    drawn = [{**row, "time": own} for row, own in zip(rows, times, strict=True)]
-    figures = {
-        "wam_payload_rounds": lambda: chart(rows, "", "rounds", "law", panel="load"),
-        "wam_payload": lambda: chart(drawn, "time", "series", "law", panel="load"),
-    }
-    write(options, table, **figures)
+    how = {"group": "part", "gains": "source"}
+    laws.run_study(__doc__, run_draw, all_draws, grid_draws, tell, **how)
 
 
 if __name__ == "__main__":

@@ -108,7 +108,7 @@ class TestRule:
 @pytest.fixture(scope="module", params=[0.1, pytest.param(0.4, marks=pytest.mark.thorough)])
 def adapted(request):
     """Rows of all laws by name, over σ."""
-    speed = {laws.NONE: 1.0, **laws.speeds("wam", "rule")}
+    speed = laws.speeds("wam", "rule")
     draws = [
         full.Draw(full.NOISE, law, speed[law], request.param, 0, amplitudes=(0.8,), end=1.3)
         for law in laws.LAWS

@@ -9,14 +9,15 @@ possible without accruing large numerical integration errors" ([Lee2019] §5.5).
 from __future__ import annotations
 
 import argparse
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
+from functools import partial
 from statistics import fmean, pstdev
 from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from diagrams.harness import show, write
+from diagrams.harness import positive_number, run_draws, script_parser, show, write
 from geodrake.control import euclidean_adaptation, natural_adaptation, pullback_adaptation
 from geodrake.control.adaptation import UpdateLaw
 from geodrake.manifolds import Manifold
@@ -26,7 +27,7 @@ Array = NDArray[np.float64]
 NONE, EUCLIDEAN, PULLBACK, NATURAL = "none", "euclidean", "pullback", "natural"
 NATURAL_EULER = "natural_euler"
 LAWS = (NONE, EUCLIDEAN, PULLBACK, NATURAL)
-SOURCE_SPEEDS = {EUCLIDEAN: 5e-5, PULLBACK: 1.0, NATURAL: 1.0, NATURAL_EULER: 1.0}
+SOURCE_SPEEDS = {EUCLIDEAN: 5e-5, PULLBACK: 1.0, NATURAL: 1.0}
 """γ⁻¹ of [Lee2019] §5.5."""
 
 
@@ -62,10 +63,8 @@ CHOSEN = {
 
 def speeds(study: str, kind: str) -> dict[str, float]:
     """Return γ⁻¹ of every law: of the source, or as chosen by the rule."""
-    if kind == "source":
-        return dict(SOURCE_SPEEDS)
-    chosen = CHOSEN[study]
-    return {**chosen, NATURAL_EULER: chosen[NATURAL]}
+    found = SOURCE_SPEEDS if kind == "source" else CHOSEN[study]
+    return {NONE: 1.0, **found, NATURAL_EULER: found[NATURAL]}
 
 
 def cells(
@@ -105,21 +104,42 @@ def grid_lines(rows: Sequence[Any], group: str) -> list[dict[str, Any]]:
     return lines
 
 
-def tell_grid(options: argparse.Namespace, rows: Sequence[Any], group: str) -> None:
-    """Print and write what is chosen on a grid."""
-    lines = grid_lines(rows, group)
-    show("RMS in degrees", lines)
-    write(options, {"grid": lines})
+def run_study(
+    doc: str,
+    task: Callable[..., dict[str, Any]],
+    wanted: Callable[[argparse.Namespace], Sequence[Any]],
+    grid: Callable[[argparse.Namespace], Sequence[Any]],
+    tell: Callable[[argparse.Namespace, list[Any]], None],
+    *,
+    group: str,
+    gains: str = "",
+    estimates: bool = False,
+) -> None:
+    """Run draws from the command line and tell of them, or choose speeds on those of a grid.
 
-
-def add_gains(parser: argparse.ArgumentParser, default: str = "rule") -> None:
-    """Options of how fast laws are."""
-    parser.add_argument(
-        "--gains",
-        choices=("rule", "source"),
-        default=default,
-        help="adaptation speeds: by one rule for all laws, or of [Lee2019] §5.5 (%(default)s)",
-    )
-    parser.add_argument(
-        "--choose-gains", action="store_true", help="apply that rule, and say what it chooses"
-    )
+    Args:
+        task: Makes a row of a draw and a seed.
+        group: Column beside the law within which a speed is chosen.
+        gains: Whose speeds there are by default, "rule" or "source"; "" for those of the rule only.
+        estimates: Whether draws differ by first estimates, of which there may be several.
+    """
+    parser = script_parser(doc, draws=True)
+    rule = "apply the rule by which speeds are chosen, and say what it chooses"
+    parser.add_argument("--choose-gains", action="store_true", help=rule)
+    if gains:
+        which = "adaptation speeds: by one rule for all laws, or of [Lee2019] §5.5 (%(default)s)"
+        parser.add_argument("--gains", choices=("rule", "source"), default=gains, help=which)
+    if estimates:
+        count = "number of first estimates (2; 1 with --quick)"
+        parser.add_argument("--draws", type=positive_number, help=count)
+    options = parser.parse_args()
+    if estimates:
+        options.draws = options.draws or (1 if options.quick else 2)
+    draws = (grid if options.choose_gains else wanted)(options)
+    rows = run_draws(parser, options, partial(task, seed=options.seed), draws)
+    if options.choose_gains:
+        lines = grid_lines(rows, group)
+        show("RMS in degrees", lines)
+        write(options, {"grid": lines})
+    else:
+        tell(options, rows)

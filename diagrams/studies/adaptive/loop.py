@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -19,12 +19,21 @@ from geodrake.control.systems import AdaptiveController
 Array = NDArray[np.float64]
 
 LOG_PERIOD = 1e-2  # s
+_SHOWN = 5  # logged samples between those of time series
+SHOWN_PERIOD = _SHOWN * LOG_PERIOD  # s
 SIMULATION = SimulatorConfig(
     integration_scheme="runge_kutta3",
     max_step_size=1e-3,  # s; 1e-4 s gives the same four digits
     use_error_control=False,
 )
 LOST = 10.0  # rad, error of a joint at which a loop counts as unstable
+
+
+def timed(rows: Iterable[Mapping[str, Any]]) -> list[dict[str, Any]]:
+    """Return rows with the times of their series, s."""
+    return [
+        {**row, "time": [SHOWN_PERIOD * k for k, _ in enumerate(row["series"])]} for row in rows
+    ]
 
 
 @dataclass(frozen=True, eq=False)
@@ -47,6 +56,12 @@ class Record:
         rise = None if controller.law is None else self.rise
         own = {"law": draw.law, "speed": draw.speed, "rms": self.rms()}
         return {**own, "rise": rise, "lost": self.lost}
+
+    @property
+    def series(self) -> list[float]:
+        """RMS errors of all joints every `SHOWN_PERIOD`, degrees."""
+        error = self.error[::_SHOWN]
+        return np.degrees(np.sqrt(np.mean(error**2, axis=1))).round(5).tolist()
 
     def rounds(self, period: float, count: int) -> list[float | None]:
         """RMS errors of rounds, degrees; None of those that an unstable loop did not finish."""
