@@ -78,7 +78,9 @@ def limits_of(
                 f"--limits has {text!r}; there is no limit of {quantity}s that it is a share of.",
                 advice=f"Write it as a number, such as {quantity}=8.",
             )
-        joints = _joints_by(quantity, model) if quantity in SIGNAL_KINDS else model.joints
+        joints = model.joints
+        if quantity in SIGNAL_KINDS:
+            joints = tuple(each.joint for each in model.effort_signals if each.kind == quantity)
         if not joints or (joint and joint not in joints):
             raise ArgumentError(
                 f"--limits has a {quantity}{f' of {joint}' * bool(joint)}, and the model knows no "
@@ -99,11 +101,6 @@ def limits_of(
     # After the shares, which are of the model's limits: the lesser counts.
     most = signal_limits(model, {joint: _number(value, "--limits") for joint, value in signals})
     return replace(limits, effort=np.minimum(limits.effort, most)).scaled(scale)
-
-
-def _joints_by(kind: str, model: RobotModel) -> list[str]:
-    """Return the joints whose efforts are known by a current, voltage or duty cycle."""
-    return [each.joint for each in model.effort_signals if each.kind == kind]
 
 
 def _share(text: str) -> float:

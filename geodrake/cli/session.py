@@ -260,7 +260,9 @@ def check_outputs(outputs: Mapping[str, Output], inputs: Iterable[Path]) -> None
             raise _refusal(name, STDOUT, reason, "Name a file.")
     taken = {_place(path): "is an input of this command" for path in inputs}
     for name, path in files_of(outputs).items():
-        _check_kind(name, path, outputs[name].suffixes)
+        if path.suffix.lower() not in (suffixes := outputs[name].suffixes):
+            reason = f"does not end in {' or '.join(suffixes)}"
+            raise _refusal(name, path, reason, f"Name it {path.stem or name}{suffixes[0]}.")
         if _place(path) in taken:
             raise _refusal(name, path, taken[_place(path)], "Choose another name.")
         taken[_place(path)] = f"is already the target of --{name}"
@@ -272,12 +274,6 @@ def check_outputs(outputs: Mapping[str, Output], inputs: Iterable[Path]) -> None
 def _place(path: Path) -> str:
     """Return where a path leads, also one whose links lead nowhere."""
     return os.path.realpath(path)
-
-
-def _check_kind(name: str, path: Path, suffixes: tuple[str, ...]) -> None:
-    if path.suffix.lower() not in suffixes:
-        reason = f"does not end in {' or '.join(suffixes)}"
-        raise _refusal(name, path, reason, f"Name it {path.stem or name}{suffixes[0]}.")
 
 
 def _obstacle(path: Path) -> tuple[str, str]:
@@ -320,9 +316,10 @@ def _read(
         paths, found, unread = _readable(given, known, reading)
         model = model_of_logs(model, found, hold_resting=_holds_resting(options))
         model = replace(model, notes=(*unread, *model.notes)) if unread else model
-        payloads = getattr(options, "known_payload", None) or ()
         command.check(model)
-        carrying = with_known_payloads(paths, found, payloads, model)
+        carried = known_payloads(paths, getattr(options, "known_payload", None) or (), model)
+        named = zip(paths, found, strict=True)
+        carrying = [replace(o, payloads=carried[p]) if p in carried else o for p, o in named]
         logs = with_facts(carrying, getattr(options, "log_facts", {}), reading)
     else:
         command.check(model)
@@ -439,26 +436,15 @@ def unchecked_words(model: RobotModel) -> list[str]:
     ]
 
 
-def with_known_payloads(
-    files: Sequence[Path], logs: Sequence[JointLog], given: Sequence[str], model: RobotModel
-) -> tuple[JointLog, ...]:
-    """Return the logs with their known payloads.
+def known_payloads(
+    files: Sequence[Path], given: Sequence[str], model: RobotModel
+) -> dict[Path, tuple[KnownPayload, ...]]:
+    """Log -> its known payloads, of logs that have some.
 
     Args:
         given: `LOG:BODY:MASS[:X,Y,Z]`: path or name of a log, link of the robot, kg, and the centre
             of mass in the link's frame, m.
     """
-    carried = known_payloads(files, given, model)
-    return tuple(
-        replace(log, payloads=carried[file]) if file in carried else log
-        for file, log in zip(files, logs, strict=True)
-    )
-
-
-def known_payloads(
-    files: Sequence[Path], given: Sequence[str], model: RobotModel
-) -> dict[Path, tuple[KnownPayload, ...]]:
-    """Log -> its known payloads, of logs that have some."""
     carried: dict[Path, list[KnownPayload]] = defaultdict(list)
     for text in given:
         log, payload = _parsed(text, files)

@@ -209,11 +209,16 @@ def diagnosis_page(diagnosis: Diagnosis, about: About) -> Page:
         (candidate_bars(diagnosis),) if diagnosis.candidates else (),
         (candidates_table(diagnosis, units),),
     )
+    headline = words.NOTHING.get(diagnosis.verdict, "")
+    if diagnosis.candidates:
+        first = diagnosis.candidates[0]
+        where = words.places_label(first.where, units.joints, most=words.MOST_NAMED)
+        headline = f"Missing: {words.effect_label(first.effect)} ({where})."
     with_it = [] if best is None else [Tile("with the effect", number(best), "nrms, held-out data")]
     return Page(
         about,
         diagnosis.verdict if best is None else "effect found",
-        words.diagnosis_headline(diagnosis, units),
+        headline,
         (
             ranking,
             settling_section(diagnosis, about),

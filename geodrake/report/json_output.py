@@ -17,6 +17,9 @@ if TYPE_CHECKING:
     from geodrake.diagnosis.columns import ColumnFinding
 
 
+_TOKENS = str.maketrans({"~": "~0", "/": "~1"})  # of keys in a JSON pointer (RFC 6901)
+
+
 @dataclass(frozen=True)
 class NoNumber:
     """What stands for a number that there is not: null in JSON, with the reason."""
@@ -72,14 +75,12 @@ def _plain(value: Any, place: str, nulls: dict[str, str]) -> Any:
     if is_dataclass(value):
         value = {field.name: getattr(value, field.name) for field in fields(value)}
     if isinstance(value, Mapping):
-        return {str(k): _plain(v, f"{place}/{_token(k)}", nulls) for k, v in value.items()}
+        return {
+            str(k): _plain(v, f"{place}/{str(k).translate(_TOKENS)}", nulls)
+            for k, v in value.items()
+        }
     if hasattr(value, "tolist"):  # numpy arrays and scalars
         return _plain(value.tolist(), place, nulls)
     if isinstance(value, Iterable) and not isinstance(value, str):
         return [_plain(item, f"{place}/{k}", nulls) for k, item in enumerate(value)]
     return value
-
-
-def _token(key: object) -> str:
-    """Return a key in a JSON pointer (RFC 6901)."""
-    return str(key).replace("~", "~0").replace("/", "~1")

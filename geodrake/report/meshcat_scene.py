@@ -225,7 +225,11 @@ def draw_effects(
         else:
             meshcat.SetObject(own, Sphere(0.02 * size), _rgba(style.AFTER, 0.8))
         if isinstance(effect, Episode):
-            shown = np.concatenate([_during(effect, excerpt) for excerpt in excerpts])
+            there = [
+                (effect.weight(e.time - e.began) >= 0.5) & effect.is_of(log_number(e.log))
+                for e in excerpts
+            ]
+            shown = np.concatenate(there)
             last, changes = len(shown) - 1, 1 + np.flatnonzero(np.diff(shown))
             for frame in sorted({0, *changes.tolist(), last}):
                 meshcat.SetProperty(own, "visible", bool(shown[frame]), clock(frame))
@@ -271,12 +275,6 @@ def ring(radius: float, thickness: float) -> tuple[Array, NDArray[np.int32]]:
     both = np.roll(right, -1, 1)
     faces = np.stack([number_, right, both, number_, both, up], -1).reshape(-1, 3)
     return vertices.reshape(-1, 3), faces.astype(np.int32)
-
-
-def _during(effect: Episode, excerpt: Excerpt) -> NDArray[np.bool_]:
-    """Return (F,) whether what acts in a window of one log is there."""
-    since = excerpt.time - excerpt.began
-    return np.asarray((effect.weight(since) >= 0.5) & effect.is_of(log_number(excerpt.log)))
 
 
 def _rgba(color: str, opaque: float = 1.0) -> Rgba:

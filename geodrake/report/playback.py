@@ -22,7 +22,6 @@ from geodrake.identification.logs.case import Case, open_case
 from geodrake.identification.logs.compare import comparison
 from geodrake.identification.logs.model_errors import Comparison
 from geodrake.logs.motion import JointLog
-from geodrake.logs.smoothing import Stretch
 from geodrake.model.robot_model import RobotModel
 from geodrake.report.drawn_robots import ColoredRobot, error_colors, top_error
 from geodrake.report.explaining import comparison_page
@@ -211,12 +210,14 @@ def _excerpts(
             joined[-1][2] = stop
         else:
             joined.append([k, first, stop])
-    excerpts = tuple(
-        _excerpt(stretches[k][0].name, stretches[k][0].began, stretches[k][1], first, stop)
-        for k, first, stop in joined
-    )
+    excerpts = []
+    for k, first, stop in joined:
+        trajectory, segment = stretches[k][0], stretches[k][1][first:stop]
+        time = np.arange(segment.time[0], segment.time[-1] + 1e-9, 1.0 / FRAMES)
+        q = np.stack([np.interp(time, segment.time, x) for x in segment.position.T], -1)
+        excerpts.append(Excerpt(trajectory.name, trajectory.began, time, q))
     total = sum(len(s) * s.period for _, s in stretches)
-    return excerpts, max(0.0, total - sum(len(e.time) for e in excerpts) / FRAMES)
+    return tuple(excerpts), max(0.0, total - sum(len(e.time) for e in excerpts) / FRAMES)
 
 
 def _score(log: str, ends: tuple[float, float], found: Sequence[Comparison]) -> float:
@@ -232,13 +233,6 @@ def _score(log: str, ends: tuple[float, float], found: Sequence[Comparison]) -> 
                 worst = max(worst, float(squares.mean()) if len(squares) else 0.0)
         score += worst / max(one.errors.nrms, 1e-12) ** 2
     return score
-
-
-def _excerpt(log: str, began: float, stretch: Stretch, first: int, stop: int) -> Excerpt:
-    segment = stretch[first:stop]
-    time = np.arange(segment.time[0], segment.time[-1] + 1e-9, 1.0 / FRAMES)
-    q = np.stack([np.interp(time, segment.time, x) for x in segment.position.T], -1)
-    return Excerpt(log, began, time, q)
 
 
 def _ghost(

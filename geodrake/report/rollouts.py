@@ -254,11 +254,6 @@ def rollout_dict(rollout: Rollout) -> dict[str, Any]:
     }
 
 
-def _simulated_dict(found: Simulated) -> dict[str, Any]:
-    before = {} if found.before is None else {"before": rollout_dict(found.before)}
-    return {**rollout_dict(found.after), **before}
-
-
 def rollout_fit_dict(found: RolloutFit) -> dict[str, Any]:
     """Return a fit of rollouts: values before and after, and departures in all windows."""
     stages = {"fitted": found.fitted, "held_out": found.held_out}
@@ -293,7 +288,10 @@ VIEWS = {
     ),
     Simulated: View(
         rollout_page,
-        _simulated_dict,
+        lambda found: {
+            **rollout_dict(found.after),
+            **({} if found.before is None else {"before": rollout_dict(found.before)}),
+        },
         samples=lambda found: rollout_series(found.after, found.before),
     ),
     RolloutFit: View(

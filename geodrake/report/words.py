@@ -16,7 +16,7 @@ from geodrake.effects import catalogue
 from geodrake.identification.logs.model_errors import Comparison, ErrorTable, Failing, JointError
 from geodrake.report.numbers import Units, chance, estimate, number, percent
 
-_MOST_NAMED = 4
+MOST_NAMED = 4
 _MOST_VALUES = 2  # places whose values are listed one by one
 _LIKELY = 0.01  # probability from which on a rival is named
 _NEARLY_ALL = 0.9995
@@ -24,7 +24,7 @@ _NOTABLE = 0.05  # share of what is left at a joint that varies with the motion
 _MOST_PLACES = 3
 _PRACTICAL = 1.5  # times the noise, up to which an error is noise for all practical purposes
 _PROPER_NAMES = {"coulomb": "Coulomb", "stribeck": "Stribeck", "com": "CoM"}
-_NOTHING = {
+NOTHING = {
     "adequate": "The model is adequate: nothing worth adding is missing.",
     "undecided": "Nothing worth adding was found; whether more is missing, the logs cannot tell.",
     "unexplained": "An error is left that no known effect explains.",
@@ -133,7 +133,7 @@ def _by_name(step: Step) -> Mapping[str, Mapping[str, float]]:
 
 def finding(step: Step, units: Units) -> str:
     """Return what a step found, such as `payload (wrist_3_link, 3.08 ± 0.04 kg)`."""
-    words, values = step_place(step, units.joints, most=_MOST_NAMED), _by_name(step)
+    words, values = step_place(step, units.joints, most=MOST_NAMED), _by_name(step)
     name = "mass" if "mass" in values else next(iter(values), "")
     if name == "mass" or (len(values) == 1 and not is_summarized(step)):
         words += f", {_amount(step, name, units)}"
@@ -236,7 +236,7 @@ def explanation_headline(explanation: Explanation, units: Units, *, added: bool 
     """Return the answer of an explanation in a sentence or two."""
     steps = explanation.steps
     if not steps:
-        return _NOTHING[explanation.verdict]
+        return NOTHING[explanation.verdict]
     if added:
         return f"Added: {listed([finding(step, units) for step in steps])}."
     real = [step for step in steps if convincing(step)]
@@ -258,7 +258,7 @@ def _list(steps: Sequence[Step], units: Units) -> str:
         finding(group[0], units)
         if len(group) == 1
         else f"{listed([effect_label(step.effect) for step in group])} "
-        f"({step_place(group[0], units.joints, most=_MOST_NAMED)})"
+        f"({step_place(group[0], units.joints, most=MOST_NAMED)})"
         for group in groups.values()
     )
 
@@ -311,18 +311,9 @@ def _of_motion(explanation: Explanation) -> tuple[str, ...]:
             f"Positions and velocities predict less than {percent(_NOTABLE)} of it at any joint: "
             "it depends on something else, such as temperature or time, or is coloured noise.",
         )
-    shown, more = notable[:_MOST_NAMED], len(notable) - _MOST_NAMED
+    shown, more = notable[:MOST_NAMED], len(notable) - MOST_NAMED
     shown += [f"less at {more} more"] if more > 0 else []
     return (f"Positions and velocities predict some of its square: {listed(shown)}.",)
-
-
-def diagnosis_headline(diagnosis: Diagnosis, units: Units) -> str:
-    """Return the answer of a diagnosis in a sentence."""
-    if not diagnosis.candidates:
-        return _NOTHING[diagnosis.verdict]
-    best = diagnosis.candidates[0]
-    where = places_label(best.where, units.joints, most=_MOST_NAMED)
-    return f"Missing: {effect_label(best.effect)} ({where})."
 
 
 def diagnosis_lead(diagnosis: Diagnosis) -> tuple[str, ...]:
