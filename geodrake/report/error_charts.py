@@ -110,58 +110,38 @@ class _Timeline:
 
 
 def effort_chart(
-    before: Comparison,
-    after: Comparison | None = None,
-    *,
-    stages: Mapping[Stage, Sequence[Series]] | None = None,
+    models: Mapping[Stage, Comparison],
     units: Units,
-    alone: Stage = BEFORE,
+    between: Mapping[Stage, Sequence[Series]] | None = None,
 ) -> Chart:
-    """Return the chart of a comparison, or of two.
+    """Return efforts over time, and what one model or two predict.
 
     Args:
-        after: The final model on the same logs, if there is one.
-        stages: Models between them, and what these predict.
-        alone: What the model of a single comparison is.
+        between: Models between the two, and what these predict.
     """
-    first = BEFORE if after is not None else alone
-    models = {first: before.series, **(stages or {})}
-    if after is not None:
-        models[AFTER] = after.series
-    final = after or before
-    timeline = _Timeline.of(before.series)
-    badges = _badges(before, after)
-    shown = {*worst_joints(final.errors), *badges}
-    panels = []
-    for start, end in zip(before.errors.joints, final.errors.joints, strict=True):
-        joint, unit = start.joint, units.effort([start.joint])
-        own = {stage: _of(series, joint) for stage, series in models.items()}
+    (first, before), *others = models.items()
+    predicted = {first: before.series, **(between or {})}
+    predicted |= {stage: found.series for stage, found in others}
+    tables = [found.errors for found in models.values()]
+    timeline, badges = _Timeline.of(before.series), _badges(tables)
+    shown, panels = {*worst_joints(tables[-1]), *badges}, []
+    for entries in zip(*(table.joints for table in tables), strict=True):
+        joint, unit = entries[0].joint, units.effort([entries[0].joint])
+        own = {stage: _of(series, joint) for stage, series in predicted.items()}
         if not any(own.values()):
             continue
-        both = [start] if after is None else [start, end]
-        rms, nrms = (" → ".join(number(getattr(e, n)) for e in both) for n in ("rms", "nrms"))
-        time, plots = _plots(timeline, own, unit, end.floor)
-        ends = {stage: own[stage] for stage in (first, AFTER) if stage in own}
-        panels.append(
-            Panel(
-                joint,
-                f"RMS {rms} {unit}, nrms {nrms}",
-                time,
-                plots,
-                _shades(timeline, ends, unit),
-                badges.get(joint, ""),
-                joint in shown,
-            )
-        )
+        rms, nrms = (" → ".join(number(getattr(e, n)) for e in entries) for n in ("rms", "nrms"))
+        time, plots = _plots(timeline, own, unit, entries[-1].floor)
+        shades = _shades(timeline, {stage: own[stage] for stage in models}, unit)
+        words, badge = f"RMS {rms} {unit}, nrms {nrms}", badges.get(joint, "")
+        panels.append(Panel(joint, words, time, plots, shades, badge, joint in shown))
     spans = tuple((log, *ends, timeline.shifts[log]) for log, ends in timeline.spans.items())
-    return Chart("efforts", _EFFORTS, (MEASURED, *models), tuple(panels), spans)
+    return Chart("efforts", _EFFORTS, (MEASURED, *predicted), tuple(panels), spans)
 
 
-def explanation_chart(explanation: Explanation, units: Units) -> Chart:
-    """Return the efforts of an explanation: as it stands, after each step, in the end."""
-    if not explanation.steps:
-        return effort_chart(explanation.before, units=units)
-    between = {
+def step_stages(explanation: Explanation) -> dict[Stage, Sequence[Series]]:
+    """Return the models after each step, with what they predict where that is known."""
+    return {
         Stage(
             f"step{count}",
             f"after {count}: + {effect_label(step.effect)}",
@@ -171,7 +151,6 @@ def explanation_chart(explanation: Explanation, units: Units) -> Chart:
         for count, step in enumerate(explanation.steps, 1)
         if step.series
     }
-    return effort_chart(explanation.before, explanation.after, stages=between, units=units)
 
 
 def _of(series: Sequence[Series], joint: str) -> list[Series]:
@@ -222,14 +201,13 @@ def _shades(
     return tuple(found)
 
 
-def _badges(before: Comparison, after: Comparison | None) -> dict[str, str]:
+def _badges(tables: Sequence[ErrorTable]) -> dict[str, str]:
     """Return the joints that err most, by name."""
-    if len(before.errors.joints) < 2:
+    if len(tables[0].joints) < 2:
         return {}
-    first = worst_joint(before.errors).joint
-    if after is None:
+    first, last = worst_joint(tables[0]).joint, worst_joint(tables[-1]).joint
+    if len(tables) == 1:
         return {first: "worst joint"}
-    last = worst_joint(after.errors).joint
     if first == last:
         return {first: "worst joint, at first and in the end"}
     return {first: "worst joint at first", last: "worst joint in the end"}

@@ -6,7 +6,7 @@ import hashlib
 import importlib.metadata
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, dataclass, field, replace
 from typing import Any
 
 import numpy as np
@@ -16,7 +16,7 @@ from geodrake.diagnosis.ambiguity import distinguishing_commands
 from geodrake.diagnosis.drafting import Correlate, Draft
 from geodrake.diagnosis.results import Diagnosis, Explanation, Step
 from geodrake.effects import Role
-from geodrake.identification.logs.model_errors import Comparison, ErrorTable
+from geodrake.identification.logs.model_errors import Comparison, ErrorTable, Series
 from geodrake.identification.models.results import BodyChange, ModelIdentification
 from geodrake.inertia import Array
 from geodrake.model.effort_signal import COMMAND, EFFORT, EffortSignal
@@ -28,11 +28,11 @@ from geodrake.report.error_charts import (
     BEFORE,
     candidate_bars,
     effort_chart,
-    explanation_chart,
     joint_bars,
     residual_chart,
     step_bars,
     step_joint_bars,
+    step_stages,
 )
 from geodrake.report.explaining_json import (
     body_records,
@@ -108,7 +108,8 @@ class _Errors:
     models: Mapping[Stage, Comparison]  # the first model and the last, or one of them
     units: Units
     bars: Bars
-    chart: Chart
+    # Models between the two, and what these predict.
+    between: Mapping[Stage, Sequence[Series]] = field(default_factory=dict)
 
     @property
     def last(self) -> ErrorTable:
@@ -137,6 +138,7 @@ class _Errors:
 
     def sections(self) -> tuple[Section, Section]:
         """Return the errors of every joint, and where they are concentrated."""
+        chart = effort_chart(self.models, self.units, self.between)
         lists = tuple(
             ColoredList(words.capitalized(stage.label), stage.color, said)
             for stage, comparison in self.models.items()
@@ -153,7 +155,7 @@ class _Errors:
                 (self.bars,),
                 (errors_table(self.stages, self.units),),
             ),
-            Section("Where it fails", lists=lists, charts=(self.chart,), deep=True),
+            Section("Where it fails", lists=lists, charts=(chart,), deep=True),
         )
 
     def ends(
@@ -171,8 +173,7 @@ class _Errors:
 def comparison_page(comparison: Comparison, about: About) -> Page:
     """Say how far a model is from logs, and where."""
     errors, units = comparison.errors, about.units
-    chart = effort_chart(comparison, units=units)
-    shown = _Errors({"RMS": errors}, {BEFORE: comparison}, units, joint_bars(errors), chart)
+    shown = _Errors({"RMS": errors}, {BEFORE: comparison}, units, joint_bars(errors))
     joints, failing = shown.sections()
     return Page(
         about,
@@ -197,8 +198,7 @@ def diagnosis_page(diagnosis: Diagnosis, about: About) -> Page:
     start, comparison, units = diagnosis.start, diagnosis.comparison, about.units
     if not units.joints:
         units = Units(tuple(joint.joint for joint in start.joints))
-    chart = effort_chart(comparison, units=units)
-    shown = _Errors({"RMS": start}, {BEFORE: comparison}, units, joint_bars(start), chart)
+    shown = _Errors({"RMS": start}, {BEFORE: comparison}, units, joint_bars(start))
     best = diagnosis.candidates[0].error_after if diagnosis.candidates else None
     ranking = Section(
         "Candidates",
@@ -251,7 +251,7 @@ def explanation_page(found: Explained | Explanation, about: About) -> Page:
         {BEFORE: explanation.before, **({AFTER: explanation.after} if steps else {})},
         units,
         step_joint_bars(explanation),
-        explanation_chart(explanation, units),
+        step_stages(explanation),
     )
     tiles = [_error_tile("as it stands", start, units)]
     if steps:
@@ -316,7 +316,6 @@ def identification_page(found: ModelIdentification, about: About) -> Page:
         {_IDENTIFIED: found.comparison},
         units,
         joint_bars(before, [("identified", [joint.rms for joint in after.joints])]),
-        effort_chart(found.comparison, units=units, alone=_IDENTIFIED),
     )
     joints, failing = shown.sections()
     headline = f"The held-out error goes from nrms {number(before.nrms)} to {number(after.nrms)}"

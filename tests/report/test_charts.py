@@ -31,6 +31,7 @@ from geodrake.identification.logs.model_errors import (
 from geodrake.report import Units, figures_of, page_of, save_figures
 from geodrake.report.charts import decimated, packed
 from geodrake.report.error_charts import (
+    AFTER,
     BEFORE,
     candidate_bars,
     effort_chart,
@@ -96,7 +97,7 @@ def test_the_worst_stretch_of_time_is_found():
 def test_a_chart_holds_what_was_measured_and_left():
     joints = joint_names(2)
     before, after = comparison(joints, 1.0), comparison(joints, 0.2)
-    panel = json.loads(effort_chart(before, after, units=UNITS).data)["panels"][1]
+    panel = json.loads(effort_chart({BEFORE: before, AFTER: after}, UNITS).data)["panels"][1]
     assert panel["title"] == joints[1]
     own = [s for s in before.series if s.joint == joints[1]]
     efforts, residuals = (plot["curves"] for plot in panel["plots"])
@@ -138,7 +139,7 @@ def test_the_worst_joints_are_named_and_shown():
     unknown = ErrorTable((*table.joints[:8], JointError(joints[8], np.nan, 1.0, 0.0)))
     assert joints[8] in worst_joints(unknown)
     one = comparison(joints, 1.0)
-    chart = effort_chart(Comparison(table, (), one.series, ()), units=UNITS)
+    chart = effort_chart({BEFORE: Comparison(table, (), one.series, ())}, UNITS)
     assert [panel.title for panel in chart.panels] == list(joints)
     assert next(panel for panel in chart.panels if panel.title == joints[6]).shown
     assert sum(panel.shown for panel in chart.panels) == 8
@@ -192,7 +193,7 @@ def test_of_many_joints_the_worst_are_drawn():
     many = comparison(joint_names(30), 1.0)
     bars = joint_bars(many.errors)
     assert len(bars.rows) == 8 and bars.note == "The 8 joints of largest nrms, of 30."
-    figure = chart_figure(effort_chart(many, units=UNITS))
+    figure = chart_figure(effort_chart({BEFORE: many}, UNITS))
     assert len(figure.axes) == 16 and "8 of 30" in figure.get_supxlabel()
     titles = {ax.get_title(loc="left") for ax in figure.axes} - {""}
     assert titles == set(worst_joints(many.errors))
@@ -203,7 +204,7 @@ def test_gaps_stay_gaps_and_logs_keep_their_own_time():
     missing = [dataclasses.replace(s, **{f: getattr(s, f)[np.arange(40) != 17] for f in FIELDS})
                for s in one.series]  # fmt: skip
     one = dataclasses.replace(one, series=tuple(missing))
-    figure = chart_figure(effort_chart(one, units=UNITS))
+    figure = chart_figure(effort_chart({BEFORE: one}, UNITS))
     x, y = figure.axes[0].lines[0].get_data()
     assert np.isnan(y).sum() == 2 * len(BLOCKS)
     assert (np.diff(x[np.isfinite(y)]) > 0).all()
@@ -216,7 +217,7 @@ def test_a_block_without_motion_is_left_out():
     one = comparison(("elbow",), 1.0)
     first, *others = one.series
     empty = dataclasses.replace(first, **{f: getattr(first, f)[:0] for f in FIELDS})
-    chart = effort_chart(dataclasses.replace(one, series=(empty, *others)), units=UNITS)
+    chart = effort_chart({BEFORE: dataclasses.replace(one, series=(empty, *others))}, UNITS)
     (panel,) = chart.panels
     assert np.isfinite(panel.plots[0].curves["measured"]).sum() == 40 * len(others)
     png(chart_figure(chart))
