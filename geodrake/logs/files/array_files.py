@@ -26,7 +26,6 @@ from geodrake.logs.files.packed_files import open_log, unpacked
 from geodrake.logs.files.reading import Reading
 from geodrake.logs.files.table import (
     LogTable,
-    TornRows,
     check_room,
     numbered,
     numeric_table,
@@ -191,40 +190,28 @@ def read_parquet(path: Path, reading: Reading) -> LogTable:
         is_plain = all(_PLAIN.fullmatch(str(field.type)) for field in file.schema_arrow)
         if is_plain and not any(map(numbers_joints, names)):
             check_once(path, names)
-            return ParquetTable(path, file)
+            return LogTable(path, ParquetColumns(path, file, names))
         return arrow_table(path, file.read())
 
 
 _PLAIN = re.compile(r"float|double|u?int\d+")
 
 
-class ParquetTable(LogTable):
-    """Columns of numbers of a Parquet file; only those needed are read."""
+class ParquetColumns(Mapping[str, Array]):
+    """Columns of numbers of a Parquet file; each is read where it is needed."""
 
-    def __init__(self, path: Path, file: Any) -> None:
-        super().__init__(path, {})
-        self._file = file
+    def __init__(self, path: Path, file: Any, names: Sequence[str]) -> None:
+        self._path, self._file, self._names = path, file, names
 
-    @property
-    def names(self) -> Sequence[str]:
-        """Names of the columns."""
-        return list(self._file.schema_arrow.names)
+    def __getitem__(self, name: str) -> Array:
+        with readable(self._path, "Parquet file"):
+            return np.asarray(self._file.read([name])[name].to_numpy(), float)
 
-    def read(
-        self, names: Sequence[str], *, skip: bool = False
-    ) -> tuple[dict[str, Array], TornRows]:
-        """Return some columns (N,); see `LogTable`."""
-        with readable(self.path, "Parquet file"):
-            found = {
-                name: np.asarray(self._file.read([name])[name].to_numpy(), float)
-                for name in dict.fromkeys(names)
-            }
-        return found, TornRows(self.path, self._file.metadata.num_rows, skip)
+    def __iter__(self) -> Iterator[str]:
+        return iter(self._names)
 
-    def loaded(self) -> LogTable:
-        """Return the table with all its columns read."""
-        with readable(self.path, "Parquet file"):
-            return arrow_table(self.path, self._file.read())
+    def __len__(self) -> int:
+        return len(self._names)
 
 
 def read_feather(path: Path, reading: Reading) -> LogTable:

@@ -323,7 +323,8 @@ _MOST_JOINTS = 200  # more different words are no names of joints
 def reshaped(table: LogTable, reading: Reading) -> LogTable:
     """Return a table in which numbers stand under the names of joints, if its cells name these."""
     words = {n: w for column, cells in table.words.items() for n, w in _items(column, cells)}
-    words |= {n: w for n, x in table.columns.items() if (w := _numbered(n, x)) is not None}
+    numbers = {n: _numbered(table.columns[n]) for n in table.columns if numbers_joints(n)}
+    words |= {n: w for n, w in numbers.items() if w is not None}
     naming = {n: w for n, w in words.items() if names_joints(n) and len({*w}) <= _MOST_JOINTS}
     numbered = {n: w for n, w in naming.items() if number_of(n) is not None}
     if reading.mapping is not None or not naming:
@@ -335,20 +336,18 @@ def reshaped(table: LogTable, reading: Reading) -> LogTable:
 
 def _items(column: str, cells: Texts) -> Iterator[tuple[str, Texts]]:
     """Yield a column of texts; of lists of them, such as `['a', 'b']`, one for each place."""
-    if len(cells) and str(cells[0]).startswith(("[", "(")):
-        lists = [_ITEM.findall(str(cell)) for cell in cells]
+    if len(cells) and (isinstance(cells[0], list) or str(cells[0]).startswith(("[", "("))):
+        lists = [each if isinstance(each, list) else _ITEM.findall(each) for each in cells]
         if len({len(names) for names in lists}) == 1:
             for k, names in enumerate(zip(*lists, strict=True)):
                 yield f"{column}[{k}]", np.array(names, object)
             return
-    yield column, cells
+    yield column, np.array([str(each) for each in cells], object)
 
 
-def _numbered(column: str, values: Array) -> Texts | None:
-    """Return the joints that a column of whole numbers names; None of another, or of one joint."""
-    if not numbers_joints(column) or not np.all(values == np.rint(values)):
-        return None
-    several = 1 < len(np.unique(values)) <= _MOST_JOINTS
+def _numbered(values: Array) -> Texts | None:
+    """Return the joints that whole numbers name; None of others, or of one joint."""
+    several = 1 < len(np.unique(values)) <= _MOST_JOINTS and np.all(values == np.rint(values))
     return np.array([f"joint_{value:.0f}" for value in values], object) if several else None
 
 

@@ -11,7 +11,7 @@ from bisect import bisect_left
 from collections.abc import Iterable, Iterator, Mapping, Sequence, Sized
 from contextlib import contextmanager
 from copy import copy
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from datetime import UTC, datetime, timedelta
 from itertools import pairwise
 from pathlib import Path
@@ -264,7 +264,7 @@ class LogTable:
     """What a file of any format holds, as columns of numbers.
 
     Readers of formats make it; which joint and quantity a column is of is found out afterwards.
-    Large files are tables that are read in parts, of which subclasses know how.
+    Tables of text are read in parts.
 
     Attributes:
         columns: (N,) numbers of each column, by its name in the file; NaN where nothing was
@@ -320,7 +320,7 @@ class LogTable:
 
     def loaded(self) -> LogTable:
         """Return the table with all its columns read."""
-        return self
+        return replace(self, columns=dict(self.columns))
 
     def noting(self, *notes: str) -> LogTable:
         """Return the table with further notes, first."""
@@ -471,20 +471,16 @@ def _rate(name: str, value: Any) -> float | None:
 
 
 def _texts(name: str, values: Any, rows: int) -> dict[str, NDArray[np.object_]]:
-    """Return the texts of an array, as (N,) for each column `name`, or `name[k]` of lists.
+    """Return the texts of an array, or its lists of texts, (N,).
 
     A list of names of joints alone is that of each row.
     """
-    cells = [] if np.ndim(values) == 0 else [_text(value) for value in values]
-    is_flat = all(isinstance(cell, str) for cell in cells)
-    if is_flat and len(cells) == rows:
-        return {name: np.array(cells, object)} if rows else {}
-    if is_flat and names_joints(name) and rows:
-        return {f"{name}[{k}]": np.full(rows, cell, object) for k, cell in enumerate(cells)}
-    if len(cells) != rows or is_flat or len({cell and len(cell) for cell in cells}) > 1:
-        return {}
-    lists = zip(*(cell or () for cell in cells), strict=True)
-    return {f"{name}[{k}]": np.array(each, object) for k, each in enumerate(lists)}
+    cells = [] if _is_alone(values) else [_text(value) for value in values]
+    if len(cells) != rows and names_joints(name) and all(isinstance(cell, str) for cell in cells):
+        cells = [cells] * rows  # type: ignore[list-item]
+    found = np.empty(len(cells), object)
+    found[:] = cells
+    return {name: found} if len(cells) == rows > 0 and None not in cells else {}
 
 
 def _text(value: Any) -> str | list[str] | None:

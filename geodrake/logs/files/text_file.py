@@ -376,6 +376,10 @@ class TextTable(LogTable):
             row += len(table[0])
         return {name: values[:row] for name, values in found.items()}, torn
 
+    def texts(self, names: Sequence[str]) -> dict[str, NDArray[np.object_]]:
+        """Return the texts (N,) of some columns."""
+        return self._read(names, object, skip=True)[0] if names else {}
+
     def _cells(
         self,
         lines: Sequence[str],
@@ -429,7 +433,7 @@ class TextTable(LogTable):
         texts = self._layout.words
         numbers = [name for name in self.names if name not in texts]
         columns, torn = self.read(numbers, skip=self._skip)
-        words = self._read(texts, object, skip=True)[0] if texts else {}
+        words = self.texts(texts)
         rows = len(next(iter(columns.values()), ()))
         kept, notes = torn.settle(np.arange(float(rows)))
         if kept is not None:
@@ -487,26 +491,16 @@ def _text_table(path: Path, reading: Reading, opened: Opener) -> LogTable:
         lines = list(map(_count, _blocks(path, opened)))
     with opened() as file, TextIOWrapper(file, "utf-8-sig", newline="") as text:
         layout = text_layout(path, text, reading)
-    orders = _orders_of_days(path, opened, layout)
+    strokes = [name for name, cell in layout.first.items() if "/" in cell and is_date(cell)]
+    orders = dict[str, tuple[bool, str]]()
+    with suppress(csv.Error):  # which is told when the cells are read
+        texts = TextTable(path, layout, lines, True, opened).texts(strokes)
+        orders = {name: order_of_days(each) for name, each in texts.items()}
     layout = replace(layout, day_first=frozenset(k for k, (first, _) in orders.items() if first))
     notes = dict.fromkeys(note for _, note in orders.values() if note)
     table = TextTable(path, layout, lines, reading.skip_bad_rows, opened).noting(*notes)
     names_rows = any(map(names_joints, layout.words)) or any(map(numbers_joints, layout.names))
     return table.loaded() if names_rows and reading.mapping is None else table
-
-
-def _orders_of_days(path: Path, opened: Opener, layout: TextLayout) -> dict[str, tuple[bool, str]]:
-    """Return `order_of_days` of every column of dates with strokes."""
-    kinds = {name: layout.kinds[name] for name, cell in layout.first.items() if "/" in cell}
-    dates = [name for name, kind in kinds.items() if kind and kind.origin is not None]
-    places = {name: layout.names.index(name) for name in dates}
-    found: dict[str, dict[str, None]] = {name: {} for name in dates}
-    for block in _blocks(path, opened, layout.lines) if dates else ():
-        with suppress(csv.Error):  # which is told when the cells are read
-            for _, cells in layout.cells(block.decode(errors="replace").splitlines()):
-                for name, texts in found.items():
-                    texts.update(dict.fromkeys(cells[places[name] :][:1]))
-    return {name: order_of_days(texts) for name, texts in found.items()}
 
 
 def _blocks(path: Path, opened: Opener, skip: int = 0) -> Iterator[bytes]:
