@@ -160,6 +160,22 @@ def test_names_that_may_be_of_two_joints_are_of_none():
     assert not set(joints).intersection(found.values())
 
 
+def test_a_unit_in_brackets_says_the_quantity_in_any_language():
+    names = [
+        "Soll-Winkel 2 [°]",
+        "Ist-Winkel 2 [°]",
+        "Vitesse coude (rad/s)",
+        "Par 1 [N·m]",
+        "Zeit [ms]",
+    ]
+    told = [meaning_of(name) for name in names]
+    assert [m.quantity for m in told] == ["position", "position", "velocity", "effort", "time"]
+    assert [m.number for m in told[:2]] == [2, 2]
+    assert told[0].role > told[1].role
+    assert (told[2].joint, told[3].number) == ("Vitesse coude", 1)
+    assert meaning_of("Gewicht [kg]") is None
+
+
 def test_positions_that_were_asked_for():
     for meaning in map(meaning_of, WANTED):
         assert meaning.quantity in ("position", "command") and meaning.is_wanted

@@ -57,11 +57,11 @@ _SHORT = ("v", "i")  # which say something before a number alone
 MEASURED, PLAIN, MOTOR, DESIRED, OTHER = range(5)
 ROLE_WORDS: Mapping[str, int] = {
     **dict.fromkeys(["measured", "meas", "msr", "actual", "act", "present", "feedback"], MEASURED),
-    **dict.fromkeys(["fbk", "ai", "ma", "state", "sensed", "observed"], MEASURED),
+    **dict.fromkeys(["fbk", "ai", "ma", "state", "sensed", "observed", "ist"], MEASURED),
     **dict.fromkeys(["motor", "theta", "dtheta", "drive", "rotor", "qm"], MOTOR),
     **dict.fromkeys(["desired", "des", "commanded", "command", "commands", "cmd", "cmds"], DESIRED),
     **dict.fromkeys(["target", "tgt", "reference", "ref", "goal", "setpoint", "set", "d"], DESIRED),
-    **dict.fromkeys(["ipo", "as", "nominal", "planned", "action", "actions"], DESIRED),
+    **dict.fromkeys(["ipo", "as", "nominal", "planned", "action", "actions", "soll"], DESIRED),
     **dict.fromkeys(["tcp", "tool", "ee", "cartesian", "cart", "wrench", "imu", "base"], OTHER),
     **dict.fromkeys(["external", "ext", "error", "err", "errors", "limit", "min", "max"], OTHER),
     **dict.fromkeys(["gravity", "coriolis", "friction", "model", "disturbance"], OTHER),

@@ -455,6 +455,7 @@ def numeric_table(path: Path, arrays: Mapping[str, Any], rows: int) -> LogTable:
     return LogTable(path, columns, {}, said, origins, silent, words, rate=told)
 
 
+_HIGHEST_RATE = 1e5
 _PERIODS = ("dt", "ts", "period", "timestep", "sampletime", "sampleperiod", "samplingtime")
 _RATES = ("fs", "rate", "hz", "fps", "freq", "frequency", "samplerate", "samplingrate")
 
@@ -464,10 +465,9 @@ def _rate(name: str, value: Any) -> float | None:
     word = re.sub(r"[^a-z]", "", re.split(r"[./]", name.lower())[-1])
     if not _is_alone(value) or word not in (*_PERIODS, *_RATES):
         return None
-    number = number_in(value)
-    if not number or not 0.0 < number < np.inf:
-        return None
-    return number if word in _RATES else 1.0 / number
+    number = number_in(value) or np.nan
+    rate = number if word in _RATES else 1.0 / number
+    return rate if 1.0 <= rate <= _HIGHEST_RATE else None
 
 
 def _texts(name: str, values: Any, rows: int) -> dict[str, NDArray[np.object_]]:

@@ -127,9 +127,10 @@ def text_layout(path: Path, file: Iterator[str], reading: Reading) -> TextLayout
     cells, after = _header_cells(path, lines, begin, separator)
     names: Sequence[str] = () if reading.columns else _joint_state(cells)
     units, unnamed = dict[str, str](), tuple[str, ...]()
-    keyed = [found[1] for cell in cells if (found := _KEYED.fullmatch(cell))]
-    if is_keyed := len(keyed) == len(cells) > 1:
-        names = keyed
+    both = [*cells, *_cells_of(lines[after], separator)] if any(cells) else []
+    keyed = [found[1] for cell in both if (found := _KEYED.fullmatch(cell))]
+    if is_keyed := len(keyed) == len(both) > 1 and keyed == 2 * keyed[: len(cells)]:
+        names = keyed[: len(cells)]
     elif not names and (_are_numbers(cells) or any(map(_MEASURED.fullmatch, cells))):
         told = renamed(path, reading, cells) if reading.columns else ()
         names = told or _names_in_comment(cells, comment)
