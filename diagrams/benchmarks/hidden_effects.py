@@ -32,11 +32,7 @@ from diagrams.benchmarks.hidden.logs import (
     SMALLEST,
     Draw,
     all_draws,
-    coverage_draws,
-    disturbed_draws,
-    kind_draws,
-    smallest_draws,
-    timing_draws,
+    study_draws,
 )
 from diagrams.benchmarks.hidden.scoring import coverage_of, score_draw, smallest_of
 from diagrams.harness import positive_number, run_draws, script_parser, show, whole_number, write
@@ -44,14 +40,13 @@ from diagrams.harness import positive_number, run_draws, script_parser, show, wh
 QUICK_EFFECTS = ("coulomb_friction", "effort_offset", "payload")
 QUICK_OUTSIDE = ("oscillation in time",)
 
-STUDIES = {
-    "draws": (6, "logs an effect and seed; 0 for none"),
-    "kinds": (0, "logs a hard kind and seed"),
-    "coverage": (0, "logs an effect and seed under coloured noise"),
-    "disturbed": (0, "the same beside an effect of no catalogue"),
-    "smallest": (0, "logs an effect and seed"),
+FURTHER = {
+    "kinds": "logs a hard kind and seed",
+    "coverage": "logs an effect and seed under coloured noise",
+    "disturbed": "the same beside an effect of no catalogue",
+    "smallest": "logs an effect and seed",
 }
-"""The studies: how many logs by default, and of what."""
+"""Studies that there are only where logs are asked for: of what."""
 
 
 def run_draw(draw: Draw) -> dict[str, Any]:
@@ -59,18 +54,15 @@ def run_draw(draw: Draw) -> dict[str, Any]:
     return {COVERAGE: coverage_of, SMALLEST: smallest_of}.get(draw.case, score_draw)(draw)
 
 
-def wanted_draws(logs: Mapping[str, int], seeds: Iterable[int]) -> list[Draw]:
+def wanted_draws(logs: Mapping[str, Any], seeds: Iterable[int]) -> list[Draw]:
     """Return what the options ask for, for one seed after the other."""
     return [
         each
         for seed in seeds
         for each in (
             *all_draws(logs["draws"], seed),
-            *(timing_draws(seed) if logs["draws"] else ()),
-            *kind_draws(logs["kinds"], seed),
-            *coverage_draws(logs["coverage"], seed),
-            *disturbed_draws(logs["disturbed"], seed),
-            *smallest_draws(logs["smallest"], seed),
+            *study_draws("timing", min(logs["draws"], 1), seed),
+            *(each for name in FURTHER for each in study_draws(name, logs[name], seed)),
         )
     ]
 
@@ -79,8 +71,9 @@ def quick_draws(seed: int) -> list[Draw]:
     """Return a few short logs of every study."""
     short = {"robot": "double_pendulum", "duration": 8.0, "rate": 100.0}
     found = all_draws(1, seed, effects=QUICK_EFFECTS, outside=QUICK_OUTSIDE, others=(1, 2), **short)
-    found += coverage_draws(1, seed, effects=QUICK_EFFECTS[:1], **short)
-    return [*found, *smallest_draws(1, seed, effects=QUICK_EFFECTS[:1], **short)]
+    for name in ("coverage", "smallest"):
+        found += study_draws(name, 1, seed, effects=QUICK_EFFECTS[:1], **short)
+    return found
 
 
 def main() -> None:
@@ -90,23 +83,16 @@ def main() -> None:
         "--seeds", type=positive_number, default=1, help="seeds, from --seed on, that are pooled"
     )
     number = partial(parser.add_argument, type=whole_number, metavar="N")
-    for name, (count, words) in STUDIES.items():
-        number(f"--{name}", default=count, help=words)
+    number("--draws", default=6, help="logs an effect and seed; 0 for none")
+    for name, words in FURTHER.items():
+        number(f"--{name}", default=0, help=words)
     options = parser.parse_args()
     seeds = range(options.seed, options.seed + options.seeds)
-    wanted = (
-        quick_draws(options.seed)
-        if options.quick
-        else wanted_draws({name: getattr(options, name) for name in STUDIES}, seeds)
-    )
+    wanted = quick_draws(options.seed) if options.quick else wanted_draws(vars(options), seeds)
     rows = run_draws(parser, options, run_draw, wanted)
     lines = [*bars(rows), *kind_lines(rows), *coverage_lines(rows)]
     smallest = smallest_lines([row for row in rows if row["case"] == SMALLEST])
-    show_lines(
-        "Hidden effects",
-        lines,
-        lambda line: ".2f" if "median" in line.figure or "seconds" in line.figure else ".1%",
-    )
+    show_lines("Hidden effects", lines)
     if smallest:
         show("Smallest effect found in 9 of 10 logs", smallest)
     confused = confusions(rows)

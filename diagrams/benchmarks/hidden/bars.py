@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
 from typing import Any
 
@@ -61,14 +61,12 @@ def told(lines: Sequence[Line]) -> list[dict[str, Any]]:
     return [{**asdict(line), "reached": line.reached} for line in lines]
 
 
-def show_lines(title: str, lines: Sequence[Line], form: Callable[[Line], str]) -> None:
-    """Print lines, each in a format of its own."""
+def show_lines(title: str, lines: Sequence[Line]) -> None:
+    """Print lines."""
     shown = []
     for line in lines:
-
-        def number(value: float, text: str = form(line)) -> str:
-            return format(value, text)
-
+        is_share = "seconds" not in line.figure and "floor" not in line.figure
+        number = ("{:.1%}" if is_share else "{:.2f}").format
         asked = None if line.bar is None else f"{'≤' if line.most else '≥'} {number(line.bar)}"
         if line.bar is not None and line.highest is not None:
             asked = f"{number(line.bar)} – {number(line.highest)}"
@@ -88,7 +86,7 @@ def show_lines(title: str, lines: Sequence[Line], form: Callable[[Line], str]) -
 
 def tell_draws(title: str, lines: Sequence[Line], missed: Sequence[str], draws: int) -> None:
     """Print the report of robots, and what was missed of how many draws."""
-    show_lines(title, lines, lambda line: ".1f" if "seconds" in line.figure else ".1%")
+    show_lines(title, lines)
     print(f"Missed, {len(missed)} of {draws} draws:", *missed, sep="\n- ")
 
 

@@ -144,54 +144,39 @@ def all_draws(
     return found
 
 
-def kind_draws(draws: int, seed: int, **fixed: object) -> list[Draw]:
-    """Return logs of the kinds that are hard."""
-    return [
-        draw(KIND, (name,), k, seed, **{**given, **fixed})
-        for name, (_, given) in KINDS.items()
-        for k in range(draws)
-    ]
+_SURE = {"motion": FAST, "prior": EXACT}
+STUDIES: Mapping[str, tuple[str, Sequence[str], Mapping[str, object]]] = {
+    "kinds": (KIND, tuple(KINDS), {}),
+    "coverage": (COVERAGE, COVERED, {**_SURE, "colour": COLOURED, "shares": (0.1,)}),
+    "disturbed": (COVERAGE, COVERED, {**_SURE, "shares": (0.1, 0.05)}),
+    "smallest": (SMALLEST, tuple(TRUTHS), {**_SURE, "noise": 0.01, "shares": ()}),
+    "timing": (
+        TIMING,
+        ("coulomb_friction", "payload"),
+        {"robot": "arm6", "motion": FAST, "duration": 50.0, "rate": 200.0},
+    ),
+}
+"""Further studies: the case, its effects, and what is not left to chance.
+
+Those of coverage are large enough to be found, and have one of no catalogue beside if disturbed.
+"""
 
 
-def timing_draws(seed: int) -> list[Draw]:
-    """Return logs of six joints and 10,000 samples."""
-    fixed = {"robot": "arm6", "motion": FAST, "duration": 50.0, "rate": 200.0}
-    return [draw(TIMING, (name,), 0, seed, **fixed) for name in ("coulomb_friction", "payload")]
-
-
-def coverage_draws(
-    draws: int, seed: int, *, effects: Sequence[str] = COVERED, **fixed: object
+def study_draws(
+    study: str, draws: int, seed: int, *, effects: Sequence[str] = (), **fixed: object
 ) -> list[Draw]:
-    """Return logs of one effect under coloured noise, large enough to be found."""
-    sure = {"colour": COLOURED, "motion": FAST, "prior": EXACT, "shares": (0.1,)}
-    return [
-        draw(COVERAGE, (name,), k, seed, **{**sure, **fixed})
-        for name in effects
-        for k in range(draws)
-    ]
-
-
-def disturbed_draws(draws: int, seed: int, **fixed: object) -> list[Draw]:
-    """Return the same with an effect beside that is in no catalogue."""
-    sure = {"motion": FAST, "prior": EXACT, "shares": (0.1, 0.05)}
+    """Return the draws of a study, so many logs for each of its effects or of some."""
+    case, names, sure = STUDIES[study]
     found = []
-    for at, name in enumerate(COVERED):
+    for at, name in enumerate(effects or names):
+        given = {**sure, **(KINDS[name][1] if case == KIND else {}), **fixed}
         for k in range(draws):
-            beside = np.random.default_rng([seed, 3, at, k]).choice(tuple(OUTSIDE))
-            found.append(draw(COVERAGE, (name, str(beside)), k, seed, **{**sure, **fixed}))
+            hidden = (name,)
+            if study == "disturbed":
+                beside = np.random.default_rng([seed, 3, at, k]).choice(tuple(OUTSIDE))
+                hidden = (name, str(beside))
+            found.append(draw(case, hidden, k, seed, **given))
     return found
-
-
-def smallest_draws(
-    draws: int, seed: int, *, effects: Sequence[str] = tuple(TRUTHS), **fixed: object
-) -> list[Draw]:
-    """Return logs in which the size of an effect is bisected, at 1 % noise."""
-    sure = {"motion": FAST, "prior": EXACT, "noise": 0.01, "shares": ()}
-    return [
-        draw(SMALLEST, (name,), k, seed, **{**sure, **fixed})
-        for name in effects
-        for k in range(draws)
-    ]
 
 
 _ENCODER, _TACHO = 1e-5, 2e-4  # rad, rad/s
