@@ -48,7 +48,7 @@ from diagrams.harness import (
 )
 from geodrake.control.rollout import commanded_motions, roll_out
 from geodrake.diagnosis import Explanation, explain
-from geodrake.effects import CoulombFriction, FittedEffect, RotorInertia, ViscousFriction
+from geodrake.effects import FittedEffect, make_effect
 from geodrake.logs.motion import JointLog
 from geodrake.model import EffortSignal, RobotModel
 
@@ -403,36 +403,25 @@ def _motion(made: ServoLog, model: RobotModel, found: Explanation) -> dict[str, 
 
     They are shares of what each joint moves; those on the way are before and after every step.
     """
-    servos, joints = made.servos, made.log.joints
-    true = [
-        *(CoulombFriction(joint) for joint in joints),
-        *(ViscousFriction(joint) for joint in joints),
-        *(RotorInertia(joint) for joint in joints),
+    servos = made.servos
+    effects = [
+        FittedEffect(make_effect(name, (joint,)), np.array([value]))
+        for name, values in _truths(made, model).items()
+        for joint, value in values.items()
     ]
-    values = np.concatenate([servos.coulomb, servos.viscous, servos.armature])
-    damping = servos.damping if servos.knows_rate else np.zeros(len(joints))
-    if not servos.knows_rate:
-        values[len(joints) : 2 * len(joints)] += servos.damping
-    truth = replace(
-        model,
-        effects=tuple(
-            FittedEffect(effect, np.array([value]))
-            for effect, value in zip(true, values.tolist(), strict=True)
-        ),
-        effort_signals=tuple(
-            EffortSignal(
-                joint, "command", kp, damping=kd, delay=servos.delay, integral=ki, limit=limit
-            )
-            for joint, kp, kd, ki, limit in zip(
-                joints,
-                servos.stiffness.tolist(),
-                damping.tolist(),
-                servos.integral.tolist(),
-                servos.limit.tolist(),
-                strict=True,
-            )
-        ),
-    )
+    signals = [
+        EffortSignal(
+            joint,
+            "command",
+            float(servos.stiffness[j]),
+            damping=float(servos.damping[j]) if servos.knows_rate else 0.0,
+            delay=servos.delay,
+            integral=float(servos.integral[j]),
+            limit=float(servos.limit[j]),
+        )
+        for j, joint in enumerate(made.log.joints)
+    ]
+    truth = replace(model, effects=tuple(effects), effort_signals=tuple(signals))
     between = [step.model for step in found.steps if step.model is not None]
     began = time.process_time()
     motions = commanded_motions(model, found.model, [made.log], between=between)

@@ -195,7 +195,17 @@ class Case:
 
     def first_motion(self, rng: np.random.Generator) -> Reference:
         """Return the first motion, a little different each time."""
-        return MOTIONS[self.motion](rng)
+        return MOTIONS[self.motion][0](rng)
+
+
+def about(center: Array, *waves: Array) -> Reference:
+    """Return sines about a posture, of sizes, rates and phases."""
+
+    def motion(t: Array) -> tuple[Array, Array, Array]:
+        q, v, a = sines(t, *waves)
+        return center + q, v, a
+
+    return motion
 
 
 def sway(rng: np.random.Generator) -> Reference:
@@ -203,12 +213,7 @@ def sway(rng: np.random.Generator) -> Reference:
     center = CENTER + rng.uniform(-0.01, 0.01, 2)
     rates = 2.0 * np.pi * np.array([0.11, 0.24])[:, None] * rng.uniform(0.9, 1.1, (2, 2))
     sizes, phases = 0.02 * rng.uniform(0.5, 1.0, (2, 2)), rng.uniform(0.0, 2.0 * np.pi, (2, 2))
-
-    def motion(t: Array) -> tuple[Array, Array, Array]:
-        q, v, a = sines(t, sizes, rates, phases)
-        return center + q, v, a
-
-    return motion
+    return about(center, sizes, rates, phases)
 
 
 def shuttle(rng: np.random.Generator, reach: float = 0.08) -> Reference:
@@ -218,17 +223,7 @@ def shuttle(rng: np.random.Generator, reach: float = 0.08) -> Reference:
     triangle = 8.0 / np.pi**2 * (-1.0) ** ((order - 1) // 2) / order**2
     weights = reach * triangle * np.sinc(order / 25.0)
     center = CENTER + rng.uniform(-0.05, 0.05, 2)
-
-    def motion(t: Array) -> tuple[Array, Array, Array]:
-        q, v, a = sines(t, weights, order * rates, order * phases)
-        return center + q, v, a
-
-    return motion
-
-
-def long_shuttle(rng: np.random.Generator) -> Reference:
-    """Return the same through a larger range, and faster."""
-    return shuttle(rng, 0.4)
+    return about(center, weights, order * rates, order * phases)
 
 
 def sweep(rng: np.random.Generator) -> Reference:
@@ -243,13 +238,13 @@ def sweep(rng: np.random.Generator) -> Reference:
     return motion
 
 
-MOTIONS = {"sway": sway, "shuttle": shuttle, "long shuttle": long_shuttle, "sweep": sweep}
-WORDS: Mapping[str, str] = {
-    "sway": "a sway of a degree or two",
-    "shuttle": "back and forth, 5° at one speed",
-    "long shuttle": "back and forth, 25° at one speed",
-    "sweep": "one way at one speed",
+MOTIONS: Mapping[str, tuple[Callable[[np.random.Generator], Reference], str]] = {
+    "sway": (sway, "a sway of a degree or two"),
+    "shuttle": (shuttle, "back and forth, 5° at one speed"),
+    "long shuttle": (partial(shuttle, reach=0.4), "back and forth, 25° at one speed"),
+    "sweep": (sweep, "one way at one speed"),
 }
+"""First motions, and what they are like."""
 
 DRY, LOAD = "coulomb_friction", "load_dependent_friction"
 VISCOUS, QUADRATIC = "viscous_friction", "nonlinear_viscous_friction"
@@ -350,7 +345,7 @@ def run(draw: Draw, *, iterations: int) -> dict[str, Any]:
     }
     if row["ambiguous"]:
         for name, trajectory in motions(case, draw.seed, iterations).items():
-            reference = states_of(trajectory)
+            reference = partial(moved, trajectory)
             found = measured(draw, name, hidden, reference, SECOND)
             row[name] = verdict(case, found)
             row[f"{name}_deviations"] = deviations(case, size, reference, SECOND)
@@ -371,14 +366,10 @@ def motions(case: Case, seed: int, iterations: int) -> dict[str, ExcitationTraje
     return {"random": problem.trajectory(guess), "designed": result.trajectory}
 
 
-def states_of(trajectory: ExcitationTrajectory) -> Reference:
-    """Return position, velocity and acceleration by joint."""
-
-    def motion(t: Array) -> tuple[Array, Array, Array]:
-        q, v, vd = trajectory.states(np.minimum(t, trajectory.family.length))
-        return q, v, vd
-
-    return motion
+def moved(trajectory: ExcitationTrajectory, t: Array) -> tuple[Array, Array, Array]:
+    """Return position, velocity and acceleration by joint, which stay as they are at the end."""
+    q, v, vd = trajectory.states(np.minimum(t, trajectory.length))
+    return q, v, vd
 
 
 def measured(
@@ -458,7 +449,7 @@ def summary(case: int, rows: Sequence[dict[str, Any]]) -> dict[str, Any]:
     result: dict[str, Any] = {
         "truth": CASES[case].truth,
         "rival": CASES[case].rival,
-        "first_motion": WORDS[CASES[case].motion],
+        "first_motion": MOTIONS[CASES[case].motion][1],
         "robots": len(own),
         "ambiguous": len(ambiguous),
     }

@@ -25,7 +25,7 @@ import numpy as np
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
-from diagrams.harness import MODELS, chart, run_draws, script_parser, show, write
+from diagrams.harness import MODELS, chart, run_draws, script_parser, show, show_values, write
 from diagrams.public_data import add_folder_option
 from geodrake.excitation import (
     NORMALIZATIONS,
@@ -376,15 +376,7 @@ def run(
 def tell(table: dict[str, Any]) -> None:
     """Print table 4.2."""
     show("Errors by normalization, criterion and base representation", table["rows"])
-    for name, one in table["spread"].items():
-        error, apart = one["error_largest_over_smallest_less_1"], one["coefficients_apart"]
-        print(
-            f"{name}: between representations, errors of the designs differ by {error:.3g}, and "
-            f"coefficients by {apart:.3g}"
-        )
-        if name in NORMALIZATIONS:
-            value = one["criterion_largest_over_smallest_less_1"]
-            print(f"    the criterion of one and the same motion by {value:.3g}")
+    show_values("Differences between representations", table["spread"])
 
 
 def draw(rows: Sequence[dict[str, Any]]) -> Figure:

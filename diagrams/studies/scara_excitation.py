@@ -28,7 +28,7 @@ from pydrake.multibody.tree import (
     SpatialInertia,
 )
 
-from diagrams.harness import chart, run_draws, script_parser, show, write
+from diagrams.harness import chart, run_draws, script_parser, show, show_values, write
 from diagrams.studies.iiwa_excitation import identified_by, parameter_error, root_covariance
 from geodrake.excitation import (
     CRITERIA,
@@ -245,13 +245,7 @@ def main() -> None:
     rows = [{k: v for k, v in row.items() if k != "coefficients"} for row in rows]
     rows.append(random_samples(plan, 20))
     show("RMS errors of m in kg, and of p^x, p^y and r^z in mm", rows)
-    for name, one in spreads.items():
-        error, apart = one["error_largest_over_smallest_less_1"], one["samples_apart"]
-        value = one["criterion_largest_over_smallest_less_1"]
-        print(
-            f"{name}: between frames, the criterion of the same samples differs by {value:.3g}, "
-            f"errors of the designs by {error:.3g}, and their samples by {apart:.3g}"
-        )
+    show_values("Differences between frames", spreads)
     table = {"plan": plan, "rows": rows, "spread": spreads}
     write(
         options, table, scara_excitation=lambda: chart(rows, "frame", [*COLUMNS], "normalization")
