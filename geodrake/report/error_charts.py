@@ -114,11 +114,7 @@ def effort_chart(
     units: Units,
     between: Mapping[Stage, Sequence[Series]] | None = None,
 ) -> Chart:
-    """Return efforts over time, and what one model or two predict.
-
-    Args:
-        between: Models between the two, and what these predict.
-    """
+    """Return efforts over time as one model or two, and those between them, predict them."""
     (first, before), *others = models.items()
     predicted = {first: before.series, **(between or {})}
     predicted |= {stage: found.series for stage, found in others}

@@ -563,9 +563,6 @@ def errors_table(stages: Mapping[str, ErrorTable], units: Units) -> Table:
 
     Errors in N·m or N come first, and what they are of the effort's deviation after them. Where the
     logs show no noise, it and what is removable are unknown.
-
-    Args:
-        stages: Title -> errors of a model, from the first to the last.
     """
     *_, last = stages.values()
     mixed = " or " in _unit(last, units)

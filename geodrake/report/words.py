@@ -59,13 +59,7 @@ def _spaced(name: str) -> str:
 
 
 def places_label(where: Sequence[str], joints: Collection[str], *, most: int | None = None) -> str:
-    """Return where an effect acts: "all 6 joints", "the whole robot", "5 joints" or the names.
-
-    Args:
-        where: Names of joints or bodies; none for the whole robot.
-        joints: Names of all joints of the robot.
-        most: Largest number of names that are listed; more are counted.
-    """
+    """Return where an effect acts: names, "5 joints", "all 6 joints", "the whole robot" if none."""
     if not where:
         return "the whole robot"
     if len(joints) > 2 and set(where) == set(joints):
