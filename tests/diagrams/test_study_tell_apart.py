@@ -33,7 +33,7 @@ class TestRobots:
     @pytest.mark.parametrize("name", MOTIONS)
     def test_first_motions_are_smooth(self, name):
         """Velocity and acceleration are derivatives, and the motion is slow and small."""
-        motion = MOTIONS[name](np.random.default_rng(0))
+        motion = MOTIONS[name][0](np.random.default_rng(0))
         t = np.linspace(0.0, study.FIRST, 4001)
         q, v, vd = motion(t)
         h = 1e-5
@@ -49,7 +49,7 @@ class TestRobots:
         """Pinocchio's inverse dynamics of the simulated motion, and the hidden effect's formula."""
         case = CASES[number]
         hidden = case.robot(case.size)
-        motion = MOTIONS["long shuttle"](np.random.default_rng(1))
+        motion = MOTIONS["long shuttle"][0](np.random.default_rng(1))
         (q, v, u), _ = robot_log(hidden, motion, 3.0)
         model = pinocchio.buildModelFromUrdf(str(study.ROBOT))
         data = model.createData()
