@@ -156,7 +156,7 @@ def test_bad_rows_are_left_out_if_asked(tmp_path):
     assert "Row 700" in message
     assert "--skip-bad-rows" in message
     output = told("compare", PENDULUM, log, "--skip-bad-rows", "--bandwidth", "5")
-    assert "left out 1 bad rows of 2400: 700" in output
+    assert "left out as bad: 1 of 2400 rows, 700" in output
 
 
 def test_one_axis_without_a_model(tmp_path):

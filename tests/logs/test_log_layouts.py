@@ -282,7 +282,7 @@ def test_torn_rows_are_named_and_left_out_if_asked(tmp_path, kind):
     with pytest.raises(LogError, match=rf"(?i){numbers.split(',')[0]}.*--skip-bad-rows"):
         read_log(path)
     log = read_log(path, reading=Reading(skip_bad_rows=True))
-    assert log.notes == (f"left out {len(torn)} bad rows of 1000: {numbers}",)
+    assert log.notes == (f"left out as bad: {len(torn)} of 1000 rows, {numbers}",)
     assert len(log) == 1000 - len(torn)
     assert np.all(np.diff(log.time) > 0)
 

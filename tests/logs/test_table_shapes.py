@@ -194,7 +194,7 @@ def test_a_last_row_that_is_cut_off_is_left_out(tmp_path):
     (tmp_path / "cut.csv").write_text(frame.to_csv(index=False) + "end of log\n")
     log = read_log(tmp_path / "cut.csv")
     assert len(log) == 3 * ROWS
-    assert any("left out 1 bad rows" in note for note in log.notes)
+    assert any("left out as bad: 1 of" in note for note in log.notes)
 
 
 @pytest.mark.parametrize("kind", ["csv", "parquet"])

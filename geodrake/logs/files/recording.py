@@ -65,7 +65,7 @@ def recorded(columns: Columns, numbers: dict[str, Array], torn: TornRows) -> Joi
     again = repeats(time)
     if again.any():
         time = np.where(again, np.nan, time)
-        even += (f"{again.sum()} rows with the time of the row before left out",)
+        even += (f"left out for the time of the row before: {again.sum()} of {rows} rows",)
     kept, left_out = torn.settle(time)
     if again.any():
         kept = ~again if kept is None else kept & ~again

@@ -194,7 +194,7 @@ class TornRows:
             raise self._refusal(bad.tolist(), len(time), f"of {len(time)}")
         kept = np.ones(len(time), bool)
         kept[bad] = False
-        return kept, (f"left out {len(bad)} bad rows of {len(time)}: {_runs(bad.tolist())}",)
+        return kept, (f"left out as bad: {len(bad)} of {len(time)} rows, {_runs(bad.tolist())}",)
 
     def _check_order(self, time: Array, backwards: NDArray[np.intp]) -> None:
         """Raise what is wrong with the order of time, unless such rows are to be left out."""
