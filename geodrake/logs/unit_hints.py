@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from geodrake.logs.files.registers import are_whole
+from geodrake.logs.files.recording import are_whole
 from geodrake.logs.motion import JointLog
 
 Array = NDArray[np.float64]

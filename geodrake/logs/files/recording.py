@@ -11,7 +11,6 @@ from geodrake.errors import LogError
 from geodrake.logs.files.column_mapping import Columns
 from geodrake.logs.files.joined_tables import at_instants
 from geodrake.logs.files.packed_files import log_name
-from geodrake.logs.files.registers import are_whole, signed_register
 from geodrake.logs.files.table import TornRows
 from geodrake.logs.motion import PASSIVE, JointLog
 from geodrake.logs.time_stamps import evened, order_of_time, repeats, with_clock_set_back
@@ -23,6 +22,10 @@ TICKS = 4096  # of a turn, of servos with twelve bits
 _FIRST = 1000  # rows that mostly tell that numbers are no whole ones
 _RUN, _ENOUGH_ROWS = 20, 100  # rows without an empty cell that are of use, and of a column
 _STILL = 2e-3  # rad or m, by which a joint may move and still stand
+_COMPLEMENTS = (16, 32)  # bits of registers in two's complement
+_SIGN_BITS = (10, 15)  # bits that hold a sign beside a magnitude, as of Feetech's servos
+_LEAST = 3  # rows with either sign
+_ROUNDING = 1e-3  # by which a whole number is off after a unit's factor
 
 
 def recorded(columns: Columns, numbers: dict[str, Array], torn: TornRows) -> JointLog:
@@ -112,11 +115,51 @@ def _with_signs(data: dict[str, Array], columns: Columns) -> list[str]:
             if source is None or not are_whole(source.written(numbers[:_FIRST])):
                 continue
             written = source.written(numbers)
-            signed = signed_register(written, magnitudes=quantity != "position")
+            signed = _signed_register(written, magnitudes=quantity != "position")
             if signed is not None:
                 numbers[:] = source.factor * signed[0] + source.offset
                 notes.append(f"{source.column!r} is read as {signed[1]}")
     return notes
+
+
+def _signed_register(numbers: Array, *, magnitudes: bool) -> tuple[Array, str] | None:
+    """Return numbers (N,) with their signs, and how they were written; None if they have signs.
+
+    A register of k bits that is read without its sign shows small numbers, numbers next to 2ᵏ, and
+    none in between: at least half of the range is never visited. With a bit for the sign the
+    others begin at that bit; this is looked for if `magnitudes`.
+    """
+    largest = np.fmax.reduce(numbers, initial=0.0)
+    if largest < 2 ** _SIGN_BITS[0] or np.fmin.reduce(numbers) < -_ROUNDING:
+        return None
+    if not are_whole(numbers):
+        return None
+    known = np.rint(numbers[np.isfinite(numbers)])
+    for bits in _COMPLEMENTS:
+        half = 2.0 ** (bits - 1)
+        least = known.min(initial=np.inf, where=known >= half)
+        if largest < 2.0 * half - 0.5 and _are_apart(known, half, least):
+            words = f"two's complement of {bits} bits: {largest:.0f} is {largest - 2 * half:.0f}"
+            return np.where(numbers >= half, numbers - 2.0 * half, numbers), words
+    for bit in _SIGN_BITS if magnitudes else ():
+        half = 2.0**bit
+        if largest < 1.5 * half and _are_apart(known, half, 1.5 * half):
+            words = f"magnitudes with a sign in bit {bit}: {largest:.0f} is {half - largest:.0f}"
+            return np.where(numbers >= half, half - numbers, numbers), words
+    return None
+
+
+def are_whole(numbers: Array) -> bool:
+    """Return whether numbers (N,) are whole ones, but for rounding and empty cells."""
+    return not np.any(np.abs(numbers - np.rint(numbers)) > _ROUNDING)
+
+
+def _are_apart(numbers: Array, half: float, least: float) -> bool:
+    """Return whether numbers below `half` stay half of it away from `least`, and both occur."""
+    above = numbers >= half
+    crossings = np.count_nonzero(above[1:] != above[:-1])
+    few = min(np.count_nonzero(above), np.count_nonzero(~above)) < _LEAST
+    return bool(not few and crossings >= 2 and least - numbers[~above].max() >= half)
 
 
 def _in_radians(data: dict[str, Array], columns: Columns) -> list[str]:
