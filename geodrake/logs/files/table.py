@@ -316,7 +316,8 @@ class LogTable:
         self, names: Sequence[str], *, skip: bool = False
     ) -> tuple[dict[str, Array], TornRows]:
         """Return some columns (N,), and rows that cannot be read, which are NaN or left out."""
-        return {name: self.columns[name] for name in names}, TornRows(self.path, len(self), skip)
+        found = {name: self.columns[name] for name in dict.fromkeys(names)}
+        return found, TornRows(self.path, max(map(len, found.values()), default=0), skip)
 
     def loaded(self) -> LogTable:
         """Return the table with all its columns read."""
