@@ -27,7 +27,7 @@ from geodrake.effects import Effect, make_effect
 from geodrake.errors import ArgumentError, DigestError
 from geodrake.fleet.hashes import source_hash, text_hash
 from geodrake.identification.logs.dataset import is_payload
-from geodrake.inertia import PARAMETER_NAMES, PARAMETERS_PER_BODY, Array
+from geodrake.inertia import PARAMETER_NAMES, PARAMETER_UNITS, PARAMETERS_PER_BODY, Array
 from geodrake.robot.base_parameters import BaseParameters
 
 Indices = NDArray[np.intp]
@@ -50,7 +50,6 @@ BLOCKS = 4
 _SETTINGS = 4  # that a process keeps
 _LARGEST_FILE = 50_000_000  # bytes
 _MOST_LETTERS = 24  # of a value that a message shows
-_UNITS = ("kg", *("kg·m",) * 3, *("kg·m²",) * 6)
 
 
 @dataclass(frozen=True)
@@ -175,7 +174,9 @@ class DigestSettings(Short):
         """Return what the p columns are of: n_B base parameters, then the effects' parameters."""
         places = [divmod(int(at), PARAMETERS_PER_BODY) for at in self.independent]
         of_bodies = [
-            DigestColumn("body", label, (self.bodies[body],), PARAMETER_NAMES[k], _UNITS[k])
+            DigestColumn(
+                "body", label, (self.bodies[body],), PARAMETER_NAMES[k], PARAMETER_UNITS[k]
+            )
             for label, (body, k) in zip(self.base.labels(self.bodies), places, strict=True)
         ]
         of_effects = [

@@ -55,12 +55,15 @@ def calc_from_pseudo_inertia(matrix: Array) -> Array:
     return np.asarray(flat.reshape((*matrix.shape[:-2], PARAMETERS_PER_BODY)))
 
 
+def calc_parallel_axis(mass: Array, com: Array) -> Array:
+    """Return inertias (..., 3, 3) of masses (...) that are points (..., 3), m (pᵀp 1 − p pᵀ)."""
+    square = (com * com).sum(-1)[..., None, None] * _IDENTITY
+    return np.asarray(mass[..., None, None] * (square - com[..., :, None] * com[..., None, :]))
+
+
 def calc_from_mass_com_inertia(mass: Array, com: Array, inertia_com: Array) -> Array:
     """φ (..., 10) of masses (...), centres (..., 3) and central inertias (..., 3, 3)."""
-    squared = (com * com).sum(-1)[..., None, None] * _IDENTITY - com[..., :, None] * com[
-        ..., None, :
-    ]
-    inertia = inertia_com + mass[..., None, None] * squared
+    inertia = inertia_com + calc_parallel_axis(mass, com)
     moments = [inertia[..., i, j] for i, j in ((0, 0), (1, 1), (2, 2), (0, 1), (1, 2), (2, 0))]
     return np.concatenate([mass[..., None], mass[..., None] * com, np.stack(moments, -1)], -1)
 

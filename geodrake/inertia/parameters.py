@@ -18,14 +18,13 @@ from geodrake.inertia.kernels import (
     calc_dual,
     calc_from_mass_com_inertia,
     calc_from_pseudo_inertia,
+    calc_parallel_axis,
     calc_pseudo_inertia,
     calc_rotational_inertia,
 )
 
 PARAMETER_NAMES = ("m", "hx", "hy", "hz", "Ixx", "Iyy", "Izz", "Ixy", "Iyz", "Izx")
 PARAMETER_UNITS = ("kg", *("kg·m",) * 3, *("kg·m²",) * 6)
-
-_IDENTITY = np.eye(3)
 
 
 def checked_phi(phi: ArrayLike, name: str = "phi", sizes: Sizes | None = None) -> Array:
@@ -130,10 +129,7 @@ def to_mass_com_inertia(phi: ArrayLike) -> tuple[Array, Array, Array]:
     if not mass.all():
         raise ArgumentError(f"A body without mass has no centre of mass; got {mass.tolist()}.")
     com = phi[..., 1:4] / phi[..., :1]
-    squared = (com * com).sum(-1)[..., None, None] * _IDENTITY - com[..., :, None] * com[
-        ..., None, :
-    ]
-    return mass, com, calc_rotational_inertia(phi) - mass[..., None, None] * squared
+    return mass, com, calc_rotational_inertia(phi) - calc_parallel_axis(mass, com)
 
 
 def change_frame(phi: ArrayLike, R_AB: ArrayLike, p_AoBo_A: ArrayLike) -> Array:
