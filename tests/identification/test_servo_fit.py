@@ -191,6 +191,15 @@ def test_a_servo_without_integral_and_limit_gets_none(model):
     assert fit is None or fit.parameters[-1] == 0.0
 
 
+@pytest.mark.parametrize("integral", [0.0, INTEGRAL])
+def test_a_linear_fit_of_the_motion_is_where_searches_begin(model, log, summed, integral):
+    """The gain by inertias says nothing of a servo whose integral holds the joint up."""
+    motions = alone(model, summed if integral else log)
+    found = motions.linear_servo(EffortSignal("hinge", "command", 0.5))
+    assert found.gain == pytest.approx(TRUTH[0], rel=0.1)
+    assert found.integral == pytest.approx(integral, rel=0.1)
+
+
 def test_efforts_contain_the_integral(fitted, summed):
     """Those of the log are what bodies and friction need, with no constant left."""
     model, (known,), _ = fitted

@@ -84,12 +84,11 @@ class SignalRows:
         d: int,
         free: Sequence[Effect],
         *,
-        added: Effect | None = None,
         held: Effect | None = None,
     ) -> SignalRows:
         """Return the rows of a joint, over d inertial parameters.
 
-        The column of `added` is added to the signal; that of `held` is what known payloads need.
+        The column of `held` is what known payloads need.
         """
         data = dataset.data[joint]
         order, known = [], []
@@ -103,9 +102,8 @@ class SignalRows:
         mix = np.zeros((last + 1, k + len(inertial) + 2))
         mix[[*order, *inertial], range(mix.shape[1] - 2)] = 1.0
         mix[last, -1] = 1.0
-        for column, beside in ((-2, held), (-1, added)):
-            if beside is not None:
-                mix[data.local(dataset.effect_columns(beside)), column] = 1.0
+        if held is not None:
+            mix[data.local(dataset.effect_columns(held)), -2] = 1.0
         variance = float(dataset.effort_std[joint] ** 2)
         prior = np.eye(k, mix.shape[1]) * np.sqrt(np.array(known) * variance)[:, None]
         factors = [factor[:, : last + 1] @ mix for factor in data.factors]
@@ -145,19 +143,11 @@ class SignalRows:
         left = self.left(a, phi)
         return worth * float(np.log(left @ left / self.samples / self.variance + _NOTHING))
 
-    def free_parameters(self, a: float, phi: Array, worth: float) -> tuple[Array, Array]:
-        """Return parameters (k,) of the free columns on the scale of the signal, and deviations."""
-        N, others = np.split(self.factor[: self.free], [self.free], axis=1)
-        left = self.left(a, phi)
-        noise = left @ left / max(worth, 1.0)
-        spread = noise * np.diag(np.linalg.pinv(N.T @ N, hermitian=True))
-        body = np.concatenate([a * phi[self.columns], [a, -1.0]])
-        return np.linalg.lstsq(N, -others @ body, rcond=None)[0], np.sqrt(spread)
-
     def effective(self, a: float, phi: Array) -> float:
         """Return how many independent samples the residual is worth."""
-        free = self.free_parameters(a, phi, 1.0)[0]
-        x = self.mix @ np.concatenate([free, a * phi[self.columns], [a, -1.0]])
+        N, others = np.split(self.factor[: self.free], [self.free], axis=1)
+        body = np.concatenate([a * phi[self.columns], [a, -1.0]])
+        x = self.mix @ np.append(np.linalg.lstsq(N, -others @ body, rcond=None)[0], body)
         return effective_samples([rows.A @ x[:-1] + rows.b[:, 0] * x[-1] for rows in self.blocks])
 
 

@@ -34,7 +34,7 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import pairwise
-from typing import TypeVar
+from typing import NamedTuple, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -93,6 +93,7 @@ _RESETS = (1.0, 5.0)  # ki / kp, 1/s, that searches begin from
 _NOTHING = float(np.finfo(float).tiny)  # rad² or m², of a joint that stands exactly still
 _FAR = 1e3  # rad or m, from the measured motion, and no farther: squares stay numbers
 _TRIED_DELAYS = (0.0, 0.01, 0.03)  # s, that searches begin from
+_LINEAR_DELAYS = tuple(np.linspace(0.0, LONGEST_DELAY, 7).tolist())  # and linear fits try, s
 
 
 @dataclass(frozen=True, eq=False)
@@ -141,11 +142,41 @@ class JointMotions:
         found = servo.copy()
         found[_INTEGRAL] = integral
         for k, (rows, period) in enumerate(zip(self.rows, self.periods, strict=True)):
-            time = period * np.arange(len(rows))
-            ahead = np.interp(time - servo[_DELAY], time, rows[:, 7]) - rows[:, 4]
-            effort = servo[0] * ahead + integral * period * np.cumsum(ahead)
+            ahead, summed = _late_error(rows, period, float(servo[_DELAY]))
+            effort = servo[0] * ahead + integral * summed
             found[_BEGUN + k] = np.mean(rows[:, 0] - effort)
         return found
+
+    def linear_servo(self, signal: EffortSignal) -> EffortSignal:
+        """Return gain, delay and integral of a servo by a linear fit of what it is behind.
+
+        That is what bodies, friction and inertia need, over the gain. The signal itself where no
+        servo pulls to where it is told to go; without an integral unless one explains much more.
+        """
+        parts = list(zip(self.rows, self.periods, strict=True))
+        ones = np.repeat(np.eye(len(parts)), [len(rows) for rows, _ in parts], axis=0)
+        b, v, vd = np.concatenate(self.rows)[:, [0, 5, 6]].T
+        sides, found = np.column_stack([b, v, np.sign(v), vd, ones]), list[_Linear]()
+        for delay in _LINEAR_DELAYS:
+            told = [_late_error(rows, period, delay) for rows, period in parts]
+            behind = np.concatenate([error for error, _ in told])
+            for more in ((), (np.concatenate([summed for _, summed in told]),)):
+                columns = np.column_stack([sides, *more])
+                x = np.linalg.lstsq(columns, behind, rcond=None)[0]
+                gain = 1.0 / x[0] if x[0] > 0.0 else 0.0
+                integral = -gain * x[-1] if more else 0.0
+                if gain and (integral > 0.0 or not more):
+                    found.append(_Linear(behind - columns @ x, gain, delay, integral))
+        best = None
+        for with_it in (False, True):
+            some = [each for each in found if bool(each.integral) == with_it]
+            if some:
+                other = min(some, key=lambda each: float(each.left @ each.left))
+                if best is None or self.gain_of(best.left, other.left) >= PENALTY:
+                    best = other
+        if best is None:
+            return signal
+        return replace(signal, gain=best.gain, delay=best.delay, integral=best.integral)
 
     def residual(self, servo: Array) -> Array:
         """Return (N,) simulated − measured positions of all stretches."""
@@ -232,6 +263,22 @@ class JointMotions:
         pairs = np.maximum(1, np.rint(0.5 * _WINDOWS * counts / max(counts.sum(), 1)).astype(int))
         windows = zip(counts.tolist(), pairs.tolist(), strict=True)
         return np.concatenate([np.arange(n) * 2 * k // max(n, 1) % 2 == 1 for n, k in windows])
+
+
+class _Linear(NamedTuple):
+    """A servo by a linear fit."""
+
+    left: Array  # (N,) what stays unexplained of what it is behind, rad or m
+    gain: float
+    delay: float
+    integral: float
+
+
+def _late_error(rows: Array, period: float, delay: float) -> tuple[Array, Array]:
+    """Return how far late commands (N,) are ahead of positions, and the integral of that."""
+    time = period * np.arange(len(rows))
+    ahead = np.interp(time - delay, time, rows[:, 7]) - rows[:, 4]
+    return ahead, period * np.cumsum(ahead)
 
 
 def _even(count: int, length: int) -> list[slice]:
@@ -374,8 +421,7 @@ def fit_servo(
     search, start = replace(first, motions=motions), motions.servo(begin)
     fit = search.fitted(found, start, bodies)
     if fit is not None and fit.parameters[_INTEGRAL] ** 2 < PENALTY * fit.deviations[-1] ** 2:
-        plain = replace(search, told=0.0)
-        return plain.fitted(plain.best([found.plain()], seen=True), start, bodies)
+        return search.fitted(search.best([found.plain()], seen=True), start, bodies)
     return fit
 
 
@@ -393,8 +439,6 @@ class _Search:
         motions, began = self.motions, start.copy()
         began[[_LIMIT, _SHARE]] = half.numbers[[_LIMIT, _SHARE]]
         half = half.limited(*began[[_LIMIT, _SHARE]].tolist())
-        if half.summed and self.told:
-            began = motions.with_integral(began, self.told)
         tested, moved = motions.tested, float(np.std(motions.measured))
         if not motions.rms(half.numbers, tested) < min(motions.rms(began, tested), moved):
             return None
@@ -424,33 +468,27 @@ class _Search:
         """
         motions, begin, best = self.motions, _Servo.of(start), self._by_half(start)
 
-        def gain(servo: _Servo) -> float:
-            found = motions.gain(best.numbers, servo.numbers, motions.tested)
-            return found - PENALTY * (int(servo.summed) - int(best.summed))
+        def is_better(servo: _Servo) -> bool:
+            gain = motions.gain(best.numbers, servo.numbers, motions.tested)
+            return gain >= PENALTY * (1 + int(servo.summed) - int(best.summed))
 
-        residuals = [
-            (motions.residual(each.numbers), motions.residual(each.limited(limit, 0.0).numbers))
-            for each in (begin, best)
-        ]
-        if any((free != held).any() for free, held in residuals):
+        tried = [(each.numbers, each.limited(limit, 0.0).numbers) for each in (begin, best)]
+        if any((motions.simulated(free) != motions.simulated(held)).any() for free, held in tried):
             for own in (0.0, 1.0):
                 other = self._by_half(begin.limited(limit, own).numbers)
-                if gain(other) >= PENALTY:
-                    best = other
-        integrals = (self.told,) if self.told else (0.0, start[0])
+                best = other if is_better(other) else best
         starts = [best]
-        starts += [_Servo.of(motions.with_integral(start, each), summed=True) for each in integrals]
+        for integral in (0.0, self.told or start[0]):
+            starts.append(_Servo.of(motions.with_integral(start, integral), summed=True))
         for own in (0.0, 1.0):
             starts = [each.limited(self._most, own, sought=True) for each in starts]
             found = self.best(starts, seen=True)
             starts = [found]
-            if gain(found) >= PENALTY:
-                told = float(found.numbers[_INTEGRAL]) if found.summed else self.told
-                other = replace(self, told=told)._by_half(found.plain().numbers)
+            if is_better(found):
+                other = self._by_half(found.plain().numbers)
                 sought = other.limited(float(other.numbers[_LIMIT]), own, sought=True)
                 found = self.best([sought], seen=True)
-                if gain(found) >= PENALTY:
-                    best = found
+                best = found if is_better(found) else best
         return best
 
     @cached_property
@@ -459,30 +497,26 @@ class _Search:
         return float(np.abs(self.motions.needed).max()) or 1.0
 
     def _by_half(self, start: Array) -> _Servo:
-        """Return a servo by the windows that a test does not need."""
-        starts = [_Servo.of(each) for each in _starts(start)]
-        plain = self.best(starts, seen=True)
-        return self._integral(start, plain) or plain
+        """Return a servo by the windows that a test does not need.
 
-    def _integral(self, start: Array, plain: _Servo) -> _Servo | None:
-        """Return a servo with an integral by the windows that a fit sees, if the others ask for it.
-
-        None if they are predicted no better than by a servo with a constant effort.
+        It has an integral if the others are predicted better with it than with a constant effort.
         """
-        motions, constant = self.motions, _Servo.of(plain.numbers, summed=True)
+        motions = self.motions
+        starts = [start]  # with several delays, and damping known to the command or not
+        for delay in _TRIED_DELAYS:
+            starts.append(start.copy())
+            starts[-1][[_RATE, _DELAY]] = 0.0 if delay else 0.5 * start[2], delay
+        plain = self.best([_Servo.of(each) for each in starts], seen=True)
+        constant = _Servo.of(plain.numbers, summed=True)
+        if not self.told and self._promised(constant) < PENALTY:
+            return plain
+        resets = [motions.with_integral(plain.numbers, r * plain.numbers[0]) for r in _RESETS]
         if self.told:
-            begins = [motions.with_integral(each, self.told) for each in _starts(start)]
-        elif self._promised(constant) < PENALTY:
-            return None
-        else:
-            gain = plain.numbers[0]
-            begins = [motions.with_integral(plain.numbers, ratio * gain) for ratio in _RESETS]
-        starts = [_Servo.of(each, summed=True) for each in begins]
-        best = self.best(starts, seen=True)
-        constants = [each.without(_INTEGRAL) for each in (constant, best)]
-        constant = self.best(constants, seen=True)
+            resets = [motions.with_integral(each, self.told) for each in starts]
+        best = self.best([_Servo.of(each, summed=True) for each in resets], seen=True)
+        constant = self.best([each.without(_INTEGRAL) for each in (constant, best)], seen=True)
         worth = motions.gain(constant.numbers, best.numbers, motions.tested)
-        return best if worth >= PENALTY else None
+        return best if worth >= PENALTY else plain
 
     def _promised(self, constant: _Servo) -> float:
         """Return what an integral would gain beside a constant effort, by linear motions."""
@@ -551,7 +585,7 @@ class _Search:
         numbers, free, gain = best.numbers, best.free, best.numbers[0]
         least = np.full(len(numbers), float(np.std(self.motions.needed)) or 1.0)
         least[:_OFFSET] = 0.0, 0.02 * gain, 0.01 * gain, 1e-3, 1e-4, 0.01
-        least[_LOAD], least[_INTEGRAL] = _USUAL_LOAD, max(self.told, gain)
+        least[_LOAD], least[_INTEGRAL] = _USUAL_LOAD, gain
         size = np.maximum(np.abs(numbers), least)[free]
         residual, J = self.motions.residual(numbers), self.motions.slopes(numbers, free) * size
         noise = residual @ residual / WORTH
@@ -618,15 +652,6 @@ def _bounded(H: Array, pull: Array, lower: Array, upper: Array) -> Array:
             break
         free &= room > share
     return step
-
-
-def _starts(start: Array) -> list[Array]:
-    """Return where searches begin: with several delays, and damping known to the command or not."""
-    begins = [start]
-    for delay in _TRIED_DELAYS:
-        begins.append(start.copy())
-        begins[-1][[_RATE, _DELAY]] = 0.0 if delay else 0.5 * start[2], delay
-    return begins
 
 
 @compiled

@@ -2,21 +2,18 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from functools import cached_property, partial
 from weakref import WeakKeyDictionary
 
 import numpy as np
 from numpy.typing import NDArray
 
 from geodrake.effects import Role, catalogue
-from geodrake.effects.base import Effect, JointEffect, JointMotion, Parameter, RobotEffect
+from geodrake.effects.base import Parameter, RobotEffect
 from geodrake.effects.declarations import when_sliding
 from geodrake.effects.robot_motion import RobotMotion, log_number
 from geodrake.errors import LogError
-from geodrake.identification.logs.criteria import PENALTY
-from geodrake.identification.logs.dataset import Dataset
 from geodrake.identification.logs.effort_gains import (
     ALIKE,
     GainPriors,
@@ -27,8 +24,6 @@ from geodrake.identification.logs.effort_gains import (
 from geodrake.identification.logs.model_fit import effects_of
 from geodrake.identification.logs.reduce import reduce_logs
 from geodrake.identification.logs.servo_fit import (
-    LONGEST_DELAY,
-    USUAL_DELAY,
     Expected,
     JointMotions,
     ServoFit,
@@ -43,122 +38,9 @@ from geodrake.logs.preparation import prepare_logs
 from geodrake.model.carried_payloads import carried_phi, carrying
 from geodrake.model.effort_signal import COMMAND, EFFORT, EffortSignal, signal_of
 from geodrake.model.robot_model import RobotModel
-from geodrake.model.signal_efforts import error_integral, in_efforts, kind_of
+from geodrake.model.signal_efforts import in_efforts, kind_of
 
 Array = NDArray[np.float64]
-
-_BEFORE = 1.0  # s before a log, for which commands were as at its beginning
-
-Series = tuple[Array, Array]
-"""Instants (N,) since a log began, s, and values (N,)."""
-
-
-@dataclass(frozen=True)
-class LoggedColumn(JointEffect):
-    """A column of logs at a joint: its values (N,) by the log's number and instants (N,), s."""
-
-    values: Callable[[int, Array], Array]
-
-    name = "logged"
-    parameters = (Parameter("share", "1"),)
-    depends_on = frozenset({"time"})
-
-    def columns(self, joint: JointMotion) -> tuple[Array]:
-        """Return [1], where there are no instants."""
-        return (np.ones_like(joint.v),)
-
-    def rows(self, motion: RobotMotion) -> Mapping[str, Array]:
-        """Return the column (N, 1) at the joint."""
-        if motion.time is None:
-            return super().rows(motion)
-        return {self.joint: self.values(motion.log, motion.time)[:, None]}
-
-
-@dataclass(frozen=True, eq=False)
-class Commands:
-    """The commands c of a joint in several logs, as columns for every delay that is tried.
-
-    Series of a log are by its number. In a log without commands everything is 0.
-    """
-
-    joint: str
-    told: Mapping[int, Series]  # c, rad or m
-    summed: Mapping[int, Series]  # ∫c dt, rad·s or m·s; before a log begins c is as it is there
-    behind: Mapping[int, Series]  # ∫(c − q) dt, rad·s or m·s
-    later: tuple[int, ...]  # numbers of all logs but the first one
-
-    @classmethod
-    def of(cls, logs: Sequence[JointLog], joint: str) -> Commands:
-        """Return those of a joint in logs, some with commands."""
-        commands, summed, behind = dict[int, Series](), dict[int, Series](), dict[int, Series]()
-        for log in logs:
-            if log.command is None or joint not in log.joints:
-                continue
-            j, number = log.joints.index(joint), log_number(log.name)
-            told, position = log.command[:, j], log.position[:, j]
-            known, there = (np.isfinite(log.time) & np.isfinite(x) for x in (told, position))
-            if not known.any():
-                continue
-            instants = log.time - log.time[np.isfinite(log.time)][0]
-            time, told = instants[known], told[known]
-            commands[number] = time, told
-            if there.any():
-                lag = told - np.interp(time, instants[there], position[there])
-                behind[number] = time, error_integral(time, lag)
-                before = np.append(time[0] - _BEFORE, time)
-                summed[number] = before, error_integral(before, np.append(told[0], told))
-        later = tuple(log_number(log.name) for log in logs[1:])
-        return cls(joint, commands, summed, behind, later)
-
-    @cached_property
-    def late(self) -> tuple[LoggedColumn, ...]:
-        """c(t − δ) − c(t), rad or m; the first of them is zero."""
-
-        def late(delay: float, log: int, time: Array) -> Array:
-            return _at(self.told, log, time - delay) - _at(self.told, log, time)
-
-        return self._delayed(late)
-
-    @cached_property
-    def rates(self) -> tuple[LoggedColumn, ...]:
-        """dc/dt(t − δ), rad/s or m/s."""
-
-        def rate(delay: float, log: int, time: Array) -> Array:
-            late = _at(self.told, log, time - delay)
-            return np.gradient(late, time) if len(time) > 1 else np.zeros(len(time))
-
-        return self._delayed(rate)
-
-    @cached_property
-    def integrals(self) -> tuple[LoggedColumn, ...]:
-        """∫(c(t − δ) − q) dt, rad·s or m·s; it begins at 0 with each log, up to `constants`."""
-
-        def integral(delay: float, log: int, time: Array) -> Array:
-            late = _at(self.summed, log, time - delay) - _at(self.summed, log, time)
-            return _at(self.behind, log, time) + late
-
-        return self._delayed(integral)
-
-    @cached_property
-    def constants(self) -> tuple[LoggedColumn, ...]:
-        """Ones in each log but the first."""
-
-        def is_log(number: int, log: int, time: Array) -> Array:
-            return np.full(len(time), float(log == number))
-
-        return tuple(LoggedColumn(self.joint, partial(is_log, number)) for number in self.later)
-
-    @property
-    def all(self) -> tuple[LoggedColumn, ...]:
-        """All of them that are not zero."""
-        return (*self.late[1:], *self.rates, *self.integrals, *self.constants)
-
-    def _delayed(self, values: Callable[[float, int, Array], Array]) -> tuple[LoggedColumn, ...]:
-        return tuple(LoggedColumn(self.joint, partial(values, delay)) for delay in _DELAYS)
-
-
-def _at(series: Mapping[int, Series], log: int, time: Array) -> Array:
-    return np.interp(time, *series[log]) if log in series else np.zeros(len(time))
 
 
 @dataclass(frozen=True)
@@ -185,8 +67,6 @@ class CarriedColumn(RobotEffect):
 
 
 _SHARP = 20.0  # Hz
-_ROUNDS = 2  # of choosing how servos take commands, and of bodies and gains with that
-_DELAYS = tuple(np.linspace(0.0, LONGEST_DELAY, 16).tolist())  # that are tried, s
 
 
 def calibrate_efforts(
@@ -285,29 +165,85 @@ def gain_words(
     return f"efforts are those of {kinds}, by gains from the model's inertias: {', '.join(words)}"
 
 
-_LINEAR = WeakKeyDictionary[RobotModel, "tuple[tuple[JointLog, ...], _Calibration]"]()
-"""Linear fits of logs whose columns were looked at, until the logs are compared with the model."""
-
-
 def calibrated(
     model: RobotModel, logs: Sequence[JointLog], kinds: Sequence[str], *, simulate: bool = True
 ) -> tuple[EffortSignal, ...]:
     """Find what makes efforts of the signals of all joints whose efforts were not measured.
 
-    `kinds` (nv,) are what stands for the efforts of each joint. Joints with servos are simulated,
-    or the linear fit stays, which counts for a simulation of the same logs afterwards.
+    `kinds` (nv,) are what stands for the efforts of each joint. A linear fit takes efforts of
+    servos for a gain times how far the command is away; how their joints move says the rest, from
+    that on. The linear fit counts for a simulation of the same logs afterwards.
 
     Raises:
         LogError: A servo pushes away from where it is told to go.
     """
     of, linear = _LINEAR.pop(model, ((), None))
     if linear is None or of != tuple(logs):
-        linear = _Calibration.of(model, logs, kinds)
-    if simulate:
-        return tuple(linear.by_motion().values())
-    _LINEAR[model] = tuple(logs), linear
-    choice, gains = linear.found
-    return tuple(choice.signals(gains).values())
+        linear = _linear(model, logs, kinds)
+    known, trajectories, gains = linear
+    found, deviations = dict[int, EffortSignal](), gains.deviations * np.abs(gains.gains)
+    for j, (joint, kind) in enumerate(zip(model.joints, kinds, strict=True)):
+        if kind != EFFORT:
+            gain = float(abs(gains.gains[j]) if kind == COMMAND else gains.gains[j])
+            found[j] = EffortSignal(joint, kind, gain, float(deviations[j]))
+    servos, moved = [j for j, kind in enumerate(kinds) if kind == COMMAND], set[int]()
+    if not simulate:
+        _LINEAR[model] = tuple(logs), linear
+    elif servos:
+        sharp, alike = sharp_trajectories(known, trajectories), _alike(model, kinds)
+        # Bodies are those of the model that is saved, not as the linear fit moves them.
+        motions = motions_of(replace(model, effects=()), logs, sharp, servos)
+        starts = {j: own.pieces().linear_servo(found[j]) for j, own in motions.items()}
+        for j, own in motions.items():
+            same = [starts[k].gain for k in servos if alike[k] == alike[j]]
+            share, usual = min(found[j].uncertainty, float(gains.bodies[j])), float(np.median(same))
+            fit = servo_by_motion(model, logs, own, starts[j], usual=usual, bodies=share)
+            if fit is not None:
+                found[j] = signal_by_motion(found[j], fit)
+                moved.add(j)
+    for j in servos:  # where an integral holds a joint up, the motion alone tells its sign
+        if gains.gains[j] < 0.0 and j not in moved:
+            raise LogError(
+                f"The servo of {model.joints[j]} pushes away from its command, with "
+                f"{gains.gains[j]:.3g} ± {deviations[j]:.2g} N·m/rad.",
+                advice="Has its command or its position the wrong sign, or is it of another joint?",
+                joint=model.joints[j],
+            )
+    return tuple(found.values())
+
+
+_Linear = tuple[Sequence[JointLog], Sequence[Trajectory], SignalGains]
+"""Logs with signals in the place of efforts, as they are prepared, and gains by a linear fit."""
+
+_LINEAR = WeakKeyDictionary[RobotModel, tuple[tuple[JointLog, ...], _Linear]]()
+"""Linear fits of logs whose columns were looked at, until the logs are compared with the model."""
+
+
+def _linear(model: RobotModel, logs: Sequence[JointLog], kinds: Sequence[str]) -> _Linear:
+    """Fit the gains of signals of logs, whose `kinds` (nv,) stand for the efforts of each joint."""
+    known = signals_as_efforts(logs, kinds)
+    trajectories = prepare_logs(known)
+    usual = [kind for kind in catalogue() if kind.complexity == 0]
+    free = [kind.shaped(joint)[0] for joint in model.single_joints for kind in usual]
+    free += [effect for effect in effects_of(model) if effect.role is not Role.BODY]
+    free = list(dict.fromkeys(free))
+    held = None
+    if any(log.payloads for log in logs):
+        each = [(log_number(log.name), carried_phi(model, log.payloads)) for log in logs]
+        held = CarriedColumn({n: _by_body(model, phi) for n, phi in each})
+    effects = free if held is None else [*free, held]
+    folds = validation_blocks(trajectories)
+    dataset = reduce_logs(model, trajectories, folds, effects=effects)
+    d = model.phi.size
+    rows = [SignalRows.of(dataset, j, d, free, held=held) for j in range(len(kinds))]
+    gains = signal_gains(rows, model, _gain_priors(model, logs, kinds), _alike(model, kinds))
+    return known, trajectories, gains
+
+
+def _alike(model: RobotModel, kinds: Sequence[str]) -> list[str]:
+    """Return (nv,) kinds of signals whose gains are alike."""
+    pairs = zip(model.joints, kinds, strict=True)
+    return [f"{kind} {joint in model.sliding_joints}" for joint, kind in pairs]
 
 
 def _gain_priors(model: RobotModel, logs: Sequence[JointLog], kinds: Sequence[str]) -> GainPriors:
@@ -465,181 +401,3 @@ def _kinds(model: RobotModel, logs: Sequence[JointLog]) -> tuple[str, ...]:
             )
         found.append(kind)
     return tuple(found)
-
-
-@dataclass(frozen=True, eq=False)
-class _Calibration:
-    """How servos take their commands, and what a linear fit says of all signals with that.
-
-    Servos may be late, their damping may know the command's rate, and they may have an integral:
-    all of a robot are alike in that.
-    """
-
-    model: RobotModel
-    logs: Sequence[JointLog]
-    # The logs with signals in the place of efforts, and what was made of these.
-    samples: tuple[Sequence[JointLog], Sequence[Trajectory], Dataset]
-    kinds: Sequence[str]  # (nv,) what stands for the efforts of each joint
-    beside: tuple[Effect, ...]  # effects that are free
-    commanded: Mapping[int, Commands]  # by the index of the joint
-    held: CarriedColumn | None = None  # the column of known payloads' efforts, if there are some
-    delay: int = 0  # which of `_DELAYS`
-    rate: bool = False
-    integral: bool = False
-    # Rows by the joint, and how its servo takes commands: choices come up again and again.
-    known: dict[tuple[int, ...], SignalRows] = field(default_factory=dict)
-
-    @classmethod
-    def of(cls, model: RobotModel, logs: Sequence[JointLog], kinds: Sequence[str]) -> _Calibration:
-        """Return the first choice, of servos that are not late and know no rates."""
-        known = signals_as_efforts(logs, kinds)
-        trajectories = prepare_logs(known)
-        commanded = {
-            j: Commands.of(logs, model.joints[j]) for j, k in enumerate(kinds) if k == COMMAND
-        }
-        usual = [kind for kind in catalogue() if kind.complexity == 0]
-        free = [kind.shaped(joint)[0] for joint in model.single_joints for kind in usual]
-        free += [effect for effect in effects_of(model) if effect.role is not Role.BODY]
-        free = list(dict.fromkeys(free))
-        held = None
-        if any(log.payloads for log in logs):
-            each = [(log_number(log.name), carried_phi(model, log.payloads)) for log in logs]
-            held = CarriedColumn({n: _by_body(model, phi) for n, phi in each})
-        columns: list[Effect] = [column for each in commanded.values() for column in each.all]
-        columns += [] if held is None else [held]
-        folds = validation_blocks(trajectories)
-        dataset = reduce_logs(model, trajectories, folds, effects=(*free, *columns))
-        samples = known, trajectories, dataset
-        return cls(model, logs, samples, kinds, tuple(free), commanded, held)
-
-    @cached_property
-    def alike(self) -> list[str]:
-        """(nv,) kinds of signals whose gains are alike."""
-        pairs = zip(self.model.joints, self.kinds, strict=True)
-        return [f"{kind} {joint in self.model.sliding_joints}" for joint, kind in pairs]
-
-    def fit(self) -> SignalGains:
-        """Return bodies and gains by this choice."""
-        priors = _gain_priors(self.model, self.logs, self.kinds)
-        rows = [self.joint(j) for j in range(len(self.kinds))]
-        return signal_gains(rows, self.model, priors, self.alike)
-
-    @cached_property
-    def found(self) -> tuple[_Calibration, SignalGains]:
-        """The likeliest choice with bodies and gains, which are found in turn."""
-        choice, gains = self, self.fit()
-        # What is wrong with a delay of 0 shows more in an error that an integral keeps small.
-        looked = replace(gains, phi=self.model.total_phi) if self.integral else gains
-        for _ in range(_ROUNDS if self.commanded else 0):
-            choices = [
-                replace(self, delay=delay, rate=rate)
-                for rate in (False, True)
-                for delay in range(len(_DELAYS))
-            ]
-            last, choice = choice, min(choices, key=partial(_Calibration.cost, gains=looked))
-            if (choice.delay, choice.rate) == (last.delay, last.rate):
-                break
-            gains = looked = choice.fit()
-        return choice, gains
-
-    def by_motion(self) -> dict[int, EffortSignal]:
-        """Return what makes efforts of signals, of servos by how their joints move."""
-        (plain, gains), joints = self.found, tuple(self.commanded)
-        if not joints:
-            return plain.signals(gains)
-        known, trajectories, _ = self.samples
-        sharp = sharp_trajectories(known, trajectories)
-        # Bodies are those of the model that is saved, not as the linear fit moves them.
-        motions = motions_of(replace(self.model, effects=()), self.logs, sharp, joints)
-        summed, other = replace(self, integral=True).found
-        servos = dict[int, EffortSignal]()
-        if summed.cost(other) + PENALTY * len(joints) < plain.cost(gains):
-            servos = summed.moved(other, motions)
-            if any(servo.integral for servo in servos.values()):
-                plain, gains, motions = summed, other, {}
-        servos |= plain.moved(gains, {j: own for j, own in motions.items() if j not in servos})
-        linear = plain.signals(gains).items()
-        found = {j: replace(signal, integral=0.0, integral_deviation=0.0) for j, signal in linear}
-        return found | servos
-
-    def moved(
-        self, gains: SignalGains, motions: Mapping[int, JointMotions]
-    ) -> dict[int, EffortSignal]:
-        """Return servos of joints whose motion is predicted better for them."""
-        signals, servos = self.signals(gains), dict[int, EffortSignal]()
-        for j, own in motions.items():
-            same = [signals[k].gain for k in self.commanded if self.alike[k] == self.alike[j]]
-            fit = servo_by_motion(
-                self.model,
-                self.logs,
-                own,
-                signals[j],
-                usual=float(np.median(same)),
-                bodies=min(signals[j].uncertainty, float(gains.bodies[j])),
-            )
-            if fit is not None:
-                servos[j] = signal_by_motion(signals[j], fit)
-        return servos
-
-    def cost(self, gains: SignalGains) -> float:
-        """Return twice the negative log-likelihood with some bodies and gains."""
-        phi, total = gains.phi.ravel(), 2.0 * _DELAYS[self.delay] / USUAL_DELAY
-        for j in self.commanded:
-            rows = self.joint(j)
-            a = rows.least_squares_gain(phi)
-            # Where an integral holds a joint up, so little is left of the error that its sign may
-            # go.
-            if self.integral and a < 0.0:
-                return np.inf
-            total += rows.cost(a, phi, gains.worth[j]) + PENALTY * self.rate
-        return float(total)
-
-    def joint(self, j: int) -> SignalRows:
-        """Return the rows of a joint."""
-        key = (j, self.delay, self.rate, self.integral)
-        if key not in self.known:
-            self.known[key] = self._rows(j)
-        return self.known[key]
-
-    def _rows(self, j: int) -> SignalRows:
-        free, added = list(self.beside), None
-        if j in self.commanded:
-            own = self.commanded[j]
-            added = own.late[self.delay] if self.delay else None
-            free += [*own.constants, own.integrals[self.delay]] if self.integral else []
-            free += [own.rates[self.delay]] if self.rate else []
-        d = self.model.phi.size
-        return SignalRows.of(self.samples[2], j, d, free, added=added, held=self.held)
-
-    def signals(self, gains: SignalGains) -> dict[int, EffortSignal]:
-        """Return what makes efforts of the signals of joints whose efforts are unknown, by index.
-
-        Raises:
-            LogError: A servo pushes away from where it is told to go.
-        """
-        unknown = {j: kind for j, kind in enumerate(self.kinds) if kind != EFFORT}
-        return {j: self._signal(j, kind, gains) for j, kind in unknown.items()}
-
-    def _signal(self, j: int, kind: str, gains: SignalGains) -> EffortSignal:
-        joint, gain = self.model.joints[j], float(gains.gains[j])
-        deviation = float(gains.deviations[j] * abs(gain))
-        if kind != COMMAND:
-            return EffortSignal(joint, kind, gain, deviation)
-        if gain < 0.0:
-            raise LogError(
-                f"The servo of {joint} pushes away from its command, with {gain:.3g} ± "
-                f"{deviation:.2g} N·m/rad.",
-                advice="Has its command or its position the wrong sign, or is it of another joint?",
-                joint=joint,
-            )
-        phi, worth = gains.phi.ravel(), float(gains.worth[j])
-        shares, deviations = self.joint(j).free_parameters(1.0 / gain, phi, worth)
-        found = {}
-        for name, is_there, at in (
-            ("damping", self.rate, -1),
-            ("integral", self.integral, -1 - self.rate),
-        ):
-            if is_there and shares[at] < 0.0:
-                found[name] = -gain * float(shares[at])
-                found[f"{name}_deviation"] = gain * float(deviations[at])
-        return EffortSignal(joint, kind, gain, deviation, delay=_DELAYS[self.delay], **found)
