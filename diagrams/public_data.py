@@ -10,6 +10,7 @@ from __future__ import annotations
 import argparse
 import os
 from collections.abc import Mapping
+from importlib.metadata import PackageNotFoundError, distribution
 from pathlib import Path
 
 FOLDER = Path(os.environ.get("GEODRAKE_MEASUREMENTS", Path(__file__).parents[2] / "shared"))
@@ -38,6 +39,16 @@ _ABOUT: Mapping[str, str] = {
     "reference/ur10e.urdf": "the maker's description of the arm, in ROS's ur_description",
     "reference/tx40.urdf": "a description of the arm with the joints of the log",
 }
+
+
+def installed_model(path: str) -> Path:
+    """Return where the package `example-robot-data` has a model file, if it is installed."""
+    folder = Path("example-robot-data") / "robots"
+    try:
+        package = distribution("example-robot-data")
+    except PackageNotFoundError:
+        return folder / path
+    return Path(str(package.locate_file(Path("cmeel.prefix/share") / folder / path)))
 
 
 def add_folder_option(parser: argparse.ArgumentParser, what: str = "of the measurements") -> None:

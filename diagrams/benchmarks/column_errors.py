@@ -23,6 +23,7 @@ from numpy.typing import NDArray
 
 from diagrams.benchmarks.hidden.robots import (
     ENGINES,
+    MOTIONS,
     Engine,
     congruent,
     make_engine,
@@ -95,7 +96,6 @@ def follow(
 ENCODER, TACHO, NOISE = 1e-5, 2e-4, 0.01  # rad, rad/s, and a share of the effort's deviation
 OFF = 0.2  # geometric distance of the bodies from those of the model file
 USUAL_GAIN = 0.03  # deviation of the gains of all efforts
-MOTIONS = ("fast", "slow", "point to point")
 RATE, DURATION = 125.0, 20.0  # 1/s, s
 
 

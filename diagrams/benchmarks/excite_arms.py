@@ -18,7 +18,6 @@ import subprocess
 import sys
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass
-from importlib.metadata import distribution
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any
@@ -30,6 +29,7 @@ import pinocchio as pin
 from numpy.typing import NDArray
 
 from diagrams.harness import bars, script_parser, show, write
+from diagrams.public_data import installed_model
 from geodrake import load_model
 from geodrake.excitation import CollisionWorld, floor_of, motion_limits
 from geodrake.excitation.starts import possible_postures
@@ -76,12 +76,6 @@ class Checked:
         return clear and shares and self.slope < 1e-2
 
 
-def arm_file(name: str) -> Path:
-    """Return the model file of an arm of `ARMS`."""
-    share = Path(str(distribution("example-robot-data").locate_file("cmeel.prefix/share")))
-    return share / "example-robot-data" / "robots" / ARMS[name]
-
-
 def excited(path: Path, folder: Path, options: Sequence[str]) -> tuple[dict[str, Any], Any, float]:
     """Run the command; returns its numbers, the table it saved, and its CPU time, s."""
     files = ["--json", str(folder / "numbers.json"), "--save", str(folder / "motion.csv")]
@@ -104,7 +98,7 @@ print("cpu", used.ru_utime + used.ru_stime)
 
 def checked(name: str, options: Sequence[str]) -> Checked:
     """Design a motion for an arm with the command, and check it with Pinocchio."""
-    path = arm_file(name)
+    path = installed_model(ARMS[name])
     model = load_model(path)
     lower, upper = model.position_limits
     world = CollisionWorld(model, obstacles=(floor_of(model),), clearance=CLEARANCE)

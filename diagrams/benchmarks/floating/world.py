@@ -7,13 +7,14 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from fnmatch import fnmatchcase
 from functools import cache
-from importlib.metadata import distribution
 from typing import Any
 from zlib import crc32
 
 import mujoco
 import numpy as np
 import numpy.typing as npt
+
+from diagrams.public_data import installed_model
 
 SWAY, TROT = "sway", "trot"
 PAYLOAD, LIMB, DRIVES, GAIN, FOOT, QUIET = (
@@ -102,7 +103,6 @@ def all_draws(seed: int, **fixed: object) -> list[Draw]:
     ]
 
 
-_FOLDER = "cmeel.prefix/share/example-robot-data/robots"
 _NEGLIGIBLE = 1e-5  # kg
 _POINT_INERTIA = 1e-5  # kg·m², of masses that a file calls points
 
@@ -259,8 +259,7 @@ def robot_text(name: str) -> str:
     Links of no mass lose their inertia, and masses that are points get a little.
     """
     robot = ROBOTS[name]
-    path = distribution("example-robot-data").locate_file(f"{_FOLDER}/{robot.path}")
-    root = ET.parse(str(path)).getroot()
+    root = ET.parse(installed_model(robot.path)).getroot()
     for link in root.iter("link"):
         for shape in (*link.findall("visual"), *link.findall("collision")):
             link.remove(shape)

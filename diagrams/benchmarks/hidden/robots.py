@@ -11,7 +11,6 @@ from abc import ABC, abstractmethod
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cache, cached_property
-from importlib.metadata import PackageNotFoundError, distribution
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
@@ -21,6 +20,7 @@ import pinocchio as pin
 from numpy.typing import NDArray
 
 from diagrams.harness import MODELS, sines
+from diagrams.public_data import installed_model
 from geodrake import load_model
 from geodrake.model import RobotModel
 
@@ -36,7 +36,6 @@ FURTHER: Mapping[str, str] = {
 }
 """Public arms of other studies, which are not drawn here."""
 _FINGERS = ("jointGripper",)
-_PUBLIC_FOLDER = "cmeel.prefix/share/example-robot-data/robots"
 
 
 @dataclass(frozen=True)
@@ -75,17 +74,7 @@ PLANAR = ("double_pendulum",)
 
 def robot_names() -> tuple[str, ...]:
     """Return the robots that are installed."""
-    folder = _public_folder()
-    found = [] if folder is None else [n for n, path in PUBLIC.items() if (folder / path).is_file()]
-    return (*OWN, *found)
-
-
-def _public_folder() -> Path | None:
-    try:
-        package = distribution("example-robot-data")
-    except PackageNotFoundError:
-        return None
-    return Path(str(package.locate_file(_PUBLIC_FOLDER)))
+    return (*OWN, *(name for name, path in PUBLIC.items() if installed_model(path).is_file()))
 
 
 @cache
@@ -95,10 +84,9 @@ def robot_file(name: str) -> RobotFile:
     What a file states of damping and friction is taken out, so that all friction is hidden, and
     fingers are held fixed. Joints that turn without end have limits.
     """
-    folder = _public_folder()
-    own = name in OWN or folder is None
-    path = MODELS / f"{name}.urdf" if own else folder / {**PUBLIC, **FURTHER}[name]
-    root = ET.parse(path).getroot()
+    public = {**PUBLIC, **FURTHER}
+    own = MODELS / f"{name}.urdf"
+    root = ET.parse(installed_model(public[name]) if name in public else own).getroot()
     for link in root.iter("link"):
         for shape in (*link.findall("visual"), *link.findall("collision")):
             link.remove(shape)

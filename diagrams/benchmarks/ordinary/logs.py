@@ -11,6 +11,7 @@ import mujoco
 import numpy as np
 
 from diagrams.benchmarks.hidden.robots import (
+    ENGINES,
     FAST,
     POINTS,
     Engine,
@@ -229,7 +230,6 @@ KINDS = {
 
 ORDINARY, OUTSIDE, QUIET = "ordinary", "outside", "quiet"
 ARMS = ("ur5", "xarm7", "z1", "kinova")
-ENGINES = ("pinocchio", "mujoco")
 WHITE, COLOURED = "white", "coloured"
 COLOURS = (WHITE, COLOURED)
 _OFF = (0.0, 0.15, 0.3)
