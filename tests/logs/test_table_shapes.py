@@ -142,6 +142,13 @@ SHAPES = {
     "footer.csv": text(PLAIN.to_csv(index=False) + "\nrows: 60\nend\n"),
     "rate.npz": lambda path: np.savez(path, q=POSITION, tau=EFFORT, fs=100),
     "rate.mat": lambda path: savemat(path, {"run": {"q": POSITION, "tau": EFFORT, "Ts": 0.01}}),
+    "rate.h5": in_hdf5({"a/q": POSITION, "a/tau": EFFORT, "a/dt": 0.01}),
+    "rate73.mat": in_hdf5({"q": POSITION.T, "tau": EFFORT.T, "fs": [[100.0]]}),
+    "split_alone.json": text(json.dumps({"columns": [*PLAIN], "data": PLAIN.to_numpy().tolist()})),
+    "identity.csv": table(A_ROW_A_JOINT.rename(columns={"joint": "id"})
+        .assign(id=np.tile([1, 2], ROWS))),
+    "units.csv": table(PLAIN.set_axis(["time", "base_rad", "elbow_rad", "base_Nm", "elbow_Nm"],
+        axis=1)),
     "rate.json": text(json.dumps({"dt": 0.01, **listed({n: LISTS[n] for n in ("q", "tau")})})),
     "date.csv": table(PLAIN.rename(columns={"time": "Zeitpunkt"}).assign(Zeitpunkt=MOMENTS)),
     "long_date.csv": table(A_ROW_A_JOINT.drop(columns="time").assign(when=MOMENTS.repeat(2))),

@@ -29,6 +29,7 @@ from geodrake.logs.files.table import (
     check_room,
     numbered,
     numeric_table,
+    rate_in,
     readable,
     rows_of,
 )
@@ -75,7 +76,7 @@ def _of_pandas(content: Any) -> Any:
     """Return what a data frame that was written as JSON holds, as columns."""
     if not isinstance(content, Mapping):
         return content
-    if content.keys() == {"columns", "index", "data"}:
+    if {"columns", "data"} <= content.keys() <= {"columns", "index", "data"}:
         return [dict(zip(content["columns"], row, strict=True)) for row in content["data"]]
     rows = [tuple(each) if isinstance(each, Mapping) else () for each in content.values()]
     if len(rows) > 1 and rows[0][:2] == ("0", "1") and set(rows) == {rows[0]}:
@@ -156,8 +157,11 @@ def _of_hdf5(path: Path, *, matlab: bool = True) -> dict[str, Any]:
                 advice=_MAT_ADVICE,
             )
         found = {name: file[name] for name in names}
-        arrays = {n: v for n, v in found.items() if isinstance(v, h5py.Dataset) and v.shape}
-        arrays = {n: v for n, v in arrays.items() if matlab or len(v.shape) <= 2}
+        told = [(f"{k}/{n}", x) for k, v in found.items() for n, x in v.attrs.items()]
+        datasets = {n: v for n, v in found.items() if isinstance(v, h5py.Dataset)}
+        told += [*file.attrs.items()]
+        told += [(n, np.ravel(v[()])[0]) for n, v in datasets.items() if v.size == 1]
+        arrays = {n: v for n, v in datasets.items() if v.shape and (matlab or len(v.shape) <= 2)}
         size = sum(value.size for value in arrays.values())
         check_room(path, size, f"{size} numbers")
         for name, value in arrays.items():
@@ -168,7 +172,7 @@ def _of_hdf5(path: Path, *, matlab: bool = True) -> dict[str, Any]:
             is_text = value.attrs.get("MATLAB_class", b"double") in (b"char", b"cell")
             array = None if is_text else np.asarray(value)
             inside[last] = array.T if matlab and array is not None else array  # columns come first
-    return variables
+    return variables | {name: float(x) for name, x in told if rate_in(name, x) is not None}
 
 
 def _arrays(variables: dict[str, Any]) -> dict[str, Any]:

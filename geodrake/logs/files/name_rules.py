@@ -66,7 +66,7 @@ ROLE_WORDS: Mapping[str, int] = {
     **dict.fromkeys(["external", "ext", "error", "err", "errors", "limit", "min", "max"], OTHER),
     **dict.fromkeys(["gravity", "coriolis", "friction", "model", "disturbance"], OTHER),
     **dict.fromkeys(["bias", "passive", "constraint", "inverse"], OTHER),
-    **dict.fromkeys(["fraction", "scaling", "contact"], OTHER),
+    **dict.fromkeys(["fraction", "scaling", "contact", "direction", "sign"], OTHER),
 }
 """Words that say whether numbers were measured at the joint, and so which of several are taken."""
 
@@ -91,6 +91,7 @@ _OBSERVED = ("observation.state", "observation.position")  # of LeRobot
 _BRACKETS = re.compile(r"\s*[\[(<{]\s*([^\])>}]*?)\s*[\])>}]\s*$")
 _INDEX = re.compile(r"\[(\d+)\]")
 _NAMING = frozenset(["name", "names", "joint", "joints", "motor", "motors", "axis", "actuator"])
+_NAMING |= {"id", "servo"}
 _LONGEST_NAME = 200  # letters of a name of words
 _SAMPLES = ("actual", "measured", "feedback", "state", "desired", "target", "command", "reference")
 
@@ -282,9 +283,14 @@ def _joint(column: str) -> Meaning | None:
 
 
 def _measured_in(name: str) -> Meaning | None:
-    """Read a name in any language by the unit in brackets behind it, as in `Winkel 1 [°]`."""
+    """Read a name in any language by the unit behind it, as in `Winkel 1 [°]` or `elbow_deg`.
+
+    Units of time, and of what stands for efforts, count in brackets alone.
+    """
     units = {q: _without_brackets(name, q) for q in ("time", *QUANTITIES, *SIGNAL_KINDS)}
-    for quantity, (plain, unit) in units.items():
+    bare = [(quantity, *_without_unit(name, quantity)) for quantity in QUANTITIES]
+    bare = [each for each in bare if each[2] is not None and each[2].signal is None]
+    for quantity, plain, unit in [*((q, *told) for q, told in units.items()), *bare]:
         if unit is None:
             continue
         if quantity == "time":

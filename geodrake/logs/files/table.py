@@ -431,7 +431,7 @@ def numeric_table(path: Path, arrays: Mapping[str, Any], rows: int) -> LogTable:
     """
     columns, notes = dict[str, Array](), dict[str, None]()
     origins, silent, words = {}, {}, dict[str, NDArray[np.object_]]()
-    rates = {name: rate for name, x in arrays.items() if (rate := _rate(name, x)) is not None}
+    rates = {name: rate for name, x in arrays.items() if (rate := rate_in(name, x)) is not None}
     for name, given in arrays.items():
         if name in rates:
             continue
@@ -447,9 +447,9 @@ def numeric_table(path: Path, arrays: Mapping[str, Any], rows: int) -> LogTable:
         if origin is not None:
             origins[name] = origin
         notes |= {note: None} if note else {}
-    if silent:
-        more = " …" if len(silent) > _MOST_NAMES else ""
-        named = ", ".join([*silent][:_MOST_NAMES])
+    if lacking := [name for name in silent if not _is_alone(arrays[name])]:
+        more = " …" if len(lacking) > _MOST_NAMES else ""
+        named = ", ".join(lacking[:_MOST_NAMES])
         notes[f"columns without a number for each row: {named}{more}"] = None
     said = tuple(notes)
     told = next(((rate, name) for name, rate in rates.items()), None)
@@ -461,7 +461,7 @@ _PERIODS = ("dt", "ts", "period", "timestep", "sampletime", "sampleperiod", "sam
 _RATES = ("fs", "rate", "hz", "fps", "freq", "frequency", "samplerate", "samplingrate")
 
 
-def _rate(name: str, value: Any) -> float | None:
+def rate_in(name: str, value: Any) -> float | None:
     """Return the rows a second that a number alone in a file gives by its name, if it does."""
     word = re.sub(r"[^a-z]", "", re.split(r"[./]", name.lower())[-1])
     if not _is_alone(value) or word not in (*_PERIODS, *_RATES):
