@@ -89,7 +89,6 @@ _FIRST_DAMPING, _LEAST_DAMPING = 1e-3, 1e-9  # of steps, over squares of slopes
 _FARTHEST = 3.0  # deviations of a number from what is expected
 _LEAST_LIMIT = 0.01  # of its size
 _USUAL_LOAD, _MOST_LOAD = 0.2, 1.0  # of the load, that friction in proportion to it is
-_RESETS = (1.0, 5.0)  # ki / kp, 1/s, that searches begin from
 _NOTHING = float(np.finfo(float).tiny)  # rad² or m², of a joint that stands exactly still
 _FAR = 1e3  # rad or m, from the measured motion, and no farther: squares stay numbers
 _TRIED_DELAYS = (0.0, 0.01, 0.03)  # s, that searches begin from
@@ -415,7 +414,8 @@ def fit_servo(
         signal.delay,
     ]
     expected = {"stiffness": (signal.gain, ALIKE), **(expected or {})}
-    first = _Search(some, signal.integral, expected, published)
+    told = signal.integral or some.linear_servo(signal).integral
+    first = _Search(some, told, expected, published)
     found = first.at_its_limit(some.servo(begin), limit)
     found = found if some is motions else found.along(motions)
     search, start = replace(first, motions=motions), motions.servo(begin)
@@ -485,7 +485,8 @@ class _Search:
             found = self.best(starts, seen=True)
             starts = [found]
             if is_better(found):
-                other = self._by_half(found.plain().numbers)
+                told = float(found.numbers[_INTEGRAL]) or self.told
+                other = replace(self, told=told)._by_half(found.plain().numbers)
                 sought = other.limited(float(other.numbers[_LIMIT]), own, sought=True)
                 found = self.best([sought], seen=True)
                 best = found if is_better(found) else best
@@ -508,24 +509,13 @@ class _Search:
             starts[-1][[_RATE, _DELAY]] = 0.0 if delay else 0.5 * start[2], delay
         plain = self.best([_Servo.of(each) for each in starts], seen=True)
         constant = _Servo.of(plain.numbers, summed=True)
-        if not self.told and self._promised(constant) < PENALTY:
+        if not self.told:
             return plain
-        resets = [motions.with_integral(plain.numbers, r * plain.numbers[0]) for r in _RESETS]
-        if self.told:
-            resets = [motions.with_integral(each, self.told) for each in starts]
+        resets = [motions.with_integral(each, self.told) for each in starts]
         best = self.best([_Servo.of(each, summed=True) for each in resets], seen=True)
         constant = self.best([each.without(_INTEGRAL) for each in (constant, best)], seen=True)
         worth = motions.gain(constant.numbers, best.numbers, motions.tested)
         return best if worth >= PENALTY else plain
-
-    def _promised(self, constant: _Servo) -> float:
-        """Return what an integral would gain beside a constant effort, by linear motions."""
-        motions, left = self.motions, self.motions.residual(constant.numbers)
-        J = motions.slopes(constant.numbers, constant.free)
-        J /= np.linalg.norm(J, axis=0) + _NOTHING
-        others = J[:, np.flatnonzero(constant.free) != _INTEGRAL]
-        before, after = (left - A @ np.linalg.lstsq(A, left, rcond=None)[0] for A in (others, J))
-        return motions.gain_of(before, after)
 
     def best(self, starts: Sequence[_Servo], *, seen: bool = False) -> _Servo:
         """Return the least squares over all rows, or those that a fit sees, from several starts on.
