@@ -66,26 +66,41 @@ class _Scale:
 
 def find_episodes(case: Case, hypothesis: Hypothesis) -> tuple[PointEpisode, ...]:
     """Return contacts that stand out of the held-out residuals of a hypothesis."""
-    scale, windows = _seen(case, hypothesis)
-    noise = error_table(case.dataset, hypothesis.held_out).is_noise
-    if not windows and not noise:
+    tried = [hypothesis]
+    if not error_table(case.dataset, hypothesis.held_out).is_noise:
         # Bodies that are free to follow a contact spread its error all over the log.
-        hypothesis = hypothesis.loosened(_FIXED / hypothesis.prior_scale)
-        scale, windows = _seen(case, hypothesis)
-    found, promising = _contacts(case, scale, windows)
-    if found or not promising:
-        return found
-    # What else the hypothesis fits may have followed the contact: it is not to see the windows.
+        tried.append(hypothesis.loosened(_FIXED / hypothesis.prior_scale))
+    for each in tried:
+        scale, windows = _seen(case, each)
+        found, promising = _contacts(case, scale, windows)
+        if not found and promising:
+            found = _contacts_apart(case, each, windows)
+        if found:
+            return found
+    return ()
+
+
+def _contacts_apart(
+    case: Case, hypothesis: Hypothesis, windows: Sequence[Window]
+) -> tuple[PointEpisode, ...]:
+    """Return contacts in what a fit leaves that has not seen some windows, nor followed these."""
     wide = [(log, start - _MARGIN, end + _MARGIN) for log, start, end in windows]
     apart = replace(case, folds=set_apart(case.folds, case.trajectories, wide))
     dataset = reduced(apart, hypothesis.unknowns.effects)
     apart = replace(apart, dataset=dataset)
-    return _contacts(apart, *_seen(apart, hypothesis.moved(dataset, delay=hypothesis.delay)))[0]
+    moved = hypothesis.moved(dataset, delay=hypothesis.delay)
+    unseen = np.broadcast_to(moved.held_out.x[-1], moved.held_out.x.shape)
+    return _contacts(apart, *_seen(apart, moved, unseen))[0]
 
 
-def _seen(case: Case, hypothesis: Hypothesis) -> tuple[_Scale, list[Window]]:
-    """Return residuals, and windows where the hypothesis has no contact; none if there are many."""
-    scale = _scaled(case, hypothesis)
+def _seen(
+    case: Case, hypothesis: Hypothesis, x: Array | None = None
+) -> tuple[_Scale, list[Window]]:
+    """Return residuals, and windows where the hypothesis has no contact; none if there are many.
+
+    They are of held-out parameters (F, p) of the folds, or of others.
+    """
+    scale = _scaled(case, hypothesis, x)
     known = [e for e in hypothesis.unknowns.effects if isinstance(e, PointEpisode)]
     numbers = [log_number(trajectory.name) for trajectory in case.trajectories]
     logs = enumerate(zip(scale.grids, scale.periods, strict=True))
@@ -113,8 +128,8 @@ def _contacts(
     return found, any(share >= 0.5 * _LEAST_SHARE for _, share in tried)
 
 
-def _scaled(case: Case, hypothesis: Hypothesis) -> _Scale:
-    joints = joint_residuals(case, hypothesis)
+def _scaled(case: Case, hypothesis: Hypothesis, x: Array | None) -> _Scale:
+    joints = joint_residuals(case, hypothesis, x)
     periods = [trajectory.filter.output_period for trajectory in case.trajectories]
     sizes = np.array([np.median(np.abs(j.residual)) / 0.6745 for j in joints])
     size = np.maximum(sizes, np.finfo(float).tiny)
