@@ -24,15 +24,14 @@ from geodrake.diagnosis.contact_window import (
     refined,
     with_point,
 )
-from geodrake.diagnosis.residuals import cut_out, full_motion, joint_residuals
+from geodrake.diagnosis.residuals import JointResidual, cut_out, full_motion, joint_residuals
 from geodrake.effects.body_motion import RobotBodies
 from geodrake.effects.episode import PointEpisode
 from geodrake.effects.robot_motion import log_number
-from geodrake.identification.logs.case import Case, error_table, reduced
+from geodrake.identification.logs.case import Case
 from geodrake.identification.logs.criteria import ALARM
 from geodrake.identification.logs.evidence import chi2_tail
 from geodrake.identification.logs.hypothesis import Hypothesis
-from geodrake.logs.folds import set_apart
 from geodrake.logs.smoothing import Segment
 
 Array = NDArray[np.float64]
@@ -50,9 +49,9 @@ _REFINED = 4  # guesses whose times and point are looked for
 _AS_GOOD = 0.9  # share of the best body's reduction with which one nearer to the base is preferred
 _MODEL = 0.05  # share of its effort that even a right contact leaves unexplained
 _REST = 1.0  # s, of standing still that do not end an episode
-_MARGIN = 0.3  # s, around a window that is set apart
 _RISE = 0.03  # s, at first
-_FIXED = 1e-3  # of the width of their prior: inertias stay as they are
+_ROBUST_FITS = 12
+_FAR = 1e9  # samples, from one log to the next
 
 
 @dataclass(frozen=True, eq=False)
@@ -65,42 +64,18 @@ class _Scale:
 
 
 def find_episodes(case: Case, hypothesis: Hypothesis) -> tuple[PointEpisode, ...]:
-    """Return contacts that stand out of the held-out residuals of a hypothesis."""
-    tried = [hypothesis]
-    if not error_table(case.dataset, hypothesis.held_out).is_noise:
-        # Bodies that are free to follow a contact spread its error all over the log.
-        tried.append(hypothesis.loosened(_FIXED / hypothesis.prior_scale))
-    for each in tried:
-        scale, windows = _seen(case, each)
-        found, promising = _contacts(case, scale, windows)
-        if not found and promising:
-            found = _contacts_apart(case, each, windows)
-        if found:
-            return found
-    return ()
+    """Return contacts that stand out of what a robust fit of a hypothesis leaves."""
+    scale = _scaled(case, hypothesis)
+    windows = _new_windows(case, hypothesis, scale)
+    motion = full_motion(case) if windows else []
+    cut = [(w[0], _cut_out(case, scale, motion, w)) for w in windows]
+    names = [trajectory.name for trajectory in case.trajectories]
+    tried = [_contacts(case, names[k], w, len(windows)) for k, w in cut if w is not None]
+    return tuple(contact for contacts in tried for contact in contacts)
 
 
-def _contacts_apart(
-    case: Case, hypothesis: Hypothesis, windows: Sequence[Window]
-) -> tuple[PointEpisode, ...]:
-    """Return contacts in what a fit leaves that has not seen some windows, nor followed these."""
-    wide = [(log, start - _MARGIN, end + _MARGIN) for log, start, end in windows]
-    apart = replace(case, folds=set_apart(case.folds, case.trajectories, wide))
-    dataset = reduced(apart, hypothesis.unknowns.effects)
-    apart = replace(apart, dataset=dataset)
-    moved = hypothesis.moved(dataset, delay=hypothesis.delay)
-    unseen = np.broadcast_to(moved.held_out.x[-1], moved.held_out.x.shape)
-    return _contacts(apart, *_seen(apart, moved, unseen))[0]
-
-
-def _seen(
-    case: Case, hypothesis: Hypothesis, x: Array | None = None
-) -> tuple[_Scale, list[Window]]:
-    """Return residuals, and windows where the hypothesis has no contact; none if there are many.
-
-    They are of held-out parameters (F, p) of the folds, or of others.
-    """
-    scale = _scaled(case, hypothesis, x)
+def _new_windows(case: Case, hypothesis: Hypothesis, scale: _Scale) -> list[Window]:
+    """Return windows where the hypothesis has no contact; none if there are many."""
     known = [e for e in hypothesis.unknowns.effects if isinstance(e, PointEpisode)]
     numbers = [log_number(trajectory.name) for trajectory in case.trajectories]
     logs = enumerate(zip(scale.grids, scale.periods, strict=True))
@@ -113,23 +88,11 @@ def _seen(
             for contact in known
         )
     ]
-    return scale, windows if len(windows) <= _MOST else []
+    return windows if len(windows) <= _MOST else []
 
 
-def _contacts(
-    case: Case, scale: _Scale, windows: Sequence[Window]
-) -> tuple[tuple[PointEpisode, ...], bool]:
-    """Return contacts that explain windows, and whether one explains a good part of one."""
-    motion = full_motion(case) if windows else []
-    cut = [(w[0], _cut_out(case, scale, motion, w)) for w in windows]
-    names = [trajectory.name for trajectory in case.trajectories]
-    tried = [_contact(case, names[k], w, len(windows)) for k, w in cut if w is not None]
-    found = tuple(contact for contacts, _ in tried for contact in contacts)
-    return found, any(share >= 0.5 * _LEAST_SHARE for _, share in tried)
-
-
-def _scaled(case: Case, hypothesis: Hypothesis, x: Array | None) -> _Scale:
-    joints = joint_residuals(case, hypothesis, x)
+def _scaled(case: Case, hypothesis: Hypothesis) -> _Scale:
+    joints = _robust_residuals(case, hypothesis)
     periods = [trajectory.filter.output_period for trajectory in case.trajectories]
     sizes = np.array([np.median(np.abs(j.residual)) / 0.6745 for j in joints])
     size = np.maximum(sizes, np.finfo(float).tiny)
@@ -143,6 +106,58 @@ def _scaled(case: Case, hypothesis: Hypothesis, x: Array | None) -> _Scale:
             grid[place, k] = joint.residual / size[k]
         grids.append(grid)
     return _Scale(size, grids, periods)
+
+
+def _robust_residuals(case: Case, hypothesis: Hypothesis) -> list[JointResidual]:
+    """Return residuals of a fit in which stretches of large errors count for little.
+
+    What else a fit has follows a contact, and spreads its error all over the log.
+    """
+    dataset, unknowns, rows = hypothesis.dataset, hypothesis.unknowns, list[_Equations]()
+    delays, period = (
+        dataset.delay_of_each(hypothesis.delay),
+        min(trajectory.filter.output_period for trajectory in case.trajectories),
+    )
+    joints = joint_residuals(case, hypothesis)
+    moving = [j for j, data in enumerate(dataset.data) if data.samples.any()]
+    for j, joint in zip(moving, joints, strict=True):
+        parts = [part for kept in dataset.data[j].rows for part in kept]
+        local = dataset.data[j].local(unknowns.columns)
+        A = np.where(local >= 0, np.concatenate([part.A for part in parts])[:, local], 0.0)
+        b = np.concatenate([part.b[:, delays[j]] for part in parts])
+        share = float(hypothesis.weights[j] * hypothesis.held_out.mse[j])
+        instants = np.rint(joint.time / period) + _FAR * joint.log
+        rows.append(_Equations(A, b, instants, share, float(dataset.noise_floor[j])))
+    instants = np.unique(np.concatenate([own.instants for own in rows]))
+    at = [np.searchsorted(instants, own.instants) for own in rows]
+    width, weights = max(3, round(_AVERAGE / period)), np.ones(len(instants))
+    x = hypothesis.held_out.x.mean(axis=0)
+    for _ in range(_ROBUST_FITS):
+        H, right = unknowns.information.copy(), unknowns.information @ unknowns.mean + unknowns.pull
+        squares, counts = np.zeros((2, len(instants)))
+        for own, where in zip(rows, at, strict=True):
+            left = own.b - own.A @ x
+            size = max(float(np.median(np.abs(left))) / 0.6745, own.floor, 1e-300)
+            weighted = (own.share / size**2 * weights[where])[:, None] * own.A
+            H, right = H + weighted.T @ own.A, right + weighted.T @ own.b
+            squares[where] += np.square(left / size)
+            counts[where] += 1.0
+        x = np.linalg.solve(H, right)
+        mean = uniform_filter1d(squares / np.maximum(counts, 1.0), width, mode="nearest")
+        weights = 1.0 / (1.0 + mean / _LOW)
+    left = [own.b - own.A @ x for own in rows]
+    return [replace(joint, residual=own) for joint, own in zip(joints, left, strict=True)]
+
+
+@dataclass(frozen=True, eq=False)
+class _Equations:
+    """Rows of a joint."""
+
+    A: Array  # (K, p) columns
+    b: Array  # (K,) efforts
+    instants: Array  # (K,) numbers of the instants, of all logs
+    share: float  # independent samples over rows
+    floor: float  # deviation of the noise
 
 
 def _windows(log: int, grid: Array, period: float) -> Iterator[Window]:
@@ -193,10 +208,8 @@ def _cut_out(
     )
 
 
-def _contact(
-    case: Case, log: str, window: ResidualWindow, tried: int
-) -> tuple[list[PointEpisode], float]:
-    """Return the contacts that explain a window, likeliest first, and the share that the best does.
+def _contacts(case: Case, log: str, window: ResidualWindow, tried: int) -> list[PointEpisode]:
+    """Return the contacts that explain a window, likeliest first.
 
     They are of one body, one whose wrench turns with it and one whose wrench does not.
     """
@@ -213,13 +226,13 @@ def _contact(
     shares = [evidence(window, guess).share for guess in rough]
     best = max(shares)
     if best < _HOPELESS:
-        return [], best
+        return []
     order = sorted(range(len(rough)), key=lambda k: -shares[k])[:_REFINED]
     shapes = [refined(window, rough[k], tries=FEW) for k in sorted(order)]
     tried_shapes = [(shape, evidence(window, shape)) for shape in shapes]
     best = max(found.share for _, found in tried_shapes)
     if best < 0.5 * _LEAST_SHARE:
-        return [], best
+        return []
     good = [(s, found) for s, found in tried_shapes if found.share >= _AS_GOOD * best]
     nearest = next((shape for shape, found in good if _explains_all(found)), good[0][0])
     same = [(_explains_all(f), f.share, s) for s, f in good if s.body == nearest.body]
@@ -235,7 +248,7 @@ def _contact(
         chance = min(1.0, tried * len(guesses) * chance)
         if found.share >= _LEAST_SHARE and chance <= ALARM and _explains_all(found):
             convincing.append(contact)
-    return convincing, best
+    return convincing
 
 
 def _explains_all(found: Predicted) -> bool:

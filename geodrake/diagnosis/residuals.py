@@ -54,11 +54,9 @@ class JointResidual:
         return replace(self, **kept, effective=max(1.0, share * self.effective))
 
 
-def joint_residuals(
-    case: Case, hypothesis: Hypothesis, x: Array | None = None
-) -> list[JointResidual]:
-    """Return the residuals of all joints that have rows, by parameters (F, p), or held out."""
-    dataset, x = hypothesis.dataset, hypothesis.held_out.x if x is None else x
+def joint_residuals(case: Case, hypothesis: Hypothesis) -> list[JointResidual]:
+    """Return the residuals of all joints that have rows."""
+    dataset, x = hypothesis.dataset, hypothesis.held_out.x
     blocks = residual_blocks(dataset, hypothesis.unknowns.columns, x, delay=hypothesis.delay)
     began = [trajectory.began for trajectory in case.trajectories]
     found = []

@@ -8,7 +8,7 @@ twentieth of the data, so that the outermost samples of neighbouring folds may s
 from __future__ import annotations
 
 from collections import Counter, defaultdict
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from operator import attrgetter
 
@@ -109,55 +109,23 @@ def assign_folds(
     Args:
         windows: Index of the log, start and end of each window, s since the log began.
     """
-
-    def owners(number: int) -> list[int]:
-        other = (number + len(folds) // 2) % len(folds)
-        return [(number, other)[k % 2] for k in range(pieces)]
-
-    dealt = _redealt(folds, trajectories, windows, owners)
-    return tuple(replace(fold, blocks=dealt[number]) for number, fold in enumerate(folds))
-
-
-def set_apart(
-    folds: Sequence[Fold],
-    trajectories: Sequence[Trajectory],
-    windows: Sequence[tuple[int, float, float]],
-) -> tuple[Fold, ...]:
-    """Return folds less some windows, which become a fold of their own.
-
-    Args:
-        windows: Index of the log, start and end of each window, s since the log began.
-    """
-    dealt = _redealt(folds, trajectories, windows, lambda number: [len(folds)])
-    all_folds = [*folds, Fold("set apart", ())]
-    parted = (replace(fold, blocks=dealt[number]) for number, fold in enumerate(all_folds))
-    return tuple(fold for fold in parted if len(fold))
-
-
-def _redealt(
-    folds: Sequence[Fold],
-    trajectories: Sequence[Trajectory],
-    windows: Sequence[tuple[int, float, float]],
-    owners: Callable[[int], Sequence[int]],
-) -> Mapping[int, tuple[Block, ...]]:
-    """Blocks of every fold by its number, once windows are cut into pieces for their owners."""
     dealt: dict[int, list[Block]] = defaultdict(list)
     windows = _merged(windows)
     for number, fold in enumerate(folds):
-        own = owners(number)
+        other = (number + len(folds) // 2) % len(folds)
         for block in fold.blocks:
             cuts = {block.start: number}
             for start, stop in _outputs_within(block, trajectories[block.trajectory], windows):
-                edges = np.linspace(start, stop, len(own) + 1).round().astype(int).tolist()
-                cuts |= dict(zip(edges[:-1], own, strict=True))
+                edges = np.linspace(start, stop, pieces + 1).round().astype(int).tolist()
+                cuts |= {edge: (number, other)[k % 2] for k, edge in enumerate(edges[:-1])}
                 cuts[stop] = number
             edges = sorted(cuts)
             for start, stop in zip(edges, [*edges[1:], block.stop], strict=True):
                 if start < stop:
                     dealt[cuts[start]].append(replace(block, start=start, stop=stop))
     order = attrgetter("trajectory", "segment", "start")
-    blocks = {number: tuple(sorted(own, key=order)) for number, own in dealt.items()}
-    return defaultdict(tuple, blocks)
+    parts = enumerate(folds)
+    return tuple(replace(f, blocks=tuple(sorted(dealt[number], key=order))) for number, f in parts)
 
 
 def _merged(windows: Sequence[tuple[int, float, float]]) -> list[tuple[int, float, float]]:

@@ -210,11 +210,6 @@ class Hypothesis(Short):
         inertias = self.dataset.inertias(self.unknowns.columns, self.held_out.x.mean(0))
         return np.asarray(self.weights * self.held_out.sse.sum(0) * inertias**2)
 
-    def loosened(self, factor: float) -> Hypothesis:
-        """Return this hypothesis with the prior of bodies `factor` times as wide, refitted."""
-        unknowns = self.unknowns.loosened(factor, PARAMETERS_PER_BODY * len(self.dataset.bodies))
-        return reweight(replace(self, unknowns=unknowns, prior_scale=self.prior_scale * factor))
-
     def moved(self, dataset: Dataset, *, delay: Delay, iterations: int = 2) -> Hypothesis:
         """Return this hypothesis on another dataset of the same bodies and effects, refitted."""
         bodies = np.arange(len(dataset.bodies) * PARAMETERS_PER_BODY)
