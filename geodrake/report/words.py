@@ -159,10 +159,11 @@ def convincing(step: Step) -> bool:
 
 def rivals(step: Step) -> str:
     """Return what may stand in a step's place, in few words: `viscous friction 3 %`."""
-    pairs = zip(step.rivals, step.probabilities_of_rivals, strict=True)
-    likely = [
-        f"{effect_label(r.effect)} {percent(share)}" for r, share in pairs if share >= _LIKELY
-    ]
+    likely = []
+    for rival, share in zip(step.rivals, step.probabilities_of_rivals, strict=True):
+        where = f" at {listed(rival.where)}" if rival.effect == step.effect and rival.where else ""
+        if share >= _LIKELY:
+            likely.append(f"{effect_label(rival.effect)}{where} {percent(share)}")
     if step.unknown_probability >= _LIKELY:
         likely.append(f"something unknown {percent(step.unknown_probability)}")
     return ", ".join(likely)
