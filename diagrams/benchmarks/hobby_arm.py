@@ -31,17 +31,15 @@ from scipy.signal import cont2discrete, lfilter
 from diagrams.harness import chart, script_parser, show, write
 from diagrams.public_data import add_folder_option, require
 from geodrake import load_model
-from geodrake.identification.logs.servo_fit import PARAMETERS, motions_of
-from geodrake.identification.logs.servo_model import with_servo_motions
+from geodrake.identification.logs.servo_fit import PARAMETERS
 from geodrake.identification.logs.signal_calibration import (
     calibrate_efforts,
-    sharp_trajectories,
-    signals_as_efforts,
+    servo_motions,
+    with_servo_motions,
 )
 from geodrake.logs.files import Reading, read_log
 from geodrake.logs.motion import JointLog
 from geodrake.logs.motors import motor_named
-from geodrake.logs.preparation import prepare_logs
 from geodrake.model.logged_joints import reading_for
 
 Array = NDArray[np.float64]
@@ -292,9 +290,7 @@ def pendulum_row(folder: Path) -> dict[str, Any]:
     slow = replace(slow, motors={"servo": motor_named("xl330-m288")})
     _, fits = with_servo_motions(calibrate_efforts(model, [slow])[0], [slow])
     (fit,) = fits.values()
-    known = signals_as_efforts([fast], ["command"])
-    sharp = sharp_trajectories(known, prepare_logs(known))
-    motions = motions_of(replace(model, effects=()), [fast], sharp, [0])[0]
+    motions = servo_motions(model, [fast], [0])[0]
     stiffer = fit.parameters.copy()
     stiffer[PARAMETERS.index("stiffness")] *= 4.0
     return {

@@ -15,7 +15,7 @@ from geodrake.identification.logs.case import Case
 from geodrake.identification.logs.criteria import TIE
 from geodrake.identification.logs.evidence import tie_probability
 from geodrake.identification.logs.servo_fit import PARAMETERS, ServoFit
-from geodrake.identification.logs.servo_model import BESIDE, with_servo_motions
+from geodrake.identification.logs.signal_calibration import BESIDE, with_servo_motions
 from geodrake.logs.motion import JointLog
 from geodrake.model.effort_signal import SERVO, signal_of
 from geodrake.model.robot_model import RobotModel

@@ -9,8 +9,8 @@ from weakref import WeakKeyDictionary
 import numpy as np
 from numpy.typing import NDArray
 
-from geodrake.effects import Role, catalogue
-from geodrake.effects.base import Parameter, RobotEffect
+from geodrake.effects import FittedEffect, Role, catalogue
+from geodrake.effects.base import JointEffect, Parameter, RobotEffect
 from geodrake.effects.declarations import when_sliding
 from geodrake.effects.robot_motion import RobotMotion, log_number
 from geodrake.errors import LogError
@@ -24,6 +24,7 @@ from geodrake.identification.logs.effort_gains import (
 from geodrake.identification.logs.model_fit import effects_of
 from geodrake.identification.logs.reduce import reduce_logs
 from geodrake.identification.logs.servo_fit import (
+    PARAMETERS,
     Expected,
     JointMotions,
     ServoFit,
@@ -37,8 +38,9 @@ from geodrake.logs.motion import PASSIVE, JointLog, Motion, Trajectory
 from geodrake.logs.preparation import prepare_logs
 from geodrake.model.carried_payloads import carried_phi, carrying
 from geodrake.model.effort_signal import COMMAND, EFFORT, EffortSignal, signal_of
+from geodrake.model.file_terms import Damping, DryFriction, LoadFriction, Offset, Rotor
 from geodrake.model.robot_model import RobotModel
-from geodrake.model.signal_efforts import in_efforts, kind_of
+from geodrake.model.signal_efforts import in_efforts, kind_of, servos_of
 
 Array = NDArray[np.float64]
 
@@ -180,7 +182,7 @@ def calibrated(
     of, linear = _LINEAR.pop(model, ((), None))
     if linear is None or of != tuple(logs):
         linear = _linear(model, logs, kinds)
-    known, trajectories, gains = linear
+    trajectories, gains = linear
     found, deviations = dict[int, EffortSignal](), gains.deviations * np.abs(gains.gains)
     for j, (joint, kind) in enumerate(zip(model.joints, kinds, strict=True)):
         if kind != EFFORT:
@@ -190,9 +192,7 @@ def calibrated(
     if not simulate:
         _LINEAR[model] = tuple(logs), linear
     elif servos:
-        sharp, alike = sharp_trajectories(known, trajectories), _alike(model, kinds)
-        # Bodies are those of the model that is saved, not as the linear fit moves them.
-        motions = motions_of(replace(model, effects=()), logs, sharp, servos)
+        motions, alike = servo_motions(model, logs, servos, trajectories), _alike(model, kinds)
         starts = {j: own.pieces().linear_servo(found[j]) for j, own in motions.items()}
         for j, own in motions.items():
             same = [starts[k].gain for k in servos if alike[k] == alike[j]]
@@ -212,8 +212,8 @@ def calibrated(
     return tuple(found.values())
 
 
-_Linear = tuple[Sequence[JointLog], Sequence[Trajectory], SignalGains]
-"""Logs with signals in the place of efforts, as they are prepared, and gains by a linear fit."""
+_Linear = tuple[Sequence[Trajectory], SignalGains]
+"""Prepared logs with signals in the place of efforts, and gains by a linear fit."""
 
 _LINEAR = WeakKeyDictionary[RobotModel, tuple[tuple[JointLog, ...], _Linear]]()
 """Linear fits of logs whose columns were looked at, until the logs are compared with the model."""
@@ -221,8 +221,7 @@ _LINEAR = WeakKeyDictionary[RobotModel, tuple[tuple[JointLog, ...], _Linear]]()
 
 def _linear(model: RobotModel, logs: Sequence[JointLog], kinds: Sequence[str]) -> _Linear:
     """Fit the gains of signals of logs, whose `kinds` (nv,) stand for the efforts of each joint."""
-    known = signals_as_efforts(logs, kinds)
-    trajectories = prepare_logs(known)
+    trajectories = prepare_logs(signals_as_efforts(logs, kinds))
     usual = [kind for kind in catalogue() if kind.complexity == 0]
     free = [kind.shaped(joint)[0] for joint in model.single_joints for kind in usual]
     free += [effect for effect in effects_of(model) if effect.role is not Role.BODY]
@@ -237,7 +236,7 @@ def _linear(model: RobotModel, logs: Sequence[JointLog], kinds: Sequence[str]) -
     d = model.phi.size
     rows = [SignalRows.of(dataset, j, d, free, held=held) for j in range(len(kinds))]
     gains = signal_gains(rows, model, _gain_priors(model, logs, kinds), _alike(model, kinds))
-    return known, trajectories, gains
+    return trajectories, gains
 
 
 def _alike(model: RobotModel, kinds: Sequence[str]) -> list[str]:
@@ -299,14 +298,25 @@ def _by_body(model: RobotModel, phi: Array) -> dict[str, Array]:
     return {body: own for body, own in zip(model.bodies, phi, strict=True) if own.any()}
 
 
-def sharp_trajectories(
-    logs: Sequence[JointLog], trajectories: Sequence[Trajectory]
-) -> tuple[Trajectory, ...]:
-    """Return logs, prepared as `trajectories` are, with motion as sharp as simulations need it."""
-    highest = HIGHEST_BANDWIDTH / max(t.filter.period for t in trajectories)
-    bandwidth, motion = trajectories[0].bandwidths
+def servo_motions(
+    model: RobotModel,
+    logs: Sequence[JointLog],
+    joints: Sequence[int],
+    trajectories: Sequence[Trajectory] | None = None,
+) -> dict[int, JointMotions]:
+    """Return what simulations of joints with servos need, motion as sharp as these need it.
+
+    Bodies are those of the model that is saved, not as a linear fit moves them. The logs may have
+    been prepared for such a fit, as `trajectories`.
+    """
+    kinds = [COMMAND if j in joints else EFFORT for j in range(len(model.joints))]
+    known = signals_as_efforts(logs, kinds)
+    before = prepare_logs(known) if trajectories is None else trajectories
+    highest = HIGHEST_BANDWIDTH / max(t.filter.period for t in before)
+    bandwidth, motion = before[0].bandwidths
     sharp = min(max(motion, _SHARP), highest)
-    return tuple(prepare_logs(logs, bandwidth=bandwidth, motion_bandwidth=sharp))
+    prepared = prepare_logs(known, bandwidth=bandwidth, motion_bandwidth=sharp)
+    return motions_of(replace(model, effects=()), logs, prepared, joints)
 
 
 def servo_by_motion(
@@ -354,6 +364,58 @@ def signal_by_motion(signal: EffortSignal, fit: ServoFit) -> EffortSignal:
         # A servo that damps the motion within its limit is at it for another error than this.
         limit=np.inf if fit.own else fit.limit,
     )
+
+
+BESIDE: Mapping[str, type[JointEffect]] = {
+    "damping": Damping,
+    "coulomb": DryFriction,
+    "armature": Rotor,
+    "offset": Offset,
+    "load": LoadFriction,
+}
+"""Parameters of a `ServoFit` that are effects of the joint."""
+
+
+def with_servo_motions(
+    model: RobotModel, logs: Sequence[JointLog]
+) -> tuple[RobotModel, dict[str, ServoFit]]:
+    """Return the model with servos and friction by which its joints move as in logs.
+
+    Each joint with a servo is simulated alone, under its commands; see `fit_servo`. Its friction,
+    rotor inertia and offset are those of the simulation; joints that are simulated no better stay
+    as they are. How well a stiffness is known stays the share of it that it was.
+
+    Args:
+        model: The model, which knows its servos.
+        logs: Logs with commands, their joints in the model's order.
+
+    Returns:
+        The model, and what was found by the joint.
+    """
+    moved = [j for j, servo in enumerate(servos_of(model)) if servo is not None]
+    signals = {signal.joint: signal for signal in model.effort_signals}
+    fits = dict[str, ServoFit]()
+    for j, motions in servo_motions(model, logs, moved).items():
+        signal = signals[joint := model.joints[j]]
+        fit = servo_by_motion(model, logs, motions, signal)
+        if fit is not None:
+            fits[joint] = fit
+            deviation = signal.uncertainty * fit.parameters[0]
+            signals[joint] = replace(signal_by_motion(signal, fit), deviation=deviation)
+    kinds = tuple(BESIDE.values())
+    effects = [
+        fitted
+        for fitted in model.effects
+        if not (isinstance(fitted.effect, kinds) and fitted.effect.where[0] in fits)
+    ]
+    for joint, fit in fits.items():
+        for name, kind in BESIDE.items():
+            value, unsure = (
+                each[[PARAMETERS.index(name)]] for each in (fit.parameters, fit.deviations)
+            )
+            if value.any():
+                effects.append(FittedEffect(kind.shaped(joint)[0], value, unsure))
+    return replace(model, effects=tuple(effects), effort_signals=tuple(signals.values())), fits
 
 
 def signals_as_efforts(logs: Sequence[JointLog], kinds: Sequence[str]) -> list[JointLog]:
