@@ -32,6 +32,7 @@ from geodrake.identification.logs.case import Case
 from geodrake.identification.logs.criteria import ALARM
 from geodrake.identification.logs.evidence import chi2_tail
 from geodrake.identification.logs.hypothesis import Hypothesis
+from geodrake.identification.normal_equations import scaled_cholesky, solved
 from geodrake.logs.smoothing import Segment
 
 Array = NDArray[np.float64]
@@ -142,7 +143,8 @@ def _robust_residuals(case: Case, hypothesis: Hypothesis) -> list[JointResidual]
             H, right = H + weighted.T @ own.A, right + weighted.T @ own.b
             squares[where] += np.square(left / size)
             counts[where] += 1.0
-        x = np.linalg.solve(H, right)
+        factor, scale = scaled_cholesky(H)
+        x = scale * solved(factor, scale * right)
         mean = uniform_filter1d(squares / np.maximum(counts, 1.0), width, mode="nearest")
         weights = 1.0 / (1.0 + mean / _LOW)
     left = [own.b - own.A @ x for own in rows]
