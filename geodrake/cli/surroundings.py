@@ -57,12 +57,17 @@ def settled_surroundings() -> Iterator[None]:
             if _descriptor(sys.stdout) == 1:
                 os.dup2(2, 1)
     except OSError as error:  # errors of the work end in `guarded`; this is one of printing
-        _close_output()
+        _write_nowhere(results())
         if error.errno == errno.EPIPE:
             raise SystemExit(PIPE_CLOSED) from None
         with suppress(OSError):
             print(f"Error: {_full(error)}", file=sys.stderr)
         raise SystemExit(BAD_OUTPUT) from None
+    finally:
+        try:
+            sys.stderr.flush()
+        except OSError:
+            _write_nowhere(sys.stderr)
 
 
 def check_surroundings() -> None:
@@ -138,7 +143,7 @@ def printing() -> Iterator[None]:
     except BrokenPipeError:
         raise
     except OSError as error:
-        _close_output()
+        _write_nowhere(results())
         raise GeodrakeError(_full(error), advice="Files that were asked for are there.") from error
 
 
@@ -167,11 +172,11 @@ def _full(error: OSError) -> str:
     return f"Standard output cannot be written: {error.strerror}."
 
 
-def _close_output() -> None:
+def _write_nowhere(stream: TextIO) -> None:
     """Send what is still to be written nowhere; Python would complain of it at its end."""
     nowhere = os.open(os.devnull, os.O_WRONLY)
     with suppress(OSError, ValueError):
-        os.dup2(nowhere, results().fileno())
+        os.dup2(nowhere, stream.fileno())
 
 
 BAD_INPUT = 2
