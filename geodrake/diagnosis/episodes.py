@@ -115,11 +115,8 @@ def _robust_residuals(case: Case, hypothesis: Hypothesis) -> list[JointResidual]
     What else a fit has follows a contact, and spreads its error all over the log.
     """
     dataset, unknowns, rows = hypothesis.dataset, hypothesis.unknowns, list[_Equations]()
-    delays, period = (
-        dataset.delay_of_each(hypothesis.delay),
-        min(trajectory.filter.output_period for trajectory in case.trajectories),
-    )
-    joints = joint_residuals(case, hypothesis)
+    delays, joints = dataset.delay_of_each(hypothesis.delay), joint_residuals(case, hypothesis)
+    period = min(trajectory.filter.output_period for trajectory in case.trajectories)
     moving = [j for j, data in enumerate(dataset.data) if data.samples.any()]
     for j, joint in zip(moving, joints, strict=True):
         parts = [part for kept in dataset.data[j].rows for part in kept]
@@ -129,6 +126,8 @@ def _robust_residuals(case: Case, hypothesis: Hypothesis) -> list[JointResidual]
         share = float(hypothesis.weights[j] * hypothesis.held_out.mse[j])
         instants = np.rint(joint.time / period) + _FAR * joint.log
         rows.append(_Equations(A, b, instants, share, float(dataset.noise_floor[j])))
+    if not rows:
+        return joints
     instants = np.unique(np.concatenate([own.instants for own in rows]))
     at = [np.searchsorted(instants, own.instants) for own in rows]
     width, weights = max(3, round(_AVERAGE / period)), np.ones(len(instants))

@@ -173,8 +173,7 @@ def prepare_for_model(
     for efforts that were not measured: vibration, play and elasticity behind the motor move the
     joint without the motor's effort. It is raised where the log is short, as far as noise of
     positions and accelerations costs little. A rough model will do; logs have their joints in its
-    order.
-    With the prepared logs comes a sentence on what was changed and why, if anything was.
+    order. With the prepared logs comes a sentence on what was changed and why, if anything was.
     """
     uniform = [log if isinstance(log, UniformLog) else make_uniform(log) for log in logs]
     trajectories = prepare_logs(uniform)
@@ -216,14 +215,12 @@ def _is_precise(model: RobotModel, trajectories: Sequence[Trajectory]) -> bool:
     It makes residuals noisier, and bodies seem to feel accelerations less than they do: columns are
     larger by the share of noise in accelerations, as those of an IMU may be.
     """
-    losses = [np.zeros(0)]
+    losses, size = [np.zeros(0)], np.zeros(len(model.joints))
     for trajectory in trajectories:
         robot, low_pass = carrying(model, trajectory.payloads), trajectory.filter
         for segment in trajectory.segments:
             start, rate = segment[:_SAMPLES], 1.0 / segment.period
-            size = start.acceleration.std(axis=0)
-            if np.any(trajectory.acceleration_noise > _MOST_OF_COLUMNS * size):
-                return False
+            size = np.maximum(size, start.acceleration.std(axis=0))  # a joint may rest in some
             rows = contact_rows(robot, trajectory, start)
             measured = replace(start, effort=_taken(rows, start.effort))
             density = quiet_density(measured.effort, rate, low_pass.bandwidth)
@@ -231,6 +228,9 @@ def _is_precise(model: RobotModel, trajectories: Sequence[Trajectory]) -> bool:
             known = (noise > 0.0) & ~_is_silent(density, measured)
             carried = _carried(start, robot, trajectory, 0.0, rows)
             losses.append(np.log1p(carried[known] / noise[known]))
+    noisy = [t.acceleration_noise > _MOST_OF_COLUMNS * size for t in trajectories]
+    if np.any(noisy):
+        return False
     together = np.concatenate(losses)
     return not len(together) or float(np.exp(together.mean())) <= _MOST_NOISE
 
