@@ -29,7 +29,7 @@ from geodrake.effects.body_motion import RobotBodies
 from geodrake.effects.episode import PointEpisode
 from geodrake.effects.robot_motion import log_number
 from geodrake.identification.logs.case import Case
-from geodrake.identification.logs.criteria import ALARM
+from geodrake.identification.logs.criteria import ALARM, LEAST_NOISE
 from geodrake.identification.logs.evidence import chi2_tail
 from geodrake.identification.logs.hypothesis import Hypothesis
 from geodrake.identification.normal_equations import scaled_cholesky, solved
@@ -52,7 +52,6 @@ _MODEL = 0.05  # share of its effort that even a right contact leaves unexplaine
 _REST = 1.0  # s, of standing still that do not end an episode
 _RISE = 0.03  # s, at first
 _ROBUST_FITS = 12
-_FAR = 1e9  # samples, from one log to the next
 
 
 @dataclass(frozen=True, eq=False)
@@ -95,80 +94,102 @@ def _new_windows(case: Case, hypothesis: Hypothesis, scale: _Scale) -> list[Wind
 def _scaled(case: Case, hypothesis: Hypothesis) -> _Scale:
     joints = _robust_residuals(case, hypothesis)
     periods = [trajectory.filter.output_period for trajectory in case.trajectories]
-    sizes = np.array([np.median(np.abs(j.residual)) / 0.6745 for j in joints])
-    size = np.maximum(sizes, np.finfo(float).tiny)
-    grids = []
-    for log, period in enumerate(periods):
-        kept = [joint.part(joint.log == log) for joint in joints]
-        places = [np.rint(joint.time / period).astype(int) for joint in kept]
-        length = 1 + max((int(place.max()) for place in places if len(place)), default=0)
-        grid = np.full((length, len(joints)), np.nan)
-        for k, (joint, place) in enumerate(zip(kept, places, strict=True)):
-            grid[place, k] = joint.residual / size[k]
-        grids.append(grid)
-    return _Scale(size, grids, periods)
+    size = np.array([_typical(joint.residual, np.finfo(float).tiny) for joint in joints])
+    grids = _Grids(joints, periods)
+    return _Scale(size, grids.of([j.residual for j in joints], size), periods)
+
+
+def _typical(residual: Array, least: float) -> float:
+    """Return the deviation of residuals (K,), of which some are much larger."""
+    return max(float(np.median(np.abs(residual))) / 0.6745, least)
+
+
+class _Grids:
+    """Grids of time, one for each log, and where on them each joint has rows."""
+
+    def __init__(self, joints: Sequence[JointResidual], periods: Sequence[float]) -> None:
+        self.periods, self._lengths = periods, [1] * len(periods)
+        self._places = list[list[tuple[NDArray[np.bool_], NDArray[np.intp]]]]()
+        for log, period in enumerate(periods):
+            rows = [joint.log == log for joint in joints]
+            times = [joint.time[own] for joint, own in zip(joints, rows, strict=True)]
+            places = [np.rint(time / period).astype(np.intp) for time in times]
+            self._lengths[log] += max((int(at.max()) for at in places if len(at)), default=0)
+            self._places.append([*zip(rows, places, strict=True)])
+
+    def of(self, values: Sequence[Array], size: Array) -> list[Array]:
+        """Return values (K,) of each joint over a size, as (T, n) of each log; NaN without row."""
+        grids = []
+        for length, places in zip(self._lengths, self._places, strict=True):
+            grid = np.full((length, len(values)), np.nan)
+            for k, (rows, at) in enumerate(places):
+                grid[at, k] = values[k][rows] / size[k]
+            grids.append(grid)
+        return grids
+
+    def at_rows(self, grids: Sequence[Array], joint: int, count: int) -> Array:
+        """Return what grids (T,) of the logs have at the rows (count,) of a joint."""
+        found = np.empty(count)
+        for grid, places in zip(grids, self._places, strict=True):
+            rows, at = places[joint]
+            found[rows] = grid[at]
+        return found
 
 
 def _robust_residuals(case: Case, hypothesis: Hypothesis) -> list[JointResidual]:
-    """Return residuals of a fit in which stretches of large errors count for little.
+    """Fit again, with little weight on stretches of large errors; return what that leaves.
 
-    What else a fit has follows a contact, and spreads its error all over the log.
+    An ordinary fit bends towards a contact and spreads its error over the whole log. Bounds of
+    parameters are left aside.
     """
-    dataset, unknowns, rows = hypothesis.dataset, hypothesis.unknowns, list[_Equations]()
+    dataset, unknowns, columns = hypothesis.dataset, hypothesis.unknowns, list[Array]()
     delays, joints = dataset.delay_of_each(hypothesis.delay), joint_residuals(case, hypothesis)
-    period = min(trajectory.filter.output_period for trajectory in case.trajectories)
-    moving = [j for j, data in enumerate(dataset.data) if data.samples.any()]
-    for j, joint in zip(moving, joints, strict=True):
-        parts = [part for kept in dataset.data[j].rows for part in kept]
-        local = dataset.data[j].local(unknowns.columns)
-        A = np.where(local >= 0, np.concatenate([part.A for part in parts])[:, local], 0.0)
-        b = np.concatenate([part.b[:, delays[j]] for part in parts])
-        share = float(hypothesis.weights[j] * hypothesis.held_out.mse[j])
-        instants = np.rint(joint.time / period) + _FAR * joint.log
-        rows.append(_Equations(A, b, instants, share, float(dataset.noise_floor[j])))
-    if not rows:
-        return joints
-    instants = np.unique(np.concatenate([own.instants for own in rows]))
-    at = [np.searchsorted(instants, own.instants) for own in rows]
-    width, weights = max(3, round(_AVERAGE / period)), np.ones(len(instants))
-    x = hypothesis.held_out.x.mean(axis=0)
+    efforts, x = list[Array](), hypothesis.held_out.x.mean(axis=0)
+    moving = np.flatnonzero([data.samples.any() for data in dataset.data])
+    for j in moving:
+        data = dataset.data[j]
+        parts, local = [part for kept in data.rows for part in kept], data.local(unknowns.columns)
+        A = np.concatenate([part.A for part in parts])
+        columns.append(np.where(local >= 0, A[:, local], 0.0))
+        efforts.append(np.concatenate([part.b[:, delays[j]] for part in parts]))
+    grids = _Grids(joints, [trajectory.filter.output_period for trajectory in case.trajectories])
+    least = np.maximum(dataset.noise_floor, LEAST_NOISE * np.maximum(dataset.effort_std, 1e-12))
+    rows = [*zip(columns, efforts, strict=True)]
+    left = [b - A @ x for A, b in rows]
+    weights = [np.ones(len(b)) for b in efforts]
     for _ in range(_ROBUST_FITS):
         H, right = unknowns.information.copy(), unknowns.information @ unknowns.mean + unknowns.pull
-        squares, counts = np.zeros((2, len(instants)))
-        for own, where in zip(rows, at, strict=True):
-            left = own.b - own.A @ x
-            size = max(float(np.median(np.abs(left))) / 0.6745, own.floor, 1e-300)
-            weighted = (own.share / size**2 * weights[where])[:, None] * own.A
-            H, right = H + weighted.T @ own.A, right + weighted.T @ own.b
-            squares[where] += np.square(left / size)
-            counts[where] += 1.0
+        size = np.array([_typical(own, least[j]) for j, own in zip(moving, left, strict=True)])
+        for k, (A, b) in enumerate(rows):
+            share = hypothesis.power[moving[k]] / (len(b) * size[k] ** 2)
+            weighted = (share * weights[k])[:, None] * A
+            H, right = H + weighted.T @ A, right + weighted.T @ b
         factor, scale = scaled_cholesky(H)
         x = scale * solved(factor, scale * right)
-        mean = uniform_filter1d(squares / np.maximum(counts, 1.0), width, mode="nearest")
-        weights = 1.0 / (1.0 + mean / _LOW)
-    left = [own.b - own.A @ x for own in rows]
+        left = [b - A @ x for A, b in rows]
+        means = [
+            _averaged(grid, period).mean(axis=1)
+            for grid, period in zip(grids.of(left, size), grids.periods, strict=True)
+        ]
+        weights = [
+            1.0 / (1.0 + grids.at_rows(means, k, len(b)) / _LOW) for k, b in enumerate(efforts)
+        ]
     return [replace(joint, residual=own) for joint, own in zip(joints, left, strict=True)]
 
 
-@dataclass(frozen=True, eq=False)
-class _Equations:
-    """Rows of a joint."""
-
-    A: Array  # (K, p) columns
-    b: Array  # (K,) efforts
-    instants: Array  # (K,) numbers of the instants, of all logs
-    share: float  # independent samples over rows
-    floor: float  # deviation of the noise
-
-
-def _windows(log: int, grid: Array, period: float) -> Iterator[Window]:
-    """Log, start and end of stretches in which several joints err beyond the usual."""
+def _averaged(grid: Array, period: float) -> Array:
+    """Return squares (T, n) of values averaged over a while; 1 where there is none."""
     known, width = np.isfinite(grid), max(3, round(_AVERAGE / period))
     sums, counts = (
         uniform_filter1d(values, width, axis=0, mode="nearest")
         for values in (np.where(known, np.square(grid), 0.0), known.astype(float))
     )
-    mean = np.where(known, sums / np.maximum(counts, 1.0 / width), 1.0)
+    return np.where(known, sums / np.maximum(counts, 1.0 / width), 1.0)
+
+
+def _windows(log: int, grid: Array, period: float) -> Iterator[Window]:
+    """Log, start and end of stretches in which several joints err beyond the usual."""
+    known, mean = np.isfinite(grid), _averaged(grid, period)
     # At rest nothing is known; a push goes on meanwhile.
     rows = np.flatnonzero(known.any(1))
     wide = np.any(mean[rows] > _LOW, axis=1)

@@ -42,8 +42,8 @@ def neighbours(
     """Find the most promising neighbours of an explanation.
 
     `most` counts them beside other widths of the bodies and the best delays, and beside `further`
-    effects that promise most if they leave nothing but white noise. If `joints` are given, their
-    own effects alone may change.
+    effects that promise most if they leave only white noise. If `joints` are given, their own
+    effects alone may change, and there are none of these.
     """
     finder = _Finder(model, fit)
     moves = finder.moves() if joints is None else finder.rebuilt(joints)
@@ -182,8 +182,13 @@ class _Finder:
 
     def hopeful(self, most: int) -> list[Choice]:
         """Add one effect of a joint that would gain if it left white noise, the best first."""
-        present, joints = self.fit.terms, self.model.dataset.joints
-        offered = [(t,) for t in self.model.terms if t.joint in joints and t not in present]
+        present, data = self.fit.terms, self.model.dataset
+        offered = [
+            (term,)
+            for term in self.model.terms
+            if term.effect is not None and term.joint in data.joints and term not in present
+            if data.felt(term.effect).sum() == 1
+        ]
         possible = [t for (t,) in self.model.compatibility.beside(present, offered)] if most else []
         choices = [self._choice((*present, term)) for term in possible]
         odds = np.array([self.model.odds_against(choice) for choice in choices])
@@ -228,7 +233,7 @@ class _Finder:
         ]
         if len(here) > 2:
             packages += [tuple(t for t in here if t is not one) for one in here]
-        # One comes for one, for two, or two come for one.
+        # One takes the place of one or of two, or two that of one.
         trades: list[tuple[Terms, Terms]] = [((one,), (t,)) for one in here for t in pool]
         trades += [((one,), pair) for one in here for pair in combinations(plain, 2)]
         trades += [(pair, (t,)) for pair in combinations(here, 2) for t in pool]

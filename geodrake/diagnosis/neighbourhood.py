@@ -112,7 +112,7 @@ class Neighbourhood:
         return self._gained(packages, dropped)[0]
 
     def hopes(self, terms: Sequence[Term]) -> Array:
-        """Return the same (m,) of effects of joints with rows, if they left only white noise.
+        """Return gains (m,) of effects that one joint feels, if they left only white noise.
 
         What is missing makes residuals vary slowly, so that they count for few samples.
         """

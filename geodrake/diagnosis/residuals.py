@@ -33,7 +33,7 @@ class Proposal:
 
 @dataclass(frozen=True, eq=False)
 class JointResidual:
-    """Held-out residuals of a joint, the kept rows of all folds one after another."""
+    """Residuals of a joint, held out or not, the kept rows of all folds one after another."""
 
     joint: str
     time: Array  # (K,) instants since the row's log began, s

@@ -343,6 +343,7 @@ class Search:
             functions = unknown_functions(self.case, self.model.hypothesis(self.fit), joints)
             self._effects += functions
             self._anew()
+            before = self.fit.choice.key
             self._climb(hopeful=False)
             kept = {term.effect for term in self.fit.terms}  # others get no columns anew
             self._effects = [e for e in self._effects if e in kept or e not in functions]
@@ -350,6 +351,9 @@ class Search:
                 return True
         if not self._climbed_far:
             self._climbed_far = True
+            if any(term.effect and term.effect not in self._effects for term in self.model.terms):
+                self._anew()
+                before = self.fit.choice.key
             self._climb(hopeful=False, further=_FURTHER)
         return self.fit.choice.key != before
 

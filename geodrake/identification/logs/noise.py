@@ -159,7 +159,7 @@ _EXCESS = 25.0  # times the other's power: five times the amplitude is a clear d
 _FEWEST = 60  # filtered samples that a lower bandwidth leaves at least, as far as there are so many
 _ENOUGH = 400  # filtered samples of each joint, which make folds of some fifty
 _MOST_NOISE = 2.0  # power of noise, with that of accelerations, over that of efforts alone
-_MOST_OF_COLUMNS = 0.1  # noise of an acceleration over its deviation
+_MOST_ACCELERATION_NOISE = 0.1  # over the deviation of the acceleration itself
 _WORTH_RAISING, _TRIES = 1.2, 4  # factor by which a bandwidth is raised at least, and so many tried
 _LARGEST_RATIO = 700.0  # logarithm of a ratio that is a number still
 
@@ -201,21 +201,26 @@ def prepare_for_model(
     raised = min(chosen * _ENOUGH / outputs, limit)
     if raised < _WORTH_RAISING * chosen:
         return trajectories, None
-    for higher in np.geomspace(raised, _WORTH_RAISING * chosen, _TRIES).tolist():
+    moving = np.any([each.moving for each in uniform], axis=0)
+    lowest = _WORTH_RAISING * chosen
+    apart = 1 + int(np.log(raised / lowest) / np.log(_WORTH_RAISING))
+    for higher in np.geomspace(raised, lowest, min(apart, _TRIES)).tolist():
         longer = prepare_logs(uniform, bandwidth=higher, how="chosen from the data")
-        if _is_precise(model, longer):
+        if _is_precise(model, longer, moving):
             words = f"from {chosen:.3g} to {higher:.3g} Hz, as the log is short"
             return longer, f"bandwidth raised {words}"
     return trajectories, None
 
 
-def _is_precise(model: RobotModel, trajectories: Sequence[Trajectory]) -> bool:
-    """Return whether noise of accelerations costs little at a bandwidth.
+def _is_precise(
+    model: RobotModel, trajectories: Sequence[Trajectory], moving: NDArray[np.bool_]
+) -> bool:
+    """Return whether noise of accelerations costs little, of joints (n,) that move.
 
-    It makes residuals noisier, and bodies seem to feel accelerations less than they do: columns are
-    larger by the share of noise in accelerations, as those of an IMU may be.
+    Such noise adds to residuals. It also adds to the columns, so that inertias come out too small
+    where it is a good part of an acceleration, as with some IMUs.
     """
-    losses, size = [np.zeros(0)], np.zeros(len(model.joints))
+    losses, samples, size = [np.zeros(0)], [np.zeros(0)], np.zeros(len(model.joints))
     for trajectory in trajectories:
         robot, low_pass = carrying(model, trajectory.payloads), trajectory.filter
         for segment in trajectory.segments:
@@ -228,11 +233,14 @@ def _is_precise(model: RobotModel, trajectories: Sequence[Trajectory]) -> bool:
             known = (noise > 0.0) & ~_is_silent(density, measured)
             carried = _carried(start, robot, trajectory, 0.0, rows)
             losses.append(np.log1p(carried[known] / noise[known]))
-    noisy = [t.acceleration_noise > _MOST_OF_COLUMNS * size for t in trajectories]
-    if np.any(noisy):
+            samples.append(np.full(known.sum(), float(len(start))))
+    shaking = np.max([t.acceleration_noise for t in trajectories], axis=0)
+    if np.any((shaking > _MOST_ACCELERATION_NOISE * size)[moving]):
         return False
-    together = np.concatenate(losses)
-    return not len(together) or float(np.exp(together.mean())) <= _MOST_NOISE
+    weights = np.concatenate(samples)
+    if not weights.any():
+        return True
+    return float(np.exp(np.average(np.concatenate(losses), weights=weights))) <= _MOST_NOISE
 
 
 def coherent_bandwidth(model: RobotModel, trajectories: Sequence[Trajectory]) -> float | None:
