@@ -309,13 +309,24 @@ def test_short_log_gets_more_bandwidth(model):
     assert "as the log is short" in words
 
 
-def test_short_log_whose_accelerations_are_noisier_than_efforts_keeps_its_bandwidth(model):
+def test_bandwidth_of_a_short_log_is_raised_as_far_as_accelerations_are_no_noise(model):
     log = pendulum_log(9, seconds=15.0, rate=500.0, noise=(0.3, 1e-3))
-    (raised,), words = prepare_for_model(model, [log])
-    assert "as the log is short" in words
-    shaky = 1e-4 * np.random.default_rng(0).normal(size=(len(log.time), 1)) * [0.0, 1.0]
-    (after,), _ = prepare_for_model(model, [replace(log, position=log.position + shaky)])
-    assert after.filter.bandwidth < 0.5 * raised.filter.bandwidth
+    shaky = np.random.default_rng(0).normal(size=(len(log.time), 1)) * [0.0, 1.0]
+    chosen, raised = {}, {}
+    for size in (0.0, 1e-4, 1e-2):
+        (found,), words = prepare_for_model(
+            model, [replace(log, position=log.position + size * shaky)]
+        )
+        chosen[size], raised[size] = found.filter.bandwidth, "as the log is short" in (words or "")
+    assert raised == {0.0: True, 1e-4: True, 1e-2: False}
+    assert chosen[1e-4] < 0.5 * chosen[0.0]
+
+
+def test_a_joint_that_rests_does_not_keep_the_bandwidth_of_a_short_log(model):
+    log = pendulum_log(9, seconds=15.0, rate=500.0, noise=(0.3, 1e-3))
+    still = 0.3 + 1e-6 * np.random.default_rng(1).normal(size=len(log.time))
+    resting = replace(log, position=np.column_stack([log.position[:, 0], still]))
+    assert "as the log is short" in (prepare_for_model(model, [resting])[1] or "")
 
 
 def test_effort_ratio_of_a_right_model_is_one(model):
