@@ -263,13 +263,16 @@ class ModelOptions:
     @property
     def held(self) -> dict[str, float]:
         """Joint -> where it is to be held, rad or m."""
-        found = dict(pairs("--lock", self.lock or (), "finger=0.04, in rad or m"))
-        try:
-            return {joint: float(value) for joint, value in found.items()}
-        except ValueError as error:
-            raise ArgumentError(
-                f"--lock {' '.join(self.lock or ())}: {error}.", advice="Give rad or m."
-            ) from error
+        found = dict[str, float]()
+        for joint, value in pairs("--lock", self.lock or (), "finger=0.04, in rad or m"):
+            try:
+                found[joint] = float(value)
+            except ValueError:
+                raise ArgumentError(
+                    f"--lock has {joint}={value}, and {value!r} is no number.",
+                    advice="Write --lock JOINT=VALUE, in rad or m, such as --lock finger=0.04.",
+                ) from None
+        return found
 
 
 def read_model(

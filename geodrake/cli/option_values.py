@@ -87,6 +87,12 @@ def limits_of(
                 "efforts by it.",
                 advice="Limit the effort, or start from a model that was fitted to such a log.",
             )
+        if quantity == "position":
+            _range(value)
+        elif value.endswith("%"):
+            _share(value)
+        else:
+            _number(value, "--limits")
         said[quantity] |= dict.fromkeys([joint] if joint else joints, value)
     position = {joint: _range(value) for joint, value in said.pop("position").items()}
     signals = [each for kind in SIGNAL_KINDS for each in said.pop(kind).items()]

@@ -30,8 +30,8 @@ _RESULTS: ContextVar[TextIO] = ContextVar("results")
 _ENDING: ContextVar[bool] = ContextVar("ending", default=False)
 """Whether the process ends with the command."""
 
-BAD_OUTPUT = 2
-PIPE_CLOSED = 141  # 128 + SIGPIPE, as shells have it
+INTERNAL_ERROR, BAD_INPUT, BAD_OUTPUT = 1, 2, 2
+INTERRUPTED, PIPE_CLOSED = 130, 141  # 128 + SIGINT and 128 + SIGPIPE, as shells have them
 
 
 @contextmanager
@@ -66,7 +66,7 @@ def settled_surroundings() -> Iterator[None]:
     finally:
         try:
             sys.stderr.flush()
-        except OSError:
+        except (OSError, ValueError):  # full, or closed by code of users
             _write_nowhere(sys.stderr)
 
 
@@ -179,15 +179,15 @@ def _write_nowhere(stream: TextIO) -> None:
         os.dup2(nowhere, stream.fileno())
 
 
-BAD_INPUT = 2
-INTERNAL_ERROR = 1
 _SMALLER = "Check that the files are what they should be, and give less at once."
-INTERRUPTED = 130  # 128 + SIGINT, as shells have it
 
 
 @contextmanager
 def guarded(*, debug: bool = False, effect_files: Sequence[Path] = ()) -> Iterator[None]:
-    """Turn errors into a message on stderr and an exit code, also those of the user's own files."""
+    """Turn errors into a message on stderr and an exit code, also those of the user's own files.
+
+    With `debug`, or GEODRAKE_DEBUG, their traceback is shown, too.
+    """
     try:
         check_surroundings()
         with results_apart():

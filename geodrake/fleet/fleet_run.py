@@ -287,7 +287,7 @@ def _robot_result(
     return RobotResult(
         history.robot,
         kind,
-        history.logs,
+        history.logs or len(history.days),
         history.days * DAY,
         tuple(sorted(findings, key=lambda each: (each.false_alarm_probability, each.date))),
         tuple(histories),

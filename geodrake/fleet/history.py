@@ -104,7 +104,7 @@ class RobotHistory(Short):
     stamps: str = ""
     # (n,) root of the mean square of the robot's efforts, N·m or N
     effort: Array = field(default_factory=lambda: np.zeros(0))
-    logs: int = 0  # number of logs; those of one time count as one
+    logs: int = 0  # number of logs, of which several may be of one time; 0 for one at each
 
     def read(self) -> RobotHistory:
         """Return it in memory; logs are summed up again if another run has replaced the file."""

@@ -105,7 +105,7 @@ class _Errors:
     """How far models are from the same logs, which pages of errors show alike."""
 
     stages: Mapping[str, ErrorTable]  # title -> errors of a model, from the first to the last
-    models: Mapping[Stage, Comparison]  # the first model and the last, or one of them
+    models: Mapping[Stage, Comparison]  # stage -> how far its model is from the logs
     units: Units
     bars: Bars
     # Models between the two, and what these predict.

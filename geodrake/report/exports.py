@@ -334,7 +334,8 @@ def _columns_table(found: LogInspection) -> Table:
 def _row_words(found: LogInspection) -> tuple[str, ...]:
     """Return rows, rates, gaps and rest, in sentences."""
     log, mean = found.log, len(found.log) / found.seconds
-    source = f"time from {found.time_column}" if found.time_column else "time by rows a second"
+    column = found.time_column
+    source = f"time from {column}" if column else "no column of time, rows at an even rate"
     words = [
         f"{len(log)} rows in {number(found.seconds)} s, typically every "
         f"{number(1e3 * found.period)} ms, {number(mean, 4)} a second on average; {source}"

@@ -29,9 +29,7 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 _KINDS = {
-    "explaining": (
-        *("Comparison", "Diagnosis", "Explanation", "Explained", "ModelIdentification"),
-    ),
+    "explaining": ("Comparison", "Diagnosis", "Explanation", "Explained", "ModelIdentification"),
     "exciting": ("ExcitationResult", "LogIdentifiability"),
     "rollouts": ("Rollout", "Simulated", "RolloutFit"),
     "fleets": ("FleetResult", "WatchedFleet"),

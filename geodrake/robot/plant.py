@@ -182,9 +182,7 @@ def load_plant(
         repairs,
         _once([*map(str, repairs), *weightless, *terms.lost, *of_drake]),
         _once([*notes, *(() if of_xml else apart)]),
-        replace(
-            terms, damping=built.damping | terms.damping, armature=built.rotor | terms.armature
-        ),
+        terms,
         _once([*terms.left_out, *(apart if of_xml else ()), *loops.left_out]),
         loops.loops,
         closing,

@@ -290,7 +290,7 @@ def figures_of(
 
 
 def bars_figure(lines: Sequence[Line]) -> Figure:
-    """Return what was reached, with half of its interval, against what was asked for."""
+    """Draw each share that was reached, with its 95 % interval, and what was asked for."""
     shown = [line for line in lines if line.value is not None and "seconds" not in line.figure]
     words = {True: "reached", False: "missed", None: "no bar"}
     rows = [

@@ -201,21 +201,18 @@ def prepare_for_model(
     raised = min(chosen * _ENOUGH / outputs, limit)
     if raised < _WORTH_RAISING * chosen:
         return trajectories, None
-    moving = np.any([each.moving for each in uniform], axis=0)
     lowest = _WORTH_RAISING * chosen
     apart = 1 + int(np.log(raised / lowest) / np.log(_WORTH_RAISING))
     for higher in np.geomspace(raised, lowest, min(apart, _TRIES)).tolist():
         longer = prepare_logs(uniform, bandwidth=higher, how="chosen from the data")
-        if _is_precise(model, longer, moving):
+        if _is_precise(model, longer):
             words = f"from {chosen:.3g} to {higher:.3g} Hz, as the log is short"
             return longer, f"bandwidth raised {words}"
     return trajectories, None
 
 
-def _is_precise(
-    model: RobotModel, trajectories: Sequence[Trajectory], moving: NDArray[np.bool_]
-) -> bool:
-    """Return whether noise of accelerations costs little, of joints (n,) that move.
+def _is_precise(model: RobotModel, trajectories: Sequence[Trajectory]) -> bool:
+    """Return whether noise of accelerations costs little.
 
     Such noise adds to residuals. It also adds to the columns, so that inertias come out too small
     where it is a good part of an acceleration, as with some IMUs.
@@ -235,7 +232,7 @@ def _is_precise(
             losses.append(np.log1p(carried[known] / noise[known]))
             samples.append(np.full(known.sum(), float(len(start))))
     shaking = np.max([t.acceleration_noise for t in trajectories], axis=0)
-    if np.any((shaking > _MOST_ACCELERATION_NOISE * size)[moving]):
+    if np.any(shaking > _MOST_ACCELERATION_NOISE * size):
         return False
     weights = np.concatenate(samples)
     if not weights.any():

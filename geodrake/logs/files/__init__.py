@@ -2,10 +2,10 @@
 
 The columns are `time` and, for each joint, `<joint>.position`, `<joint>.effort` and, if measured,
 `<joint>.velocity` and `<joint>.acceleration`: the words of ROS JointState, in SI units. In the
-place of efforts there may be `<joint>.current`, `.voltage`, `.pwm` (a share of the supply) or
-`.command`, the position that a servo was told to go to. What
-follows the last dot is the quantity, so joint names may contain dots. Columns of other names are
-understood as well, by `recognition`, or by what the user says of them, a `Reading`.
+place of efforts there may be `<joint>.current`, `.voltage`, `.pwm` (a share of the supply's
+voltage, or of another largest value) or `.command`, the position that a servo was told to go to.
+What follows the last dot is the quantity, so joint names may contain dots. Columns of other names
+are understood by `name_rules`, or by what the user says of them, a `Reading`.
 """
 
 from __future__ import annotations

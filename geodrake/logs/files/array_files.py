@@ -211,6 +211,9 @@ class ParquetColumns(Mapping[str, Array]):
         with readable(self._path, "Parquet file"):
             return np.asarray(self._file.read([name])[name].to_numpy(), float)
 
+    def __contains__(self, name: object) -> bool:
+        return name in self._names
+
     def __iter__(self) -> Iterator[str]:
         return iter(self._names)
 

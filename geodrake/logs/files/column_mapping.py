@@ -268,7 +268,7 @@ def without_use(log: JointLog, columns: Columns) -> frozenset[str]:
     return frozenset(found)
 
 
-_SI = {"current": "A", "voltage": "V", "pwm": "shares of the largest"}
+_SI = {"current": "A", "voltage": "V", "pwm": "shares of the largest value"}
 _UNITS_WITH = {**dict.fromkeys(SIGNAL_KINDS, "effort"), "command": "position"}
 _CONSTANT = " (torque constant × gear ratio)"
 _KIND_WORDS = {

@@ -57,7 +57,10 @@ def joined_tables(log: Path, tables: Sequence[LogTable], reading: Reading) -> Lo
     if len(stamped) < 2:
         columns = _side_by_side(log, tables)
         origins = {column: zero for table in tables for column, zero in table.origins.items()}
-        return LogTable(log, columns, units, noted, origins)
+        every = [column for table in tables for column in table.columns]
+        again = [column for column in columns if every.count(column) > 1]
+        said = next((table.rate for table in tables if table.rate), None)
+        return LogTable(log, columns, units, (*_twice(again), *noted), origins, rate=said)
     if len(stamped) < len(tables):
         bare = [str(table.path) for table, time in zip(tables, times, strict=True) if time is None]
         raise LogError(
@@ -92,10 +95,15 @@ def joined_tables(log: Path, tables: Sequence[LogTable], reading: Reading) -> Lo
                 columns[column] = at_instants(known[base], time, values, holds=holds)
     rate = 1.0 / periods[base]
     note = f"joined by time, at the {rate:.4g} rows a second of {tables[base].path}"
-    twice = [f"of {listed(again)}, which several parts have, those of the first are taken"]
-    notes = (note, *twice[: len(again)], *slow_notes, *clock_notes, *noted)
+    notes = (note, *_twice(again), *slow_notes, *clock_notes, *noted)
     silent = {column: why for table in tables for column, why in table.silent.items()}
     return LogTable(log, columns, units, notes, origins, {**silent, **rare}, order=order)
+
+
+def _twice(columns: Sequence[str]) -> list[str]:
+    """Return what is done about columns that several parts have, as a note."""
+    said = f"of {listed(columns)}, which several parts have, those of the first are taken"
+    return [said] if columns else []
 
 
 def _order(tables: Sequence[LogTable], reading: Reading) -> list[str]:

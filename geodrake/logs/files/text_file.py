@@ -353,6 +353,8 @@ class TextTable(LogTable):
         """Return some columns (N,) as numbers, or as texts if their form is `object`."""
         layout, lines = self._layout, self._lines
         most, names = 1 + sum(lines), list(dict.fromkeys(names))
+        if not names:
+            return {}, TornRows(self.path, most, skip)
         check_room(self.path, most * len(names), f"{most} rows of {len(names)} numbers")
         found: dict[str, NDArray[Any]] = {name: np.empty(most, form) for name in names}
         torn, row = TornRows(self.path, most, skip), 0
@@ -452,10 +454,22 @@ def read_text(path: Path, reading: Reading) -> LogTable:
         content = file.read(2)
         if content in (BOM_UTF16_LE, BOM_UTF16_BE):  # as Excel writes text
             content += file.read(_LARGEST_UTF16)
+            if file.read(1):
+                raise LogError(
+                    f"Log {str(path)!r} has more than {_LARGEST_UTF16 / 1e9:g} GB of UTF-16.",
+                    advice="Save it as UTF-8, or as .npz.",
+                )
             check_room(path, len(content), f"{len(content) / 1e9:.3g} GB of UTF-16")
-    if content[2:]:
-        return _text_table(path, reading, partial(BytesIO, content.decode("utf-16").encode()))
-    return _text_table(path, reading, lambda: open_log(path))
+    if not content[2:]:
+        return _text_table(path, reading, lambda: open_log(path))
+    try:
+        text = content.decode("utf-16")
+    except UnicodeDecodeError as error:
+        raise LogError(
+            f"Log {str(path)!r} is no text in UTF-16: {error.reason} at byte {error.start}.",
+            advice="Save it as UTF-8.",
+        ) from error
+    return _text_table(path, reading, partial(BytesIO, text.encode()))
 
 
 def read_sheet(path: Path, reading: Reading) -> LogTable:

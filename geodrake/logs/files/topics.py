@@ -189,9 +189,8 @@ def topics_table(
     """
     spoken = [(topic, topic.rows) for topic in chosen if topic.rows is not None]
     is_alone, read = len(chosen) == 1, ", ".join(f"{t.name} ({t.kind})" for t in chosen)
-    if is_alone and not (
-        spoken and chosen[0].fits
-    ):  # the first messages had efforts, none has both
+    fits = bool(spoken) and chosen[0].fits
+    if is_alone and not fits:  # its first messages have efforts, but none has positions, too
         raise LogError(f"Topic {chosen[0]} of log {str(path)!r} has no positions with efforts.")
     also = [
         other.name

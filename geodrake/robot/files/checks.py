@@ -1,6 +1,6 @@
-"""Numbers of model files: read and written, and refused where Drake would misread them.
+"""Read and write numbers of model files.
 
-Such are 1,5, and what is so large that Drake ends the process.
+Those that Drake misreads, such as 1,5, and those so large that Drake ends the process are refused.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ UPPER = ([0, 1, 2, 0, 0, 1], [0, 1, 2, 1, 2, 2])
 
 
 def drop(element: Element, *tags: str) -> None:
-    """Removes all elements with these tags below an element."""
+    """Remove all elements with these tags below an element."""
     for parent in list(element.iter()):
         for child in [child for child in parent if child.tag in tags]:
             parent.remove(child)

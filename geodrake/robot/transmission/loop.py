@@ -172,6 +172,17 @@ def _find_rates(loop: Any, motion: Any, rooms: Any, rate: Array) -> None:
 
 
 @inlined
+def _taken_out(A: Array, j: int, B: Array, k: int) -> float:
+    """Return how much of column j of A, of length one, column k of B has, and take it out there."""
+    along = 0.0
+    for i in range(len(A)):
+        along += A[i, j] * B[i, k]
+    for i in range(len(A)):
+        B[i, k] -= along * A[i, j]
+    return along
+
+
+@inlined
 def _solve_least(A: Array, B: Array, T: Array, X: Array) -> None:
     """Write X (d, ·) with the least |A X − B|, by modified Gram–Schmidt; A and B are used up."""
     m, d = A.shape
@@ -183,19 +194,9 @@ def _solve_least(A: Array, B: Array, T: Array, X: Array) -> None:
         for i in range(m):
             A[i, j] /= T[j, j]
         for k in range(j + 1, d):
-            along = 0.0
-            for i in range(m):
-                along += A[i, j] * A[i, k]
-            T[j, k] = along
-            for i in range(m):
-                A[i, k] -= along * A[i, j]
+            T[j, k] = _taken_out(A, j, A, k)
         for k in range(B.shape[1]):
-            along = 0.0
-            for i in range(m):
-                along += A[i, j] * B[i, k]
-            X[j, k] = along
-            for i in range(m):
-                B[i, k] -= along * A[i, j]
+            X[j, k] = _taken_out(A, j, B, k)
     for j in range(d - 1, -1, -1):
         for k in range(B.shape[1]):
             for i in range(j + 1, d):
