@@ -123,6 +123,12 @@ def test_unreadable_files(tmp_path):
     (tmp_path / "log.csv").write_bytes(bytes(range(256)) * 10)
     with pytest.raises(LogError, match="no text in UTF-8"):
         read_log(tmp_path / "log.csv")
+    (tmp_path / "log.csv").write_bytes("time,a.position".encode("utf-16")[:-1])
+    with pytest.raises(LogError, match="no text in UTF-16: truncated data"):
+        read_log(tmp_path / "log.csv")
+    (tmp_path / "log.csv").write_text("joint,effort\na,0.1 rad\na,0.2 rad\n")
+    with pytest.raises(LogError):  # of words alone
+        read_log(tmp_path / "log.csv")
 
 
 def test_times_with_a_unit_of_their_own(tmp_path):

@@ -501,3 +501,6 @@ def test_of_a_column_that_two_files_have_that_of_the_first_is_taken(tmp_path):
     log = read_log(f"{tmp_path / 'a.csv'}+{tmp_path / 'b.csv'}", joints=JOINTS)
     np.testing.assert_allclose(log.effort, EFFORT, atol=1e-12)
     assert any("elbow.effort, which several parts have" in note for note in log.notes)
+    PLAIN[["elbow.effort"]].to_csv(tmp_path / "c.csv", index=False)  # without time
+    log = read_log(f"{tmp_path / 'a.csv'}+{tmp_path / 'c.csv'}", joints=JOINTS)
+    assert any("elbow.effort, which several parts have" in note for note in log.notes)
