@@ -70,7 +70,7 @@ def _single(names: str, where: Sequence[str], joints: set[str]) -> list[Finding]
 
 
 def _pair(one: Sequence[Finding], other: Sequence[Finding]) -> list[str]:
-    """`A,B@PLACE` of what one finding has and the other has not; nothing if there is no such."""
+    """Return `A,B@PLACE` of what one finding has and the other has not; or nothing."""
     first, second = [name for name, _ in one], [name for name, _ in other]
     mine = [_placed(*finding) for finding in one if finding[0] not in second]
     yours = [_placed(*finding) for finding in other if finding[0] not in first]

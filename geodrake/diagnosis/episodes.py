@@ -188,7 +188,7 @@ def _averaged(grid: Array, period: float) -> Array:
 
 
 def _windows(log: int, grid: Array, period: float) -> Iterator[Window]:
-    """Log, start and end of stretches in which several joints err beyond the usual."""
+    """Yield log, start and end of stretches in which several joints err beyond the usual."""
     known, mean = np.isfinite(grid), _averaged(grid, period)
     # At rest nothing is known; a push goes on meanwhile.
     rows = np.flatnonzero(known.any(1))

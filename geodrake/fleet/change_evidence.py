@@ -137,7 +137,7 @@ class ChangeEvidence(Short):
         return float(logsumexp(self._joint))
 
     def posterior(self) -> tuple[Array, ...]:
-        """For each form, (h, K) probabilities, given that there is one change."""
+        """Return (h, K) probabilities of each form, given that there is one change."""
         sizes = np.cumsum([each.size for each in self.ratio])[:-1]
         shares = np.exp(self._joint - self.total)
         parts = np.split(shares, sizes)

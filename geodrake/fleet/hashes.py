@@ -27,7 +27,7 @@ _DIGITS = 9  # behind the point, of which machines that compute differ in none
 
 
 def model_hash(model: RobotModel) -> str:
-    """SHA-256 of what a model says: its joints, bodies, effects, and what is known about them.
+    """Return the SHA-256 of what a model says: its joints, bodies, effects, and what is known about them.
 
     Where its file lies and what notes say does not count.
     """
@@ -46,7 +46,7 @@ def model_hash(model: RobotModel) -> str:
 
 
 def source_hash(kind: type[Effect]) -> str:
-    """SHA-256 of the source of a user's own effect; empty for geodrake's, which has a version."""
+    """Return the SHA-256 of the source of a user's own effect; nothing for geodrake's."""
     if of_geodrake(kind):
         return ""
     try:

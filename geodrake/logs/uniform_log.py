@@ -251,7 +251,7 @@ def _check_period(log: JointLog, period: float) -> None:
 
 
 def _runs(time: Array, complete: NDArray[np.bool_]) -> tuple[list[slice], float, str | None]:
-    """Rows between gaps and incomplete rows, the sampling period, and a note if they are many."""
+    """Return rows between gaps and incomplete rows, the period, and a note if they are many."""
     rows: NDArray[np.intp] | range
     holes: NDArray[np.bool_] | bool
     if complete.all():

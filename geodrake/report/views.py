@@ -176,7 +176,7 @@ def optional(module: str, extra: str) -> Any:
 
 
 def _index(stretches: Iterable[tuple[str, Array]]) -> dict[tuple[str, float], int]:
-    """Log and instant -> row, in the order of logs and of time."""
+    """Return log and instant -> row, in the order of logs and of time."""
     logs: dict[str, set[float]] = {}
     for log, time in stretches:
         logs.setdefault(log, set()).update(time.tolist())

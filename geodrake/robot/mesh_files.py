@@ -131,7 +131,7 @@ def simplified(surface: Surface) -> Surface:
 
 
 def _merged(vertices: Array, faces: Faces, number: Faces) -> Surface:
-    """Of the vertices of each number the most central one; triangles that collapse are left out."""
+    """Keep the most central vertex of each number; triangles that collapse are left out."""
     count = np.bincount(number)
     means = np.stack([np.bincount(number, axis) / count for axis in vertices.T], -1)
     far = np.linalg.norm(vertices - means[number], axis=1)

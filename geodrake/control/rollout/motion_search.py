@@ -146,7 +146,7 @@ class MotionSearch:
 
 
 def _slopes(residuals: Callable[[Array], list[Array]], x: Array) -> list[Array]:
-    """Of each window (N nv, k) slopes of its residuals."""
+    """Return (N nv, k) slopes of the residuals of each window."""
     columns = []
     for unit in _STEP * np.eye(len(x)):
         ahead, behind = residuals(x + unit), residuals(x - unit)

@@ -89,7 +89,7 @@ class Factor:
         return FUNCTIONS[self.function].code.format(x=x, c=f"{self.constant:.6g}")
 
     def words(self, own: str) -> str:
-        """In words, seen from the joint `own`."""
+        """Return it in words, seen from the joint `own`."""
         signal = _SIGNALS[self.signal][0]
         whose = f"its {signal}" if self.joint == own else f"the {signal} of {self.joint}"
         words = FUNCTIONS[self.function].words.format(x="\0", c=f"{self.constant:.3g}")
@@ -139,7 +139,7 @@ class FormulaTerm:
         )
 
     def words(self, own: str) -> str:
-        """In words, seen from the joint `own`."""
+        """Return it in words, seen from the joint `own`."""
         return " times ".join(f.words(own) for f in self.factors) or "a constant"
 
     def turned(self, place: int, constant: float) -> FormulaTerm:
@@ -202,7 +202,7 @@ class Formula(Effect):
         return {self.joint: np.stack(values, -1)}
 
     def words(self) -> str:
-        """In words: "its direction of motion times the position of wrist"."""
+        """Return it in words: "its direction of motion times the position of wrist"."""
         return " + ".join(term.words(self.joint) for term in self.terms)
 
     @property

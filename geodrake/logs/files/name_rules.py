@@ -410,7 +410,7 @@ def _as_others(style: Sequence[Meaning], ordered: Mapping[int, set[str]]) -> dic
 
 
 def _by_their_own_words(meanings: Sequence[Meaning]) -> dict[str, str]:
-    """Joints under the names that the columns themselves give them, one for the same words."""
+    """Return joints by the names that the columns give them, one for the same words."""
     called: dict[Words, str] = {}
     found = {}
     for meaning in meanings:
@@ -444,7 +444,7 @@ def _match_style(style: Sequence[Meaning], joints: Sequence[str]) -> tuple[dict[
 
 
 def _by_name(keys: Mapping[Words, Meaning], joints: Sequence[str]) -> dict[Words, str]:
-    """Joints whose words end as those of a column, or the other way round; each joint once."""
+    """Return joints whose words end as those of a column, or the reverse; each joint once."""
     ends: dict[Words, list[tuple[int, str]]] = defaultdict(list)
     for joint in joints:
         words = words_of(joint)
