@@ -43,7 +43,7 @@ def neighbours(
 
     `most` counts them beside other widths of the bodies and the best delays, and beside `further`
     effects that promise most if they leave only white noise. If `joints` are given, their own
-    effects alone may change, and there are none of these.
+    effects alone may change, and `further` does not count.
     """
     finder = _Finder(model, fit)
     moves = finder.moves() if joints is None else finder.rebuilt(joints)

@@ -27,7 +27,7 @@ _DIGITS = 9  # behind the point, of which machines that compute differ in none
 
 
 def model_hash(model: RobotModel) -> str:
-    """Return the SHA-256 of what a model says: its joints, bodies, effects, and what is known about them.
+    """Return the SHA-256 of what a model says of its joints, bodies and effects.
 
     Where its file lies and what notes say does not count.
     """

@@ -88,7 +88,7 @@ class HistoryTask(Short):
 
 @dataclass(frozen=True, eq=False)
 class RobotHistory(Short):
-    """What a robot's logs say, in the order of time: in memory, or in its file, as it is large."""
+    """What a robot's logs say, in the order of time: in memory or, if it is large, in its file."""
 
     robot: str
     days: Array  # (T,) when each log was recorded, days, ascending

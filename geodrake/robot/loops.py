@@ -417,7 +417,7 @@ class _Shape:
 def _free_and_following(
     shape: _Shape, x: Array, order: Sequence[Sequence[int]]
 ) -> tuple[list[int] | None, list[int]]:
-    """Return joints that are free at a posture (k,), and those that follow; None where it is singular.
+    """Return joints that are free at a posture (k,) and those that follow; None if singular.
 
     Joints that the loop does not see, as a rod that turns about itself, are neither.
     """
