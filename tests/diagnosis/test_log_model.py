@@ -60,12 +60,14 @@ def random_problem(dry=0.4, ball=0.0):
     joints = []
     for j in range(2):
         columns = [bodies[j], *(own[e][j] for e in EFFECTS if e is not PAYLOAD)]
-        rows = np.column_stack([*columns, effort[j]])
-        n, width = np.array([ROWS]), rows.shape[1] - 1
+        columns = np.column_stack(columns)
+        (felt,) = columns.any(axis=0).nonzero()
+        rows = np.column_stack([columns[:, felt], effort[j]])
+        n, width = np.array([ROWS]), len(felt)
         peaks, none = np.abs(rows[:, :-1]).max(0), np.zeros((1, width))
         sums = np.array([[effort[j].sum(), effort[j] @ effort[j]]])
         joints.append(
-            JointData(np.arange(width), rows[None], n, ((),), none, n, sums, peaks),
+            JointData(felt, rows[None], n, ((),), none, n, sums, peaks),
         )
     dataset = Dataset(
         JOINTS, PENDULUM.bodies, EFFECTS, np.zeros((1, 2)), ("fold",), ("log",),
