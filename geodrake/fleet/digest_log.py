@@ -124,7 +124,7 @@ class LogFacts:
 def said_of_reading(reading: Reading) -> dict[str, Any]:
     """Return how logs are read, as plain data, without what each log has of its own."""
     said = asdict(reading)
-    for name in ("episode", "ignored", "motorless"):
+    for name in ("episode", "ignored", "motorless", "limits"):
         said.pop(name)
     if said["mapping"] is not None:
         said["mapping"].pop("source")

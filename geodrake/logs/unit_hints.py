@@ -58,8 +58,9 @@ def position_unit_hint(log: JointLog) -> str | None:
     if peaks[worst] >= _LEAST_TICKS and are_whole(log.position[:_ROWS]):
         return (
             f"Positions are whole numbers, of up to {peaks[worst]:.5g} at {log.joints[worst]}: "
-            "ticks of encoders? --units position=ticks converts those of servos with 4,096 a turn; "
-            "for others give a gain in a mapping."
+            "ticks of encoders? --units position=ticks@2048 converts those of servos with 4,096 a "
+            "turn and their zero in the middle, position=ticks those with it at tick 0; for others "
+            "give a gain in a mapping."
         )
     if peaks[worst] > _LEAST_DEGREES and np.mean(peaks > 10.0) > 0.5:
         return (

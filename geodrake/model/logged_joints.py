@@ -28,7 +28,7 @@ _STILL = 2e-3  # rad or m, by which a joint may move and still stand
 
 
 def reading_for(model: RobotModel, reading: Reading | None = None) -> Reading:
-    """Return how logs of a model are read, which knows of a free base and joints without a motor.
+    """Return how logs of a model are read, which knows its base, limits and joints without a motor.
 
     Those are the joints without an actuator or a transmission in the model file, where others
     have one, and those that had none in other logs; they are passive in logs without an effort of
@@ -45,8 +45,17 @@ def reading_for(model: RobotModel, reading: Reading | None = None) -> Reading:
     of_all = {} if usual is None else {"": usual}
     motorless = frozenset({*none, *model.motorless})
     motors_of = {**of_all, **reading.motors}
-    of_base = bool(model.base_joints)
-    return replace(reading, motorless=motorless, motors=motors_of, of_base=of_base)
+    ends = np.stack(model.position_limits, 1)[model.single_places[1]]
+    limits = {
+        j: (low, high) for j, (low, high) in zip(model.single_joints, ends.tolist(), strict=True)
+    }
+    return replace(
+        reading,
+        motorless=motorless,
+        motors=motors_of,
+        of_base=bool(model.base_joints),
+        limits=limits,
+    )
 
 
 def model_of_logs(

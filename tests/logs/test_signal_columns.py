@@ -1,11 +1,15 @@
 """Logs of currents, voltages, duty cycles and commands: read for what they are."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 from geodrake.errors import ArgumentError, LogError
 from geodrake.logs import JointLog, log_of_frame, read_log, write_log
+from geodrake.logs.files import read_mapping
 from geodrake.logs.files.reading import ColumnMapping, MappedColumn, Reading, parsed_gain
+from geodrake.logs.inspection import inspect_log, mapping_text
 from geodrake.logs.log_checks import check_commands, check_saturation
 from geodrake.logs.uniform_log import make_uniform
 
@@ -352,10 +356,38 @@ TICKS = np.rint(2048.0 + Q / (2.0 * np.pi) * 4096.0)
 
 
 def test_positions_in_ticks_of_servos(tmp_path):
-    path = write(tmp_path / "log.csv", frame(q_J=TICKS, goal_position_J=TICKS[::-1], effort_J=S))
+    path = write(tmp_path / "log.csv", frame(q_J=TICKS, goal_position_J=TICKS[::-1]))
     log = read_log(path, joints=JOINTS)
-    np.testing.assert_allclose(log.position, np.pi + Q, atol=np.pi / 4096.0)
-    assert "ticks of servos with 4096 a turn: converted" in said(log)
+    np.testing.assert_allclose(log.position, Q, atol=np.pi / 4096.0)
+    np.testing.assert_array_equal(log.command, log.position[::-1])
+    assert "their zero at tick 2048, as drivers have it: converted" in said(log)
+    asked = Reading(units={"position": "ticks", "command": "ticks"})  # as the note says
+    assert "position=ticks,command=ticks if it is at 0" in said(log)
+    np.testing.assert_allclose(
+        read_log(path, joints=JOINTS, reading=asked).position, np.pi + Q, atol=1e-3
+    )
+
+
+def test_the_zero_of_ticks_is_where_the_model_has_its_limits(tmp_path):
+    path = write(tmp_path / "log.csv", frame(q_J=TICKS, effort_J=S))
+    for low, high, zero in ((-0.1, 6.2, np.pi), (-2.0, 2.0, 0.0), (7.0, 8.0, 0.0)):
+        reading = Reading(limits=dict.fromkeys(JOINTS, (low, high)))
+        log = read_log(path, joints=JOINTS, reading=reading)
+        np.testing.assert_allclose(log.position, zero + Q, atol=np.pi / 4096.0)
+        assert ("tick 0, as the model's limits say" in said(log)) == (zero > 0.0)
+
+
+def test_a_mapping_of_ticks_says_their_zero(tmp_path):
+    """A gain, such as that of a joint that is reversed, turns angles and not ticks."""
+    path = write(tmp_path / "log.csv", frame(q_J=TICKS, effort_J=S))
+    found = inspect_log(path, joints=JOINTS)
+    reversed_too = [replace(each, factor=-each.factor) for each in found.columns]
+    for columns, sign in ((found.columns, 1.0), (reversed_too, -1.0)):
+        text = mapping_text(path, found, columns)
+        assert "unit: ticks@2048" in text
+        (tmp_path / "m.yaml").write_text(text)
+        log = read_log(path, reading=Reading(mapping=read_mapping(tmp_path / "m.yaml")))
+        np.testing.assert_allclose(log.position, sign * Q, atol=np.pi / 4096.0)
 
 
 @pytest.mark.parametrize(

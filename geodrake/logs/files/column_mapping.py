@@ -75,7 +75,7 @@ class Source:
     @property
     def offset(self) -> float:
         """What is added to its numbers after the factor."""
-        return self.unit.offset if self.unit else 0.0
+        return self.unit.offset * self.factor / self.unit.factor if self.unit else 0.0
 
     def read(self, numbers: dict[str, Array], *, since_first: bool = True) -> Array:
         """Take the numbers (N,) of its columns out of those of a file, in SI units.

@@ -117,6 +117,7 @@ class Reading:
         ignored: Columns that are not used.
         motorless: Joints that are passive where a log has no effort of them, or zeros alone.
         motors: Joint -> its motor; by the name "", that of all others.
+        limits: Joint -> its least and its largest position by the model, rad or m.
         of_base: Whether a recording is read for what it has of a free base and its feet.
 
     Raises:
@@ -137,11 +138,12 @@ class Reading:
     motorless: frozenset[str] = frozenset()
     motors: Mapping[str, Motor] = field(default_factory=dict)
     of_base: bool = False
+    limits: Mapping[str, tuple[float, float]] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "columns", instances(self.columns, "columns", str))
         instance(self.units, "units", Mapping)
-        for name in ("gains", "gain_deviations", "kinds", "motors"):
+        for name in ("gains", "gain_deviations", "kinds", "motors", "limits"):
             instance(getattr(self, name), name, Mapping)
         if self.rate is not None:
             positive(self.rate, "A log's rate, in rows a second,")

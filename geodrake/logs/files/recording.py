@@ -3,15 +3,17 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from geodrake.errors import LogError
-from geodrake.logs.files.column_mapping import Columns
+from geodrake.logs.files.column_mapping import Columns, Source
 from geodrake.logs.files.joined_tables import at_instants
 from geodrake.logs.files.packed_files import log_name
 from geodrake.logs.files.table import TornRows
+from geodrake.logs.files.units import Unit, unit_of
 from geodrake.logs.motion import PASSIVE, JointLog
 from geodrake.logs.time_stamps import evened, order_of_time, repeats, with_clock_set_back
 
@@ -25,11 +27,14 @@ _STILL = 2e-3  # rad or m, by which a joint may move and still stand
 _COMPLEMENTS = (16, 32)  # bits of registers in two's complement
 _SIGN_BITS = (10, 15)  # bits that hold a sign beside a magnitude, as of Feetech's servos
 _LEAST = 3  # rows with either sign
+_HELD, _MARGIN = 0.99, 0.05  # share of positions that limits hold, and rad by which they may pass
 _ROUNDING = 1e-3  # by which a whole number is off after a unit's factor
 
 
-def recorded(columns: Columns, numbers: dict[str, Array], torn: TornRows) -> JointLog:
-    """Return the log of a file's numbers.
+def recorded(
+    columns: Columns, numbers: dict[str, Array], torn: TornRows
+) -> tuple[JointLog, Columns]:
+    """Return the log of a file's numbers, and its columns with units that these tell.
 
     Every number is held once, but for those of a quantity: ten million rows of seven joints fill
     more than a gigabyte.
@@ -72,7 +77,7 @@ def recorded(columns: Columns, numbers: dict[str, Array], torn: TornRows) -> Joi
     kept, left_out = torn.settle(time)
     if again.any():
         kept = ~again if kept is None else kept & ~again
-    signed, ticks = _with_signs(data, columns), _in_radians(data, columns)
+    signed, columns = _with_signs(data, columns), _in_radians(data, columns)
     kinds, motors = _without_motors(data, columns)
     if kept is not None:
         time, data = time[kept], {name: values[kept] for name, values in data.items()}
@@ -84,7 +89,7 @@ def recorded(columns: Columns, numbers: dict[str, Array], torn: TornRows) -> Joi
         time = time[rarest]
     uncertainty = columns.reading.effort_uncertainty(joints)
     passive = np.array([kinds.get(joint) == PASSIVE for joint in joints])
-    return JointLog(
+    log = JointLog(
         log_name(columns.path),
         joints,
         time,
@@ -92,7 +97,7 @@ def recorded(columns: Columns, numbers: dict[str, Array], torn: TornRows) -> Joi
         data["effort"],
         data.get("velocity"),
         data.get("acceleration"),
-        (*columns.notes, *notes, *more, *even, *signed, *ticks, *motors, *left_out),
+        (*columns.notes, *notes, *more, *even, *signed, *motors, *left_out),
         effort_uncertainty=np.where(passive, 0.0, uncertainty) if passive.any() else uncertainty,
         standing={joint: _place(data[name]) for joint, name in standing.items()},
         alone={joint: data[name] for joint, name in standing.items()},
@@ -103,6 +108,7 @@ def recorded(columns: Columns, numbers: dict[str, Array], torn: TornRows) -> Joi
         floating={name: data[name] for name in columns.floating},
         left_out=columns.left_out,
     )
+    return log, columns
 
 
 def _with_signs(data: dict[str, Array], columns: Columns) -> list[str]:
@@ -162,34 +168,58 @@ def _are_apart(numbers: Array, half: float, least: float) -> bool:
     return bool(not few and crossings >= 2 and least - numbers[~above].max() >= half)
 
 
-def _in_radians(data: dict[str, Array], columns: Columns) -> list[str]:
-    """Turn positions and commands (N, n) into rad where they are ticks of servos; return notes.
+def _in_radians(data: dict[str, Array], columns: Columns) -> Columns:
+    """Turn positions and commands (N, n) into rad where they are ticks of servos.
 
     Whole numbers from 0 to less than 4,096, and beyond 1,024, are taken for ticks if nobody says
     their unit, as geodrake's own names of columns do: in rad no joint goes so far, and in degrees
-    hardly one in whole ones.
+    hardly one in whole ones. Drivers count angles from the middle of the turn on, at 2,048; so
+    does the log, unless the model's limits hold positions from tick 0 on, and not those.
     """
     told = [n for n in data if n in ("position", "command") and np.isfinite(data[n]).any()]
     if "position" not in told:
-        return []
+        return columns
+    sources = dict[str, Source]()
     for quantity in told:
-        names = (f"{joint}.{quantity}" for joint in columns.joints)
-        sources = ((name, columns.sources.get(name)) for name in names)
-        if any(s and (s.unit or s.factor != 1.0 or s.column == n) for n, s in sources):
-            return []
+        names = [f"{joint}.{quantity}" for joint in columns.joints]
+        own = {n: source for n in names if (source := columns.sources.get(n)) is not None}
+        if any(s.unit or s.factor != 1.0 or s.column == n for n, s in own.items()):
+            return columns
+        sources |= own
         numbers, least = data[quantity], TICKS / 4 if quantity == "position" else 0.0
         if not (are_whole(numbers[:_FIRST]) and are_whole(numbers)):
-            return []
+            return columns
         if not np.nanmin(numbers) >= 0.0 or not least < np.nanmax(numbers) < TICKS:
-            return []
+            return columns
+    ticks = data["position"]
+    middle, bottom = (unit_of(name, "position") for name in ("ticks@2048", "ticks"))
+    held = {unit: _share_within(columns, ticks, unit) for unit in (middle, bottom)}
+    unit, other = (bottom, middle) if held[bottom] > _HELD > held[middle] else (middle, bottom)
+    zero = "2048, as drivers have it" if unit is middle else "0, as the model's limits say"
     words = (
-        f"positions are whole numbers, from {np.nanmin(data['position']):.0f} to "
-        f"{np.nanmax(data['position']):.0f}, and so ticks of servos with {TICKS} a turn: "
-        "converted (if they are not, give their unit by --units or a mapping)"
+        f"positions are whole numbers, from {np.nanmin(ticks):.0f} to {np.nanmax(ticks):.0f}, and "
+        f"so ticks of servos with {TICKS} a turn, and their zero at tick {zero}: converted "
+        f"(--units {','.join(f'{each}={other.name}' for each in told)} if it is at "
+        f"{'0' if unit is middle else '2048'}; other units by --units or a mapping)"
     )
     for quantity in told:
-        data[quantity] *= 2.0 * np.pi / TICKS
-    return [words]
+        data[quantity] *= unit.factor
+        data[quantity] += unit.offset
+    known = {n: replace(s, unit=unit, factor=unit.factor) for n, s in sources.items()}
+    notes = (*columns.notes, words)
+    return replace(columns, sources={**columns.sources, **known}, notes=notes)
+
+
+def _share_within(columns: Columns, ticks: Array, unit: Unit) -> float:
+    """Return the share of positions (N, n), counted in a unit, that limits of the model hold."""
+    limits = columns.reading.limits
+    within = [
+        (low - _MARGIN <= unit.factor * q + unit.offset)
+        & (unit.factor * q + unit.offset <= high + _MARGIN)
+        for joint, q in zip(columns.joints, ticks.T, strict=True)
+        for low, high in [limits.get(joint, (-np.inf, np.inf))]
+    ]
+    return float(np.mean(np.array(within)[np.isfinite(ticks.T)]))
 
 
 def _without_motors(data: dict[str, Array], columns: Columns) -> tuple[dict[str, str], list[str]]:

@@ -13,6 +13,8 @@ from geodrake.errors import ArgumentError
 _ANGLES = {"rad": 1.0, "mrad": 1e-3, "deg": math.pi / 180, "rev": 2 * math.pi}
 _ANGLES["mdeg"] = 1e-3 * _ANGLES["deg"]
 _ANGLES["ticks"] = 2 * math.pi / 4096  # of servos with twelve bits a turn
+_MIDDLE = "ticks@2048"  # from the middle of the turn on, as drivers of such servos count angles
+_PLACES = {_MIDDLE: _ANGLES["ticks"]}
 _LENGTHS = {"m": 1.0, "cm": 1e-2, "mm": 1e-3, "um": 1e-6}
 _TIMES = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9, "min": 60.0}
 _EFFORTS = {"Nm": 1.0, "Nmm": 1e-3, "mNm": 1e-3, "Ncm": 1e-2, "kNm": 1e3, "N": 1.0, "kN": 1e3}
@@ -24,18 +26,18 @@ _SIGNALS = {
 
 UNITS: Mapping[str, Mapping[str, float]] = {
     "time": _TIMES,
-    "position": _ANGLES | _LENGTHS,
+    "position": _ANGLES | _PLACES | _LENGTHS,
     "velocity": {f"{unit}/s": factor for unit, factor in (_ANGLES | _LENGTHS).items()}
     | {"rpm": 2 * math.pi / 60},
     "acceleration": {f"{unit}/s²": factor for unit, factor in (_ANGLES | _LENGTHS).items()},
     "effort": _EFFORTS | _SIGNALS["current"] | _SIGNALS["voltage"] | _SIGNALS["pwm"],
     **_SIGNALS,
-    "command": _ANGLES | _LENGTHS,
+    "command": _ANGLES | _PLACES | _LENGTHS,
     "temperature": {"°C": 1.0, "°F": 5.0 / 9.0, "K": 1.0},
 }
 """Quantity -> unit -> how many rad, m, s, N·m, N, A, V, shares of the supply or °C it is."""
 
-_OFFSETS = {"°F": -160.0 / 9.0, "K": -273.15}  # °C at 0 of them
+_OFFSETS = {"°F": -160.0 / 9.0, "K": -273.15, _MIDDLE: -math.pi}  # °C, and rad, at 0 of them
 
 _SPELLINGS = {
     spelling: unit
@@ -71,7 +73,7 @@ class Unit:
 
     name: str
     factor: float
-    offset: float = 0.0  # what 0 of it is in SI units: of temperatures alone
+    offset: float = 0.0  # what 0 of it is in SI units
 
     @property
     def signal(self) -> str | None:
