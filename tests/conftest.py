@@ -37,7 +37,6 @@ LONG_MODULES = {
     "runpy",
     "typer.testing",
     "playwright.sync_api",
-    "geodrake.robot.files.xacro_process",
     "adaptive_loops",
     "pinocchio_logs",
     "servo_logs",

@@ -225,9 +225,8 @@ class ModelOptions:
         package (NAME=FOLDER): Where a ROS package is that the model names, beside those of
             ROS_PACKAGE_PATH, AMENT_PREFIX_PATH and of folders above it. Repeatable.
         xacro_arg (NAME:=VALUE): Argument of a xacro file. Repeatable.
-        trust_xacro: Evaluate any expression of a xacro file and let it read any file, where you
-            trust who wrote it. If absent, expressions of values and xacro's own functions, and
-            files in its folder and packages.
+        trust_xacro: Evaluate any expression of a xacro file, where you trust who wrote it. If
+            absent, expressions of values and xacro's own functions.
         transmission (FILE.yaml|file|none): What moves joints in their place: gears, coupled wrists,
             linkages, between the logged actuators and the model's joints; `file` takes what MODEL
             itself states of motors. If absent, ARM.transmission.yaml beside ARM.urdf, if there is

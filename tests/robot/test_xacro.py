@@ -6,7 +6,7 @@ from pathlib import Path
 import pytest
 
 from geodrake.errors import ModelError
-from geodrake.robot.files import xacro_file, xacro_process
+from geodrake.robot.files import xacro_file
 from geodrake.robot.files.given import Given
 from geodrake.robot.files.xacro_file import read_expanded
 
@@ -128,25 +128,12 @@ def test_builtins_of_python_are_unknown(tmp_path, text):
         read_expanded(path, Given())
 
 
-def test_trust_lets_any_expression_run_in_the_process(tmp_path, monkeypatch):
+def test_trust_lets_any_expression_run(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     path = written(tmp_path, f'<a v="${{len((lambda: ().{CLIMB})()) > 9}}"/>')
     with pytest.raises(ModelError, match=r"is asked for .*--trust-xacro"):
         read_expanded(path, Given())
     assert b'v="True"' in read_expanded(path, Given(trust_xacro=True))
-
-
-def test_even_what_is_trusted_writes_no_file_and_starts_no_process(tmp_path, monkeypatch):
-    monkeypatch.chdir(tmp_path)
-    reach = "[c for c in ().__class__.__base__.__subclasses__() if c.__name__ == '_wrap_close'][0]"
-    path = written(
-        tmp_path,
-        f"<a v=\"${{(lambda: {reach}.__init__.__globals__['system']('touch seen'))()}}\"/>"
-        f"<a v=\"${{(lambda: {reach}.__init__.__globals__['open']('seen', 65))()}}\"/>",
-    )
-    with pytest.raises(ModelError, match="Too many open files"):
-        read_expanded(path, Given(trust_xacro=True))
-    assert not (tmp_path / "seen").exists()
 
 
 def test_a_python_tag_in_yaml_makes_nothing(tmp_path, monkeypatch):
@@ -159,27 +146,17 @@ def test_a_python_tag_in_yaml_makes_nothing(tmp_path, monkeypatch):
 
 
 @pytest.mark.parametrize("body", ['<xacro:include filename="{}"/>', "${{xacro.load_yaml('{}')}}"])
-def test_only_regular_files_within_reach_are_read(tmp_path, body):
-    os.mkfifo(tmp_path / "model-pipe")
-    written(tmp_path / "other", "k: 1", "v.yaml")
-    (tmp_path / "model").mkdir()
-    os.mkfifo(tmp_path / "model" / "pipe")
+def test_only_regular_files_are_read(tmp_path, body):
+    os.mkfifo(tmp_path / "pipe")
     for place, words in (
         ("pipe", "is a pipe"),
         (".", "is a folder"),
-        ("../other/v.yaml", "neither in its folder nor in its packages.*--package.*--trust-xacro"),
-        ("../model-pipe", "neither in its folder"),
-        ("/dev/zero", "neither in its folder"),
-        ("/etc/passwd", "neither in its folder"),
+        ("/dev/zero", "is a device"),
         ("none.yaml", "No such file"),
     ):
-        path = written(tmp_path / "model", body.format(place))
+        path = written(tmp_path, body.format(place))
         with pytest.raises(ModelError, match=words):
             read_expanded(path, Given())
-    with pytest.raises(ModelError, match="/dev/zero is a device"):
-        read_expanded(
-            written(tmp_path / "model", body.format("/dev/zero")), Given(trust_xacro=True)
-        )
 
 
 def test_includes_that_never_end_are_an_error(tmp_path):
@@ -187,9 +164,6 @@ def test_includes_that_never_end_are_an_error(tmp_path):
     written(tmp_path, '<xacro:include filename="a.xacro"/>', "b.xacro")
     path = written(tmp_path, '<xacro:include filename="a.xacro"/>')
     with pytest.raises(ModelError, match="files hold themselves"):
-        read_expanded(path, Given())
-    path = written(tmp_path, '<xacro:include filename="*/*/*/x.xacro"/>')
-    with pytest.raises(ModelError, match="wildcards"):
         read_expanded(path, Given())
 
 
@@ -203,18 +177,11 @@ def doubling(levels: int) -> str:
 
 @pytest.mark.parametrize(
     ("body", "words"),
-    [
-        (doubling(28), "the processor's time"),
-        ('<a v="${[0] * 10**10}"/>', "more than 2 GB"),
-    ],
+    [(doubling(28), "called more than"), ('<a v="${[0] * 10**15}"/>', "more memory")],
 )
-def test_what_takes_too_much_is_ended(tmp_path, monkeypatch, body, words):
-    source = Path(xacro_process.__file__)
-    text = source.read_text().replace("CPU_SECONDS = 10", "CPU_SECONDS = 1")
-    (tmp_path / source.name).write_text(text)
-    monkeypatch.setattr(xacro_process, "__file__", str(tmp_path / source.name))
+def test_what_takes_too_much_is_ended(tmp_path, body, words):
     with pytest.raises(ModelError, match=words):
-        read_expanded(written(tmp_path / "model", body), Given())
+        read_expanded(written(tmp_path, body), Given())
 
 
 def test_a_file_is_expanded_again_only_if_something_in_it_has_changed(tmp_path, monkeypatch):
@@ -224,10 +191,8 @@ def test_a_file_is_expanded_again_only_if_something_in_it_has_changed(tmp_path, 
         '<robot xmlns:xacro="x"><xacro:include filename="part.xacro"/><link name="${n}"/></robot>'
     )
     counted = []
-    start = xacro_file.subprocess.Popen
-    monkeypatch.setattr(
-        xacro_file.subprocess, "Popen", lambda *a, **k: counted.append(1) or start(*a, **k)
-    )
+    expanded = xacro_file._expanded
+    monkeypatch.setattr(xacro_file, "_expanded", lambda *a: counted.append(1) or expanded(*a))
     for value, times in (("a", 1), ("a", 1), ("b", 2), ("a", 3)):
         part.write_text(name.format(value))
         assert f'name="{value}"'.encode() in read_expanded(top, given)

@@ -6,7 +6,7 @@ import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 from geodrake.boundary.arguments import file_path, instance, instances
 from geodrake.errors import ArgumentError, ModelError
@@ -15,15 +15,13 @@ _NAME = re.compile(r"[^\s/:=]+")
 
 
 class Expanded(NamedTuple):
-    """What a xacro file was expanded to, of what.
+    """What a xacro file was expanded to.
 
     Attributes:
-        begin: Checksum of the file and its arguments.
-        asked: Kind, value and checksum of the answer of all that it asked for.
+        read: Files that it reads, itself among them -> their checksums, None if they are not there.
     """
 
-    begin: bytes
-    asked: Sequence[tuple[str, Any, bytes]]
+    read: Mapping[Path, bytes | None]
     data: bytes
 
 
@@ -34,8 +32,8 @@ class Given:
     Attributes:
         robot: Name of the robot, where the file has several; None for all that it has.
         packages: Package of ROS -> its folder, before those that are found.
-        trust_xacro: Whether a xacro file may evaluate any expression and read files of any folder,
-            as those may that the user or a friend has written.
+        trust_xacro: Whether a xacro file may evaluate any expression, as those may that the user or
+            a friend has written.
         leading: Names of joints that are free in closed loops, before those that motors drive.
         expansions: What xacro files were expanded to; see `read_expanded`.
     """
