@@ -14,7 +14,10 @@ import pytest
 from meshcat_pages import drawn, tracks
 from scripts import ROOT, SCRIPTS, call, start
 
+from diagrams import benchmarks_page
 from geodrake.logs.files import read_log
+
+RUNS = json.loads(benchmarks_page.FIGURES.read_text(encoding="utf-8"))
 
 APART = "computed_torque_or_passivity"
 LONG = {  # whose parts are tested elsewhere, too
@@ -246,6 +249,16 @@ SHOWS = {
     "simulate_fitted": shows_what_friction_is_worth,
     "real_robots": says_what_diagnose_names_and_days_tell,
 }
+ALIKE = {  # what --quick writes has all figures of docs/benchmarks.md
+    "adaptive_soak",
+    "adaptive_speed",
+    "atlas_identification",
+    "excitation_speed",
+    "fleet_kills",
+    "fleet_study",
+    "regressor_speed",
+    "tell_apart",
+}
 MEASUREMENTS = {
     "hobby_arm": ("data/so101/*.csv", "data/xl330/*.csv", "reference/so101.urdf"),
     "human_identification": ("data/human_force_plate.npz",),
@@ -276,6 +289,8 @@ def test_script(name, tmp_path):
     assert found
     if name in SHOWS:
         SHOWS[name](found)
+    if name in ALIKE:
+        benchmarks_page.read(RUNS[name], found)
     assert list(figures.glob("*.png"))
 
 
