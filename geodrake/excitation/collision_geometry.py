@@ -30,7 +30,7 @@ from geodrake.model.robot_model import RobotModel
 from geodrake.robot.files import Given, read_description
 from geodrake.robot.files.checks import drop
 from geodrake.robot.files.description import drake_errors, drake_messages
-from geodrake.robot.mesh_files import check_mesh, stl_vertices
+from geodrake.robot.mesh_files import stl_vertices
 from geodrake.robot.plant import arrange_as
 from geodrake.robot.shapes import (
     SHAPES_ADVICE,
@@ -152,7 +152,7 @@ def _points(path: Path) -> Array:
     """Return points (n, 3) of a mesh whose hull is that of the mesh."""
     if path.suffix.lower() == ".stl":
         return stl_vertices(path)
-    check_mesh(regular_file(path, "mesh", ModelError))
+    regular_file(path, "mesh", ModelError)
     with drake_messages(), drake_errors(path, how=" as a mesh", advice="Use an .obj or an .stl."):
         return _corners(Mesh(str(path)))
 
@@ -296,8 +296,7 @@ def _readable(name: str, where: Where, replacement: Path) -> Path:
     try:
         path = where(name)
         if path.suffix.lower() != ".stl":
-            check_mesh(path)
-            return path
+            return regular_file(path, "mesh", ModelError)
         vertices = stl_vertices(path)
     except ModelError as error:
         words = error.problem.replace(f"The mesh {path} ", "it ").rstrip(".")

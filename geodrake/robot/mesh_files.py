@@ -3,21 +3,18 @@
 from __future__ import annotations
 
 import io
-import os
 import re
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Callable
+from itertools import chain
 from pathlib import Path
-from xml.etree.ElementTree import Element
 
 import numpy as np
 from numpy.typing import NDArray
-from pydrake.common.eigen_geometry import AngleAxis
-from pydrake.math import RigidTransform
 
-from geodrake.boundary.input_files import open_regular, read_regular, regular_files
+from geodrake.boundary.input_files import read_regular
 from geodrake.errors import GeodrakeError, ModelError
 from geodrake.inertia import Array
-from geodrake.robot.files.xml_text import LARGEST_FILE, parse_xml
+from geodrake.robot.files.xml_text import LARGEST_FILE
 
 Faces = NDArray[np.int64]
 Surface = tuple[Array, Faces]
@@ -28,11 +25,7 @@ MOST_TRIANGLES = 6000
 
 _HEADER, _COUNT, _FACET = 80, 4, 50  # bytes of a binary STL file
 _VERTEX = re.compile(rb"vertex\s+(\S+)\s+(\S+)\s+(\S+)")
-_MATERIALS = re.compile(rb"^[ \t]*mtllib[ \t]+(.+)$", re.MULTILINE)
-_IMAGES = re.compile(
-    rb"^[ \t]*(?:map_\w+|bump|disp|decal|refl|norm)[ \t].*?(\S+)[ \t\r]*$", re.MULTILINE
-)
-_URIS = re.compile(rb'"uri"\s*:\s*"([^"]{1,4000})"')  # longer ones are data
+_MATERIALS = re.compile(rb"<bind_material.*?</bind_material>", re.DOTALL)
 _SMOOTH = 0.8  # cosine of the angle between a face's normal and the mean, up to which it is smooth
 _GRIDS = (256, 180, 128, 90, 64, 45, 32, 22, 16)  # cells along the longest side
 
@@ -43,7 +36,7 @@ def wavefront(path: Path) -> str:
         return wavefront_text(READERS[path.suffix.lower()](path))
     except GeodrakeError:
         raise
-    except (OSError, ValueError, LookupError, AttributeError, TypeError) as error:
+    except Exception as error:  # whatever collada says of a file
         raise _unreadable(path, str(error)) from error
 
 
@@ -57,34 +50,6 @@ def wavefront_text(surface: Surface) -> str:
     np.savetxt(text, normals, "vn %.2f %.2f %.2f")
     np.savetxt(text, corners, "f %d//%d %d//%d %d//%d")
     return text.getvalue()
-
-
-def check_mesh(path: Path) -> None:
-    """Raise if Drake would open what is no file, for a mesh or for what it names.
-
-    Args:
-        path: A mesh of any kind; one that is not there is nothing to wait for.
-    """
-    for mesh in _there([path]):
-        open_regular(mesh, "mesh", ModelError).close()
-        if mesh.suffix.lower() == ".obj":
-            for material in _named(mesh, _MATERIALS, "mesh"):
-                regular_files(_named(material, _IMAGES, "material"), "texture", ModelError)
-        elif mesh.suffix.lower() == ".gltf":
-            regular_files(_named(mesh, _URIS, "mesh"), "file of a mesh", ModelError)
-
-
-def _named(path: Path, pattern: re.Pattern[bytes], what: str) -> list[Path]:
-    """Return the files beside a file that it names."""
-    data = read_regular(path, what, ModelError, largest=LARGEST_FILE, empty=True)
-    names = dict.fromkeys(name.strip() for name in pattern.findall(data))
-    return _there(path.parent / os.fsdecode(name) for name in names)
-
-
-def _there(places: Iterable[Path]) -> list[Path]:
-    """Return the places where there is something that is no folder."""
-    exists = os.path.exists  # which takes names that no file can have
-    return [place for place in places if exists(place) and not place.is_dir()]
 
 
 def _unreadable(path: Path, reason: str) -> ModelError:
@@ -167,75 +132,24 @@ def _stl(path: Path) -> Surface:
 
 
 def _collada(path: Path) -> Surface:
-    root = parse_xml(path)
-    unit = root.find("asset/unit")
-    scale = 1.0 if unit is None else float(unit.get("meter", "1"))
-    meshes = {g.get("id"): g.find("mesh") for g in root.iter("geometry")}
-    nodes = {n.get("id"): n for n in root.findall("library_nodes//node")}
-    parts: list[Surface] = []
-    for scene in root.iter("visual_scene"):
-        for node in scene.findall("node"):
-            for name, X in _instances(node, np.eye(4), nodes):
-                if (mesh := meshes[name]) is not None:
-                    vertices, faces = _mesh(mesh)
-                    parts.append((scale * (vertices @ X[:3, :3].T + X[:3, 3]), faces))
+    import collada  # which takes long, and few need
+
+    data = read_regular(path, "mesh", ModelError, largest=LARGEST_FILE)
+    ignored = [collada.common.DaeError]  # of what is no mesh, lights say
+    document = collada.Collada(io.BytesIO(_MATERIALS.sub(b"", data)), ignore=ignored)
+    parts = [(np.zeros((0, 3)), np.zeros((0, 3), int))]
+    for geometry in chain.from_iterable(s.objects("geometry") for s in document.scenes):
+        for primitive in geometry.primitives():
+            is_cut = isinstance(primitive, collada.polylist.BoundPolylist)
+            part = primitive.triangleset() if is_cut else primitive
+            if isinstance(part, collada.triangleset.BoundTriangleSet):  # and no lines
+                parts.append((part.vertex, part.vertex_index))
     starts = np.cumsum([0, *(len(vertices) for vertices, _ in parts)])
-    moved = (faces + start for (_, faces), start in zip(parts, starts, strict=False))
-    vertices = np.concatenate([np.zeros((0, 3)), *(vertices for vertices, _ in parts)])
-    return vertices, np.concatenate([np.zeros((0, 3), int), *moved])
-
-
-def _instances(
-    node: Element, X: Array, nodes: Mapping[str | None, Element]
-) -> Iterator[tuple[str, Array]]:
-    """Yield names of the meshes at a node and below it, with their 4×4 poses in the scene."""
-    for child in node:
-        if child.tag in _TRANSFORMS:
-            X = X @ _TRANSFORMS[child.tag](np.array((child.text or "").split(), float))
-        elif child.tag == "instance_geometry":
-            yield child.get("url", "")[1:], X
-        elif child.tag == "node":
-            yield from _instances(child, X, nodes)
-        elif child.tag == "instance_node":
-            yield from _instances(nodes[child.get("url", "")[1:]], X, {})
-
-
-_TRANSFORMS: dict[str, Callable[[Array], Array]] = {
-    "matrix": lambda x: x.reshape(4, 4),
-    "translate": lambda x: RigidTransform(x).GetAsMatrix4(),
-    "rotate": lambda x: RigidTransform(
-        AngleAxis(np.radians(x[3]), x[:3] / np.linalg.norm(x[:3])), np.zeros(3)
-    ).GetAsMatrix4(),
-    "scale": lambda x: np.diag([*x, 1.0]),
-}
-
-
-def _mesh(mesh: Element) -> Surface:
-    """Return vertices and triangles of a mesh, polygons cut into triangles."""
-    sources = {source.get("id"): source for source in mesh.findall("source")}
-    place = mesh.find("vertices/input[@semantic='POSITION']")
-    if place is None:
-        raise ValueError("it has no positions")
-    numbers = sources[place.get("source", "")[1:]].findtext("float_array", "").split()
-    vertices, faces = np.array(numbers, float).reshape(-1, 3), [np.zeros((0, 3), int)]
-    for kind in ("triangles", "polylist", "polygons"):
-        for part in mesh.findall(kind):
-            inputs = {i.get("semantic"): int(i.get("offset", "0")) for i in part.findall("input")}
-            width = 1 + max(inputs.values())
-            for p in part.findall("p"):
-                corners = np.array((p.text or "").split(), int)
-                corners = corners.reshape(-1, width)[:, inputs["VERTEX"]]
-                counts = {"triangles": [3] * (len(corners) // 3), "polygons": [len(corners)]}
-                stated = np.array(part.findtext("vcount", "").split(), int)
-                faces.append(_fans(corners, np.array(counts.get(kind, stated), int)))
-    return vertices, np.concatenate(faces)
-
-
-def _fans(corners: Faces, counts: Faces) -> Faces:
-    """Return (m, 3) triangles of polygons with so many corners each, one polygon after another."""
-    first = np.repeat(np.cumsum(counts) - counts, np.maximum(counts - 2, 0))
-    step = np.concatenate([np.zeros(0, int), *(np.arange(1, count - 1) for count in counts)])
-    return np.stack([corners[first], corners[first + step], corners[first + step + 1]], -1)
+    faces = np.concatenate([own + at for (_, own), at in zip(parts, starts, strict=False)])
+    if document.errors and not len(faces):
+        raise document.errors[0]
+    unit = document.assetInfo.unitmeter or 1.0
+    return unit * np.concatenate([vertices for vertices, _ in parts]), faces
 
 
 READERS: dict[str, Callable[[Path], Surface]] = {".stl": _stl, ".dae": _collada}

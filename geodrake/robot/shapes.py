@@ -37,16 +37,17 @@ from pydrake.multibody.plant import AddMultibodyPlantSceneGraph, MultibodyPlant
 from pydrake.multibody.tree import BodyIndex
 from pydrake.systems.framework import DiagramBuilder
 
+from geodrake.boundary.input_files import regular_file
 from geodrake.errors import ModelError
 from geodrake.robot.files.checks import drop
 from geodrake.robot.files.description import drake_errors, drake_messages, read_description
 from geodrake.robot.files.given import Given
-from geodrake.robot.files.includes import Includes, check_geometry
+from geodrake.robot.files.includes import Includes
 from geodrake.robot.files.mjcf_source import compiled, load_mujoco
 from geodrake.robot.files.mjcf_terms import pose_of
 from geodrake.robot.files.xacro_file import read_expanded
 from geodrake.robot.files.xml_text import parse_xml_bytes
-from geodrake.robot.mesh_files import READERS, check_mesh, wavefront, wavefront_text
+from geodrake.robot.mesh_files import READERS, wavefront, wavefront_text
 
 _LAST_GROUP = 2  # of geoms that MuJoCo shows unasked
 _WIDE, _DEEP = 100.0, 1.0
@@ -259,7 +260,6 @@ def scene_of(
     if path.suffix.lower() not in (".yaml", ".yml"):
         root = parse_xml_bytes(read_expanded(path, given), path)
     if root is None or root.tag not in ("robot", "sdf"):
-        check_geometry((text.path for text in description.texts), packages, given)
         parser.AddModels(str(path))
         return plant, scene
 
@@ -332,7 +332,7 @@ def _is_readable(shape: Element, where: Where, folder: Path, lost: dict[str, str
             elif found.suffix.lower() not in _DRAKE_READS:
                 raise ModelError(f"MeshCat shows no {found.suffix or 'such'} files")
             else:
-                check_mesh(found)
+                regular_file(found, "mesh", ModelError)
         except ModelError as error:
             lost[name] = error.problem.rstrip(".")
             raise

@@ -1,6 +1,5 @@
 """Shapes of robots: meshes of all usual formats, and words for those that are none."""
 
-import json
 import os
 import struct
 
@@ -14,7 +13,7 @@ from geodrake.errors import ModelError
 from geodrake.excitation.collisions import CollisionWorld
 from geodrake.report.meshcat_scene import replay_page
 from geodrake.robot.files.given import Given
-from geodrake.robot.mesh_files import MOST_TRIANGLES, check_mesh, wavefront
+from geodrake.robot.mesh_files import MOST_TRIANGLES, wavefront
 from geodrake.robot.shapes import robot_shapes
 
 CORNERS = np.array([[x, y, z] for x in (0, 1) for y in (0, 2) for z in (0, 3)], float)
@@ -25,8 +24,10 @@ COLLADA = """<?xml version="1.0"?>
 <COLLADA xmlns="http://www.collada.org/2005/11/COLLADASchema" version="1.4.1">
  <asset><unit name="millimeter" meter="0.001"/><up_axis>Z_UP</up_axis></asset>
  <library_geometries><geometry id="box"><mesh>
-  <source id="p"><float_array id="pa" count="24">{points}</float_array></source>
-  <source id="n"><float_array id="na" count="3">0 0 1</float_array></source>
+  <source id="p"><float_array id="pa" count="24">{points}</float_array><technique_common>
+   <accessor source="#pa" count="8" stride="3"><param name="X" type="float"/>
+   <param name="Y" type="float"/><param name="Z" type="float"/></accessor></technique_common>
+  </source>
   <vertices id="v"><input semantic="POSITION" source="#p"/></vertices>
   {faces}
  </mesh></geometry></library_geometries>
@@ -35,22 +36,25 @@ COLLADA = """<?xml version="1.0"?>
  </node></visual_scene></library_visual_scenes>
 </COLLADA>
 """
-INPUTS = '<input semantic="VERTEX" source="#v" offset="0"/><input semantic="NORMAL" offset="1"/>'
+INPUTS = (
+    '<input semantic="VERTEX" source="#v" offset="0"/>'
+    '<input semantic="NORMAL" source="#p" offset="1"/>'
+)
 
 
 def polylist():
     corners = " ".join(f"{c} 0" for quad in QUADS for c in quad)
-    return f"<polylist>{INPUTS}<vcount>{'4 ' * 6}</vcount><p>{corners}</p></polylist>"
+    return f"<polylist count='6'>{INPUTS}<vcount>4 4 4 4 4 4</vcount><p>{corners}</p></polylist>"
 
 
 def triangles():
     corners = " ".join(f"{c} 0" for triangle in TRIANGLES for c in triangle)
-    return f"<triangles>{INPUTS}<p>{corners}</p></triangles>"
+    return f"<triangles count='12'>{INPUTS}<p>{corners}</p></triangles>"
 
 
 def polygons():
     quads = "".join(f"<p>{' '.join(f'{c} 0' for c in quad)}</p>" for quad in QUADS)
-    return f"<polygons>{INPUTS}{quads}</polygons>"
+    return f"<polygons count='6'>{INPUTS}{quads}</polygons>"
 
 
 def write_stl(path, corners=CORNERS, faces=TRIANGLES):
@@ -164,7 +168,6 @@ MJCF = """<mujoco><compiler meshdir="meshes"/><asset><mesh name="m" file="m.obj"
 diaginertia="1 1 1"/><geom type="mesh" mesh="m"/></body></worldbody></mujoco>"""
 COLLIDING = MESH.format(kind="collision", file="m.{}")
 FORMATS = ("stl", "dae", "obj", "gltf", "vtk")
-OBJ = "mtllib a.mtl\nv 0 0 0\nv 1 0 0\nv 0 1 0\nv 0 0 1\nf 1 2 3\nf 1 2 4\nf 1 3 4\nf 2 3 4\n"
 
 
 @pytest.mark.parametrize(
@@ -182,46 +185,3 @@ def test_a_pipe_in_the_place_of_a_mesh_is_told(tmp_path, name, text, mesh):
     assert any("is a pipe" in note for note in robot_shapes(path, Given()).notes)
     with pytest.raises(ModelError, match="is a pipe"):
         CollisionWorld(load_model(path))
-
-
-@pytest.mark.parametrize("included", [False, True])
-def test_a_pipe_of_an_sdf_is_told_where_it_would_give_an_inertia(tmp_path, included):
-    link = f"""<link name="l"><inertial auto="true"/><collision name="c"><geometry><mesh>
-<uri>file://{tmp_path}/m.obj</uri></mesh></geometry></collision></link>"""
-    model = f'<sdf version="1.11"><model name="r">{link}</model></sdf>'
-    if included:
-        (tmp_path / "part").mkdir()
-        (tmp_path / "part" / "model.sdf").write_text(model)
-        (tmp_path / "part" / "model.config").write_text(
-            '<model><name>r</name><sdf version="1.11">model.sdf</sdf></model>'
-        )
-        inside = f"<include><uri>file://{tmp_path}/part</uri></include>"
-        model = f'<sdf version="1.11"><model name="r">{inside}</model></sdf>'
-    path = tmp_path / "r.sdf"
-    path.write_text(model)
-    os.mkfifo(tmp_path / "m.obj")
-    with pytest.raises(ModelError, match="is a pipe"):
-        load_model(path)
-
-
-def test_materials_and_images_of_meshes_are_files(tmp_path):
-    mesh, material, image = tmp_path / "a.obj", tmp_path / "a.mtl", tmp_path / "a.png"
-    mesh.write_text(OBJ)
-    check_mesh(mesh)  # what is not there, nobody waits for
-    material.write_text("newmtl a\nKd 1 1 1\nmap_Kd -s 1 1 1 a.png\n")
-    image.write_bytes(b"png")
-    check_mesh(mesh)
-    image.unlink()
-    os.mkfifo(image)
-    with pytest.raises(ModelError, match=r"texture .*a\.png is a pipe"):
-        check_mesh(mesh)
-    material.unlink()
-    material.symlink_to("/dev/zero")
-    with pytest.raises(ModelError, match=r"material .*a\.mtl is a device"):
-        check_mesh(mesh)
-    scene = tmp_path / "a.gltf"
-    scene.write_text(
-        json.dumps({"images": [{"uri": "data:image/png;base64,AA"}, {"uri": "a.png"}]})
-    )
-    with pytest.raises(ModelError, match=r"a\.png is a pipe"):
-        check_mesh(scene)

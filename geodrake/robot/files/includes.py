@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Iterable, Mapping
-from contextlib import suppress
+from collections.abc import Mapping
 from pathlib import Path
 from xml.etree.ElementTree import Element
 
@@ -12,11 +11,8 @@ from pydrake.multibody.parsing import PackageMap
 
 from geodrake.boundary.input_files import regular_file
 from geodrake.errors import ModelError
-from geodrake.robot.files.given import Given
 from geodrake.robot.files.packages import PACKAGE_ADVICE, add_packages, named_packages
-from geodrake.robot.files.xacro_file import read_expanded
-from geodrake.robot.files.xml_text import LARGEST_FILE, parse_xml, parse_xml_bytes, place_of
-from geodrake.robot.mesh_files import check_mesh
+from geodrake.robot.files.xml_text import LARGEST_FILE, parse_xml, place_of
 
 _SCENERY = re.compile(r"(?<![a-z])(sun|ground|light|plane)+s?(?![a-z])", re.I)
 _DEEPEST = 30  # files that include each other in a row
@@ -91,7 +87,6 @@ class Includes:
         """
         chain = chain or (self.path.resolve(),)
         self._count_elements(root)
-        self._check_meshes(root, folder)
         for parent in list(root.iter()):
             for include in parent.findall("include"):
                 url = include.findtext("uri", "").strip()
@@ -131,16 +126,6 @@ class Includes:
                 self.insert_elements(included, below)
                 at = list(parent).index(include)
                 parent[at : at + 1] = list(included)
-
-    def _check_meshes(self, root: Element, folder: Path) -> None:
-        """Raise if a mesh of an SDF is no file: Drake opens them for inertias and for shapes."""
-        urls = {mesh.findtext("uri", "").strip() for mesh in root.iter("mesh")}
-        places = set()
-        for url in urls:
-            with suppress(ModelError):  # of a package that only those need who look at shapes
-                places.add(self.resolve(url, folder))
-        for place in places:
-            check_mesh(place)
 
     def _count_elements(self, root: Element) -> None:
         self._elements += sum(1 for _ in root.iter())
@@ -183,36 +168,3 @@ def _replace(parent: Element, include: Element, model: Element) -> None:
     if include.get("placement_frame"):
         model.set("placement_frame", include.get("placement_frame", ""))
     parent[list(parent).index(include)] = model
-
-
-def check_geometry(files: Iterable[Path], packages: PackageMap, given: Given) -> None:
-    """Raise if Drake would open something other than a file for a model's geometry."""
-    for path in files:
-        root = parse_xml_bytes(read_expanded(path, given), path)
-        includes = Includes(path, given.packages)
-        if root.tag == "mujoco":
-            includes.insert_elements(root)
-        settings = [each.get(name) for each in root.iter("compiler") for name in _ASSETS]
-        folders = [path.parent / (each or "") for each in dict.fromkeys([None, *settings])]
-        for place in filter(None, map(_file_of, root.iter())):
-            for folder in folders:
-                found = _resolved(place, packages, folder)
-                if found is not None:
-                    check_mesh(found)
-
-
-def _file_of(element: Element) -> str:
-    """Return the file that an element of a model names."""
-    if element.tag == "include":
-        return ""
-    own = element.get("filename") or element.get("file")
-    return (own or (element.text if element.tag == "uri" else "") or "").strip()
-
-
-def _resolved(place: str, packages: PackageMap, folder: Path) -> Path | None:
-    """Return where a URL, or a path from a folder on, leads; None if that is nowhere."""
-    scheme, _, rest = place.rpartition("://")
-    name, _, inner = rest.partition("/")
-    if scheme in ("package", "model") and packages.Contains(name):
-        return Path(packages.GetPath(name), inner)
-    return folder / rest if scheme in ("", "file") else None
