@@ -15,6 +15,8 @@ _LATEST = 1e20  # s; nanoseconds since 1970 are 2e18
 
 _EPOCH = 9e8, 4.2e9  # s since 1970 at which a robot may have been logged: from 1998 to 2103
 _UNITS = {"ns": 1e-9, "µs": 1e-6, "ms": 1e-3}
+_DAYS = {"Excel": (36526.0, 73051.0), "MATLAB": (730486.0, 767011.0)}  # of 2000 to 2099
+_DAY = 86400.0  # s
 _RATES = 5.0, 5000.0  # rows a second of a log
 _ROWS = 100_000  # that tell the unit
 _SLOWEST = 2.0  # s between rows: no log has more
@@ -38,8 +40,8 @@ def longest_step(period: float) -> float:
 def time_unit(name: str, time: Array) -> tuple[float, str] | None:
     """Return the factor to seconds of time stamps (N,) of no known unit, and why; None for s.
 
-    They are of an epoch in ms, µs or ns, or of no plausible rate in any unit but one; those in a
-    column of the `name` time are in s unless they are of an epoch, as geodrake writes them.
+    They are of an epoch in ms, µs, ns or days, or of no plausible rate in any unit but one; those
+    in a column of the `name` time are in s unless they are of an epoch, as geodrake writes them.
     """
     known = time[np.isfinite(time)][:_ROWS]
     if len(known) < 2:
@@ -48,6 +50,9 @@ def time_unit(name: str, time: Array) -> tuple[float, str] | None:
     for unit, factor in _UNITS.items():
         if _EPOCH[0] < factor * typical < _EPOCH[1]:
             return factor, f"time is in {unit} since 1970, by its size: converted"
+    for program, (first, last) in _DAYS.items():
+        if first <= typical < last and _RATES[0] <= 1.0 / max(_DAY * period, _INSTANT) <= _RATES[1]:
+            return _DAY, f"time is in days, as {program} counts them, by its size: converted"
     if name == "time" or period < _SLOWEST:
         return None
     rates = {unit: 1.0 / (factor * period) for unit, factor in _UNITS.items()}

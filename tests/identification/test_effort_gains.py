@@ -54,6 +54,17 @@ def test_gains_lie_in_their_intervals_and_near(found):
     assert (np.abs(np.log(np.abs(ratio))) < 2.0 * spread).all()
 
 
+@pytest.mark.parametrize("are_magnitudes", [True, False])
+def test_currents_that_do_not_go_with_the_motion_are_refused(arm, torques, are_magnitudes):
+    """Late ones, with and without their sign: no gain makes efforts of them."""
+    log = currents(torques, GAINS)
+    late = np.roll(log.effort, 400, axis=0)
+    log = replace(log, effort=np.abs(late) if are_magnitudes else late)
+    with pytest.raises(LogError, match=r"The currents of .* do not go with the motion") as error:
+        calibrate_efforts(arm, [log])
+    assert ("seem to be magnitudes" in error.value.advice) == are_magnitudes
+
+
 def test_unit_and_signs_of_currents_do_not_matter(arm, torques, found):
     units = 1e3 * np.array([1.0, -1.0, -1.0, 1.0, 1.0, 1.0])
     other = calibrated(arm, [currents(torques, GAINS * units)], ["current"] * 6)

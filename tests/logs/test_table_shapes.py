@@ -466,7 +466,9 @@ def test_files_of_a_joint_each_are_named_after_them(tmp_path):
     alone = read_log(tmp_path / "run 3 elbow.csv", joints=JOINTS, partial=True)
     assert alone.joints == ("elbow",)
     (tmp_path / "run 3 elbow.csv").rename(tmp_path / "run.csv")
-    with pytest.raises(LogError, match="of one joint, and they do not say which"):
+    with pytest.raises(
+        LogError, match=r"of one joint, and they do not say which.*base\.csv\+elbow\.csv"
+    ):
         read_log(tmp_path / "run.csv", joints=JOINTS, partial=True)
 
 
@@ -504,3 +506,83 @@ def test_of_a_column_that_two_files_have_that_of_the_first_is_taken(tmp_path):
     PLAIN[["elbow.effort"]].to_csv(tmp_path / "c.csv", index=False)  # without time
     log = read_log(f"{tmp_path / 'a.csv'}+{tmp_path / 'c.csv'}", joints=JOINTS)
     assert any("elbow.effort, which several parts have" in note for note in log.notes)
+
+
+MARKS = {
+    "English": (";", "{:,.2f}", ""),
+    "English in quotes": (",", '"{:,.2f}"', ""),
+    "German": (";", "{:,.2f}", ",..,"),
+    "French": ("\t", "{:,.2f}", ",\u202f.,"),
+    "whole numbers": (";", "{:,.0f}", ""),
+    "whole German numbers": (";", "{:,.0f}", ",."),
+}
+
+
+def marked(tmp_path, kind, turns=2000.0, positions=None):
+    """A table of degrees and N·mm with marks between thousands, `positions` written otherwise."""
+    separator, form, swap = MARKS[kind]
+    numbers = np.column_stack([1000.0 * (5.0 + TIME), turns * POSITION, 3000.0 * EFFORT])
+    swapped = str.maketrans(dict(zip(swap[::2], swap[1::2], strict=False)) if swap else {})
+    rows = [[form.format(x).translate(swapped) for x in row] for row in numbers]
+    if positions:
+        rows = [
+            [*row[:1], *map(positions.format, x), *row[3:]]
+            for row, x in zip(rows, POSITION, strict=True)
+        ]
+    names = ["time_ms", "q1 [deg]", "q2 [deg]", "tau1 [Nmm]", "tau2 [Nmm]"]
+    path = tmp_path / "log.csv"
+    path.write_text("\n".join(map(separator.join, [names, *rows])) + "\n", encoding="utf-8")
+    return path
+
+
+@pytest.mark.parametrize("kind", MARKS)
+def test_marks_between_thousands(tmp_path, kind):
+    log = read_log(marked(tmp_path, kind), joints=JOINTS)
+    rounding = 0.5 if "whole" in kind else 0.005
+    np.testing.assert_allclose(log.time, 5.0 + TIME, atol=1e-3 * rounding)
+    np.testing.assert_allclose(log.position, np.deg2rad(2000.0 * POSITION), atol=0.02 * rounding)
+    np.testing.assert_allclose(log.effort, 3.0 * EFFORT, atol=1.01e-3 * rounding)
+    assert "between thousands in numbers such as" in " ".join(log.notes)
+
+
+def test_marks_of_thousands_in_some_columns_are_told_by_decimals_in_others(tmp_path):
+    path = marked(tmp_path, "whole numbers", positions="{:.2f}")
+    log = read_log(path, joints=JOINTS)
+    np.testing.assert_allclose(log.position, np.deg2rad(POSITION), atol=1e-4)
+    np.testing.assert_allclose(log.effort, 3.0 * EFFORT, atol=1e-3)
+
+
+def test_numbers_that_may_be_with_decimals_or_thousands_are_refused(tmp_path):
+    lines = ["t_ms;q_base;q_elbow;tau_base;tau_elbow"]
+    lines += [f"{k};1.{k:03d};-2.{k:03d};3,{k:03d};1,{2 * k:03d}" for k in range(100, 160)]
+    (tmp_path / "log.csv").write_text("\n".join(lines))
+    with pytest.raises(LogError, match=r"such as '1\.100' and '3,100': nothing says") as error:
+        read_log(tmp_path / "log.csv", joints=JOINTS)
+    assert "without marks between thousands" in error.value.advice
+
+
+@pytest.mark.parametrize("separator", [";", "\t", "|", " "])
+def test_decimal_commas(tmp_path, separator):
+    path = tmp_path / "log.csv"
+    PLAIN.to_csv(path, index=False, sep=separator, decimal=",")
+    log = read_log(path, joints=JOINTS)
+    np.testing.assert_allclose(log.position, POSITION)
+    np.testing.assert_allclose(log.effort, EFFORT)
+    assert "thousands" not in " ".join(log.notes)
+
+
+@pytest.mark.parametrize(("program", "day"), [("Excel", 45000.4), ("MATLAB", 738000.4)])
+@pytest.mark.parametrize("name", ["time", "Date", "datetime"])
+def test_days_of_spreadsheets_are_time(tmp_path, program, day, name):
+    path = tmp_path / "log.csv"
+    PLAIN.assign(time=day + TIME / 86400.0).rename(columns={"time": name}).to_csv(path, index=False)
+    log = read_log(path, joints=JOINTS)
+    np.testing.assert_allclose(log.time - log.time[0], TIME, atol=2e-5)
+    assert f"time is in days, as {program} counts them" in " ".join(log.notes)
+
+
+def test_a_date_beside_the_time_of_day_is_no_time(tmp_path):
+    path = tmp_path / "log.csv"
+    clock = MOMENTS.strftime("%H:%M:%S.%f")
+    PLAIN.assign(time=clock, Date="2026-05-01")[["Date", *PLAIN]].to_csv(path, index=False)
+    np.testing.assert_allclose(read_log(path, joints=JOINTS).time, TIME, atol=1e-6)

@@ -34,8 +34,9 @@ from geodrake.identification.logs.servo_fit import (
 from geodrake.logs.filtering import HIGHEST_BANDWIDTH
 from geodrake.logs.folds import validation_blocks
 from geodrake.logs.log_checks import check_saturation
-from geodrake.logs.motion import PASSIVE, JointLog, Motion, Trajectory
+from geodrake.logs.motion import PASSIVE, SIGNAL_KINDS, JointLog, Motion, Trajectory
 from geodrake.logs.preparation import prepare_logs
+from geodrake.logs.unit_hints import effort_sign_hint
 from geodrake.model.carried_payloads import carried_phi, carrying
 from geodrake.model.effort_signal import COMMAND, EFFORT, EffortSignal, signal_of
 from geodrake.model.file_terms import Damping, DryFriction, LoadFriction, Offset, Rotor
@@ -82,7 +83,8 @@ def calibrate_efforts(
 
     Raises:
         LogError: Something else stands for the efforts of a joint in one log than in another or in
-            the model, or there is nothing at all, or a servo is at its limit nearly all the time.
+            the model, or there is nothing at all, or a servo is at its limit nearly all the time,
+            or no signal goes with the motion.
     """
     if not logs:
         return model, [], []
@@ -97,12 +99,33 @@ def calibrate_efforts(
     if all(kind == "effort" for kind in kinds):
         return model, logs, notes
     found = calibrated(model, logs, kinds, simulate=simulate)
+    _check_known(found, logs)
     model = replace(model, effort_signals=(*model.effort_signals, *found))
     return (
         model,
         [_known_efforts(model, log) for log in logs],
         [*notes, gain_words(model, found, logs)],
     )
+
+
+def _check_known(found: Sequence[EffortSignal], logs: Sequence[JointLog]) -> None:
+    """Refuse signals of motors that go with nothing the model needs: efforts would be noise."""
+    measured = [signal for signal in found if signal.kind in SIGNAL_KINDS]
+    if not measured or len(measured) < len(found) or not all(map(_is_unknown, measured)):
+        return
+    kinds = " and ".join(dict.fromkeys(f"{signal.kind}s" for signal in measured))
+    hint = next(filter(None, map(effort_sign_hint, logs)), "")
+    raise LogError(
+        f"The {kinds} of {', '.join(signal.joint for signal in measured)} do not go with the "
+        "motion: the model needs no such efforts, whatever the gains.",
+        advice=hint
+        or "Are they of these joints, at these instants, with their sign? Do the "
+        "joints move under load? Else give the gains by --gain JOINT=VALUE.",
+    )
+
+
+def _is_unknown(signal: EffortSignal) -> bool:
+    return signal.deviation >= abs(signal.gain)
 
 
 def _limit_notes(model: RobotModel, asked: JointLog, given: JointLog) -> list[str]:
@@ -157,7 +180,7 @@ def gain_words(
     for signal in signals:
         slides = signal.joint in model.sliding_joints
         unit = when_sliding(signal.unit) if slides else signal.unit
-        unknown = signal.deviation >= abs(signal.gain)
+        unknown = _is_unknown(signal)
         value = "unknown," if unknown else f"{signal.gain:.3g}"
         words.append(f"{signal.joint} {value} ± {signal.deviation:.2g} {unit}")
         if (told := published_gain(logs, signal.joint, signal.kind)) is not None and not unknown:

@@ -534,7 +534,8 @@ class Columns:
             raise LogError(
                 f"Log {str(self.path)!r} has columns of one joint, and they do not say which.",
                 advice=f"Name the columns or the file after one of {listed(wanted)}, as in "
-                f"{wanted[0]}.position. {_MAPPING_ADVICE}",
+                f"{wanted[0]}.position. Tables of several joints, one below the other, are read as "
+                f"files of their own: {wanted[0]}.csv+{wanted[1]}.csv. {_MAPPING_ADVICE}",
             )
         if wanted is not None:
             check_joints(log_name(self.path), [*own, *standing], wanted, partial=partial)

@@ -80,7 +80,8 @@ _FILLERS = frozenset(
 _NO_SIGNAL = frozenset(["limit", "limits", "min", "max", "error", "err", "errors"])
 _SUPPLY = frozenset(["supply", "bus", "battery", "main", "input"])  # which no joint has of its own
 _TIMES = frozenset(("time", "timestamp", "timestamps", "stamp", "t", "clock", "sec", "secs"))
-_TIMES |= {"datetime", "ts"}
+_TIMES |= {"datetime", "ts", "date"}
+_TIME_OF_DAY = _TIMES - {"date"}
 _NANOSECONDS = frozenset(("nsec", "nsecs", "nanosec", "nanosecs", "nanoseconds"))
 _BESIDE_TIME = _TIMES | _NANOSECONDS | {"header", "ros", "rostime", "elapsed", "controller"}
 _BESIDE_TIME |= {"joint", "states", "state", "robot", "system", "log", "msg", "field", "seconds"}
@@ -236,7 +237,7 @@ def _time(name: str) -> Meaning | None:
     if name.startswith("%"):
         unit = find_unit("ns", "time")  # of `rostopic echo -p`
     rank = 0 if "header" in words else 1 if not name.startswith(("_", "%")) else 2
-    rank += 3 * asked
+    rank += 3 * asked + ("date" in words and not _TIME_OF_DAY.intersection(words))
     return Meaning(name, "time", role=1 + rank, unit=unit, style=context)
 
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import csv
 import re
 from codecs import BOM_UTF16_BE, BOM_UTF16_LE
+from collections import defaultdict
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import AbstractContextManager, nullcontext, suppress
 from dataclasses import dataclass, field, replace
@@ -25,10 +26,11 @@ from geodrake.boundary.optional_packages import optional_package
 from geodrake.errors import LogError
 from geodrake.logs.files.column_mapping import HEADER_ADVICE, check_text, listed, no_header
 from geodrake.logs.files.name_rules import is_time, names_joints, numbers_joints
+from geodrake.logs.files.number_marks import ADVICE as MARKS_ADVICE
+from geodrake.logs.files.number_marks import may_be_grouped, number_marks, plain
 from geodrake.logs.files.packed_files import open_log, unpacked
 from geodrake.logs.files.reading import Reading
 from geodrake.logs.files.table import (
-    LIST,
     NOTHING,
     Cells,
     LogTable,
@@ -48,6 +50,12 @@ _PREFACE = 100  # lines, among which names are looked for
 _LINES_AHEAD = 1000  # in which dates, lists and words are looked for
 _WHITESPACE = None
 _KEYED = re.compile(r"\s*([A-Za-z_][^:=\s]*)\s*[:=]\s*([+-]?(?:\.?\d|nan|inf).*)")
+_MAY_BE_MARKED = defaultdict(
+    lambda: re.compile(r"\d[,'’ \u00a0\u202f]\d|,\d|\d\.\d{3}(?!\d)"),
+    {",": re.compile('"'), _WHITESPACE: re.compile("[,'’]")},
+)
+"""Separator -> what numbers have that are not as Python writes them."""
+
 _MEASURED = re.compile(r"[+-]?\d+[.,]\d+([eE][+-]?\d+)?")
 _HEADS = (
     ("header.stamp.sec", "header.stamp.nanosec", "header.frame_id"),
@@ -63,6 +71,7 @@ class TextLayout:
     """How a table is laid out.
 
     Attributes:
+        grouped: Place of a column -> the mark between its thousands, which the note says.
         units: Units of columns, where the line after the header has them.
         is_keyed: Whether each cell has its name, as in `q=0.1`.
         first: The first cells of columns that have something.
@@ -79,6 +88,8 @@ class TextLayout:
     is_keyed: bool = False
     first: Mapping[str, str] = field(default_factory=dict)
     day_first: frozenset[str] = frozenset()
+    grouped: Mapping[int, str] = field(default_factory=dict)
+    note: str = ""
 
     @cached_property
     def kinds(self) -> dict[str, Cells | None]:
@@ -115,7 +126,9 @@ class TextLayout:
             trailing = len(cells) == len(self.names) + 1 and not cells[-1].strip()
             kept = cells[:-1] if trailing else cells  # a separator behind the last cell
             kept = [_KEYED.sub(r"\2", cell) for cell in kept] if self.is_keyed else kept
-            yield line, [_pointed(c) for c in kept] if self.decimal == "," else kept
+            if self.decimal != "." or self.grouped:
+                kept = [plain(c, self.decimal, self.grouped.get(k)) for k, c in enumerate(kept)]
+            yield line, kept
 
 
 def text_layout(path: Path, file: Iterator[str], reading: Reading) -> TextLayout:
@@ -144,9 +157,14 @@ def text_layout(path: Path, file: Iterator[str], reading: Reading) -> TextLayout
         header, begin = _whole_header(header, lines, after, separator)
         units = _units(header, lines[begin], separator)
         names, begin = header, begin + bool(units)
-    decimal = _decimal(separator, lines[begin])
-    layout = TextLayout(tuple(names), separator, decimal, begin, units, unnamed, is_keyed)
-    return replace(layout, first=_first_cells(layout, lines[begin : begin + _LINES_AHEAD]))
+    layout = TextLayout(tuple(names), separator, ".", begin, units, unnamed, is_keyed)
+    below = lines[begin : begin + _LINES_AHEAD]
+    if _MAY_BE_MARKED[separator].search("".join(below)):
+        with suppress(csv.Error):  # said when the rows are read
+            rows = [cells for _, cells in layout.cells(below)]
+            decimal, grouped, note = number_marks(path, rows)
+            layout = replace(layout, decimal=decimal, grouped=grouped, note=note)
+    return replace(layout, first=_first_cells(layout, below))
 
 
 def _first_line(lines: Sequence[str]) -> tuple[int, str]:
@@ -218,16 +236,6 @@ def _joint_state(cells: Sequence[str]) -> tuple[str, ...]:
             fields = ("name", "position", "velocity", "effort")
             return (*head, *(f"{field}{k}" for field in fields for k in range(count)))
     return ()
-
-
-def _decimal(separator: str | None, line: str) -> str:
-    """Return the decimal mark of a line: commas within lists are none."""
-    return "," if separator == ";" and "," in LIST.sub("", line) else "."
-
-
-def _pointed(cell: str) -> str:
-    """Return a cell with a point for a decimal comma; lists as they are."""
-    return cell if cell.lstrip().startswith(("[", "(")) else cell.replace(",", ".")
 
 
 def _first_cells(layout: TextLayout, lines: Sequence[str]) -> dict[str, str]:
@@ -512,7 +520,7 @@ def _text_table(path: Path, reading: Reading, opened: Opener) -> LogTable:
         texts = TextTable(path, layout, lines, True, opened).texts(strokes)
         orders = {name: order_of_days(each) for name, each in texts.items()}
     layout = replace(layout, day_first=frozenset(k for k, (first, _) in orders.items() if first))
-    notes = dict.fromkeys(note for _, note in orders.values() if note)
+    notes = dict.fromkeys(note for note in (layout.note, *(n for _, n in orders.values())) if note)
     table = TextTable(path, layout, lines, reading.skip_bad_rows, opened).noting(*notes)
     names_rows = any(map(names_joints, layout.words)) or any(map(numbers_joints, layout.names))
     return table.loaded() if names_rows and reading.mapping is None else table
@@ -556,6 +564,8 @@ def _numbers(
     """
     if not block or block.isspace():
         return np.empty((len(places), 0))
+    if layout.grouped or layout.decimal == layout.separator:
+        return None
     mark, columns, last = layout.separator, [cell for cell, _ in places], len(layout.names) - 1
     if not block.isascii():
         block.decode()  # or it is no text in UTF-8
@@ -563,11 +573,11 @@ def _numbers(
         return table
     try:  # empty cells, text and ragged rows are told cell by cell
         lines = _lines(block)
-        plain = [line.replace(",", ".") for line in lines] if layout.decimal == "," else lines
-        if mark and any('"' in x or (x.count(mark) != last and x.strip()) for x in plain):
+        lines = [line.replace(",", ".") for line in lines] if layout.decimal == "," else lines
+        if mark and any('"' in x or (x.count(mark) != last and x.strip()) for x in lines):
             return None
         used = columns if mark else None
-        table = np.loadtxt(plain, delimiter=mark, comments=None, ndmin=2, usecols=used)
+        table = np.loadtxt(lines, delimiter=mark, comments=None, ndmin=2, usecols=used)
     except ValueError:
         return None
     return table.T if mark else table.T[columns] if table.shape[1] == last + 1 else None
@@ -605,7 +615,9 @@ def _refusal(path: Path, row: int, column: str, text: str, kind: Cells) -> LogEr
     """Return what is said of a cell that holds something else than its column."""
     what = "not a number"
     advice = "Leave a cell empty, or write nan, where nothing was measured."
-    if is_time(column):
+    if may_be_grouped(text):
+        advice = f"{MARKS_ADVICE} Lines above it do not tell what its mark is."
+    elif is_time(column):
         advice += " A column of dates has them from its first row on."
     if kind.count is not None:
         what = f"no list of {kind.count} numbers as above it"

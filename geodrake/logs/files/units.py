@@ -16,7 +16,7 @@ _ANGLES["ticks"] = 2 * math.pi / 4096  # of servos with twelve bits a turn
 _MIDDLE = "ticks@2048"  # from the middle of the turn on, as drivers of such servos count angles
 _PLACES = {_MIDDLE: _ANGLES["ticks"]}
 _LENGTHS = {"m": 1.0, "cm": 1e-2, "mm": 1e-3, "um": 1e-6}
-_TIMES = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9, "min": 60.0}
+_TIMES = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9, "min": 60.0, "days": 86400.0}
 _EFFORTS = {"Nm": 1.0, "Nmm": 1e-3, "mNm": 1e-3, "Ncm": 1e-2, "kNm": 1e3, "N": 1.0, "kN": 1e3}
 _SIGNALS = {
     "current": {"A": 1.0, "mA": 1e-3},
@@ -61,6 +61,7 @@ _SPELLINGS = {
         "°C": "c degc celsius",
         "°F": "f degf fahrenheit",
         "K": "kelvin",
+        "days": "day",
     }.items()
     for spelling in spellings.split()
 }
