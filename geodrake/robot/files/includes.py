@@ -16,9 +16,6 @@ from geodrake.robot.files.xml_text import LARGEST_FILE, parse_xml, place_of
 
 _SCENERY = re.compile(r"(?<![a-z])(sun|ground|light|plane)+s?(?![a-z])", re.I)
 _DEEPEST = 30  # files that include each other in a row
-_MOST = 500  # inclusions altogether
-_MOST_ELEMENTS = 1_000_000
-_ASSETS = ("meshdir", "assetdir", "texturedir")  # settings of MJCF
 
 
 class Includes:
@@ -37,7 +34,6 @@ class Includes:
         self.path, self.packages, self.names = path, PackageMap(), set[str]()
         self._folders = folders
         self.absent, self.missing = list[str](), list[str]()
-        self._count = self._elements = 0
 
     def resolve(self, url: str, folder: Path) -> Path:
         """Return where a URL, or a path relative to a folder, leads; a file need not be there.
@@ -69,15 +65,12 @@ class Includes:
 
     def enter(self, chain: tuple[Path, ...], file: Path) -> tuple[Path, ...]:
         """Return the files that led to a file, and the file."""
-        self._count += 1
         file = self.checked(file).resolve()
         if file in chain:
             names = " → ".join(path.name for path in (*chain[chain.index(file) :], file))
             raise self._endless(f"{file} includes itself ({names})")
         if len(chain) > _DEEPEST:
             raise self._endless(f"more than {_DEEPEST} files include each other in a row")
-        if self._count > _MOST:
-            raise self._endless(f"there are more than {_MOST} inclusions")
         return (*chain, file)
 
     def insert(self, root: Element, folder: Path, chain: tuple[Path, ...] = ()) -> None:
@@ -86,7 +79,6 @@ class Includes:
         Those that it includes by a URL are left to Drake, but followed too.
         """
         chain = chain or (self.path.resolve(),)
-        self._count_elements(root)
         for parent in list(root.iter()):
             for include in parent.findall("include"):
                 url = include.findtext("uri", "").strip()
@@ -117,7 +109,6 @@ class Includes:
         Paths are relative to the folder of the model file, whichever file they are in.
         """
         chain = chain or (self.path.resolve(),)
-        self._count_elements(root)
         for parent in list(root.iter()):
             for include in parent.findall("include"):
                 file = self.path.parent / include.get("file", "")
@@ -126,11 +117,6 @@ class Includes:
                 self.insert_elements(included, below)
                 at = list(parent).index(include)
                 parent[at : at + 1] = list(included)
-
-    def _count_elements(self, root: Element) -> None:
-        self._elements += sum(1 for _ in root.iter())
-        if self._elements > _MOST_ELEMENTS:
-            raise self._endless(f"it has more than {_MOST_ELEMENTS} elements with what it includes")
 
     def _endless(self, reason: str) -> ModelError:
         return ModelError(

@@ -43,15 +43,13 @@ _NO_DYNAMICS = (
 )
 _FOLDERS = ("meshdir", "assetdir", "texturedir", "strippath")
 _MESHES = (".obj", ".stl", ".msh")
-_MOST_ELEMENTS = 200_000  # with those that MuJoCo makes of others
-_MOST_MADE = 2000  # bodies that one element makes
+_MOST_MADE = 20_000  # things that one element makes
 _DEEPEST = 30  # models attached to models
 _OF_BALLS = ("armature", "frictionloss", "damping")  # that each hinge has, which is about the same
 _SUFFIXES = ("_1", "_2", "_spin")
-Sizes = dict[str, tuple[int, int]]
-"""Name of a model that is attached -> how many elements and how many bodies it has."""
 
 _ONE_AT_A_TIME = threading.RLock()  # as where warnings go is one place of the whole process
+_COUNT = re.compile(r"[-+]?\d{1,20}(\.\d*)?")
 _LINE = re.compile(r",? *line (\d+)")
 
 
@@ -134,19 +132,18 @@ class _Compiler:
         found.left_out += self.plugins
         return found
 
-    def _prepare(self, root: Element, path: Path, prefix: str, chain: tuple[Path, ...]) -> Sizes:
-        """Leave what bears on dynamics; return how many elements each attached model has."""
+    def _prepare(self, root: Element, path: Path, prefix: str, chain: tuple[Path, ...]) -> None:
+        """Leave what bears on dynamics."""
         drop(root, *_NO_DYNAMICS)
         self._take_plugins(root)
         folders = _take_folders(root)
         if not self.geoms:
             _drop_idle_geoms(root)
         _name_bodies(root, prefix)
-        sizes: Sizes = {}
+        _check_counts(root, path)
         for element in [e for e in root.iter() if e.get("file") or e.tag == "hfield"]:
             if element.tag == "model":
-                name, size = self._attach(element, path, chain)
-                sizes[name] = size
+                self._attach(element, path, chain)
             elif element.tag == "hfield":
                 element.set("name", element.get("name") or Path(element.get("file", "")).stem)
                 for key in ("file", "elevation", "content_type"):
@@ -158,8 +155,6 @@ class _Compiler:
                 element.attrib.pop("file")
         for material in root.iter("material"):
             material.attrib.pop("texture", None)
-        _check_size(root, sizes, path)
-        return sizes
 
     def _take_plugins(self, root: Element) -> None:
         for plugin in root.iter("plugin"):
@@ -169,10 +164,8 @@ class _Compiler:
                 self.plugins.append(f"the plugin {name} ({where}) is left out.")
         drop(root, "extension", "plugin")
 
-    def _attach(
-        self, element: Element, path: Path, chain: tuple[Path, ...]
-    ) -> tuple[str, tuple[int, int]]:
-        """Make a model known under a key, and return its name and how many elements it has."""
+    def _attach(self, element: Element, path: Path, chain: tuple[Path, ...]) -> None:
+        """Make a model known under a key."""
         file = path.parent / element.get("file", "")
         data = parse_xml(file)
         if data.tag != "mujoco":
@@ -184,12 +177,11 @@ class _Compiler:
         Includes(file, {}).insert_elements(data)
         name = element.get("name") or data.get("model") or file.stem
         element.set("name", name)
-        sizes = self._prepare(data, file, f"{name}_", (*chain, file.resolve()))
+        self._prepare(data, file, f"{name}_", (*chain, file.resolve()))
         key = f"model_{len(self.models)}.xml"
         element.set("file", key)
         element.attrib.pop("content_type", None)
         self.models[key] = numbered_text(data)[0].encode()
-        return name, _size(data, sizes)
 
     def _name_mesh(self, element: Element, path: Path, folders: Sequence[str]) -> None:
         """Names a mesh's file by a key, and the mesh itself as MuJoCo would."""
@@ -362,46 +354,15 @@ def unused(taken: set[str | None]) -> Callable[[str], str]:
     return name
 
 
-def _check_size(root: Element, sizes: Sizes, path: Path) -> None:
-    """Refuse files from which MuJoCo would make more than a robot has, before it does."""
+def _check_counts(root: Element, path: Path) -> None:
+    """Refuse elements of which MuJoCo would make more than a robot has, before it does."""
     for element in root.iter():
-        if element.tag in ("composite", "flexcomp"):
-            made = 1
-            for word in (element.get("count") or "1").split():
-                made *= _whole(word)
-            if made > _MOST_MADE:
-                what = f"makes {made} bodies, and geodrake reads up to {_MOST_MADE}."
-                raise wrong_at(element, path, f"<{element.tag}> {what}")
-        if element.tag == "mesh" and element.get("builtin"):
-            words = (element.get("params") or "").split()
-            if any(_whole(word) > 100 for word in words):
-                raise wrong_at(element, path, "<mesh> is too fine.")
-    elements, bodies = _size(root, sizes)
-    for what, made, most in (("elements", elements, _MOST_ELEMENTS), ("links", bodies, _MOST_MADE)):
-        if made > most:
-            raise _wrong(
-                f"{path} cannot be read: MuJoCo would make more than {most} {what} of it.", path
-            )
-
-
-def _size(element: Element, sizes: Sizes) -> tuple[int, int]:
-    """Return how many elements MuJoCo makes of one, and how many bodies of them, at most."""
-    elements, bodies = 1, int(element.tag == "body")
-    if element.tag == "attach":
-        more = sizes.get(element.get("model", ""), (0, 0))
-        elements, bodies = elements + more[0], bodies + more[1]
-    for child in element:
-        more = _size(child, sizes)
-        elements, bodies = elements + more[0], bodies + more[1]
-    count = max(1, _whole(element.get("count") or "1")) if element.tag == "replicate" else 1
-    return min(count * elements, 10 * _MOST_ELEMENTS), min(count * bodies, 10 * _MOST_ELEMENTS)
-
-
-def _whole(word: str) -> int:
-    try:
-        return abs(int(float(word)))
-    except (ValueError, OverflowError):
-        return 0  # which MuJoCo refuses
+        made = 1.0
+        for word in element.get("count", "").split():
+            made *= abs(float(word)) if _COUNT.fullmatch(word) else 1.0
+        if made > _MOST_MADE:
+            what = f"<{element.tag}> makes {made:.0f} of what is in it"
+            raise wrong_at(element, path, f"{what}, and geodrake reads up to {_MOST_MADE}.")
 
 
 def _split_balls(spec: Any, found: CompiledMjcf) -> bool:
