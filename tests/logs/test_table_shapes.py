@@ -9,7 +9,7 @@ import pytest
 from scipy.io import savemat
 
 from geodrake.errors import LogError
-from geodrake.logs.files import Reading, read_log, text_file
+from geodrake.logs.files import Reading, read_log, read_mapping, text_file
 from geodrake.logs.files.reading import ColumnMapping, MappedColumn
 
 JOINTS = ("base", "elbow")
@@ -586,3 +586,72 @@ def test_a_date_beside_the_time_of_day_is_no_time(tmp_path):
     clock = MOMENTS.strftime("%H:%M:%S.%f")
     PLAIN.assign(time=clock, Date="2026-05-01")[["Date", *PLAIN]].to_csv(path, index=False)
     np.testing.assert_allclose(read_log(path, joints=JOINTS).time, TIME, atol=1e-6)
+
+
+LOGGERS = {
+    "Isaac": ("sim_time", 1.0, "robot/joint_pos/{}", "robot/applied_torque/{}", JOINTS),
+    "ODrive": (
+        *("t", 0.5 / np.pi, "axis{}.encoder.pos_estimate"),
+        *("axis{}.motor.current_control.Iq_measured", (0, 1)),
+    ),
+    "moteus": (
+        *("timestamp", 0.5 / np.pi, "servo_stats.{}.position", "servo_stats.{}.torque_Nm"),
+        (1, 2),
+    ),
+    "in German": ("Zeit", 180.0 / np.pi, "Winkel Achse {}", "Moment Achse {}", (1, 2)),
+}
+
+
+@pytest.mark.parametrize("logger", LOGGERS)
+def test_names_of_loggers(tmp_path, logger):
+    clock, factor, position, effort, joints = LOGGERS[logger]
+    names = [clock, *map(position.format, joints), *map(effort.format, joints)]
+    table = PLAIN.set_axis(names, axis=1)
+    table[names[1:3]] *= factor
+    lines = table.to_csv(index=False).splitlines()
+    lines[1:1] = ["s,°,°,Nm,Nm"] * (logger == "in German")
+    (tmp_path / "log.csv").write_text("\n".join(lines))
+    log = read_log(tmp_path / "log.csv", joints=JOINTS)
+    np.testing.assert_allclose(log.time, TIME)
+    np.testing.assert_allclose(log.position, POSITION)
+    np.testing.assert_allclose(log.effort, EFFORT)
+
+
+def test_durations_with_their_unit_are_time(tmp_path):
+    PLAIN.assign(time=[f"{t:g} sec" for t in TIME]).to_csv(tmp_path / "log.csv", index=False)
+    np.testing.assert_allclose(read_log(tmp_path / "log.csv", joints=JOINTS).time, TIME)
+
+
+@pytest.mark.parametrize("name", ["echo.txt", "echo.yaml", "echo"])
+def test_what_topic_echo_wrote(tmp_path, name):
+    """A document of YAML for each message, of which the last may be cut off."""
+    messages = [
+        f"header:\n  stamp:\n    sec: 1700000000\n    nanosec: {round(1e9 * t)}\n"
+        f"  frame_id: ''\nname:\n- elbow\n- base\nposition: {q[::-1].tolist()}\n"
+        f"velocity: []\neffort: {tau[::-1].tolist()}\n"
+        for t, q, tau in zip(TIME, POSITION, EFFORT, strict=True)
+    ]
+    path = tmp_path / name
+    path.write_text("---\n".join([*messages, messages[0][:90]]))
+    log = read_log(path, joints=JOINTS)
+    np.testing.assert_allclose(log.time - log.time[0], TIME, atol=1e-6)
+    np.testing.assert_allclose(log.position, POSITION)
+    np.testing.assert_allclose(log.effort, EFFORT)
+    path.write_text("---\n".join([*messages, "position: [", *messages]))
+    with pytest.raises(LogError, match="no output of topic echo that can be read"):
+        read_log(path, joints=JOINTS)
+
+
+def test_a_column_that_may_be_time_by_its_values_is_proposed(tmp_path):
+    path, columns = tmp_path / "log.csv", PLAIN.assign(row=np.arange(ROWS), time=1000.0 * TIME)
+    columns = columns[["row", *PLAIN]].rename(columns={"time": "IPOC"})
+    columns.to_csv(path, index=False)
+    with pytest.raises(LogError, match="'IPOC' rises by 10 from row to row: is it") as error:
+        read_log(path, joints=JOINTS)
+    (tmp_path / "m.yaml").write_text(error.value.evidence["proposal"])
+    log = read_log(path, reading=Reading(mapping=read_mapping(tmp_path / "m.yaml")))
+    np.testing.assert_allclose(log.time, TIME)
+    columns.drop(columns="IPOC").to_csv(path, index=False)  # rows are no time
+    with pytest.raises(LogError, match="no column 'time'") as error:
+        read_log(path, joints=JOINTS)
+    assert "rises" not in str(error.value)

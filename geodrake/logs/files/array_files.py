@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import yaml  # type: ignore[import-untyped]
 from numpy.lib import format as npy
 from numpy.typing import NDArray
 from scipy.io import loadmat
@@ -61,6 +62,22 @@ def read_json(path: Path, reading: Reading) -> LogTable:
         return numeric_table(path, lists, rows_of(lists))
     if not isinstance(content, list) or not all(isinstance(row, Mapping) for row in content):
         raise LogError(f"Log {str(path)!r} is neither an object nor records.", advice=_JSON_ADVICE)
+    return _records(path, content)
+
+
+def read_echo(path: Path, reading: Reading) -> LogTable:
+    """Return the columns of what `topic echo` of ROS wrote: a document of YAML for each message."""
+    advice = "Was it cut off? Remove the last message, or record a bag: ros2 bag record."
+    with readable(path, "output of topic echo", advice), open_log(path) as file:
+        text = file.read(1 + int(_JSON_SHARE * machine_memory()))
+        check_room(path, int(len(text) / (8.0 * _JSON_SHARE)), f"{len(text) / 1e9:.3g} GB of YAML")
+        whole = text.rpartition(b"\n---")[0] or text  # the last may be cut off
+        documents = list(yaml.load_all(whole, yaml.CSafeLoader))
+    return _records(path, [each for each in documents if isinstance(each, Mapping)])
+
+
+def _records(path: Path, content: Sequence[Mapping[str, Any]]) -> LogTable:
+    """Return the columns of records, which need not have the same fields."""
     columns = dict[str, list[Any]]()
     for k, record in enumerate(content):
         for name, value in _fields(record, lists=True):

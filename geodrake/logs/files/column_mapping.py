@@ -5,6 +5,7 @@ from __future__ import annotations
 import difflib
 from collections import Counter, defaultdict
 from collections.abc import Collection, Iterator, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 
@@ -148,6 +149,7 @@ def listed(names: Sequence[str]) -> str:
 
 Best = dict[tuple[str, str], list[Meaning]]
 
+_MOST_CLOCKS, _EVEN = 50, 0.9  # columns that are looked at, and share of steps that are even
 _STEADY = 0.2  # of its mean, by which the voltage of a supply may vary
 
 
@@ -352,12 +354,34 @@ def columns_of(
         raise propose(no_header(path, first), path, first, joints, reading, headed=False)
     found = Columns.by_mapping(table, reading) if is_mapped else None
     found = found or Columns.by_names(table, joints, reading)
+    clock = ""
     try:
+        if found.rate is None and ("", "time") not in found.places:
+            clock, words = likely_clock(table)
+            raise LogError(
+                f"Log {str(path)!r} has no column 'time'; it has {listed(names)}.",
+                advice=f"{words}{HEADER_ADVICE} Without time, give the rows a second by --rate.",
+            )
         chosen = found.dated(table.origins).chosen(joints, partial=partial)
     except LogError as error:
-        propose(error, path, table.counted, joints, reading)
+        propose(error, path, table.counted, joints, reading, clock=clock)
         raise
     return chosen.read(joints)
+
+
+def likely_clock(table: LogTable) -> tuple[str, str]:
+    """Return the column that may be time by its values or its name, and how it is asked for."""
+    others = [name for name in table.names[:_MOST_CLOCKS] if meaning_of(name) is None]
+    with suppress(LogError):  # of cells that are no numbers
+        for name, values in table.read(others, skip=True)[0].items():
+            steps = np.diff(values)
+            step = float(np.median(steps)) if len(steps) else 0.0
+            even = np.abs(steps - step) <= 0.5 * step
+            if step > 0.0 and step != 1.0 and even.mean() > _EVEN:  # by 1, it counts rows
+                words = f"{name!r} rises by {step:.4g} from row to row: is it time? In which unit"
+                return name, f"{words}, a mapping says. "
+    close = difflib.get_close_matches("time", [name.lower() for name in table.names[:100]], 1)
+    return "", f"Is it {close[0]!r}? " if close else ""
 
 
 @dataclass(frozen=True)
@@ -504,13 +528,6 @@ class Columns:
 
     def chosen(self, wanted: Sequence[str] | None, *, partial: bool) -> Columns:
         """Return it with the joints of the log, and those of which there is the position alone."""
-        if self.rate is None and ("", "time") not in self.places:
-            close = difflib.get_close_matches("time", [n.lower() for n in self.names[:100]], 1)
-            raise LogError(
-                f"Log {str(self.path)!r} has no column 'time'; it has {listed(self.names)}.",
-                advice=(f"Is it {close[0]!r}? " if close else "")
-                + f"{HEADER_ADVICE} Without time, give the rows a second by --rate.",
-            )
         moved = self._of_model(self._having("position"), wanted)
         heard = {*self._having("effort", "command"), *self._passive(moved)}
         silent = [joint for joint in moved if joint not in heard]

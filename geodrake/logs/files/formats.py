@@ -12,6 +12,7 @@ from geodrake.boundary.arguments import typed
 from geodrake.boundary.input_files import open_regular, regular_file
 from geodrake.errors import LogError
 from geodrake.logs.files.array_files import (
+    read_echo,
     read_feather,
     read_hdf5,
     read_json,
@@ -32,7 +33,7 @@ from geodrake.logs.files.text_file import read_sheet, read_text
 
 Reader = Callable[[Path, Reading], LogTable]
 
-_TEXT, _JSON = (".csv", ".txt", ".dat", ".tsv", ".log"), (".json", ".jsonl", ".ndjson")
+_TEXT, _JSON = (".csv", ".txt", ".dat", ".tsv", ".log", ".lvm"), (".json", ".jsonl", ".ndjson")
 _SHEETS = (".xlsx", ".xlsm")
 _MODELS = (".urdf", ".sdf", ".xml", ".mjcf", ".xacro", ".yaml")
 
@@ -65,7 +66,11 @@ FOLDERS: Mapping[str, Reader] = {
 }
 """Reader of folders, by what is in them."""
 
-BEGINNINGS: Mapping[bytes, Reader] = {MAGIC: read_lcm}
+BEGINNINGS: Mapping[bytes, Reader] = {
+    MAGIC: read_lcm,
+    b"header:": read_echo,
+    b"---\nheader:": read_echo,
+}
 """Reader of files by their first bytes: lcm-logger's names end in a date."""
 
 
@@ -101,11 +106,14 @@ def reader_of(path: Path) -> Reader | None:
     """Return what reads a file or folder that is there; None if none of these formats is it."""
     if path.is_dir():
         return next((reader for mark, reader in FOLDERS.items() if any(path.glob(mark))), None)
-    if (kind := unpacked(path).suffix.lower()) in SUFFIXES:
-        return SUFFIXES[kind]
-    with open_regular(path, "log", LogError) as file:
-        first = file.read(max(map(len, BEGINNINGS)))
-    return BEGINNINGS.get(first)
+    kind = unpacked(path).suffix.lower()
+    if kind in (*_TEXT, *_MODELS) or kind not in SUFFIXES:
+        with open_regular(path, "log", LogError) as file:
+            first = file.read(max(map(len, BEGINNINGS)))
+        found = (reader for begin, reader in BEGINNINGS.items() if first.startswith(begin))
+        if (told := next(found, None)) is not None:
+            return told
+    return SUFFIXES.get(kind)
 
 
 @typed

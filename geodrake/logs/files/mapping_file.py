@@ -136,6 +136,7 @@ def propose(
     reading: Reading,
     *,
     headed: bool = True,
+    clock: str = "",
 ) -> LogError:
     """Return the error of a failed reading, with a mapping as evidence.
 
@@ -144,6 +145,7 @@ def propose(
 
     Args:
         headed: Whether the file has these names; columns of others are given by their numbers.
+        clock: The column that may be time by its values, where no name says it.
     """
     if reading.mapping is not None or len(names) > MOST_COLUMNS:
         return error
@@ -180,7 +182,7 @@ def propose(
             quantity: guessed.get((joint, quantity), _column_of(places.get((joint, quantity))))
             for quantity in ("position", "velocity", kinds[0] if kinds else "effort")
         }
-    time = guessed.get(("", "time"), MappedColumn(times[0].column) if times else _UNKNOWN)
+    time = guessed.get(("", "time"), MappedColumn(times[0].column if times else clock))
     first, *others = mapping_lines(ColumnMapping(columns, time))
     lines += [first, "# rate: 500  # Hz, in place of time", *others, ""]
     error.evidence |= {"path": path, "proposal": "\n".join(lines)}

@@ -61,7 +61,9 @@ ROLE_WORDS: Mapping[str, int] = {
     **dict.fromkeys(["motor", "theta", "dtheta", "drive", "rotor", "qm"], MOTOR),
     **dict.fromkeys(["desired", "des", "commanded", "command", "commands", "cmd", "cmds"], DESIRED),
     **dict.fromkeys(["target", "tgt", "reference", "ref", "goal", "setpoint", "set", "d"], DESIRED),
-    **dict.fromkeys(["ipo", "as", "nominal", "planned", "action", "actions", "soll"], DESIRED),
+    **dict.fromkeys(
+        ["ipo", "as", "nominal", "planned", "action", "actions", "soll", "computed"], DESIRED
+    ),
     **dict.fromkeys(["tcp", "tool", "ee", "cartesian", "cart", "wrench", "imu", "base"], OTHER),
     **dict.fromkeys(["external", "ext", "error", "err", "errors", "limit", "min", "max"], OTHER),
     **dict.fromkeys(["gravity", "coriolis", "friction", "model", "disturbance"], OTHER),
@@ -77,6 +79,7 @@ MAPPED = ("mapped",)
 _FILLERS = frozenset(
     ["joint", "joints", "jnt", "axis", "axes", "link", "robot", "side", "states", "field"]
 ) | {"msg", "data", "value", "actual", "estimated", "est", "filtered", "filt", "cycle", "estimate"}
+_FILLERS |= {"encoder", "control", "controller", "applied"}
 _NO_SIGNAL = frozenset(["limit", "limits", "min", "max", "error", "err", "errors"])
 _SUPPLY = frozenset(["supply", "bus", "battery", "main", "input"])  # which no joint has of its own
 _TIMES = frozenset(("time", "timestamp", "timestamps", "stamp", "t", "clock", "sec", "secs"))
@@ -85,7 +88,9 @@ _TIME_OF_DAY = _TIMES - {"date"}
 _NANOSECONDS = frozenset(("nsec", "nsecs", "nanosec", "nanosecs", "nanoseconds"))
 _BESIDE_TIME = _TIMES | _NANOSECONDS | {"header", "ros", "rostime", "elapsed", "controller"}
 _BESIDE_TIME |= {"joint", "states", "state", "robot", "system", "log", "msg", "field", "seconds"}
+_BESIDE_TIME |= {"sim", "simulation", "wall", "relative", "sample", "device", "local", "epoch"}
 _TURNS = {"pos_estimate": "rev", "vel_estimate": "rev/s", "input_pos": "rev"}  # of ODrive
+_OF_MOTEUS = {"position": "rev", "velocity": "rev/s"}
 _WORD = re.compile(r"[A-Z]+(?=[A-Z][a-z])|[A-Z]?[^\W\d_A-Z]+|[A-Z]+|\d+")
 _SECOND = re.compile(r"(?<![A-Za-z])(?:q2d|d2q|qd2(?=[\s_.(\[]+\d))(?![a-z])")  # qd2 is joint 2's
 _OBSERVED = ("observation.state", "observation.position")  # of LeRobot
@@ -209,7 +214,7 @@ def _own(name: str) -> Meaning | None:
     joint, dot, quantity = name.rpartition(".")
     if not dot or quantity not in OF_JOINTS:
         return None
-    if joint.rpartition(".")[2] in _SAMPLES and "." in joint:
+    if (joint.rpartition(".")[2] in _SAMPLES and "." in joint) or joint.startswith("servo_stats"):
         return None  # of states and references of one joint
     return Meaning(name, quantity, joint, words_of(joint), MEASURED, style=("own", quantity))
 
@@ -265,13 +270,15 @@ def _joint(column: str) -> Meaning | None:
     if unit is None and quantity in SIGNAL_KINDS:  # of another kind: see `understanding`
         plain, unit = _without_unit(parts[place], "effort")
     vendor = parts[place].rpartition(".")[2]
-    unit = find_unit(_TURNS[vendor], quantity) if unit is None and vendor in _TURNS else unit
+    turns = _OF_MOTEUS if "servo_stats" in name else _TURNS
+    unit = find_unit(turns[vendor], quantity) if unit is None and vendor in turns else unit
     used = _used(_split(plain))
     joint = _rest(plain, used)
     counted = plain if place + 1 == len(parts) else f"{plain}/{parts[-1]}"  # as in command/data[2]
     numbers = [w for w in _split(counted) if isinstance(w, int)]
-    if not _has_name(joint) and not numbers and place > 0:
-        place -= 1
+    is_before = place + 1 == len(parts) or not _has_name(parts[-1])
+    if not _has_name(joint) and not numbers and (place > 0 or not is_before):
+        place = place - 1 if is_before else len(parts) - 1
         joint = parts[place]
         numbers = [w for w in _split(joint) if isinstance(w, int)]
     named = _has_name(joint)

@@ -64,6 +64,7 @@ _DATE = re.compile(
 _BY_DAY = re.compile(r"(?<![\d/.])(\d\d?)([./])(\d\d?)\2(\d{4})(?=[Tt ])")  # as in 01.05.2026
 _LAST_MONTH = 12
 _TIME = re.compile(r"(?:(\d+) days? )?(\d\d?):(\d\d):(\d\d)(?:[.,](\d{1,9})\d*)?")
+_SECONDS = re.compile(r"(\d+)(?:[.,](\d{1,9})\d*)? ?s(?:ec)?")  # as MATLAB writes durations
 _EPOCH = datetime(1970, 1, 1, tzinfo=UTC)
 _SECOND, _DAY = 1_000_000_000, 86_400  # ns, s
 
@@ -74,13 +75,15 @@ def date_of(text: str, *, day_first: bool = False) -> int | None:
     Args:
         text: In ISO 8601, with a blank for the T or strokes if need be; or day, month and year with
             points, or month, day and year with strokes. Without a time zone it is in UTC. A time of
-            day alone, or days and a time, are those since 1970.
+            day alone, days and a time, or seconds with their unit, are those since 1970.
         day_first: Whether the day comes before the month with strokes, too.
     """
     if (found := _TIME.fullmatch(text.strip())) is not None:
         days, hours, minutes, seconds = (int(number or 0) for number in found.groups()[:4])
         seconds += _DAY * days + 3600 * hours + 60 * minutes
         return seconds * _SECOND + int((found[5] or "").ljust(9, "0"))
+    if (found := _SECONDS.fullmatch(text.strip())) is not None:
+        return int(found[1]) * _SECOND + int((found[2] or "").ljust(9, "0"))
 
     def year_first(date: re.Match[str]) -> str:
         first, mark, second, year = date.groups()

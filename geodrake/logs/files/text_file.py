@@ -25,7 +25,7 @@ from geodrake.boundary.input_files import regular_file
 from geodrake.boundary.optional_packages import optional_package
 from geodrake.errors import LogError
 from geodrake.logs.files.column_mapping import HEADER_ADVICE, check_text, listed, no_header
-from geodrake.logs.files.name_rules import is_time, names_joints, numbers_joints
+from geodrake.logs.files.name_rules import is_time, meaning_of, names_joints, numbers_joints
 from geodrake.logs.files.number_marks import ADVICE as MARKS_ADVICE
 from geodrake.logs.files.number_marks import may_be_grouped, number_marks, plain
 from geodrake.logs.files.packed_files import open_log, unpacked
@@ -156,6 +156,7 @@ def text_layout(path: Path, file: Iterator[str], reading: Reading) -> TextLayout
             raise no_header(path, header)
         header, begin = _whole_header(header, lines, after, separator)
         units = _units(header, lines[begin], separator)
+        header = [n if meaning_of(n) or not units else f"{n} [{units[n]}]" for n in header]
         names, begin = header, begin + bool(units)
     layout = TextLayout(tuple(names), separator, ".", begin, units, unnamed, is_keyed)
     below = lines[begin : begin + _LINES_AHEAD]
