@@ -13,6 +13,7 @@ from typing import Any
 from weakref import WeakValueDictionary
 
 import numpy as np
+from numpy.lib.mixins import NDArrayOperatorsMixin
 from numpy.typing import NDArray
 
 from geodrake.compiling import interpreted
@@ -127,7 +128,7 @@ def _simplified(name: str, operands: tuple[Operand, ...]) -> Operand | None:
 
 
 @dataclass(frozen=True, eq=False)
-class Symbol:
+class Symbol(NDArrayOperatorsMixin):
     """A number that is not known yet.
 
     Attributes:
@@ -138,7 +139,7 @@ class Symbol:
     operation: str
     operands: tuple[Operand, ...]
 
-    __hash__ = object.__hash__
+    __hash__, __eq__, __ne__ = object.__hash__, object.__eq__, object.__ne__
 
     @classmethod
     def known(cls, operation: str, operands: tuple[Operand, ...]) -> Symbol:
@@ -155,7 +156,9 @@ class Symbol:
     def __array_ufunc__(
         self, ufunc: np.ufunc, method: str, *inputs: Operand, **options: Any
     ) -> Operand:
-        """Records a function of NumPy's."""
+        """Records a function of NumPy's; a symbol itself stays what it is in `x += …`."""
+        if options.get("out", (None,))[0] is self:
+            del options["out"]
         return _recorded(ufunc, method, inputs, options)
 
     def __getattr__(self, name: str) -> Callable[[], Operand]:
@@ -180,26 +183,6 @@ class Symbol:
             "It needs the value of what is not known while source code is written.",
             advice="Let it use functions of NumPy's on whole arrays, not those of `math`.",
         )
-
-    # fmt: off
-    def __add__(self, x: Operand) -> Operand: return record("add", self, x)
-    def __radd__(self, x: Operand) -> Operand: return record("add", x, self)
-    def __sub__(self, x: Operand) -> Operand: return record("subtract", self, x)
-    def __rsub__(self, x: Operand) -> Operand: return record("subtract", x, self)
-    def __mul__(self, x: Operand) -> Operand: return record("multiply", self, x)
-    def __rmul__(self, x: Operand) -> Operand: return record("multiply", x, self)
-    def __truediv__(self, x: Operand) -> Operand: return record("divide", self, x)
-    def __rtruediv__(self, x: Operand) -> Operand: return record("divide", x, self)
-    def __pow__(self, x: Operand) -> Operand: return record("power", self, x)
-    def __rpow__(self, x: Operand) -> Operand: return record("power", x, self)
-    def __mod__(self, x: Operand) -> Operand: return record("remainder", self, x)
-    def __neg__(self) -> Operand: return record("negative", self)
-    def __abs__(self) -> Operand: return record("absolute", self)
-    def __lt__(self, x: Operand) -> Operand: return record("less", self, x)
-    def __le__(self, x: Operand) -> Operand: return record("less_equal", self, x)
-    def __gt__(self, x: Operand) -> Operand: return record("greater", self, x)
-    def __ge__(self, x: Operand) -> Operand: return record("greater_equal", self, x)
-    # fmt: on
 
 
 _KNOWN: WeakValueDictionary[tuple[Any, ...], Symbol] = WeakValueDictionary()
