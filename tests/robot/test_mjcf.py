@@ -23,14 +23,6 @@ FACES = "124 143 578 586 156 162 348 387 137 175 268 284"
 CUBE = "".join(f"v {x} {y} {z}\n" for x, y, z in CORNERS) + "".join(
     f"f {' '.join(face)}\n" for face in FACES.split()
 )
-SUB = """<mujoco model="g"><compiler angle="radian"/><default><joint damping=".2"/></default>
-<asset><model name="i" file="inner.xml"/></asset><worldbody><body name="g"><joint name="g"/>
-<geom size=".1" pos="0 .1 0"/><attach model="i" body="i" prefix="i_"/></body></worldbody>
-</mujoco>"""
-INNER = """<mujoco model="i"><default><joint armature=".1"/></default><worldbody>
-<body name="i" pos="0 0 .2"><joint name="i" axis="1 0 0"/>
-<geom type="capsule" size=".02 .1"/></body>
-</worldbody></mujoco>"""
 
 
 def mjcf(inside="", *, head="", tail="", arm=GEOM):
@@ -42,7 +34,7 @@ def tip(joint="", geom=GEOM):
 
 
 def write(folder, text, **others):
-    for name, data in {"sub": SUB, "inner": INNER, **others}.items():
+    for name, data in others.items():
         (folder / f"{name}.xml").write_text(data, encoding="utf-8")
     (folder / "cube.obj").write_text(CUBE, encoding="utf-8")
     path = folder / "robot.xml"
@@ -71,38 +63,8 @@ def assert_as_mujoco(folder, text, joints="", change=lambda theirs: None):
 
 PAIR = '<joint joint="a" coef="1"/><joint joint="t" coef="2"/>'
 
+# Others are in the files of `diagrams.benchmarks.random_mjcf`.
 TAKEN = {
-    "frames": (
-        mjcf(
-            f'<frame pos="1 0 0" euler="9 8 7"><frame euler="4 5 6">{tip()}</frame></frame>'
-            '<body name="u"><frame pos=".1 0 0"><frame euler="9 8 7"><joint name="u"/>'
-            f"{GEOM}</frame></frame></body>"
-        )
-        .replace('<body name="a"', '<frame pos="1 2 3"><body name="a"')
-        .replace("</worldbody>", "</frame></worldbody>")
-    ),
-    "replicates": (
-        mjcf(
-            '<replicate count="2" offset="0 .2 0" euler="0 0 30"><replicate count="2" sep="_" '
-            f'offset=".3 0 0">{tip()}</replicate></replicate>'
-        )
-    ),
-    "attached models": (
-        mjcf(
-            '<attach model="s" body="g" prefix="s_"/>',
-            head='<asset><model name="s" file="sub.xml"/></asset>',
-        )
-    ),
-    "two sections of defaults, and classes through an empty one": (
-        mjcf(
-            tip(geom='<geom class="z" type="box" size=".1 .1 .1"/>'),
-            head='<default><joint damping=".4"/></default>'
-            '<default class="main"><joint armature=".03"/><default class="x">'
-            '<geom density="2500"/><default class="y"><default class="z">'
-            '<geom rgba="1 0 0 1"/></default></default></default></default>',
-        )
-    ),
-    "no gravity": mjcf(tip(), head='<option><flag gravity="disable"/></option>'),
     "no passive forces": (
         mjcf(
             tip('stiffness="3" damping="1"'),
@@ -119,33 +81,11 @@ TAKEN = {
             'balanceinertia="true" inertiagrouprange="0 2"/>',
         )
     ),
-    "inertia of geoms": (
-        mjcf(
-            tip(geom=GEOM + '<inertial pos="0 0 0" mass="9" diaginertia="1 1 1"/>'),
-            head='<compiler inertiafromgeom="true"/>',
-        )
-    ),
     "a box from end to end, and the mass of a mesh": (
         mjcf(
             tip(geom='<geom type="mesh" mesh="cube" mass="2"/>'),
             arm='<geom type="box" fromto="0 0 0 .2 .1 .3" size=".02 .03 .01"/>',
             head='<asset><mesh file="cube.obj"/></asset>',
-        )
-    ),
-    "several joints of a body, at other places": (
-        mjcf(
-            f'<body name="t"><joint name="s" type="slide" axis="1 0 0" ref=".1"/><joint name="t" '
-            f'pos=".1 0 0" ref="20" range="-20 70" stiffness="2"/><joint name="u" axis="1 1 0"/>'
-            f"{GEOM}</body>"
-        )
-    ),
-    "springs, dampers and friction": (
-        mjcf(
-            tip('stiffness="3 0 2" springref="20" damping=".3 .2 .1"')
-            + f'<body><joint name="u" stiffness="3 1 -2" springref="20" frictionloss=".3"/>{GEOM}'
-            f'</body><body><joint name="w" axis="1 0 0" stiffness="-3"/>{GEOM}</body>',
-            tail='<actuator><general joint="t" gear="3" armature=".01" damping=".2 .1 .3"/>'
-            "</actuator>",
         )
     ),
     "tendons of one joint": (
@@ -154,16 +94,6 @@ TAKEN = {
             tail='<tendon><fixed stiffness="5" springlength=".2" damping=".3" armature=".1">'
             '<joint joint="t" coef="-1.5"/></fixed><fixed stiffness="5 2 1" springlength=".2" '
             'damping=".3 .1 .2"><joint joint="t" coef="-1.5"/></fixed></tendon>',
-        )
-    ),
-    "tendons of several joints in two branches": (
-        mjcf(
-            tip('stiffness="1" damping=".2"')
-            + f'<body><joint name="u" type="slide" axis="1 0 0"/>{GEOM}</body>',
-            tail='<tendon><fixed name="p" stiffness="5" springlength=".3" damping=".3" '
-            f'armature=".1">{PAIR}<joint joint="u" coef="-3"/></fixed><fixed name="q" '
-            f'stiffness="2">{PAIR}</fixed></tendon><actuator><general tendon="q" gear="2" '
-            'armature=".02" damping=".4"/></actuator>',
         )
     ),
     "springs between two points": (
@@ -182,26 +112,12 @@ TAKEN = {
         .replace('<body name="a"', '<body name="a" gravcomp=".8"')
         .replace('<body name="t"', '<body name="t" gravcomp=".8"')
     ),
-    "more than one body's compensated gravity": (
-        mjcf(tip() + f'<body pos=".2 0 0" gravcomp="-.7">{GEOM}</body>').replace(
-            '<body name="t"', '<body name="t" gravcomp="1.5"'
-        )
-    ),
-    "gravity that is compensated by less than nothing": (
-        mjcf(tip()).replace('<body name="t"', '<body name="t" gravcomp="-.5"')
-    ),
     "tendons that are switched off": (
         mjcf(
             tip(),
             head='<option><flag spring="disable" damper="disable"/></option>',
             tail='<tendon><fixed name="p" stiffness="4 1 2" damping=".3 .2 .1">'
             f"{PAIR}</fixed></tendon>",
-        )
-    ),
-    "a medium": (
-        mjcf(
-            tip() + f'<body pos=".2 0 0" euler="9 8 7">{GEOM}</body>',
-            head='<option density="1000" viscosity=".5" wind="1 0 0"/>',
         )
     ),
 }
