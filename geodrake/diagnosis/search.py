@@ -27,7 +27,7 @@ from geodrake.diagnosis.refinements import (
     fitted_loads,
 )
 from geodrake.diagnosis.search_progress import FoundStep, Progress, progress_of
-from geodrake.diagnosis.terms import Term, Terms
+from geodrake.diagnosis.terms import Term
 from geodrake.diagnosis.unknown_efforts import is_resolved, reversals, unknown_functions
 from geodrake.effects import Effect
 from geodrake.effects.declarations import Proposer, Role
@@ -40,6 +40,8 @@ from geodrake.logs.folds import assign_folds
 
 Array = NDArray[np.float64]
 Places = tuple[tuple[str, ...], ...]
+Named = frozenset[object]
+"""What tells an explanation in any columns: terms are made anew with these."""
 
 _MOST_ROUNDS = 12
 _FIRST_SHARE = 0.05
@@ -86,10 +88,11 @@ class Search:
         self._delays: list[ArrayLike] = [*case.dataset.delays]
         self._on_time: Delay = (0,) * len(case.model.joints)
         self._zooms = dict[tuple[str, tuple[str, ...]], int]()
-        self._timed: Terms | None = None
+        self._is_timed = False
         self._tried = [self._origin]  # delays (nv,) that have columns: the file's come first
-        self._faded, self._crowded = list[Terms](), set[Terms]()
-        self._looked, self._climbed_far, self._doubted = set[frozenset[object]](), False, False
+        # Explanations for which speeds, shapes and further effects were looked for.
+        self._faded, self._crowded, self._looked = set[Named](), set[Named](), set[Named]()
+        self._climbed_far, self._doubted = False, False
         self._is_stopped = False
         self._told: FoundStep | None = None
         self.model = self._made()
@@ -323,9 +326,8 @@ class Search:
         if self._refined() or self._fades() or self._simplified():
             self._climb(hopeful=False)
             return True
-        found = frozenset(term.effect or term.key for term in self.fit.terms)
-        if found not in self._looked:  # the last digits of a contact differ each time
-            self._looked.add(found)
+        if self._named not in self._looked:  # the last digits of a contact differ each time
+            self._looked.add(self._named)
             more = self._suggested()
             if more:
                 self._offer(more)
@@ -356,6 +358,10 @@ class Search:
                 before = self.fit.choice.key
             self._climb(hopeful=False, further=_FURTHER)
         return self.fit.choice.key != before
+
+    @property
+    def _named(self) -> Named:
+        return frozenset(term.effect or term.key for term in self.fit.terms)
 
     def _doubtful(self) -> set[str]:
         """Return joints with more than noise left, or with something found at their motors."""
@@ -395,9 +401,9 @@ class Search:
 
     def _simplified(self) -> bool:
         """Offer finer shapes of one effect for crowded joints; return whether any was new."""
-        if self.fit.terms in self._crowded:
+        if self._named in self._crowded:
             return False
-        self._crowded.add(self.fit.terms)
+        self._crowded.add(self._named)
         offered = False
         for zoom in range(ZOOMS):
             single = alone(self.model, self.fit)
@@ -410,9 +416,9 @@ class Search:
 
     def _fades(self) -> bool:
         """Return whether dry friction fades at other speeds than assumed, as fits the finding."""
-        if len(self._faded) >= _MOST_FADINGS or self.fit.terms in self._faded:
+        if len(self._faded) >= _MOST_FADINGS or self._named in self._faded:
             return False
-        self._faded.append(self.fit.terms)
+        self._faded.add(self._named)
         speeds = fading_speeds(self.case, self.model, self.fit)
         if speeds is None:
             return False
@@ -435,9 +441,7 @@ class Search:
     def _retimed(self) -> bool:
         """Advance the efforts by the delay that was found, if it is another one than before."""
         delay, model = self.fit.choice.delay, self.case.model
-        if self._timed is None and delay == self._on_time:
-            return False
-        if self._timed == self.fit.terms and not self._is_between(self.fit):
+        if not self._is_timed and delay == self._on_time:
             return False
         if not self._has_other_delays(self.fit):
             return False
@@ -445,12 +449,12 @@ class Search:
         lags = fitted_delays(model.delays + seconds, model.joints)
         kept = [each for each in model.effects if each.effect.parameters]
         self.case = replace(self.case, model=replace(model, effects=(*kept, *lags)))
-        half = 0.5 * self._step if self._timed is None else 0.25 * self._step
+        half = 0.25 * self._step if self._is_timed else 0.5 * self._step
         grid = np.unique(np.concatenate([self._step * np.arange(-3, 4), [half, -half]]))
         others = [x for x in grid.tolist() if abs(x) > 1e-12]
         known = [delays - self.case.model.delays for delays in self._tried]
         self._delays = [0.0, *known, *others]
         self._tried.append(self.case.model.delays)
         self._on_time = (1,) * len(delay)
-        self._timed = self.fit.terms
+        self._is_timed = True
         return True

@@ -223,7 +223,7 @@ UNKNOWN = UnknownFunction, *CURVES
 def reversals(
     model: RobotModel, trajectories: Sequence[Trajectory]
 ) -> tuple[UnresolvedReversal, ...]:
-    """Return an unresolved reversal for every joint that moves."""
+    """Return an unresolved reversal for every joint that moves, but for those of a free base."""
     peaks, steps = peak_speeds(trajectories), np.zeros(len(model.joints))
     for trajectory in trajectories:
         for segment in trajectory.segments:
@@ -237,7 +237,7 @@ def reversals(
     return tuple(
         UnresolvedReversal(joint, float(speeds[j]), float(slips[j]))
         for j, joint in enumerate(model.joints)
-        if peaks[j] > 0.0 and joint in model.single_joints
+        if peaks[j] > 0.0 and joint in model.single_joints and joint not in model.base_joints
     )
 
 
