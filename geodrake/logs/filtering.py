@@ -8,18 +8,20 @@ model (1) of the design, and what is left of white noise is nearly white again a
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from itertools import pairwise
 
 import numpy as np
-from numpy.lib.stride_tricks import as_strided, sliding_window_view
+from numpy.lib.stride_tricks import sliding_window_view
 from numpy.typing import ArrayLike, NDArray
 from scipy.fft import irfft, next_fast_len, rfft
 from scipy.interpolate import BSpline, CubicSpline, make_interp_spline
 from scipy.special import gammaincinv
 
+from geodrake.compiling import compiled, contiguous
 from geodrake.errors import ArgumentError, LogError
 
 Array = NDArray[np.float64]
@@ -194,20 +196,19 @@ class ZeroPhaseFilter:
         """Return (K,) index, among `n` input samples, of the instant of each output of `apply`."""
         return self.halfwidth + self.decimation * np.arange(self.output_count(n))
 
-    def apply(self, columns: ArrayLike) -> Array:
-        """Filter and decimate (N, ...) to (K, ...), at `output_indices(N)`."""
+    def apply(self, columns: ArrayLike, at: NDArray[np.intp] | None = None) -> Array:
+        """Filter and decimate (N, ...) to (K, ...), at `output_indices(N)`, or some of them.
+
+        Args:
+            at: (K,) numbers of the outputs that are wanted, all if None.
+        """
         columns = np.asarray(columns, float)
-        count = self.output_count(len(columns))
-        if count == 0:
-            return np.empty((0, *columns.shape[1:]))
-        flat = columns.reshape(len(columns), -1)
-        if flat.strides[1] != flat.itemsize:
-            flat = np.ascontiguousarray(flat)
-        # What every output sees, without a copy: windows of all columns, (count, 2L+1, columns).
-        row, column = flat.strides
-        shape = count, len(self.kernel), flat.shape[1]
-        seen = as_strided(flat, shape, (self.decimation * row, row, column), writeable=False)
-        return np.asarray((self.kernel @ seen).reshape(count, *columns.shape[1:]))
+        instants = self.output_indices(len(columns))
+        instants = instants if at is None else instants[at]
+        flat = contiguous(columns.reshape(len(columns), math.prod(columns.shape[1:])))
+        outputs = np.empty((len(instants), flat.shape[1]))
+        calc_outputs(self.half, flat, instants, outputs)
+        return outputs.reshape(len(instants), *columns.shape[1:])
 
     def chunks(self, n: int, size: int) -> Iterator[tuple[slice, int]]:
         """Yield input slices, whose outputs together are those of all, and how many each has.
@@ -230,6 +231,19 @@ class ZeroPhaseFilter:
         passed = rfft(self.kernel, size).reshape(-1, *(1,) * (signal.ndim - 1))
         smooth = irfft(rfft(padded, size, axis=0) * passed, size, axis=0)
         return np.asarray(smooth[2 * self.halfwidth : len(padded)])
+
+
+@compiled
+def calc_outputs(half: Array, columns: Array, at: NDArray[np.intp], outputs: Array) -> None:
+    """Write averages (K, k) of columns (N, k) around instants (K,), by half a symmetric kernel."""
+    for n in range(len(at)):
+        middle, output = columns[at[n]], outputs[n]
+        for k in range(len(output)):
+            output[k] = half[0] * middle[k]
+        for i in range(1, len(half)):
+            before, after = columns[at[n] - i], columns[at[n] + i]
+            for k in range(len(output)):
+                output[k] += half[i] * (before[k] + after[k])
 
 
 def design_filter(period: float, bandwidth: float) -> ZeroPhaseFilter:

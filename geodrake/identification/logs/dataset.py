@@ -30,21 +30,21 @@ LEAST_INERTIA = 1e-3  # of the model's, that a joint without a motor feels
 
 @dataclass(frozen=True, eq=False)
 class JointRows:
-    """Filtered, decimated rows of one joint in one block."""
+    """Filtered, decimated rows of one joint in one block, while it moves."""
 
     time: Array  # (K,) instants, s
     motion: Array  # (K, 3) position, velocity and acceleration of the joint
     A: Array  # (K, p_j) columns, in the order of the joint's column indices
     b: Array  # (K, d) measured effort less `carried`, one column per delay of the dataset
-    used: NDArray[np.bool_]  # (K,) whether the joint moves, so that the row says something
+    number: NDArray[np.intp]  # (K,) which of the filter's outputs they are, ascending
     # (K,) effort beside what is fitted: of known payloads, less what columns of bodies have in them
     # of effects (`Effect.in_bodies`), and less what measured wrenches do at joints.
     carried: Array
 
     def part(self, low: int, high: int) -> JointRows:
-        """Return rows low to high − 1, those not used left out."""
-        keep = low + np.flatnonzero(self.used[low:high])
-        return JointRows(*(getattr(self, each.name)[keep] for each in fields(self)))
+        """Return those of the outputs low to high − 1."""
+        own = slice(*np.searchsorted(self.number, [low, high]))
+        return JointRows(*(getattr(self, each.name)[own] for each in fields(self)))
 
     @classmethod
     def join(cls, parts: Sequence[JointRows]) -> JointRows:

@@ -105,7 +105,6 @@ INERTIA = "inertia"
 
 _OWN = -1  # where rows that are velocities' own stand among those of contacts
 _FELT = 0.02  # share of a row's noise from which the friction of a joint at rest matters to it
-_WIDE = 16  # columns that are filtered as they are
 
 MOSTLY_STILL = 0.3
 """A joint's sample is left out if it is at rest in more than this share of the filter's window.
@@ -278,22 +277,32 @@ class LogSlice:
     advance: Sequence[Array]
     place: Hashable
 
+    @property
+    def count(self) -> int:
+        """How many outputs the filter has of the samples."""
+        return self.trajectory.filter.output_count(self.samples.stop - self.samples.start)
+
     def rows(self, shared: RowCache) -> list[JointRows]:
         """Return filtered rows of every joint; `shared` is used and filled."""
         motion, columns = self._motion_rows(shared), self._columns(shared)
-        efforts, carried = self._efforts(shared), self._carried(columns)
-        time = motion[-1]
+        efforts, carried = self._efforts(shared), self._carried(columns, shared)
         return [
             JointRows(
-                time,
-                motion[j][:, :3],
+                motion[-1][at],
+                motion[j][at, :3],
                 np.hstack([blocks[j] for blocks in columns if j in blocks]),
-                efforts[:, j] - carried[j][:, None],
-                motion[j][:, 3] <= MOSTLY_STILL,
+                efforts[at, j] - carried[j][:, None],
+                at,
                 carried[j],
             )
-            for j in range(len(self.layout.columns))
+            for j, at in enumerate(self._moving(shared))
         ]
+
+    def _moving(self, shared: RowCache) -> list[Indices]:
+        """Return the outputs of each joint in which it moves: others have no rows."""
+        motion = self._motion_rows(shared)
+        joints = range(len(self.layout.columns))
+        return [np.flatnonzero(motion[j][:, 3] <= MOSTLY_STILL) for j in joints]
 
     @cached_property
     def _near(self) -> tuple[Segment, slice]:
@@ -370,7 +379,7 @@ class LogSlice:
         pairs = zip(keys, self.advance, strict=True)
         return np.stack([shared.once(key, partial(advanced, s))[0] for key, s in pairs], -1)
 
-    def _carried(self, blocks: Sequence[Blocks]) -> list[Array]:
+    def _carried(self, blocks: Sequence[Blocks], shared: RowCache) -> list[Array]:
         """Return per joint (K,) filtered effort beside what is fitted: of the log's known payloads.
 
         It is less by what the columns of bodies have in them of effects that have their own.
@@ -386,7 +395,7 @@ class LogSlice:
         if (ground := self._here.ground) is None:
             return bodies
         pushed = self.trajectory.filter.apply(ground)
-        return [known - own for known, own in zip(bodies, pushed.T, strict=True)]
+        return [b - p[at] for b, p, at in zip(bodies, pushed.T, self._moving(shared), strict=True)]
 
     def _columns(self, shared: RowCache) -> list[Blocks]:
         """Return filtered columns of all parts of the layout."""
@@ -408,24 +417,15 @@ class LogSlice:
                     for part, blocks in zip(missing, new, strict=True)
                 ]
             shared.keep(key, {0: load}, signals=True)
-            for part, blocks in zip(missing, self._filtered(new), strict=True):
+            for part, blocks in zip(missing, self._filtered(new, shared), strict=True):
                 found[part] = blocks
                 shared.keep(keys[part], blocks)
         return [blocks for blocks in found.values() if blocks is not None]
 
-    def _filtered(self, parts: Sequence[Blocks]) -> list[Blocks]:
-        apply = self.trajectory.filter.apply
-        flat = [block for blocks in parts for block in blocks.values()]
-        narrow = [block for block in flat if block.shape[1] < _WIDE]
-        ends = np.cumsum([block.shape[1] for block in narrow])
-        pieces = iter(np.split(apply(np.hstack(narrow)), ends[:-1], axis=1) if narrow else ())
-        return [
-            {
-                j: next(pieces) if block.shape[1] < _WIDE else apply(block)
-                for j, block in blocks.items()
-            }
-            for blocks in parts
-        ]
+    def _filtered(self, parts: Sequence[Blocks], shared: RowCache) -> list[Blocks]:
+        """Return columns of some parts in the rows that joints have."""
+        moving, apply = self._moving(shared), self.trajectory.filter.apply
+        return [{j: apply(block, moving[j]) for j, block in blocks.items()} for blocks in parts]
 
     def _motion(self, shared: RowCache) -> Motion:
 

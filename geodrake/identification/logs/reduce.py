@@ -144,7 +144,7 @@ def reduced_joints(
         for first, part in _slices(layout, trajectories, at, advance):
             chunk = part.rows(shared)
             for f, block in blocks:
-                low, high = max(block.start - first, 0), min(block.stop - first, len(chunk[0].b))
+                low, high = max(block.start - first, 0), min(block.stop - first, part.count)
                 if low < high:
                     for j, rows in enumerate(chunk):
                         boxes[j][f].seen += high - low
