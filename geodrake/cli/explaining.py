@@ -5,11 +5,11 @@ from __future__ import annotations
 from contextlib import suppress
 from functools import partial
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from geodrake.cli.options import AddOptions, ExplainOptions, Options
 from geodrake.cli.progress import step_teller
 from geodrake.cli.session import Command, Input, Output, run
-from geodrake.control.rollout import Rollout, commanded_motions
 from geodrake.diagnosis.add import add, check_places
 from geodrake.diagnosis.diagnose import diagnose
 from geodrake.diagnosis.drafting import draft_effects, rest_correlates, source_of
@@ -20,6 +20,9 @@ from geodrake.errors import LogError, ModelError
 from geodrake.identification.logs.case import open_case
 from geodrake.identification.logs.compare import compare
 from geodrake.report.explaining import Explained
+
+if TYPE_CHECKING:
+    from geodrake.control.rollout import Rollout
 
 
 def run_compare(options: Options) -> None:
@@ -104,6 +107,8 @@ def _explained(given: Input, *, every_step: bool) -> Explained:
 
 def _motions(given: Input, found: Explanation, *, every_step: bool) -> tuple[Rollout, ...] | None:
     """Return motions under commands before, after the steps, and after the last; None without."""
+    from geodrake.control.rollout import commanded_motions  # which no comparison needs
+
     steps = found.steps if every_step else ()
     between = [step.model for step in steps if step.model is not None]
     for models in (between, []):  # an effect on the way may be one that no simulation has

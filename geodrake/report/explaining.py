@@ -7,11 +7,10 @@ import importlib.metadata
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, field, replace
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from geodrake.control.rollout import Rollout
 from geodrake.diagnosis.ambiguity import distinguishing_commands
 from geodrake.diagnosis.drafting import Correlate, Draft
 from geodrake.diagnosis.results import Diagnosis, Explanation, Step
@@ -58,6 +57,9 @@ from geodrake.report.numbers import (
 from geodrake.report.page import About, Cell, ColoredList, Page, Section, Table, Tile, View, cells
 from geodrake.report.rollouts import departures_table, motions_dict, stages_table
 from geodrake.report.views import Columns, comparison_series
+
+if TYPE_CHECKING:
+    from geodrake.control.rollout import Rollout
 
 REST = "What the remaining error varies with"
 _EVEN = "No joint has a much larger error in some circumstance than elsewhere."

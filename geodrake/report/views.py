@@ -18,8 +18,6 @@ from numpy.typing import NDArray
 
 from geodrake.boundary.optional_packages import optional_package
 from geodrake.boundary.whole_files import Content
-from geodrake.control.rollout import Rollout
-from geodrake.control.rollout.results import Window
 from geodrake.errors import ArgumentError
 from geodrake.identification.logs.model_errors import Comparison
 from geodrake.report.numbers import Units
@@ -27,6 +25,9 @@ from geodrake.report.page import About, Page, View
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
+
+    from geodrake.control.rollout import Rollout
+    from geodrake.control.rollout.results import Window
 
 _KINDS = {
     "explaining": ("Comparison", "Diagnosis", "Explanation", "Explained", "ModelIdentification"),

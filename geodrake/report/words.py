@@ -4,17 +4,20 @@ from __future__ import annotations
 
 import math
 from collections.abc import Collection, Mapping, Sequence
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from geodrake.boundary.escaping import printable
-from geodrake.control.rollout import RolloutFit
 from geodrake.diagnosis.drafting import Correlate
 from geodrake.diagnosis.results import Diagnosis, Explanation, Step
 from geodrake.diagnosis.search_progress import FoundStep
 from geodrake.effects import catalogue
 from geodrake.identification.logs.model_errors import Comparison, ErrorTable, Failing, JointError
 from geodrake.report.numbers import Units, chance, estimate, number, percent
+
+if TYPE_CHECKING:
+    from geodrake.control.rollout import RolloutFit
 
 MOST_NAMED = 4
 _MOST_VALUES = 2  # places whose values are listed one by one

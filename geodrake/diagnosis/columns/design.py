@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 
@@ -93,7 +92,7 @@ class MotionDesigns:
         self._samples, self._layout, self._assignment = samples, layout, assignment
         self._all = _joint_columns(samples, layout, assignment)
         self._made = dict[tuple[int, int, bool], JointDesign]()
-        self.nbytes = sum(X.nbytes for X in self._all)  # of all columns
+        self.nbytes = sum(part.nbytes for own in self._all for part in own)
 
     def __call__(self, joint: int, source: int, *, unknown: bool) -> JointDesign:
         """Return the design of a joint with the samples of a column of efforts.
@@ -103,14 +102,15 @@ class MotionDesigns:
         key, samples = (joint, source, unknown), self._samples
         if key not in self._made:
             rows, columns = np.flatnonzero(samples.used[:, source]), self._layout.columns[joint]
-            X = self._all[joint][rows]
+            parts = [*self._all[joint], samples.effort]
             if unknown:
                 q, v, _ = samples.motion(self._assignment)
                 width = _sign_width(self._layout, self._assignment)[joint]
                 own = _unknown_function(
                     samples.model.joints[joint], q[:, joint], v[:, joint], width
                 )
-                X = np.hstack([X, own[rows]])
+                parts.append(own)
+            X = np.concatenate([part[rows] for part in parts], axis=1)
             self.nbytes += X.nbytes
             self._made[key] = JointDesign(columns, rows, len(self._all), X, X.T @ X)
         return self._made[key]
@@ -122,8 +122,10 @@ def _sign_width(layout: Layout, assignment: Assignment) -> Array:
     return np.asarray(layout.sign_width[assignment.position] * scale)
 
 
-def _joint_columns(samples: ColumnSamples, layout: Layout, assignment: Assignment) -> list[Array]:
-    """Return the columns of all joints for one motion, in all samples."""
+def _joint_columns(
+    samples: ColumnSamples, layout: Layout, assignment: Assignment
+) -> list[list[Array]]:
+    """Return the columns of all joints for one motion, in all samples and in parts."""
     model, (q, v, vd) = layout.model, samples.motion(assignment)
     at, down = model.positions(q), np.array(assignment.gravity or model.tree.gravity)
     tree = replace(model.tree, gravity=down)
@@ -133,22 +135,20 @@ def _joint_columns(samples: ColumnSamples, layout: Layout, assignment: Assignmen
         still, more = np.zeros_like(v), replace(model.tree, gravity=down - model.tree.gravity)
         weight = inverse_dynamics_regressor(more, at, still, still)
         for j, seen in enumerate(layout.columns):
-            bodies = seen[seen < model.phi.size]
-            columns[j][:, : len(bodies)] += weight[:, j, bodies]
+            columns[j][0] = columns[j][0] + weight[:, j, seen[seen < model.phi.size]]
     tilts = RobotBodies(tree, at, model.total_phi).gravity_efforts(np.cross(down, np.eye(3)[:2]).T)
     slopes = effort_slopes(tree, at, v, vd, model.total_phi, only_position=True)
     turned = np.nan_to_num(slopes.position)
     return [
-        np.hstack([columns[j], tilts[:, j], turned[:, j], held[:, j, None], samples.effort])
-        for j in range(len(model.joints))
+        [*columns[j], tilts[:, j], turned[:, j], held[:, j, None]] for j in range(len(model.joints))
     ]
 
 
 def _columns(
     samples: ColumnSamples, layout: Layout, motion: tuple[Array, Array, Array]
-) -> tuple[list[Array], Array]:
+) -> tuple[list[list[Array]], Array]:
     """Per joint (N, ·) columns of bodies and effects, and (N, n) efforts of known payloads."""
-    model, columns = layout.model, list[Sequence[Array]]()
+    model, columns = layout.model, list[list[list[Array]]]()
     phi, held = model.total_phi.ravel(), np.empty_like(motion[1])
     trajectories, logs = samples.trajectories, samples.log
     timed = any(isinstance(effect, Episode) for effect in layout.effects)
@@ -163,8 +163,11 @@ def _columns(
         for j, own in enumerate(layout.columns):
             in_bodies = layout.in_bodies(j, effects)
             held[here, j] -= found[0][j] @ phi[own[own < len(phi)]] + in_bodies
-        columns.append([np.hstack([p[j] for p in found if j in p]) for j in range(held.shape[1])])
-    return [np.concatenate(own) for own in zip(*columns, strict=True)], held
+        columns.append([[p[j] for p in found if j in p] for j in range(held.shape[1])])
+    if len(columns) == 1:
+        return columns[0], held
+    joints = zip(*columns, strict=True)
+    return [[np.concatenate(part) for part in zip(*own, strict=True)] for own in joints], held
 
 
 def _unknown_function(joint: str, q: Array, v: Array, width: float) -> Array:

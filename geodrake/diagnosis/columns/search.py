@@ -19,10 +19,12 @@ Place = tuple[object, ...]
 _MOST = 6  # mistakes of a log
 _SCREENED, _FINALISTS = 24, 8  # of motion and of efforts, that are fitted, and to the end
 _HOPELESS = -12.0  # score beside that of no mistake: less is not fitted to the end
+_HOPELESS_FOR_GOOD = -1.0  # the same for each sample: less is not tried again before a correction
 _PROMISING = 4  # joints whose gains, zeros or unknown efforts are looked for
 _STEPS = 8  # of a fit of a mistake's sizes
 _LEAST_SHARE = 0.05  # of a step, that is tried where more of it is no better
 _TIE = 1e-6  # less is rounding
+_DIGITS = 4  # of scores that differ by more than rounding
 _LEVEL = 0.5  # a step that loses less is taken: scores are exact where no step is left
 
 
@@ -56,6 +58,7 @@ class ColumnSearch:
 
     def __init__(self, model: ColumnModel) -> None:
         self.model, self._look = model, FirstLook(model)
+        self._hopeless = set[Place]()  # of mistakes, until one is corrected
 
     def found(self) -> list[MistakeFound]:
         """Return mistakes, one after the other; those without a kind are none of columns."""
@@ -67,6 +70,8 @@ class ColumnSearch:
                 break
             steps.append(step)
             base, found = step.best.fit, step.best.fit.assignment
+            if step.best.mistake.kind:
+                self._hopeless.clear()
             if step.best.mistake.kind and found.apart | found.unknown:
                 # What seemed unknown before may be another mistake beside this one.
                 known = replace(found, apart=frozenset(), unknown=frozenset())
@@ -77,7 +82,8 @@ class ColumnSearch:
         """Return the most probable mistake beside those of a fit; None if none is."""
         model, worth, prices = self.model, self.model.hopeful(), self._mistakes(base)
         first = list[Judged]()
-        for mistake in self._promising(prices, base):
+        promising = self._promising(prices, base)
+        for mistake in (each for each in promising if each.place not in self._hopeless):
             # What several sizes explain may show only where they are right.
             steps = _STEPS if len(mistake.free) > 1 else 1
             judged = self._judged(mistake, base, worth, prices[mistake])
@@ -87,7 +93,12 @@ class ColumnSearch:
             if each.mistake.place not in settled or not each.mistake.kind:
                 places.setdefault((each.mistake.place, each.mistake.sizes), each)
         plain = self._plain(base, worth, None)
-        least = plain.score + _HOPELESS
+        least, never = plain.score + _HOPELESS, plain.score + _HOPELESS_FOR_GOOD * worth.mean()
+        self._hopeless |= {
+            each.mistake.place
+            for each in places.values()
+            if each.mistake.kind and each.score < never
+        }
         mistaken = [each for each in places.values() if each.mistake.kind and each.score > least]
         last = [self._refined(each, worth) for each in mistaken[:_FINALISTS]]
         if not any(each.score > plain.score for each in last):
@@ -141,10 +152,13 @@ class ColumnSearch:
         is_likely, motion = self._likely(base), base.assignment.motion_key
         seen = [mistake for mistake in mistakes if mistake.is_seen]
         seen.sort(key=lambda each: -self._look.score(each.assignment))
-        moved = [m for m in seen if m.assignment.motion_key != motion]
+        moved = [m for m in seen if m.assignment.motion_key != motion][:_SCREENED]
+        # Zeros on which nothing depends, such as an upright axis has, are one.
+        looks = [(m.place, round(self._look.score(m.assignment), _DIGITS)) for m in moved]
+        moved = list(dict(zip(reversed(looks), reversed(moved), strict=True)).values())[::-1]
         others = [m for m in seen if m.assignment.motion_key == motion and is_likely(m)]
         found = [m for m in mistakes if not m.is_seen and is_likely(m)]
-        return [*found, *moved[:_SCREENED], *others[:_SCREENED]]
+        return [*found, *moved, *others[:_SCREENED]]
 
     def _likely(self, base: ColumnFit) -> Callable[[Mistake], bool]:
         """Return a test of what the errors of a fit make likely."""

@@ -247,6 +247,21 @@ class JointMotions:
             tuple(self.periods[k] for k, _ in kept),
         )
 
+    @cached_property
+    def seen(self) -> tuple[JointMotions, Mask]:
+        """The stretches up to where a test alone needs them, and rows (N,) that a fit sees.
+
+        A row more says how commands go on.
+        """
+        shown = self._split(~self.tested)
+        kept = [slice(np.max(np.flatnonzero(own), initial=-1) + 2) for own in shown]
+        motions = JointMotions(
+            tuple(contiguous(rows[at]) for rows, at in zip(self.rows, kept, strict=True)),
+            tuple(q[at] for q, at in zip(self.positions, kept, strict=True)),
+            self.periods,
+        )
+        return motions, np.concatenate([own[at] for own, at in zip(shown, kept, strict=True)])
+
     def _split(self, values: NDArray[T]) -> list[NDArray[T]]:
         """Return values (N,) of each stretch."""
         return np.split(values, np.cumsum([len(each) for each in self.rows])[:-1])
@@ -523,9 +538,9 @@ class _Search:
         Of several the one that is best after a few steps is followed to its end. What is expected
         of numbers bounds them in searches, and counts over all rows.
         """
-        motions, size = self.motions, len(starts[0].numbers)
+        whole, size = self.motions, len(starts[0].numbers)
         most = _MOST_EVALUATIONS if len(starts) == 1 else _FIRST_EVALUATIONS
-        rows = ~motions.tested if seen else np.ones(len(motions.measured), bool)
+        motions, rows = whole.seen if seen else (whole, np.ones(len(whole.measured), bool))
         places = [PARAMETERS.index(name) for name in self.expected]
         usual, spread = np.transpose(list(self.expected.values()))
         weights, late = 0.0 * spread, 0.0

@@ -9,7 +9,7 @@ from __future__ import annotations
 import re
 from bisect import bisect_left
 from collections.abc import Iterable, Iterator, Mapping, Sequence, Sized
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from copy import copy
 from dataclasses import dataclass, field, replace
 from datetime import UTC, datetime, timedelta
@@ -17,6 +17,7 @@ from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
+import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
@@ -351,6 +352,7 @@ NOTHING = frozenset(f(word) for word in _SAYS_NOTHING for f in (str, str.upper, 
 
 LIST = re.compile(r"(?:(?:array|tensor)\()?[\[(]([^\[\]()]*)[\])](?:, dtype=[\w.]+)?\)?")
 _BETWEEN = re.compile(r"\s*[,;]\s*|\s+")
+_NUMBERS = msgspec.json.Decoder(list[float])
 
 
 @dataclass(frozen=True)
@@ -401,6 +403,8 @@ def is_nothing(cell: Any) -> bool:
 def _list_in(cell: Any) -> list[float] | None:
     """Return the numbers of a list, or of a text such as `[0.1, 0.2]`; None of others."""
     if isinstance(cell, str):
+        with suppress(msgspec.DecodeError):  # as nearly all lists are JSON, which is read at once
+            return _NUMBERS.decode(cell)
         found = LIST.fullmatch(cell.strip())
         cell = _BETWEEN.split(found[1].strip()) if found else None
     try:
