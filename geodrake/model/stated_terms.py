@@ -16,6 +16,8 @@ from itertools import combinations
 
 import numpy as np
 from numpy.typing import ArrayLike
+from pydrake.math import RigidTransform
+from pydrake.multibody.tree import BodyIndex
 
 from geodrake.effects.base import Effect, FittedEffect
 from geodrake.inertia import Array
@@ -174,19 +176,33 @@ def stated_effects(loaded: LoadedPlant, coordinates: RobotCoordinates) -> Stated
 
 
 def _keep_of_bodies(found: StatedEffects, loaded: LoadedPlant) -> None:
-    """Add what carries weights, struts and media."""
-    terms = loaded.terms
-    weights = stated.weights_of(loaded.plant, terms.carried)
-    carried = [(Carried(w.body, *w.place.tolist()), [w.mass]) for w in weights]
+    """Add what carries weights, struts and media, at the bodies that their links are parts of."""
+    terms, plant = loaded.terms, loaded.plant
+    places, still = stated.places_of_links(plant), (stated.WORLD, RigidTransform())
+    weights = defaultdict[str, Array](lambda: np.zeros(4))
+    for index in map(BodyIndex, range(plant.num_bodies())):
+        link = plant.get_body(index)
+        name = link.scoped_name().get_full()
+        body, X = places.get(name, still)
+        share = 0.0 if body == stated.WORLD else terms.carried.get(name, 0.0)
+        if share and link.default_mass() > 0.0:
+            com = X @ link.default_spatial_inertia().get_com()
+            weights[body] += share * link.default_mass() * np.append(1.0, com)
+    carried = [(Carried(b, *(w[1:] / w[0]).tolist()), [w[0]]) for b, w in weights.items() if w[0]]
     found.keep("carried weight", carried)
-    struts = []
-    for strut in stated.struts_of(loaded.plant, terms.struts):
-        effect = StrutEffect(strut.bodies, *strut.points[0].tolist(), *strut.points[1].tolist())
-        numbers = [strut.stiffness, -strut.stiffness * strut.length, strut.damping]
-        struts.append((effect, numbers))
+    struts, boxes = list[tuple[Effect, list[float]]](), list[tuple[Effect, list[float]]]()
+    for strut in terms.struts:
+        (one, X), (two, Y) = (places.get(link, ("", RigidTransform())) for link in strut.bodies)
+        if one and two and one != two:
+            ends = (X @ strut.points[0]).tolist(), (Y @ strut.points[1]).tolist()
+            numbers = [strut.stiffness, -strut.stiffness * strut.length, strut.damping]
+            struts.append((StrutEffect((one, two), *ends[0], *ends[1]), numbers))
     found.keep("tendon", struts)
-    boxes = stated.boxes_of(loaded.plant, terms.boxes)
-    found.keep("medium", [(_drag(b), [b.density, b.viscosity]) for b in boxes])
+    for box in terms.boxes:
+        body, X = places.get(box.body, still)
+        if body != stated.WORLD:
+            boxes.append((_drag(box, body, X @ box.X_BP), [box.density, box.viscosity]))
+    found.keep("medium", boxes)
 
 
 def _across(
@@ -227,6 +243,6 @@ def _across(
     return couplings, rubs
 
 
-def _drag(box: stated.BoxInMedium) -> Medium:
-    turn = box.X_BP.rotation().ToQuaternion().wxyz()
-    return Medium(box.body, *box.size, *box.X_BP.translation(), *turn, *box.wind)
+def _drag(box: stated.BoxInMedium, body: str, X_BP: RigidTransform) -> Medium:
+    turn = X_BP.rotation().ToQuaternion().wxyz()
+    return Medium(body, *box.size, *X_BP.translation(), *turn, *box.wind)

@@ -26,14 +26,13 @@ from pydrake.multibody.plant import MultibodyPlant
 from geodrake.compiling import contiguous
 from geodrake.errors import ModelError
 from geodrake.inertia import Array
-from geodrake.inertia.bodies import lumped_bodies
 from geodrake.robot.coordinates import plant_coordinates
 from geodrake.robot.followers import Follower, OwnPlaces, scoped
 from geodrake.robot.holding import moving_joints
 from geodrake.robot.joints import Features, axis_motion, slide_motion
 from geodrake.robot.kinematics import KinematicTree, Mobilizer
 from geodrake.robot.recursion import TreeRecords
-from geodrake.robot.stated import WORLD, Closure
+from geodrake.robot.stated import WORLD, Closure, places_of_links
 from geodrake.robot.transmission.loop import (
     CLOSURE,
     Indices,
@@ -219,15 +218,12 @@ class _LoopFinder:
                 self.place[v] = how.start.get(names[v], float(q[at]))
                 self.limits[v] = float(lower[at]), float(upper[at])
         # Scoped name of a body -> its mobilizer, -1 for what stands still, and its pose there.
-        moving = {m.body: at for at, m in enumerate(self.tree.mobilizers) if m.body >= 0}
-        self.bodies, context = {WORLD: (-1, RigidTransform())}, plant.CreateDefaultContext()
-        for body in plant.GetBodiesWeldedTo(plant.world_body()):
-            pose = plant.EvalBodyPoseInWorld(context, body)
-            self.bodies[body.scoped_name().get_full()] = -1, pose
-        for number, lump in enumerate(lumped_bodies(plant)):
-            for member in lump.members:
-                name = plant.get_body(member.index).scoped_name().get_full()
-                self.bodies[name] = moving[number], member.X_RB
+        moving = {
+            self.tree.bodies[m.body]: k for k, m in enumerate(self.tree.mobilizers) if m.body >= 0
+        }
+        links = places_of_links(plant).items()
+        self.bodies = {link: (moving.get(body, -1), X) for link, (body, X) in links}
+        self.bodies[WORLD] = -1, RigidTransform()
 
     def loops(self, closures: Sequence[Closure]) -> Loops:
         links, left_out = list[_Link](), list[str]()

@@ -18,7 +18,7 @@ from geodrake.robot.followers import Follower
 from geodrake.robot.transmission.statements import Followers
 
 WORLD = "world"
-"""Name of the world among the bodies of closures."""
+"""Name of the world among bodies."""
 
 _ROUNDING = 1e-14  # of what two springs have, where they have nothing together
 
@@ -160,7 +160,7 @@ class BoxInMedium:
     """What a medium acts on: a body as the box that has its inertia.
 
     Attributes:
-        body: Scoped name of the body; then that of the body that it is a part of.
+        body: Scoped name of the body.
         size: (3,) edges, m.
         X_BP: Pose of the box's middle and axes in the body.
         density: Of the medium, kg/m³.
@@ -181,7 +181,7 @@ class StatedStrut:
     """A spring and a damper between two points.
 
     Attributes:
-        bodies: Scoped names of two bodies; then those of what they are parts of, or "world".
+        bodies: Scoped names of two bodies.
         points: Positions (3,) in their frames, m.
         length: At rest, m.
         damping: N·s/m.
@@ -192,15 +192,6 @@ class StatedStrut:
     stiffness: float
     length: float
     damping: float
-
-
-@dataclass(frozen=True)
-class Weight:
-    """A weight that something carries: of a mass, kg, at a place (3,) in a body's frame, m."""
-
-    body: str
-    mass: float
-    place: Array
 
 
 @dataclass(eq=False)
@@ -273,56 +264,15 @@ class FileTerms:
         return found
 
 
-def weights_of(plant: MultibodyPlant, shares: Mapping[str, float]) -> tuple[Weight, ...]:
-    """Return the weights that are carried of the bodies of a robot.
-
-    Args:
-        shares: Scoped name of a body -> which share of its weight something carries.
-    """
-    found = []
-    for body in lumped_bodies(plant):
-        moments = np.zeros(4)
-        for member in body.members:
-            link = plant.get_body(member.index)
-            share = shares.get(link.scoped_name().get_full(), 0.0)
-            mass = link.default_mass()
-            if share and mass > 0.0:
-                com = link.default_spatial_inertia().get_com()
-                moments += share * mass * np.append(1.0, member.X_RB @ com)
-        if moments[0]:
-            found.append(Weight(body.name, float(moments[0]), moments[1:] / moments[0]))
-    return tuple(found)
-
-
-def _poses(plant: MultibodyPlant) -> dict[str, tuple[str, RigidTransform]]:
-    """Return scoped names of links that move -> the body that each is a part of, and its pose."""
-    return {
-        plant.get_body(member.index).scoped_name().get_full(): (body.name, member.X_RB)
-        for body in lumped_bodies(plant)
-        for member in body.members
+def places_of_links(plant: MultibodyPlant) -> dict[str, tuple[str, RigidTransform]]:
+    """Return scoped names of links -> the body that each is a part of, or `WORLD`, and its pose."""
+    context = plant.CreateDefaultContext()
+    found = {
+        body.scoped_name().get_full(): (WORLD, plant.EvalBodyPoseInWorld(context, body))
+        for body in plant.GetBodiesWeldedTo(plant.world_body())
     }
-
-
-def struts_of(plant: MultibodyPlant, struts: Sequence[StatedStrut]) -> tuple[StatedStrut, ...]:
-    """Return struts in the frames of the bodies of a robot, those that anything moves."""
-    poses, context = _poses(plant), plant.CreateDefaultContext()
-    for body in plant.GetBodiesWeldedTo(plant.world_body()):
-        X_WB = plant.EvalBodyPoseInWorld(context, body)
-        poses[body.scoped_name().get_full()] = ("world", X_WB)
-    found = []
-    for strut in struts:
-        (one, X), (two, Y) = (poses.get(body, ("", RigidTransform())) for body in strut.bodies)
-        if one and two and one != two:
-            points = X @ strut.points[0], Y @ strut.points[1]
-            found.append(replace(strut, bodies=(one, two), points=points))
-    return tuple(found)
-
-
-def boxes_of(plant: MultibodyPlant, boxes: Sequence[BoxInMedium]) -> tuple[BoxInMedium, ...]:
-    """Return boxes in the frames of the bodies of a robot, those that move."""
-    poses = _poses(plant)
-    return tuple(
-        replace(box, body=poses[box.body][0], X_BP=poses[box.body][1] @ box.X_BP)
-        for box in boxes
-        if box.body in poses
-    )
+    for body in lumped_bodies(plant):
+        for member in body.members:
+            link = plant.get_body(member.index).scoped_name().get_full()
+            found[link] = body.name, member.X_RB
+    return found
