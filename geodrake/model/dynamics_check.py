@@ -5,7 +5,7 @@ recursion over that tree (`geodrake.robot.recursion`). Here both compute the sam
 
 MultibodyPlant computes with the bodies that geodrake made of a file, and so cannot see what was
 lost on the way. MuJoCo compiles an MJCF whole, with what no model takes; Pinocchio reads a URDF.
-Others, SDF and directives that put them together, Drake reads once more as they stand.
+Others, SDF and directives that put several together, Drake reads once more as they stand.
 """
 
 from __future__ import annotations
@@ -19,9 +19,8 @@ from xml.etree.ElementTree import Element
 
 import numpy as np
 from pydrake.math import RigidTransform, RotationMatrix
-from pydrake.multibody.parsing import Parser
 from pydrake.multibody.plant import MultibodyPlant
-from pydrake.multibody.tree import Joint, MultibodyForces
+from pydrake.multibody.tree import MultibodyForces
 
 from geodrake.boundary.arguments import instance, integer
 from geodrake.boundary.showing import Short
@@ -79,8 +78,8 @@ def second_opinion(model: RobotModel, states: States) -> tuple[str, Array, Array
         found = by_mujoco(texts[0].compiled, held, joints)
         still = [f for f in model.effects if not isinstance(f.effect, DryFriction | CoupledDry)]
         ours = replace(model, effects=tuple(still)).effort(Motion(*states))
-    elif all(text.kind == "urdf" for text in texts):
-        found = _by_pinocchio(model, texts, held, joints)
+    elif len(texts) == 1 and texts[0].kind == "urdf":
+        found = _by_pinocchio(model, texts[0], held, joints)
     else:
         found = _by_drake(model, held, joints)
     if isinstance(found, str):
@@ -111,21 +110,21 @@ def pinocchio_or_none() -> ModuleType | None:
 
 
 def _by_pinocchio(
-    model: RobotModel, texts: Sequence[ModelText], held: Places, units: Units
+    model: RobotModel, text: ModelText, held: Places, units: Units
 ) -> OtherProgram | str:
     pinocchio = pinocchio_or_none()
     if pinocchio is None:
         return 'Pinocchio, which reads URDF, is not installed: pip install "geodrake[export]"'
     try:
-        theirs = _joined_by_pinocchio(pinocchio, model, texts)
+        theirs = _read_by_pinocchio(pinocchio, model, text)
     except ModelError:
         raise
     except Exception as error:  # of any kind, by an extension module
         return f"Pinocchio does not read the file: {' '.join(str(error).split())[:200]}"
     theirs.gravity.linear = np.array(model.tree.gravity)
-    known = {name.partition("::")[2]: name for name in theirs.names}
-    named = {_named(unit): len(unit) - 1 + unit[-1].num_velocities() for unit in units}
-    held = {known.get(name, name): place for name, place in held.items()}
+    names = ["root_joint" if len(unit) > 1 else unit[-1].name() for unit in units]
+    counts = [len(unit) - 1 + unit[-1].num_velocities() for unit in units]
+    named = dict(zip(names, counts, strict=True))
     there = [name for name in (*named, *held) if theirs.existJointName(name)]
     own = {name: theirs.joints[theirs.getJointId(name)] for name in there}
     sizes = {**dict.fromkeys(held, 1), **named}
@@ -153,7 +152,7 @@ def _by_pinocchio(
     return OtherProgram(
         f"Pinocchio {pinocchio.__version__}",
         (position, *np.zeros((2, theirs.nv))),
-        [places[_named(unit)] for unit in units],
+        [places[name] for name in names],
         free,
         lambda q, v, vd: pinocchio.rnea(theirs, data, q, v, vd),
     )
@@ -162,13 +161,10 @@ def _by_pinocchio(
 def _by_drake(model: RobotModel, held: Places, units: Units) -> OtherProgram | str:
     """Return Drake with the file as it stands, which geodrake simplifies before Drake reads it."""
     plant, own = MultibodyPlant(time_step=0.0), model.plant
-    parser = Parser(plant)
     floating = {base[-1].child_body().scoped_name().get_full() for base in base_joints(own)}
     try:
         with drake_messages(), drake_errors(model.path):
-            description = read_description(model.path, model.given)
-            description.add_every_package(parser.package_map())
-            parser.AddModels(str(model.path))
+            read_description(model.path, model.given).add_to(plant, simplified=False)
             open_loops(plant)
             for body in free_roots(plant):
                 if body.scoped_name().get_full() not in floating:
@@ -215,46 +211,20 @@ def _by_drake(model: RobotModel, held: Places, units: Units) -> OtherProgram | s
     )
 
 
-def _named(unit: tuple[Joint, ...]) -> str:
-    """Return the name of a joint, or of a free base, in `_joined_by_pinocchio`."""
-    model = unit[-1].child_body().scoped_name().get_namespace()
-    return f"{model}::{'root_joint' if len(unit) > 1 else unit[-1].name()}"
-
-
-def _joined_by_pinocchio(
-    pinocchio: ModuleType, model: RobotModel, texts: Sequence[ModelText]
-) -> Any:
-    """Return Pinocchio's model of files, welded together where the plant has them.
-
-    Names of joints and frames have those of their model before them.
-    """
-    whole, plant = pinocchio.Model(), model.plant
-    context = plant.CreateDefaultContext()
-    for text in texts:
-        scope = text.links[0].rpartition("::")[0]
-        data = read_expanded(text.path, model.given)
-        name, own = _root_of(parse_xml_bytes(data, text.path), text).rsplit("::", 1)
-        root = plant.world_body()
-        if own != "world":
-            root = plant.GetBodyByName(own, plant.GetModelInstanceByName(name))
-        floats = any(base[-1].child_body().index() == root.index() for base in base_joints(plant))
-        free = {"root_joint": pinocchio.JointModelFreeFlyer()} if floats else {}
-        part = pinocchio.buildModelFromXML(data.decode(errors="replace"), *free.values())
-        for at in range(1, part.njoints):
-            part.names[at] = f"{scope}::{part.names[at]}"
-        for frame in part.frames:
-            frame.name = f"{scope}::{frame.name}"
-        welded = {b.scoped_name().get_full(): b for b in plant.GetBodiesWeldedTo(root)}
-        there = [name for name in welded if whole.existFrame(name)]
-        frame, X = 0, RigidTransform()
-        if there:
-            parent = welded[there[0]].body_frame()
-            frame, X = whole.getFrameId(there[0]), root.body_frame().CalcPose(context, parent)
-        elif not free:  # as its root has no place of its own
-            X = root.body_frame().CalcPoseInWorld(context)
-        pose = pinocchio.SE3(X.rotation().matrix(), X.translation())
-        whole = pinocchio.appendModel(whole, part, frame, pose)
-    return whole
+def _read_by_pinocchio(pinocchio: ModuleType, model: RobotModel, text: ModelText) -> Any:
+    """Return Pinocchio's model of a file, where the plant has it."""
+    plant, data = model.plant, read_expanded(text.path, model.given)
+    scope, own = _root_of(parse_xml_bytes(data, text.path), text).rsplit("::", 1)
+    root, X = plant.world_body(), RigidTransform()
+    if own != "world":
+        root = plant.GetBodyByName(own, plant.GetModelInstanceByName(scope))
+    floats = any(base[-1].child_body().index() == root.index() for base in base_joints(plant))
+    free = [pinocchio.JointModelFreeFlyer()] if floats else []
+    if not floats:  # as its root has no place of its own
+        X = root.body_frame().CalcPoseInWorld(plant.CreateDefaultContext())
+    part = pinocchio.buildModelFromXML(data.decode(errors="replace"), *free)
+    pose = pinocchio.SE3(X.rotation().matrix(), X.translation())
+    return pinocchio.appendModel(pinocchio.Model(), part, 0, pose)
 
 
 def _root_of(xml: Element, text: ModelText) -> str:

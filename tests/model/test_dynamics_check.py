@@ -201,7 +201,7 @@ def test_directives_have_a_second_opinion_on_all_their_models(tmp_path):
     model = load_model(tmp_path / "all.dmd.yaml")
     found = check_dynamics(model, samples=10)
     assert len(found.joints) == 14 and found.is_rounding
-    assert found.by.startswith("Pinocchio") and found.second.relative < 1e-12
+    assert found.by.startswith("Drake") and found.second.relative < 1e-12
     held = load_model(tmp_path / "all.dmd.yaml", lock={"shoulder": 0.3})
     assert "shoulder" not in held.joints
     assert check_dynamics(held, samples=5).second.relative < 1e-12

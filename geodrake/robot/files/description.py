@@ -93,17 +93,24 @@ class ModelDescription:
         """Give a link inertial parameters (10,), or none; False if no text has the link."""
         return any(text.set_inertia(link, phi) for text in self.texts)
 
-    def add_to(self, plant: MultibodyPlant) -> None:
-        """Add the models to a plant."""
+    def add_to(self, plant: MultibodyPlant, *, simplified: bool = True) -> None:
+        """Add the models to a plant; if not simplified, as their files have them."""
         parser = Parser(plant)
-        names = {name for text in self.texts for name in text.packages}
-        self.add_packages(parser.package_map(), names)
-        texts = [text.text() for text in self.texts]
+        if simplified:
+            names = {name for text in self.texts for name in text.packages}
+            self.add_packages(parser.package_map(), names)
+            texts = [text.text() for text in self.texts]
+        else:
+            self.add_every_package(parser.package_map())
+            files = (read_expanded(text.path, self.given) for text in self.texts)
+            texts = [(data.decode(errors="replace"), list[str]()) for data in files]
         with (
             drake_errors(self.path, [places for _, places in texts]),
             TemporaryDirectory() as folder,
         ):
-            if self.directives is None:
+            if self.directives is None and not simplified:
+                parser.AddModels(str(self.path))  # as it may include others beside it
+            elif self.directives is None:
                 for own, (text, _) in zip(self.texts, texts, strict=True):
                     parser.AddModelsFromString(text, own.kind)
             else:
