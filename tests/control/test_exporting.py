@@ -97,7 +97,7 @@ MJCF = """<mujoco model="arm"><!-- my arm -->
   <worldbody>
     <body name="one"><joint name="a" class="soft" axis="0 1 0"/>
       <inertial pos="0 0.1 0.2" mass="2" diaginertia="0.05 0.05 0.03"/>
-      <body pos="0 0 0.4"><joint type="slide" axis="1 0 0"/>
+      <body pos="0 0 0.4"><frame><joint type="slide" axis="1 0 0"/></frame>
         <inertial pos="0 0 0.2" mass="1" diaginertia="0.02 0.02 0.01"/></body>
     </body>
   </worldbody>

@@ -321,7 +321,7 @@ def _name_bodies(root: Element, prefix: str) -> None:
     for body in worlds:
         if not body.get("name"):
             body.set("name", free(f"{prefix}body_{numbers[id(body)]}"))
-        for i, joint in enumerate(_own_joints(body)):
+        for i, joint in enumerate(own_joints(body)):
             if not joint.get("name"):
                 joint.set("name", joints(f"{body.get('name')}_joint_{i}"))
 
@@ -334,12 +334,13 @@ def _name_joints(spec: Any) -> None:
             joint.name = joint.name or free(f"{body.name}_joint_{i}")
 
 
-def _own_joints(body: Element) -> Iterator[Element]:
+def own_joints(body: Element) -> Iterator[Element]:
+    """Yield the joints of a body, those in frames included."""
     for child in body:
         if child.tag == "joint":
             yield child
         elif child.tag in ("frame", "replicate"):
-            yield from _own_joints(child)
+            yield from own_joints(child)
 
 
 def unused(taken: set[str | None]) -> Callable[[str], str]:

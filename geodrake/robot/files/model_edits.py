@@ -13,6 +13,7 @@ import numpy as np
 from geodrake.errors import ModelError
 from geodrake.inertia import Array, to_mass_com_inertia
 from geodrake.robot.files.checks import UPPER, numbers, rotation, tensor_words, words
+from geodrake.robot.files.mjcf_source import own_joints
 from geodrake.robot.files.source_text import check_in_itself, comment_words, edited
 from geodrake.robot.files.xml_text import SUPPORTED_FORMATS, LocatedElement, parse_xml_bytes
 
@@ -251,7 +252,7 @@ def _mjcf_links(root: Element, path: Path) -> _Named:
 def _mjcf_joints(root: Element, path: Path) -> _Named:
     for name, body in _mjcf_links(root, path):
         scope, _, own = name.rpartition("::")
-        for i, joint in enumerate(body.findall("joint")):
+        for i, joint in enumerate(own_joints(body)):
             yield f"{scope}::{joint.get('name') or f'{own}_joint_{i}'}", joint
 
 
