@@ -28,6 +28,8 @@ AXES, QUATERNION = ("x", "y", "z"), ("w", "x", "y", "z")
 _FIELDS = {
     "position": "base.position",
     "orientation": "base.orientation",
+    "translation": "base.position",
+    "rotation": "base.orientation",
     "linear_velocity": "base.linear_velocity",
     "twist.linear": "base.linear_velocity",
     "twist.angular": "base.angular_velocity",

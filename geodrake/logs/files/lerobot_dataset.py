@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import re
 from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any
@@ -15,6 +14,7 @@ from geodrake.boundary.input_files import read_regular, regular_files
 from geodrake.boundary.optional_packages import optional_package
 from geodrake.errors import LogError
 from geodrake.logs.files.array_files import arrow_table
+from geodrake.logs.files.name_rules import OTHER, meaning_of, quantity_of
 from geodrake.logs.files.reading import Reading
 from geodrake.logs.files.table import LogTable, readable
 
@@ -26,15 +26,6 @@ INFO = "meta/info.json"
 _LARGEST_INFO = 100_000_000  # bytes
 _ACTION = "action"  # what a policy or a person told the joints
 _BETWEEN = 1.0  # s between episodes, which is a gap
-_WORDS = {
-    "position": re.compile(r"state|pos|position|positions|qpos|q|joint_positions?|angles?"),
-    "velocity": re.compile(r"vel|velocity|velocities|qvel|dq|joint_velocit(y|ies)"),
-    "effort": re.compile(r"efforts?|torques?|tau|joint_(efforts?|torques?)"),
-    "current": re.compile(r"(joint_|motor_)?currents?"),
-    "voltage": re.compile(r"(joint_|motor_)?voltages?"),
-    "pwm": re.compile(r"pwm|duty(_cycle)?"),
-}
-"""Quantity -> the last words of features, and of names in a feature."""
 
 
 def read_lerobot(path: Path, reading: Reading) -> LogTable:
@@ -73,28 +64,26 @@ def read_lerobot(path: Path, reading: Reading) -> LogTable:
 def _meaning(features: Mapping[str, Any]) -> Iterator[tuple[tuple[str, str], str]]:
     """Feature and column -> `<joint>.<quantity>`, for what is observed of joints, and actions."""
     for feature, description in features.items():
-        head, _, last = feature.rpartition(".")
-        is_action = feature == _ACTION
-        quantity = "command" if is_action else _quantity(last)
-        if quantity is None or not (is_action or head.startswith("observation")):
+        told, is_action = meaning_of(f"{feature}[0]"), feature == _ACTION
+        if (
+            not (is_action or feature.startswith("observation"))
+            or told is None
+            or told.role >= OTHER
+        ):
             continue
         (size,) = description["shape"]
-        names = _names(description.get("names"), size)
-        for k in range(size):
-            joint, _, word = names[k].rpartition(".") if names else ("", "", "")
-            own = _quantity(word) if joint else None
-            if is_action and own is not None:
-                if own != "position":
-                    continue  # no position that a servo goes to
-                own = "command"
-            joint = joint if own else names[k] if names else ""
+        names = _names(description.get("names"), size) or [""] * size
+        for k, name in enumerate(names):
+            joint, _, word = name.rpartition(".")
+            own = quantity_of(word) if joint else None
+            if is_action and own not in (None, "position"):
+                continue  # no position that a servo goes to
+            joint, quantity = (
+                joint if own else name,
+                "command" if is_action else own or told.quantity,
+            )
             column = feature if size == 1 else f"{feature}[{k}]"
-            name = f"{joint}.{own or quantity}" if joint else f"{quantity}[{k}]"
-            yield (feature, column), name
-
-
-def _quantity(word: str) -> str | None:
-    return next((q for q, words in _WORDS.items() if words.fullmatch(word)), None)
+            yield (feature, column), f"{joint}.{quantity}" if joint else f"{quantity}[{k}]"
 
 
 def _names(names: Any, size: int) -> list[str] | None:

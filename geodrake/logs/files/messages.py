@@ -4,8 +4,9 @@ from __future__ import annotations
 
 from array import array
 from collections import defaultdict
-from collections.abc import Hashable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Hashable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from operator import attrgetter, itemgetter
 from pathlib import Path
 from typing import Any
 
@@ -13,8 +14,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from geodrake.errors import LogError
+from geodrake.logs.files.name_rules import MEASURED, OTHER, meaning_of
 from geodrake.logs.files.table import LogTable
-from geodrake.logs.floating import AXES, IS_BASE, QUATERNION
+from geodrake.logs.floating import IS_BASE, floating_name
 from geodrake.logs.motion import EFFORT_KINDS
 
 Array = NDArray[np.float64]
@@ -51,32 +53,8 @@ NUMBERS = "data"
 """What the numbers of a message are called that says nothing of them."""
 
 _NAMES = ("name", "names", "joint_name", "joint_names")
-_PLACES = ((), ("feedback",), ("actual",))  # of the arrays in a message
 _OUTPUT = ("output", "effort")  # of a controller, where nobody measures
-_COMMANDS = (
-    ("reference", "positions"),
-    ("desired", "positions"),
-    ("joint_position_commanded",),
-    ("joint_position_desired",),
-    ("points", "positions"),
-)
-"""Where messages have what joints were told, which stands for efforts that nobody measures."""
-_ARRAYS = {
-    "position": "position positions joint_position joint_positions joint_position_measured "
-    "measured_joint_position q",
-    "velocity": "velocity velocities joint_velocity joint_velocities joint_velocity_estimated dq",
-    "acceleration": "acceleration accelerations",
-    "effort": "effort efforts torque torques joint_effort joint_torque joint_torques "
-    "joint_torque_measured measured_torque tau tau_J tau_j",
-}
-"""Quantity -> what its array is called."""
-
-_INTERFACES = {
-    **{name: name for name in ("position", "velocity", "acceleration", *EFFORT_KINDS)},
-    "torque": "effort",
-    "temperature": "temperature",
-}
-"""What hardware interfaces of ros2_control are called -> quantity."""
+_POINTS = "points"  # of a trajectory, which joints are told
 
 
 @dataclass(frozen=True)
@@ -99,20 +77,16 @@ class JointFields:
         names = next(
             (n for n in _NAMES if isinstance(getattr(message, n, None), list | tuple)), None
         )
+        ranked = defaultdict[str, list[tuple[int, tuple[str, ...]]]](list)
+        for path, value in _leaves(message):
+            if np.ndim(value) == 1 and np.asarray(value).dtype.kind in "fiu":
+                quantity, role = _quantity_at(path)
+                ranked[quantity].append((role, path))
         arrays = {
-            quantity: tuple(
-                (*place, word)
-                for place in _PLACES
-                for word in words.split()
-                if np.ndim(_at(message, (*place, word))) == 1
-            )
-            for quantity, words in _ARRAYS.items()
+            quantity: tuple(path for _, path in sorted(own, key=itemgetter(0)))
+            for quantity, own in ranked.items()
+            if quantity and (quantity != NUMBERS or hasattr(message, "layout"))
         }
-        if _at(message, _OUTPUT) is not None:
-            arrays["effort"] += (_OUTPUT,)
-        arrays["command"] = tuple(path for path in _COMMANDS if np.ndim(_at(message, path)) == 1)
-        if hasattr(message, "layout") and np.ndim(_at(message, (NUMBERS,))) == 1:
-            arrays[NUMBERS] = ((NUMBERS,),)
         by_joint = hasattr(message, "interface_values")
         says = by_joint or any(arrays.get(q) for q in ("position", "effort", "command", NUMBERS))
         return cls(names, arrays, by_joint) if says else None
@@ -308,6 +282,35 @@ def stamp_of(message: Any) -> int:
     return 0 if stamp is None else int(stamp.sec * 1_000_000_000 + stamp.nanosec)
 
 
+def _leaves(message: Any, path: tuple[str, ...] = ()) -> Iterator[tuple[tuple[str, ...], Any]]:
+    """Yield what is in a message of ROS or LCM, and in messages in it, and where it is."""
+    if isinstance(message, list) and len(message) == 1:
+        (message,) = message
+    fields: Iterable[str] = getattr(message, "__dict__", ()) or getattr(message, "__slots__", ())
+    if path and not fields:
+        yield path, message
+    for name in fields:
+        yield from _leaves(getattr(message, name), (*path, name))
+
+
+def _quantity_at(path: Sequence[str]) -> tuple[str, int]:
+    """Return what the numbers at a place in messages are, by its name, and the role; "" of others.
+
+    Positions that are wanted are commands, which stand for efforts that nobody measures.
+    """
+    if tuple(path) == (NUMBERS,):
+        return NUMBERS, MEASURED
+    meaning = meaning_of(f"{'/'.join(path)}[0]")
+    if meaning is None or meaning.role >= OTHER:
+        return "", OTHER
+    if meaning.is_wanted or path[0] == _POINTS:
+        is_place = meaning.quantity in ("position", "command")
+        return "command" if is_place else "", meaning.role
+    if path[0] == _OUTPUT[0]:
+        return meaning.quantity if tuple(path) == _OUTPUT else "", OTHER
+    return meaning.quantity, meaning.role
+
+
 def _at(message: Any, path: Sequence[str]) -> Any:
     """Return what a message has at a place, None for nothing; a list of one is what is in it."""
     for name in path:
@@ -320,13 +323,10 @@ def _at(message: Any, path: Sequence[str]) -> Any:
 def _by_interface(message: Any) -> dict[str, Array]:
     """Quantity -> (n,) numbers of a message with a list of values for each joint, NaN for none."""
     rows = [
-        {
-            _INTERFACES.get(name): value
-            for name, value in zip(i.interface_names, i.values, strict=True)
-        }
+        {_quantity_at((name,))[0]: x for name, x in zip(i.interface_names, i.values, strict=True)}
         for i in message.interface_values
     ]
-    quantities = dict.fromkeys(q for row in rows for q in row if q is not None)
+    quantities = dict.fromkeys(q for row in rows for q in row if q)
     found = {q: np.array([row.get(q, np.nan) for row in rows]) for q in quantities}
     return {q: numbers for q, numbers in found.items() if not np.isnan(numbers).all()}
 
@@ -340,17 +340,6 @@ _SOURCES = (
 """Types of messages about the pose of a base, its IMU and its feet, the best first."""
 
 _WORLDS = ("world", "map", "odom")
-_PATHS = {
-    "base.position": ("pose.pose.position", "pose.position", "translation"),
-    "base.orientation": ("pose.pose.orientation", "pose.orientation", "rotation"),
-    "base.linear_velocity": ("twist.twist.linear",),
-    "base.angular_velocity": ("twist.twist.angular",),
-    "imu.angular_velocity": ("angular_velocity",),
-    "imu.linear_acceleration": ("linear_acceleration",),
-    ".force": ("wrench.force",),
-    ".torque": ("wrench.torque",),
-}
-"""Column, after the frame of a wrench -> where messages may have it."""
 
 
 def base_sources(
@@ -376,17 +365,26 @@ def base_sources(
     return poses, imus, wrenches
 
 
+_Places = tuple[list[str], Callable[[Any], Sequence[float]]]
+"""Columns of a frame, and what takes their numbers out of a message."""
+
+
+@dataclass
 class BaseRows(MessageNumbers):
     """What messages of one topic say of a free base, its IMU, or forces at feet."""
+
+    frames: dict[str, _Places] = field(default_factory=dict, init=False)
 
     def add(self, message: Any, received: int) -> None:
         """Take the numbers of a message, which may be of several frames."""
         self.count += 1
         for part, frame in _frames(message):
-            told = dict(_vectors(part, frame or self.topic.strip("/").rpartition("/")[0]))
-            if told:
-                numbers = np.array([*told.values()])
-                self.take((frame, *told), numbers, stamp_of(part), received)
+            if frame not in self.frames:
+                told = dict(_floating(part, frame or self.topic.strip("/").rpartition("/")[0]))
+                self.frames[frame] = [*told], attrgetter(*(told.values() or ["header"]))
+            names, numbers = self.frames[frame]
+            if names:
+                self.take((frame, *names), np.array(numbers(part)), stamp_of(part), received)
 
     def columns(self, key: Any) -> Iterator[tuple[Hashable, dict[str, int]]]:
         """Yield the columns of a frame."""
@@ -416,16 +414,10 @@ def _frames(message: Any) -> Iterator[tuple[Any, str]]:
             yield each, f"{each.header.frame_id} {each.child_frame_id}"
 
 
-def _vectors(message: Any, frame: str) -> Iterator[tuple[str, float]]:
-    """Return the columns of a message, and their numbers."""
-    told = getattr(message, "transform", message)
-    for name, paths in _PATHS.items():
-        for path in paths:
-            values = told
-            for word in path.split("."):
-                values = getattr(values, word, None)
-            if values is not None:
-                axes = QUATERNION if name.endswith("orientation") else AXES
-                column = f"{frame}{name}" if name.startswith(".") else name
-                yield from ((f"{column}.{axis}", float(getattr(values, axis))) for axis in axes)
-                break
+def _floating(message: Any, frame: str) -> Iterator[tuple[str, str]]:
+    """Yield the columns of a free base, an IMU or a foot that a message has, and where they are."""
+    kinds = {"linear_acceleration": "imu", "wrench": "foot"}
+    kind = next((kind for name, kind in kinds.items() if hasattr(message, name)), "base")
+    for path, _ in _leaves(message):
+        if (name := floating_name(".".join((kind, *path)))) is not None:
+            yield name if kind != "foot" else f"{frame}{name.removeprefix(kind)}", ".".join(path)
