@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from geodrake.errors import GeodrakeError, LogError
 from geodrake.logs.files import Reading, read_log, understand
-from geodrake.logs.files.column_mapping import Columns, Source
+from geodrake.logs.files.column_mapping import Columns
 from geodrake.logs.files.mapping_file import mapping_lines, mapping_of
 from geodrake.logs.files.reading import ColumnMapping, MappedColumn
 from geodrake.logs.files.units import unit_of
@@ -117,18 +117,19 @@ def inspect_log(
     missing = [joint for joint in joints or () if joint not in (*log.joints, *log.standing)]
     notes += [f"nothing is measured of the model's {', '.join(missing)}"] if missing else []
     converted = any(s.unit for n, s in columns.sources.items() if n.endswith(".position"))
+    time = columns.sources.get("time")
     hints = [effort_sign_hint(log), None if converted else position_unit_hint(log), unused]
     first = tuple(filter(None, hints))
     return LogInspection(
         log,
-        columns.sources["time"].column if "time" in columns.sources else "",
+        time.column if time else "",
         tuple(_columns(raw, log, columns)),
         period,
         float(steps[~gap].std()) if (~gap).any() else 0.0,
         tuple((float(_known(log.time)[k]), float(steps[k])) for k in np.flatnonzero(gap).tolist()),
         tuple(_rests(log, period)),
         (*first, *log.notes, *notes),
-        unit.name if (unit := columns.sources.get("time", Source("")).unit) else "",
+        time.unit.name if time and time.unit else "",
         first,
     )
 
@@ -204,7 +205,7 @@ def _columns(raw: JointLog, log: JointLog, columns: Columns) -> Iterator[Underst
             measured = np.count_nonzero(np.isfinite(getattr(raw, quantity)[:, place]))
             yield UnderstoodColumn(
                 joint,
-                source.kind if quantity == "effort" else quantity,
+                source.quantity if quantity == "effort" else quantity,
                 source.column,
                 source.unit.name if source.unit else "",
                 source.factor,

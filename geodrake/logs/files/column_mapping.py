@@ -30,7 +30,7 @@ from geodrake.logs.files.name_rules import (
 from geodrake.logs.files.packed_files import log_name
 from geodrake.logs.files.reading import ColumnMapping, Reading
 from geodrake.logs.files.table import LogTable, date_words
-from geodrake.logs.files.units import Unit, find_unit, unit_of
+from geodrake.logs.files.units import find_unit, unit_of
 from geodrake.logs.floating import floating_name
 from geodrake.logs.motion import (
     EFFORT_KINDS,
@@ -52,53 +52,24 @@ SIGNAL_ADVICE = "In the place of efforts, <joint>.current, .voltage, .pwm or .co
 """What a joint may have whose efforts are not measured."""
 
 
-@dataclass(frozen=True)
-class Source:
-    """Where the numbers of a column of a log come from.
+def read_column(meaning: Meaning, numbers: dict[str, Array], *, since_first: bool = True) -> Array:
+    """Take the numbers (N,) of a column out of those of a file, in SI units.
 
-    Attributes:
-        unit: The unit that they are in; None for SI that nobody said.
-        nanoseconds: Column of what is to be added to time, ns.
-        kind: Of efforts, what they are, of `EFFORT_KINDS`.
+    Seconds with nanoseconds beside them may be from the first second on, to lose no digits.
     """
+    values = numbers.pop(meaning.column)
+    if meaning.nanoseconds is not None:
+        start = float(values[np.isfinite(values)][:1].sum()) if since_first else 0.0
+        values = (values - start) + 1e-9 * numbers.pop(meaning.nanoseconds)
+    values = values if meaning.factor == 1.0 else meaning.factor * values
+    return values + meaning.offset if meaning.offset else values
 
-    column: str
-    factor: float = 1.0
-    unit: Unit | None = None
-    nanoseconds: str | None = None
-    kind: str = "effort"
 
-    @property
-    def columns(self) -> tuple[str, ...]:
-        """Columns of the file."""
-        return (self.column,) if self.nanoseconds is None else (self.column, self.nanoseconds)
-
-    @property
-    def offset(self) -> float:
-        """What is added to its numbers after the factor."""
-        return self.unit.offset * self.factor / self.unit.factor if self.unit else 0.0
-
-    def read(self, numbers: dict[str, Array], *, since_first: bool = True) -> Array:
-        """Take the numbers (N,) of its columns out of those of a file, in SI units.
-
-        Seconds with nanoseconds beside them may be from the first second on, to lose no digits.
-        """
-        values = numbers.pop(self.column)
-        if self.nanoseconds is not None:
-            start = float(values[np.isfinite(values)][:1].sum()) if since_first else 0.0
-            values = (values - start) + 1e-9 * numbers.pop(self.nanoseconds)
-        values = values if self.factor == 1.0 else self.factor * values
-        return values + self.offset if self.offset else values
-
-    def seconds(self, time: Array) -> tuple[Array, tuple[str, ...]]:
-        """Return time stamps (N,) in s, where nobody said their unit, and a note of it."""
-        said = self.unit is not None or self.nanoseconds is not None
-        found = None if said else time_unit(self.column, time)
-        return (time, ()) if found is None else (found[0] * time, (found[1],))
-
-    def written(self, numbers: Array) -> Array:
-        """Return numbers (N,) as they stand in the file."""
-        return (numbers - self.offset) / self.factor
+def in_seconds(meaning: Meaning, time: Array) -> tuple[Array, tuple[str, ...]]:
+    """Return time stamps (N,) in s, where nobody said their unit, and a note of it."""
+    said = meaning.unit is not None or meaning.nanoseconds is not None
+    found = None if said else time_unit(meaning.column, time)
+    return (time, ()) if found is None else (found[0] * time, (found[1],))
 
 
 def check_text(path: Path, names: Sequence[str]) -> None:
@@ -202,10 +173,10 @@ def _preference(meaning: Meaning, said: str | None) -> tuple[bool, bool, bool, i
     return other, not _is_own(meaning), meaning.role >= DESIRED, kind, meaning.role
 
 
-def source_of(
+def settled(
     path: Path, meaning: Meaning, joint: str, reading: Reading, units: Mapping[str, str]
-) -> Source:
-    """Return where a quantity of a joint comes from, and of efforts what they are.
+) -> Meaning:
+    """Return what a column of a joint is with its unit, and of efforts what they are.
 
     Units are those that the user says, that the name says, or that the file states.
     """
@@ -214,7 +185,7 @@ def source_of(
     unit = meaning.unit or find_unit(stated, quantity)
     if meaning.log_quantity != "effort":
         unit = unit_of(told[quantity], quantity) if quantity in told else unit
-        return Source(meaning.column, meaning.gain * (unit.factor if unit else 1.0), unit)
+        return replace(meaning, unit=unit)
     said = reading.kind_of(joint)
     said = None if said == "command" else said
     unit = unit or find_unit(stated, "effort")
@@ -249,8 +220,7 @@ def source_of(
             advice="Say what it is by --kind JOINT=KIND, or its unit by --units.",
             joint=joint,
         )
-    factor = meaning.gain * (unit.factor if unit else 1.0)
-    return Source(meaning.column, factor, unit, kind=kind)
+    return replace(meaning, quantity=kind, unit=unit)
 
 
 def without_use(log: JointLog, columns: Columns) -> frozenset[str]:
@@ -296,12 +266,12 @@ def choice_words(best: Mapping[tuple[str, str], Sequence[Meaning]]) -> Iterator[
             yield f"{quantity}: {_span(chosen)} may not be measured at the joints, by the name"
 
 
-def unit_words(sources: Mapping[str, Source], reading: Reading) -> Iterator[str]:
+def unit_words(sources: Mapping[str, Meaning], reading: Reading) -> Iterator[str]:
     """Yield which units were converted, in words."""
-    same: dict[str, dict[str, Source]] = defaultdict(dict)
+    same: dict[str, dict[str, Meaning]] = defaultdict(dict)
     for name, source in sources.items():
         quantity = name.rpartition(".")[2]
-        same[source.kind if quantity == "effort" else quantity][name] = source
+        same[source.quantity if quantity == "effort" else quantity][name] = source
     for quantity in ("time", *QUANTITIES, *SIGNAL_KINDS):
         columns = same[quantity].values()
         found = [s.unit for s in columns if s.unit]
@@ -341,6 +311,52 @@ def _span(meanings: Sequence[Meaning]) -> str:
 _MAPPING_ADVICE = "Or say which column is what by --mapping."
 
 
+@dataclass(frozen=True)
+class Columns:
+    """Which column of a file is which quantity of which joint, and what is read of them.
+
+    Attributes:
+        reading: How the user said that the file is to be read.
+        sources: `time` and `<joint>.<quantity>` -> the column that its numbers come from.
+        rate: Rows a second, Hz, where there is no column of time.
+        origin: Since when time is, ns since 1970, if that is known.
+        joints: Names of the n joints, in the order of the log to be.
+        standing: Joints of which there is the position alone.
+        quantities: Quantities that every joint has; and efforts and commands, which some may lack.
+        passive: Joints without a motor, which need no column of efforts.
+        floating: Names of columns of a free base and of contacts, which are among the sources.
+        others: Joint -> further columns that could be taken for its efforts, or in their place.
+        left_out: Joints of the file that the model lacks.
+    """
+
+    path: Path
+    reading: Reading
+    sources: Mapping[str, Meaning]
+    notes: tuple[str, ...]
+    rate: float | None
+    origin: int | None
+    joints: tuple[str, ...]
+    standing: tuple[str, ...]
+    quantities: tuple[str, ...]
+    passive: tuple[str, ...]
+    floating: tuple[str, ...]
+    others: Mapping[str, tuple[str, ...]]
+    left_out: tuple[str, ...]
+
+    @property
+    def kinds(self) -> dict[str, str]:
+        """Joint -> what is in the place of its efforts, where it has none."""
+        named = {joint: self.sources.get(f"{joint}.effort") for joint in self.joints}
+        found = {joint: source.quantity for joint, source in named.items() if source is not None}
+        found |= dict.fromkeys(self.passive, PASSIVE)
+        return {joint: kind for joint, kind in found.items() if kind != "effort"}
+
+    @property
+    def files(self) -> tuple[str, ...]:
+        """Columns of the file that are read."""
+        return tuple(dict.fromkeys(c for source in self.sources.values() for c in source.columns))
+
+
 def columns_of(
     table: LogTable, joints: Sequence[str] | None, reading: Reading, *, partial: bool = False
 ) -> Columns:
@@ -352,21 +368,76 @@ def columns_of(
     is_mapped, first = reading.mapping is not None, table.unnamed
     if first and not is_mapped:
         raise propose(no_header(path, first), path, first, joints, reading, headed=False)
-    found = Columns.by_mapping(table, reading) if is_mapped else None
-    found = found or Columns.by_names(table, joints, reading)
+    told = _by_mapping(table, reading) if is_mapped else _by_names(table, joints, reading)
     clock = ""
     try:
-        if found.rate is None and ("", "time") not in found.places:
+        if told.rate is None and ("", "time") not in told.places:
             clock, words = likely_clock(table)
             raise LogError(
                 f"Log {str(path)!r} has no column 'time'; it has {listed(names)}.",
                 advice=f"{words}{HEADER_ADVICE} Without time, give the rows a second by --rate.",
             )
-        chosen = found.dated(table.origins).chosen(joints, partial=partial)
+        origin = told.date(table)
+        own, standing = told.chosen(path, joints, partial=partial)
     except LogError as error:
         propose(error, path, table.counted, joints, reading, clock=clock)
         raise
-    return chosen.read(joints)
+    used = {c for source in told.places.values() for c in source.columns}
+    check_once(path, names, used)
+    told.check_said(path, own)
+    quantities = list[str]()
+    for quantity in QUANTITIES:
+        missing = [f"{j}.{quantity}" for j in own if (j, quantity) not in told.places]
+        some = len(missing) < len(own) and quantity in PARTIAL
+        if not missing or some or quantity == "effort":
+            quantities.append(quantity)
+        elif len(missing) < len(own):
+            told.notes.append(f"{quantity} is not used: there is no {listed(missing)}")
+    passive = told.passive(own)
+    if said := [joint for joint in passive if joint not in reading.motorless]:
+        told.notes.append(f"no motor at {listed(said)}: bodies and friction need no effort there")
+    sources = {
+        quantity if quantity == "time" else f"{joint}.{quantity}": _scaled(source, joint, reading)
+        for (joint, quantity), source in told.places.items()
+        if quantity == "time"
+        or (joint in own and quantity in quantities)
+        or (joint in standing and quantity == "position")
+    }
+    floating = dict[str, Meaning]()
+    for name in names:
+        if name not in used and (known := floating_name(name)) is not None:
+            floating.setdefault(known, Meaning(name, known))
+    sources |= floating
+    told.notes.extend(unit_words(sources, reading))
+    kept = {c for source in floating.values() for c in source.columns}
+    for (joint, quantity), source in told.places.items():
+        kept.update(source.columns if quantity == "time" or joint in (*own, *standing) else ())
+    if ignored := [name for name in names if name not in kept]:
+        told.notes.append(f"columns ignored: {listed(ignored)}")
+    beside = [j for j in told.having("position") if j not in (*own, *standing)]
+    return Columns(
+        path,
+        reading,
+        sources,
+        tuple(told.notes),
+        told.rate,
+        origin,
+        own,
+        standing,
+        tuple(quantities),
+        passive,
+        tuple(floating),
+        told.others,
+        tuple(beside) if joints is not None else (),
+    )
+
+
+def _scaled(source: Meaning, joint: str, reading: Reading) -> Meaning:
+    """Return a column; with a known gain, signals are efforts."""
+    gain = reading.gains.get(joint)
+    if gain is None or source.log_quantity != "effort":
+        return source
+    return replace(source, gain=gain * source.gain, quantity="effort")
 
 
 def likely_clock(table: LogTable) -> tuple[str, str]:
@@ -384,164 +455,126 @@ def likely_clock(table: LogTable) -> tuple[str, str]:
     return "", f"Is it {close[0]!r}? " if close else ""
 
 
-@dataclass(frozen=True)
-class Columns:
-    """Which column of a file is which quantity of which joint, and what is read of them.
+def _by_names(table: LogTable, joints: Sequence[str] | None, reading: Reading) -> Told:
+    """Return what the names of the columns say."""
+    path, names, units = table.path, table.names, table.units
+    beside = [name for name in names if floating_name(name) is None]
+    meanings = [meaning for name in beside if (meaning := meaning_of(name)) is not None]
+    of_joints = [meaning for meaning in meanings if meaning.quantity in OF_JOINTS]
+    if joints and len(joints) > 1 and all(meaning.is_bare for meaning in of_joints):
+        called = log_name(path)  # the joint may be said by the name of the file
+        named = [replace(m, joint=called, words=words_of(called)) for m in of_joints]
+        of_joints = named if set(matched(named, joints)[0].values()) <= set(joints) else of_joints
+    found, notes = matched(of_joints, joints)
+    best, others = candidates(of_joints, found, reading)
+    places = {
+        (joint, quantity): settled(path, same[0], joint, reading, units)
+        for (joint, quantity), same in best.items()
+    }
+    if (time := time_source(meanings, reading, table)) is not None:
+        places = {("", "time"): time, **places}
+    own = frozenset(m.joint for m in of_joints if m.style[0] == "own")
+    said, rate = [*notes, *choice_words(best)], reading.rate
+    if rate is None and time is None and table.rate is not None:
+        rate, name = table.rate
+        said.append(f"{rate:.6g} rows a second, as {name!r} in the file says")
+    return Told(reading, places, said, rate, own, others)
+
+
+def _by_mapping(table: LogTable, reading: Reading) -> Told:
+    """Return what a mapping says."""
+    places, path, names = dict[tuple[str, str], Meaning](), table.path, table.names
+    mapping = reading.mapping or ColumnMapping({})
+    for name, mapped in mapping:
+        if name.endswith(".effort") and mapped.column == PASSIVE and PASSIVE not in names:
+            places[name.removesuffix(".effort"), PASSIVE] = Meaning(PASSIVE, PASSIVE)
+            continue
+        column, (joint, _, quantity) = mapped.among(table.counted), name.rpartition(".")
+        if column not in names:
+            raise LogError(
+                f"Log {str(path)!r} has no column {column!r}, which {mapping.source} names for "
+                f"{name!r}; it has {listed(names)}.",
+                advice="Correct the mapping.",
+            )
+        text = mapped.unit or reading.units.get(quantity)
+        unit = unit_of(text, quantity) if text else None
+        meaning = Meaning(column, quantity, joint, unit=unit, style=MAPPED, gain=mapped.gain)
+        source = settled(path, meaning, joint, reading, {})
+        if quantity == "time" and unit is None:
+            source = replace(source, nanoseconds=_nanoseconds(column, names))
+        places[joint, meaning.log_quantity] = source
+    for joint in [joint for joint, quantity in places if quantity == "command"]:
+        if reading.kind_of(joint) == "command":  # in the place of its efforts
+            places.pop((joint, "effort"), None)
+    return Told(reading, places, [], reading.rate or mapping.rate, frozenset(mapping.joints))
+
+
+@dataclass
+class Told:
+    """What names or a mapping say of columns.
 
     Attributes:
-        names: Names of the columns of the file.
-        reading: How the user said that the file is to be read.
-        places: (joint, quantity) -> source, in the order of the file; `("", "time")` is time.
+        places: (joint, quantity) -> column, in the order of the file; `("", "time")` is time.
+        notes: What is to be noted of them.
         rate: Rows a second, Hz, where there is no column of time.
         own: Joints by geodrake's own names, of which none is left out unasked.
         others: Joint -> further columns that could be taken for its efforts, or in their place.
-        origin: Since when time is, ns since 1970, if that is known.
-        joints: Names of the n joints, in the order of the log to be.
-        standing: Joints of which there is the position alone.
-        quantities: Quantities that every joint has; and efforts and commands, which some may lack.
-        sources: `time` and `<joint>.<quantity>` -> where its numbers come from.
-        passive: Joints without a motor, which need no column of efforts.
-        floating: Names of columns of a free base and of contacts, which are among the sources.
-        left_out: Joints of the file that the model lacks.
     """
 
-    path: Path
-    names: Sequence[str]
     reading: Reading
-    places: Mapping[tuple[str, str], Source]
-    notes: tuple[str, ...]
+    places: dict[tuple[str, str], Meaning]
+    notes: list[str]
     rate: float | None
     own: frozenset[str]
     others: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
-    origin: int | None = None
-    joints: tuple[str, ...] = ()
-    standing: tuple[str, ...] = ()
-    quantities: tuple[str, ...] = ()
-    sources: Mapping[str, Source] = field(default_factory=dict)
-    passive: tuple[str, ...] = ()
-    floating: tuple[str, ...] = ()
-    left_out: tuple[str, ...] = ()
 
-    @property
-    def kinds(self) -> dict[str, str]:
-        """Joint -> what is in the place of its efforts, where it has none."""
-        found = {
-            joint: self.sources[name].kind
-            for joint in self.joints
-            if (name := f"{joint}.effort") in self.sources
-        }
-        found |= dict.fromkeys(self.passive, PASSIVE)
-        return {joint: kind for joint, kind in found.items() if kind != "effort"}
-
-    @property
-    def files(self) -> tuple[str, ...]:
-        """Columns of the file that are read."""
-        used = (source.columns for source in self.sources.values())
-        return tuple(dict.fromkeys(column for columns in used for column in columns))
-
-    @classmethod
-    def by_names(cls, table: LogTable, joints: Sequence[str] | None, reading: Reading) -> Columns:
-        """Return what the names of the columns say."""
-        path, names, units = table.path, table.names, table.units
-        beside = [name for name in names if floating_name(name) is None]
-        meanings = [meaning for name in beside if (meaning := meaning_of(name)) is not None]
-        of_joints = [meaning for meaning in meanings if meaning.quantity in OF_JOINTS]
-        if joints and len(joints) > 1 and all(meaning.is_bare for meaning in of_joints):
-            called = log_name(path)  # the joint may be said by the name of the file
-            named = [replace(m, joint=called, words=words_of(called)) for m in of_joints]
-            of_joints = (
-                named if set(matched(named, joints)[0].values()) <= set(joints) else of_joints
-            )
-        found, notes = matched(of_joints, joints)
-        best, others = candidates(of_joints, found, reading)
-        places = {
-            (joint, quantity): source_of(path, same[0], joint, reading, units)
-            for (joint, quantity), same in best.items()
-        }
-        if (time := time_source(meanings, reading, table)) is not None:
-            places = {("", "time"): time, **places}
-        own = frozenset(m.joint for m in of_joints if m.style[0] == "own")
-        notes, rate = (*notes, *choice_words(best)), reading.rate
-        if rate is None and time is None and table.rate is not None:
-            rate, said = table.rate
-            notes = (*notes, f"{rate:.6g} rows a second, as {said!r} in the file says")
-        return cls(path, names, reading, places, notes, rate, own, others)
-
-    @classmethod
-    def by_mapping(cls, table: LogTable, reading: Reading) -> Columns:
-        """Return what a mapping says."""
-        places, path, names = dict[tuple[str, str], Source](), table.path, table.names
-        mapping = reading.mapping or ColumnMapping({})
-        for name, mapped in mapping:
-            if name.endswith(".effort") and mapped.column == PASSIVE and PASSIVE not in names:
-                places[name.removesuffix(".effort"), PASSIVE] = Source(PASSIVE)
-                continue
-            column, (joint, _, quantity) = mapped.among(table.counted), name.rpartition(".")
-            if column not in names:
-                raise LogError(
-                    f"Log {str(path)!r} has no column {column!r}, which {mapping.source} names for "
-                    f"{name!r}; it has {listed(names)}.",
-                    advice="Correct the mapping.",
-                )
-            text = mapped.unit or reading.units.get(quantity)
-            unit = unit_of(text, quantity) if text else None
-            meaning = Meaning(column, quantity, joint, unit=unit, style=MAPPED, gain=mapped.gain)
-            source = source_of(path, meaning, joint, reading, {})
-            if quantity == "time" and unit is None:
-                source = replace(source, nanoseconds=_nanoseconds(column, names))
-            places[joint, meaning.log_quantity] = source
-        for joint in [joint for joint, quantity in places if quantity == "command"]:
-            if reading.kind_of(joint) == "command":  # in the place of its efforts
-                places.pop((joint, "effort"), None)
-        rate = reading.rate or mapping.rate
-        return cls(path, names, reading, places, (), rate, frozenset(mapping.joints))
-
-    def dated(self, origins: Mapping[str, int | None]) -> Columns:
-        """Return it with time in seconds, whatever its name says, if since a known instant.
+    def date(self, table: LogTable) -> int | None:
+        """Take time for seconds, whatever its name says, if since a known instant; return that.
 
         Time is left out where a rate says it. Commands are in the unit of their joint's position
         if nobody says theirs.
         """
-        places = dict(self.places)
         if self.rate is not None:
-            places.pop(("", "time"), None)
+            self.places.pop(("", "time"), None)
         for (joint, quantity), source in self.places.items():
             position = self.places.get((joint, "position"))
             bare = source.unit is None and source.factor == 1.0
             if quantity == "command" and bare and position is not None:
-                own = replace(source, unit=position.unit, factor=position.factor)
-                places[joint, quantity] = own
-        for (joint, quantity), source in self.places.items():
-            if quantity != "time" and source.column in origins:
+                own = replace(source, unit=position.unit, gain=position.gain)
+                self.places[joint, quantity] = own
+            if quantity != "time" and source.column in table.origins:
                 raise LogError(
-                    f"Column {source.column!r} of log {str(self.path)!r} holds dates, and is taken "
-                    f"for the {quantity} of {joint}.",
+                    f"Column {source.column!r} of log {str(table.path)!r} holds dates, and is "
+                    f"taken for the {quantity} of {joint}.",
                     advice=_MAPPING_ADVICE,
                 )
-        time = places.get(("", "time"))
-        if time is None or time.column not in origins:
-            return replace(self, places=places)
-        places["", "time"] = Source(time.column, 1.0, unit_of("s", "time"))
-        origin = origins[time.column]
-        notes = () if origin is None else (f"time is in s since {date_words(origin)}",)
-        return replace(self, places=places, notes=(*self.notes, *notes), origin=origin)
+        time = self.places.get(("", "time"))
+        if time is None or time.column not in table.origins:
+            return None
+        self.places["", "time"] = Meaning(time.column, "time", unit=unit_of("s", "time"))
+        origin = table.origins[time.column]
+        self.notes += [] if origin is None else [f"time is in s since {date_words(origin)}"]
+        return origin
 
-    def chosen(self, wanted: Sequence[str] | None, *, partial: bool) -> Columns:
-        """Return it with the joints of the log, and those of which there is the position alone."""
-        moved = self._of_model(self._having("position"), wanted)
-        heard = {*self._having("effort", "command"), *self._passive(moved)}
+    def chosen(
+        self, path: Path, wanted: Sequence[str] | None, *, partial: bool
+    ) -> tuple[tuple[str, ...], tuple[str, ...]]:
+        """Return the joints of the log, and those of which there is the position alone."""
+        moved = self._of_model(self.having("position"), wanted)
+        efforts = self.having("effort", "command")
+        heard = {*efforts, *self.passive(moved)}
         silent = [joint for joint in moved if joint not in heard]
         if len(silent) == len(moved):
             raise LogError(
-                f"Log {str(self.path)!r} has no joint with both position and effort; positions: "
-                f"{listed(moved)}; efforts: {listed(self._having('effort', 'command'))}.",
+                f"Log {str(path)!r} has no joint with both position and effort; positions: "
+                f"{listed(moved)}; efforts: {listed(efforts)}.",
                 advice="A log without effort says nothing about dynamics. "
                 f"{HEADER_ADVICE} {SIGNAL_ADVICE} {_MAPPING_ADVICE}",
             )
         standing = tuple(j for j in silent if j in self.own or j in (wanted or ()))
         if standing and not partial:
             raise LogError(
-                f"Log {str(self.path)!r} is a log without effort of {', '.join(standing)}: the "
+                f"Log {str(path)!r} is a log without effort of {', '.join(standing)}: the "
                 "position is there, the effort is not.",
                 advice=f"Log that joint's effort too, or leave its columns out. {SIGNAL_ADVICE}",
                 joints=standing,
@@ -549,24 +582,24 @@ class Columns:
         own = tuple(joint for joint in moved if joint in heard)
         if own == (ONLY,) and wanted and len(wanted) > 1 and ONLY not in wanted:
             raise LogError(
-                f"Log {str(self.path)!r} has columns of one joint, and they do not say which.",
+                f"Log {str(path)!r} has columns of one joint, and they do not say which.",
                 advice=f"Name the columns or the file after one of {listed(wanted)}, as in "
                 f"{wanted[0]}.position. Tables of several joints, one below the other, are read as "
                 f"files of their own: {wanted[0]}.csv+{wanted[1]}.csv. {_MAPPING_ADVICE}",
             )
         if wanted is not None:
-            check_joints(log_name(self.path), [*own, *standing], wanted, partial=partial)
+            check_joints(log_name(path), [*own, *standing], wanted, partial=partial)
             own = tuple(joint for joint in wanted if joint in own)
-        return replace(self, joints=own, standing=standing)
+        return own, standing
 
     def _of_model(self, joints: Sequence[str], wanted: Sequence[str] | None) -> tuple[str, ...]:
         """Return joints without those that the model lacks, if it has some of the log's.
 
         A joint that is called like one that the log lacks stays: it is that one, misspelled.
         """
-        if wanted is None or not set(wanted).intersection(self._having("position")):
+        if wanted is None or not set(wanted).intersection(self.having("position")):
             return tuple(joints)
-        lacking = set(wanted).difference(self._having("position"))
+        lacking = set(wanted).difference(self.having("position"))
         missing = ["".join(map(str, words_of(joint))) for joint in lacking]
         names = {joint: "".join(map(str, words_of(joint))) for joint in joints}
         return tuple(
@@ -575,58 +608,9 @@ class Columns:
             if joint in wanted or difflib.get_close_matches(names[joint], missing, 1)
         )
 
-    def read(self, model: Sequence[str] | None) -> Columns:
-        """Return it with what is read for the joints."""
-        joints, standing = self.joints, self.standing
-        used = {c for source in self.places.values() for c in source.columns}
-        check_once(self.path, self.names, used)
-        self._check_said(joints)
-        quantities, notes = [], list(self.notes)
-        for quantity in QUANTITIES:
-            missing = [f"{j}.{quantity}" for j in joints if (j, quantity) not in self.places]
-            some = len(missing) < len(joints) and quantity in PARTIAL
-            if not missing or some or quantity == "effort":
-                quantities.append(quantity)
-            elif len(missing) < len(joints):
-                notes.append(f"{quantity} is not used: there is no {listed(missing)}")
-        passive = self._passive(joints)
-        if said := [joint for joint in passive if joint not in self.reading.motorless]:
-            notes.append(f"no motor at {listed(said)}: bodies and friction need no effort there")
-        sources = {
-            quantity if quantity == "time" else f"{joint}.{quantity}": self._scaled(joint, quantity)
-            for joint, quantity in self.places
-            if quantity == "time"
-            or (joint in joints and quantity in quantities)
-            or (joint in standing and quantity == "position")
-        }
-        floating = dict[str, Source]()
-        for name in self.names:
-            if name not in used and (known := floating_name(name)) is not None:
-                floating.setdefault(known, Source(name))
-        sources |= floating
-        beside = [j for j in self._having("position") if j not in (*joints, *standing)]
-        notes += unit_words(sources, self.reading)
-        kept = {
-            c
-            for (j, quantity), source in self.places.items()
-            if quantity == "time" or j in joints or j in standing
-            for c in source.columns
-        }.union(source.column for source in floating.values())
-        others = [name for name in self.names if name not in kept]
-        notes += [f"columns ignored: {listed(others)}"] if others else []
-        return replace(
-            self,
-            quantities=tuple(quantities),
-            notes=tuple(notes),
-            sources=sources,
-            passive=passive,
-            floating=tuple(floating),
-            left_out=tuple(beside) if model is not None else (),
-        )
-
-    def _passive(self, joints: Sequence[str]) -> tuple[str, ...]:
+    def passive(self, joints: Sequence[str]) -> tuple[str, ...]:
         """Return those of some joints without a motor, as the log, the user or the model says."""
-        heard, said = self._having("effort", "command"), self._having(PASSIVE)
+        heard, said = self.having("effort", "command"), self.having(PASSIVE)
         return tuple(
             joint
             for joint in joints
@@ -635,21 +619,13 @@ class Columns:
             or (joint in self.reading.motorless and joint not in heard)
         )
 
-    def _having(self, *quantities: str) -> list[str]:
+    def having(self, *quantities: str) -> list[str]:
         """Return joints with one of some quantities, in the order of the file."""
         return list(dict.fromkeys(joint for joint, other in self.places if other in quantities))
 
-    def _scaled(self, joint: str, quantity: str) -> Source:
-        """Return the source of a column; with a known gain, signals are efforts."""
-        source = self.places[joint, quantity]
-        gain = self.reading.gains.get(joint)
-        if gain is None or quantity != "effort":
-            return source
-        return replace(source, factor=gain * source.factor, kind="effort")
-
-    def _check_said(self, joints: Sequence[str]) -> None:
+    def check_said(self, path: Path, joints: Sequence[str]) -> None:
         """Refuse gains and kinds of joints that have no such column."""
-        heard, told = self._having("effort"), self._having("command")
+        heard, told = self.having("effort"), self.having("command")
         whats = {PASSIVE: "--passive names", "gain": "There is a gain of"}
         for joint, said in (
             *dict.fromkeys(self.reading.gains, "gain").items(),
@@ -664,7 +640,7 @@ class Columns:
         for joint in self.reading.gains:
             if joint not in heard:
                 raise LogError(
-                    f"There is a gain of {joint!r}, of which log {str(self.path)!r} has neither "
+                    f"There is a gain of {joint!r}, of which log {str(path)!r} has neither "
                     "effort nor current, voltage or duty cycle.",
                     advice="What a servo makes of its command is found from the model's inertias.",
                     joint=joint,
@@ -675,19 +651,19 @@ class Columns:
                 if joint not in self.reading.kinds:
                     continue  # said of all joints that have it
                 raise LogError(
-                    f"Log {str(self.path)!r} has no column of {joint!r} that could be {kind!r}.",
+                    f"Log {str(path)!r} has no column of {joint!r} that could be {kind!r}.",
                     advice="Say which column it is by --mapping.",
                     joint=joint,
                 )
 
 
-def time_source(meanings: Sequence[Meaning], reading: Reading, table: LogTable) -> Source | None:
+def time_source(meanings: Sequence[Meaning], reading: Reading, table: LogTable) -> Meaning | None:
     """Return the column of time, the likeliest of several; with one of nanoseconds beside it."""
     times = sorted((m for m in meanings if m.quantity == "time"), key=lambda m: m.role)
     times = times or [Meaning(n, "time") for n in table.origins if table.is_time(n)]
     if not times:
         return None
-    source = source_of(Path(), times[0], "", reading, table.units)
+    source = settled(Path(), times[0], "", reading, table.units)
     return replace(source, nanoseconds=_nanoseconds(source.column, table.names))
 
 

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from geodrake.errors import LogError
-from geodrake.logs.files.column_mapping import listed, time_source
+from geodrake.logs.files.column_mapping import in_seconds, listed, read_column, time_source
 from geodrake.logs.files.name_rules import (
     OF_JOINTS,
     PLAIN,
@@ -222,7 +222,7 @@ def _time(table: LogTable, reading: Reading) -> tuple[Array | None, tuple[str, .
         return None, ()
     if source.column in table.origins:
         return table.columns[source.column], ()
-    return source.seconds(source.read(dict(table.columns), since_first=False))
+    return in_seconds(source, read_column(source, dict(table.columns), since_first=False))
 
 
 def _one_clock(

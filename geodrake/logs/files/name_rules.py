@@ -15,6 +15,9 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import zip_longest
 
+import numpy as np
+from numpy.typing import NDArray
+
 from geodrake.logs.files.units import Unit, find_unit
 from geodrake.logs.motion import EFFORT_KINDS, PARTIAL, PASSIVE, QUANTITIES, SIGNAL_KINDS
 
@@ -113,6 +116,7 @@ class Meaning:
         style: What columns have in common whose joints are told apart by words alone.
         is_wanted: Whether it is what was asked for, and not what was.
         gain: What its numbers are multiplied by, beside the unit.
+        nanoseconds: Column of what is to be added to time, ns.
     """
 
     column: str
@@ -124,6 +128,26 @@ class Meaning:
     style: tuple[str, ...] = ()
     is_wanted: bool = False
     gain: float = 1.0
+    nanoseconds: str | None = None
+
+    @property
+    def columns(self) -> tuple[str, ...]:
+        """Columns of the file."""
+        return (self.column,) if self.nanoseconds is None else (self.column, self.nanoseconds)
+
+    @property
+    def factor(self) -> float:
+        """What its numbers are multiplied by to be in SI units."""
+        return self.gain * (self.unit.factor if self.unit else 1.0)
+
+    @property
+    def offset(self) -> float:
+        """What is added to its numbers after the factor."""
+        return self.gain * self.unit.offset if self.unit else 0.0
+
+    def written(self, numbers: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Return numbers (N,) in SI units as they stand in the file."""
+        return (numbers - self.offset) / self.factor
 
     @property
     def log_quantity(self) -> str:

@@ -9,8 +9,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from geodrake.errors import LogError
-from geodrake.logs.files.column_mapping import Columns, Source
+from geodrake.logs.files.column_mapping import Columns, in_seconds, read_column
 from geodrake.logs.files.joined_tables import at_instants
+from geodrake.logs.files.name_rules import Meaning
 from geodrake.logs.files.packed_files import log_name
 from geodrake.logs.files.table import TornRows
 from geodrake.logs.files.units import Unit, unit_of
@@ -52,7 +53,7 @@ def recorded(
 
     def column(name: str) -> Array:
         source = columns.sources.get(name)
-        return np.full(rows, np.nan) if source is None else source.read(numbers)
+        return np.full(rows, np.nan) if source is None else read_column(source, numbers)
 
     rate, joints, stamps = columns.rate, columns.joints, columns.sources.get("time")
     time = np.arange(rows) / rate if rate is not None else column("time")
@@ -63,7 +64,7 @@ def recorded(
         for place, joint in enumerate(joints):
             data[quantity][:, place] = column(f"{joint}.{quantity}")
 
-    time, notes = (time, ()) if stamps is None else stamps.seconds(time)
+    time, notes = (time, ()) if stamps is None else in_seconds(stamps, time)
     time, more = with_clock_set_back(time)
     order = None if torn.rows else order_of_time(time, data["position"])
     if order is not None:  # rows that are torn are known by their place in the file
@@ -179,7 +180,7 @@ def _in_radians(data: dict[str, Array], columns: Columns) -> Columns:
     told = [n for n in data if n in ("position", "command") and np.isfinite(data[n]).any()]
     if "position" not in told:
         return columns
-    sources = dict[str, Source]()
+    sources = dict[str, Meaning]()
     for quantity in told:
         names = [f"{joint}.{quantity}" for joint in columns.joints]
         own = {n: source for n in names if (source := columns.sources.get(n)) is not None}
@@ -205,7 +206,7 @@ def _in_radians(data: dict[str, Array], columns: Columns) -> Columns:
     for quantity in told:
         data[quantity] *= unit.factor
         data[quantity] += unit.offset
-    known = {n: replace(s, unit=unit, factor=unit.factor) for n, s in sources.items()}
+    known = {n: replace(s, unit=unit) for n, s in sources.items()}
     notes = (*columns.notes, words)
     return replace(columns, sources={**columns.sources, **known}, notes=notes)
 
