@@ -30,13 +30,6 @@ def package(tmp_path):
     written(folder, "<package><name>parts</name></package>", "package.xml")
     written(folder / "config", "a: {x: 1.5, names: [p, q], angle: !degrees 90}\nb: 3\n", "v.yaml")
     written(folder / "urdf", '<xacro:property name="inner" value="7"/><l v="${inner}"/>', "i.xacro")
-    written(
-        folder / "urdf",
-        '<xacro:macro name="part" params="name mass:=2 *origin **all">'
-        '<link name="${name}" m="${mass}"><xacro:insert_block name="origin"/>'
-        '<xacro:insert_block name="all"/></link></xacro:macro>',
-        "m.xacro",
-    )
     return folder
 
 
@@ -48,29 +41,16 @@ CONSTRUCTS = {
     "<a v=\"${dict(a=1, **dict(b=2))['b']} ${sorted([2, 1], reverse=True)} ${round(2.345, 1)}\"/>"
     "<a v=\"${[(i, j) for i in range(3) if i for j in 'ab']} ${dict((k, 2*k) for k in [x])}\"/>"
     "<a v=\"${xacro.tokenize('1, 2;3')} ${xacro.warning('seen')}\"/>",
-    "loop": '<xacro:macro name="loop" params="items:=^"><xacro:if value="${items}"><xacro:property '
-    'name="item" value="${items.pop(0)}"/><item>${item}</item><xacro:loop/></xacro:if>'
-    '</xacro:macro><xacro:loop items="${[1,2,3]}"/>',
     "yaml": '<xacro:property name="v" value="${xacro.load_yaml(\'../config/v.yaml\')}"/>'
     "<a v=\"${v.a.x} ${v['a']['names'][1]} ${v.b} ${v.a.angle} ${list(v.keys())} ${'b' in v}\"/>"
     '<xacro:property name="d" value="${xacro.dotify(dict(k=dict(x=4)))}"/><a v="${d.k.x}"/>',
     "includes": '<xacro:include filename="i.xacro"/><a v="${inner}"/>'
     '<xacro:include filename="i.xacro" ns="n"/><a v="${n.inner + 1}"/>'
     '<xacro:include filename="[i].xacro"/><xacro:include filename="none.xacro" optional="true"/>',
-    "macro": '<xacro:include filename="m.xacro"/><xacro:part name="l" mass="${x}"><o xyz="0 0 1"/>'
-    "<all><visual/></all></xacro:part><xacro:call macro=\"part\" name='k'><o/><all/></xacro:call>",
     "arguments": '<xacro:arg name="side" default="left"/><a v="$(arg side) $(arg given)"/>'
     '<a v="${$(arg mapping)[1]} ${list($(arg mapping))}"/>'
     '<a v="$(env HOME) $(optenv NO_SUCH_NAME none) $(cwd) $$(arg x) $${x} $(eval 1 + 2)"/>'
     '<a v="$(eval given + 1) $(eval [given, 2*pi][1]) $(eval True)"/>',
-    "elements": '<xacro:element xacro:name="e${x}"><xacro:attribute name="k" value="v${x}"/>'
-    '</xacro:element><xacro:if value="${x == 2}"><yes/></xacro:if><xacro:unless value="1"><no/>'
-    '</xacro:unless><xacro:property name="b"><o/><p/></xacro:property>'
-    '<xacro:insert_block name="b"/><!-- ${x} --><!-- xacro:eval-comments --><!-- ${x} -->'
-    "<a>${x} text größer ∞</a>",
-    "properties": '<xacro:property name="x" default="9"/><xacro:property name="lazy" '
-    'value="${later}"/><xacro:property name="later" value="5"/><a v="${lazy}"/>'
-    '<xacro:property name="later" remove="true"/>',
 }
 
 
