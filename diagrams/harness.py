@@ -354,6 +354,7 @@ def chart(
     how = {"sharey": True} if is_words else {}
     figure, axes = panels(height, titles, x="" if is_words else _word(x), **how)
     for ax, (name, part) in zip(axes, cells, strict=True):
+        is_wide = _spans([row.get(name) for row in rows], 50.0)
         for k, kind in enumerate(kinds):
             of_panel = [row for row in rows if row.get(panel) == part and row.get(by) == kind]
             own = [row for row in of_panel if row.get(name) is not None]
@@ -361,7 +362,7 @@ def chart(
             values = [row[name] for row in own]
             spreads = [np.broadcast_to(row.get(f"{name}_deviation", 0.0), 2) for row in own]
             errors = np.transpose(spreads) if np.any(spreads) else None
-            if errors is not None:  # bars and logarithms begin above zero
+            if errors is not None and is_wide:  # logarithms begin above zero
                 errors = [np.minimum(errors[0], 0.9 * np.abs(values)), errors[1]]
             if own and isinstance(values[0], list):
                 for row in own:
@@ -378,9 +379,9 @@ def chart(
             across = {"color": style.QUIET, "linestyle": dashes, "linewidth": 1.2, "label": level}
             if row.get(name) is not None:
                 (ax.axvline if is_words else ax.axhline)(row[name], **across)
-        _scale(ax, "x" if is_words else "y", [row.get(name) for row in rows], 50.0)
+        _scale(ax, "x" if is_words else "y", is_wide)
         if not is_words and x != "time":
-            _scale(ax, "x", [row.get(x) for row in rows if row.get(name) is not None], 20.0)
+            _scale(ax, "x", _spans([row.get(x) for row in rows if row.get(name) is not None], 20.0))
     if is_words:
         axes[0].set_yticks(range(len(places)), [_word(place) for place in places])
         axes[0].invert_yaxis()
@@ -402,12 +403,17 @@ def _word(value: Any) -> str:
     return "" if value is None else str(value).replace("_", " ")
 
 
-def _scale(ax: Axes, axis: str, values: Sequence[Any], most: float) -> None:
-    """Make an axis logarithmic whose values are many times larger than others, and positive."""
+def _spans(values: Sequence[Any], most: float) -> bool:
+    """Return whether values are positive, and some that many times larger than others."""
     flat = [one for each in values for one in (each if isinstance(each, list) else [each])]
     numbers = np.array([one for one in flat if isinstance(one, int | float)], float)
     numbers = numbers[np.isfinite(numbers)]
-    if len(numbers) and numbers.min() > 0.0 and numbers.max() > most * numbers.min():
+    return bool(len(numbers)) and 0.0 < most * numbers.min() < numbers.max()
+
+
+def _scale(ax: Axes, axis: str, is_wide: bool) -> None:
+    """Make an axis of values that span much logarithmic."""
+    if is_wide:
         style.log_scale(ax, axis)
     else:
         ax.locator_params(axis=axis, nbins=6)
