@@ -16,6 +16,7 @@ from geodrake.report.charts import MOST_PANELS, Chart, Panel, Plot, Stage
 from geodrake.report.json_output import number_or, picked
 from geodrake.report.numbers import UNKNOWN, Units, number, percent, relative
 from geodrake.report.page import About, Cell, Page, Records, Section, Table, Tile, View, cells
+from geodrake.report.schema import keys_of, record
 from geodrake.report.views import Columns
 from geodrake.report.words import effect_label, listed, places_label
 
@@ -485,75 +486,76 @@ def excitation_dict(result: ExcitationResult) -> dict[str, Any]:
     """Return a designed motion: its coefficients, what it is worth, what it uses of the limits."""
     objective, family = result.objective, result.trajectory.family
     use, limits, target = result.use, result.limits, result.objective.target
-    pairs, shares = distinguished_pairs(result), ("velocity", "acceleration", "effort", "jerk")
+    pairs = distinguished_pairs(result)
     coefficients = zip(result.trajectory.joints, result.trajectory.coefficients.T, strict=True)
 
-    def by_joint(of: object, *names: str) -> dict[str, dict[str, float]]:
+    def by_joint(kind: str, of: object) -> dict[str, dict[str, float]]:
+        names = keys_of(kind)
         return {
             joint: {name: getattr(of, name)[j] for name in names}
             for j, joint in enumerate(limits.joints)
         }
 
-    return {
-        "criterion": "separation" if pairs else objective.criterion.name,
-        "normalization": objective.normalization,
-        "value": result.value,
-        "improvement_over_random": improvement(result),
-        "verdict": excitation_verdict(result),
-        **picked(result, "eigenvalues", interrupted="is_interrupted"),
-        "directions_told": None if pairs else identifiable_directions(result),
-        "pairs": [
-            {
-                **picked(found.pair, "truth", "where", "rival"),
-                **picked(found, "deviations", effort_rms="effort"),
-            }
-            for found in pairs
+    return record(
+        "Excitation",
+        result,
+        criterion="separation" if pairs else objective.criterion.name,
+        normalization=objective.normalization,
+        improvement_over_random=improvement(result),
+        verdict=excitation_verdict(result),
+        interrupted=result.is_interrupted,
+        directions_told=None if pairs else identifiable_directions(result),
+        pairs=[
+            picked(each.pair, "truth", "where", "rival")
+            | {"deviations": each.deviations, "effort_rms": each.effort}
+            for each in pairs
         ],
-        "samples": result.samples,
-        "noise": dict(zip(target.model.joints, target.noise, strict=True)),
-        "motion": {
+        noise=dict(zip(target.model.joints, target.noise, strict=True)),
+        motion={
             "family": family.name,
             **asdict(family),  # type: ignore[call-overload]
             "coefficients": dict(coefficients),
         },
-        "limits": by_joint(limits, "lower", "upper", *shares),
-        "use": by_joint(use, "position", *shares),
-        "peaks": {
+        limits=by_joint("Limits", limits),
+        use=by_joint("Used", use),
+        peaks={
             joint: {name: values[j] for name, values in use.peaks.items()}
             for j, joint in enumerate(limits.joints)
         },
-        "clearances": {
+        clearances={
             party: {"least": least, "between": names}
             for party, (least, names) in use.clearances.items()
         },
-        "seconds": {
+        seconds={
             "motion": result.trajectory.length,
             "with_ramps": result.executed.length,
             "search": result.seconds,
         },
-        "start": dict(zip(limits.joints, result.trajectory.states([0.0])[0, 0], strict=True)),
-        "distance": {
+        start=dict(zip(limits.joints, result.trajectory.states([0.0])[0, 0], strict=True)),
+        distance={
             "least": number_or(use.distance, "collisions were not looked for"),
-            **picked(use, "clearance", between="nearest"),
+            "clearance": use.clearance,
+            "between": use.nearest,
         },
-        "starts": result.outcomes,
-        "notes": result.notes,
-    }
+        starts=result.outcomes,
+    )
 
 
 def identifiable_dict(found: LogIdentifiability) -> dict[str, Any]:
-    """Return what is identifiable from logs: directions, bodies, effects and base parameters."""
+    """Return what is identifiable from logs."""
     identifiable = found.identifiable
     directions = zip(
         identifiable.variances, found.floor_variances, identifiable.shares.T, strict=True
     )
     joints = zip(found.model.joints, found.noise, found.floor, found.samples, strict=True)
-    block = {"told": "count", "possible": "possible", "share": "share"}
-    return {
-        **picked(found, "possible", told="count", told_at_sensor_noise="count_at_floor"),
-        "threshold": identifiable.threshold,
-        "verdict": identifiability_verdict(found),
-        "directions": [
+    return record(
+        "Identifiability",
+        found,
+        told=found.count,
+        told_at_sensor_noise=found.count_at_floor,
+        threshold=identifiable.threshold,
+        verdict=identifiability_verdict(found),
+        directions=[
             {
                 "variance": variance,
                 "variance_at_sensor_noise": ideal,
@@ -562,21 +564,13 @@ def identifiable_dict(found: LogIdentifiability) -> dict[str, Any]:
             }
             for k, (variance, ideal, shares) in enumerate(directions)
         ],
-        "bodies": {body.name: picked(body, **block) for body in found.bodies},
-        "effects": [
-            {
-                **picked(entry, "effect", "parameter", "where"),
-                **picked(entry, "value", "deviation", **block),
-            }
-            for entry in found.effects
-        ],
-        "combinations": found.combinations,
-        "joints": {
+        bodies={body.name: record("Identifiable", body, told=body.count) for body in found.bodies},
+        effects=[record("IdentifiableEffect", entry, told=entry.count) for entry in found.effects],
+        joints={
             joint: {"noise": noise, "sensor_noise": floor, "samples": samples}
             for joint, noise, floor, samples in joints
         },
-        "notes": found.notes,
-    }
+    )
 
 
 def _use_records(found: ExcitationResult) -> Records:

@@ -778,12 +778,12 @@ def _gamma(value: float) -> str:
 
 
 def _explained_dict(found: Explained) -> dict[str, Any]:
-    numbers = explanation_dict(found.explanation)
+    more: dict[str, Any] = {}
     if found.draft is not None:
-        return numbers | {"draft": draft_dict(found.draft)}
-    if found.added:
-        return numbers
-    return {**numbers, "correlates": found.correlates, **motions_dict(found.motions)}
+        more = {"draft": draft_dict(found.draft)}
+    elif not found.added:
+        more = {"correlates": found.correlates, **motions_dict(found.motions)}
+    return explanation_dict(found.explanation, **more)
 
 
 def _explained_series(found: Explanation) -> Columns:

@@ -22,6 +22,7 @@ from geodrake.report.explaining import effect_cell, first_section, notes_section
 from geodrake.report.json_output import NoNumber, columns_list, finite, number_or, picked
 from geodrake.report.numbers import Units, number, percent
 from geodrake.report.page import About, Cell, Page, Section, Table, Tile, View, cells
+from geodrake.report.schema import record
 from geodrake.report.words import capitalized
 
 _NAMED = 3  # effects, at most, that a sentence names
@@ -400,110 +401,102 @@ def _export_dict(found: ProvenExport) -> dict[str, Any]:
         error |= {} if costs.ignored is None else {"simulated_nrms": costs.ignored}
     holds = []
     for fitted in found.held.effects:
-        names = [parameter.name for parameter in fitted.effect.parameters]
-        holds.append(
-            {
-                **picked(fitted.effect, "where", effect="name", shape="reported_shape"),
-                "parameters": dict(zip(names, fitted.parameters, strict=True)),
-            }
-        )
-    return {
-        "format": found.form.name,
-        "files": list(found.exported.files),
-        "holds": holds,
-        "lacks": [
+        names, effect = [each.name for each in fitted.effect.parameters], fitted.effect
+        values = dict(zip(names, fitted.parameters, strict=True))
+        told = {"name": effect.name, "where": effect.where, "shape": effect.reported_shape}
+        holds.append({**told, "parameters": values})
+    return record(
+        "Export",
+        found.proof,
+        format=found.form.name,
+        files=list(found.exported.files),
+        holds=holds,
+        lacks=[
             picked(lost, "effect", "where", "into", *([] if lost.nrms is None else ["nrms"]))
             for lost in found.lacks
         ],
-        "error": error,
-        **picked(found.proof, "differences", "ignored"),
-        "notes": found.notes,
-    }
+        error=error,
+        notes=found.notes,
+    )
 
 
 def _digests_dict(run: DigestRun) -> dict[str, Any]:
-    """Return what became of logs, as plain numbers for JSON."""
-    settings, said = run.settings, dict[str, Any]()
-    if settings is not None:
-        said = picked(settings, "hash", "model", "version", "bandwidth", "blocks", "chosen_from")
-        said |= {"columns": len(settings.columns)}
-    return {
-        "folder": str(run.folder),
-        "settings": said or NoNumber("no log could be used"),
-        "counts": {status: run.count(status) for status in (MADE, THERE, FAILED)},
-        "logs": [_digest_row(row, settings) for row in run.rows],
-        "notes": digest_notes(run),
-    }
+    """Return what became of logs."""
+    settings, said = run.settings, NoNumber("no log could be used")
+    return record(
+        "Digests",
+        folder=str(run.folder),
+        settings=said
+        if settings is None
+        else record("DigestSettings", settings, columns=len(settings.columns)),
+        counts={status: run.count(status) for status in (MADE, THERE, FAILED)},
+        logs=[_digest_row(row, settings) for row in run.rows],
+        notes=digest_notes(run),
+    )
 
 
 def _digest_row(row: DigestRow, settings: DigestSettings | None) -> dict[str, Any]:
-    said: dict[str, Any] = {"log": str(row.file), **picked(row, "status", "reason")}
-    about = row.about
+    about, said = row.about, {"log": str(row.file), "status": row.status, "reason": row.reason}
     if about is None or settings is None or row.samples is None or row.effective is None:
         return said
-    temperature, position, speed = about.temperature, about.position, about.speed
-    return {
+    return record(
+        "DigestedLog",
         **said,
-        "digest": str(row.digest),
-        "date": date_text(about.date),
-        **picked(about, "date_from", "seconds"),
-        "joints": {
+        **picked(about, "date_from", "seconds", "notes"),
+        digest=str(row.digest),
+        date=date_text(about.date),
+        joints={
             joint: {
                 "samples": int(row.samples[j]),
                 "effective": row.effective[j],
                 "noise_floor": about.noise_floor[j],
-                "position": position[:, j],
-                "speed": speed[:, j],
-                "temperature": number_or(float(temperature[j]), "it was not measured"),
+                "position": about.position[:, j],
+                "speed": about.speed[:, j],
+                "temperature": number_or(float(about.temperature[j]), "it was not measured"),
             }
             for j, joint in enumerate(settings.joints)
         },
-        "notes": about.notes,
-    }
+    )
 
 
 def _logs_dict(found: InspectedLogs) -> dict[str, Any]:
-    logs = {"logs": [_log_dict(each) for _, each in found.logs]}
+    logs = [_log_dict(each) for _, each in found.logs]
     if found.repairs is None:
-        return logs
+        return record("InspectedLogs", logs=logs)
     notes = [*found.repairs, *found.beyond, *filter(None, [found.unchecked])]
-    return logs | {"columns": columns_list(found.columns), "notes": notes}
+    return record("InspectedLogs", logs=logs, columns=columns_list(found.columns), notes=notes)
 
 
 def _log_dict(found: LogInspection) -> dict[str, Any]:
-    """Return what was understood of a log, as numbers and names."""
-    columns = [
-        {
-            **picked(column, "joint", "quantity", "column", "unit", "factor", "empty"),
-            **finite(column, "all its cells are empty", "lowest", "highest"),
-        }
-        for column in found.columns
-    ]
-    return {
+    """Return what was understood of a log."""
+    why = "all its cells are empty"
+    return record(
+        "InspectedLog",
+        found,
         **picked(found.log, "name", "joints"),
-        "rows": len(found.log),
-        **picked(found, "seconds", "period", "jitter", "time_column"),
-        "columns": columns,
-        "gaps": [{"time": instant, "seconds": length} for instant, length in found.gaps],
-        "rests": [{"from": first, "to": last} for first, last in found.rests],
-        "notes": found.notes,
-    }
+        rows=len(found.log),
+        columns=[
+            record("LogColumn", c, **finite(c, why, "lowest", "highest")) for c in found.columns
+        ],
+        gaps=[{"time": instant, "seconds": length} for instant, length in found.gaps],
+        rests=[{"from": first, "to": last} for first, last in found.rests],
+    )
 
 
 def _check_dict(checked: CheckedModel) -> dict[str, Any]:
-    """Return a check as plain numbers, for JSON."""
+    """Return a check."""
     found = checked.check
-    return {
-        "agrees": found.holds,
-        "repaired": len(found.repairs) > len(found.left_out),
-        "left_out": found.left_out,
-        "tolerance": TOLERANCE,
-        **picked(found, "samples", "seed", "bodies", "joints"),
-        "quantities": {each.quantity: _agreement(each) for each in found.agreements},
-        "second_opinion": {"by": found.by} | (_agreement(found.second) if found.second else {}),
-        "worst": found.worst.quantity,
-        "notes": checked.notes,
-    }
+    return record(
+        "Check",
+        found,
+        agrees=found.holds,
+        repaired=len(found.repairs) > len(found.left_out),
+        tolerance=TOLERANCE,
+        quantities={each.quantity: _agreement(each) for each in found.agreements},
+        second_opinion={"by": found.by} | (_agreement(found.second) if found.second else {}),
+        worst=found.worst.quantity,
+        notes=checked.notes,
+    )
 
 
 def _agreement(each: Agreement) -> dict[str, Any]:

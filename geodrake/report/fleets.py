@@ -28,7 +28,6 @@ from geodrake.fleet.fleet_result import (
     ChangedParameter,
     FleetFinding,
     FleetResult,
-    OwnParameter,
     ParameterHistory,
     RobotResult,
 )
@@ -38,9 +37,10 @@ from geodrake.fleet.type_columns import RAMP, STEP
 from geodrake.fleet.type_layout import BODIES, FleetParameter
 from geodrake.report.charts import Chart, Panel, Plot, Shade, Stage
 from geodrake.report.explaining import notes_section
-from geodrake.report.json_output import number_or, picked
+from geodrake.report.json_output import number_or
 from geodrake.report.numbers import chance, number, percent, with_deviation
 from geodrake.report.page import About, Cell, Page, Section, Table, Tile, View, cells
+from geodrake.report.schema import record
 from geodrake.report.words import effect_label
 
 Array = NDArray[np.float64]
@@ -368,25 +368,25 @@ def rounded(value: float, deviation: float = 0.0) -> float:
 
 def fleet_dict(result: FleetResult) -> dict[str, Any]:
     """Return a result: robots worst first, with findings and parameters; logs left out."""
-    return {
-        "false_alarms": result.false_alarms,
-        "counts": {state: result.count(state) for state in (CHANGED, STEADY, UNKNOWN)},
-        "findings": [finding_dict(finding) for finding in result.findings],
-        "robots": [_robot(robot) for robot in result.robots],
-        "unused": [vars(log) for log in result.unused],
-        "settings": dict(result.settings),
-        "notes": list(result.repairs),
-    }
+    return record(
+        "Fleet",
+        result,
+        counts={state: result.count(state) for state in (CHANGED, STEADY, UNKNOWN)},
+        findings=map(finding_dict, result.findings),
+        robots=map(_robot, result.robots),
+        notes=result.repairs,
+    )
 
 
 def finding_dict(finding: FleetFinding) -> dict[str, Any]:
     """Return a finding."""
     chance = max(finding.false_alarm_probability, _LEAST_CHANCE)
-    return {
-        **picked(finding, "robot", "effect", "where", "kind"),
-        "since": date_text(finding.date),
-        "interval": [date_text(end) for end in finding.interval],
-        "parameters": {
+    return record(
+        "Finding",
+        finding,
+        since=date_text(finding.date),
+        interval=map(date_text, finding.interval),
+        parameters={
             each.name: {
                 "change": rounded(each.size, each.deviation),
                 "deviation": rounded(each.deviation),
@@ -395,13 +395,13 @@ def finding_dict(finding: FleetFinding) -> dict[str, Any]:
             }
             for each in finding.parameters
         },
-        "probability": rounded(finding.probability, 1.0),
-        "rivals": [
-            {**vars(rival), "probability": rounded(rival.probability, 1.0)}
+        probability=rounded(finding.probability, 1.0),
+        rivals=[
+            record("ChangeRival", rival, probability=rounded(rival.probability, 1.0))
             for rival in finding.rivals
         ],
-        "false_alarm_probability": rounded(chance),
-    }
+        false_alarm_probability=rounded(chance),
+    )
 
 
 def finding_line(finding: FleetFinding) -> str:
@@ -419,33 +419,35 @@ def _without_reasons(finding: FleetFinding) -> dict[str, Any]:
 
 
 def _robot(robot: RobotResult) -> dict[str, Any]:
-    return {
-        **picked(robot, "robot", "type", "state", "logs"),
-        "dates": [date_text(date) for date in robot.dates.tolist()],
-        "findings": [finding_dict(finding) for finding in robot.findings],
-        "parameters": [
-            {
-                **vars(each.parameter),
-                "values": list(map(rounded, each.values.tolist(), each.deviations.tolist())),
-                "deviations": list(map(rounded, each.deviations.tolist())),
-                "shown": each.shown.tolist(),
-            }
+    return record(
+        "Robot",
+        robot,
+        dates=map(date_text, robot.dates.tolist()),
+        findings=map(finding_dict, robot.findings),
+        parameters=[
+            record(
+                "ParameterHistory",
+                each.parameter,
+                values=map(rounded, each.values.tolist(), each.deviations.tolist()),
+                deviations=map(rounded, each.deviations.tolist()),
+                shown=each.shown.tolist(),
+            )
             for each in robot.histories
         ],
-        "beside_others": [_own(own) for own in robot.own],
-    }
-
-
-def _own(own: OwnParameter) -> dict[str, Any]:
-    return {
-        **vars(own.parameter),
-        "value": rounded(own.value, own.deviation),
-        "deviation": rounded(own.deviation),
-        "common": rounded(own.common, own.spread),
-        "spread": rounded(own.spread),
-        "apart": rounded(own.apart, 1.0),
-        "of_model": number_or(rounded(own.of_model, own.spread), _NOT_SAID),
-    }
+        beside_others=[
+            record(
+                "BesideOthers",
+                own.parameter,
+                value=rounded(own.value, own.deviation),
+                deviation=rounded(own.deviation),
+                common=rounded(own.common, own.spread),
+                spread=rounded(own.spread),
+                apart=rounded(own.apart, 1.0),
+                of_model=number_or(rounded(own.of_model, own.spread), _NOT_SAID),
+            )
+            for own in robot.own
+        ],
+    )
 
 
 def parquet_contents(result: FleetResult, folder: Path) -> Mapping[Path, Content]:

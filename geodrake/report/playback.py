@@ -25,10 +25,10 @@ from geodrake.logs.motion import JointLog
 from geodrake.model.robot_model import RobotModel
 from geodrake.report.drawn_robots import ColoredRobot, error_colors, top_error
 from geodrake.report.explaining import comparison_page
-from geodrake.report.json_output import picked
 from geodrake.report.numbers import Units, number, percent
 from geodrake.report.page import About, ColoredList, Page, Section, View
 from geodrake.report.robot_scene import FRAMES, RIGHT, Extent, body_links, joint_places, posed_links
+from geodrake.report.schema import record
 from geodrake.report.words import effect_label
 from geodrake.robot.shapes import RobotShapes
 
@@ -413,34 +413,32 @@ def playback_page(found: Played, about: About) -> Page:
 
 
 def playback_dict(found: Played) -> dict[str, Any]:
-    """Return what is played, and where the models err most, as JSON has it."""
+    """Return what is played, and where the models err most."""
     playback = found.playback
-    return {
-        "models": [
+    moments: list[list[Any]] = [[] for _ in playback.models]
+    for moment in playback.moments:
+        log, time = playback.own_time(moment.frame)
+        joint = playback.joints[moment.joint]
+        moments[moment.played].append(record("Moment", moment, joint=joint, log=log, time=time))
+    return record(
+        "Played",
+        playback,
+        models=[
             {
                 "title": played.title,
                 "file": str(played.model.path),
                 "nrms": played.comparison.errors.nrms,
                 "trained": played.trained,
-                "worst_moments": [
-                    {
-                        "joint": playback.joints[moment.joint],
-                        **dict(zip(("log", "time"), playback.own_time(moment.frame), strict=True)),
-                        **picked(moment, "error", "relative"),
-                    }
-                    for moment in playback.moments
-                    if moment.played == k
-                ],
+                "worst_moments": own,
             }
-            for k, played in enumerate(playback.models)
+            for played, own in zip(playback.models, moments, strict=True)
         ],
-        "excerpts": [
+        excerpts=[
             {"log": e.log, "start": float(e.time[0]), "end": float(e.time[-1])}
             for e in playback.excerpts
         ],
-        "seconds_left_out": playback.seconds_left_out,
-        "notes": list(playback.models[-1].comparison.notes),
-    }
+        notes=playback.models[-1].comparison.notes,
+    )
 
 
 def effect_words(fitted: FittedEffect, units: Units) -> str:

@@ -14,9 +14,10 @@ from geodrake.control.rollout.rollout_values import is_soft
 from geodrake.model.effort_signal import SERVO
 from geodrake.model.robot_model import RobotModel
 from geodrake.report.charts import MOST_PANELS, Chart, Panel, Plot, Stage, gap_filled
-from geodrake.report.json_output import finite, number_or, picked
+from geodrake.report.json_output import finite, number_or
 from geodrake.report.numbers import Units, number, with_deviation
 from geodrake.report.page import About, Page, Section, Table, Tile, View, cells
+from geodrake.report.schema import record
 from geodrake.report.views import rollout_series
 from geodrake.report.words import (
     capitalized,
@@ -234,37 +235,34 @@ def _joined(parts: Sequence[Array | Sequence[Array]]) -> Array:
     return np.concatenate([each for part in parts for each in (np.asarray(part), gap)], axis=1)
 
 
-def rollout_dict(rollout: Rollout) -> dict[str, Any]:
-    """Return a rollout: departures of every joint from the measured motion."""
-    return {
-        **picked(rollout, "under", "horizon"),
-        "windows": [{"log": w.log, "start": float(w.time[0])} for w in rollout.windows],
-        "broken": rollout.broken,
-        "relative": number_or(rollout.relative, _APART),
-        "joints": {
-            joint.joint: {
-                **finite(joint, _APART, "rms"),
-                "moved": joint.moved,
-                **finite(joint, _APART, "relative"),
-                "worst": joint.worst,
-            }
+def rollout_dict(rollout: Rollout, kind: str = "Rollout", **more: Any) -> dict[str, Any]:
+    """Return a rollout: departures of every joint from the measured motion; and what is given."""
+    return record(
+        kind,
+        rollout,
+        windows=[{"log": w.log, "start": float(w.time[0])} for w in rollout.windows],
+        relative=number_or(rollout.relative, _APART),
+        joints={
+            joint.joint: record("Departure", joint, **finite(joint, _APART, "rms", "relative"))
             for joint in rollout.joints
         },
-        "notes": rollout.notes,
-    }
+        **more,
+    )
+
+
+def _simulated_dict(found: Simulated) -> dict[str, Any]:
+    before = {} if found.before is None else {"before": rollout_dict(found.before)}
+    return rollout_dict(found.after, "RolloutBeside", **before)
+
+
+def _stages(before: Rollout, after: Rollout) -> dict[str, Any]:
+    return {"before": rollout_dict(before), "after": rollout_dict(after)}
 
 
 def rollout_fit_dict(found: RolloutFit) -> dict[str, Any]:
     """Return a fit of rollouts: values before and after, and departures in all windows."""
-    stages = {"fitted": found.fitted, "held_out": found.held_out}
-    return {
-        **picked(found, "taken", "chance", "values"),
-        **{
-            name: {"before": rollout_dict(before), "after": rollout_dict(after)}
-            for name, (before, after) in stages.items()
-        },
-        "notes": found.notes,
-    }
+    fitted, held_out = _stages(*found.fitted), _stages(*found.held_out)
+    return record("RolloutFit", found, fitted=fitted, held_out=held_out)
 
 
 def motions_dict(motions: Sequence[Rollout] | None) -> dict[str, Any]:
@@ -274,8 +272,8 @@ def motions_dict(motions: Sequence[Rollout] | None) -> dict[str, Any]:
     """
     if motions is None:
         return {}
-    before, *between, after = map(rollout_dict, motions)
-    return {"motion": {"before": before, "after": after, "steps": between}}
+    before, *between, after = motions
+    return {"motion": {**_stages(before, after), "steps": [*map(rollout_dict, between)]}}
 
 
 VIEWS = {
@@ -288,10 +286,7 @@ VIEWS = {
     ),
     Simulated: View(
         rollout_page,
-        lambda found: {
-            **rollout_dict(found.after),
-            **({} if found.before is None else {"before": rollout_dict(found.before)}),
-        },
+        _simulated_dict,
         samples=lambda found: rollout_series(found.after, found.before),
     ),
     RolloutFit: View(

@@ -1,12 +1,18 @@
-"""Numbers of JSON are finite, or null with the reason beside it."""
+"""Numbers of JSON are finite, or null with the reason beside it; keys are those of its schema."""
 
 import json
+from pathlib import Path
+from runpy import run_path
 
 import numpy as np
+import pytest
 from report_results import explanation, joint_names
 
 from geodrake.report.explaining_json import explanation_dict
 from geodrake.report.json_output import number_or, to_json
+from geodrake.report.schema import record
+
+SCHEMA = run_path(str(Path(__file__).parents[2] / "tools" / "result_schema.py"))
 
 
 def test_a_number_that_is_none_is_null_with_a_reason():
@@ -31,3 +37,24 @@ def test_a_fit_that_there_was_not_has_no_certificate():
     found = json.loads(to_json(explanation_dict(explanation(joint_names(2), ()))))
     assert found["certificate"] is None and found["steps"] == []
     assert found["nulls"]["/certificate"] == "the model stays as it is"
+
+
+def test_published_schema_is_that_of_the_tables():
+    published = SCHEMA["PAGE"].read_text(encoding="utf-8")
+    assert published == SCHEMA["published"]()
+    kinds = json.loads(published)["$defs"]
+    assert kinds["Failing"]["properties"]["rms"]["description"] == "N·m or N"
+    assert {kind["$ref"].split("/")[-1] for kind in json.loads(published)["anyOf"]} <= set(kinds)
+
+
+def test_an_object_has_the_keys_of_its_kind():
+    """From what is given and from attributes; objects in it are made likewise."""
+    rest = SCHEMA["Closed"]()
+    known = {"time": 1.0, "seconds": 2.0}
+    assert record("Gap", rest, **known) == known
+    log = record("DigestedLog", log="a.csv", status="made", reason="", seconds=3.0)
+    assert list(log) == ["log", "status", "reason", "seconds"]
+    with pytest.raises(KeyError, match="Gap has no metres"):
+        record("Gap", rest, **known, metres=3.0)
+    with pytest.raises(AttributeError, match="seconds"):
+        record("Gap", rest, time=1.0)

@@ -1,0 +1,65 @@
+"""The kinds of objects in JSON: their keys, types and units stand in `schema.yaml`.
+
+Results are written by these tables, and `tools/result_schema.py` publishes them as JSON Schema. The
+keys are a stable interface; more may be added, none are renamed.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from functools import cache
+from importlib.resources import files
+from typing import Any
+
+import yaml  # type: ignore[import-untyped]
+
+from geodrake.report.json_output import NoNumber
+
+_LOADER = getattr(yaml, "CSafeLoader", yaml.SafeLoader)  # ten times as fast where it is built
+
+
+@cache
+def schema() -> Mapping[str, Any]:
+    """Return `units`, words by unit, and `kinds`, which have keys and what these are, by name."""
+    text = (files("geodrake.report") / "schema.yaml").read_text(encoding="utf-8")
+    found: Mapping[str, Any] = yaml.load(text, _LOADER)
+    return found
+
+
+@cache
+def keys_of(kind: str) -> Mapping[str, tuple[Any, bool]]:
+    """Key -> its type, and whether it may be absent; those of the kind that it is come first."""
+    said = schema()["kinds"][kind]
+    base = keys_of(said["is"]) if "is" in said else {}
+    return {**base, **{k.rstrip("?"): (t, k.endswith("?")) for k, t in said["keys"].items()}}
+
+
+def record(kind: str, source: object = None, /, **given: Any) -> dict[str, Any]:
+    """Return an object of a kind, of what is given and of attributes of the source.
+
+    Values that are objects themselves are made likewise. A key that may be absent is there if it is
+    given.
+    """
+    keys = keys_of(kind)
+    if unknown := given.keys() - keys:
+        raise KeyError(f"{kind} has no {', '.join(unknown)}")
+    return {
+        key: _made(said, given[key] if key in given else getattr(source, key))
+        for key, (said, is_optional) in keys.items()
+        if key in given or not is_optional
+    }
+
+
+def _made(said: Any, value: Any) -> Any:
+    """Return a value as its type has it."""
+    if value is None or isinstance(value, NoNumber):
+        return value
+    if isinstance(said, dict):
+        (inner,) = said.values()
+        return {name: _made(inner, one) for name, one in value.items()}
+    if isinstance(said, list):
+        is_plain = isinstance(said[0], str) and said[0] not in schema()["kinds"]
+        return value if is_plain else [_made(said[0], one) for one in value]
+    if (name := said.rstrip("?")) not in schema()["kinds"]:
+        return value
+    return record(name, **value) if isinstance(value, Mapping) else record(name, value)
