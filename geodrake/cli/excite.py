@@ -6,14 +6,13 @@ from collections.abc import Callable, Sequence
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
 
 from geodrake.cli.identify import named_effects
 from geodrake.cli.option_values import joint_values, limits_of, split_effects
 from geodrake.cli.options import ExciteOptions, IdentifiableOptions
 from geodrake.cli.progress import STOPPING, Activity
 from geodrake.cli.session import Command, Input, Output, run
-from geodrake.effects import Effect, effect_class
 from geodrake.errors import ArgumentError, ModelError
 from geodrake.excitation import (
     CRITERIA,
@@ -27,12 +26,8 @@ from geodrake.excitation import (
     MotionFamily,
     MotionLimits,
     Objective,
-    Separation,
     SplineMotion,
     floor_of,
-    make_rival,
-    make_separation,
-    make_target,
     read_obstacles,
 )
 from geodrake.excitation.collision_geometry import FLOOR
@@ -40,11 +35,10 @@ from geodrake.excitation.design import DesignProgress, design_excitation
 from geodrake.excitation.identifiable import LogIdentifiability, log_identifiability
 from geodrake.excitation.limits import FULL_EFFORT, FULL_SPEED
 from geodrake.excitation.solve import Budget
-from geodrake.excitation.starts import possible_postures
-from geodrake.excitation.target import SIZE_WORDS, sized_effects
-from geodrake.excitation.tell_apart import Rival
+from geodrake.excitation.starts import below_floor
+from geodrake.excitation.target import SIZE_WORDS, usual_noise, usual_target
+from geodrake.excitation.tell_apart import Placed, separation_of
 from geodrake.excitation.trajectory import trajectory_content
-from geodrake.identification.logs.dataset import is_payload
 from geodrake.model.robot_model import RobotModel
 from geodrake.robot.shapes import robot_shapes
 
@@ -52,12 +46,10 @@ Array = NDArray[np.float64]
 
 _FAMILIES = {"fourier": ("harmonics", "frequency"), "spline": ("points",), "free": ()}
 _MARGIN = 0.9  # of the limits of speed, where nobody says others
-_NOISE_SHARE = 0.01  # of the limits of effort
 _LEAST_SECONDS = 1e-3  # when collision geometry took all
 _UPDATED_EVERY = 5  # evaluations
 _SAMPLES = 300
 _FARTHEST, _LAST_SEED = 100.0, 1 << 32
-_SIGN_SHARE = 0.02  # of the fastest that is allowed, over which friction changes sign
 _FORM = "Write EFFECT,EFFECT; a place may follow either: EFFECT@elbow."
 _REPEATS = 3  # of a motion that distinguishes effects: a diagnosis holds out blocks of its log
 
@@ -235,16 +227,13 @@ def _objective(
     """Return what the motion is for, and what to say of that."""
     model, (noise, notes) = given.model, noise_of(options.noise, given.model)
     if options.tell_apart is not None:
-        separation, more = separation_of(
-            options.tell_apart, model, limits, noise=noise, extra=given.extra
-        )
+        rivals = rivals_in(options.tell_apart)
+        separation, more = separation_of(model, *rivals, limits, noise=noise, extra=given.extra)
         return separation, (*notes, *more)
-    known = [fitted for fitted in model.effects if not is_payload(fitted.effect)]
     effects = named_effects(names, model, given.extra)
     if effects:
-        known += sized_effects(make_target(model, noise=noise, effects=effects))
         notes = (*notes, f"effects of unknown size are thought to take {SIZE_WORDS}")
-    target = make_target(model, noise=noise, effects=known)
+    target = usual_target(model, noise=noise, effects=effects)
     return Objective(target, Criterion(options.criterion), options.normalization), notes
 
 
@@ -252,14 +241,8 @@ def noise_of(text: str | None, model: RobotModel) -> tuple[np.ndarray, tuple[str
     """Return (nv,) noise of the measured efforts, and where it comes from if nobody said so."""
     if text is not None:
         return joint_values(text, model, "--noise"), ()
-    if model.effort_noise is not None:
-        return model.effort_noise, ("noise: what the model's last fit left on held-out data",)
-    limits = model.effort_limits
-    if np.isfinite(limits).all() and (limits > 0).all():
-        return _NOISE_SHARE * limits, (
-            f"noise: {100 * _NOISE_SHARE:.0f} % of the limits of effort, as nothing is known of it",
-        )
-    return np.ones(len(limits)), ("noise: 1 N·m or N at every joint, as nothing is known of it",)
+    noise, source = usual_noise(model)
+    return noise, (f"noise: {source}",)
 
 
 def _collisions(
@@ -292,33 +275,13 @@ def _collisions(
     notes: tuple[str, ...] = ()
     if options.floor and not any(solid.name.startswith(FLOOR) for solid in obstacles):
         floor = floor_of(model)
-        below = _below(alone.among((floor,)), model, limits, start)
+        below = below_floor(alone.among((floor,)), model, limits, start)
         if below:
             notes = (f"there is no floor, as {below}",)
         else:
             obstacles = (floor, *obstacles)
             notes = ("nothing goes below the base (--no-floor allows it)",)
     return alone.among(obstacles) if obstacles else alone, notes
-
-
-def _below(
-    world: CollisionWorld,
-    model: RobotModel,
-    limits: MotionLimits,
-    start: NDArray[np.float64] | None,
-) -> str:
-    """Say why a floor at the base cannot be: the robot hangs below it, or starts there."""
-    if start is not None:
-        distance, names = world.distances(start[None])
-        if FLOOR in names[0].split(" and ") and distance[0] < world.clearance:
-            link = next(name for name in names[0].split(" and ") if name != FLOOR)
-            return f"{link} is below the base at the start"
-        return ""
-    try:
-        possible_postures(model, limits, world, most=1)
-    except ArgumentError:
-        return "the robot is below its base in every posture"
-    return ""
 
 
 def _updating(update: Activity, budget: Budget, seconds: float) -> Callable[[DesignProgress], None]:
@@ -363,7 +326,7 @@ def check_alone(options: ExciteOptions, names: Sequence[str]) -> None:
     rivals_in(options.tell_apart)
 
 
-def rivals_in(text: str) -> tuple[tuple[str, tuple[str, ...]], tuple[str, tuple[str, ...]]]:
+def rivals_in(text: str) -> tuple[Placed, Placed]:
     """Names and places of two effects, `a@elbow,b@j1+j2`; a place that is not said is empty."""
     parts = [part.strip().partition("@") for part in text.split(",")]
     if len(parts) != 2 or not all(name for name, _, _ in parts):
@@ -373,44 +336,3 @@ def rivals_in(text: str) -> tuple[tuple[str, tuple[str, ...]], tuple[str, tuple[
         second,
         tuple(filter(None, here.split("+"))),
     )
-
-
-def placed_rivals(
-    text: str, model: RobotModel, limits: MotionLimits, *, extra: Sequence[type[Effect]] = ()
-) -> tuple[Rival, Rival]:
-    """Return two effects at their places; that of one counts for both, if both have such places."""
-    (first, there), (second, here) = rivals_in(text)
-    if effect_class(first, extra).places == effect_class(second, extra).places:
-        there, here = there or here, here or there
-    return (
-        make_rival(first, model, limits, where=there, extra=extra),
-        make_rival(second, model, limits, where=here, extra=extra),
-    )
-
-
-def separation_of(
-    text: str,
-    model: RobotModel,
-    limits: MotionLimits,
-    *,
-    noise: ArrayLike,
-    extra: Sequence[type[Effect]] = (),
-) -> tuple[Separation, tuple[str, ...]]:
-    """Return what distinguishing two effects amounts to, and what to say of it."""
-    rivals = placed_rivals(text, model, limits, extra=extra)
-    first, second = (rival.name for rival in rivals)
-    width = _SIGN_SHARE * limits.velocity
-    separation = make_separation(model, *rivals, noise=noise, sign_width=width)
-    named = {pair.truth.partition(" (")[0] for pair in separation.pairs}
-    notes = [
-        f"{other} explains all that {name} does: they can be distinguished the other way around "
-        "only"
-        for name, other in ((first, second), (second, first))
-        if name not in named
-    ]
-    known = {fitted.effect for fitted in model.effects if fitted.parameters.any()}
-    if any(known.intersection(rival.effects) for rival in rivals):
-        sizes = "effects are as large as the model has them, rivals as like them as can be"
-    else:
-        sizes = f"effects of unknown size are thought to take {SIZE_WORDS}"
-    return separation, (*notes, sizes)

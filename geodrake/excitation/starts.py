@@ -11,6 +11,7 @@ from pydrake.solvers import ClpSolver, MathematicalProgram
 
 from geodrake.boundary.arguments import real_array
 from geodrake.errors import ArgumentError
+from geodrake.excitation.collision_geometry import FLOOR
 from geodrake.excitation.collisions import CollisionWorld
 from geodrake.excitation.limits import MotionLimits
 from geodrake.excitation.margins import COARSE, keeps_limits, stays_clear
@@ -108,6 +109,23 @@ def possible_postures(
     if collisions is None:
         return postures[:most]
     return _apart(postures, collisions, most)
+
+
+def below_floor(
+    world: CollisionWorld, model: RobotModel, limits: MotionLimits, start: Array | None
+) -> str:
+    """Say why the floor of a world cannot be: the robot hangs below it, or starts there (nv,)."""
+    if start is not None:
+        distance, (names, *_) = world.distances(start[None])
+        pair = names.split(" and ")
+        if FLOOR not in pair or distance[0] >= world.clearance:
+            return ""
+        return f"{next(name for name in pair if name != FLOOR)} is below the base at the start"
+    try:
+        possible_postures(model, limits, world, most=1)
+    except ArgumentError:
+        return "the robot is below its base in every posture"
+    return ""
 
 
 def _apart(postures: Array, collisions: CollisionWorld, most: int) -> Array:

@@ -35,6 +35,7 @@ _WEIGHTLESS = 1e-12  # share of gravity in efforts that is rounding alone
 
 SIZE_WORDS = "a tenth of the load, or 2 % of the limit of effort where that is more"
 _LEAST_SHARE = 0.02  # of the limit of effort
+_NOISE_SHARE = 0.01  # of the limit of effort
 
 
 @dataclass(frozen=True, eq=False)
@@ -296,3 +297,22 @@ def sized_effects(target: Target) -> tuple[FittedEffect, ...]:
         found.append(FittedEffect(fitted.effect, values))
         at += count
     return tuple(found)
+
+
+def usual_target(model: RobotModel, *, noise: ArrayLike, effects: Sequence[Effect]) -> Target:
+    """Return the target of all that a model has but payloads, and of effects of unknown size."""
+    known = [fitted for fitted in model.effects if not is_payload(fitted.effect)]
+    if effects:
+        known += sized_effects(make_target(model, noise=noise, effects=effects))
+    return make_target(model, noise=noise, effects=known)
+
+
+def usual_noise(model: RobotModel) -> tuple[Array, str]:
+    """Return (nv,) noise of efforts where nobody says it, N·m or N, and where it comes from."""
+    if model.effort_noise is not None:
+        return model.effort_noise, "what the model's last fit left on held-out data"
+    limits = model.effort_limits
+    if np.isfinite(limits).all() and (limits > 0).all():
+        share = f"{100 * _NOISE_SHARE:.0f} % of the limits of effort"
+        return _NOISE_SHARE * limits, f"{share}, as nothing is known of it"
+    return np.ones(len(limits)), "1 N·m or N at every joint, as nothing is known of it"

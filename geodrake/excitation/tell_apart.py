@@ -45,7 +45,7 @@ from geodrake.excitation.limits import MotionLimits
 from geodrake.excitation.objective import Criterion, Objective
 from geodrake.excitation.regressor_gradient import regressor_motion_gradient
 from geodrake.excitation.reverse_recursion import MotionGradient
-from geodrake.excitation.target import Measurement, Target, make_target, sized_effects
+from geodrake.excitation.target import SIZE_WORDS, Measurement, Target, make_target, sized_effects
 from geodrake.identification.logs.criteria import SPREAD
 from geodrake.identification.logs.dataset import is_payload
 from geodrake.identification.logs.unknowns import pullback_information
@@ -58,6 +58,9 @@ Indices = NDArray[np.intp]
 CLEAR = 5.0
 """Standard deviations by which effects must differ for a log to distinguish them reliably."""
 
+Placed = tuple[str, tuple[str, ...]]  # an effect's name and place, which may be empty
+
+_SIGN_SHARE = 0.02  # of the fastest that is allowed, over which friction changes sign
 _LEAST = 1e-12  # separation that counts as none, per sample
 _ALIKE = 0.1  # share of an effect's effort that an imitation must have
 _LOOSE = 1e-4  # of what is known, where that shall not matter
@@ -362,6 +365,52 @@ def make_separation(
         target, Criterion("e_optimality"), "none", None, tuple(pairs), prior, lower, upper
     )
     return replace(every, pairs=_different(every))
+
+
+def placed_rivals(
+    model: RobotModel,
+    first: Placed,
+    second: Placed,
+    limits: MotionLimits,
+    *,
+    extra: Sequence[type[Effect]] = (),
+) -> tuple[Rival, Rival]:
+    """Return two effects at their places; that of one counts for both, if both have such places."""
+    (one, there), (other, here) = first, second
+    if effect_class(one, extra).places == effect_class(other, extra).places:
+        there, here = there or here, here or there
+    return (
+        make_rival(one, model, limits, where=there, extra=extra),
+        make_rival(other, model, limits, where=here, extra=extra),
+    )
+
+
+def separation_of(
+    model: RobotModel,
+    first: Placed,
+    second: Placed,
+    limits: MotionLimits,
+    *,
+    noise: ArrayLike,
+    extra: Sequence[type[Effect]] = (),
+) -> tuple[Separation, tuple[str, ...]]:
+    """Return what distinguishing two effects amounts to, and what to say of it."""
+    rivals = placed_rivals(model, first, second, limits, extra=extra)
+    width = _SIGN_SHARE * limits.velocity
+    separation = make_separation(model, *rivals, noise=noise, sign_width=width)
+    named = {pair.truth.partition(" (")[0] for pair in separation.pairs}
+    notes = [
+        f"{other.name} explains all that {rival.name} does: they can be distinguished the other "
+        "way around only"
+        for rival, other in (rivals, rivals[::-1])
+        if rival.name not in named
+    ]
+    known = {fitted.effect for fitted in model.effects if fitted.parameters.any()}
+    if any(known.intersection(rival.effects) for rival in rivals):
+        sizes = "effects are as large as the model has them, rivals as like them as can be"
+    else:
+        sizes = f"effects of unknown size are thought to take {SIZE_WORDS}"
+    return separation, (*notes, sizes)
 
 
 def _different(separation: Separation) -> tuple[Pair, ...]:

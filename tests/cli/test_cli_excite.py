@@ -12,10 +12,11 @@ from pendulum_logs import PENDULUM
 from yaml import safe_load
 
 from geodrake.boundary.interrupts import StopSearch
-from geodrake.cli.excite import separation_of
+from geodrake.cli.excite import rivals_in
 from geodrake.cli.option_values import limits_of
 from geodrake.effects import CoulombFriction, FittedEffect
 from geodrake.errors import ArgumentError
+from geodrake.excitation.tell_apart import separation_of
 from geodrake.logs.files import read_log
 from geodrake.logs.motion import Motion
 from geodrake.model import EffortSignal
@@ -163,19 +164,15 @@ class TestTellApart:
     def test_effects_of_a_saved_model_keep_their_size(self, tmp_path):
         model = load_model(PENDULUM)
         friction = FittedEffect(CoulombFriction("elbow"), np.array([0.05]))
-        separation, notes = separation_of(
-            f"{self.PAIR}@elbow",
-            replace(model, effects=(friction,)),
-            limits_of(None, model),
-            noise=0.1,
-        )
+        robot, pair = replace(model, effects=(friction,)), rivals_in(f"{self.PAIR}@elbow")
+        separation, notes = separation_of(robot, *pair, limits_of(None, model), noise=0.1)
         assert separation.pairs[0].effects.max() == 0.05
         assert "as large as the model has them" in notes[0]
 
     def test_what_contains_the_other_is_said(self):
         model = load_model(PENDULUM)
-        pair = "coulomb_friction,asymmetric_friction"
-        separation, notes = separation_of(pair, model, limits_of(None, model), noise=0.1)
+        pair = rivals_in("coulomb_friction,asymmetric_friction")
+        separation, notes = separation_of(model, *pair, limits_of(None, model), noise=0.1)
         assert {p.truth for p in separation.pairs} == {"asymmetric_friction"}
         assert notes[0].startswith("asymmetric_friction explains all that coulomb_friction does")
 

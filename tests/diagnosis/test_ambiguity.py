@@ -6,7 +6,7 @@ import pytest
 from excitation_robots import MODELS
 from rich.console import Console
 
-from geodrake.cli.excite import placed_rivals, separation_of
+from geodrake.cli.excite import rivals_in
 from geodrake.diagnosis import (
     Candidate,
     Comparison,
@@ -20,6 +20,7 @@ from geodrake.diagnosis.ambiguity import distinguishing_commands
 from geodrake.diagnosis.results import FittedRival
 from geodrake.effects import catalogue
 from geodrake.excitation import motion_limits
+from geodrake.excitation.tell_apart import placed_rivals, separation_of
 from geodrake.model.saved_model import load_model
 from geodrake.report import page_of, show_page
 
@@ -81,7 +82,7 @@ def commands(found):
 )
 def test_commands_that_can_be_run(best, tied, words):
     assert commands(diagnosis((*best, True), (*tied, True))) == [words]
-    separation, _ = separation_of(words, MODEL, motion_limits(MODEL), noise=0.1)
+    separation, _ = separation_of(MODEL, *rivals_in(words), motion_limits(MODEL), noise=0.1)
     assert separation.pairs
 
 
@@ -123,7 +124,7 @@ def test_every_command_is_understood(arm, effect, where):
         place = where if cls.places == kinds[effect] else PLACES.get(cls.places, [()])[0]
         found = explanation((effect, where, ((cls.name, place),)), model=arm)
         for command in commands(found):
-            rivals = placed_rivals(command, arm, limits)
+            rivals = placed_rivals(arm, *rivals_in(command), limits)
             assert [rival.name for rival in rivals] == [effect, cls.name]
             told.add(cls.name)
     settled = {cls.name for cls in catalogue()} - {
