@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import uniform_filter1d
@@ -148,10 +150,13 @@ def _roughness(time: Array, position: Array) -> float:
     return float(np.nanmedian(np.abs(np.diff(speeds, axis=0)), axis=0).sum())
 
 
-def repeats(time: Array) -> NDArray[np.bool_]:
-    """Return which of the time stamps (N,) are that of the row before; none if many are."""
+def repeats(time: Array, numbers: Sequence[Array]) -> NDArray[np.bool_]:
+    """Return which rows have the time of the row before; none if many do, but for copies of it."""
     same = np.concatenate([[False], np.diff(time) == 0.0])
-    return same & (np.count_nonzero(same) <= _REPEATED * len(time))
+    if np.count_nonzero(same) <= _REPEATED * len(time):
+        return same
+    before = np.roll(same, -1)
+    return same & all(np.array_equal(x[same], x[before], equal_nan=True) for x in numbers)
 
 
 def check_time(name: str, time: Array) -> None:

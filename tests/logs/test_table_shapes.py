@@ -655,3 +655,31 @@ def test_a_column_that_may_be_time_by_its_values_is_proposed(tmp_path):
     with pytest.raises(LogError, match="no column 'time'") as error:
         read_log(path, joints=JOINTS)
     assert "rises" not in str(error.value)
+
+
+ODD_TEXTS = {
+    "a title and units": "Measurement of arm;;;;;\nTime;q1;q2;tau1;tau2;\ns;rad;rad;Nm;Nm;\n",
+    "words with units in a comment": "# time [s]  q1 [rad]  q2 [rad]  tau1 [Nm]  tau2 (Nm)\n",
+    "words with units": "time [s]  q1 [rad]  q2 [rad]  tau1 [Nm]  tau2 (Nm)\n",
+    "Windows": "# Prüfstand, µ\nZeit;Winkel 1;Winkel 2;Drehmoment 1;Drehmoment 2\n",
+    "Fortran": "t q1 q2 tau1 tau2\n",
+    "rows twice": "time,q1,q2,tau1,tau2\n",
+    "factors of units": "t [0.5 s];q1 [1e0rad];q2 [1.0 rad];tau1 [1 Nm];tau2 [Nm]\n",
+}
+
+
+@pytest.mark.parametrize("kind", ODD_TEXTS)
+def test_odd_texts(tmp_path, kind):
+    head, is_twice = ODD_TEXTS[kind], kind == "rows twice"
+    mark = next((mark for mark in ";," if mark in head), "  ")
+    numbers = PLAIN.to_numpy() * [2.0 if "factors" in kind else 1.0, 1.0, 1.0, 1.0, 1.0]
+    rows = [[*map(repr, row)] for row in np.repeat(numbers, 1 + is_twice, axis=0).tolist()]
+    if kind == "Fortran":
+        rows = [[f"{float(x):.17e}".replace("e", "D") for x in row] for row in rows]
+    lines = [mark.join(row) + mark * ("title" in kind) for row in rows]
+    (tmp_path / "log.csv").write_bytes((head + "\n".join(lines)).encode("cp1252"))
+    log = read_log(tmp_path / "log.csv", joints=JOINTS)
+    np.testing.assert_allclose(log.time, TIME)
+    np.testing.assert_allclose(log.position, POSITION)
+    np.testing.assert_allclose(log.effort, EFFORT)
+    assert ("time of the row before" in " ".join(log.notes)) == is_twice

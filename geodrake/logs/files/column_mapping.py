@@ -412,7 +412,7 @@ def columns_of(
     kept = {c for source in floating.values() for c in source.columns}
     for (joint, quantity), source in told.places.items():
         kept.update(source.columns if quantity == "time" or joint in (*own, *standing) else ())
-    if ignored := [name for name in names if name not in kept]:
+    if ignored := [name for name in names if name and name not in kept]:
         told.notes.append(f"columns ignored: {listed(ignored)}")
     beside = [j for j in told.having("position") if j not in (*own, *standing)]
     return Columns(

@@ -18,7 +18,7 @@ from itertools import zip_longest
 import numpy as np
 from numpy.typing import NDArray
 
-from geodrake.logs.files.units import Unit, find_unit
+from geodrake.logs.files.units import Unit, find_unit, scaled_unit
 from geodrake.logs.motion import EFFORT_KINDS, PARTIAL, PASSIVE, QUANTITIES, SIGNAL_KINDS
 
 Words = tuple[str | int, ...]
@@ -39,6 +39,8 @@ QUANTITY_WORDS: Mapping[str, str] = {
     **dict.fromkeys(["current", "currents", "cur", "curr", "i", "iq"], "current"),
     **dict.fromkeys(["voltage", "voltages", "volt", "volts"], "voltage"),
     **dict.fromkeys(["pwm", "pwms", "duty"], "pwm"),
+    **{"winkel": "position", "geschwindigkeit": "velocity", "beschleunigung": "acceleration"},
+    **{"drehmoment": "effort", "strom": "current", "spannung": "voltage"},
     **dict.fromkeys(["temperature", "temperatures", "temp", "temps"], "temperature"),
 }
 """Words that name a quantity."""
@@ -69,8 +71,8 @@ ROLE_WORDS: Mapping[str, int] = {
     ),
     **dict.fromkeys(["tcp", "tool", "ee", "cartesian", "cart", "wrench", "imu", "base"], OTHER),
     **dict.fromkeys(["external", "ext", "error", "err", "errors", "limit", "min", "max"], OTHER),
-    **dict.fromkeys(["gravity", "coriolis", "friction", "model", "disturbance"], OTHER),
-    **dict.fromkeys(["bias", "passive", "constraint", "inverse"], OTHER),
+    **dict.fromkeys(["gravity", "grav", "coriolis", "friction", "fric", "model"], OTHER),
+    **dict.fromkeys(["bias", "passive", "constraint", "inverse", "disturbance"], OTHER),
     **dict.fromkeys(["fraction", "scaling", "contact", "direction", "sign"], OTHER),
 }
 """Words that say whether numbers were measured at the joint, and so which of several are taken."""
@@ -86,7 +88,7 @@ _FILLERS |= {"encoder", "control", "controller", "applied"}
 _NO_SIGNAL = frozenset(["limit", "limits", "min", "max", "error", "err", "errors"])
 _SUPPLY = frozenset(["supply", "bus", "battery", "main", "input"])  # which no joint has of its own
 _TIMES = frozenset(("time", "timestamp", "timestamps", "stamp", "t", "clock", "sec", "secs"))
-_TIMES |= {"datetime", "ts", "date"}
+_TIMES |= {"datetime", "ts", "date", "times", "zeit", "uhrzeit"}
 _TIME_OF_DAY = _TIMES - {"date"}
 _NANOSECONDS = frozenset(("nsec", "nsecs", "nanosec", "nanosecs", "nanoseconds"))
 _BESIDE_TIME = _TIMES | _NANOSECONDS | {"header", "ros", "rostime", "elapsed", "controller"}
@@ -372,7 +374,7 @@ def _rest(text: str, used: frozenset[str]) -> str:
 def _without_brackets(name: str, quantity: str) -> tuple[str, Unit | None]:
     """Return a name, and the unit that was in brackets behind it."""
     found = _BRACKETS.search(name)
-    unit = find_unit(found[1], quantity) if found else None
+    unit = scaled_unit(found[1], quantity) if found else None
     return (name[: found.start()], unit) if found and unit else (name, None)
 
 

@@ -71,7 +71,7 @@ def recorded(
         time, more = time[order], (*more, "rows were not in the order of time: sorted by it")
         data = {name: values[order] for name, values in data.items()}
     time, even = evened(time, data["position"])
-    again = repeats(time)
+    again = repeats(time, [*data.values()])
     if again.any():
         time = np.where(again, np.nan, time)
         even += (f"left out for the time of the row before: {again.sum()} of {rows} rows",)

@@ -351,6 +351,7 @@ NOTHING = frozenset(f(word) for word in _SAYS_NOTHING for f in (str, str.upper, 
 """What stands in a cell where nothing was measured."""
 
 LIST = re.compile(r"(?:(?:array|tensor)\()?[\[(]([^\[\]()]*)[\])](?:, dtype=[\w.]+)?\)?")
+_FORTRAN = re.compile(r"(?<=\d)[Dd](?=[+-]\d)")  # in 1.5D+00
 _BETWEEN = re.compile(r"\s*[,;]\s*|\s+")
 _NUMBERS = msgspec.json.Decoder(list[float])
 
@@ -422,8 +423,10 @@ def _date_text(value: Any) -> str:
 def number_in(value: Any) -> float | None:
     """Return the number that a text or an object is; None for others."""
     try:
-        if isinstance(value, str) and "_" in value:  # which Python takes in its own numbers
-            return None
+        if isinstance(value, str):
+            if "_" in value:  # which Python takes in its own numbers
+                return None
+            value = _FORTRAN.sub("E", value)
         return float(value)
     except (TypeError, ValueError):
         return None

@@ -56,6 +56,7 @@ _MAY_BE_MARKED = defaultdict(
 )
 """Separator -> what numbers have that are not as Python writes them."""
 
+_UNIT_BEHIND = re.compile(r"\s+(?=[\[(][^\d\W][^\])]*[\])])")  # blanks before `[rad]`
 _MEASURED = re.compile(r"[+-]?\d+[.,]\d+([eE][+-]?\d+)?")
 _HEADS = (
     ("header.stamp.sec", "header.stamp.nanosec", "header.frame_id"),
@@ -187,11 +188,15 @@ def _preface(lines: Sequence[str]) -> int:
     """
     rows = [(k, line.split(mark := _separator(line)), mark) for k, line in enumerate(lines)]
     rows = [(k, cells, mark) for k, cells, mark in rows if lines[k].strip()]
+    filled = [bool(cell.strip(' "\r\n')) for _, cells, _ in rows[:1] for cell in cells]
+    width = 1 if sum(filled) == 1 else len(filled)  # a title fills one cell
     for (k, names, mark), *below in zip(rows[1:], rows[2:], rows[3:], strict=False):
         wide = all(len(cells) == len(names) > 1 and other == mark for _, cells, other in below)
         few = min(sum(map(is_number, cells)) for _, cells, _ in below) <= len(names) / 2
-        if wide and not few and len(names) != len(rows[0][1]) and not any(map(is_number, names)):
-            return k
+        others = wide and len(names) != width and not any(map(is_number, names))
+        if others and not few:
+            before = [(j, each) for j, each, _ in rows if j < k][-1]  # whose units these may be
+            return before[0] if _units(before[1], lines[k], mark) else k
     return 0
 
 
@@ -216,7 +221,7 @@ def _whole_header(
         spread.append(name or "".join(spread[-1:]))
     levels = [*zip(spread, below, strict=False)]
     is_level = len(set(spread)) < len(header) == len(below) == len(set(levels))
-    if is_level and not any(map(is_number, below)):
+    if is_level and below[-1] and not any(map(is_number, below)):
         header, after = [f"{b}.{a}".strip(".") for a, b in levels], after + 1
         below = _cells_of(lines[after], separator)
         if below[:1] > [""] and not any(below[1:]):  # a name that pandas gives the index
@@ -277,7 +282,7 @@ def _header_cells(
 ) -> tuple[list[str], int]:
     """Return cells of a line, which may go on in those below it, and the place after it."""
     if separator is None:
-        return lines[begin].split(), begin + 1
+        return _UNIT_BEHIND.sub("", lines[begin]).split(), begin + 1
     below = lines[begin : begin + _HEADER_LINES]
     reader = csv.reader(below, strict=True, delimiter=separator)
     try:
@@ -315,7 +320,7 @@ def renamed(path: Path, reading: Reading, cells: Sequence[str]) -> Sequence[str]
 def _names_in_comment(cells: Sequence[str], comment: str) -> Sequence[str]:
     """Return names in the comment before a first line of numbers, if they are as many."""
     named = [name.strip() for name in comment.replace(";", ",").replace("\t", ",").split(",")]
-    for names in (named, comment.split()):
+    for names in (named, comment.split(), _UNIT_BEHIND.sub("", comment).split()):
         if len(names) == len(cells) and all(names) and not _are_numbers(names):
             return names
     return ()
@@ -325,7 +330,7 @@ Array = NDArray[np.float64]
 
 _MANY = 100_000  # lines, from which on Arrow is imported
 _BLOCK = 2_000_000  # bytes that are read at once
-_LARGEST_UTF16 = 500_000_000  # bytes that are read
+_HEAD, _LARGEST_OTHER = 65_536, 500_000_000  # bytes by which others than UTF-8 are known; read
 _LONGEST = 8_000_000  # bytes of a line, which hold 400,000 numbers
 _LINE_ENDS = re.compile(rb"\r\n?|\n")
 
@@ -460,25 +465,37 @@ def read_text(path: Path, reading: Reading) -> LogTable:
     """Return the columns of a table of text, which may be packed."""
     regular_file(path, "log", LogError)
     with readable(path, f"{path.suffix} file"), open_log(path) as file:
-        content = file.read(2)
-        if content in (BOM_UTF16_LE, BOM_UTF16_BE):  # as Excel writes text
-            content += file.read(_LARGEST_UTF16)
+        content = file.read(_HEAD)
+        if encoding := _encoding(content):
+            content += file.read(_LARGEST_OTHER)
             if file.read(1):
                 raise LogError(
-                    f"Log {str(path)!r} has more than {_LARGEST_UTF16 / 1e9:g} GB of UTF-16.",
+                    f"Log {str(path)!r} has more than {_LARGEST_OTHER / 1e9:g} GB of {encoding}.",
                     advice="Save it as UTF-8, or as .npz.",
                 )
-            check_room(path, len(content), f"{len(content) / 1e9:.3g} GB of UTF-16")
-    if not content[2:]:
+            check_room(path, len(content), f"{len(content) / 1e9:.3g} GB of {encoding}")
+    if not encoding:
         return _text_table(path, reading, lambda: open_log(path))
     try:
-        text = content.decode("utf-16")
+        text = content.decode(encoding)
     except UnicodeDecodeError as error:
         raise LogError(
-            f"Log {str(path)!r} is no text in UTF-16: {error.reason} at byte {error.start}.",
+            f"Log {str(path)!r} is no text in {encoding}: {error.reason} at byte {error.start}.",
             advice="Save it as UTF-8.",
         ) from error
     return _text_table(path, reading, partial(BytesIO, text.encode()))
+
+
+def _encoding(head: bytes) -> str:
+    """Return the encoding of a text by its first bytes, as Excel writes it; "" for UTF-8."""
+    if head.startswith((BOM_UTF16_LE, BOM_UTF16_BE)) and head[2:]:
+        return "UTF-16"
+    try:
+        head.decode()
+    except UnicodeDecodeError as error:
+        others = head.translate(None, bytes(range(128)) + "°²³µ·±äöüÄÖÜßéèêàçñ".encode("cp1252"))
+        return "Windows-1252" if not others and b"\0" not in head and error.end < len(head) else ""
+    return ""
 
 
 def read_sheet(path: Path, reading: Reading) -> LogTable:

@@ -56,7 +56,7 @@ _SPELLINGS = {
         "ns": "nsec nsecs nanosec nanosecs",
         "A": "amp amps",
         "V": "volt volts",
-        "%": "percent",
+        "%": "percent pct",
         "permille": "‰",
         "°C": "c degc celsius",
         "°F": "f degf fahrenheit",
@@ -89,7 +89,7 @@ def unit_of(text: str, quantity: str) -> Unit:
             f"There is no quantity {quantity!r} that has a unit.",
             advice=f"Quantities are {', '.join(UNITS)}.",
         )
-    unit = find_unit(text, quantity)
+    unit = scaled_unit(text, quantity)
     if unit is None:
         raise ArgumentError(
             f"{text!r} is no known unit of {quantity}.",
@@ -105,6 +105,17 @@ def find_unit(text: str, quantity: str) -> Unit | None:
         if name in known:
             return Unit(name, known[name], _OFFSETS.get(name, 0.0))
     return None
+
+
+def scaled_unit(text: str, quantity: str) -> Unit | None:
+    """Return the unit that a text stands for, which may have a factor, such as `0.001deg`."""
+    if (unit := find_unit(text, quantity)) is not None:
+        return unit
+    found = re.fullmatch(r"(\d*\.?\d+(?:[eE][+-]?\d+)?)[\s*·]*(\D+)", text.strip())
+    inner = find_unit(found[2], quantity) if found else None
+    if inner is None or found is None or inner.offset or not float(found[1]):
+        return None
+    return Unit(f"{found[1]} {inner.name}", float(found[1]) * inner.factor)
 
 
 @lru_cache(1024)
