@@ -22,10 +22,12 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg.lapack import dtrtrs
 
+from geodrake.compiling import contiguous
 from geodrake.diagnosis.beliefs import Beliefs
 from geodrake.diagnosis.normal_kernels import (
     RIDGE,
     Normal,
+    calc_late_luck,
     calc_most_probable,
     calc_packed,
     calc_squares,
@@ -184,6 +186,7 @@ class LogModel:
             self.places[j, known] = joint.local(columns[known])
             self.places[j, len(self.unknowns.columns) + np.array([j, nv])] = n, n + 1
         self._ends = np.array([len(joint.columns) for joint in data.data])
+        self._powers = [self.grams[j].diagonal().copy() for j in range(nv)]
         self.mean[: len(self.unknowns.columns)] = self.unknowns.mean
         gains = np.maximum(data.gain_uncertainty, 1e-6) ** -2.0
         unsure = [
@@ -452,6 +455,25 @@ class LogModel:
             samples = 1.0 / ((1.0 - more) / found + more / worth)
             self._shares[key] = np.clip(samples / self.rows, _LEAST_SHARE, 1.0)
         return self._shares[key]
+
+    def align(self, fit: Fit) -> None:
+        """Let errors at all delays have the noise that they have at the delays of a fit.
+
+        Efforts that are later by some milliseconds are sampled, filtered, at other instants, and
+        their noise is larger or smaller there by chance. That is no evidence of a delay.
+        """
+        if len(self.dataset.delays) < 2 or self.dataset.is_mixed:
+            return
+        for j, data in enumerate(self.dataset.data):
+            own, late = fit.choice.delay[j], self.dataset.delays[:, j]
+            rows, left = [r for fold in data.rows for r in fold], self._residuals(fit, j)
+            if sum(map(len, left)) < 2:
+                continue
+            time, efforts = (np.concatenate([getattr(r, f) for r in rows]) for f in ("time", "b"))
+            predicted = efforts[:, own] - np.concatenate(left)
+            luck = calc_late_luck(time, predicted, contiguous(efforts), own, late - late[own])
+            at = self._ends[j] + np.arange(len(luck))
+            self.grams[j, at, at] = self._powers[j][at] - luck * self.rows[j] / len(time)
 
     def _residuals(self, fit: Fit, joint: int) -> list[Array]:
         """Return the residuals (K_i,) of a joint in each stretch of its rows."""

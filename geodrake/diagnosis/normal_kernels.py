@@ -24,6 +24,10 @@ Normal = tuple[Packed, Array, Array]
 RIDGE = 1e-11
 _ALIKE = 0.02  # noise is settled if no logarithm of a variance changes by more
 _MOST_FITS = 8
+# Three deviations of how much the sum of squares of K rows of white noise, of unit variance and as
+# `design_filter` filters them, changes over √K if they are half of a period later.
+_MOST_LUCK = 1.07
+_LATE_ROW = 0.1  # of a period: rows that are farther apart do not follow each other
 
 
 @compiled
@@ -209,3 +213,40 @@ def calc_gains(
         if not np.isnan(logarithm) and not _has_nothing(x, owner[at], positive[at]):
             gains[p], squares[p] = square - logarithm + prior, square
     return gains, squares
+
+
+@compiled
+def calc_late_luck(time: Array, predicted: Array, efforts: Array, own: int, lags: Array) -> Array:
+    """Return (d,) by how much squared errors change with a delay beyond what the delay explains.
+
+    Rows are at instants (K,), s, with predictions (K,) and efforts (K, d), each later by a lag
+    (d,), s, than those in column `own`. Efforts that stay, compared with a prediction that is as
+    much earlier, have the same noise as before; it is read between four rows that follow each
+    other.
+    """
+    luck, errors = np.zeros(len(lags)), np.square(efforts[:, own] - predicted)
+    usual = np.median(np.diff(time))
+    most = _MOST_LUCK * np.sqrt(len(time)) * np.mean(errors)
+    for d in range(len(lags)):
+        if lags[d] == 0.0:
+            continue
+        seen, change = 0, 0.0
+        for i in range(1, len(time)):
+            period = time[i] - time[i - 1]
+            steps = int(np.floor(lags[d] / period))
+            first, x = i - steps - 2, 1.0 + steps - lags[d] / period
+            if first < 0 or first + 3 >= len(time):
+                continue
+            low, high = min(first, i - 1), max(first + 3, i)
+            if abs(time[high] - time[low] - (high - low) * period) > _LATE_ROW * period:
+                continue
+            p, q, r, s = predicted[first : first + 4]
+            inner = (x - 2.0) * ((x + 1.0) * (x - 1.0) * q - (x + 1.0) * x * r) / 2.0
+            moved = inner + x * (x - 1.0) * ((x + 1.0) * s - (x - 2.0) * p) / 6.0
+            change += (efforts[i, own] - moved) ** 2 - errors[i]
+            seen += 1
+        if seen:
+            all_rows = np.sum(np.square(efforts[:, d] - predicted) - errors)
+            turn = most * abs(np.sin(np.pi * lags[d] / usual))
+            luck[d] = min(max(all_rows - change * len(time) / seen, -turn), turn)
+    return luck
