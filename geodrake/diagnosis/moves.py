@@ -15,7 +15,7 @@ from geodrake.diagnosis.unknown_efforts import UNKNOWN
 
 _MOST = 14
 """So many neighbours, those that promise most, are fitted."""
-_POOL = 14
+_POOL = 18
 """So many effects of a joint, and all simple ones, are tried in pairs there."""
 _HOPE = -10.0
 """A neighbour that promises less is not fitted: it has less than a hundredth of the probability."""
@@ -241,6 +241,14 @@ class _Finder:
             (*(t for t in here if t not in gone), *come)
             for gone, come in trades
             if not set(come) & set(here)
+        ]
+        # Another shape may make what no effect describes needless.
+        known = [t for t in here if not isinstance(t.effect, UNKNOWN)]
+        keys = {term.key for term in known} if len(known) < len(here) else set()
+        packages += [
+            tuple(other if term.key == other.key else term for term in known)
+            for other in offered
+            if other.key in keys
         ]
         unique = {frozenset(package): package for package in packages}
         unique.pop(frozenset(here), None)

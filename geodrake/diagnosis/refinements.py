@@ -5,8 +5,9 @@ Each is a coordinate of the explanation. Columns are made anew for its neighbour
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import fields, replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -119,11 +120,11 @@ ZOOMS = len(_STEPS)
 def _finer(effect: Effect, grid: Sequence[Effect], share: float) -> list[Effect]:
     """Return neighbours of an effect's shape, two to either side where they make sense.
 
-    There are none where no parameter varies on the grid, more than one does, or not continuously.
+    There are none where no parameter varies on the grid, more than one does, or not continuously:
+    one of two values is a choice.
     """
-    tried = [e for e in grid if e.name == effect.name and e.where == effect.where]
-    values = {f.name: {getattr(e, f.name) for e in tried} for f in fields(effect)}  # type: ignore[arg-type]
-    varied = [(name, found) for name, found in values.items() if len(found) > 1]
+    values = _values(effect, grid)
+    varied = [(name, found) for name, found in values.items() if len(found) > 2]
     if len(varied) != 1 or not all(isinstance(x, float) and x > 0.0 for x in varied[0][1]):
         return []
     name, known = varied[0][0], np.sort(np.array([*varied[0][1]]))
@@ -132,6 +133,31 @@ def _finer(effect: Effect, grid: Sequence[Effect], share: float) -> list[Effect]
     steps = share * gaps[at] * np.array([-2.0, -1.0, 1.0, 2.0])
     near = [replace(effect, **{name: float(value * factor)}) for factor in np.exp(steps)]  # type: ignore[type-var]
     return [e for e in near if e.distinct and bool(e.refines) == bool(effect.refines)]
+
+
+def _values(effect: Effect, grid: Sequence[Effect]) -> dict[str, set[Any]]:
+    """Return the values of each field that an effect has on a grid at its place."""
+    tried = [e for e in grid if e.name == effect.name and e.where == effect.where]
+    return {f.name: {getattr(e, f.name) for e in tried} for f in fields(effect)}  # type: ignore[arg-type]
+
+
+def chosen_otherwise(model: LogModel, fit: Fit, grid: Sequence[Effect]) -> Iterator[Term]:
+    """Yield the most probable of the terms that chose another of two values than those of a fit.
+
+    On a coarse grid of another shape the wrong choice may look better.
+    """
+    for term in fit.terms:
+        if term.effect is None:
+            continue
+        choices = [name for name, found in _values(term.effect, grid).items() if len(found) == 2]
+        others = [
+            model.choice(fit.choice, [other if each is term else each for each in fit.terms])
+            for other in model.terms
+            if other.key == term.key
+            and any(getattr(other.effect, n) != getattr(term.effect, n) for n in choices)
+        ]
+        for best in model.ranked(others, model.shares(fit), fit.variance)[:1]:
+            yield next(each for each in best.terms if each.key == term.key)
 
 
 # What columns are slopes of.

@@ -19,6 +19,7 @@ from geodrake.diagnosis.moves import alone
 from geodrake.diagnosis.proposals import proposed
 from geodrake.diagnosis.refinements import (
     ZOOMS,
+    chosen_otherwise,
     delays_of,
     expansions,
     fading_speeds,
@@ -376,9 +377,10 @@ class Search:
         """Return whether delays, shapes, slopes or loads were made anew."""
         retimed = self._retimed()
         changed = retimed
+        shaped = (*self.fit.terms, *chosen_otherwise(self.model, self.fit, self._grid))
         near = [
             effect
-            for effect in finer_shapes(self.fit.terms, self._grid, self._zooms)
+            for effect in finer_shapes(shaped, self._grid, self._zooms)
             if effect not in self._effects
         ]
         for term in self.fit.terms:

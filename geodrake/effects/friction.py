@@ -172,7 +172,10 @@ class StribeckFriction(JointEffect):
     taken_out_as = "friction"
     law = "(S − F) exp(−|v/v_s|^α) sgn v, on top of Coulomb friction"
     jumps = True
-    shapes = (Shape("stribeck_velocity", "rad/s", grid=_SHARES, scale="speed"),)
+    shapes = (
+        Shape("stribeck_velocity", "rad/s", grid=_SHARES, scale="speed"),
+        Shape("exponent", grid=(1.0, 2.0)),
+    )
     parameters = (Parameter("excess", "N·m", lower=0.0),)
     signature = "extra friction near reversals that fades as the joint speeds up"
     depends_on = frozenset({"v"})

@@ -19,12 +19,14 @@ from geodrake.diagnosis.climbing import gain_of
 from geodrake.diagnosis.log_model import Choice, LogModel
 from geodrake.diagnosis.moves import neighbours
 from geodrake.diagnosis.neighbourhood import Neighbourhood
+from geodrake.diagnosis.normal_kernels import calc_late_luck
 from geodrake.diagnosis.search import searched
 from geodrake.effects import CoulombFriction, EffortOffset, GravityCompensator, Payload
 from geodrake.identification.logs.case import open_case
 from geodrake.identification.logs.dataset import Dataset, JointData
 from geodrake.identification.logs.unknowns import pullback_information
 from geodrake.inertia import from_mass_com_inertia
+from geodrake.logs.filtering import design_filter
 
 PENDULUM = load_model(MODELS / "double_pendulum.urdf")
 BELIEFS = Beliefs()
@@ -314,3 +316,23 @@ def test_gains_of_efforts_that_are_wrong_make_no_sample_dependent():
     right = replace(log, effort=log.effort / 1.03)
     sure = searched(open_case(PENDULUM, [right], candidates=True)).model
     np.testing.assert_allclose(model.shares(fit), sure.shares(sure.bare(np.ones(2))), rtol=0.1)
+
+
+def test_noise_at_other_instants_is_no_evidence_of_a_delay():
+    """Sums of squares vary by what noise says of a delay, not with the instants it is sampled at."""
+    rng, low_pass = np.random.default_rng(8), design_filter(0.005, 8.3)
+    steps, at = np.arange(-6, 7), np.arange(100, 11_900, low_pass.decimation)
+    late, time = steps * low_pass.period, at * low_pass.period
+    late_by, raw, left = late[:, None], list[np.ndarray](), list[np.ndarray]()
+    for _ in range(40):
+        noise = low_pass.smooth(rng.normal(size=(12_000, 1)))[:, 0] / low_pass.noise_gain
+        efforts = np.sin(time + late_by) + [noise[at + step] for step in steps]
+        squares = np.square(efforts - np.sin(time)).sum(axis=1)
+        luck = calc_late_luck(time, np.sin(time), np.ascontiguousarray(efforts.T), 6, late)
+        raw.append(squares - squares[6])
+        left.append(squares - luck - squares[6])
+    lost = np.square(np.sin(time) - np.sin(time - late_by)).sum(axis=1)
+    spread = 2.0 * np.sqrt(lost)  # of the product of what a delay changes with white noise
+    assert np.std(raw, axis=0)[0] > 3.0 * spread[0]
+    assert (np.std(left, axis=0) <= 1.3 * spread).all()
+    np.testing.assert_allclose(np.mean(left, axis=0), lost, atol=1.0)
