@@ -319,7 +319,7 @@ def test_gains_of_efforts_that_are_wrong_make_no_sample_dependent():
 
 
 def test_noise_at_other_instants_is_no_evidence_of_a_delay():
-    """Sums of squares vary by what noise says of a delay, not with the instants it is sampled at."""
+    """Sums of squares vary by what noise says of a delay, not by when it is sampled."""
     rng, low_pass = np.random.default_rng(8), design_filter(0.005, 8.3)
     steps, at = np.arange(-6, 7), np.arange(100, 11_900, low_pass.decimation)
     late, time = steps * low_pass.period, at * low_pass.period

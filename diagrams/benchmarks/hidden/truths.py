@@ -141,11 +141,13 @@ def asymmetric(site: Site) -> Hidden:
 
 
 def stribeck(site: Site) -> Hidden:
-    """Return a dip as 1 / (1 + (v/vs)²) and not as an exponential."""
+    """Return a dip as 1 / (1 + (v/vs)²), or one that falls like a bell."""
     excess, share = site.rng.uniform(0.6, 1.2), site.rng.uniform(0.05, 0.2)
+    is_bell = site.rng.random() < 0.5
 
     def law(own: Signals, other: Signals) -> Array:
-        dip = 1.0 / (1.0 + (own.v / (share * np.abs(own.v).max())) ** 2)
+        square = (own.v / (share * np.abs(own.v).max())) ** 2
+        dip = np.exp(-square) if is_bell else 1.0 / (1.0 + square)
         return smooth_sign(own.v) * (1.0 + excess * dip)
 
     return joint_law(law)(site)
