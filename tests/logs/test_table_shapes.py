@@ -644,14 +644,14 @@ def test_what_topic_echo_wrote(tmp_path, name):
 
 def test_a_column_that_may_be_time_by_its_values_is_proposed(tmp_path):
     path, columns = tmp_path / "log.csv", PLAIN.assign(row=np.arange(ROWS), time=1000.0 * TIME)
-    columns = columns[["row", *PLAIN]].rename(columns={"time": "IPOC"})
+    columns = columns[["row", *PLAIN]].rename(columns={"time": "Tick"})
     columns.to_csv(path, index=False)
-    with pytest.raises(LogError, match="'IPOC' rises by 10 from row to row: is it") as error:
+    with pytest.raises(LogError, match="'Tick' rises by 10 from row to row: is it") as error:
         read_log(path, joints=JOINTS)
     (tmp_path / "m.yaml").write_text(error.value.evidence["proposal"])
     log = read_log(path, reading=Reading(mapping=read_mapping(tmp_path / "m.yaml")))
     np.testing.assert_allclose(log.time, TIME)
-    columns.drop(columns="IPOC").to_csv(path, index=False)  # rows are no time
+    columns.drop(columns="Tick").to_csv(path, index=False)  # rows are no time
     with pytest.raises(LogError, match="no column 'time'") as error:
         read_log(path, joints=JOINTS)
     assert "rises" not in str(error.value)
@@ -683,3 +683,22 @@ def test_odd_texts(tmp_path, kind):
     np.testing.assert_allclose(log.position, POSITION)
     np.testing.assert_allclose(log.effort, EFFORT)
     assert ("time of the row before" in " ".join(log.notes)) == is_twice
+
+
+def test_messages_of_a_kuka(tmp_path):
+    """Elements of XML in a file, whose clock counts ms; what is no such file is refused."""
+    messages = [
+        f'<Rob Type="KUKA"><RIst X="1.0" Y="2.0"/><AIPos A1="{a!r}" A2="{b!r}"/>'
+        f'<MATorque A1="{c!r}" A2="{d!r}"/><IPOC>{4208163 + round(1000 * t)}</IPOC></Rob>'
+        for t, a, b, c, d in PLAIN[[PLAIN.columns[k] for k in (0, 1, 2, 3, 4)]].to_numpy().tolist()
+    ]
+    path = tmp_path / "rsi.xml"
+    path.write_text("\n".join(messages))
+    log = read_log(path, joints=JOINTS)
+    np.testing.assert_allclose(log.time - log.time[0], TIME, atol=1e-6)
+    np.testing.assert_allclose(log.position, POSITION)
+    np.testing.assert_allclose(log.effort, EFFORT)
+    for text, words in (("<Rob ", "no XML of a robot"), ("<robot/>", "Is it the model")):
+        path.write_text(text)
+        with pytest.raises(LogError, match=words):
+            read_log(path)

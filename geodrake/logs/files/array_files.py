@@ -10,6 +10,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
+from xml.etree import ElementTree
 
 import numpy as np
 import yaml  # type: ignore[import-untyped]
@@ -47,14 +48,12 @@ _JSON_ADVICE = (
 
 def read_json(path: Path, reading: Reading) -> LogTable:
     """Return the columns of a JSON file: fields of records by their paths, as in `state.q[0]`."""
-    with readable(path, "JSON file", _JSON_ADVICE), open_log(path) as file:
-        text = file.read(1 + int(_JSON_SHARE * machine_memory()))  # of what may be packed well
-        check_room(path, int(len(text) / (8.0 * _JSON_SHARE)), f"{len(text) / 1e9:.3g} GB of JSON")
+    with readable(path, "JSON file", _JSON_ADVICE):
+        text = _whole(path, "JSON").decode("utf-8-sig")
         if unpacked(path).suffix.lower() in _LINES:
-            lines = text.decode("utf-8-sig").splitlines()
-            content: Any = [json.loads(line) for line in lines if line.strip()]
+            content: Any = [json.loads(line) for line in text.splitlines() if line.strip()]
         else:
-            content = json.loads(text.decode("utf-8-sig"))
+            content = json.loads(text)
     content = _of_pandas(content)
     if isinstance(content, Mapping):
         fields = [(n, x) for n, x in _fields(content) if isinstance(x, list | int | float)]
@@ -68,12 +67,32 @@ def read_json(path: Path, reading: Reading) -> LogTable:
 def read_echo(path: Path, reading: Reading) -> LogTable:
     """Return the columns of what `topic echo` of ROS wrote: a document of YAML for each message."""
     advice = "Was it cut off? Remove the last message, or record a bag: ros2 bag record."
-    with readable(path, "output of topic echo", advice), open_log(path) as file:
-        text = file.read(1 + int(_JSON_SHARE * machine_memory()))
-        check_room(path, int(len(text) / (8.0 * _JSON_SHARE)), f"{len(text) / 1e9:.3g} GB of YAML")
+    with readable(path, "output of topic echo", advice):
+        text = _whole(path, "YAML")
         whole = text.rpartition(b"\n---")[0] or text  # the last may be cut off
         documents = list(yaml.load_all(whole, yaml.CSafeLoader))
     return _records(path, [each for each in documents if isinstance(each, Mapping)])
+
+
+def read_rsi(path: Path, reading: Reading) -> LogTable:
+    """Return the columns of what a KUKA sent by its interface for sensors, elements of XML."""
+    with readable(path, "XML of a robot", "Leave out a last element that was cut off."):
+        root = ElementTree.fromstring(b"<log>" + _whole(path, "XML") + b"</log>")
+    return _records(path, [_of_element(element) for element in root])
+
+
+def _of_element(element: ElementTree.Element) -> dict[str, Any]:
+    """Return the attributes of an element, its children and numbers in them."""
+    children = {child.tag: _of_element(child) or child.text for child in element}
+    return {**element.attrib, **children}
+
+
+def _whole(path: Path, kind: str) -> bytes:
+    """Return the text of a file, which becomes many times as large, if there is room for that."""
+    with open_log(path) as file:
+        text = file.read(1 + int(_JSON_SHARE * machine_memory()))  # of what may be packed well
+    check_room(path, int(len(text) / (8.0 * _JSON_SHARE)), f"{len(text) / 1e9:.3g} GB of {kind}")
+    return text
 
 
 def _records(path: Path, content: Sequence[Mapping[str, Any]]) -> LogTable:

@@ -20,6 +20,7 @@ from geodrake.logs.files.array_files import (
     read_npy,
     read_npz,
     read_parquet,
+    read_rsi,
 )
 from geodrake.logs.files.joined_tables import joined_tables, meanings_of, reshaped
 from geodrake.logs.files.lcm_log import MAGIC, read_lcm
@@ -70,6 +71,7 @@ BEGINNINGS: Mapping[bytes, Reader] = {
     MAGIC: read_lcm,
     b"header:": read_echo,
     b"---\nheader:": read_echo,
+    b"<Rob ": read_rsi,
 }
 """Reader of files by their first bytes: lcm-logger's names end in a date."""
 
