@@ -664,7 +664,7 @@ ODD_TEXTS = {
     "Windows": "# Prüfstand, µ\nZeit;Winkel 1;Winkel 2;Drehmoment 1;Drehmoment 2\n",
     "Fortran": "t q1 q2 tau1 tau2\n",
     "rows twice": "time,q1,q2,tau1,tau2\n",
-    "factors of units": "t [0.5 s];q1 [1e0rad];q2 [1.0 rad];tau1 [1 Nm];tau2 [Nm]\n",
+    "factors of units": "t [0.1 s];q1 [1e0rad];q2 [1.0 rad];tau1 [1 Nm];tau2 [Nm]\n",
 }
 
 
@@ -672,7 +672,7 @@ ODD_TEXTS = {
 def test_odd_texts(tmp_path, kind):
     head, is_twice = ODD_TEXTS[kind], kind == "rows twice"
     mark = next((mark for mark in ";," if mark in head), "  ")
-    numbers = PLAIN.to_numpy() * [2.0 if "factors" in kind else 1.0, 1.0, 1.0, 1.0, 1.0]
+    numbers = PLAIN.to_numpy() * [10.0 if "factors" in kind else 1.0, 1.0, 1.0, 1.0, 1.0]
     rows = [[*map(repr, row)] for row in np.repeat(numbers, 1 + is_twice, axis=0).tolist()]
     if kind == "Fortran":
         rows = [[f"{float(x):.17e}".replace("e", "D") for x in row] for row in rows]
@@ -702,3 +702,11 @@ def test_messages_of_a_kuka(tmp_path):
         path.write_text(text)
         with pytest.raises(LogError, match=words):
             read_log(path)
+
+
+def test_what_columns_of_words_hold_is_said_where_nothing_else_is_of_joints(tmp_path):
+    cells = [json.dumps({"position": q}) for q in POSITION.tolist()]
+    pandas.DataFrame({"time": TIME, "msg": cells}).to_csv(tmp_path / "log.csv", index=False)
+    with pytest.raises(LogError, match=r"efforts: none; 'msg' holds '.\"position\": ") as error:
+        read_log(tmp_path / "log.csv", joints=JOINTS)
+    assert "as lines of a .jsonl file" in error.value.advice

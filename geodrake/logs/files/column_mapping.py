@@ -308,6 +308,11 @@ def _span(meanings: Sequence[Meaning]) -> str:
     )
 
 
+_FEW_WORDS, _LONGEST_WORD = 3, 40  # columns of words that are told, and letters of each
+_WORDS_ADVICE = (
+    "Are they in columns of words? Write records in JSON as lines of a .jsonl file, and a column "
+    "for each quantity of each joint (DataFrame.pivot). "
+)
 _MAPPING_ADVICE = "Or say which column is what by --mapping."
 
 
@@ -378,7 +383,7 @@ def columns_of(
                 advice=f"{words}{HEADER_ADVICE} Without time, give the rows a second by --rate.",
             )
         origin = told.date(table)
-        own, standing = told.chosen(path, joints, partial=partial)
+        own, standing = told.chosen(table, joints, partial=partial)
     except LogError as error:
         propose(error, path, table.counted, joints, reading, clock=clock)
         raise
@@ -557,19 +562,22 @@ class Told:
         return origin
 
     def chosen(
-        self, path: Path, wanted: Sequence[str] | None, *, partial: bool
+        self, table: LogTable, wanted: Sequence[str] | None, *, partial: bool
     ) -> tuple[tuple[str, ...], tuple[str, ...]]:
         """Return the joints of the log, and those of which there is the position alone."""
-        moved = self._of_model(self.having("position"), wanted)
+        path, moved = table.path, self._of_model(self.having("position"), wanted)
         efforts = self.having("effort", "command")
         heard = {*efforts, *self.passive(moved)}
         silent = [joint for joint in moved if joint not in heard]
         if len(silent) == len(moved):
+            told = {} if moved or efforts else table.first_words
+            words = [f"; {n!r} holds {cell[:_LONGEST_WORD]!r}" for n, cell in told.items()]
             raise LogError(
                 f"Log {str(path)!r} has no joint with both position and effort; positions: "
-                f"{listed(moved)}; efforts: {listed(efforts)}.",
+                f"{listed(moved)}; efforts: {listed(efforts)}{''.join(words[:_FEW_WORDS])}.",
                 advice="A log without effort says nothing about dynamics. "
-                f"{HEADER_ADVICE} {SIGNAL_ADVICE} {_MAPPING_ADVICE}",
+                + (_WORDS_ADVICE if words else "")
+                + f"{HEADER_ADVICE} {SIGNAL_ADVICE} {_MAPPING_ADVICE}",
             )
         standing = tuple(j for j in silent if j in self.own or j in (wanted or ()))
         if standing and not partial:

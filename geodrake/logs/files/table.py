@@ -310,6 +310,11 @@ class LogTable:
         """Names that mappings count by, from 1 on."""
         return self.order or self.names
 
+    @property
+    def first_words(self) -> dict[str, str]:
+        """Columns without numbers -> what is in them first."""
+        return {name: str(cells[0]) for name, cells in self.words.items() if len(cells)}
+
     def is_time(self, name: str) -> bool:
         """Return whether a column is time: by its name, or as the only one of dates."""
         if name not in self.origins:

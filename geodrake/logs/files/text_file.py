@@ -355,6 +355,11 @@ class TextTable(LogTable):
         """Names of the columns."""
         return [name for name, _, _ in self._layout.columns]
 
+    @property
+    def first_words(self) -> dict[str, str]:
+        """Columns without numbers -> what is in them first."""
+        return {name: self._layout.first[name] for name in self._layout.words}
+
     def read(
         self, names: Sequence[str], *, skip: bool = False
     ) -> tuple[dict[str, Array], TornRows]:

@@ -108,14 +108,17 @@ def find_unit(text: str, quantity: str) -> Unit | None:
 
 
 def scaled_unit(text: str, quantity: str) -> Unit | None:
-    """Return the unit that a text stands for, which may have a factor, such as `0.001deg`."""
+    """Return the unit that a text stands for, which a power of ten may precede: `0.001deg`."""
     if (unit := find_unit(text, quantity)) is not None:
         return unit
     found = re.fullmatch(r"(\d*\.?\d+(?:[eE][+-]?\d+)?)[\s*·]*(\D+)", text.strip())
     inner = find_unit(found[2], quantity) if found else None
-    if inner is None or found is None or inner.offset or not float(found[1]):
+    if inner is None or found is None or inner.offset or not _TEN.fullmatch(found[1]):
         return None
     return Unit(f"{found[1]} {inner.name}", float(found[1]) * inner.factor)
+
+
+_TEN = re.compile(r"10*(\.0*)?|0?\.0*10*|1(\.0*)?[eE][+-]?\d+")  # powers of it
 
 
 @lru_cache(1024)
