@@ -123,6 +123,14 @@ def test_pages_of_the_site_have_all_that_help_and_packages_say():
             assert f".{name}\n" in page or f"## {name}\n" in page
 
 
+def test_names_to_look_up_are_those_that_packages_export():
+    rows = re.findall(r"^\| `(geodrake[.\w]*)` \| (.*)", text_of(ROOT / "docs" / "api.md"), re.M)
+    named = {package: re.findall(r"`(\w+)`", words) for package, words in rows}
+    assert len(named) > 10 and all(named.values())
+    for package, names in named.items():
+        assert set(names) <= {*import_module(package).__all__}, package
+
+
 def test_every_effect_has_its_picture():
     page = text_of(ROOT / "docs" / "effects.md")
     for effect in catalogue():
