@@ -22,7 +22,7 @@ from geodrake.logs.files.name_rules import (
     numbers_joints,
     plain_words,
 )
-from geodrake.logs.files.reading import MappedColumn, Reading
+from geodrake.logs.files.reading import Reading
 from geodrake.logs.files.table import LogTable
 from geodrake.logs.files.units import unit_of
 from geodrake.logs.floating import FLAG, floating_name, vectors
@@ -115,14 +115,9 @@ def _order(tables: Sequence[LogTable], reading: Reading) -> list[str]:
     return [clock, *names]
 
 
-def _mapped_time(reading: Reading) -> MappedColumn | None:
-    return reading.mapping.time if reading.mapping else None
-
-
 def _is_time(table: LogTable, column: str, reading: Reading) -> bool:
     """Return whether a column has the time, as its name, its dates or the mapping says."""
-    mapped = _mapped_time(reading)
-    return table.is_time(column) or (mapped is not None and mapped.column == column)
+    return table.is_time(column) or _what(column, reading)[1] == "time"
 
 
 def _what(column: str, reading: Reading) -> tuple[str, str]:
@@ -211,7 +206,7 @@ def meanings_of(table: LogTable) -> list[Meaning]:
 
 def _time(table: LogTable, reading: Reading) -> tuple[Array | None, tuple[str, ...]]:
     """Return time stamps of a table, s, and a note of a unit that nobody said."""
-    mapped = _mapped_time(reading)
+    mapped = reading.mapping.time if reading.mapping else None
     if mapped is not None and (stamps := table.columns.get(str(mapped.column))) is not None:
         if mapped.column in table.origins:
             return stamps, ()

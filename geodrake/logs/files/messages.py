@@ -6,6 +6,7 @@ from array import array
 from collections import defaultdict
 from collections.abc import Callable, Hashable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from functools import lru_cache
 from operator import attrgetter, itemgetter
 from pathlib import Path
 from typing import Any
@@ -293,12 +294,13 @@ def _leaves(message: Any, path: tuple[str, ...] = ()) -> Iterator[tuple[tuple[st
         yield from _leaves(getattr(message, name), (*path, name))
 
 
-def _quantity_at(path: Sequence[str]) -> tuple[str, int]:
+@lru_cache(1024)
+def _quantity_at(path: tuple[str, ...]) -> tuple[str, int]:
     """Return what the numbers at a place in messages are, by its name, and the role; "" of others.
 
     Positions that are wanted are commands, which stand for efforts that nobody measures.
     """
-    if tuple(path) == (NUMBERS,):
+    if path == (NUMBERS,):
         return NUMBERS, MEASURED
     meaning = meaning_of(f"{'/'.join(path)}[0]")
     if meaning is None or meaning.role >= OTHER:
@@ -307,7 +309,7 @@ def _quantity_at(path: Sequence[str]) -> tuple[str, int]:
         is_place = meaning.quantity in ("position", "command")
         return "command" if is_place else "", meaning.role
     if path[0] == _OUTPUT[0]:
-        return meaning.quantity if tuple(path) == _OUTPUT else "", OTHER
+        return meaning.quantity if path == _OUTPUT else "", OTHER
     return meaning.quantity, meaning.role
 
 
