@@ -99,7 +99,9 @@ def test_it_finds_what_mujoco_has(model, log):
 def test_a_data_sheet_limits_what_the_motion_does_not(tmp_path, published, kept):
     motions = alone(pendulum(tmp_path, 1e3), servo_log(seconds=6.0))
     signal = EffortSignal("hinge", "command", 50.0)
-    assert (fit_servo(motions, signal, published=published).limit == published) == kept
+    assert (
+        fit_servo(motions, signal, expected={"limit": (published, 0.7)}).limit == published
+    ) == kept
 
 
 def test_a_joint_that_falls_over_is_far_off_and_no_servo():

@@ -79,6 +79,7 @@ LONGEST_DELAY, USUAL_DELAY = 0.06, 0.01
 
 _RATE, _DELAY, _OFFSET, _LOAD, _INTEGRAL = 1, 5, 6, 7, 8
 _LIMIT, _SHARE, _BEGUN = 9, 10, 11
+_PLACES = {name: at for at, name in enumerate((*PARAMETERS, "limit"))}
 _STEPS, _LONGEST_STEP = 4, 5e-3  # of simulations between two rows at least, and at most so long, s
 _THETA = 0.55  # how far within a step forces are as they are there
 _WINDOWS = 8  # of all logs, two of a stretch at least; every other one is left out for a test
@@ -88,6 +89,7 @@ _SETTLED = 1e-5  # share of its sum of squares that the last step of a search ta
 _FIRST_DAMPING, _LEAST_DAMPING = 1e-3, 1e-9  # of steps, over squares of slopes
 _FARTHEST = 3.0  # deviations of a number from what is expected
 _LEAST_LIMIT = 0.01  # of its size
+LOWERED = 0.7  # deviation of the logarithm of a limit from a stall torque: servos are set to less
 _USUAL_LOAD, _MOST_LOAD = 0.2, 1.0  # of the load, that friction in proportion to it is
 _NOTHING = float(np.finfo(float).tiny)  # rad² or m², of a joint that stands exactly still
 _FAR = 1e3  # rad or m, from the measured motion, and no farther: squares stay numbers
@@ -398,7 +400,7 @@ class _Servo:
 
 
 Expected = Mapping[str, tuple[float, float]]
-"""Name of a parameter above 0 -> what is expected of it, and the deviation of its logarithm."""
+"""Parameter above 0, or `limit` -> what is expected of it, and the deviation of its logarithm."""
 
 
 def fit_servo(
@@ -408,16 +410,15 @@ def fit_servo(
     *,
     expected: Expected | None = None,
     bodies: float = 0.0,
-    published: float = np.inf,
 ) -> ServoFit | None:
     """Return the servo that moves a joint as it was measured to, from that by a linear fit on.
 
     The `limit` is the largest effort of the joint, N·m or N, by the model: the servo may keep it,
     or another one, or none. Of the stiffness and other parameters values may be `expected`, by
-    default of the stiffness about that by the linear fit; `bodies` are known to a share. The most
-    effort that is `published` of the motor, N·m or N, is its limit where the motion does not reach
-    it. None if windows that the fit did not see are predicted no better than from where it began,
-    or than by a joint that stands still.
+    default of the stiffness about that by the linear fit; `bodies` are known to a share. A limit
+    that is expected is the servo's where the motion does not reach it. None if windows that the fit
+    did not see are predicted no better than from where it began, or than by a joint that stands
+    still.
     """
     inertia, some = np.concatenate(motions.rows)[:, 1], motions.pieces()
     begin = [
@@ -430,7 +431,7 @@ def fit_servo(
     ]
     expected = {"stiffness": (signal.gain, ALIKE), **(expected or {})}
     told = signal.integral or some.linear_servo(signal).integral
-    first = _Search(some, told, expected, published)
+    first = _Search(some, told, expected)
     found = first.at_its_limit(some.servo(begin), limit)
     found = found if some is motions else found.along(motions)
     search, start = replace(first, motions=motions), motions.servo(begin)
@@ -447,17 +448,22 @@ class _Search:
     motions: JointMotions
     told: float  # the integral gain by a linear fit; 0 if it has none
     expected: Expected
-    published: float  # most effort of the motor, N·m or N
 
     def fitted(self, half: _Servo, start: Array, bodies: float) -> ServoFit | None:
         """Return the fit to all rows, from that to half of the windows on; see `fit_servo`."""
         motions, began = self.motions, start.copy()
         began[[_LIMIT, _SHARE]] = half.numbers[[_LIMIT, _SHARE]]
-        half = half.limited(*began[[_LIMIT, _SHARE]].tolist())
+        sought, half = half.free[_LIMIT], half.limited(*began[[_LIMIT, _SHARE]].tolist())
         tested, moved = motions.tested, float(np.std(motions.measured))
         if not motions.rms(half.numbers, tested) < min(motions.rms(began, tested), moved):
             return None
         best = self.best([half])
+        usual, spread = self.expected.get("limit", (np.inf, np.inf))
+        if sought:
+            never = self.best([best.limited(np.inf, 0.0), _Servo.of(start)])
+            odd = np.log(best.numbers[_LIMIT] / usual) / spread if np.isfinite(usual) else 0.0
+            if motions.gain(never.numbers, best.numbers) < PENALTY + odd**2:
+                best = never
         for which in (_OFFSET, _LOAD, _RATE, _DELAY):
             bare = self.best([best.without(which)])
             if motions.gain(bare.numbers, best.numbers) < PENALTY:
@@ -465,8 +471,8 @@ class _Search:
         error, first = motions.rms(best.numbers), motions.rms(began)
         if not error < min(first, moved):
             return None
-        if np.isfinite(self.published):
-            held = best.limited(self.published, 0.0)
+        if np.isfinite(usual):
+            held = best.limited(usual, 0.0)
             if (motions.residual(held.numbers) == motions.residual(best.numbers)).all():
                 best = held
         parameters, limit, own = np.split(best.numbers[:_BEGUN], [_LIMIT, _SHARE])
@@ -541,8 +547,9 @@ class _Search:
         whole, size = self.motions, len(starts[0].numbers)
         most = _MOST_EVALUATIONS if len(starts) == 1 else _FIRST_EVALUATIONS
         motions, rows = whole.seen if seen else (whole, np.ones(len(whole.measured), bool))
-        places = [PARAMETERS.index(name) for name in self.expected]
-        usual, spread = np.transpose(list(self.expected.values()))
+        expected = {_PLACES[name]: value for name, value in self.expected.items()}
+        places = [at for at in expected if starts[0].free[at] or at != _LIMIT]
+        usual, spread = np.transpose([expected[at] for at in places])
         weights, late = 0.0 * spread, 0.0
         if not seen:  # on the scale of what is left of positions
             left = motions.residual(starts[0].numbers)
@@ -597,7 +604,7 @@ class _Search:
         # What the motion does not show is known to its own size.
         known = np.ones(J.shape[1])
         for name, (_, spread) in self.expected.items():
-            known[np.flatnonzero(free) == PARAMETERS.index(name)] = spread**-2.0
+            known[np.flatnonzero(free) == _PLACES[name]] = spread**-2.0
         covariance = np.linalg.inv(J.T @ J / noise + np.diag(known))
         found = np.zeros(len(free))
         found[free] = size * np.sqrt(np.diag(covariance))

@@ -24,6 +24,7 @@ from geodrake.identification.logs.effort_gains import (
 from geodrake.identification.logs.model_fit import effects_of
 from geodrake.identification.logs.reduce import reduce_logs
 from geodrake.identification.logs.servo_fit import (
+    LOWERED,
     PARAMETERS,
     Expected,
     JointMotions,
@@ -302,14 +303,9 @@ def expected_servo(logs: Sequence[JointLog], joint: str, stiffness: float) -> Ex
         for name, told in (("stiffness", motor.gain(COMMAND)), ("armature", motor.armature)):
             if told is not None:
                 found[name] = told[0], _log_deviation(*told[:2])
+        if motor.stall_torque is not None:
+            found["limit"] = motor.stall_torque[0], LOWERED
     return found
-
-
-def published_limit(logs: Sequence[JointLog], joint: str) -> float:
-    """Return the most effort that a joint's motor gives by its data sheet; infinite if unknown."""
-    motors = [log.motors[joint] for log in logs if joint in log.motors]
-    stall = motors[0].stall_torque if motors else None
-    return np.inf if stall is None else stall[0]
 
 
 def _log_deviation(value: float, deviation: float) -> float:
@@ -368,7 +364,6 @@ def servo_by_motion(
         limit if limit > 0.0 else np.inf,
         expected=expected_servo(logs, signal.joint, signal.gain if usual is None else usual),
         bodies=bodies,
-        published=published_limit(logs, signal.joint),
     )
 
 
