@@ -243,6 +243,7 @@ class _Sums:
     share: Array  # (B + 1,) share of the rows up to each
     known: Array  # (10, 10) prior information of what is held
     price: float  # evidence that an instant must be worth
+    is_only: bool  # whether there is no other log
 
     @classmethod
     def of(cls, around: _Around, log: int, body: str) -> _Sums | None:
@@ -272,10 +273,14 @@ class _Sums:
         total = np.concatenate([np.zeros((1, *sums.shape[1:])), np.cumsum(sums, axis=0)])
         counts = np.concatenate([[0.0], np.cumsum(counts)])
         price = 2.0 * float(np.log(around.model.beliefs.order))  # it is one of many
-        return cls(edges, total, counts / counts[-1], around.prior, price)
+        is_only = len(around.case.trajectories) == 1
+        return cls(edges, total, counts / counts[-1], around.prior, price, is_only)
 
     def best_windows(self) -> list[tuple[float | None, float | None]]:
-        """Return the windows whose columns add most: from an instant on, until one, between two."""
+        """Return the windows whose columns add most.
+
+        They are from an instant on, until one, between two, and all of one log of several.
+        """
         last, share = len(self.edges) - 1, self.share
         inside = np.flatnonzero((share >= _LEAST) & (share <= 1.0 - _LEAST))
         if not len(inside):
@@ -285,9 +290,10 @@ class _Sums:
             [(k, last) for k in grid],
             [(0, k) for k in grid],
             [pair for pair in combinations(grid, 2) if self._is_long(pair)],
+            [] if self.is_only else [(0, last)],
         ]
         found = []
-        for windows in kinds:
+        for windows in filter(None, kinds):
             best = self._finer(self._best(windows), inside)
             edges = (best[0] > 0) + (best[1] < last)
             gain = float(self._gain([best])[0]) - edges * self.price
@@ -328,7 +334,7 @@ class _Sums:
 def _timed(around: _Around, held: Episode) -> Episode:
     """Return an episode with edges, and a rise, with which its columns add most."""
     numbers = [log_number(trajectory.name) for trajectory in around.case.trajectories]
-    if held.window[3] not in numbers:
+    if held.window[3] not in numbers or held.window[:2] == (None, None):
         return held
     log, body = numbers.index(held.window[3]), held.where[0]
     inside = dict(zip(("start", "end"), held.window[:2], strict=True))

@@ -123,6 +123,9 @@ def _episodes(case: Case, model: RobotModel) -> list[str]:
                 continue
             where = f" of {log.name}" if len(case.trajectories) > 1 else ""
             edges = [edge for edge in effect.window[:2] if edge is not None]
+            if not edges:
+                found.append(f"{effect.name} of {effect.where[0]} is there in all of {log.name}")
+                continue
             clock = " and ".join(f"{log.began + edge:.2f} s" for edge in edges)
             by_clock = f"; by its clock that is {clock}" if abs(log.began) >= _LATE else ""
             if where or by_clock:

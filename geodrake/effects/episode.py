@@ -74,7 +74,7 @@ class Episode(BodyEffect):
         """When it is there, in words."""
         start, end, _, _ = self.window
         if end is None:
-            return "throughout" if start is None else f"from {start:.2f} s on"
+            return "all of one log" if start is None else f"from {start:.2f} s on"
         return f"until {end:.2f} s" if start is None else f"{start:.2f}–{end:.2f} s"
 
 

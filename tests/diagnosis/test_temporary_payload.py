@@ -125,6 +125,18 @@ def test_is_none_of_another_log(picked_up):
     assert "that is 1004.2" in told or "that is 1004.1" in told
 
 
+def test_what_one_log_of_two_shows_throughout_is_held_there(pendulum):
+    empty, loaded = a_log(7, np.zeros_like), a_log(8, np.ones_like)
+    found = explain(pendulum, [empty, loaded])
+    steps = {step.effect: step for step in found.steps}
+    assert set(steps) == {"temporary_payload", "coulomb_friction", "viscous_friction"}
+    ((place, values),) = steps["temporary_payload"].parameters.items()
+    np.testing.assert_allclose(values["mass"], MASS, rtol=0.03)
+    assert place == f"{BODY}, all of one log"
+    assert f"temporary_payload of {BODY} is there in all of {loaded.name}" in found.notes
+    assert found.verdict == "explained"
+
+
 def test_ordinary_logs_show_none(pendulum):
     log = a_log(6, np.zeros_like)
     effects = {step.effect for step in explain(pendulum, [log]).steps}
