@@ -112,6 +112,18 @@ def test_a_written_effect_is_its_formula_and_acts_on_a_plant(tmp_path):
     np.testing.assert_allclose(output, wanted, rtol=1e-12)
 
 
+def test_an_offset_that_each_log_has_anew_varies_with_the_log():
+    model = load_model(MODELS / "double_pendulum.urdf")
+    one, other = (effort_log("double_pendulum", n, duration=12.0).log for n in (102, 103))
+    other = replace(other, effort=other.effort + np.array([0.0, 0.5]))
+    draft = draft_effects(model, [one, other])[1]
+    told = draft.correlates[0]
+    assert told.joint == model.joints[1]
+    assert told.words == "the log: its mean is another one in each"
+    assert told.share > 0.9
+    assert draft.effects == ()
+
+
 def test_nothing_is_drafted_of_noise_or_of_what_follows_the_clock():
     """A swing at one joint, and a drift at the other."""
     model, recording = load_model(MODELS / "double_pendulum.urdf"), ("double_pendulum", 101)

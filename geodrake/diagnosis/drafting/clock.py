@@ -1,4 +1,4 @@
-"""What an error owes to the clock: slow drift, and oscillations that follow no joint."""
+"""What an error owes to the log or its clock: offsets, slow drift, swings that follow no joint."""
 
 from __future__ import annotations
 
@@ -7,6 +7,7 @@ from scipy.fft import next_fast_len
 
 from geodrake.diagnosis.drafting.results import Array
 from geodrake.diagnosis.results import Correlate
+from geodrake.identification.logs.case import Case
 from geodrake.identification.logs.hypothesis import Hypothesis, residual_blocks
 
 _LEAST_SHARE = 0.25
@@ -15,32 +16,40 @@ _LEAST_SHARE = 0.25
 _FINER = 8  # steps of the spectrum in one that the log resolves
 
 
-def clock_correlates(hypothesis: Hypothesis, joint: str) -> list[Correlate]:
-    """Return slow drift and the strongest oscillation of a joint's held-out error, where notable.
+def clock_correlates(case: Case, hypothesis: Hypothesis, joint: str) -> list[Correlate]:
+    """Return what a joint's held-out error owes to the clock of its log, or to which log it is.
 
-    Amplitudes are fitted to all folds but one, and judged on that one. Several logs have no clock
-    in common: they give none.
+    These are slow drift and the strongest oscillation, where notable; several logs have no clock in
+    common, but each may have a mean of its own. Amplitudes are fitted to all folds but one, and
+    judged on that one.
     """
     dataset = hypothesis.dataset
-    if len(dataset.logs) > 1:
-        return []
     j = dataset.joints.index(joint)
     blocks = residual_blocks(
         dataset, hypothesis.unknowns.columns, hypothesis.held_out.x, delay=hypothesis.delay
     )
     residual = np.concatenate(blocks[j])
-    rows = [(fold, r.time) for fold, parts in enumerate(dataset.data[j].rows) for r in parts]
-    time = np.concatenate([t for _, t in rows])
-    fold = np.concatenate([np.full(len(t), f) for f, t in rows])
-    late = (time - time.min()) / max(float(np.ptp(time)), 1e-9)
-    drift = _share(np.stack([np.ones_like(late), late, late**2], -1), residual, fold)
-    frequency = _strongest(time, residual)
-    angle = 2.0 * np.pi * frequency * time
-    swing = _share(np.stack([np.cos(angle), np.sin(angle)], -1), residual, fold)
-    found = (
-        Correlate(joint, "time: it drifts slowly", drift),
-        Correlate(joint, f"the clock: it swings at {frequency:.3g} Hz", swing),
-    )
+    parts = [
+        (f, block.trajectory, rows.time)
+        for f, (fold, kept) in enumerate(zip(case.folds, dataset.data[j].rows, strict=True))
+        for block, rows in zip(fold.blocks, kept, strict=False)
+    ]
+    time = np.concatenate([t for *_, t in parts])
+    fold, log = (np.concatenate([np.full(len(p[2]), p[k]) for p in parts]) for k in (0, 1))
+    if len(dataset.logs) > 1:
+        means = (log[:, None] == np.arange(len(dataset.logs))).astype(float)
+        apart = _share(means, residual, fold)
+        found = [Correlate(joint, "the log: its mean is another one in each", apart)]
+    else:
+        late = (time - time.min()) / max(float(np.ptp(time)), 1e-9)
+        drift = _share(np.stack([np.ones_like(late), late, late**2], -1), residual, fold)
+        frequency = _strongest(time, residual)
+        angle = 2.0 * np.pi * frequency * time
+        swing = _share(np.stack([np.cos(angle), np.sin(angle)], -1), residual, fold)
+        found = [
+            Correlate(joint, "time: it drifts slowly", drift),
+            Correlate(joint, f"the clock: it swings at {frequency:.3g} Hz", swing),
+        ]
     return [correlate for correlate in found if correlate.share > _LEAST_SHARE]
 
 

@@ -298,7 +298,7 @@ def _correlates(found: Found, joint: str, words: Sequence[FormulaTerm]) -> list[
         if share > max(_NOTABLE, 0.5 * told[0][0]) and not known:
             chosen.append((share, term))
     found_ones = [Correlate(joint, term.words(joint), share) for share, term in chosen]
-    clock = clock_correlates(hypothesis, joint)
+    clock = clock_correlates(found.case, hypothesis, joint)
     return sorted([*found_ones[:_MOST_CORRELATES], *clock], key=lambda each: -each.share)
 
 
