@@ -6,7 +6,7 @@ keys are a stable interface; more may be added, none are renamed.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from functools import cache
 from importlib.resources import files
 from typing import Any
@@ -59,7 +59,9 @@ def _made(said: Any, value: Any) -> Any:
         return {name: _made(inner, one) for name, one in value.items()}
     if isinstance(said, list):
         is_plain = isinstance(said[0], str) and said[0] not in schema()["kinds"]
-        return value if is_plain else [_made(said[0], one) for one in value]
+        if is_plain:
+            return [*value] if isinstance(value, Iterator) else value
+        return [_made(said[0], one) for one in value]
     if (name := said.rstrip("?")) not in schema()["kinds"]:
         return value
     return record(name, **value) if isinstance(value, Mapping) else record(name, value)
