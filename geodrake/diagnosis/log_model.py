@@ -457,10 +457,10 @@ class LogModel:
         return self._shares[key]
 
     def align(self, fit: Fit) -> None:
-        """Let errors at all delays have the noise that they have at the delays of a fit.
+        """Let errors at no delay have less noise than at the delays of a fit.
 
-        Efforts that are later by some milliseconds are sampled, filtered, at other instants, and
-        their noise is larger or smaller there by chance. That is no evidence of a delay.
+        Efforts that are later by some milliseconds are sampled, filtered, at other instants, where
+        their noise may be smaller by chance. That is no evidence of a delay.
         """
         if len(self.dataset.delays) < 2 or self.dataset.is_mixed:
             return

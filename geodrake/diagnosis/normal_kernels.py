@@ -217,7 +217,7 @@ def calc_gains(
 
 @compiled
 def calc_late_luck(time: Array, predicted: Array, efforts: Array, own: int, lags: Array) -> Array:
-    """Return (d,) by how much squared errors change with a delay beyond what the delay explains.
+    """Return (d,) by how much squared errors fall with a delay beyond what it explains, negative.
 
     Rows are at instants (K,), s, with predictions (K,) and efforts (K, d), each later by a lag
     (d,), s, than those in column `own`. Efforts that stay, compared with a prediction that is as
@@ -248,5 +248,5 @@ def calc_late_luck(time: Array, predicted: Array, efforts: Array, own: int, lags
         if seen:
             all_rows = np.sum(np.square(efforts[:, d] - predicted) - errors)
             turn = most * abs(np.sin(np.pi * lags[d] / usual))
-            luck[d] = min(max(all_rows - change * len(time) / seen, -turn), turn)
+            luck[d] = min(max(all_rows - change * len(time) / seen, -turn), 0.0)
     return luck

@@ -319,7 +319,7 @@ def test_gains_of_efforts_that_are_wrong_make_no_sample_dependent():
 
 
 def test_noise_at_other_instants_is_no_evidence_of_a_delay():
-    """Sums of squares vary by what noise says of a delay, not by when it is sampled."""
+    """Sums of squares fall by what noise says of a delay, not by when it is sampled."""
     rng, low_pass = np.random.default_rng(8), design_filter(0.005, 8.3)
     steps, at = np.arange(-6, 7), np.arange(100, 11_900, low_pass.decimation)
     late, time = steps * low_pass.period, at * low_pass.period
@@ -333,6 +333,6 @@ def test_noise_at_other_instants_is_no_evidence_of_a_delay():
         left.append(squares - luck - squares[6])
     lost = np.square(np.sin(time) - np.sin(time - late_by)).sum(axis=1)
     spread = 2.0 * np.sqrt(lost)  # of the product of what a delay changes with white noise
-    assert np.std(raw, axis=0)[0] > 3.0 * spread[0]
-    assert (np.std(left, axis=0) <= 1.3 * spread).all()
-    np.testing.assert_allclose(np.mean(left, axis=0), lost, atol=1.0)
+    assert np.min(raw, axis=0)[0] < lost[0] - 8.0 * spread[0]
+    assert (np.min(left, axis=0) > lost - 4.0 * spread - 0.1).all()
+    assert (np.array(left) >= raw).all()
