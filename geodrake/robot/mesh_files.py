@@ -148,8 +148,11 @@ def _collada(path: Path) -> Surface:
     faces = np.concatenate([own + at for (_, own), at in zip(parts, starts, strict=False)])
     if document.errors and not len(faces):
         raise document.errors[0]
-    unit = document.assetInfo.unitmeter or 1.0
-    return unit * np.concatenate([vertices for vertices, _ in parts]), faces
+    vertices = np.concatenate([vertices for vertices, _ in parts])
+    vertices = (document.assetInfo.unitmeter or 1.0) * vertices
+    if not np.isfinite(vertices).all():
+        raise _unreadable(path, "some of its vertices are not finite")
+    return vertices, faces
 
 
 READERS: dict[str, Callable[[Path], Surface]] = {".stl": _stl, ".dae": _collada}

@@ -107,6 +107,7 @@ def test_fine_meshes_are_drawn_more_coarsely(tmp_path):
         ("a.dae", "no xml"),
         ("a.stl", "solid nothing"),
         ("a.dae", COLLADA.format(points="1 2", faces=triangles())),
+        ("a.dae", COLLADA.format(points=" ".join(["1e999"] * 24), faces=triangles())),
     ],
 )
 def test_meshes_that_are_none_are_refused(tmp_path, name, text):

@@ -4,6 +4,7 @@ import os
 from pathlib import Path
 
 import pytest
+import yaml
 
 from geodrake.errors import ModelError
 from geodrake.robot.files import xacro_file
@@ -125,6 +126,18 @@ def test_a_python_tag_in_yaml_makes_nothing(tmp_path, monkeypatch):
     assert not (tmp_path / "seen").exists()
 
 
+def test_yaml_evaluates_no_units_once_a_file_is_expanded(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    known = yaml.SafeLoader.yaml_constructors  # to which the package adds when other tests use it
+    plain = {tag: each for tag, each in known.items() if tag != "!degrees"}
+    monkeypatch.setattr(yaml.SafeLoader, "yaml_constructors", plain)
+    written(tmp_path, "a: !degrees 180", "v.yaml")
+    path = written(tmp_path, "<a v=\"${xacro.load_yaml('v.yaml').a}\"/>")
+    assert b'v="3.14' in read_expanded(path, Given(trust_xacro=True))
+    with pytest.raises(yaml.YAMLError, match="could not determine a constructor"):
+        yaml.safe_load("a: !degrees 180")
+
+
 @pytest.mark.parametrize("body", ['<xacro:include filename="{}"/>', "${{xacro.load_yaml('{}')}}"])
 def test_only_regular_files_are_read(tmp_path, body):
     os.mkfifo(tmp_path / "pipe")
@@ -147,6 +160,14 @@ def test_includes_that_never_end_are_an_error(tmp_path):
         read_expanded(path, Given())
 
 
+def test_files_that_include_each_other_ever_more_often_are_an_error(tmp_path):
+    for k in range(30):
+        written(tmp_path, f'<xacro:include filename="{k + 1}.xacro"/>' * 2, f"{k}.xacro")
+    written(tmp_path, "<g/>", "30.xacro")
+    with pytest.raises(ModelError, match="reads more than 500 files"):
+        read_expanded(tmp_path / "0.xacro", Given(trust_xacro=True))
+
+
 def doubling(levels: int) -> str:
     calls = "".join(
         f'<xacro:macro name="m{k}"><xacro:m{k + 1}/><xacro:m{k + 1}/></xacro:macro>'
@@ -155,9 +176,20 @@ def doubling(levels: int) -> str:
     return f'{calls}<xacro:macro name="m{levels}"><g/></xacro:macro><xacro:m0/>'
 
 
+def long_text(levels: int) -> str:
+    properties = "".join(
+        f'<xacro:property name="p{k + 1}" value="${{p{k}}}${{p{k}}}"/>' for k in range(levels)
+    )
+    return f'<xacro:property name="p0" value="long"/>{properties}<a v="${{p{levels}}}"/>'
+
+
 @pytest.mark.parametrize(
     ("body", "words"),
-    [(doubling(28), "called more than"), ('<a v="${[0] * 10**15}"/>', "more memory")],
+    [
+        (doubling(28), "called more than"),
+        ('<a v="${[0] * 10**15}"/>', "more memory"),
+        (long_text(28), "MB of text"),
+    ],
 )
 def test_what_takes_too_much_is_ended(tmp_path, body, words):
     with pytest.raises(ModelError, match=words):

@@ -21,6 +21,8 @@ from pathlib import Path
 from threading import RLock
 from typing import Any
 
+import yaml
+
 from geodrake.boundary.escaping import one_line
 from geodrake.boundary.input_files import read_regular
 from geodrake.errors import GeodrakeError, ModelError
@@ -32,6 +34,7 @@ _TAG = re.compile(rb"<xacro:\w")
 _COMMENT = re.compile(rb"<!--.*?-->", re.DOTALL)
 _NO_ARGUMENT = re.compile(r"Undefined substitution argument (\S+)")
 _MOST_CALLS = 10_000  # of macros, which may call each other ever more often
+_MOST_FILES = 500  # read for one, as files may include each other ever more often
 _ONE_AT_A_TIME = RLock()
 _INNER = (
     types.AsyncGeneratorType,
@@ -85,7 +88,17 @@ def _expanded(path: Path, given: Given, read: dict[Path, bytes | None]) -> bytes
             path=path,
         )
 
+    count = 0
+
     def opened(name: str) -> io.TextIOWrapper:
+        nonlocal count
+        count += 1
+        if count > _MOST_FILES:
+            raise ModelError(
+                f"{path} reads more than {_MOST_FILES} files, or some without an end.",
+                advice="Correct the file.",
+                path=path,
+            )
         place = Path(name).absolute()
         read[place] = _digest(place)
         place.stat()  # a file may be one that need not be there
@@ -142,18 +155,21 @@ def _digest(file: Path) -> bytes | None:
 
 @contextmanager
 def _own_xacro() -> Iterator[Any]:
-    """Import the package xacro anew, to be changed and forgotten."""
+    """Import the package xacro anew, to be changed and forgotten, as what YAML evaluates for it."""
 
     def taken_out() -> dict[str, types.ModuleType]:
         names = [name for name in sys.modules if name.partition(".")[0] == "xacro"]
         return {name: sys.modules.pop(name) for name in names}
 
     with _ONE_AT_A_TIME:
-        theirs = taken_out()
+        theirs, loader = taken_out(), yaml.SafeLoader
+        constructors = loader.yaml_constructors
+        loader.yaml_constructors = dict(constructors)
         try:
             importlib.import_module("xacro.substitution_args")
             yield sys.modules["xacro"]
         finally:
+            loader.yaml_constructors = constructors
             taken_out()
             sys.modules.update(theirs)
 
@@ -187,10 +203,21 @@ def _limit_expressions(xacro: Any) -> None:
 
         return refuse
 
+    letters = 0
+
+    def counted(value: Any) -> Any:
+        nonlocal letters
+        letters += len(value) if isinstance(value, str) else 0
+        if letters > LARGEST_FILE:
+            raise RefusedError(
+                f"its expressions make more than {LARGEST_FILE / 1e6:.0f} MB of text"
+            )
+        return value
+
     python.update({name: withheld(name) for name in _WITHHELD})
-    xacro.safe_eval = lambda text, names: evaluated(_checked(text), names)
-    xacro.substitution_args.eval = lambda text, _, names: evaluated(
-        _checked(text), dict(python), names
+    xacro.safe_eval = lambda text, names: counted(evaluated(_checked(text), names))
+    xacro.substitution_args.eval = lambda text, _, names: counted(
+        evaluated(_checked(text), dict(python), names)
     )
 
 
