@@ -561,6 +561,19 @@ def test_numbers_that_may_be_with_decimals_or_thousands_are_refused(tmp_path):
     assert "without marks between thousands" in error.value.advice
 
 
+def test_three_decimals_beside_whole_hundreds_are_no_thousands(tmp_path):
+    position = 130.0 + 0.125 * np.round(100.0 * POSITION)
+    position[::2] = 130.0
+    rows = zip(TIME, *position.T, *EFFORT.T, strict=True)
+    lines = [f"{t:.6f};{a:.3f};{b:.3f};{c:.6f};{d:.6f}" for t, a, b, c, d in rows]
+    lines = [line.replace("130.000", "130") for line in lines]
+    path = tmp_path / "log.csv"
+    path.write_text("\n".join(["time;q1 [deg];q2 [deg];tau1;tau2", *lines]))
+    log = read_log(path, joints=JOINTS)
+    np.testing.assert_allclose(log.position, np.deg2rad(position), atol=1e-6)
+    assert "thousands" not in " ".join(log.notes)
+
+
 @pytest.mark.parametrize("separator", [";", "\t", "|", " "])
 def test_decimal_commas(tmp_path, separator):
     path = tmp_path / "log.csv"

@@ -220,6 +220,10 @@ def test_a_joint_whose_body_is_connected_to_its_parent_does_not_move(tmp_path):
         (mjcf('<attach model="x" prefix="y"/>'), "could not find model 'x'"),
         (mjcf('<replicate count="99999999"><geom size="1"/></replicate>'), "makes 99999999 of"),
         (mjcf(f'<replicate count="3000">{tip()}</replicate>'), "has 3001 links, and"),
+        (
+            mjcf(f'{2 * """<replicate count="2000">"""}<geom size="1"/>{2 * "</replicate>"}'),
+            "makes 4000000 of",
+        ),
         (mjcf(head='<asset><model name="s" file="robot.xml"/></asset>'), "attaches itself"),
         (mjcf(head='<asset><model name="s" file="/dev/zero"/></asset>'), "is a device"),
         (mjcf(head='<asset><model name="s" file="part.xml"/></asset>'), "root element is <robot>"),

@@ -30,7 +30,8 @@ def number_marks(path: Path, rows: Sequence[Sequence[str]]) -> tuple[str, dict[i
 
     In a column it is of thousands where every cell that has it may be so written and one cannot be
     otherwise: it has it twice, or decimals behind it; or where those without it end below a
-    thousand, and go beyond a hundred. Columns that do not say it go by others.
+    thousand and go beyond a hundred, and those with it begin below ten thousand. Columns that do
+    not say it go by others.
 
     Raises:
         LogError: Nothing says which of two marks is of decimals.
@@ -72,7 +73,8 @@ def _marks_of(rows: Sequence[Sequence[str]]) -> Iterator[tuple[int, str, int, st
                 continue
             clear = [cell for cell in having if len(_MARKS.findall(cell)) > 1 or mark in _BLANKS]
             digits = {len(re.sub("[.,].*|[+-]", "", cell)) for cell in cells if mark not in cell}
-            is_clear = clear or max(digits, default=0) == _DIGITS
+            heads = {len(cell.lstrip("+-").partition(mark)[0]) for cell in having}
+            is_clear = clear or (max(digits, default=0) == _DIGITS and min(heads) == 1)
             yield k, mark, GROUPS if is_clear else MAYBE, (clear or having)[0]
 
 

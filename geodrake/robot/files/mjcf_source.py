@@ -43,7 +43,7 @@ _NO_DYNAMICS = (
 )
 _FOLDERS = ("meshdir", "assetdir", "texturedir", "strippath")
 _MESHES = (".obj", ".stl", ".msh")
-_MOST_MADE = 20_000  # things that one element makes
+_MOST_MADE = 20_000  # things that one element makes, with those around it
 _DEEPEST = 30  # models attached to models
 _OF_BALLS = ("armature", "frictionloss", "damping")  # that each hinge has, which is about the same
 _SUFFIXES = ("_1", "_2", "_spin")
@@ -357,13 +357,15 @@ def unused(taken: set[str | None]) -> Callable[[str], str]:
 
 def _check_counts(root: Element, path: Path) -> None:
     """Refuse elements of which MuJoCo would make more than a robot has, before it does."""
-    for element in root.iter():
-        made = 1.0
+    found = [(root, 1.0)]  # elements, and how many are made of what is around each
+    while found:
+        element, made = found.pop()
         for word in element.get("count", "").split():
             made *= abs(float(word)) if _COUNT.fullmatch(word) else 1.0
         if made > _MOST_MADE:
             what = f"<{element.tag}> makes {made:.0f} of what is in it"
             raise wrong_at(element, path, f"{what}, and geodrake reads up to {_MOST_MADE}.")
+        found += [(child, made) for child in element]
 
 
 def _split_balls(spec: Any, found: CompiledMjcf) -> bool:

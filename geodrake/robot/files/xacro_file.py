@@ -21,7 +21,7 @@ from pathlib import Path
 from threading import RLock
 from typing import Any
 
-import yaml
+import yaml  # type: ignore[import-untyped]
 
 from geodrake.boundary.escaping import one_line
 from geodrake.boundary.input_files import read_regular
