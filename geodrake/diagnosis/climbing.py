@@ -62,7 +62,7 @@ def settled(model: LogModel, fit: Fit) -> Fit:
     nearby may be more probable by them.
     """
     for _ in range(_MOST_COUNTS):
-        model.align(fit)
+        model.level_noise(fit)
         shares, was = model.shares(fit), fit.choice.key
         better, seen = _refitted(model, fit, shares), {was}
         for _ in range(_MOST_STEPS):
@@ -88,7 +88,7 @@ def _step(
     further: int,
 ) -> Fit | None:
     """Return the best neighbour of a fit not seen yet, if it is more probable."""
-    model.align(fit)
+    model.level_noise(fit)
     own = model.shares(fit)
     high = np.maximum(own, _OPTIMISTIC)
     fit = _refitted(model, fit, high if hopeful else own)

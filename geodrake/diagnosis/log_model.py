@@ -27,8 +27,8 @@ from geodrake.diagnosis.beliefs import Beliefs
 from geodrake.diagnosis.normal_kernels import (
     RIDGE,
     Normal,
-    calc_late_luck,
     calc_most_probable,
+    calc_noise_changes,
     calc_packed,
     calc_squares,
 )
@@ -456,11 +456,11 @@ class LogModel:
             self._shares[key] = np.clip(samples / self.rows, _LEAST_SHARE, 1.0)
         return self._shares[key]
 
-    def align(self, fit: Fit) -> None:
-        """Let errors at no delay have less noise than at the delays of a fit.
+    def level_noise(self, fit: Fit) -> None:
+        """Keep other delays than those of a fit from gaining by noise that happens to be smaller.
 
-        Efforts that are later by some milliseconds are sampled, filtered, at other instants, where
-        their noise may be smaller by chance. That is no evidence of a delay.
+        Efforts that are advanced by some milliseconds are sampled at other instants, where their
+        filtered noise may be smaller by chance. That is no evidence of a delay.
         """
         if len(self.dataset.delays) < 2 or self.dataset.is_mixed:
             return
@@ -471,9 +471,9 @@ class LogModel:
                 continue
             time, efforts = (np.concatenate([getattr(r, f) for r in rows]) for f in ("time", "b"))
             predicted = efforts[:, own] - np.concatenate(left)
-            luck = calc_late_luck(time, predicted, contiguous(efforts), own, late - late[own])
-            at = self._ends[j] + np.arange(len(luck))
-            self.grams[j, at, at] = self._powers[j][at] - luck * self.rows[j] / len(time)
+            change = calc_noise_changes(time, predicted, contiguous(efforts), own, late - late[own])
+            at = self._ends[j] + np.arange(len(change))
+            self.grams[j, at, at] = self._powers[j][at] - change * self.rows[j] / len(time)
 
     def _residuals(self, fit: Fit, joint: int) -> list[Array]:
         """Return the residuals (K_i,) of a joint in each stretch of its rows."""

@@ -242,7 +242,7 @@ class _Finder:
             for gone, come in trades
             if not set(come) & set(here)
         ]
-        # Another shape may make what no effect describes needless.
+        # Another shape may make an unknown function unnecessary.
         known = [t for t in here if not isinstance(t.effect, UNKNOWN)]
         keys = {term.key for term in known} if len(known) < len(here) else set()
         packages += [

@@ -26,8 +26,8 @@ _ALIKE = 0.02  # noise is settled if no logarithm of a variance changes by more
 _MOST_FITS = 8
 # Three deviations of how much the sum of squares of K rows of white noise, of unit variance and as
 # `design_filter` filters them, changes over √K if they are half of a period later.
-_MOST_LUCK = 1.07
-_LATE_ROW = 0.1  # of a period: rows that are farther apart do not follow each other
+_MOST_NOISE = 1.07
+_LATE_ROW = 0.1  # of a period: rows that are farther apart are not consecutive
 
 
 @compiled
@@ -216,23 +216,26 @@ def calc_gains(
 
 
 @compiled
-def calc_late_luck(time: Array, predicted: Array, efforts: Array, own: int, lags: Array) -> Array:
-    """Return (d,) by how much squared errors fall with a delay beyond what it explains, negative.
+def calc_noise_changes(
+    time: Array, predicted: Array, efforts: Array, own: int, lags: Array
+) -> Array:
+    """Return (d,) how much of a fall in squared errors is due to noise at other instants; ≤ 0.
 
     Rows are at instants (K,), s, with predictions (K,) and efforts (K, d), each later by a lag
-    (d,), s, than those in column `own`. Efforts that stay, compared with a prediction that is as
-    much earlier, have the same noise as before; it is read between four rows that follow each
-    other.
+    (d,), s, than those in column `own`. To keep the noise the same, those efforts are compared with
+    predictions that are earlier by the lag, interpolated between four consecutive rows.
     """
-    luck, errors = np.zeros(len(lags)), np.square(efforts[:, own] - predicted)
+    found, errors = np.zeros(len(lags)), np.square(efforts[:, own] - predicted)
     usual = np.median(np.diff(time))
-    most = _MOST_LUCK * np.sqrt(len(time)) * np.mean(errors)
+    most = _MOST_NOISE * np.sqrt(len(time)) * np.mean(errors)
     for d in range(len(lags)):
         if lags[d] == 0.0:
             continue
         seen, change = 0, 0.0
         for i in range(1, len(time)):
             period = time[i] - time[i - 1]
+            if period <= 0.0:  # another stretch
+                continue
             steps = int(np.floor(lags[d] / period))
             first, x = i - steps - 2, 1.0 + steps - lags[d] / period
             if first < 0 or first + 3 >= len(time):
@@ -247,6 +250,6 @@ def calc_late_luck(time: Array, predicted: Array, efforts: Array, own: int, lags
             seen += 1
         if seen:
             all_rows = np.sum(np.square(efforts[:, d] - predicted) - errors)
-            turn = most * abs(np.sin(np.pi * lags[d] / usual))
-            luck[d] = min(max(all_rows - change * len(time) / seen, -turn), 0.0)
-    return luck
+            limit = most * abs(np.sin(np.pi * lags[d] / usual))
+            found[d] = min(max(all_rows - change * len(time) / seen, -limit), 0.0)
+    return found

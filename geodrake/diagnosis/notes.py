@@ -124,7 +124,7 @@ def _episodes(case: Case, model: RobotModel) -> list[str]:
             where = f" of {log.name}" if len(case.trajectories) > 1 else ""
             edges = [edge for edge in effect.window[:2] if edge is not None]
             if not edges:
-                found.append(f"{effect.name} of {effect.where[0]} is there in all of {log.name}")
+                found.append(f"{effect.name} of {effect.where[0]} is carried throughout {log.name}")
                 continue
             clock = " and ".join(f"{log.began + edge:.2f} s" for edge in edges)
             by_clock = f"; by its clock that is {clock}" if abs(log.began) >= _LATE else ""

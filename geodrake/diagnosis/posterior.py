@@ -47,7 +47,7 @@ class Posterior:
     """The most probable explanation and its neighbours, with their probabilities."""
 
     def __init__(self, model: LogModel, fit: Fit) -> None:
-        model.align(fit)
+        model.level_noise(fit)
         shares = model.shares(fit)
         others = neighbours(model, fit, most=_MOST)
         fits = [

@@ -141,10 +141,10 @@ def _values(effect: Effect, grid: Sequence[Effect]) -> dict[str, set[Any]]:
     return {f.name: {getattr(e, f.name) for e in tried} for f in fields(effect)}  # type: ignore[arg-type]
 
 
-def chosen_otherwise(model: LogModel, fit: Fit, grid: Sequence[Effect]) -> Iterator[Term]:
-    """Yield the most probable of the terms that chose another of two values than those of a fit.
+def other_choices(model: LogModel, fit: Fit, grid: Sequence[Effect]) -> Iterator[Term]:
+    """Yield, for each term of a fit, the most probable one with the other of two possible values.
 
-    On a coarse grid of another shape the wrong choice may look better.
+    The wrong value may look better while the other shape parameters are on a coarse grid.
     """
     for term in fit.terms:
         if term.effect is None:

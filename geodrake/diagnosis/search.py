@@ -19,13 +19,13 @@ from geodrake.diagnosis.moves import alone
 from geodrake.diagnosis.proposals import proposed
 from geodrake.diagnosis.refinements import (
     ZOOMS,
-    chosen_otherwise,
     delays_of,
     expansions,
     fading_speeds,
     finer_shapes,
     fitted_delays,
     fitted_loads,
+    other_choices,
 )
 from geodrake.diagnosis.search_progress import FoundStep, Progress, progress_of
 from geodrake.diagnosis.terms import Term
@@ -377,7 +377,7 @@ class Search:
         """Return whether delays, shapes, slopes or loads were made anew."""
         retimed = self._retimed()
         changed = retimed
-        shaped = (*self.fit.terms, *chosen_otherwise(self.model, self.fit, self._grid))
+        shaped = (*self.fit.terms, *other_choices(self.model, self.fit, self._grid))
         near = [
             effect
             for effect in finer_shapes(shaped, self._grid, self._zooms)

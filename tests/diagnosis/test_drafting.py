@@ -119,7 +119,7 @@ def test_an_offset_that_each_log_has_anew_varies_with_the_log():
     draft = draft_effects(model, [one, other])[1]
     told = draft.correlates[0]
     assert told.joint == model.joints[1]
-    assert told.words == "the log: its mean is another one in each"
+    assert told.words == "the log: its mean differs between logs"
     assert told.share > 0.9
     assert draft.effects == ()
 

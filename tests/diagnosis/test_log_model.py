@@ -19,7 +19,7 @@ from geodrake.diagnosis.climbing import gain_of
 from geodrake.diagnosis.log_model import Choice, LogModel
 from geodrake.diagnosis.moves import neighbours
 from geodrake.diagnosis.neighbourhood import Neighbourhood
-from geodrake.diagnosis.normal_kernels import calc_late_luck
+from geodrake.diagnosis.normal_kernels import calc_noise_changes
 from geodrake.diagnosis.search import searched
 from geodrake.effects import CoulombFriction, EffortOffset, GravityCompensator, Payload
 from geodrake.identification.logs.case import open_case
@@ -328,9 +328,9 @@ def test_noise_at_other_instants_is_no_evidence_of_a_delay():
         noise = low_pass.smooth(rng.normal(size=(12_000, 1)))[:, 0] / low_pass.noise_gain
         efforts = np.sin(time + late_by) + [noise[at + step] for step in steps]
         squares = np.square(efforts - np.sin(time)).sum(axis=1)
-        luck = calc_late_luck(time, np.sin(time), np.ascontiguousarray(efforts.T), 6, late)
+        change = calc_noise_changes(time, np.sin(time), np.ascontiguousarray(efforts.T), 6, late)
         raw.append(squares - squares[6])
-        left.append(squares - luck - squares[6])
+        left.append(squares - change - squares[6])
     lost = np.square(np.sin(time) - np.sin(time - late_by)).sum(axis=1)
     spread = 2.0 * np.sqrt(lost)  # of the product of what a delay changes with white noise
     assert np.min(raw, axis=0)[0] < lost[0] - 8.0 * spread[0]

@@ -133,7 +133,7 @@ def test_what_one_log_of_two_shows_throughout_is_held_there(pendulum):
     ((place, values),) = steps["temporary_payload"].parameters.items()
     np.testing.assert_allclose(values["mass"], MASS, rtol=0.03)
     assert place == f"{BODY}, all of one log"
-    assert f"temporary_payload of {BODY} is there in all of {loaded.name}" in found.notes
+    assert f"temporary_payload of {BODY} is carried throughout {loaded.name}" in found.notes
     assert found.verdict == "explained"
 
 

@@ -39,7 +39,7 @@ def clock_correlates(case: Case, hypothesis: Hypothesis, joint: str) -> list[Cor
     if len(dataset.logs) > 1:
         means = (log[:, None] == np.arange(len(dataset.logs))).astype(float)
         apart = _share(means, residual, fold)
-        found = [Correlate(joint, "the log: its mean is another one in each", apart)]
+        found = [Correlate(joint, "the log: its mean differs between logs", apart)]
     else:
         late = (time - time.min()) / max(float(np.ptp(time)), 1e-9)
         drift = _share(np.stack([np.ones_like(late), late, late**2], -1), residual, fold)
