@@ -20,7 +20,7 @@ _LOADER = getattr(yaml, "CSafeLoader", yaml.SafeLoader)  # ten times as fast whe
 
 @cache
 def schema() -> Mapping[str, Any]:
-    """Return `units`, words by unit, and `kinds`, which have keys and what these are, by name."""
+    """Return the tables: `units` with their words, and `kinds` of objects with their keys."""
     text = (files("geodrake.report") / "schema.yaml").read_text(encoding="utf-8")
     found: Mapping[str, Any] = yaml.load(text, _LOADER)
     return found
@@ -28,17 +28,16 @@ def schema() -> Mapping[str, Any]:
 
 @cache
 def keys_of(kind: str) -> Mapping[str, tuple[Any, bool]]:
-    """Key -> its type, and whether it may be absent; those of the kind that it is come first."""
+    """Return key -> its type, and whether it may be absent; inherited keys come first."""
     said = schema()["kinds"][kind]
     base = keys_of(said["is"]) if "is" in said else {}
     return {**base, **{k.rstrip("?"): (t, k.endswith("?")) for k, t in said["keys"].items()}}
 
 
 def record(kind: str, source: object = None, /, **given: Any) -> dict[str, Any]:
-    """Return an object of a kind, of what is given and of attributes of the source.
+    """Build an object of a kind from given values, and from attributes of the source for the rest.
 
-    Values that are objects themselves are made likewise. A key that may be absent is there if it is
-    given.
+    Nested objects are built likewise. An optional key is written only if it is given.
     """
     keys = keys_of(kind)
     if unknown := given.keys() - keys:
@@ -51,7 +50,7 @@ def record(kind: str, source: object = None, /, **given: Any) -> dict[str, Any]:
 
 
 def _made(said: Any, value: Any) -> Any:
-    """Return a value as its type has it."""
+    """Convert a value to its type, nested objects to records."""
     if value is None or isinstance(value, NoNumber):
         return value
     if isinstance(said, dict):
