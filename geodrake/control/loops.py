@@ -215,7 +215,7 @@ def check_base(robot: RobotInstance, controller: AdaptiveController) -> None:
     and is believed.
     """
     control = controller.control
-    if control.tree.actuation is not None:
+    if control.tree.actuation is not None and control.tree.actuation.places:
         raise ArgumentError(
             "The controller's model is behind a transmission; a plant has the state and the "
             "efforts of joints.",

@@ -41,6 +41,7 @@ def model_hash(model: RobotModel) -> str:
         model.information,
         model.fading_speed,
         model.effort_signals,
+        *([model.followers] if model.followers else []),
     )
     return text_hash(said)
 

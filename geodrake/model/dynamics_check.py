@@ -354,9 +354,10 @@ def _random_states(model: RobotModel, count: int, rng: np.random.Generator) -> S
     middle = np.clip(0.0, np.minimum(lower, upper), np.maximum(lower, upper))
     low, high = np.where(lower <= upper, [lower, upper], middle)  # limits may be farther than π
     q = rng.uniform(low, high, (count, len(low)))
-    pitches = model.base_joints[4::6]
+    pitches, (own, tree) = model.base_joints[4::6], model.coordinates.kept_q.tolist()
+    starts = dict(zip(tree, own, strict=True))
     for joint in moving_joints(model.plant):
-        start = model.own.starts[scoped(joint)][0]
+        start = starts.get(int(joint.position_start()), 0)
         if joint.name() in pitches:  # of a free base, whose angles are singular at 90°
             q[:, start] *= _UPRIGHT
         if joint.num_positions() > joint.num_velocities():  # a quaternion

@@ -37,10 +37,10 @@ from geodrake.model.simulation.robot_in_diagram import RobotInDiagram, add_robot
 from geodrake.model.simulation.terms import DrivenPlant
 from geodrake.model.stated_terms import stated_effects
 from geodrake.robot.base_joints import base_joints
-from geodrake.robot.coordinates import RobotCoordinates, plant_coordinates
+from geodrake.robot.coordinates import RobotCoordinates
 from geodrake.robot.files import Given
 from geodrake.robot.files.mjcf import MjcfText
-from geodrake.robot.followers import Follower, OwnPlaces, followed, joint_names, scoped
+from geodrake.robot.followers import Follower, joint_names
 from geodrake.robot.holding import moving_joints
 from geodrake.robot.kinematics import KinematicTree
 from geodrake.robot.mujoco_check import BUG, by_mujoco, check_loops, joint_units
@@ -121,55 +121,28 @@ class RobotModel(Short):
     @cached_property
     def tree(self) -> KinematicTree:
         """Return the plant's kinematics for the model's motion, read once."""
-        tree = self.joint_tree
-        return tree.driven(self.actuation) if self.transmission else tree
+        moves = self.followers or self.transmission
+        return self.joint_tree.driven(self.coordinates) if moves else self.joint_tree
 
     @cached_property
     def joint_tree(self) -> KinematicTree:
-        """Return the plant's kinematics for the motion of its joints, without the transmission."""
-        return KinematicTree.from_plant(self.plant, self.followers)
-
-    @cached_property
-    def own(self) -> OwnPlaces:
-        """Return which positions and velocities of the plant are those of `joint_tree`."""
-        return OwnPlaces.of(self.plant, self.followers)
-
-    @cached_property
-    def actuation(self) -> RobotCoordinates:
-        """Return how the joints of `joint_tree` move, followers left out."""
-        joints = moving_joints(self.plant)
-        single = {
-            self.own.starts[scoped(j)][1]: self.own.starts[scoped(j)][0]
-            for j in joints
-            if j.num_velocities() == j.num_positions() == 1
-        }
-        return RobotCoordinates.of(
-            self.tree_joints, single, len(self.own.positions), self.transmission
-        )
+        """Return the plant's kinematics for the motion of all of its joints."""
+        return KinematicTree.from_plant(self.plant)
 
     @cached_property
     def coordinates(self) -> RobotCoordinates:
-        """Return how all joints of the plant move."""
-        own = self.actuation  # which refuses drives that do not fit
-        if not self.followers:
-            return own
-        return plant_coordinates(self.plant, self.followers, self.transmission)
-
-    @cached_property
-    def tree_joints(self) -> tuple[str, ...]:
-        """Names of the velocities of `joint_tree`."""
-        names = joint_names(self.plant)
-        return tuple(names[k] for k in self.own.velocities)
+        """Return how all joints of the plant move; a ModelError refuses drives that do not fit."""
+        return RobotCoordinates.of(self.plant, self.followers, self.transmission)
 
     @cached_property
     def joints(self) -> tuple[str, ...]:
         """Names of the nv velocities: the joints', or those of the actuators in their place."""
-        return self.actuation.names
+        return self.coordinates.names
 
     @cached_property
     def joints_behind(self) -> tuple[str, ...]:
         """Return names of joints in loops or behind the transmission, which effects may act at."""
-        return tuple(self.actuation.behind)
+        return tuple(self.coordinates.behind)
 
     def plant_positions(self, q: Array) -> Array:
         """Return (N, nq of the plant) positions, of those of the model (N, nq)."""
@@ -205,8 +178,8 @@ class RobotModel(Short):
         """Joint that follows another one -> its name, and how far it moves when that moves by 1."""
         names, driven = joint_names(self.plant), {j for d in self.transmission for j in d.joints}
         return {
-            names[to]: (names[of], follower.ratio)
-            for follower, to, of in followed(self.plant, self.followers)
+            names[to]: (names[of], ratio)
+            for to, of, ratio, _ in self.coordinates.led.each()
             if names[of] not in driven
         }
 
@@ -234,8 +207,7 @@ class RobotModel(Short):
     @cached_property
     def effort_limits(self) -> Array:
         """Largest efforts (nv,) of the file, N·m or N; infinite where there is no limit."""
-        limits = effort_limits(self.plant)[self.own.velocities]
-        return self.actuation.effort_limits(limits, self.position_limits)
+        return self.coordinates.effort_limits(effort_limits(self.plant), self.position_limits)
 
     @property
     def known_effort_limits(self) -> Array:
@@ -273,11 +245,12 @@ class RobotModel(Short):
     def joint_pairs(self) -> tuple[tuple[str, str], ...]:
         """Pairs of single-degree joints of one type that follow each other along the tree."""
         mobilizers, pairs = self.joint_tree.mobilizers, []
+        leaders = {to: of for to, of, *_ in self.coordinates.led.each()}
         for mobilizer in mobilizers:
             if mobilizer.parent < 0:
                 continue
             own = mobilizers[mobilizer.parent].velocities.start, mobilizer.velocities.start
-            both = map(self.actuation.standing.get, own)
+            both = (self.coordinates.standing.get(leaders.get(at, at)) for at in own)
             pair = [at for at in dict.fromkeys(both) if at in self.single_places[0]]
             if len(pair) == 2 and self._types[pair[0]] == self._types[pair[1]]:
                 pairs.append((self.joints[pair[0]], self.joints[pair[1]]))
@@ -395,7 +368,7 @@ class RobotModel(Short):
         """Drake's names for the types of the joints, by where their velocities begin."""
         types = {self.place_of(joint): joint.type_name() for joint in moving_joints(self.plant)}
         found = {at: name for at, name in types.items() if at is not None}
-        for place in self.actuation.places:
+        for place in self.coordinates.places:
             slides = place.drive.slides
             for at, sliding in zip(place.actuator_v.tolist(), slides or (), strict=False):
                 found[at] = "prismatic" if sliding else "revolute"
@@ -404,7 +377,7 @@ class RobotModel(Short):
     def default_position(self, joint: str) -> float:
         """Return where the model file puts a joint of one degree of freedom, rad or m."""
         q = self.plant.GetPositions(self.plant.CreateDefaultContext())
-        own = self.actuation.nearest(q[None, self.own.positions])
+        own = self.coordinates.nearest(q[None])
         return float(own[0, self._at(joint)])
 
     def limits_of(self, joint: str) -> tuple[float, float]:
@@ -438,7 +411,7 @@ class RobotModel(Short):
     @cached_property
     def single_places(self) -> tuple[list[int], list[int]]:
         """Return where the joints of one degree of freedom are in v and in q."""
-        return self.actuation.single_places
+        return self.coordinates.single_places
 
     def create_context(self) -> Context:
         """Return a default Context of the plant with the model's inertias, payloads included.

@@ -37,7 +37,7 @@ from geodrake.model.file_terms import (
 )
 from geodrake.robot import stated
 from geodrake.robot.coordinates import RobotCoordinates
-from geodrake.robot.followers import followed, joint_names
+from geodrake.robot.followers import joint_names
 from geodrake.robot.plant import LoadedPlant, scoped_joint_names
 
 _LEAST = 1e-100  # SI units: less counts as zero, as its square has no inverse
@@ -102,10 +102,9 @@ def _rows(loaded: LoadedPlant, coordinates: RobotCoordinates) -> tuple[Rows, dic
     for at, joint in enumerate(joint_names(loaded.plant)):
         name, ratio, shifts[at] = coordinates.ratios.get(at, (joint, 1.0, 0.0))
         rows[at] = {name: ratio}
-    for follower, to, of in followed(loaded.plant, loaded.followers):
-        if to not in coordinates.ratios:
-            rows[to] = {name: follower.ratio * own for name, own in rows[of].items()}
-            shifts[to] = follower.ratio * shifts[of] + follower.offset
+    for to, of, ratio, offset in coordinates.led.each():
+        rows[to] = {name: ratio * own for name, own in rows[of].items()}
+        shifts[to] = ratio * shifts[of] + offset
     found, places = Rows(), dict(loaded.places)
     for at, joint in enumerate(scoped_joint_names(loaded.plant)):
         found.setdefault(joint, []).append(rows[at])

@@ -1,10 +1,8 @@
-"""Coordinates: how all positions and velocities of joints follow from those of a robot.
-
-The joints are those of a tree, or all of a plant's, among them such as follow others.
+"""Coordinates: how all positions and velocities of a plant's joints follow from those of a robot.
 
 Joints that a drive moves give their places to its actuators, the i-th joint to the i-th actuator,
 or a joint to the actuator of its name where all have such; other joints are their own actuators, a
-floating base among them.
+floating base among them. Joints that follow others by constant ratios come last, behind either.
 
 Limits of joints are limits of their actuators: boxes within which every joint keeps its own. Joints
 that each follow one actuator have exact ones. Where several actuators move a joint together, the
@@ -13,8 +11,8 @@ box is one inside its limits, in which every actuator may go as far in proportio
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
@@ -25,7 +23,7 @@ from geodrake.compiling import contiguous
 from geodrake.errors import ModelError
 from geodrake.inertia import Array
 from geodrake.robot.followers import Follower, Indices, joint_names, joints_of, scoped
-from geodrake.robot.transmission.base import InSequence, LinearTransmission, times
+from geodrake.robot.transmission.base import times
 from geodrake.robot.transmission.loop import LoopTransmission
 from geodrake.robot.transmission.statements import Drive
 
@@ -51,8 +49,54 @@ class Places:
 
 
 @dataclass(frozen=True, eq=False)
+class Led:
+    """Joints that follow others, θ = r θ_leader + θ₀, by their places in q and v of the tree.
+
+    Attributes:
+        positions: (2, m) those of the joints, and of what they follow.
+        velocities: (2, m) the same.
+        ratios: (m,) r.
+        offsets: (m,) θ₀, rad or m.
+    """
+
+    positions: Indices
+    velocities: Indices
+    ratios: Array
+    offsets: Array
+
+    @classmethod
+    def of(cls, plant: MultibodyPlant, followers: Sequence[Follower]) -> Led:
+        """Find them in a plant."""
+        joints = {scoped(joint): joint for joint in joints_of(plant)}
+        pairs = [(joints[f.joint], joints[f.leader]) for f in followers]
+        q = [[int(joint.position_start()) for joint in pair] for pair in pairs]
+        v = [[int(joint.velocity_start()) for joint in pair] for pair in pairs]
+        at_q, at_v = (np.array(x, int).reshape(-1, 2).T for x in (q, v))
+        numbers = np.array([(f.ratio, f.offset) for f in followers], float).reshape(-1, 2)
+        return cls(at_q, at_v, *numbers.T)
+
+    def each(self) -> Iterator[tuple[int, int, float, float]]:
+        """Yield the velocity of each, the one that it follows, r and θ₀."""
+        columns = *self.velocities, self.ratios, self.offsets
+        yield from zip(*(column.tolist() for column in columns), strict=True)
+
+    def spread(self, rows: Array) -> None:
+        """Write rows (N, nv, ...) of them, of those of what they follow."""
+        to, of = self.velocities
+        rows[:, to] = self.ratios.reshape(-1, *(1,) * (rows.ndim - 2)) * rows[:, of]
+
+    def limited(self, lower: Array, upper: Array) -> tuple[Array, Array]:
+        """Return limits (nq,) of positions, those of leaders such that followers keep theirs."""
+        (to, of), low, high = self.positions, lower.copy(), upper.copy()
+        ends = (np.array([lower[to], upper[to]]) - self.offsets) / self.ratios
+        np.maximum.at(low, of, ends.min(axis=0))
+        np.minimum.at(high, of, ends.max(axis=0))
+        return low, high
+
+
+@dataclass(frozen=True, eq=False)
 class RobotCoordinates:
-    """A map from a robot's q, v and v̇ to those of its tree, or of its plant.
+    """A map from a robot's q, v and v̇ to those of the tree of its plant.
 
     Attributes:
         names: Names of the robot's nv velocities.
@@ -61,6 +105,7 @@ class RobotCoordinates:
         kept_v: (2, ·) the same of velocities.
         sizes: Numbers of the tree's positions and velocities.
         single: Velocity of each of the tree's joints of one degree of freedom -> its position.
+        led: Those that follow others.
     """
 
     names: tuple[str, ...]
@@ -69,22 +114,27 @@ class RobotCoordinates:
     kept_v: Indices
     sizes: tuple[int, int]
     single: Mapping[int, int]
+    led: Led
 
     @classmethod
     def of(
         cls,
-        joints: Sequence[str],
-        positions: Mapping[int, int],
-        num_positions: int,
-        drives: Sequence[Drive],
+        plant: MultibodyPlant,
+        followers: Sequence[Follower] = (),
+        drives: Sequence[Drive] = (),
     ) -> RobotCoordinates:
-        """Find the places, by `positions`: velocity of a joint of one degree -> its position."""
-        by_name = {joints[at]: at for at in positions}
+        """Find the places in a plant, of whose joints some follow others, and drives move some."""
+        joints, num_positions = joint_names(plant), plant.num_positions()
+        single = [j for j in joints_of(plant) if j.num_velocities() == j.num_positions() == 1]
+        positions = {int(j.velocity_start()): int(j.position_start()) for j in single}
+        led = Led.of(plant, followers)
+        aside = led.velocities[0].tolist()
+        by_name = {joints[at]: at for at in positions if at not in aside}
         _check(drives, by_name)
         moved = [[by_name[joint] for joint in drive.joints] for drive in drives]
         seated = [seated_at(drive, own) for drive, own in zip(drives, moved, strict=True)]
         driven = {at for own in moved for at in own}
-        gone = driven.difference(*seated)  # joints that have no actuator of their own
+        gone = driven.difference(*seated).union(aside)  # joints without an actuator of their own
         in_v = np.setdiff1d(np.arange(len(joints)), [*gone])
         in_q = np.setdiff1d(np.arange(num_positions), [positions[at] for at in gone])
         kept_v = np.setdiff1d(in_v, [*driven])
@@ -102,6 +152,7 @@ class RobotCoordinates:
             np.array([np.searchsorted(in_v, kept_v), kept_v]),
             (num_positions, len(joints)),
             positions,
+            led,
         )
 
     @property
@@ -126,7 +177,13 @@ class RobotCoordinates:
         whole, _ = self._kept(q)
         for place in self.places:
             whole[:, place.joint_q] = place.drive.map.joint_positions(q[:, place.actuator_q])
-        return whole
+        return self._with_followers(whole)
+
+    def _with_followers(self, positions: Array) -> Array:
+        """Return positions (N, nq of the tree), in which those that follow are put."""
+        to, of = self.led.positions
+        positions[:, to] = self.led.ratios * positions[:, of] + self.led.offsets
+        return positions
 
     def jacobian(self, q: Array) -> Array:
         """J (N, nv of the tree, nv) with the tree's velocities J v."""
@@ -141,6 +198,7 @@ class RobotCoordinates:
             block = np.ix_(np.arange(len(q)), place.joint_v, place.actuator_v)
             motion = q[:, place.actuator_q], v[:, place.actuator_v]
             rate[block] = place.drive.map.jacobian_rate(*motion)
+        self.led.spread(rate)
         return rate
 
     def jacobian_rate_slope(self, q: Array, v: Array) -> Array:
@@ -186,7 +244,9 @@ class RobotCoordinates:
                 theta, own, rate = place.drive.map.along(q[:, place.actuator_q], rates)
                 positions[:, place.joint_q], bias[:, place.joint_v] = theta, times(rate, rates)
                 J[np.ix_(np.arange(len(q)), place.joint_v, place.actuator_v)] = own
-            samples = positions, times(J, v), times(J, vd) + bias
+            for rows in (J, bias):
+                self.led.spread(rows)
+            samples = self._with_followers(positions), times(J, v), times(J, vd) + bias
         theta, rates, accelerations = (contiguous(x) for x in samples)
         return theta, rates, accelerations, J
 
@@ -234,9 +294,16 @@ class RobotCoordinates:
                 q[:, place.actuator_q] = (at - shift) @ np.linalg.pinv(J).T
         return q
 
+    def rates_of(self, q: Array, rates: Array) -> Array:
+        """Return velocities (nv,) of the robot at q (nq,), nearest to those (·,) of its joints."""
+        own = np.setdiff1d(np.arange(self.sizes[1]), self.led.velocities[0])
+        return np.asarray(np.linalg.pinv(self.jacobian(q[None])[0, own]) @ rates[own])
+
     def robot_gradient(self, q: Array, gradient: Array) -> Array:
         """Return the (N, nq) gradient by the robot's positions q from that by the tree's (N, ·)."""
-        found = np.zeros_like(q)
+        found, gradient = np.zeros_like(q), gradient.copy()
+        for to, of, ratio in zip(*self.led.positions, self.led.ratios, strict=True):
+            gradient[:, of] += ratio * gradient[:, to]
         own, tree = self.kept_q
         found[:, own] = gradient[:, tree]
         for place in self.places:
@@ -305,6 +372,7 @@ class RobotCoordinates:
     def positions_between(self, lower: Array, upper: Array) -> tuple[Array, Array]:
         """Least and greatest positions (nq,) of the robot, of those (nq of the tree,) of joints."""
         low, high = np.full((2, self.num_positions), np.nan)
+        lower, upper = self.led.limited(lower, upper)
         own, tree = self.kept_q
         low[own], high[own] = lower[tree], upper[tree]
         for place in self.places:
@@ -317,6 +385,8 @@ class RobotCoordinates:
 
         `within` are its least and greatest positions (nq,).
         """
+        (to, of), limits = self.led.velocities, limits.copy()
+        np.minimum.at(limits, of, limits[to] / np.abs(self.led.ratios))
         return self._each(limits, within, lambda J, most: _box(np.abs(J).max(axis=0), most))
 
     def effort_limits(self, limits: Array, within: tuple[Array, Array]) -> Array:
@@ -356,6 +426,8 @@ class RobotCoordinates:
             J = place.drive.map.constant_jacobian
             block = np.ix_(place.joint_v, place.actuator_v)
             moves[block] = True if J is None else J != 0.0
+        to, of = self.led.velocities
+        moves[to] = moves[of]
         return moves
 
     def _kept(self, q: Array) -> tuple[Array, Array]:
@@ -374,40 +446,8 @@ class RobotCoordinates:
         for place in self.places:
             block = np.ix_(np.arange(len(q)), place.joint_v, place.actuator_v)
             J[block] = place.drive.map.jacobian(q[:, place.actuator_q])
+        self.led.spread(J)
         return J
-
-
-def plant_coordinates(
-    plant: MultibodyPlant, followers: Sequence[Follower] = (), drives: Sequence[Drive] = ()
-) -> RobotCoordinates:
-    """Return those of all joints of a plant, of which some follow others, and drives move some."""
-    names = joint_names(plant)
-    single = [j for j in joints_of(plant) if j.num_velocities() == j.num_positions() == 1]
-    named = {scoped(joint): names[joint.velocity_start()] for joint in single}
-    led: dict[str, list[Follower]] = {}
-    for follower in followers:
-        led.setdefault(named[follower.leader], []).append(follower)
-    moved = {joint for drive in drives for joint in drive.joints}
-    alike = LinearTransmission.of([[1.0]])
-    leaders = (Drive((name,), (name,), alike) for name in led if name not in moved)
-    every = [_leading(drive, led, named) for drive in (*drives, *leaders)]
-    positions = {int(joint.velocity_start()): int(joint.position_start()) for joint in single}
-    return RobotCoordinates.of(names, positions, plant.num_positions(), every)
-
-
-def _leading(
-    drive: Drive, led: Mapping[str, Sequence[Follower]], named: Mapping[str, str]
-) -> Drive:
-    """Return the drive with its followers, θ = r θ_leader + θ₀, as further joints."""
-    more = [(k, f) for k, joint in enumerate(drive.joints) for f in led.get(joint, ())]
-    if not more:
-        return drive
-    own = np.eye(len(drive.joints))
-    rows = np.vstack([own, *(f.ratio * own[k] for k, f in more)])
-    shifts = np.concatenate([np.zeros(len(own)), [f.offset for _, f in more]])
-    joints = (*drive.joints, *(named[f.joint] for _, f in more))
-    spread = InSequence((drive.map, LinearTransmission.of(rows, shifts)))
-    return replace(drive, joints=joints, map=spread, followers=len(more))
 
 
 def seated_at(drive: Drive, joints: Sequence[int]) -> list[int]:
@@ -415,8 +455,7 @@ def seated_at(drive: Drive, joints: Sequence[int]) -> list[int]:
     at = dict(zip(drive.joints, joints, strict=True))
     if set(drive.actuators) <= set(drive.joints):
         return [at[name] for name in drive.actuators]
-    own = joints[: len(joints) - drive.followers]
-    return sorted(own)[: len(drive.actuators)]
+    return sorted(joints)[: len(drive.actuators)]
 
 
 def _check(drives: Sequence[Drive], by_name: Mapping[str, int]) -> None:

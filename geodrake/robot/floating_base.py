@@ -57,7 +57,7 @@ def base_wrench_regressor(
     v = np.hstack([v, resting])
     samples = (q, v, v, np.hstack([vd, resting]))
     regressor = np.zeros((len(q), 6, PARAMETERS_PER_BODY * len(tree.bodies)))
-    which = tree.num_velocities, -1, False
+    which = tree.num_velocities, -1
     calc_regressor(on_a_free_world(tree).records, samples, which, regressor)
     return regressor if X_WP is None else wrench_map(X_WP, len(q)) @ regressor
 

@@ -1,13 +1,12 @@
 """Joints that follow another one: θ = r θ_leader + θ₀, as a gripper's fingers do.
 
 A follower is no coordinate of the robot. Its bodies move with the leader's position, so the effort
-of the leader is that of both, τ_q = Jᵀ τ_θ ([Lee2019] Eq. (3.6.57)), and the kinematic tree has a
-mobilizer for each of them that reads the leader's place in q and v.
+of the leader is that of both, τ_q = Jᵀ τ_θ ([Lee2019] Eq. (3.6.57)).
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -91,47 +90,3 @@ def resolved(stated: Sequence[Follower], joints: Sequence[str]) -> tuple[Followe
         if follower.leader not in seen:
             found.append(follower)
     return tuple(found)
-
-
-@dataclass(frozen=True, eq=False)
-class OwnPlaces:
-    """Where positions and velocities are that no joint has which follows another one.
-
-    Attributes:
-        positions: (nq,) where a robot's are in those of its plant.
-        velocities: (nv,) likewise.
-        starts: Scoped name of a joint -> where in q and v those begin that move it: its own, or its
-            leader's.
-    """
-
-    positions: Indices
-    velocities: Indices
-    starts: Mapping[str, tuple[int, int]]
-
-    @classmethod
-    def of(cls, plant: MultibodyPlant, followers: Sequence[Follower]) -> OwnPlaces:
-        """Find them in a plant."""
-        joints = {scoped(joint): joint for joint in joints_of(plant)}
-        leaders = {follower.joint: follower.leader for follower in followers}
-        places = {
-            name: (int(joint.position_start()), int(joint.velocity_start()))
-            for name, joint in joints.items()
-        }
-        q, v = (
-            np.setdiff1d(np.arange(count), [places[name][k] for name in leaders])
-            for k, count in enumerate((plant.num_positions(), plant.num_velocities()))
-        )
-        movers = {name: places[leaders.get(name, name)] for name in joints}
-        starts = {
-            name: (int(np.searchsorted(q, at_q)), int(np.searchsorted(v, at_v)))
-            for name, (at_q, at_v) in movers.items()
-        }
-        return cls(q, v, starts)
-
-
-def followed(
-    plant: MultibodyPlant, followers: Sequence[Follower]
-) -> tuple[tuple[Follower, int, int], ...]:
-    """Return followers, with their velocity and their leader's in those of a plant."""
-    starts = {scoped(joint): int(joint.velocity_start()) for joint in joints_of(plant)}
-    return tuple((f, starts[f.joint], starts[f.leader]) for f in followers)

@@ -7,7 +7,6 @@ from dataclasses import dataclass, field, replace
 from functools import cached_property
 
 import numpy as np
-from numpy.typing import NDArray
 from pydrake.math import RigidTransform
 from pydrake.multibody.plant import MultibodyPlant
 from pydrake.multibody.tree import BodyIndex, Frame, Joint, WeldJoint
@@ -15,10 +14,9 @@ from pydrake.multibody.tree import BodyIndex, Frame, Joint, WeldJoint
 from geodrake.boundary.showing import Short
 from geodrake.compiling import contiguous
 from geodrake.errors import ModelError
-from geodrake.inertia import PARAMETERS_PER_BODY, Array
+from geodrake.inertia import Array
 from geodrake.inertia.bodies import LumpedBody, is_base_frame, lumped_bodies
 from geodrake.robot.coordinates import RobotCoordinates
-from geodrake.robot.followers import Follower, OwnPlaces, scoped
 from geodrake.robot.joints import FrameMotion, joint_motions
 from geodrake.robot.recursion import MOBILIZER, Samples, TreeRecords
 
@@ -61,11 +59,11 @@ class KinematicTree(Short):
         θ = T(q), θ̇ = J q̇, θ̈ = J q̈ + J̇ q̇, τ_q = Jᵀ τ_θ, Y_q = Jᵀ Y_θ    [Lee2019] Eq. (3.6.57)
 
     Attributes:
-        num_positions: nq, of the plant without the joints that follow others; of the actuators.
+        num_positions: nq, of the plant, or of the robot where its joints follow from others.
         num_velocities: nv, likewise.
         gravity: (3,) gravity in the world frame, m/s².
-        actuation: How the joints' positions and velocities follow from actuators'; None where they
-            are their own.
+        actuation: How the joints' positions and velocities follow from the robot's; None where they
+            are its own.
     """
 
     mobilizers: tuple[Mobilizer, ...]
@@ -76,25 +74,18 @@ class KinematicTree(Short):
     actuation: RobotCoordinates | None = field(default=None, compare=False)
 
     @classmethod
-    def from_plant(cls, plant: MultibodyPlant, followers: Sequence[Follower] = ()) -> KinematicTree:
-        """Read the tree of a finalized plant, with its default parameters.
-
-        Args:
-            followers: Joints of it that follow others, whose leaders follow none.
-        """
+    def from_plant(cls, plant: MultibodyPlant) -> KinematicTree:
+        """Read the tree of a finalized plant, with its default parameters."""
         bodies = lumped_bodies(plant)
         gravity = [_has_gravity(plant, body) for body in bodies]
-        own, leaders = OwnPlaces.of(plant, followers), {f.joint: f for f in followers}
         last = {_WORLD: -1}  # every body reached so far: its mobilizer
         mobilizers: list[Mobilizer] = []
         for joint, inboard, outboard, X_PF, X_MB, sign in _edges(plant, bodies):
             is_frame = outboard <= _MASSLESS
             if inboard >= 0 and gravity[inboard] != gravity[outboard]:
                 raise _partial_gravity(bodies[outboard].name)
-            q, v = own.starts[scoped(joint)]
+            q, v = int(joint.position_start()), int(joint.velocity_start())
             motions = joint_motions(joint, sign)
-            if (follower := leaders.get(scoped(joint))) is not None:
-                motions = [motions[0].following(follower.ratio, follower.offset)]
             for step, motion in enumerate(motions, start=1):
                 parent = last[inboard] if step == 1 else len(mobilizers) - 1
                 is_last = step == len(motions)
@@ -119,8 +110,8 @@ class KinematicTree(Short):
         return cls(
             mobilizers=tuple(mobilizers),
             bodies=tuple(body.name for body in bodies),
-            num_positions=len(own.positions),
-            num_velocities=len(own.velocities),
+            num_positions=plant.num_positions(),
+            num_velocities=plant.num_velocities(),
             gravity=np.array(plant.gravity_field().gravity_vector()),
         )
 
@@ -201,17 +192,6 @@ class KinematicTree(Short):
             record["offset"], record["p_MoBo_B"] = joint.offset, mobilizer.p_MoBo_B
             record["gravity"] = mobilizer.gravity * self.gravity
         return records, dofs
-
-    @cached_property
-    def repeats(self) -> bool:
-        """Whether a velocity moves a body by several joints, some of which follow another."""
-        return any(len(set(m.dofs)) < len(m.dofs) for m in self.mobilizers)
-
-    def columns(self, dof: int) -> NDArray[np.intp]:
-        """Return columns of the regressor that can differ from zero in the row of one velocity."""
-        moved = sorted(m.body for m in self.mobilizers if m.body >= 0 and dof in m.dofs)
-        columns = np.arange(PARAMETERS_PER_BODY * len(self.bodies))
-        return columns.reshape(-1, PARAMETERS_PER_BODY)[moved].ravel()
 
 
 def actuator_rows(J: Array | None, rows: Array) -> Array:

@@ -26,8 +26,8 @@ from pydrake.multibody.plant import MultibodyPlant
 from geodrake.compiling import contiguous
 from geodrake.errors import ModelError
 from geodrake.inertia import Array
-from geodrake.robot.coordinates import plant_coordinates
-from geodrake.robot.followers import Follower, OwnPlaces, scoped
+from geodrake.robot.coordinates import Led
+from geodrake.robot.followers import Follower, joint_names
 from geodrake.robot.holding import moving_joints
 from geodrake.robot.joints import Features, axis_motion, slide_motion
 from geodrake.robot.kinematics import KinematicTree, Mobilizer
@@ -174,18 +174,13 @@ class ClosedLoop:
 
 
 def closed_loops(
-    plant: MultibodyPlant,
-    names: Sequence[str],
-    closures: Sequence[Closure],
-    *,
-    path: object,
-    how: LoopJoints,
+    plant: MultibodyPlant, closures: Sequence[Closure], *, path: object, how: LoopJoints
 ) -> Loops:
     """Return the closed loops of a plant.
 
     Of the joints of a loop those are free that are driven, and then those nearest to the base.
     """
-    return _LoopFinder(plant, names, path, how).loops(closures) if closures else Loops()
+    return _LoopFinder(plant, path, how).loops(closures) if closures else Loops()
 
 
 @dataclass(frozen=True)
@@ -202,20 +197,18 @@ _Group = tuple[set[int], list[_Link], list[Followers]]
 
 
 class _LoopFinder:
-    def __init__(
-        self, plant: MultibodyPlant, names: Sequence[str], path: object, how: LoopJoints
-    ) -> None:
-        self.plant, self.names, self.path, self.how = plant, names, path, how
-        self.tree = KinematicTree.from_plant(plant, how.followers)
-        own = OwnPlaces.of(plant, how.followers)
-        q = plant.GetPositions(plant.CreateDefaultContext())[own.positions]
+    def __init__(self, plant: MultibodyPlant, path: object, how: LoopJoints) -> None:
+        self.plant, self.names, self.path, self.how = plant, joint_names(plant), path, how
+        self.tree, led = KinematicTree.from_plant(plant), Led.of(plant, how.followers)
+        q = plant.GetPositions(plant.CreateDefaultContext())
         limits = plant.GetPositionLowerLimits(), plant.GetPositionUpperLimits()
-        lower, upper = plant_coordinates(plant, how.followers).positions_between(*limits)
+        lower, upper = led.limited(*limits)
+        self.leads = {to: (of, ratio, offset) for to, of, ratio, offset in led.each()}
         self.place, self.limits = dict[int, float](), dict[int, tuple[float, float]]()
         for joint in moving_joints(plant):
-            if joint.num_velocities() == joint.num_positions() == 1:
-                at, v = own.starts[scoped(joint)]
-                self.place[v] = how.start.get(names[v], float(q[at]))
+            at, v = int(joint.position_start()), int(joint.velocity_start())
+            if joint.num_velocities() == joint.num_positions() == 1 and v not in self.leads:
+                self.place[v] = how.start.get(self.names[v], float(q[at]))
                 self.limits[v] = float(lower[at]), float(upper[at])
         # Scoped name of a body -> its mobilizer, -1 for what stands still, and its pose there.
         moving = {
@@ -243,8 +236,9 @@ class _LoopFinder:
         new: list[_Group] = [
             ({self._velocity(i) for i in link.sides}, [link], []) for link in links
         ]
+        free = {name for at, name in enumerate(self.names) if at not in self.leads}
         for part in self.how.bent:
-            if set(part.joint_names()) <= set(self.names):
+            if free.issuperset(part.joint_names()):
                 new.append((set(map(self.names.index, part.joint_names())), [], [part]))
         for group in new:  # those that have velocities in common become one
             together = [other for other in groups if not group[0].isdisjoint(other[0])]
@@ -257,7 +251,9 @@ class _LoopFinder:
         return Loops(moving, tuple(left_out), tuple(taken))
 
     def _velocity(self, mobilizer: int) -> int:
-        return int(self.tree.mobilizers[mobilizer].velocities.start)
+        """Return the velocity of a mobilizer, or the one that it follows."""
+        own = int(self.tree.mobilizers[mobilizer].velocities.start)
+        return self.leads[own][0] if own in self.leads else own
 
     def _link(self, closure: Closure) -> _Link:
         ends, chains = list[tuple[int, RigidTransform]](), list[list[int]]()
@@ -328,9 +324,7 @@ class _LoopFinder:
     ) -> _Shape:
         own = sorted({i for link in links for i in link.sides})
         local = {-1: -1, **{i: at for at, i in enumerate(own)}}
-        mobilizers = [
-            _alone(self.tree.mobilizers[i], local, velocities.index(self._velocity(i))) for i in own
-        ]
+        mobilizers = [self._alone(i, local, velocities.index(self._velocity(i))) for i in own]
         slides = {m.velocities.start for m in mobilizers if m.motion.features is Features.CONSTANT}
         count = len(velocities)
         closures, sides = np.zeros(len(links), CLOSURE), list[dict[int, int]]()
@@ -364,6 +358,17 @@ class _LoopFinder:
         rows = sum(6 if link.closure.turns else 3 for link in links) + len(couplings)
         slide = tuple(k in slides for k in range(count))
         return _Shape((tree, closures, table, couplings), units, rows, slide)
+
+    def _alone(self, index: int, local: Mapping[int, int], at: int) -> Mobilizer:
+        """Return a mobilizer in the loop: its parent's number there, and that of its joint."""
+        mobilizer, place = self.tree.mobilizers[index], slice(at, at + 1)
+        own, motion = int(mobilizer.velocities.start), mobilizer.motion
+        if own in self.leads:
+            motion = motion.following(*self.leads[own][1:])
+        parent = local.get(mobilizer.parent, -1)
+        return Mobilizer(
+            parent, -1, place, place, (), motion, mobilizer.p_MoBo_B, mobilizer.gravity
+        )
 
 
 @dataclass(frozen=True)
@@ -465,9 +470,3 @@ def _size(mobilizers: Sequence[Mobilizer], closures: NDArray[np.void]) -> float:
         for at, place in zip(closure["mobilizers"], closure["positions"], strict=True):
             arms.append(place - (at_base[0] if at < 0 else 0.0))
     return float(np.linalg.norm(arms, axis=1).max(initial=0.0)) or 1.0
-
-
-def _alone(mobilizer: Mobilizer, local: Mapping[int, int], at: int) -> Mobilizer:
-    """Return the mobilizer in the loop: its parent's number there, and that of its joint."""
-    parent, place = local.get(mobilizer.parent, -1), slice(at, at + 1)
-    return replace(mobilizer, parent=parent, body=-1, positions=place, velocities=place, dofs=())

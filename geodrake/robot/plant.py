@@ -33,7 +33,6 @@ from geodrake.robot.files.mjcf import MjcfText
 from geodrake.robot.files.named_robots import robot_file
 from geodrake.robot.followers import (
     Follower,
-    OwnPlaces,
     joint_names,
     joints_of,
     resolved,
@@ -270,7 +269,7 @@ def _loops(description: ModelDescription, built: BuiltPlant, how: LoopJoints) ->
     closures = [*terms.closures, *built.opened]
     if not closures:
         return Loops()
-    names, own = joint_names(plant), OwnPlaces.of(plant, how.followers).velocities
+    names = joint_names(plant)
     limited = (a.joint() for a in _actuators(plant) if np.isfinite(a.effort_limit()))
     driven = {names[joint.velocity_start()] for joint in limited} | terms.driven
     driven |= {each.cut.name for each in built.opened if each.cut and each.cut.driven}
@@ -278,7 +277,7 @@ def _loops(description: ModelDescription, built: BuiltPlant, how: LoopJoints) ->
     stiffness = {n: terms.springs.get(scoped(j), _NO_SPRING).coefficients[1] for n, j in single}
     sprung = sorted((n for n, k in stiffness.items() if k > 0.0), key=lambda n: -stiffness[n])
     how = replace(how, bent=tuple(terms.bent), driven=driven, sprung=sprung)
-    found = closed_loops(plant, [names[k] for k in own], closures, path=description.path, how=how)
+    found = closed_loops(plant, closures, path=description.path, how=how)
     if found.left_out and built.opened:
         raise ModelError(
             f"{description.path}: {found.left_out[0]}",

@@ -250,19 +250,16 @@ def put_block(motion: Motion, s: Vector, t: Vector, out: Array, place: Any) -> N
 
 
 @compiled
-def calc_regressor(
-    tree: TreeRecords, samples: Samples, which: tuple[int, int, bool], out: Array
-) -> None:
+def calc_regressor(tree: TreeRecords, samples: Samples, which: tuple[int, int], out: Array) -> None:
     """Write the regressor into zeros (N, rows, 10 nb); of one body alone into (N, rows, 10).
 
     Args:
-        which: First velocity that has a row; the body, of a tree that may be its branch, −1 for
-            all; and whether a velocity moves a body by several joints.
+        which: First velocity that has a row; and the body, of a tree that may be its branch, −1 for
+            all.
     """
-    (mobilizers, dofs), (first, only, repeats) = tree, which
+    (mobilizers, dofs), (first, only) = tree, which
     motions, features = np.empty(len(mobilizers), MOTION), np.empty(9)
     turn, slide = subspace_room(dofs)
-    block = np.empty((1, 1, PARAMETERS_PER_BODY))
     for n in range(len(samples[0])):
         move(mobilizers, samples, n, features, motions)
         find_subspaces(mobilizers, motions, turn, slide)
@@ -273,12 +270,7 @@ def calc_regressor(
                 motion = motion_of(motions[i])
                 for k in range(mobilizers[i].count):
                     s, t, line = row(turn, i, k), row(slide, i, k), dofs[i, k] - first
-                    if repeats:
-                        put_block(motion, s, t, block, (0, 0, 0))
-                        for x in range(PARAMETERS_PER_BODY):
-                            out[n, line, start + x] += block[0, 0, x]
-                    else:
-                        put_block(motion, s, t, out, (n, line, start))
+                    put_block(motion, s, t, out, (n, line, start))
 
 
 @inlined

@@ -56,8 +56,7 @@ def body_regressor(
     tree, samples, J = checked_samples(plant, q, v, vd)
     integer(body, "body", lower=0, upper=len(tree.bodies) - 1)
     regressor = np.zeros((len(samples[0]), tree.num_velocities, PARAMETERS_PER_BODY))
-    branch = tree.branch(body)
-    calc_regressor(branch.records, samples, (0, body, branch.repeats), regressor)
+    calc_regressor(tree.branch(body).records, samples, (0, body), regressor)
     return actuator_rows(J, regressor)
 
 
@@ -91,8 +90,6 @@ def regressor_pieces(
     for start in range(0, len(samples[0]), most):
         part = slice(start, min(start + most, len(samples[0])))
         piece = room[: part.stop - start]  # what is zero in one piece is so in all
-        if tree.repeats:
-            piece[:] = 0.0
         q, qd, v, vd = (x[part] for x in samples)
         put_regressor(tree, (q, qd, v, vd), piece)
         yield part, piece if J is None else actuator_rows(J[part], piece)
@@ -100,7 +97,7 @@ def regressor_pieces(
 
 def put_regressor(tree: KinematicTree, samples: Samples, out: Array) -> None:
     """Write the regressor into zeros (N, nv, 10 nb)."""
-    calc_regressor(tree.records, samples, (0, -1, tree.repeats), out)
+    calc_regressor(tree.records, samples, (0, -1), out)
 
 
 def checked_samples(

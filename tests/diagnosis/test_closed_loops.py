@@ -15,6 +15,7 @@ from geodrake.errors import LogError
 from geodrake.identification.logs.compare import compare
 from geodrake.logs import JointLog, read_log
 from geodrake.model.logged_joints import log_of_model, model_of_logs, reading_for
+from geodrake.robot import joint_names
 
 STEP, RATE = 5e-4, 200.0
 WAVES = 2 * np.pi * np.array([0.21, 0.33, 0.5, 0.81, 1.1, 1.6])
@@ -165,9 +166,9 @@ def test_joints_lead_that_logs_have(tmp_path):
     assert load_model(tmp_path / "led.yaml").joints == ("rocker",)
     q = np.linspace(-0.2, 0.4, 5)[:, None]  # below, the rocker turns back
     still = np.zeros_like(q)
-    theta = model.actuation.tree_samples(q, still + 1.0, still)[0]
-    rocker, at = model.tree_joints.index("rocker"), led.tree_joints.index("crank")
-    again = led.actuation.tree_positions(theta[:, [rocker]])
+    theta = model.coordinates.tree_samples(q, still + 1.0, still)[0]
+    rocker, at = joint_names(model.plant).index("rocker"), joint_names(led.plant).index("crank")
+    again = led.coordinates.tree_positions(theta[:, [rocker]])
     np.testing.assert_allclose(again[:, at], q[:, 0], atol=1e-9)
 
 

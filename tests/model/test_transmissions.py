@@ -25,7 +25,7 @@ from geodrake.identification.logs.compare import compare
 from geodrake.logs import JointLog, Motion
 from geodrake.model import holding, python_source
 from geodrake.model.logged_joints import model_of_logs
-from geodrake.robot import base_wrench_regressor, inverse_dynamics_regressor
+from geodrake.robot import base_wrench_regressor, inverse_dynamics_regressor, joint_names
 from geodrake.robot.effort_slopes import effort_slopes
 from geodrake.robot.regressor import inverse_dynamics
 from geodrake.robot.transmission import Drive
@@ -245,8 +245,8 @@ def test_damping_and_limits_of_the_file_are_the_actuators(tmp_path):
     values = {(f.effect.name, *f.effect.where): f.parameters.tolist() for f in model.effects}
     assert values == {("viscous_friction", "roll"): [0.3], ("coulomb_friction", "roll"): [0.2]}
     motion = Motion(*np.random.default_rng(0).uniform(-0.5, 0.5, (3, 6, 3)))
-    J = model.actuation.constant
-    (at,) = (k for k, name in enumerate(model.tree_joints) if name == "roll")
+    J = model.coordinates.constant
+    (at,) = (k for k, name in enumerate(joint_names(model.plant)) if name == "roll")
     rate = motion.v @ J[at]
     rubbing = (0.3 * rate + 0.2 * np.sign(rate))[:, None] * J[at]
     bare = replace(model, effects=())
@@ -260,7 +260,7 @@ def test_within_the_limits_of_actuators_joints_keep_theirs(curved):
     assert np.abs(curved.plant_positions(q)).max() <= 2.0 + 1e-9
     assert np.abs(times(curved.coordinates.jacobian(q), v)).max() <= 3.0 + 1e-9
     efforts = rng.uniform(-1.0, 1.0, (200, 3)) * curved.effort_limits
-    jacobian = curved.actuation.jacobian(q)
+    jacobian = curved.coordinates.jacobian(q)
     at_joints = np.linalg.solve(np.swapaxes(jacobian, 1, 2), efforts[:, :, None])
     assert np.abs(at_joints[:, 2]).max() <= 40.0 + 1e-9  # (At a crank's dead point nothing holds.)
 

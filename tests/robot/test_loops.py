@@ -24,6 +24,7 @@ from geodrake.errors import ArgumentError, ModelError
 from geodrake.logs import Motion
 from geodrake.model import holding
 from geodrake.model.dynamics_check import check_dynamics
+from geodrake.robot import joint_names
 
 COUPLER, ROCKER = 'diaginertia=".003 .004 .0025"/>', 'diaginertia=".005 .004 .0035"/>'
 
@@ -143,8 +144,11 @@ def test_efforts_and_motions_are_mujocos_through_its_own_constraints(tmp_path, n
     robot = model.add_to_builder(builder)
     root = builder.Build().CreateDefaultContext()
     at_motors = robot.effort.get_system().GetMyMutableContextFromRoot(root)
-    plant, theirs = robot.plant, [constrained.m.joint(name).dofadr[0] for name in model.tree_joints]
-    ours = [plant.GetJointByName(name).velocity_start() for name in model.tree_joints]
+    plant, theirs = (
+        robot.plant,
+        [constrained.m.joint(name).dofadr[0] for name in joint_names(model.plant)],
+    )
+    ours = [plant.GetJointByName(name).velocity_start() for name in joint_names(model.plant)]
     for q, v, effort in zip(*states(model, 3), strict=True):
         qpos, G = constrained.closed(in_mujoco(model, constrained, q))
         applied = np.zeros(constrained.m.nv)

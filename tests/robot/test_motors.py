@@ -9,11 +9,17 @@ from mujoco_efforts import mujoco_efforts
 
 from geodrake import load_model, save_model
 from geodrake.errors import ModelError
+from geodrake.excitation.regressor_gradient import inverse_dynamics_regressor_gradient
 from geodrake.excitation.reverse_recursion import reverse_recursion
 from geodrake.logs import JointLog, Motion
 from geodrake.model import holding
 from geodrake.model.logged_joints import log_of_model
-from geodrake.robot import KinematicTree, inverse_dynamics, inverse_dynamics_regressor
+from geodrake.robot import (
+    KinematicTree,
+    inverse_dynamics,
+    inverse_dynamics_regressor,
+    joint_names,
+)
 from geodrake.robot.effort_slopes import effort_slopes
 
 TRANSMISSION = """<transmission name="wrist"><type>transmission_interface/{kind}</type>
@@ -105,14 +111,14 @@ def test_tendons_of_mujoco_are_coupled_motors(tmp_path):
     load, at = model.motion(Motion(q, v, vd)).load, [model.joints.index(n) for n in names]
     J = model.coordinates.constant
     for k in range(4):
-        joints = dict(zip(model.tree_joints, model.plant_positions(q)[k], strict=True))
-        rates = dict(zip(model.tree_joints, (v @ J.T)[k], strict=True))
+        joints = dict(zip(joint_names(model.plant), model.plant_positions(q)[k], strict=True))
+        rates = dict(zip(joint_names(model.plant), (v @ J.T)[k], strict=True))
         for joint, value in joints.items():
             data.joint(joint).qpos[:], data.joint(joint).qvel[:] = value, rates[joint]
         data.ctrl[:] = load[k, at]
         mujoco.mj_forward(theirs, data)
         np.testing.assert_allclose(data.actuator_length, q[k, at], atol=1e-12)
-        expected = dict(zip(model.tree_joints, (vd @ J.T)[k], strict=True))
+        expected = dict(zip(joint_names(model.plant), (vd @ J.T)[k], strict=True))
         for joint, value in expected.items():
             np.testing.assert_allclose(data.joint(joint).qacc, value, rtol=1e-8, atol=1e-8)
 
@@ -222,7 +228,7 @@ def test_efforts_regressors_and_gradients_are_those_through_the_jacobian(tmp_pat
     for name in ("position", "velocity", "acceleration"):
         assert_close(getattr(ours, name), J.T @ getattr(theirs, name) @ J)
     weights = np.random.default_rng(1).normal(size=Y.shape)
-    slopes = reverse_recursion(model.tree, (motion.q, motion.v, motion.v, motion.vd), weights)
+    slopes = inverse_dynamics_regressor_gradient(model.tree, *own, weights)
     q, v, vd = samples
     others = reverse_recursion(tree, (q, v, v, vd), J[None] @ weights)
     for name in ("q", "v", "vd"):

@@ -3,6 +3,8 @@
 import numpy as np
 import pytest
 from own_transmission import OwnTransmission
+from pydrake.multibody.plant import MultibodyPlant
+from pydrake.multibody.tree import PrismaticJoint, SpatialInertia
 
 from geodrake.errors import ArgumentError
 from geodrake.logs.motion import Motion
@@ -68,7 +70,13 @@ def test_derivatives_are_differences_and_actuators_follow_from_the_joints(part):
 def test_a_joint_that_an_actuator_does_not_move_does_not_limit_it():
     """Without a warning, although 0 · ∞ is no number."""
     idle = Drive(("m",), ("a", "b"), LinearTransmission.of([[2.0], [0.0]]))
-    robot = RobotCoordinates.of(("a", "b"), {0: 0, 1: 1}, 2, (idle,))
+    plant = MultibodyPlant(0.0)
+    for name, axis in (("a", [1, 0, 0]), ("b", [0, 1, 0])):
+        body = plant.AddRigidBody(name, SpatialInertia.SolidSphereWithMass(1.0, 0.1))
+        world = plant.world_frame()
+        plant.AddJoint(PrismaticJoint(name, world, body.body_frame(), axis))
+    plant.Finalize()
+    robot = RobotCoordinates.of(plant, (), (idle,))
     within = np.full(1, -1.0), np.full(1, 1.0)
     most = np.array([5.0, np.inf])
     np.testing.assert_array_equal(robot.effort_limits(most, within), [10.0])

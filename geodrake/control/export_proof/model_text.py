@@ -100,7 +100,8 @@ def _links_of(model: RobotModel) -> tuple[Link, ...]:
             X_LR = X_WL[k].inverse() @ X_WR
             turns = joint.type_name() == "revolute"
             axis = joint.revolute_axis() if turns else joint.translation_axis()
-            shown, follows = joints[model.joints[model.own.starts[scoped(joint)][1]]], None
+            mover, *_ = model.coordinates.moved_by([joint.velocity_start()])
+            shown, follows = joints[model.joints[mover]], None
             if (follower := followers.get(scoped(joint))) is not None:
                 follows = shown.name, follower.ratio, follower.offset
                 shown = ExportedJoint(joint.name(), follower.joint, turns)

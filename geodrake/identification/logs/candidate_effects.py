@@ -108,7 +108,7 @@ def _acts_behind(effect: type[Effect]) -> bool:
 
 def _speeds_behind(model: RobotModel, segments: Sequence[Segment]) -> dict[str, float]:
     """Joint that follows others by a ratio that changes -> its largest speed, rad/s or m/s."""
-    actuation, found = model.actuation, dict[str, float]()
+    actuation, found = model.coordinates, dict[str, float]()
     if actuation.constant is not None:
         return found
     constant = [p.drive for p in actuation.places if p.drive.map.constant_jacobian is not None]

@@ -314,12 +314,9 @@ class DrivenPlant(PlantMotion):
 
     def split(self, state: Array) -> tuple[Array, Array]:
         """Return q and v of the model, of a state of the plant."""
-        nq, own, actuation = self.plant.num_positions(), self.model.own, self.model.tree.actuation
-        theta, rate = state[:nq][own.positions], state[nq:][own.velocities]
-        if actuation is None:
-            return theta, rate
-        q = actuation.nearest(theta[None])
-        return q[0], np.asarray(np.linalg.pinv(actuation.jacobian(q)[0]) @ rate)
+        nq, ways = self.plant.num_positions(), self.model.coordinates
+        (q,) = ways.nearest(state[None, :nq])
+        return q, ways.rates_of(q, state[nq:])
 
     def joined(self, q: Array, v: Array) -> Array:
         """Return the state of the plant of q and v of the model."""

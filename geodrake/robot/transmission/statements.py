@@ -17,7 +17,7 @@ joint,
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 from typing import Literal, get_args, get_type_hints
@@ -487,7 +487,6 @@ class Drive(Short):
             None for each as the joint in whose place it stands.
         range: Positions (n,) of the actuators between which the map holds, rad or m.
         statement: What it was made of, which is saved; None for one of functions of your own.
-        followers: How many of the joints, the last ones, only follow others by constant ratios.
     """
 
     actuators: tuple[str, ...]
@@ -496,7 +495,6 @@ class Drive(Short):
     slides: tuple[bool, ...] | None = None
     range: tuple[Array, Array] | None = None
     statement: Statement | None = None
-    followers: int = field(default=0, compare=False)
 
     def __post_init__(self) -> None:
         instance(self.map, "map", Transmission)
