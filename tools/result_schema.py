@@ -12,7 +12,7 @@ from typing import Annotated, Any, Literal
 import msgspec
 from msgspec import UNSET, Meta, UnsetType
 
-from geodrake.report.schema import keys_of, schema
+from geodrake.report.json_output import keys_of, schema, type_and_reason
 
 PAGE = Path(__file__).parents[1] / "docs" / "results.schema.json"
 COMMANDS = {
@@ -65,14 +65,13 @@ def _type(said: Any) -> Any:
         return Sequence[_type(said[0])]
     if isinstance(said, dict):
         return Mapping[str, _type(next(iter(said.values())))]
-    name = said.rstrip("?")
-    if name in SCALARS:
-        found = SCALARS[name]
-    elif name in (units := schema()["units"]):
-        found = Annotated[float | None, Meta(description=units[name])]
-    else:
-        found = type_of(name)
-    return found | None if said.endswith("?") else found
+    name, reason = type_and_reason(said)
+    units = schema()["units"]
+    words = "; ".join(filter(None, [units.get(name), reason and f"null where {reason}"]))
+    found = SCALARS.get(name) or (float | None if name in units else type_of(name))
+    if reason or said.endswith("?"):
+        found = found | None
+    return Annotated[found, Meta(description=words)] if words else found
 
 
 def written_by(command: str) -> Any:

@@ -40,7 +40,7 @@ from geodrake.model.carried_payloads import carried_phi
 from geodrake.model.logged_joints import holding_resting, model_of_logs, reading_for
 from geodrake.model.robot_model import RobotModel
 from geodrake.model.saved_model import saved_text
-from geodrake.report.json_output import columns_list, to_json
+from geodrake.report.json_output import record, to_json
 from geodrake.report.numbers import Units
 from geodrake.report.page import About, Page, Section
 from geodrake.report.terminal import ResultsConsole, show_page, show_saved
@@ -141,7 +141,8 @@ def _run(command: Command[R], options: Any) -> R:
         unchecked = [] if columns is None else unchecked_words(given.model)
         told: dict[str, Any] = {}
         if columns is not None:
-            told = {"columns": columns_list(columns), "columns_are_checked": not unchecked}
+            found = [record("ColumnFinding", each) for each in columns]
+            told = {"columns": found, "columns_are_checked": not unchecked}
         numbers = to_json(
             {"version": version(), "command": command.name, **view.numbers(result), **told}
         )

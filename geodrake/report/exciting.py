@@ -13,10 +13,9 @@ from geodrake.excitation.identifiable import LogIdentifiability
 from geodrake.excitation.tell_apart import CLEAR, distinguished_pairs
 from geodrake.inertia import Array
 from geodrake.report.charts import MOST_PANELS, Chart, Panel, Plot, Stage
-from geodrake.report.json_output import number_or, picked
+from geodrake.report.json_output import keys_of, picked, record
 from geodrake.report.numbers import UNKNOWN, Units, number, percent, relative
 from geodrake.report.page import About, Cell, Page, Records, Section, Table, Tile, View, cells
-from geodrake.report.schema import keys_of, record
 from geodrake.report.views import Columns
 from geodrake.report.words import effect_label, listed, places_label
 
@@ -522,10 +521,7 @@ def excitation_dict(result: ExcitationResult) -> dict[str, Any]:
             joint: {name: values[j] for name, values in use.peaks.items()}
             for j, joint in enumerate(limits.joints)
         },
-        clearances={
-            party: {"least": least, "between": names}
-            for party, (least, names) in use.clearances.items()
-        },
+        clearances=use.clearances,
         seconds={
             "motion": result.trajectory.length,
             "with_ramps": result.executed.length,
@@ -533,7 +529,7 @@ def excitation_dict(result: ExcitationResult) -> dict[str, Any]:
         },
         start=dict(zip(limits.joints, result.trajectory.states([0.0])[0, 0], strict=True)),
         distance={
-            "least": number_or(use.distance, "collisions were not looked for"),
+            "least": use.distance,
             "clearance": use.clearance,
             "between": use.nearest,
         },

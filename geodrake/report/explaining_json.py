@@ -12,13 +12,8 @@ from geodrake.identification.fit import Certificate
 from geodrake.identification.logs.model_errors import Comparison, ErrorTable
 from geodrake.identification.models.results import BodyChange, ModelIdentification
 from geodrake.inertia import PARAMETER_NAMES
-from geodrake.model.effort_signal import EffortSignal
-from geodrake.report.json_output import NoNumber, finite, number_or, picked
+from geodrake.report.json_output import number_or, picked, record
 from geodrake.report.page import Records
-from geodrake.report.schema import record
-
-_NO_NOISE = "the logs show no sensor noise"
-_UNKNOWN = "the logs do not identify it"
 
 
 def comparison_dict(comparison: Comparison) -> dict[str, Any]:
@@ -28,10 +23,7 @@ def comparison_dict(comparison: Comparison) -> dict[str, Any]:
         "Comparison",
         comparison,
         error=record("TotalError", errors, noise_is_known=errors.knows_noise),
-        joints={
-            each.joint: record("JointError", each, **finite(each, _NO_NOISE, "removable"))
-            for each in errors.joints
-        },
+        joints={each.joint: each for each in errors.joints},
     )
 
 
@@ -58,7 +50,7 @@ def explanation_dict(explanation: Explanation, **more: Any) -> dict[str, Any]:
         error={**_errors(**tables), "of_motion": explanation.of_motion},
         bodies=_bodies(explanation.bodies),
         certificate=_certificate(explanation.certificate),
-        signals=map(_signal, explanation.model.effort_signals),
+        signals=explanation.model.effort_signals,
         failing=explanation.after.failing,
         **more,
     )
@@ -81,17 +73,10 @@ def step_records(found: Explanation) -> Records:
     ]
 
 
-def _signal(signal: EffortSignal) -> dict[str, Any]:
-    """Return how a signal becomes efforts."""
-    limit = number_or(signal.limit, "no limit is known")
-    speed = number_or(signal.no_load_speed, "the limit is the same at every speed")
-    return record("EffortSignal", signal, limit=limit, no_load_speed=speed)
-
-
-def _certificate(certificate: Certificate | None) -> dict[str, Any] | NoNumber:
-    """Return what the MathematicalProgram of a fit says of it."""
+def _certificate(certificate: Certificate | None) -> dict[str, Any] | None:
+    """Return what the MathematicalProgram of a fit says of it; None without a fit."""
     if certificate is None:
-        return NoNumber("the model stays as it is")
+        return None
     gap = number_or(certificate.relative_gap, certificate.failure)
     violation = number_or(certificate.violation, certificate.failure)
     return record("Certificate", certificate, gap=gap, violation=violation)
@@ -147,7 +132,6 @@ def identification_dict(found: ModelIdentification) -> dict[str, Any]:
     return record(
         "Identification",
         found,
-        gamma=number_or(found.gamma, "any weight meets the bound on the residual"),
         **picked(result, "residual", "divergence", "solver"),
         certificate=_certificate(result.certificate),
         error={
@@ -206,15 +190,8 @@ def _effect(fitted: FittedEffect) -> dict[str, Any]:
 
 def _step(step: Step) -> dict[str, Any]:
     rivals = zip(step.rivals, step.probabilities_of_rivals, strict=True)
-    known = {
-        kind: {
-            place: {name: number_or(deviation, _UNKNOWN) for name, deviation in own.items()}
-            for place, own in getattr(step, kind).items()
-        }
-        for kind in ("deviations", "systematic")
-    }
     told = [record("Rival", rival, probability=share) for rival, share in rivals]
-    return record("Step", step, **known, rivals=told)
+    return record("Step", step, rivals=told)
 
 
 def _errors(**tables: ErrorTable) -> dict[str, Any]:

@@ -19,10 +19,9 @@ from geodrake.logs.inspection import LogInspection
 from geodrake.model.dynamics_check import TOLERANCE, Agreement, DynamicsCheck
 from geodrake.report.charts import Chart, Panel, Plot, Shade, Stage
 from geodrake.report.explaining import effect_cell, first_section, notes_section
-from geodrake.report.json_output import NoNumber, columns_list, finite, number_or, picked
+from geodrake.report.json_output import picked, record
 from geodrake.report.numbers import Units, number, percent
 from geodrake.report.page import About, Cell, Page, Section, Table, Tile, View, cells
-from geodrake.report.schema import record
 from geodrake.report.words import capitalized
 
 _NAMED = 3  # effects, at most, that a sentence names
@@ -422,13 +421,11 @@ def _export_dict(found: ProvenExport) -> dict[str, Any]:
 
 def _digests_dict(run: DigestRun) -> dict[str, Any]:
     """Return what became of logs."""
-    settings, said = run.settings, NoNumber("no log could be used")
+    settings = run.settings
     return record(
         "Digests",
         folder=str(run.folder),
-        settings=said
-        if settings is None
-        else record("DigestSettings", settings, columns=len(settings.columns)),
+        settings=settings and record("DigestSettings", settings, columns=len(settings.columns)),
         counts={status: run.count(status) for status in (MADE, THERE, FAILED)},
         logs=[_digest_row(row, settings) for row in run.rows],
         notes=digest_notes(run),
@@ -452,7 +449,7 @@ def _digest_row(row: DigestRow, settings: DigestSettings | None) -> dict[str, An
                 "noise_floor": about.noise_floor[j],
                 "position": about.position[:, j],
                 "speed": about.speed[:, j],
-                "temperature": number_or(float(about.temperature[j]), "it was not measured"),
+                "temperature": float(about.temperature[j]),
             }
             for j, joint in enumerate(settings.joints)
         },
@@ -464,44 +461,33 @@ def _logs_dict(found: InspectedLogs) -> dict[str, Any]:
     if found.repairs is None:
         return record("InspectedLogs", logs=logs)
     notes = [*found.repairs, *found.beyond, *filter(None, [found.unchecked])]
-    return record("InspectedLogs", logs=logs, columns=columns_list(found.columns), notes=notes)
+    return record("InspectedLogs", logs=logs, columns=found.columns, notes=notes)
 
 
 def _log_dict(found: LogInspection) -> dict[str, Any]:
     """Return what was understood of a log."""
-    why = "all its cells are empty"
     return record(
         "InspectedLog",
         found,
         **picked(found.log, "name", "joints"),
         rows=len(found.log),
-        columns=[
-            record("LogColumn", c, **finite(c, why, "lowest", "highest")) for c in found.columns
-        ],
-        gaps=[{"time": instant, "seconds": length} for instant, length in found.gaps],
-        rests=[{"from": first, "to": last} for first, last in found.rests],
     )
 
 
 def _check_dict(checked: CheckedModel) -> dict[str, Any]:
     """Return a check."""
-    found = checked.check
+    found, second = checked.check, checked.check.second
     return record(
         "Check",
         found,
         agrees=found.holds,
         repaired=len(found.repairs) > len(found.left_out),
         tolerance=TOLERANCE,
-        quantities={each.quantity: _agreement(each) for each in found.agreements},
-        second_opinion={"by": found.by} | (_agreement(found.second) if found.second else {}),
+        quantities={each.quantity: each for each in found.agreements},
+        second_opinion={"by": found.by, **(record("Agreement", second) if second else {})},
         worst=found.worst.quantity,
         notes=checked.notes,
     )
-
-
-def _agreement(each: Agreement) -> dict[str, Any]:
-    why = "a computed value is no number"
-    return {**finite(each, why, "difference", "size", "relative"), "where": each.where}
 
 
 VIEWS = {

@@ -37,10 +37,9 @@ from geodrake.fleet.type_columns import RAMP, STEP
 from geodrake.fleet.type_layout import BODIES, FleetParameter
 from geodrake.report.charts import Chart, Panel, Plot, Shade, Stage
 from geodrake.report.explaining import notes_section
-from geodrake.report.json_output import number_or
+from geodrake.report.json_output import record
 from geodrake.report.numbers import chance, number, percent, with_deviation
 from geodrake.report.page import About, Cell, Page, Section, Table, Tile, View, cells
-from geodrake.report.schema import record
 from geodrake.report.words import effect_label
 
 Array = NDArray[np.float64]
@@ -51,8 +50,6 @@ _LEVEL = Stage("level", "mean before and after a change", "before", look="wide")
 
 _DIGITS = 6
 _LEAST_CHANCE = 1e-12  # what is less likely is told as this
-_NO_SHARE = "it is no share of anything"
-_NOT_SAID = "the model does not say it"
 _MOST_PAGES = 12  # robots that are shown by themselves
 _MOST_PLACES = 12  # joints of the table of robots and joints
 _MOST_ROBOTS, _MOST_UNUSED = 20, 20  # that are listed
@@ -391,7 +388,7 @@ def finding_dict(finding: FleetFinding) -> dict[str, Any]:
                 "change": rounded(each.size, each.deviation),
                 "deviation": rounded(each.deviation),
                 "unit": each.unit,
-                "share": number_or(rounded(each.share), _NO_SHARE),
+                "share": rounded(each.share),
             }
             for each in finding.parameters
         },
@@ -443,7 +440,7 @@ def _robot(robot: RobotResult) -> dict[str, Any]:
                 common=rounded(own.common, own.spread),
                 spread=rounded(own.spread),
                 apart=rounded(own.apart, 1.0),
-                of_model=number_or(rounded(own.of_model, own.spread), _NOT_SAID),
+                of_model=rounded(own.of_model, own.spread),
             )
             for own in robot.own
         ],

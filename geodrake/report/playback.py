@@ -25,10 +25,10 @@ from geodrake.logs.motion import JointLog
 from geodrake.model.robot_model import RobotModel
 from geodrake.report.drawn_robots import ColoredRobot, error_colors, top_error
 from geodrake.report.explaining import comparison_page
+from geodrake.report.json_output import record
 from geodrake.report.numbers import Units, number, percent
 from geodrake.report.page import About, ColoredList, Page, Section, View
 from geodrake.report.robot_scene import FRAMES, RIGHT, Extent, body_links, joint_places, posed_links
-from geodrake.report.schema import record
 from geodrake.report.words import effect_label
 from geodrake.robot.shapes import RobotShapes
 

@@ -14,10 +14,9 @@ from geodrake.control.rollout.rollout_values import is_soft
 from geodrake.model.effort_signal import SERVO
 from geodrake.model.robot_model import RobotModel
 from geodrake.report.charts import MOST_PANELS, Chart, Panel, Plot, Stage, gap_filled
-from geodrake.report.json_output import finite, number_or
+from geodrake.report.json_output import record
 from geodrake.report.numbers import Units, number, with_deviation
 from geodrake.report.page import About, Page, Section, Table, Tile, View, cells
-from geodrake.report.schema import record
 from geodrake.report.views import rollout_series
 from geodrake.report.words import (
     capitalized,
@@ -32,7 +31,6 @@ Array = NDArray[np.float64]
 _MEASURED = Stage("measured", "measured", "measured", look="wide")
 _SIMULATED = Stage("after", "simulated", "after")
 _BEFORE = Stage("before", "before", "before")
-_APART = "the robot departs further than can be simulated"
 _CAPTION = (
     "Positions, window after window. Each window starts at the measured state; from there on the "
     "simulated robot is alone with the logged {under}. Lines are cut off where they leave the axes."
@@ -241,11 +239,7 @@ def rollout_dict(rollout: Rollout, kind: str = "Rollout", **more: Any) -> dict[s
         kind,
         rollout,
         windows=[{"log": w.log, "start": float(w.time[0])} for w in rollout.windows],
-        relative=number_or(rollout.relative, _APART),
-        joints={
-            joint.joint: record("Departure", joint, **finite(joint, _APART, "rms", "relative"))
-            for joint in rollout.joints
-        },
+        joints={joint.joint: joint for joint in rollout.joints},
         **more,
     )
 

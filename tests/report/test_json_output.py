@@ -9,8 +9,7 @@ import pytest
 from report_results import explanation, joint_names
 
 from geodrake.report.explaining_json import explanation_dict
-from geodrake.report.json_output import number_or, to_json
-from geodrake.report.schema import record
+from geodrake.report.json_output import number_or, record, to_json
 
 SCHEMA = run_path(str(Path(__file__).parents[2] / "tools" / "result_schema.py"))
 
