@@ -90,11 +90,7 @@ class ReadingOptions:
 
     @property
     def reading(self) -> Reading:
-        """How logs are to be read.
-
-        Raises:
-            GeodrakeError: An option, or the mapping, cannot be read.
-        """
+        """How logs are to be read."""
         from geodrake.logs.files import Reading, read_mapping
 
         if self.columns is not None and self.mapping is not None:
@@ -180,11 +176,7 @@ def pairs(option: str, given: Sequence[str], example: str) -> list[tuple[str, st
 
 @contextmanager
 def proposing(logs: Sequence[Path]) -> Iterator[None]:
-    """Write a proposed mapping for a log whose columns are not understood, and say so.
-
-    Raises:
-        LogError: What the body raised, with where the proposal is.
-    """
+    """Write a proposed mapping for a log whose columns are not understood, and say so."""
     try:
         yield
     except LogError as error:

@@ -458,11 +458,7 @@ def known_payloads(
 def with_facts(
     logs: Sequence[JointLog], facts: Mapping[str, Any], reading: Reading
 ) -> tuple[JointLog, ...]:
-    """Return the logs with what is known of all of them.
-
-    Args:
-        facts: Fields of `JointLog` by name; of gains whose deviations were stated, these count.
-    """
+    """Return logs with fields that all share; of gains with stated deviations, these count."""
     found = []
     for log in logs:
         own = dict(facts)

@@ -85,14 +85,9 @@ class CollisionWorld:
         )
 
     def distances(self, q: Array) -> tuple[Array, tuple[str, ...]]:
-        """Return the least signed distances, m, and between what they are.
+        """Return the least signed distances (N,), m, and N pairs of names such as "hand and table".
 
-        Args:
-            q: (N, nq) positions of the model.
-
-        Returns:
-            (N,) distances, negative where bodies overlap, and N pairs of names such as
-            "hand and table"; no more than `clearance` + 0.05 m is distinguished from infinity.
+        No more than `clearance` + 0.05 m is distinguished from infinity.
         """
         found, names = np.full(len(q), np.inf), [""] * len(q)
         whole = self._model.plant_positions(q)
@@ -119,13 +114,9 @@ class CollisionWorld:
         return found
 
     def constraint(self, q: Array) -> tuple[Array, Array]:
-        """Return a smooth number that is at most one where the clearance is kept, and its gradient.
+        """Return smooth numbers (N,), at most 1 where the clearance is kept; gradients (N, nq).
 
-        Args:
-            q: (N, nq) positions of the model.
-
-        Returns:
-            (N,) values and (N, nq) gradients of `MinimumDistanceLowerBoundConstraint`.
+        These are those of `MinimumDistanceLowerBoundConstraint` at positions (N, nq) of the model.
         """
         whole = self._model.plant_positions(q)
         values, gradients = np.empty(len(q)), np.zeros(whole.shape)

@@ -180,8 +180,7 @@ def motor_accelerations(model: RobotModel, limits: MotionLimits) -> Array:
 def signal_limits(model: RobotModel, signal: Mapping[str, float]) -> Array:
     """Return the efforts (nv,) that limited currents, voltages or duty cycles make, N·m or N.
 
-    Args:
-        signal: Their largest values of joints by name, A, V or 1; efforts of others are inf.
+    Their largest values are by joint, A, V or 1; efforts of other joints are infinite.
     """
     efforts = np.full(len(model.joints), np.inf)
     for joint, limit in instance(signal, "signal", Mapping).items():

@@ -95,8 +95,7 @@ def keeps_limits(
 ) -> bool:
     """Return whether a motion keeps all limits, as `limit_use` sees it; ends where one is not kept.
 
-    Args:
-        stride: Every how many of the instants collisions are looked for.
+    Collisions are looked for at one of so many instants, the stride.
     """
     motion, use = _use_of_joints(problem, variables)
     if problem.collisions is None or not use.is_within:

@@ -46,13 +46,9 @@ def inverse_dynamics_regressor_gradient(
     vd: ArrayLike,
     weights: ArrayLike,
 ) -> MotionGradient:
-    """Return the gradient of Σ W ∘ Y, with Y the regressor of inverse dynamics.
+    """Return the gradient of Σ W ∘ Y, with Y (N, nv, 10 nb) the regressor of inverse dynamics.
 
-    Args:
-        q: (N, nq) positions.
-        v: (N, nv) velocities.
-        vd: (N, nv) accelerations v̇.
-        weights: (N, nv, 10 nb) W. With W = λ φᵀ it is the gradient of λᵀ τ, of efforts.
+    With W = λ φᵀ it is the gradient of λᵀ τ, of efforts.
     """
     robot = checked_tree(plant)
     tree, samples, J = checked_samples(robot, q, v, vd)
@@ -80,16 +76,10 @@ def base_wrench_regressor_gradient(
     *,
     X_WP: RigidTransform | ArrayLike | None = None,
 ) -> MotionGradient:
-    """Return the gradient of Σ W ∘ Y, with Y the regressor of the base wrench.
+    """Return the gradient of Σ W ∘ Y, with Y (N, 6, 10 nb) the regressor of the base wrench.
 
-    Args:
-        plant: A finalized plant with any base, or its tree.
-        q: (N, nq) positions.
-        v: (N, nv) velocities.
-        vd: (N, nv) accelerations v̇.
-        weights: (N, 6, 10 nb) W.
-        X_WP: Frame of the wrench as in `base_wrench_regressor`, one pose or (N, 4, 4), which does
-            not depend on the motion, such as a force plate's.
+    The plant may have any base. X_WP is the frame of the wrench as in `base_wrench_regressor`, one
+    pose or (N, 4, 4), which does not depend on the motion, such as a force plate's.
     """
     robot = checked_tree(plant)
     tree, (theta, rate, _, rated), J = checked_samples(robot, q, v, vd)
@@ -133,12 +123,7 @@ def _at_actuators(
 def regressor_motion_gradient(
     target: Target, measurement: Measurement, weights: Array
 ) -> MotionGradient:
-    """Return the gradient of Σ W ∘ X, with X the regressor of all that a target does not know.
-
-    Args:
-        measurement: What `target.measure` made of the (N, ·) motion.
-        weights: (N, m, p) W.
-    """
+    """Return the gradient of Σ W ∘ X, X (N, m, p) the regressor of a target's unknowns."""
     tree, motion = target.model.tree, measurement.motion
     rows = np.zeros((*weights.shape[:2], PARAMETERS_PER_BODY * len(tree.bodies)))
     for start in range(0, len(target.columns), PARAMETERS_PER_BODY):
@@ -158,12 +143,7 @@ def regressor_motion_gradient(
 def effort_gradient(
     model: RobotModel, motion: Motion, seen: RobotMotion, weights: Array
 ) -> MotionGradient:
-    """Return the gradient of Σ w ∘ τ, with τ the efforts that the model needs, effects included.
-
-    Args:
-        motion: (N, ·) motion.
-        weights: (N, nv) w.
-    """
+    """Return the gradient of Σ w ∘ τ, with τ (N, nv) the efforts of the model, effects included."""
     rows = weights[:, :, None] * model.total_phi.ravel()
     parts = [
         (fitted.effect, weights[:, :, None] * fitted.parameters)

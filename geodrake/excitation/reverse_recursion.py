@@ -61,12 +61,7 @@ class MotionGradient:
 
 
 def reverse_recursion(tree: KinematicTree, samples: Samples, weights: Array) -> MotionGradient:
-    """Return the gradient of Σ W ∘ Y with respect to samples, for weights W (N, nv, 10 nb).
-
-    Args:
-        samples: A motion itself, in Drake's order.
-        weights: (N, nv, 10 nb) W.
-    """
+    """Return the gradient of Σ W ∘ Y with respect to samples, for weights W (N, nv, 10 nb)."""
     q, _, v, vd = samples
     result = MotionGradient(*(np.zeros(x.shape) for x in (q, v, vd)))
     gradient = result.q, result.v, result.vd
@@ -78,11 +73,7 @@ def reverse_recursion(tree: KinematicTree, samples: Samples, weights: Array) -> 
 def calc_motion_gradient(
     tree: TreeRecords, samples: Samples, weights: Array, out: Gradient
 ) -> None:
-    """Write the gradient of Σ W ∘ Y into zeros (N, nq), (N, nv), (N, nv).
-
-    Args:
-        weights: (N, nv, 10 nb) W.
-    """
+    """Write the gradient of Σ W ∘ Y, W (N, nv, 10 nb), into zeros (N, nq), (N, nv), (N, nv)."""
     mobilizers, dofs = tree
     motions, by = np.empty(len(mobilizers), MOTION), np.empty(len(mobilizers), MOTION)
     turn, slide = subspace_room(dofs)

@@ -85,8 +85,7 @@ def solve(
 ) -> SolverEnd:
     """Improve a motion, from variables (f, nv) within the limits.
 
-    Args:
-        quick: Whether to end once the value changes by less than 5 % in twelve evaluations.
+    A quick search ends once the value changes by less than 5 % in twelve evaluations.
     """
     options = problem.options
     raised: list[BaseException] = []

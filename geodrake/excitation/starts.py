@@ -155,11 +155,7 @@ def random_guess(
     rng: np.random.Generator,
     budget: Budget = UNLIMITED,
 ) -> Array:
-    """Return variables (f, nv) of a random motion within all limits.
-
-    Args:
-        postures: (n, nv) postures that can be held, about one of which it is.
-    """
+    """Return variables (f, nv) of a random motion within limits about one of postures (n, nv)."""
     for _ in range(_TRIED):
         resting = problem.resting(postures[int(rng.integers(len(postures)))])
         if problem.start is None:

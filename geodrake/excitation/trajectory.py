@@ -133,11 +133,7 @@ class ExcitationTrajectory(ExecutableMotion):
         return np.asarray(self.family.basis(times) @ self.coefficients)
 
     def coefficient_gradient(self, basis: Array, gradient: MotionGradient) -> Array:
-        """Return the gradient (count, nv) by the coefficients, from one by the motion.
-
-        Args:
-            basis: (3, N, count) `family.basis` of the samples.
-        """
+        """Return the gradient (count, nv) by the coefficients, from one by a basis' motion."""
         total = basis[0].T @ gradient.q + basis[1].T @ gradient.v + basis[2].T @ gradient.vd
         return np.asarray(total)
 
@@ -294,11 +290,7 @@ def drake_trajectory(trajectory: ExecutableMotion) -> str:
 
 
 def read_drake_trajectory(path: str | Path) -> BsplineTrajectory:
-    """Return a motion that was written to `.drake.yaml`.
-
-    Returns:
-        The positions over time, s.
-    """
+    """Return the positions over time, s, of a motion that was written to `.drake.yaml`."""
     path = file_path(path)
     try:
         found = yaml_load(filename=str(path))

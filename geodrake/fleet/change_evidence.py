@@ -55,11 +55,7 @@ class Profiles(Short):
 
     @classmethod
     def of(cls, form: str, days: Array) -> Profiles:
-        """Return all that the days of a robot's logs can show.
-
-        Args:
-            days: (T,) days of the logs, ascending.
-        """
+        """Return all that ascending days (T,) of a robot's logs can show."""
         starts = np.unique(days, return_index=True)[1]  # logs of one day are not told apart
         return cls(form, starts[:-1] if form == RAMP else starts[1:], days)
 
@@ -167,12 +163,7 @@ class ChangeEvidence(Short):
 def calc_change_evidence(
     fit: RobotFit, days: Array, hypotheses: Sequence[ChangeHypothesis], scale: Array
 ) -> ChangeEvidence:
-    """Return what a robot's logs say for each change.
-
-    Args:
-        days: (T,) days of its logs.
-        scale: (p,) what a share of each column is to the robot.
-    """
+    """Return what logs of some days (T,) say for each change; scales (p,) are those of shares."""
     usable = np.unique(days).size > 1
     profiles = tuple(Profiles.of(form, days) for form in FORMS) if usable else ()
     ratios = [np.full((len(hypotheses), len(each.first)), -np.inf) for each in profiles]
@@ -209,9 +200,8 @@ def _ratios(fit: RobotFit, profiles: Profiles, factor: Array, size: int) -> Arra
 def calc_log_ratio(information: Array, score: Array) -> Array:
     """Return (...) logs of mean ratios of marginal likelihoods over the sizes considered.
 
-    Args:
-        information: (..., d, d) what is known of z, with all else let go.
-        score: (..., d) slopes of the log-likelihood at z = 0.
+    Of z, information (..., d, d) is what is known with all else let go, and the score (..., d) is
+    the slope of the log-likelihood at z = 0.
     """
     if score.shape[-1] == 1:
         values, along = information[..., 0], score**2

@@ -297,15 +297,9 @@ def find_changes(
     """Find which robots of a type changed, at which joint or body, by which effect, since when.
 
     What all share, the scatter of logs and the common course are learnt with the changes that were
-    found, and changes are sought with these, several times.
-
-    Args:
-        histories: Logs of each robot, over the same p columns.
-        tell: Makes of a search what is told of its robot.
-        false_alarms: At most how many robots in which nothing changed are named, a robot-month.
-
-    Returns:
-        The type, and what is told of each robot.
+    found, and changes are sought with these, several times. At most `false_alarms` robots a
+    robot-month are named in which nothing changed. Returns the type, and what `tell` makes of each
+    search.
     """
     # What gains refer to at first is what all robots are in the mean.
     first = least_squares(*pooled(team, [replace(each, reference=None) for each in histories]))

@@ -268,8 +268,7 @@ def merge(digests: Sequence[Digest]) -> Digest:
 def by_settings(digest: Digest, settings: DigestSettings, what: str) -> Digest:
     """Return a digest over the columns of settings, whose effects may be in another order.
 
-    Raises:
-        DigestError: Settings differ in more than that; the message says in what.
+    A DigestError says in what else settings differ.
     """
     own = digest.settings
     if own.hash == settings.hash:

@@ -137,11 +137,7 @@ class FleetDigests(Short):
 
 
 def check_places(fleet: Fleet, *, local: bool) -> tuple[str, ...]:
-    """Refuse what no worker could do, before any work.
-
-    Returns:
-        What of the model files is not believed.
-    """
+    """Refuse what no worker could do, and return what of the model files is not believed."""
     for robot in fleet.robots:
         for pattern in robot.logs:
             if IN_THIS_PROCESS in pattern and not local:
@@ -189,10 +185,9 @@ def _check_robot(kind: FleetType, robot: FleetRobot, of_type: RobotModel) -> lis
 def find_tasks(
     fleet: Fleet, failed: Sequence[LogRecord] = ()
 ) -> tuple[list[LogTask], dict[str, dict[str, LogRecord]]]:
-    """Logs that are to be digested, in the order of the fleet file; and what is known of others.
+    """Return logs to be digested, as the fleet file orders them; and what is known of the others.
 
-    Args:
-        failed: Logs that failed before, which are not tried again until they have changed.
+    Logs that failed before are not tried again until they have changed.
     """
     tasks, known, owners = [], {}, dict[str, str]()
     stuck = {(record.robot, record.address, record.stamp): record for record in failed}
@@ -238,11 +233,7 @@ def digest_fleet(
     team: Workers,
     told: Told = lambda words, share: None,
 ) -> FleetDigests:
-    """Digest logs; what is there stays.
-
-    Args:
-        known: Robot -> address -> record of the others; taken in are those of the tasks.
-    """
+    """Digest logs; take their records into those that are known, robot -> address -> record."""
     done = made = 0
 
     def take(task: LogTask, record: LogRecord) -> None:

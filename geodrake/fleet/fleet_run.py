@@ -102,8 +102,7 @@ def look_at_fleet(
 ) -> tuple[FleetResult | None, FleetDigests]:
     """Do what `run_fleet` does; without a result if nothing changed since the last look.
 
-    Args:
-        seen: What was known then; logs that failed are not tried again until they have changed.
+    Logs that failed then are not tried again until they have changed.
     """
     instance(fleet, "fleet", Fleet)
     repairs = check_places(fleet, local=work.workers == 0 and work.scheduler is None)
@@ -272,10 +271,9 @@ def parameter_levels(
 def _robot_result(
     search: RobotSearch, *, kind: str, layout: TypeLayout, models: Mapping[str, Array]
 ) -> RobotResult:
-    """Return what is told of a robot; parameters of bodies are only known together.
+    """Return what is told of a robot, beside (p,) what its own model file says, or its type's.
 
-    Args:
-        models: Robot -> (p,) what its own model file says; others have that of the type.
+    Parameters of bodies are only known together.
     """
     places, history, model = search.find(), search.history, search.model
     state, findings = search.state(places), search.told(places)

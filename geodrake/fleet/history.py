@@ -248,12 +248,9 @@ def _summed(task: HistoryTask) -> tuple[_HistorySums, list[tuple[LogRecord, str]
 def weighted_grams(digest: Digest, kept: Indices) -> tuple[list[JointGrams], Array]:
     """Return weighted normal matrices of a log, one a joint, and (n,) sums of squared efforts.
 
-    What a row is worth is the share of its samples that are independent, over the variance of what
-    the columns leave of the log itself: that of the sensors' noise at least, as a log of few rows
-    leaves nothing.
-
-    Args:
-        kept: (p,) which of the settings' columns count, ascending.
+    They are over the columns that are kept (p,). What a row is worth is the share of its samples
+    that are independent, over the variance of what the columns leave of the log itself: that of the
+    sensors' noise at least, as a log of few rows leaves nothing.
     """
     found, squares = [], []
     parts = zip(digest.joints, digest.effective_share, digest.noise_floor, strict=True)
@@ -313,13 +310,10 @@ def _stamp(record: LogRecord, digest: Path, time: int) -> str:
 
 
 def time_cells(dates: Array) -> NDArray[np.intp]:
-    """Return (T,) which of at most `MOST_TIMES` times each of some dates counts to.
+    """Return (T,) which of at most `MOST_TIMES` times each of ascending dates (T,) counts to.
 
     Each has its own, unless there are too many: then cells of an hour, or two, four, … of them,
     counted from 1970, so that further logs seldom move the borders.
-
-    Args:
-        dates: (T,) s since 1970, ascending.
     """
     if len(dates) <= MOST_TIMES:
         return np.arange(len(dates))

@@ -69,11 +69,7 @@ def absolute_pattern(pattern: str, base: Path) -> str:
 
 
 def find_logs(pattern: str) -> tuple[LogPlace, ...]:
-    """Return what is there that a pattern fits, by name.
-
-    Args:
-        pattern: An absolute path or an address, with `*`, `?`, `[…]` and `**`.
-    """
+    """Return by name what an absolute path or an address fits, with `*`, `?`, `[…]` and `**`."""
     try:
         if not protocol_of(pattern):
             # Unlike pathlib's, this finds no hidden files, such as those that are being copied.
@@ -250,11 +246,7 @@ def check_date_pattern(pattern: str) -> None:
 
 
 def date_in_path(path: str, pattern: str) -> float:
-    """Return the s since 1970 of the last date in a path, in UTC.
-
-    Args:
-        pattern: What the date is like, such as `%Y-%m-%d_%H%M`.
-    """
+    """Return the s since 1970 of the last date like `%Y-%m-%d_%H%M` in a path, in UTC."""
     parts = re.split(r"(%.)", pattern)
     like = "".join(_DIRECTIVES.get(part, re.escape(part)) for part in parts)
     like = rf"(?<!\d){like}"  # a date begins where its digits do

@@ -93,11 +93,7 @@ def distance_factor(phi: Array) -> Array:
 
 
 def body_factor(root: Array, body: int, matrix: Array, columns: int) -> Array:
-    """Return (p, 10) factor of one body's φ (10, 10), seen through base parameters.
-
-    Args:
-        matrix: (n_B, 10 nb) base parameters, which are the first of the p columns.
-    """
+    """Return (p, 10) factor of one body's φ (10, 10), seen through base parameters (n_B, 10 nb)."""
     factor = np.zeros((columns, len(root)))
     factor[: len(matrix)] = matrix[:, len(root) * body : len(root) * (body + 1)] @ root
     return factor

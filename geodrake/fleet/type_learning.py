@@ -36,8 +36,7 @@ def learn_type(
 ) -> TypeModel:
     """Learn what robots of a type share, and how they differ, by the logs of all.
 
-    Args:
-        changes: (T, p, m) of each robot: changes that were found in it, as further parameters.
+    Changes (T, p, m) that were found in each robot are further parameters of it.
     """
     model = _begun(team, logs, columns) if start is None else start
     every = [None] * len(logs) if changes is None else changes

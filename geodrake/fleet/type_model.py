@@ -78,11 +78,7 @@ class RobotFit(Short):
         return np.concatenate([rows @ self.common, rows @ self.own], axis=2)
 
     def seen_along(self, factor: Array) -> Array:
-        """Return (T, n, r) products L_tᵀ M_t F.
-
-        Args:
-            factor: (p, r) directions F.
-        """
+        """Return (T, n, r) products L_tᵀ M_t F with directions F (p, r)."""
         return np.swapaxes(self.mapped(np.swapaxes(self.information @ factor, 1, 2)), 1, 2)
 
     @cached_property
@@ -128,11 +124,7 @@ class RobotFit(Short):
         return np.asarray(self.rest - (self.information @ self.deviation[..., None])[..., 0])
 
     def scores(self, factors: Sequence[Array]) -> LogScores:
-        """Return how large scores are along the directions of some factors.
-
-        Args:
-            factors: K factors F_k (p, r_k).
-        """
+        """Return how large scores are along the directions of K factors F_k (p, r_k)."""
         ends = np.cumsum([factor.shape[1] for factor in factors])[:-1]
         every = np.hstack(factors)
         along = np.split((self.score @ every) ** 2, ends, axis=1)
@@ -145,11 +137,7 @@ class RobotFit(Short):
         )
 
     def expected_squares(self, factor: Array) -> Array:
-        """Return (r,) what squares of Fᵀ score_t are in the sum of all logs, if the model is right.
-
-        Args:
-            factor: (p, r) directions F.
-        """
+        """Return (r,) sums of squares of Fᵀ score_t, F (p, r), expected if the model is right."""
         own = np.einsum("pr,pr->r", factor, self.information.sum(axis=0) @ factor)
         part = self.seen_along(factor).transpose(1, 0, 2)
         flat = part.reshape(len(part), -1)
@@ -214,11 +202,7 @@ class Course(Short):
         return with_slope._day_by_day(logs, information, right)
 
     def stronger(self, share: Array) -> Course:
-        """Return the course of robots that all follow it more than was thought.
-
-        Args:
-            share: (q,) by how much, in the mean.
-        """
+        """Return the course of robots that all follow it more than was thought, by shares (q,)."""
         return replace(self, values=self.values * (1.0 + share), slope=self.slope * (1.0 + share))
 
     def _day_by_day(
@@ -315,11 +299,7 @@ class TypeModel(Short):
         return fit if changes is None else self.with_changes(fit, changes)
 
     def with_changes(self, fit: RobotFit, changes: Array) -> RobotFit:
-        """Return a fit of the same logs with other changes.
-
-        Args:
-            changes: (T, p, m) further parameters, each N(0, 1).
-        """
+        """Return a fit of the same logs with other changes (T, p, m), each N(0, 1)."""
         response = fit.own[:, :, : self.columns.sizes[-1]]
         return replace(fit, own=np.concatenate([response, changes], axis=2))
 
@@ -393,8 +373,7 @@ class TypeModel(Short):
 def kept_share(directions: Array) -> Array:
     """Return (...) share of squared scores left where odd logs count less, if none is odd.
 
-    Args:
-        directions: (...) in how many directions of a spread a log tells of it.
+    It depends on in how many directions of a spread a log tells of it.
     """
     return np.interp(directions, *_kept_shares())
 

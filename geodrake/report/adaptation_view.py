@@ -171,14 +171,7 @@ _POINT = np.array([1.0, 0.0, 0.0, 0.0, 1e-6, 1e-6, 1e-6, 0.0, 0.0, 0.0])
 
 @typed
 def save_recording(meshcat: Meshcat, path: str | Path) -> None:
-    """Publishes what MeshCat recorded, and writes the scene as one HTML file that plays it.
-
-    Args:
-        path: The file; written whole or not at all.
-
-    Raises:
-        OutputError: It cannot be written.
-    """
+    """Publish what MeshCat recorded, and write the scene as one HTML file that plays it."""
     meshcat.StopRecording()
     meshcat.PublishRecording()
     write_whole(path, meshcat.StaticHtml())

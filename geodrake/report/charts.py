@@ -208,16 +208,10 @@ def packed(values: Array) -> tuple[float, float, str]:
 
 
 def decimated(time: Array, curves: Array, most: int) -> tuple[Array, Array]:
-    """At most so many points of every curve, with each bucket's least and largest value.
+    """Return (M,) instants and (C, M) values of curves (C, K), at most so many, at least four.
 
-    Args:
-        time: (K,) increasing instants.
-        curves: (C, K) values on them; NaN where lines break.
-        most: Most points, at least four.
-
-    Returns:
-        (M,) instants and (C, M) values; two points stand for a bucket, in the order in which a
-        curve has its extremes there.
+    Two points stand for a bucket of instants (K,): its least and largest value, in the order in
+    which a curve has them there. NaN stay where lines break.
     """
     count = len(time)
     if count <= most:

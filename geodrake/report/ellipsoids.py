@@ -60,11 +60,7 @@ class EllipsoidSet:
     def of(
         cls, name: str, phi: Array, *, color: str = IDENTIFIED, at_boundary: Sequence[int] = ()
     ) -> EllipsoidSet:
-        """Return a set in which the bodies of some numbers are at the boundary.
-
-        Raises:
-            ArgumentError: phi is not (nb, 10).
-        """
+        """Return a set of φ (nb, 10) in which the bodies of some numbers are at the boundary."""
         phi = np.asarray(phi, float)
         if phi.ndim != 2 or phi.shape[1] != PARAMETERS_PER_BODY:
             raise ArgumentError(f"phi must have shape (nb, 10); got {phi.shape}.")
@@ -102,14 +98,7 @@ class PlacedEllipsoids:
 
 
 def placed(plant: MultibodyPlant, context: Context, phi: Array) -> PlacedEllipsoids:
-    """Return the equivalent ellipsoids of bodies where a plant's configuration puts them.
-
-    Args:
-        phi: (nb, 10) physical inertial parameters in the order of `lumped_bodies`.
-
-    Raises:
-        ArgumentError: phi has another number of bodies than the plant, or is not physical.
-    """
+    """Return the ellipsoids of physical φ (nb, 10) where a plant's configuration puts bodies."""
     bodies = lumped_bodies(plant)
     if len(phi) != len(bodies):
         raise ArgumentError(f"phi has {len(phi)} bodies; the plant has {len(bodies)}.")
@@ -218,14 +207,8 @@ def ellipsoid_figure(
 ) -> Figure:
     """Return the equivalent uniform ellipsoids of every body over the robot, a panel for each set.
 
-    Bodies at the boundary of physical consistency are red, with their edges drawn. All panels
-    have the same scale.
-
-    Args:
-        context: The plant's context, for its positions; the default ones if None.
-
-    Raises:
-        ArgumentError: There is nothing to draw, or a set does not fit the plant.
+    Bodies at the boundary of physical consistency are red, with their edges drawn. All panels have
+    the same scale. Without a context, the robot is in its default posture.
     """
     if not sets:
         raise ArgumentError("There is nothing to draw.", advice="Give at least one set.")

@@ -187,10 +187,9 @@ def draw_effects(
     units: Units,
     size: float,
 ) -> list[Mark]:
-    """Draw the effects of a model at their places: bodies, contacts, rings at joints.
+    """Draw the effects of a model at their places, and return what to say where.
 
-    Returns:
-        What to say where; of effects of the whole robot at its foot.
+    These are bodies, contacts, and rings at joints; what is of the whole robot is said at its foot.
     """
     places, bodies, marks = joint_places(model), body_links(model), list[Mark]()
     by_name = {link.name: link for link in links}
@@ -283,13 +282,9 @@ def _rgba(color: str, opaque: float = 1.0) -> Rgba:
 
 @typed
 def replay_page(model: RobotModel, times: Array, q: Array) -> str:
-    """Return one HTML page that loads nothing from elsewhere and replays a motion.
+    """Return one HTML page that loads nothing and replays positions (N, nq) at instants (N,), s.
 
     The robot looks as its file says, meshes included; links that cannot be shown are sticks.
-
-    Args:
-        times: (N,) instants, s.
-        q: (N, nq) positions of the model.
     """
     return _replayed(model, times, {"robot": q}, {})
 

@@ -46,13 +46,9 @@ _GROUND = (245, 247, 250)
 
 
 def error_pictures(model: RobotModel, compared: Mapping[str, Comparison]) -> Pictures | None:
-    """Draw a robot where the first of its models errs most, once for each of them.
+    """Draw a robot where the first of its models (by title) errs most, once for each of them.
 
-    Args:
-        compared: Title -> how far a model is from the logs.
-
-    Returns:
-        The pictures; None where it has no posture that a log says, or nothing is to be seen.
+    None where it has no posture that a log says, or nothing is to be seen.
     """
     try:
         return _drawn(model, compared)

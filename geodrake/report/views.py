@@ -150,11 +150,7 @@ def rollout_series(now: Rollout, before: Rollout | None = None) -> Columns:
 
 
 def series_content(columns: Columns, path: Path) -> Content:
-    """Return what goes into a file of samples, by its suffix.
-
-    Args:
-        path: The file, CSV or Parquet; empty entries of a CSV are samples that were left out.
-    """
+    """Return what goes into a CSV or Parquet file; empty entries of a CSV were left out of fits."""
     if path.suffix.lower() == ".parquet":
         arrow, parquet = optional("pyarrow", "logs"), optional("pyarrow.parquet", "logs")
         return partial(parquet.write_table, arrow.table(dict(columns)))
