@@ -8,6 +8,7 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
+from geodrake.boundary.arguments import number, one_of, positive
 from geodrake.cli.identify import named_effects
 from geodrake.cli.option_values import joint_values, limits_of, split_effects
 from geodrake.cli.options import ExciteOptions, IdentifiableOptions
@@ -49,7 +50,16 @@ _MARGIN = 0.9  # of the limits of speed, where nobody says others
 _LEAST_SECONDS = 1e-3  # when collision geometry took all
 _UPDATED_EVERY = 5  # evaluations
 _SAMPLES = 300
-_FARTHEST, _LAST_SEED = 100.0, 1 << 32
+_RANGES = {
+    "seeds": (1, 1000),
+    "seconds": (1e-3, 1e6),
+    "iterations": (1, 1e6),
+    "rate": (1e-3, 1e4),
+    "samples": (1, 10_000),
+    "clearance": (0.0, 100.0),
+    "seed": (0, 2**32 - 1),
+}
+"""Option -> its least and largest value."""
 _FORM = "Write EFFECT,EFFECT; a place may follow either: EFFECT@elbow."
 _REPEATS = 3  # of a motion that distinguishes effects: a diagnosis holds out blocks of its log
 
@@ -84,8 +94,7 @@ def run_excite(options: ExciteOptions) -> None:
 
 def run_identifiable(options: IdentifiableOptions) -> None:
     """Say what is identifiable from logs."""
-    if not 0 < options.threshold < np.inf:
-        raise ArgumentError(f"A threshold is a positive variance; got {options.threshold}.")
+    positive(options.threshold, "--threshold")
     files, names = split_effects(options.effects)
 
     def decomposed(given: Input) -> LogIdentifiability:
@@ -107,10 +116,7 @@ def run_identifiable(options: IdentifiableOptions) -> None:
 def family_of(options: ExciteOptions) -> MotionFamily:
     """Return the family of motions that options ask for."""
     name = options.trajectory
-    if name not in _FAMILIES:
-        raise ArgumentError(
-            f"There is no trajectory {name!r}.", advice=f"Use one of {', '.join(_FAMILIES)}."
-        )
+    one_of(name, "--trajectory", _FAMILIES)
     for other, keys in _FAMILIES.items():
         for key in keys:
             if other != name and getattr(options, key) is not None:
@@ -136,29 +142,11 @@ def family_of(options: ExciteOptions) -> MotionFamily:
 
 def _check(options: ExciteOptions) -> None:
     """Refuse what can be refused before the model is read."""
-    for what, given, known in (
-        ("criterion", options.criterion, CRITERIA),
-        ("normalization", options.normalization, NORMALIZATIONS),
-    ):
-        if given not in known:
-            raise ArgumentError(
-                f"There is no {what} {given!r}.", advice=f"Use one of {', '.join(known)}."
-            )
-    for what, value, most in (
-        ("seeds", options.seeds, 1000),
-        ("seconds", options.seconds, 1e6),
-        ("iterations", options.iterations, 1e6),
-        ("rate", options.rate, 1e4),
-        ("samples", 1 if options.samples is None else options.samples, 10_000),
-    ):
-        if not 0 < value <= most:
-            raise ArgumentError(f"--{what} is a positive number up to {most:g}; got {value}.")
-    if not 0 <= options.clearance <= _FARTHEST:
-        raise ArgumentError(
-            f"--clearance is a distance in m, up to {_FARTHEST:g}; got {options.clearance}."
-        )
-    if not 0 <= options.seed < _LAST_SEED:
-        raise ArgumentError(f"--seed is not negative, and below 2^32; got {options.seed}.")
+    one_of(options.criterion, "--criterion", CRITERIA)
+    one_of(options.normalization, "--normalization", NORMALIZATIONS)
+    for name, (least, most) in _RANGES.items():
+        value = getattr(options, name)
+        number(least if value is None else value, f"--{name}", lower=least, upper=most)
 
 
 def _designed(

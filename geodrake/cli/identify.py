@@ -11,6 +11,7 @@ from geodrake.cli.options import IdentifyOptions
 from geodrake.cli.session import Command, Input, Output, run
 from geodrake.effects import Effect, effect_class, make_effect
 from geodrake.errors import ArgumentError
+from geodrake.excitation.tell_apart import every_place
 from geodrake.identification.models import (
     IdentificationSettings,
     ModelIdentification,
@@ -88,20 +89,8 @@ def named_effects(
         if place:
             places = [tuple(place.split("+"))]
             _check_places(places[0], model, on_bodies=effect.places == "body")
-        elif effect.places == "joint":
-            places = [(joint,) for joint in model.single_joints]
-        elif effect.places == "joint_pair":
-            places = list(model.joint_pairs)
-        elif effect.places == "robot":
-            places = [()]
         else:
-            where = f"{kind}@{model.bodies[-1]}" if effect.places == "body" else ""
-            raise ArgumentError(
-                f"{kind} cannot be everywhere.",
-                advice=f"Say on which body it is: {where}."
-                if where
-                else f"Let geodrake find it: geodrake add {kind} MODEL LOG --save model.yaml.",
-            )
+            places = every_place(effect, model)
         try:
             made = [make_effect(kind, where, extra=extra) for where in places]
         except ArgumentError as error:

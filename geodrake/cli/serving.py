@@ -2,10 +2,7 @@
 
 from __future__ import annotations
 
-import socket
 import sys
-import threading
-from contextlib import suppress
 from http import HTTPStatus
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from typing import Any
@@ -16,38 +13,13 @@ from geodrake.errors import ArgumentError, OutputError
 _HOST = "localhost"
 _LOCAL = (_HOST, "127.0.0.1", "::1")
 _LARGEST_PORT = 65535
-_MOST_CONNECTIONS = 16  # at once
-_SECONDS = 20.0  # for a connection from its begin to its end
 
 
 class PageServer(ThreadingHTTPServer):
-    """A server of one page, to a few clients at once, each of which has a limited time."""
+    """A server of one page."""
 
     daemon_threads = True
     page: bytes = b""  # UTF-8
-    seconds = _SECONDS  # for which a connection may last
-
-    def __init__(self, port: int) -> None:
-        super().__init__((_HOST, port), _PageHandler)
-        self._free = threading.Semaphore(_MOST_CONNECTIONS)
-
-    def process_request(self, request: Any, client_address: Any) -> None:
-        """Answer in a thread of its own, or hang up if there are too many clients."""
-        if self._free.acquire(blocking=False):
-            super().process_request(request, client_address)
-        else:
-            self.shutdown_request(request)
-
-    def process_request_thread(self, request: Any, client_address: Any) -> None:
-        """Answer, and hang up on a client that takes too long, however little it sends at once."""
-        limit = threading.Timer(self.seconds, _hang_up, [request])
-        limit.daemon = True
-        limit.start()
-        try:
-            super().process_request_thread(request, client_address)
-        finally:
-            limit.cancel()
-            self._free.release()
 
     def handle_error(self, request: Any, client_address: Any) -> None:
         """Say nothing of a client that leaves."""
@@ -57,6 +29,7 @@ class PageServer(ThreadingHTTPServer):
 
 class _PageHandler(BaseHTTPRequestHandler):
     server: PageServer
+    timeout = 20.0  # s, for which a client may say nothing
 
     def do_GET(self) -> None:
         """Answer with the page, and with 404 to any other path."""
@@ -95,11 +68,6 @@ class _PageHandler(BaseHTTPRequestHandler):
         """Say nothing: what a browser asks for is no news."""
 
 
-def _hang_up(request: socket.socket) -> None:
-    with suppress(OSError):  # it has hung up itself
-        request.shutdown(socket.SHUT_RDWR)
-
-
 def page_server(port: int) -> PageServer:
     """Return a server that has its port and serves nothing yet; refuse a port that is not free."""
     if not 0 <= port <= _LARGEST_PORT:
@@ -108,7 +76,7 @@ def page_server(port: int) -> PageServer:
             advice=f"Ports are 1 to {_LARGEST_PORT}; 0 is any free one.",
         )
     try:
-        return PageServer(port)
+        return PageServer((_HOST, port), _PageHandler)
     except OSError as error:
         raise OutputError(
             f"Port {port} cannot be used: {error.strerror}.",

@@ -108,7 +108,7 @@ def make_rival(
             f"{name} has no linear parameters, so that no motion is better for it than another.",
             advice="Let geodrake diagnose find it.",
         )
-    places = [tuple(where)] if where else _places(cls, model)
+    places = [tuple(where)] if where else every_place(cls, model)
     speed = dict(zip(model.joints, limits.velocity.tolist(), strict=True))
     known = {(f.effect.name, f.effect.where): f.effect for f in model.effects}
     body = cls.places == "body"
@@ -136,7 +136,8 @@ def make_rival(
     return Rival(name, tuple(zip(*every, strict=True)))
 
 
-def _places(cls: type[Effect], model: RobotModel) -> list[tuple[str, ...]]:
+def every_place(cls: type[Effect], model: RobotModel) -> list[tuple[str, ...]]:
+    """Return the places where a robot can have an effect of which nobody says where it is."""
     if cls.places == "robot":
         return [()]
     if cls.places == "joint":
@@ -144,10 +145,10 @@ def _places(cls: type[Effect], model: RobotModel) -> list[tuple[str, ...]]:
         return [(joint,) for joint in model.single_joints if joint not in left_out]
     if cls.places == "joint_pair":
         return list(model.joint_pairs)
-    raise ArgumentError(
-        f"{cls.name} cannot be everywhere.",
-        advice=f"Say on which body it is: {cls.name}@{model.bodies[-1]}.",
-    )
+    advice = f"Let geodrake find it: geodrake add {cls.name} MODEL LOG --save model.yaml."
+    if cls.places == "body":
+        advice = f"Say on which body it is: {cls.name}@{model.bodies[-1]}."
+    raise ArgumentError(f"{cls.name} cannot be everywhere.", advice=advice)
 
 
 @dataclass(frozen=True, eq=False)
