@@ -33,14 +33,9 @@ from geodrake.fleet.fleet_result import (
 )
 from geodrake.fleet.history import DAY, HistoryTask, LogEquations, RobotHistory, read_history
 from geodrake.fleet.settings import DigestSettings
+from geodrake.fleet.type_columns import narrow_factor
 from geodrake.fleet.type_layout import BODIES, TypeLayout, own_model, type_layout, type_source
-from geodrake.fleet.type_model import (
-    RobotFit,
-    TypeModel,
-    calc_marginal,
-    narrow_factor,
-    own_parameters,
-)
+from geodrake.fleet.type_model import RobotFit, TypeModel, calc_marginal, own_parameters
 from geodrake.fleet.workers import Workers, workers
 from geodrake.inertia import Array
 from geodrake.model.holding import holding

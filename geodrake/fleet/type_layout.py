@@ -34,7 +34,7 @@ from geodrake.fleet.digest_log import Wanted, model_of_digests
 from geodrake.fleet.fleet_file import FleetType
 from geodrake.fleet.hashes import file_hash
 from geodrake.fleet.settings import DigestSettings
-from geodrake.fleet.type_model import (
+from geodrake.fleet.type_columns import (
     KINDS,
     STEP,
     ChangeHypothesis,

@@ -13,14 +13,8 @@ import numpy as np
 from scipy.special import gammaincinv
 
 from geodrake.fleet.history import RobotHistory
-from geodrake.fleet.type_model import (
-    Course,
-    LogScores,
-    RobotFit,
-    TypeColumns,
-    TypeModel,
-    kept_share,
-)
+from geodrake.fleet.type_columns import TypeColumns
+from geodrake.fleet.type_model import Course, LogScores, RobotFit, TypeModel, kept_share
 from geodrake.fleet.workers import HERE, Workers
 from geodrake.inertia import Array
 

@@ -33,8 +33,8 @@ from geodrake.fleet.fleet_result import (
 )
 from geodrake.fleet.history import DAY
 from geodrake.fleet.log_places import date_text
+from geodrake.fleet.type_columns import RAMP, STEP
 from geodrake.fleet.type_layout import BODIES, FleetParameter
-from geodrake.fleet.type_model import RAMP, STEP
 from geodrake.report.charts import Chart, Panel, Plot, Shade, Stage
 from geodrake.report.explaining import notes_section
 from geodrake.report.json_output import record

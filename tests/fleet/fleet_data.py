@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from geodrake.fleet.history import JointGrams, RobotHistory
-from geodrake.fleet.type_model import ChangeHypothesis, Spread, TypeColumns
+from geodrake.fleet.type_columns import ChangeHypothesis, Spread, TypeColumns
 
 P, NOISE = 4, 0.1
 MEAN = np.array([2.0, -1.0, 0.5, 0.8])  # two of bodies, two of friction

@@ -11,16 +11,9 @@ from scipy.stats import multivariate_normal
 from geodrake.fleet.changes import SCALES, calc_change_evidence, kind_of
 from geodrake.fleet.fleet_run import parameter_levels
 from geodrake.fleet.history import RobotHistory
+from geodrake.fleet.type_columns import Spread, body_factor, distance_factor, narrow_factor
 from geodrake.fleet.type_learning import learn_type
-from geodrake.fleet.type_model import (
-    Course,
-    Spread,
-    TypeModel,
-    body_factor,
-    distance_factor,
-    narrow_factor,
-    own_parameters,
-)
+from geodrake.fleet.type_model import Course, TypeModel, own_parameters
 from geodrake.inertia import pullback_distance
 
 

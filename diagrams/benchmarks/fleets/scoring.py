@@ -22,7 +22,7 @@ from diagrams.harness import chart
 from geodrake.fleet import FleetFinding, FleetResult, ParameterHistory, RobotResult
 from geodrake.fleet.changes import MONTH
 from geodrake.fleet.fleet_result import ChangeRival
-from geodrake.fleet.type_model import RAMP, STEP
+from geodrake.fleet.type_columns import RAMP, STEP
 
 _DRY, _VISCOUS = frozenset({"coulomb_friction"}), frozenset({"viscous_friction"})
 
