@@ -45,7 +45,7 @@ from diagrams.benchmarks.ordinary_robots import (
     step_words,
 )
 from diagrams.harness import cpu_clock, positive_number, run_draws, script_parser, write
-from geodrake.model.ground_contacts import contact_frames
+from geodrake.model.floating_logs import contact_frames
 from geodrake.model.robot_model import load_description
 
 Truth = Mapping[str, Sequence[str]]

@@ -34,7 +34,7 @@ from geodrake.effects.declarations import (
     Shape,
     require_positive,
 )
-from geodrake.effects.gradient import RobotGradient, joint_gradient
+from geodrake.effects.gradient import RobotGradient, difference_slopes, joint_gradient
 from geodrake.effects.robot_motion import JointMotion, RobotMotion
 from geodrake.errors import ArgumentError
 from geodrake.manifolds import Interval, Manifold
@@ -372,8 +372,9 @@ class JointEffect(Effect):
         """Gradient of Σ weights ∘ regressor with respect to the motion; see `Effect.gradient`."""
         if type(self).rows is not JointEffect.rows or self.joint not in motion.joints:
             return None
-        slopes = self.slopes(motion.joint(self.joint))
-        return joint_gradient(motion, self.joint, self.columns, slopes, weights)
+        joint = motion.joint(self.joint)
+        slopes = self.slopes(joint) or difference_slopes(self.columns, joint, self.depends_on)
+        return joint_gradient(motion, self.joint, slopes, weights)
 
 
 @dataclass(frozen=True)

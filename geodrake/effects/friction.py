@@ -19,7 +19,6 @@ from geodrake.effects.base import (
     RobotMotion,
     Rows,
     Shape,
-    Slopes,
     require_positive,
 )
 from geodrake.effects.gradient import RobotGradient, sign_slope
@@ -46,11 +45,6 @@ class ViscousFriction(JointEffect):
         """[v]."""
         return [joint.v]
 
-    def slopes(self, joint: JointMotion) -> Slopes:
-        """Return the slope with v: 1."""
-        del joint
-        return [{"v": 1.0}]
-
 
 @dataclass(frozen=True)
 class CoulombFriction(JointEffect):
@@ -72,11 +66,6 @@ class CoulombFriction(JointEffect):
     def columns(self, joint: JointMotion) -> Sequence[Array]:
         """[sgn v]."""
         return [joint.sign_v]
-
-    def slopes(self, joint: JointMotion) -> Slopes:
-        """Return the slope with sgn v: 1."""
-        del joint
-        return [{"sign_v": 1.0}]
 
 
 @dataclass(frozen=True)
@@ -109,11 +98,6 @@ class AsymmetricFriction(JointEffect):
         s, v = joint.sign_v, joint.v
         return [np.maximum(s, 0.0), np.minimum(s, 0.0), np.maximum(v, 0.0), np.minimum(v, 0.0)]
 
-    def slopes(self, joint: JointMotion) -> Slopes:
-        """Return where each direction is, one by sgn v or v."""
-        s, v = joint.sign_v, joint.v
-        return [{"sign_v": s > 0}, {"sign_v": s < 0}, {"v": v > 0}, {"v": v < 0}]
-
 
 @dataclass(frozen=True)
 class FrictionOvercompensation(JointEffect):
@@ -141,11 +125,6 @@ class FrictionOvercompensation(JointEffect):
     def columns(self, joint: JointMotion) -> Sequence[Array]:
         """[−sgn v]."""
         return [-joint.sign_v]
-
-    def slopes(self, joint: JointMotion) -> Slopes:
-        """Return the slope with sgn v: −1."""
-        del joint
-        return [{"sign_v": -1.0}]
 
 
 _SHARES = tuple(np.geomspace(0.01, 0.3, 4).tolist())  # of the peak speed
@@ -189,15 +168,6 @@ class StribeckFriction(JointEffect):
         fading = np.exp(-(np.abs(joint.v / self.stribeck_velocity) ** self.exponent))
         return [fading * joint.sign_v]
 
-    def slopes(self, joint: JointMotion) -> Slopes:
-        """Of exp(−|v / v_s|^α) by v, times sgn v."""
-        u = np.abs(joint.v / self.stribeck_velocity)
-        fading = np.exp(-(u**self.exponent))
-        moving = np.where(u > 0, u, 1.0)
-        steepness = self.exponent * moving ** (self.exponent - 1.0) / self.stribeck_velocity
-        slope = -fading * steepness * np.sign(joint.v)
-        return [{"v": slope * joint.sign_v, "sign_v": fading}]
-
     @property
     def refines(self) -> tuple[tuple[type[Effect], ...], ...]:
         """Dry friction, with viscous friction or without."""
@@ -231,13 +201,6 @@ class NonlinearViscousFriction(JointEffect):
     def columns(self, joint: JointMotion) -> Sequence[Array]:
         """[|v|^α sgn v]."""
         return [np.abs(joint.v) ** self.exponent * joint.sign_v]
-
-    def slopes(self, joint: JointMotion) -> Slopes:
-        """Of |v|^α by v, times sgn v."""
-        speed = np.abs(joint.v)
-        moving = np.where(speed > 0, speed, 1.0)
-        slope = self.exponent * moving ** (self.exponent - 1.0) * np.sign(joint.v)
-        return [{"v": slope * joint.sign_v, "sign_v": speed**self.exponent}]
 
     @property
     def distinct(self) -> bool:
@@ -274,11 +237,6 @@ class LoadDependentFriction(JointEffect):
     def columns(self, joint: JointMotion) -> Sequence[Array]:
         """[|τ_model| sgn v]."""
         return [np.abs(joint.load) * joint.sign_v]
-
-    def slopes(self, joint: JointMotion) -> Slopes:
-        """Of |τ_model| by the load, times sgn v."""
-        load, s = joint.load, joint.sign_v
-        return [{"load": np.sign(load) * s, "sign_v": np.abs(load)}]
 
 
 @dataclass(frozen=True)
@@ -323,16 +281,6 @@ class GearEfficiency(JointEffect):
         forth, back = np.maximum(joint.sign_v, 0.0), np.minimum(joint.sign_v, 0.0)
         up, down = np.maximum(joint.load, 0.0), np.maximum(-joint.load, 0.0)
         return [up * forth + down * back, up * back + down * forth]
-
-    def slopes(self, joint: JointMotion) -> Slopes:
-        """Of |τ_model| by the load, times sgn v, in either case."""
-        load, s = joint.load, joint.sign_v
-        drives = load * s > 0.0
-        by_load, by_sign = np.sign(load) * s, np.abs(load)
-        return [
-            {"load": np.where(here, by_load, 0.0), "sign_v": np.where(here, by_sign, 0.0)}
-            for here in (drives, ~drives)
-        ]
 
 
 Direction = Callable[[Array], Array]

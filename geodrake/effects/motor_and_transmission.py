@@ -18,7 +18,6 @@ from geodrake.effects.base import (
     RobotMotion,
     Rows,
     Shape,
-    Slopes,
     Values,
     require_positive,
 )
@@ -67,11 +66,6 @@ class JointSpring(JointEffect):
         """[(q − q_c)^n, 1]."""
         return [(joint.q - self.center) ** self.exponent, np.ones_like(joint.q)]
 
-    def slopes(self, joint: JointMotion) -> Slopes:
-        """Of (q − q_c)^n by q."""
-        n = self.exponent
-        return [{"q": n * (joint.q - self.center) ** (n - 1)}, {}]
-
 
 @dataclass(frozen=True)
 class GravityCompensator(JointEffect):
@@ -94,10 +88,6 @@ class GravityCompensator(JointEffect):
     def columns(self, joint: JointMotion) -> Sequence[Array]:
         """[sin q, cos q]."""
         return [np.sin(joint.q), np.cos(joint.q)]
-
-    def slopes(self, joint: JointMotion) -> Slopes:
-        """Return the slopes of both with q."""
-        return [{"q": np.cos(joint.q)}, {"q": -np.sin(joint.q)}]
 
 
 @dataclass(frozen=True)
@@ -131,11 +121,6 @@ class TorqueRipple(JointEffect):
         angle = self.order * joint.q
         return [np.cos(angle), np.sin(angle)]
 
-    def slopes(self, joint: JointMotion) -> Slopes:
-        """Return the slopes of both with q."""
-        angle = self.order * joint.q
-        return [{"q": -self.order * np.sin(angle)}, {"q": self.order * np.cos(angle)}]
-
 
 @dataclass(frozen=True)
 class RotorInertia(JointEffect):
@@ -156,11 +141,6 @@ class RotorInertia(JointEffect):
     def columns(self, joint: JointMotion) -> Sequence[Array]:
         """[v̇]."""
         return [joint.vd]
-
-    def slopes(self, joint: JointMotion) -> Slopes:
-        """Return the slope with v̇: 1."""
-        del joint
-        return [{"vd": 1.0}]
 
 
 @dataclass(frozen=True)

@@ -19,7 +19,6 @@ from geodrake.effects.base import (
     RobotMotion,
     Rows,
     Shape,
-    Slopes,
 )
 from geodrake.effects.body_motion import RobotBodies
 from geodrake.effects.gradient import RobotGradient
@@ -59,11 +58,6 @@ class PolynomialSpring(_Stated, JointEffect):
         """[1, x, x², x³]."""
         x = joint.q - self.center
         return [np.ones_like(x), x, x**2, x**3]
-
-    def slopes(self, joint: JointMotion) -> Slopes:
-        """Of the powers of x by q."""
-        x = joint.q - self.center
-        return [{}, {"q": np.ones_like(x)}, {"q": 2.0 * x}, {"q": 3.0 * x**2}]
 
 
 @dataclass(frozen=True)

@@ -22,7 +22,6 @@ from geodrake.effects.base import (
     Role,
     Rows,
     Shape,
-    Slopes,
 )
 from geodrake.errors import ArgumentError
 from geodrake.logs.filtering import spline_through
@@ -46,11 +45,6 @@ class EffortOffset(JointEffect):
     def columns(self, joint: JointMotion) -> Sequence[Array]:
         """[1]."""
         return [np.ones_like(joint.v)]
-
-    def slopes(self, joint: JointMotion) -> Slopes:
-        """Return no columns."""
-        del joint
-        return [{}]
 
 
 @dataclass(frozen=True)

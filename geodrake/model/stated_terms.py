@@ -37,7 +37,7 @@ from geodrake.model.file_terms import (
 )
 from geodrake.robot import stated
 from geodrake.robot.coordinates import RobotCoordinates
-from geodrake.robot.followers import joint_names
+from geodrake.robot.joints import joint_names
 from geodrake.robot.plant import LoadedPlant, scoped_joint_names
 
 _LEAST = 1e-100  # SI units: less counts as zero, as its square has no inverse

@@ -14,8 +14,8 @@ from pydrake.multibody.tree import BodyIndex, Joint, RigidBody
 from geodrake.inertia import Array
 from geodrake.inertia.bodies import lumped_bodies
 from geodrake.model.robot_model import RobotModel
-from geodrake.robot.base_joints import base_joints
-from geodrake.robot.followers import joint_names
+from geodrake.robot.arrangement import base_joints
+from geodrake.robot.joints import joint_names
 from geodrake.robot.shapes import GRAY, LinkShape, RobotShapes, robot_shapes
 
 FRAMES = 30.0  # frames a second of recordings

@@ -2,7 +2,7 @@
 
 from geodrake.robot.base_parameters import BaseParameters, base_parameters, pushforward_metric
 from geodrake.robot.floating_base import base_wrench_regressor, body_poses, zero_moment_point
-from geodrake.robot.followers import joint_names
+from geodrake.robot.joints import joint_names
 from geodrake.robot.kinematics import KinematicTree
 from geodrake.robot.plant import load_plant, position_limits, velocity_limits
 from geodrake.robot.regressor import inverse_dynamics, inverse_dynamics_regressor

@@ -22,7 +22,7 @@ from pydrake.multibody.plant import MultibodyPlant
 from geodrake.compiling import contiguous
 from geodrake.errors import ModelError
 from geodrake.inertia import Array
-from geodrake.robot.followers import Follower, Indices, joint_names, joints_of, scoped
+from geodrake.robot.joints import Follower, Indices, joint_names, joints_of, scoped
 from geodrake.robot.transmission.base import times
 from geodrake.robot.transmission.loop import LoopTransmission
 from geodrake.robot.transmission.statements import Drive

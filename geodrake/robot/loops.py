@@ -27,8 +27,8 @@ from geodrake.compiling import contiguous
 from geodrake.errors import ModelError
 from geodrake.inertia import Array
 from geodrake.robot.coordinates import Led
-from geodrake.robot.followers import Follower, joint_names
-from geodrake.robot.holding import moving_joints
+from geodrake.robot.joints import Follower, joint_names
+from geodrake.robot.arrangement import moving_joints
 from geodrake.robot.joints import Features, axis_motion, slide_motion
 from geodrake.robot.kinematics import KinematicTree, Mobilizer
 from geodrake.robot.recursion import TreeRecords

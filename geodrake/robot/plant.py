@@ -24,21 +24,21 @@ from geodrake.boundary.arguments import instance, number, real_array, typed
 from geodrake.errors import ModelError
 from geodrake.inertia import PARAMETERS_PER_BODY, Array, inertial_parameters, to_spatial_inertia
 from geodrake.inertia.bodies import Member, lumped_bodies
-from geodrake.robot.base_joints import add_base_joints, base_joints
-from geodrake.robot.cut_joints import ends_of, open_loops
+from geodrake.robot.arrangement import add_base_joints, base_joints
+from geodrake.robot.arrangement import ends_of, open_loops
 from geodrake.robot.files import Given, ModelDescription
 from geodrake.robot.files.checks import check_poses
 from geodrake.robot.files.description import drake_errors, drake_messages, read_description
 from geodrake.robot.files.mjcf import MjcfText
 from geodrake.robot.files.named_robots import robot_file
-from geodrake.robot.followers import (
+from geodrake.robot.joints import (
     Follower,
     joint_names,
     joints_of,
     resolved,
     scoped,
 )
-from geodrake.robot.holding import (
+from geodrake.robot.arrangement import (
     Arrangement,
     checked_held,
     chosen_robot,
@@ -135,7 +135,7 @@ def load_plant(
         path: The model file; the root element, not the suffix, decides between the XML formats.
             Or the name of a robot of robot_descriptions (`geodrake.robot.files.named_robots`).
         floating: Leave bodies free that the file does not attach to the world, on six joints each
-            (`geodrake.robot.base_joints`); otherwise each root is welded to the world where the
+            (`geodrake.robot.arrangement`); otherwise each root is welded to the world where the
             file puts it.
         held: Joint of one degree of freedom -> where it is held, rad or m: it does not move, and
             the bodies on both sides of it are one.

@@ -25,7 +25,7 @@ from geodrake.errors import ArgumentError
 from geodrake.inertia import Array, inertial_parameters
 from geodrake.inertia.bodies import body_names, check_context, check_plant, lumped_bodies
 from geodrake.robot.floating_base import body_poses
-from geodrake.robot.followers import joint_names
+from geodrake.robot.joints import joint_names
 from geodrake.robot.kinematics import KinematicTree
 from geodrake.robot.plant import set_lump_inertias
 

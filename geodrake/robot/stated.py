@@ -14,7 +14,7 @@ from pydrake.multibody.plant import MultibodyPlant
 
 from geodrake.inertia import Array
 from geodrake.inertia.bodies import lumped_bodies
-from geodrake.robot.followers import Follower
+from geodrake.robot.joints import Follower
 from geodrake.robot.transmission.statements import Followers
 
 WORLD = "world"

@@ -7,7 +7,7 @@ from pydrake.multibody.parsing import PackageMap
 
 from geodrake import load_model
 from geodrake.errors import ModelError
-from geodrake.robot.files.packages import add_packages, named_packages
+from geodrake.robot.files.includes import add_packages, named_packages
 
 PENDULUM = Path(__file__).parents[2] / "models" / "double_pendulum.urdf"
 LINK = """<link name="{}"><inertial><mass>{}</mass></inertial></link>"""

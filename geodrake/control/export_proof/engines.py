@@ -35,8 +35,8 @@ from geodrake.model.file_terms import Damping, DryFriction, Rotor
 from geodrake.model.robot_model import RobotModel, load_description
 from geodrake.robot.files.description import drake_errors, drake_messages
 from geodrake.robot.files.mjcf_source import quiet_mujoco
-from geodrake.robot.files.packages import add_packages, named_packages
-from geodrake.robot.followers import joint_names
+from geodrake.robot.files.includes import add_packages, named_packages
+from geodrake.robot.joints import joint_names
 from geodrake.robot.plant import weld_roots
 
 Mask = NDArray[np.bool_]

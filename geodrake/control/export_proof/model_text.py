@@ -34,8 +34,8 @@ from geodrake.robot.files.model_edits import (
 )
 from geodrake.robot.files.source_text import comment_words
 from geodrake.robot.files.xacro_file import read_expanded
-from geodrake.robot.followers import joint_names, scoped
-from geodrake.robot.holding import moving_joints
+from geodrake.robot.joints import joint_names, scoped
+from geodrake.robot.arrangement import moving_joints
 from geodrake.robot.plant import motor_joints, scoped_joint_names
 
 _DRAKE = "http://drake.mit.edu"

@@ -15,7 +15,7 @@ from geodrake.effects.user_effects import candidates_of
 from geodrake.identification.logs.reduce import peak_speeds
 from geodrake.logs.motion import Trajectory
 from geodrake.logs.smoothing import Segment
-from geodrake.model.ground_contacts import contact_frames
+from geodrake.model.floating_logs import contact_frames
 from geodrake.model.robot_model import RobotModel
 
 Array = NDArray[np.float64]

@@ -22,7 +22,7 @@ from geodrake.compiling import compiled, contiguous
 from geodrake.effects.body_motion import RobotBodies
 from geodrake.logs.motion import Trajectory
 from geodrake.logs.smoothing import Segment
-from geodrake.model.ground_contacts import contact_frames, on_soles
+from geodrake.model.floating_logs import contact_frames, on_soles
 from geodrake.model.robot_model import RobotModel
 
 Array = NDArray[np.float64]

@@ -22,7 +22,7 @@ from geodrake.inertia import PARAMETERS_PER_BODY, Array, change_frame, inertial_
 from geodrake.inertia.bodies import Member, lumped_bodies
 from geodrake.logs.motion import Motion
 from geodrake.logs.temperatures import Temperatures
-from geodrake.robot.followers import joints_of
+from geodrake.robot.joints import joints_of
 from geodrake.robot.kinematics import KinematicTree
 from geodrake.robot.plant import set_inertial_parameters
 from geodrake.robot.regressor import inverse_dynamics, inverse_dynamics_regressor

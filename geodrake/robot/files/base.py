@@ -24,7 +24,7 @@ from geodrake.robot.files.checks import (
 )
 from geodrake.robot.files.model_edits import put_inertia
 from geodrake.robot.files.xml_text import numbered_text, place_of, wrong_at
-from geodrake.robot.followers import Follower
+from geodrake.robot.joints import Follower
 from geodrake.robot.stated import Closure, FileTerms, Spring
 from geodrake.robot.transmission.statements import Statement
 

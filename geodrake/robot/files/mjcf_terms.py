@@ -23,7 +23,7 @@ from pydrake.math import RigidTransform, RotationMatrix
 
 from geodrake.inertia import Array
 from geodrake.robot.files.mjcf_source import CompiledMjcf, chain_to_world, load_mujoco
-from geodrake.robot.followers import Follower
+from geodrake.robot.joints import Follower
 from geodrake.robot.stated import (
     WORLD,
     BoxInMedium,

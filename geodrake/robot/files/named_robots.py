@@ -19,7 +19,7 @@ from geodrake.boundary.escaping import printable
 from geodrake.boundary.input_files import read_regular
 from geodrake.errors import ModelError
 from geodrake.robot.files.given import Given
-from geodrake.robot.files.packages import named_packages, package_name, packages_below
+from geodrake.robot.files.includes import named_packages, package_name, packages_below
 from geodrake.robot.files.xml_text import LARGEST_FILE
 
 _WORD = re.compile(r"[A-Za-z]\w*(-\w+)*", re.ASCII)  # no path, and no file with a suffix

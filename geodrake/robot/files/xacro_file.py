@@ -27,7 +27,7 @@ from geodrake.boundary.escaping import one_line
 from geodrake.boundary.input_files import read_regular
 from geodrake.errors import GeodrakeError, ModelError
 from geodrake.robot.files.given import Expanded, Given
-from geodrake.robot.files.packages import folder_of_package
+from geodrake.robot.files.includes import folder_of_package
 from geodrake.robot.files.xml_text import LARGEST_FILE
 
 _TAG = re.compile(rb"<xacro:\w")

@@ -1,0 +1,361 @@
+"""What of a model file's plant moves: one robot of several, what hangs free, what is held or cut.
+
+Free roots get six joints to the world, which slide along x, y and z of it and then turn by yaw,
+pitch and roll, with massless frames between. So the pose of a base is six positions, whose rates
+are its velocities, and whatever holds for joints holds for it. At a pitch of ±90° yaw and roll are
+one.
+
+SDF says of every joint which links it joins, whatever loops that makes. What stays is driven, as
+far as an effort limit tells, or near the base; of the others the last ones close the loops, and are
+taken out."""
+
+from __future__ import annotations
+
+import numpy as np
+from pydrake.math import RollPitchYaw
+from pydrake.multibody.plant import MultibodyPlant
+from pydrake.multibody.tree import Joint, PrismaticJoint, RevoluteJoint, RigidBody, SpatialInertia
+from geodrake.inertia.bodies import BASE_FRAMES, is_base_frame
+from collections import Counter
+from numpy.typing import NDArray
+from pydrake.multibody.tree import (
+    BallRpyJoint,
+    Joint,
+    JointActuator,
+    PrismaticJoint,
+    RevoluteJoint,
+    WeldJoint,
+)
+from scipy.cluster.hierarchy import DisjointSet
+from scipy.sparse import coo_array
+from scipy.sparse.csgraph import shortest_path
+from geodrake.errors import ModelError
+from geodrake.robot.joints import joints_of, scoped
+from geodrake.robot.stated import Closure, CutJoint
+from collections.abc import Collection, Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from pydrake.math import RigidTransform
+from pydrake.multibody.tree import BodyIndex, Joint, WeldJoint
+from geodrake.robot.joints import Follower, joints_of, scoped
+
+
+COORDINATES = ("x", "y", "z", "yaw", "pitch", "roll")
+"""Last words of the names of a base's joints, from the world to the root."""
+
+_AXES = (*np.eye(3), *np.eye(3)[::-1])
+
+
+def add_base_joints(plant: MultibodyPlant, root: RigidBody) -> None:
+    """Put six joints between the world and a root of a plant that is not finalized.
+
+    By default they are where the file has the root. Their names are the root's with the
+    coordinate, `trunk_x` … `trunk_roll`.
+    """
+    X_WB = plant.GetDefaultFloatingBaseBodyPose(root)
+    rpy = RollPitchYaw(X_WB.rotation()).vector()
+    places = [*X_WB.translation(), *rpy[::-1]]
+    name = root.scoped_name().get_full().replace("::", "_")
+    instance = plant.AddModelInstance(f"{BASE_FRAMES}{name}")
+    joints = {joint.name() for joint in map(plant.get_joint, plant.GetJointIndices())}
+    short = root.name()
+    if joints & {f"{short}_{each}" for each in COORDINATES}:
+        short = f"{short}_base"
+    inner = plant.world_frame()
+    for coordinate, axis, place in zip(COORDINATES, _AXES, places, strict=True):
+        is_last = coordinate == COORDINATES[-1]
+        body = root
+        if not is_last:
+            body = plant.AddRigidBody(coordinate, instance, SpatialInertia.Zero())
+        kind = PrismaticJoint if len(coordinate) == 1 else RevoluteJoint
+        joint = plant.AddJoint(kind(f"{short}_{coordinate}", inner, body.body_frame(), axis))
+        joint.set_default_positions([place])
+        inner = body.body_frame()
+
+
+def base_joints(plant: MultibodyPlant) -> tuple[tuple[Joint, ...], ...]:
+    """Return the six joints of every free base of a plant, from the world to the root."""
+    found: dict[int, list[Joint]] = {}
+    for joint in map(plant.get_joint, plant.GetJointIndices()):
+        frames = [b for b in (joint.parent_body(), joint.child_body()) if is_base_frame(plant, b)]
+        if frames:
+            found.setdefault(int(frames[0].model_instance()), []).append(joint)
+    return tuple(tuple(joints) for joints in found.values())
+
+
+def open_loops(plant: MultibodyPlant) -> tuple[Closure, ...]:
+    """Take joints out of a plant that is not finalized, so that its bodies are trees."""
+    joints = joints_of(plant)
+    if not _closing(plant, joints):
+        return ()
+    actuators, far = _actuators(plant), _steps(plant, joints)
+
+    def rank(joint: Joint) -> tuple[int, float]:
+        """Return how gladly a joint closes a loop, and how far it is from the base."""
+        driven = _is_driven(actuators.get(int(joint.index()), []))
+        kind = {WeldJoint: 0, RevoluteJoint: 2 - driven, PrismaticJoint: 2 - driven}
+        return kind.get(type(joint), 3), sum(far[body] for body in ends_of(joint))
+
+    ends = _closing(plant, sorted(joints, key=rank))
+    ends.sort(key=lambda joint: int(joint.index()))
+    counts = Counter(joint.name() for joint in joints)
+    names = (j.name() if counts[j.name()] == 1 else scoped(j).replace("::", "_") for j in ends)
+    opened = tuple(
+        _opened(joint, name, actuators.get(int(joint.index()), []))
+        for joint, name in zip(ends, names, strict=True)
+    )
+    for joint in ends:
+        remove_joint(plant, joint)
+    return opened
+
+
+def remove_joint(plant: MultibodyPlant, joint: Joint) -> None:
+    """Take a joint out of a plant that is not finalized, and what drives it."""
+    for actuator in _actuators(plant).get(int(joint.index()), []):
+        plant.RemoveJointActuator(actuator)
+    plant.RemoveJoint(joint)
+
+
+def ends_of(joint: Joint) -> tuple[int, int]:
+    """Return the indices of the bodies that a joint connects, the parent first."""
+    return int(joint.parent_body().index()), int(joint.child_body().index())
+
+
+def _closing(plant: MultibodyPlant, joints: list[Joint]) -> list[Joint]:
+    """Return joints between bodies that those before them connect already."""
+    connected = DisjointSet(range(plant.num_bodies()))
+    return [joint for joint in joints if not connected.merge(*ends_of(joint))]
+
+
+def _actuators(plant: MultibodyPlant) -> dict[int, list[JointActuator]]:
+    found: dict[int, list[JointActuator]] = {}
+    for actuator in map(plant.get_joint_actuator, plant.GetJointActuatorIndices()):
+        found.setdefault(int(actuator.joint().index()), []).append(actuator)
+    return found
+
+
+def _steps(plant: MultibodyPlant, joints: list[Joint]) -> NDArray[np.float64]:
+    """Return how many joints lie between each body and the world, or a body that hangs on none."""
+    count = plant.num_bodies()
+    ends = np.array([ends_of(joint) for joint in joints])
+    graph = coo_array((np.ones(len(ends)), ends.T), (count, count))
+    hanging = np.isin(np.arange(count), ends[:, 1])
+    far = shortest_path(graph, directed=False, unweighted=True, indices=np.flatnonzero(~hanging))
+    return np.asarray(far.min(axis=0))
+
+
+def _is_driven(actuators: list[JointActuator]) -> bool:
+    return any(np.isfinite(actuator.effort_limit()) for actuator in actuators)
+
+
+def _opened(joint: Joint, name: str, actuators: list[JointActuator]) -> Closure:
+    frames = joint.frame_on_parent(), joint.frame_on_child()
+    first, second = (frame.GetFixedPoseInBodyFrame() for frame in frames)
+    cut, axis = None, None
+    match joint:
+        case RevoluteJoint():
+            axis = joint.revolute_axis()
+        case PrismaticJoint():
+            axis = joint.translation_axis()
+        case WeldJoint():
+            first = first.multiply(joint.X_FM())
+        case BallRpyJoint():
+            pass
+        case _:
+            raise ModelError(
+                f"The joint {name!r} of type {joint.type_name()} closes a loop of links.",
+                advice="Loops close at revolute, prismatic, ball or fixed joints: let another one "
+                "of the loop be none.",
+                joint=name,
+            )
+    if axis is not None:
+        cut = CutJoint(
+            name,
+            scoped(joint),
+            np.array(axis),
+            isinstance(joint, PrismaticJoint),
+            _is_driven(actuators),
+        )
+    bodies = (body.scoped_name().get_full() for body in (joint.parent_body(), joint.child_body()))
+    turns = not isinstance(joint, BallRpyJoint)
+    one, two = bodies
+    return Closure(f"the joint {name}", (one, two), (first, second), turns, cut)
+
+
+_SLACK = 1e-9  # rad or m, by which a held joint may be beyond its limits
+_ASIDE = " stands"  # after the name of a joint of a robot that is not the one asked for
+_WORLD = 0
+
+
+@dataclass(frozen=True)
+class Arrangement:
+    """What of a model file moves, and by itself.
+
+    Attributes:
+        floating: Whether free roots float instead of being welded to the world.
+        held: Scoped names of joints that are held -> their poses X_FM.
+        places: Scoped names of joints that are held -> where, rad or m.
+        aside: Scoped names of joints of other robots than the one asked for -> their poses X_FM.
+        robot: Indices of that robot's bodies; None for all that there are.
+        joints: Names, as users know them, of the robot's joints of one degree of freedom, held
+            ones and followers included.
+    """
+
+    floating: bool
+    held: Mapping[str, RigidTransform] = field(default_factory=dict)
+    places: dict[str, float] = field(default_factory=dict)
+    aside: Mapping[str, RigidTransform] = field(default_factory=dict)
+    robot: frozenset[int] | None = None
+    followers: tuple[Follower, ...] = ()
+    joints: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True)
+class OneRobot:
+    """A robot of a model file: bodies that joints connect, not by way of the world.
+
+    Attributes:
+        name: That of its model in the file, or of its first body where the model has several.
+    """
+
+    name: str
+    bodies: frozenset[int]
+    joints: tuple[str, ...]
+
+
+def robots_of(plant: MultibodyPlant) -> tuple[OneRobot, ...]:
+    """Return the robots of a plant: what moves and is joined, in order of their bodies."""
+    joints, group = joints_of(plant), DisjointSet(range(1, plant.num_bodies()))
+    ends = list(map(ends_of, joints))
+    for pair in ends:
+        if _WORLD not in pair:
+            group.merge(*pair)
+    found = list[tuple[str, set[int], tuple[str, ...]]]()
+    for members in sorted(group.subsets(), key=min):
+        moving = tuple(
+            scoped(joint)
+            for joint, (parent, child) in zip(joints, ends, strict=True)
+            if joint.num_velocities() and (parent if child == _WORLD else child) in members
+        )
+        if moving:
+            root = plant.get_body(BodyIndex(min(members)))
+            found.append((plant.GetModelInstanceName(root.model_instance()), members, moving))
+    count = Counter(model for model, _, _ in found)
+    return tuple(
+        OneRobot(
+            model if count[model] == 1 else plant.get_body(BodyIndex(min(members))).name(),
+            frozenset(members),
+            moving,
+        )
+        for model, members, moving in found
+    )
+
+
+def chosen_robot(plant: MultibodyPlant, name: str, path: object) -> OneRobot:
+    """Return the robot of a name."""
+    robots = robots_of(plant)
+    found = next((robot for robot in robots if robot.name == name), None)
+    if found is None:
+        raise ModelError(
+            f"{path} has no robot {name!r}.",
+            advice=f"It has {', '.join(robot.name for robot in robots) or 'none that moves'}.",
+            path=path,
+        )
+    return found
+
+
+def checked_held(
+    joints: Mapping[str, Joint],
+    followers: Sequence[Follower],
+    held: Mapping[str, float],
+    path: Path,
+) -> dict[str, float]:
+    """Return scoped names of joints that are to be held, and of those that follow them -> where.
+
+    Args:
+        joints: Joints of one degree of freedom by their names, as users know them.
+        held: Such a name -> where it is held, rad or m.
+    """
+    names = {scoped(joint): name for name, joint in joints.items()}
+    leaders = {names[f.joint]: names[f.leader] for f in followers}
+    places: dict[str, float] = {}
+    for name, value in held.items():
+        if name not in joints:
+            raise ModelError(
+                f"{path} has no joint {name!r} that could be held.",
+                advice=f"Joints are: {', '.join(joints)}.",
+                joint=name,
+            )
+        if name in leaders:
+            raise ModelError(
+                f"Joint {name!r} cannot be held, as it follows {leaders[name]!r}.",
+                advice=f"Hold {leaders[name]!r}.",
+                joint=name,
+            )
+        joint = joints[name]
+        low, high = joint.position_lower_limits()[0], joint.position_upper_limits()[0]
+        if not low - _SLACK <= value <= high + _SLACK:  # NaN is refused too
+            raise ModelError(
+                f"Joint {name!r} cannot be held at {value:g}: its limits are {low:g} … {high:g}.",
+                advice="Hold it within them, or correct the limits.",
+                joint=name,
+            )
+        places[scoped(joint)] = value
+    following = {
+        f.joint: f.ratio * places[f.leader] + f.offset for f in followers if f.leader in places
+    }
+    return places | following
+
+
+def poses_of(
+    plant: MultibodyPlant, joints: Collection[str], places: Mapping[str, float] | None = None
+) -> dict[str, RigidTransform]:
+    """Return scoped joint name -> pose of the joint's frame M in its frame F.
+
+    Args:
+        places: Scoped names of joints of one degree of freedom -> their positions, rad or m; the
+            others stand where they do by default.
+    """
+    context, places = plant.CreateDefaultContext(), places or {}
+    q, own = np.array(plant.GetPositions(context)), {scoped(j): j for j in moving_joints(plant)}
+    for name in own.keys() & places.keys():
+        q[own[name].position_start()] = places[name]
+    plant.SetPositions(context, q)
+    return {
+        name: joint.frame_on_child().CalcPose(context, joint.frame_on_parent())
+        for name, joint in own.items()
+        if name in joints
+    }
+
+
+def weld_joints(
+    plant: MultibodyPlant, poses: Mapping[str, RigidTransform], *, aside: bool = False
+) -> None:
+    """Put welds in the place of joints, of the same name, in a plant that is not finalized.
+
+    Args:
+        poses: Scoped joint name -> pose X_FM that the weld has.
+        aside: Whether they get other names, as no robot in question has them.
+    """
+    for joint in moving_joints(plant):
+        if scoped(joint) in poses:
+            X_FM, name = poses[scoped(joint)], joint.name() + (_ASIDE if aside else "")
+            frames = joint.frame_on_parent(), joint.frame_on_child()
+            remove_joint(plant, joint)
+            plant.AddJoint(WeldJoint(name, *frames, X_FM))
+
+
+def welds_of(plant: MultibodyPlant, *, aside: bool = False) -> dict[str, RigidTransform]:
+    """Return scoped names of the welded joints of a plant -> their poses X_FM; see `weld_joints`.
+
+    Args:
+        aside: Those of other robots than the one in question.
+    """
+    welds = {scoped(j): j.X_FM() for j in joints_of(plant) if isinstance(j, WeldJoint)}
+    wanted = (name for name in welds if name.endswith(_ASIDE) is aside)
+    return {name.removesuffix(_ASIDE): welds[name] for name in wanted}
+
+
+def moving_joints(plant: MultibodyPlant) -> list[Joint]:
+    """Return the joints of a plant that are no welds."""
+    return [joint for joint in joints_of(plant) if joint.num_velocities()]
