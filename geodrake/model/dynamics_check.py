@@ -29,8 +29,7 @@ from geodrake.inertia import Array, inertial_parameters
 from geodrake.logs.motion import Motion
 from geodrake.model.file_terms import CoupledDry, DryFriction
 from geodrake.model.robot_model import RobotModel, is_of_file
-from geodrake.robot.arrangement import base_joints
-from geodrake.robot.arrangement import open_loops
+from geodrake.robot.arrangement import base_joints, moving_joints, open_loops
 from geodrake.robot.files import read_description
 from geodrake.robot.files.base import ModelText
 from geodrake.robot.files.description import drake_errors, drake_messages
@@ -38,7 +37,6 @@ from geodrake.robot.files.mjcf import MjcfText
 from geodrake.robot.files.xacro_file import read_expanded
 from geodrake.robot.files.xml_text import parse_xml_bytes
 from geodrake.robot.joints import scoped
-from geodrake.robot.arrangement import moving_joints
 from geodrake.robot.mujoco_check import OtherProgram, Places, Units, by_mujoco, joint_units, part
 from geodrake.robot.plant import free_roots, set_inertial_parameters
 from geodrake.robot.regressor import inverse_dynamics, inverse_dynamics_regressor

@@ -1,4 +1,4 @@
-"""Logs of robots that nothing fixes to the world: poses and IMUs as joints, and what the ground does.
+"""Logs of robots that nothing fixes to the world: their poses, IMUs, and what the ground does.
 
 Positions of the six joints of a base (`geodrake.robot.arrangement`) are the pose. Their
 accelerations come from the IMU: the specific force f turned into the world, R f + g. An error of R
@@ -6,31 +6,30 @@ cancels, as bodies feel f itself.
 
 Wrenches w that were measured at frames are efforts Σ Jᵀ w of the base and of joints. If none was
 measured, the log says which frames may touch the ground and when, and the fit does without their
-forces (`geodrake.identification.logs.contact_rows`)."""
+forces (`geodrake.identification.logs.contact_rows`).
+"""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from typing import Any
+
 import numpy as np
 from numpy.typing import NDArray
 from scipy.interpolate import CubicSpline
 from scipy.spatial.transform import Rotation
+
+from geodrake.effects.body_motion import RobotBodies
 from geodrake.errors import LogError
 from geodrake.inertia import Array
-from geodrake.logs.floating import vectors
-from geodrake.logs.motion import GROUND, JointLog
-from geodrake.model.robot_model import RobotModel
-from dataclasses import dataclass, replace
-from geodrake.effects.body_motion import RobotBodies
 from geodrake.inertia.bodies import lumped_bodies
 from geodrake.logs.floating import FLAG, FORCE, ContactFlags, frames_of, vectors, widened
-from geodrake.logs.motion import JointLog
+from geodrake.logs.motion import GROUND, JointLog
+from geodrake.model.robot_model import RobotModel
 from geodrake.robot.files.checks import numbers
 from geodrake.robot.files.xacro_file import read_expanded
 from geodrake.robot.files.xml_text import parse_xml_bytes
-
 
 _NORM = 0.02  # by which the length of a quaternion may differ from one
 _UPRIGHT = np.radians(80.0)  # of pitch, beyond which yaw and roll are nearly one

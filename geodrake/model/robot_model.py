@@ -36,12 +36,11 @@ from geodrake.model.file_terms import Carried, CoupledDry, DryFriction, Medium, 
 from geodrake.model.simulation.robot_in_diagram import RobotInDiagram, add_robot, make_act
 from geodrake.model.simulation.terms import DrivenPlant
 from geodrake.model.stated_terms import stated_effects
-from geodrake.robot.arrangement import base_joints
+from geodrake.robot.arrangement import base_joints, moving_joints
 from geodrake.robot.coordinates import RobotCoordinates
 from geodrake.robot.files import Given
 from geodrake.robot.files.mjcf import MjcfText
 from geodrake.robot.joints import Follower, joint_names
-from geodrake.robot.arrangement import moving_joints
 from geodrake.robot.kinematics import KinematicTree
 from geodrake.robot.mujoco_check import BUG, by_mujoco, check_loops, joint_units
 from geodrake.robot.plant import (

@@ -7,38 +7,39 @@ one.
 
 SDF says of every joint which links it joins, whatever loops that makes. What stays is driven, as
 far as an effort limit tells, or near the base; of the others the last ones close the loops, and are
-taken out."""
+taken out.
+"""
 
 from __future__ import annotations
 
-import numpy as np
-from pydrake.math import RollPitchYaw
-from pydrake.multibody.plant import MultibodyPlant
-from pydrake.multibody.tree import Joint, PrismaticJoint, RevoluteJoint, RigidBody, SpatialInertia
-from geodrake.inertia.bodies import BASE_FRAMES, is_base_frame
 from collections import Counter
+from collections.abc import Collection, Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import numpy as np
 from numpy.typing import NDArray
+from pydrake.math import RigidTransform, RollPitchYaw
+from pydrake.multibody.plant import MultibodyPlant
 from pydrake.multibody.tree import (
     BallRpyJoint,
+    BodyIndex,
     Joint,
     JointActuator,
     PrismaticJoint,
     RevoluteJoint,
+    RigidBody,
+    SpatialInertia,
     WeldJoint,
 )
 from scipy.cluster.hierarchy import DisjointSet
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import shortest_path
-from geodrake.errors import ModelError
-from geodrake.robot.joints import joints_of, scoped
-from geodrake.robot.stated import Closure, CutJoint
-from collections.abc import Collection, Mapping, Sequence
-from dataclasses import dataclass, field
-from pathlib import Path
-from pydrake.math import RigidTransform
-from pydrake.multibody.tree import BodyIndex, Joint, WeldJoint
-from geodrake.robot.joints import Follower, joints_of, scoped
 
+from geodrake.errors import ModelError
+from geodrake.inertia.bodies import BASE_FRAMES, is_base_frame
+from geodrake.robot.joints import Follower, joints_of, scoped
+from geodrake.robot.stated import Closure, CutJoint
 
 COORDINATES = ("x", "y", "z", "yaw", "pitch", "roll")
 """Last words of the names of a base's joints, from the world to the root."""

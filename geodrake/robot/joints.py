@@ -6,14 +6,19 @@ frame between. Positions and velocities are Drake's.
 
 A joint that follows another one, θ = r θ_leader + θ₀, as a gripper's fingers do, is no coordinate
 of the robot. Its bodies move with the leader's position, so the effort of the leader is that of
-both, τ_q = Jᵀ τ_θ ([Lee2019] Eq. (3.6.57))."""
+both, τ_q = Jᵀ τ_θ ([Lee2019] Eq. (3.6.57)).
+"""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from enum import IntEnum
+
 import numpy as np
+from numpy.typing import NDArray
 from pydrake.math import RigidTransform
+from pydrake.multibody.plant import MultibodyPlant
 from pydrake.multibody.tree import (
     BallRpyJoint,
     Joint,
@@ -25,15 +30,10 @@ from pydrake.multibody.tree import (
     ScrewJoint,
     UniversalJoint,
 )
+
+from geodrake.boundary.arguments import typed
 from geodrake.errors import ModelError
 from geodrake.inertia import Array
-from collections.abc import Sequence
-from dataclasses import dataclass
-from numpy.typing import NDArray
-from pydrake.multibody.plant import MultibodyPlant
-from pydrake.multibody.tree import Joint
-from geodrake.boundary.arguments import typed
-
 
 _IDENTITY = np.eye(3)
 _ZERO = np.zeros((3, 3))

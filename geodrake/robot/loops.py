@@ -26,10 +26,9 @@ from pydrake.multibody.plant import MultibodyPlant
 from geodrake.compiling import contiguous
 from geodrake.errors import ModelError
 from geodrake.inertia import Array
-from geodrake.robot.coordinates import Led
-from geodrake.robot.joints import Follower, joint_names
 from geodrake.robot.arrangement import moving_joints
-from geodrake.robot.joints import Features, axis_motion, slide_motion
+from geodrake.robot.coordinates import Led
+from geodrake.robot.joints import Features, Follower, axis_motion, joint_names, slide_motion
 from geodrake.robot.kinematics import KinematicTree, Mobilizer
 from geodrake.robot.recursion import TreeRecords
 from geodrake.robot.stated import WORLD, Closure, places_of_links

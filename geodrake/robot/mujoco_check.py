@@ -23,13 +23,12 @@ from pydrake.multibody.tree import Joint
 
 from geodrake.errors import ModelError
 from geodrake.inertia import Array
-from geodrake.robot.arrangement import base_joints
+from geodrake.robot.arrangement import base_joints, moving_joints
 from geodrake.robot.coordinates import RobotCoordinates
 from geodrake.robot.files import ModelDescription
 from geodrake.robot.files.mjcf import MjcfText
 from geodrake.robot.files.mjcf_source import load_mujoco, quiet_mujoco
 from geodrake.robot.joints import joints_of
-from geodrake.robot.arrangement import moving_joints
 from geodrake.robot.transmission.base import times
 
 _APART = 1e-4  # of the size, by which loops of rounded numbers may be open

@@ -24,8 +24,19 @@ from geodrake.boundary.arguments import instance, number, real_array, typed
 from geodrake.errors import ModelError
 from geodrake.inertia import PARAMETERS_PER_BODY, Array, inertial_parameters, to_spatial_inertia
 from geodrake.inertia.bodies import Member, lumped_bodies
-from geodrake.robot.arrangement import add_base_joints, base_joints
-from geodrake.robot.arrangement import ends_of, open_loops
+from geodrake.robot.arrangement import (
+    Arrangement,
+    add_base_joints,
+    base_joints,
+    checked_held,
+    chosen_robot,
+    ends_of,
+    open_loops,
+    poses_of,
+    robots_of,
+    weld_joints,
+    welds_of,
+)
 from geodrake.robot.files import Given, ModelDescription
 from geodrake.robot.files.checks import check_poses
 from geodrake.robot.files.description import drake_errors, drake_messages, read_description
@@ -37,15 +48,6 @@ from geodrake.robot.joints import (
     joints_of,
     resolved,
     scoped,
-)
-from geodrake.robot.arrangement import (
-    Arrangement,
-    checked_held,
-    chosen_robot,
-    poses_of,
-    robots_of,
-    weld_joints,
-    welds_of,
 )
 from geodrake.robot.loops import ClosedLoop, LoopJoints, Loops, closed_loops
 from geodrake.robot.mujoco_check import whole_mjcf

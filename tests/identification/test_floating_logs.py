@@ -33,8 +33,7 @@ from geodrake.logs.files.messages import BaseRows, base_sources
 from geodrake.logs.floating import ContactFlags
 from geodrake.logs.motion import JointLog
 from geodrake.logs.preparation import prepare_logs
-from geodrake.model.floating_logs import with_base
-from geodrake.model.floating_logs import contact_frames, on_soles
+from geodrake.model.floating_logs import contact_frames, on_soles, with_base
 from geodrake.model.logged_joints import log_of_model, reading_for
 from geodrake.model.robot_model import load_description
 from geodrake.robot.regressor import inverse_dynamics_regressor

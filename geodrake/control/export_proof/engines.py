@@ -34,8 +34,8 @@ from geodrake.model.dynamics_check import second_opinion
 from geodrake.model.file_terms import Damping, DryFriction, Rotor
 from geodrake.model.robot_model import RobotModel, load_description
 from geodrake.robot.files.description import drake_errors, drake_messages
-from geodrake.robot.files.mjcf_source import quiet_mujoco
 from geodrake.robot.files.includes import add_packages, named_packages
+from geodrake.robot.files.mjcf_source import quiet_mujoco
 from geodrake.robot.joints import joint_names
 from geodrake.robot.plant import weld_roots
 

@@ -24,6 +24,7 @@ from geodrake.inertia.bodies import lumped_bodies
 from geodrake.model.export import export_bodies, file_kind, repair_comments
 from geodrake.model.file_terms import Tilt
 from geodrake.model.robot_model import RobotModel, is_of_file
+from geodrake.robot.arrangement import moving_joints
 from geodrake.robot.files.checks import words
 from geodrake.robot.files.description import model_text_of
 from geodrake.robot.files.mjcf import MjcfText
@@ -35,7 +36,6 @@ from geodrake.robot.files.model_edits import (
 from geodrake.robot.files.source_text import comment_words
 from geodrake.robot.files.xacro_file import read_expanded
 from geodrake.robot.joints import joint_names, scoped
-from geodrake.robot.arrangement import moving_joints
 from geodrake.robot.plant import motor_joints, scoped_joint_names
 
 _DRAKE = "http://drake.mit.edu"

@@ -35,9 +35,8 @@ from geodrake.errors import GeodrakeError, ModelError
 from geodrake.inertia import Array
 from geodrake.robot.files.base import ModelText
 from geodrake.robot.files.given import Given
-from geodrake.robot.files.includes import Includes
+from geodrake.robot.files.includes import Includes, add_packages, named_packages
 from geodrake.robot.files.mjcf import MjcfText
-from geodrake.robot.files.includes import add_packages, named_packages
 from geodrake.robot.files.sdf import SdfText
 from geodrake.robot.files.urdf import UrdfText
 from geodrake.robot.files.xacro_file import is_xacro, read_expanded

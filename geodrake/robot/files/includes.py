@@ -1,24 +1,23 @@
 """Files that model files name: packages of ROS, and what they include.
 
-Includes are followed before Drake, which would never end in a circle."""
+Includes are followed before Drake, which would never end in a circle.
+"""
 
 from __future__ import annotations
 
-import re
-from collections.abc import Mapping
-from pathlib import Path
-from xml.etree.ElementTree import Element
-from pydrake.multibody.parsing import PackageMap
-from geodrake.boundary.input_files import regular_file
-from geodrake.errors import ModelError
-from geodrake.robot.files.xml_text import LARGEST_FILE, parse_xml, place_of
 import os
+import re
 from collections.abc import Iterable, Iterator, Mapping
 from contextlib import suppress
 from itertools import islice
-from geodrake.boundary.input_files import read_regular
-from geodrake.robot.files.xml_text import parse_xml_bytes
+from pathlib import Path
+from xml.etree.ElementTree import Element
 
+from pydrake.multibody.parsing import PackageMap
+
+from geodrake.boundary.input_files import read_regular, regular_file
+from geodrake.errors import ModelError
+from geodrake.robot.files.xml_text import LARGEST_FILE, parse_xml, parse_xml_bytes, place_of
 
 _SCENERY = re.compile(r"(?<![a-z])(sun|ground|light|plane)+s?(?![a-z])", re.I)
 _DEEPEST = 30  # files that include each other in a row

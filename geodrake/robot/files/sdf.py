@@ -18,9 +18,8 @@ from geodrake.robot.files.checks import (
     rotation,
     symmetric,
 )
-from geodrake.robot.files.includes import Includes
+from geodrake.robot.files.includes import PACKAGE_ADVICE, Includes
 from geodrake.robot.files.model_edits import sdf_models
-from geodrake.robot.files.includes import PACKAGE_ADVICE
 from geodrake.robot.files.xml_text import wrong_at
 
 _SPRING = ("spring_stiffness", "spring_reference")
