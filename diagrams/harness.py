@@ -65,18 +65,24 @@ positive_number = partial(whole_number, least=1)
 
 
 def script_parser(
-    doc: str, quick: str = "a few seconds, for a first look", *, draws: bool = False
+    doc: str,
+    quick: str = "a few seconds, for a first look",
+    *,
+    draws: bool = False,
+    figures: bool = False,
 ) -> argparse.ArgumentParser:
     """Return a parser with the options that all scripts have.
 
     Args:
         draws: Whether there are draws, which processes share and a file keeps.
+        figures: Whether the script draws.
     """
     parser = argparse.ArgumentParser(description=doc.splitlines()[0])
     parser.add_argument("--quick", action="store_true", help=quick)
     parser.add_argument("--seed", type=whole_number, default=0)
     parser.add_argument("--json", type=Path, help="file for the numbers")
-    parser.add_argument("--figures", type=Path, help="folder for figures")
+    if figures:
+        parser.add_argument("--figures", type=Path, help="folder for figures")
     if draws:
         jobs = f"processes ({JOBS}; 1 with --quick)"
         parser.add_argument("--jobs", "--workers", type=positive_number, help=jobs)
@@ -91,7 +97,7 @@ def write(
     if options.json:
         options.json.parent.mkdir(parents=True, exist_ok=True)
         options.json.write_text(json.dumps(plain(table), indent=1) + "\n", encoding="utf-8")
-    if options.figures:
+    if figures and options.figures:
         options.figures.mkdir(parents=True, exist_ok=True)
         for name, draw in figures.items():
             drawn = draw()
@@ -100,12 +106,10 @@ def write(
                 figure.savefig(options.figures / f"{each}.png")
 
 
-def tell(
-    options: argparse.Namespace, table: Any, **figures: Callable[[], Figure | Mapping[str, Figure]]
-) -> None:
-    """Print the numbers, and write what was asked for."""
+def tell(options: argparse.Namespace, table: Any) -> None:
+    """Print the numbers, and write them if asked for."""
     print(json.dumps(plain(table), indent=2))
-    write(options, table, **figures)
+    write(options, table)
 
 
 def plain(table: Any) -> Any:
@@ -259,7 +263,7 @@ def finished(
             pool.shutdown(wait=False, cancel_futures=True)
 
 
-# Times, memory, and bars of them
+# Times and memory
 
 
 def cpu_clock() -> float:
@@ -417,16 +421,3 @@ def _scale(ax: Axes, axis: str, is_wide: bool) -> None:
         style.log_scale(ax, axis)
     else:
         ax.locator_params(axis=axis, nbins=6)
-
-
-def bars(panels: Mapping[str, Mapping[str, float]], unit: str) -> Figure:
-    """Draw numbers by name, a panel for each title."""
-    figure = style.new_figure(0.8 + 0.35 * max(map(len, panels.values())))
-    axes = np.ravel(figure.subplots(1, len(panels)))
-    for ax, (title, values) in zip(axes, panels.items(), strict=True):
-        drawn = ax.barh(list(values), list(values.values()), color=style.AFTER, height=0.6)
-        ax.bar_label(drawn, [f"{value:.3g} {unit}" for value in values.values()], padding=4)
-        ax.invert_yaxis()
-        ax.margins(x=0.3)
-        titled(ax, title, grid="x")
-    return figure

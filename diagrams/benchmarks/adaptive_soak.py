@@ -8,12 +8,11 @@ each are the errors between faults (from five seconds after one until the next),
 took to come back, how far the estimate is from the truth in the metric of its manifold, and the
 memory of the process. `unguarded` has the effort limits alone, for a minute.
 
-    python -m diagrams.benchmarks.adaptive_soak --json soak.json --figures figures
+    python -m diagrams.benchmarks.adaptive_soak --json soak.json
 """
 
 from __future__ import annotations
 
-import argparse
 import gc
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -27,7 +26,7 @@ from pydrake.multibody.parsing import Parser
 from pydrake.multibody.plant import MultibodyPlant
 from pydrake.trajectories import PiecewisePolynomial
 
-from diagrams.harness import MODELS, chart, run_draws, script_parser, show, write
+from diagrams.harness import MODELS, run_draws, script_parser, show, write
 from diagrams.studies.adaptive.faults import FAULTS, Array, Episode, Moment, moments
 from geodrake.control import (
     ControlModel,
@@ -202,10 +201,6 @@ def judge(
         "least_mass": float(ratio.min()),
         "greatest_mass": float(ratio.max()),
         "by_fault": rows,
-        "time": [round(float(t), 2) for t in time[::10]],
-        "distance": [float(d) for d in distance[::10]],
-        "error": [float(error[k : k + 10].max()) for k in range(0, len(error), 10)],
-        "starts": [episode.start for episode in episodes],
     }
 
 
@@ -230,16 +225,14 @@ def main() -> None:
     """Run the study from the command line."""
     parser = script_parser(__doc__, draws=True)
     options = parser.parse_args()
-    rows = run(parser, options)
+    duration = 60.0 * (QUICK if options.quick else MINUTES)
+    draws = [Draw(name, duration) for name in CONTROLLERS if name != "unguarded"]
+    draws.append(Draw("unguarded", min(duration, 60.0)))  # lost by then
+    rows = run_draws(parser, options, partial(run_draw, seed=options.seed), draws)
     show("Errors in degrees, times in s, masses over the true ones, MB", rows)
     guarded = [row for row in rows if row["controller"] != "unguarded"]
     show("Worst of each fault", worst(guarded))
-    table = {"rows": rows, "worst": worst(guarded)}
-    write(
-        options,
-        table,
-        adaptive_soak=lambda: chart(rows, "time", ("distance", "error"), "controller"),
-    )
+    write(options, {"rows": rows, "worst": worst(guarded)})
 
 
 def worst(rows: Sequence[dict[str, Any]]) -> list[dict[str, Any]]:
@@ -251,14 +244,6 @@ def worst(rows: Sequence[dict[str, Any]]) -> list[dict[str, Any]]:
         for name in FAULTS
         if (lines := [line for line in each if line["fault"] == name])
     ]
-
-
-def run(parser: argparse.ArgumentParser, options: argparse.Namespace) -> list[dict[str, Any]]:
-    """Return rows of all controllers."""
-    duration = 60.0 * (QUICK if options.quick else MINUTES)
-    draws = [Draw(name, duration) for name in CONTROLLERS if name != "unguarded"]
-    draws.append(Draw("unguarded", min(duration, 60.0)))  # lost by then
-    return run_draws(parser, options, partial(run_draw, seed=options.seed), draws)
 
 
 if __name__ == "__main__":

@@ -1,11 +1,10 @@
-"""How fast adaptive control is: a closed loop, one step of a controller, and the online estimator.
+"""How fast adaptive control is: a closed loop, and the online estimator.
 
 A seven-joint arm with 70 inertial parameters and 14 of friction is controlled at 1 kHz by the
-passivity-based controller with the natural law, its plant at 10 kHz. Three questions: how much
-faster than real time that is, beside the plant alone; how much longer a step of the controller is
-with adaptation than without; how many samples a second the estimator takes, by exact projections
-and by nudges. All times are CPU times of one core, of pieces of 50 ms of runs that take turns: the
-median, and the fastest tenth, which is what they are where nothing else runs.
+passivity-based controller with the natural law, its plant at 10 kHz. Two questions: how much faster
+than real time that is, beside the plant alone, and how many samples a second the estimator takes.
+All times are CPU times of one core, of pieces of 50 ms of runs that take turns: the median, and the
+fastest tenth, which is what they are where nothing else runs.
 
     OMP_NUM_THREADS=1 python -m diagrams.benchmarks.adaptive_speed --json speed.json
 """
@@ -26,7 +25,7 @@ from pydrake.systems.primitives import TrajectorySource
 from pydrake.trajectories import PiecewisePolynomial
 from rich.progress import track
 
-from diagrams.harness import MODELS, bars, cpu_time, script_parser, tell
+from diagrams.harness import MODELS, cpu_time, script_parser, tell
 from geodrake.control import (
     BregmanProjectionEstimator,
     ControlModel,
@@ -36,8 +35,6 @@ from geodrake.control import (
     natural_adaptation,
     parameter_manifold,
 )
-from geodrake.control.adaptation import UpdateLaw
-from geodrake.control.systems import AdaptiveController
 from geodrake.effects import CoulombFriction, FittedEffect, ViscousFriction
 from geodrake.inertia import Array, from_pseudo_inertia, pseudo_inertia
 from geodrake.manifolds import Product
@@ -49,7 +46,6 @@ DAMPING, COULOMB = 2.0, 1.0  # N·m·s/rad, N·m
 PIECE = 0.05  # s, of simulated time
 GAMMA = 0.05
 NOISE = 0.02  # N·m, of the efforts that the estimator sees
-EVERY = 2  # samples of the estimator to a projection
 WRONG = 0.1  # size of the congruences that spoil the first estimate
 
 
@@ -114,23 +110,15 @@ class Arm:
         plant.Finalize()
         return plant
 
-    def controller(self, law: UpdateLaw | None) -> AdaptiveController:
-        """Return the passivity-based controller."""
-        return PassivityBasedAdaptiveController(
-            self.control, law, time_step=CONTROL_STEP, parameters=self.start
-        )
 
-    @cached_property
-    def law(self) -> UpdateLaw:
-        """The natural law."""
-        return natural_adaptation(self.manifold, GAMMA)
-
-
-def closed_loop(arm: Arm, law: UpdateLaw | None) -> tuple[Diagram, Context]:
-    """Return the whole loop."""
+def closed_loop(arm: Arm) -> tuple[Diagram, Context]:
+    """Return the whole loop, of the passivity-based controller with the natural law."""
     builder = DiagramBuilder()
     plant = builder.AddSystem(arm.plant())
-    loop = add_adaptive_loop(builder, plant, arm.controller(law), arm.motion)
+    law = natural_adaptation(arm.manifold, GAMMA)
+    how = {"time_step": CONTROL_STEP, "parameters": arm.start}
+    controller = PassivityBasedAdaptiveController(arm.control, law, **how)
+    loop = add_adaptive_loop(builder, plant, controller, arm.motion)
     diagram = builder.Build()
     return diagram, loop.context(diagram)
 
@@ -147,28 +135,8 @@ def plant_alone(arm: Arm) -> tuple[Diagram, Context]:
     return diagram, context
 
 
-def controller_alone(arm: Arm, system: AdaptiveController) -> tuple[Diagram, Context]:
-    """A controller that sees a motion 0.1 ms late, so that there always is a little to adapt to."""
-    builder = DiagramBuilder()
-    builder.AddSystem(system)
-    t = np.linspace(0.0, 20.0, 201)
-    late = arm.motion.vector_values(np.maximum(t - 1e-4, 0.0))
-    seen = PiecewisePolynomial.CubicWithContinuousSecondDerivatives(t, late)
-    sources = {
-        "estimated_state": TrajectorySource(seen, 1),
-        "desired_state": TrajectorySource(arm.motion, 1),
-        "desired_acceleration": TrajectorySource(arm.motion.MakeDerivative(2)),
-    }
-    for name, source in sources.items():
-        builder.Connect(builder.AddSystem(source).get_output_port(), system.GetInputPort(name))
-    diagram = builder.Build()
-    return diagram, diagram.CreateDefaultContext()
-
-
-def estimator(
-    arm: Arm, duration: float, *, every: int = 1, method: str = "projection"
-) -> tuple[Diagram, Context]:
-    """The estimator along the motion, fed with noisy efforts, projecting every so many samples."""
+def estimator(arm: Arm, duration: float) -> tuple[Diagram, Context]:
+    """Return the estimator along the motion, fed with noisy efforts."""
     time_stamps = np.arange(0.0, duration + 0.2, CONTROL_STEP)
     q, v, a = (
         np.array([arm.motion.EvalDerivative(t, order).ravel() for t in time_stamps])
@@ -186,10 +154,9 @@ def estimator(
     system = builder.AddSystem(
         BregmanProjectionEstimator(
             control,
-            SampleUpdate(arm.manifold, np.full(7, 2.0 * NOISE), method=method),
+            SampleUpdate(arm.manifold, np.full(7, 2.0 * NOISE)),
             time_step=CONTROL_STEP,
             parameters=arm.start,
-            update_every=every,
         )
     )
     for name, source in sources.items():
@@ -211,13 +178,8 @@ def measure(arm: Arm, *, duration: float, repeats: int) -> dict[str, list[float]
     """CPU seconds a simulated second of all pieces of everything, `repeats` times in turn."""
     work: dict[str, Callable[[], tuple[Diagram, Context]]] = {
         "plant": lambda: plant_alone(arm),
-        "loop": lambda: closed_loop(arm, arm.law),
-        "loop without adaptation": lambda: closed_loop(arm, None),
-        "step": lambda: controller_alone(arm, arm.controller(arm.law)),
-        "step without adaptation": lambda: controller_alone(arm, arm.controller(None)),
+        "loop": lambda: closed_loop(arm),
         "estimator": lambda: estimator(arm, duration),
-        "estimator, projecting every second": lambda: estimator(arm, duration, every=EVERY),
-        "estimator, nudging": lambda: estimator(arm, duration, method="nudge"),
     }
     times: dict[str, list[float]] = {name: [] for name in work}
     for _ in track(range(repeats), description="measuring"):
@@ -236,12 +198,7 @@ def summary(times: dict[str, list[float]]) -> dict[str, Any]:
             "times real time": 1.0 / cost["loop"],
             "times real time, the plant alone": 1.0 / cost["plant"],
             "speed of the loop / of the plant": cost["plant"] / cost["loop"],
-            "times real time, without adaptation": 1.0 / cost["loop without adaptation"],
-            "adaptive step / step": cost["step"] / cost["step without adaptation"],
-        }
-        estimators = [key for key in cost if key.startswith("estimator")]
-        table[name] |= {
-            f"{key}, samples a second": 1.0 / (CONTROL_STEP * cost[key]) for key in estimators
+            "estimator, samples a second": 1.0 / (CONTROL_STEP * cost["estimator"]),
         }
     return table
 
@@ -254,11 +211,7 @@ def main() -> None:
     duration, repeats = (0.05, 1) if options.quick else (2.0, 7)
     arm = Arm.load(options.seed)
     times = measure(arm, duration=duration, repeats=options.repeats or repeats)
-    table = summary(times)
-    cost = table["undisturbed"]["CPU seconds a simulated second"]
-    each = {name: 1e3 * CONTROL_STEP * value for name, value in cost.items()}
-    title = "CPU time of one millisecond of control"
-    tell(options, table, adaptive_speed=lambda: bars({title: each}, "ms"))
+    tell(options, summary(times))
 
 
 if __name__ == "__main__":

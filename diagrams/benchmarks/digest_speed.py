@@ -15,7 +15,7 @@ from typing import Any
 
 import numpy as np
 
-from diagrams.harness import MODELS, bars, cpu_times, script_parser, sines, tell
+from diagrams.harness import MODELS, cpu_times, script_parser, sines, tell
 from geodrake.fleet import (
     Digest,
     LogFacts,
@@ -58,12 +58,7 @@ def measure(
     def digested(log: JointLog) -> Digest:
         return make_digest(model, log, settings, LogFacts(log.name, (Path(__file__),)))
 
-    def opened() -> object:
-        both = (settings.bandwidth, settings.motion_bandwidth)
-        return open_case(
-            model, [first], candidates=True, bandwidth=both[0], motion_bandwidth=both[1]
-        )
-
+    bands = {name: getattr(settings, name) for name in ("bandwidth", "motion_bandwidth")}
     digest = digested(first)
     content = digest_content(digest)
     with tempfile.TemporaryDirectory() as folder:
@@ -71,7 +66,7 @@ def measure(
         path.write_bytes(content)
         works = {
             "made": lambda: digested(first),
-            "reading": opened,
+            "reading": lambda: open_case(model, [first], candidates=True, **bands),
             "read": lambda: read_digest(path),
         }
         least = {name: min(times) for name, times in cpu_times(works, times).items()}
@@ -120,12 +115,7 @@ def main() -> None:
     cases = [(100.0, 1.0)] if options.quick else [(100.0, 1.0), (500.0, 1.0), (1000.0, 3.0)]
     how = {"seconds": 15.0 if options.quick else 60.0, "seed": options.seed}
     times = 1 if options.quick else options.times
-    costs = [measure(model, rate, pace, times=times, **how) for rate, pace in cases]
-    panels = {
-        title: {f"{c['rate']:g} Hz, bandwidth {c['bandwidth']:.2g} Hz": c[name] for c in costs}
-        for name, title in (("made", "a digest"), ("reading", "reading with all candidates"))
-    }
-    tell(options, costs, digest_speed=lambda: bars(panels, "s"))
+    tell(options, [measure(model, rate, pace, times=times, **how) for rate, pace in cases])
 
 
 if __name__ == "__main__":

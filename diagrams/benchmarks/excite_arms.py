@@ -28,7 +28,7 @@ import numpy as np
 import pinocchio as pin
 from numpy.typing import NDArray
 
-from diagrams.harness import bars, script_parser, show, write
+from diagrams.harness import script_parser, show, write
 from diagrams.public_data import installed_model
 from geodrake import load_model
 from geodrake.excitation import CollisionWorld, floor_of, motion_limits
@@ -208,8 +208,7 @@ def main() -> None:
     rows = [{**asdict(one), "safe": one.is_safe} for one in found]
     lines = [{**row, "statuses": ", ".join(row["statuses"])} for row in rows]
     show("Motions of arms: s, m, shares of limits and rad/s²", lines)
-    apart = {one.arm: 1e3 * min(one.distance, one.height) for one in found}
-    write(chosen, rows, excite_arms=lambda: bars({"least distance": apart}, "mm"))
+    write(chosen, rows)
     if not all(one.is_safe for one in found):
         raise SystemExit("A motion does not keep its margins.")
 

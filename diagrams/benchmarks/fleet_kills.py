@@ -24,7 +24,7 @@ import numpy as np
 import psutil
 
 from diagrams.benchmarks.fleets.logs import TYPES, FleetDraw, write_fleet_file, write_logs
-from diagrams.harness import bars, positive_number, script_parser, show_values, write
+from diagrams.harness import positive_number, script_parser, show_values, write
 
 _POLL = 0.01  # s
 WORKER, RUN = "a worker", "the run"
@@ -145,13 +145,7 @@ def main() -> None:
         "digests made again": sum(row.again for row in rows),
     }
     show_values("Runs that are killed", table)
-    found = {"summary": table, "rows": rows}
-    there = {
-        f"{k + 1}: {row.killed}{'' if row.same else ', results differ'}": row.there
-        for k, row in enumerate(rows)
-    }
-    title = f"digests of {robots * days} that were there when it was killed"
-    write(options, found, fleet_kills=lambda: bars({title: there}, ""))
+    write(options, {"summary": table, "rows": rows})
 
 
 if __name__ == "__main__":

@@ -1,8 +1,7 @@
-"""What a run of `geodrake fleet` costs: time with one and two workers, memory with ever more logs.
+"""How long a run of `geodrake fleet` takes with one and two workers, and once digests are there.
 
 Logs are made by the arm's own model, with friction that differs from robot to robot. Times are
-those of a clock, with the start of the workers; memory is the most that a process takes that makes
-findings of digests, with its libraries.
+those of a clock, with the start of the workers.
 
     OMP_NUM_THREADS=1 python -m diagrams.benchmarks.fleet_speed --json speed.json
 """
@@ -19,7 +18,7 @@ from typing import Any
 import numpy as np
 
 from diagrams.benchmarks.digest_speed import swinging
-from diagrams.harness import MODELS, bars, peak_memory, script_parser, write
+from diagrams.harness import MODELS, script_parser, tell
 from geodrake.fleet import FleetWork, read_fleet, run_fleet
 from geodrake.inertia import Array
 from geodrake.logs.files import write_log
@@ -30,22 +29,8 @@ RATE = 200.0  # Hz
 FIRST = 1.78e9  # s since 1970
 DAY = 86400.0
 
-CASES = [
-    (4, 100, 12.0, 1),
-    (4, 100, 12.0, 2),
-    (4, 40, 60.0, 1),
-    (4, 40, 60.0, 2),
-    (2, 10, 4.0, 2),
-    (2, 1000, 4.0, 2),
-]
-"""Robots, logs of each, their length in s, and workers: four for times, and two for memory."""
-SHORT = [(3, 4, 4.0, 0), (3, 16, 4.0, 0)]
-
-_FINDINGS = """
-import sys
-from geodrake.fleet import FleetWork, read_fleet, run_fleet
-run_fleet(read_fleet(sys.argv[1]), FleetWork(workers=0))
-"""
+CASES, SHORT = [(4, 100, 12.0, 1), (4, 100, 12.0, 2)], [(3, 4, 4.0, 0)]
+"""Robots, logs of each, their length in s, and workers."""
 
 
 def friction(log: JointLog, robot: int, day: int) -> Array:
@@ -80,20 +65,14 @@ def write_logs(
 
 
 def measure(path: Path, logs: int, length: float, workers: int) -> dict[str, Any]:
-    """Measure one run of a fleet whose digests are not made, s, and "again" of what it left.
-
-    "memory" is the most, MB, of a process that makes findings of digests.
-    """
+    """Measure one run of a fleet whose digests are not made, s, and "again" of what it left."""
     fleet, work, times = read_fleet(path), FleetWork(workers=workers), [time.monotonic()]
     for _ in range(2):
         run_fleet(fleet, work)
         times.append(time.monotonic())
-    for kept in path.parent.glob("results/*/logs/*/history.npz"):
-        kept.unlink()
-    memory = peak_memory(_FINDINGS, path)[0] / 1e6
     seconds, again = np.diff(times).tolist()
     what = {"robots": len(fleet.robots), "logs": logs, "length": length, "workers": workers}
-    return {**what, "seconds": seconds, "again": again, "memory": memory}
+    return {**what, "seconds": seconds, "again": again}
 
 
 def main() -> None:
@@ -106,15 +85,7 @@ def main() -> None:
             much = {"robots": robots, "logs": logs, "seconds": length}
             path = write_logs(Path(folder), name, **much, seed=options.seed)
             costs.append(measure(path, logs, length, workers))
-            print(costs[-1], flush=True)
-    panels = {
-        f"{what}, {unit}": {
-            "{robots} × {logs} × {length:g} s, {workers} workers".format(**c): c[what]
-            for c in costs
-        }
-        for what, unit in (("seconds", "s"), ("memory", "MB"))
-    }
-    write(options, costs, fleet_speed=lambda: bars(panels, ""))
+    tell(options, costs)
 
 
 if __name__ == "__main__":

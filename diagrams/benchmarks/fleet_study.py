@@ -24,7 +24,7 @@ from typing import Any
 from rich.progress import track
 
 from diagrams.benchmarks.fleets.logs import TYPES, FleetDraw, write_fleet_file, write_logs
-from diagrams.benchmarks.fleets.scoring import figures_of, robot_row, summary
+from diagrams.benchmarks.fleets.scoring import robot_row, summary
 from diagrams.harness import JOBS, finished, positive_number, script_parser, show_values, write
 from geodrake.fleet import FleetResult, FleetWork, read_fleet, run_fleet
 
@@ -67,8 +67,7 @@ def main() -> None:
     table = summary(rows) | {"seconds until findings are there": seconds}
     show_values("A fleet whose robots change", table)
     unused = [vars(log) for log in result.unused]
-    found = {"summary": table, "rows": rows, "unused": unused}
-    write(options, found, fleet=lambda: figures_of(rows, result))
+    write(options, {"summary": table, "rows": rows, "unused": unused})
 
 
 if __name__ == "__main__":

@@ -6,7 +6,7 @@ that is heavier than its file says, friction and rotors at all joints, a wrong g
 effort, an offset of a foot's sensor, or nothing. Contacts are logged, logged with errors, or not
 logged; wrenches of the feet and efforts of the joints are logged, or not.
 
-    python -m diagrams.benchmarks.floating_robots --json floating.json --figures figures
+    python -m diagrams.benchmarks.floating_robots --json floating.json
 """
 
 from __future__ import annotations
@@ -38,7 +38,6 @@ from diagrams.benchmarks.floating.world import (
 from diagrams.benchmarks.hidden.bars import Line, median, share, tell_draws, told
 from diagrams.benchmarks.ordinary_robots import (
     calibration,
-    calibration_figure,
     judged_words,
     mass_row,
     not_found,
@@ -229,8 +228,7 @@ def main() -> None:
     lines = lines_of(rows)
     missed = [miss_words(row) for row in rows if is_missed(row)]
     tell_draws("Floating bases", lines, missed, len(rows))
-    table = {"lines": told(lines), "rows": rows}
-    write(options, table, floating_calibration=lambda: calibration_figure(rows))
+    write(options, {"lines": told(lines), "rows": rows})
 
 
 if __name__ == "__main__":

@@ -8,7 +8,7 @@ and the model file. Further studies: `--coverage N` of the intervals of found pa
 coloured noise, `--disturbed N` of the same beside outside effects, `--kinds N` of kinds that are
 hard, `--smallest N` of the smallest effect that is found, by bisection.
 
-    python -m diagrams.benchmarks.hidden_effects --json hidden_effects.json --figures figures
+    python -m diagrams.benchmarks.hidden_effects --json hidden_effects.json
 """
 
 from __future__ import annotations
@@ -19,9 +19,7 @@ from typing import Any
 
 from diagrams.benchmarks.hidden.bars import (
     bars,
-    confusions,
     coverage_lines,
-    figures_of,
     kind_lines,
     show_lines,
     smallest_lines,
@@ -95,9 +93,7 @@ def main() -> None:
     show_lines("Hidden effects", lines)
     if smallest:
         show("Smallest effect found in 9 of 10 logs", smallest)
-    confused = confusions(rows)
-    table = {"lines": told(lines), "confusions": confused, "smallest": smallest, "rows": rows}
-    write(options, table, hidden_effects=lambda: figures_of(lines, confused, smallest))
+    write(options, {"lines": told(lines), "smallest": smallest, "rows": rows})
 
 
 if __name__ == "__main__":

@@ -25,12 +25,11 @@ from typing import Any
 
 import mujoco
 import numpy as np
-from matplotlib.figure import Figure
 from numpy.typing import NDArray
 from scipy.optimize import least_squares, minimize_scalar
 from scipy.signal import cont2discrete, lfilter
 
-from diagrams.harness import chart, script_parser, show, write
+from diagrams.harness import script_parser, show, write
 from diagrams.public_data import add_folder_option, require
 from geodrake import load_model
 from geodrake.identification.logs.servo_fit import PARAMETERS
@@ -309,16 +308,6 @@ def pendulum_row(folder: Path) -> dict[str, Any]:
     }
 
 
-def errors_figure(rows: Sequence[Mapping[str, Any]]) -> Figure:
-    """Draw how far every joint departs with each model, a panel for each log."""
-    drawn = [
-        {**row, "joint": joint, "RMS, rad": error}
-        for row in rows
-        for joint, error in row["joints, rad"].items()
-    ]
-    return chart(drawn, "joint", "RMS, rad", "model", panel="log")
-
-
 def main() -> None:
     """Run from the command line."""
     parser = script_parser(__doc__)
@@ -329,8 +318,7 @@ def main() -> None:
     show("An SO-101 under its commands, two minutes at a time", rows)
     pendulum = pendulum_row(options.shared)
     show("A Dynamixel XL330", [pendulum])
-    table = {"arm": rows, "pendulum": pendulum}
-    write(options, table, hobby_arm=lambda: errors_figure(rows))
+    write(options, {"arm": rows, "pendulum": pendulum})
 
 
 if __name__ == "__main__":

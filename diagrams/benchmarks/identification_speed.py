@@ -1,10 +1,8 @@
 """How fast identification is: Newton's method, Drake's conic programs, and the same in CVXPY.
 
-Two fits, as in [Lee2019] §3.6: an arm of ten bodies with seven motors, from 4,100 samples of all
-torques (107 parameters, made here), and a human of sixteen bodies in bounding ellipsoids (measured,
-990 rows). Times are CPU times, medians of repeats, of everything from regressors to result unless
-said otherwise. Geodesic least squares is tried on the arm's first samples, beside the entropic fit
-at the same residual.
+An arm of ten bodies with seven motors, as in [Lee2019] §3.6, from 4,100 samples of all torques (107
+parameters). Times are CPU times, medians of repeats. Geodesic least squares is tried on the arm's
+first samples, beside the entropic fit at the same residual.
 
     OMP_NUM_THREADS=1 python -m diagrams.benchmarks.identification_speed --json speed.json
 """
@@ -13,17 +11,14 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 from pydrake.math import RigidTransform, RollPitchYaw
 from pydrake.multibody.plant import MultibodyPlant
 from pydrake.multibody.tree import FixedOffsetFrame, RevoluteJoint, SpatialInertia
-from rich.progress import track
 
-from diagrams.harness import bars, cpu_clock, medians, script_parser, tell
-from diagrams.public_data import add_folder_option
+from diagrams.harness import cpu_clock, medians, script_parser, tell
 from geodrake.identification import (
     BodyConstraints,
     FitProblem,
@@ -46,36 +41,19 @@ GAMMA = 0.03
 
 @dataclass(frozen=True, kw_only=True)
 class Case:
-    """What is fitted: arguments of `identify`."""
+    """What is fitted."""
 
-    name: str
     A: np.ndarray  # (m, p) regressor
     b: np.ndarray  # (m,) measurements
     prior: np.ndarray  # (nb, 10) prior
-    gamma: float  # weight of the prior
-    sigma: np.ndarray | float
     ellipsoids: np.ndarray  # (nb, 4, 4) bounding ellipsoids
-    extra_bounds: np.ndarray | None = None  # bounds of the parameters after the inertial ones
-    truth: np.ndarray | None = None  # (p,) true parameters, if they are known
-
-    def identified(self, regularizer: str, solver: str) -> Any:
-        """Return the result of `identify`, from the regressors."""
-        return identify(
-            self.A,
-            self.b,
-            self.prior,
-            regularizer=regularizer,
-            gamma=self.gamma,
-            sigma=self.sigma,
-            ellipsoids=self.ellipsoids,
-            extra_bounds=self.extra_bounds,
-            solver=solver,
-        )
+    extra_bounds: np.ndarray  # bounds of the parameters after the inertial ones
+    truth: np.ndarray  # (p,) true parameters
 
     def problem(self, gamma: float) -> FitProblem:
         """Return the entropic fit on the triangular factor of the data."""
         problem = build_problem(
-            whitened_factor(self.A, self.b, sigma=self.sigma),
+            whitened_factor(self.A, self.b, sigma=1.0),
             self.prior,
             constraints=BodyConstraints(ellipsoids=self.ellipsoids),
             extra_bounds=self.extra_bounds,
@@ -100,12 +78,9 @@ def arm_case(*, samples: int, seed: int) -> Case:
     radii = np.array([0.12, 0.12, 0.25])
     com = truth[:, 1:4] / truth[:, :1]
     return Case(
-        name="arm",
         A=A,
         b=A @ parameters + rng.normal(0.0, NOISE, 7 * samples),
         prior=truth * stretch,
-        gamma=GAMMA,
-        sigma=1.0,
         ellipsoids=np.array([_ellipsoid(centre, radii) for centre in com]),
         extra_bounds=np.tile([0.0, np.inf], (7, 1)),
         truth=parameters,
@@ -138,23 +113,6 @@ def _ellipsoid(centre: np.ndarray, radii: np.ndarray) -> np.ndarray:
     return Q
 
 
-def human_case(shared: Path) -> Case | None:
-    """The human on a force plate at the residual of α = 0.01; None without the measurements."""
-    path = shared / "data" / "human_force_plate.npz"
-    if not path.exists():
-        return None
-    human = np.load(path)
-    return Case(
-        name="human",
-        A=human["A"],
-        b=human["b"],
-        prior=human["phi_prior"],
-        gamma=1.05e6,
-        sigma=np.tile(human["sigma"], len(human["b"]) // 3),
-        ellipsoids=human["Q"],
-    )
-
-
 def has_cvxpy() -> bool:
     """Return whether CVXPY and Clarabel are installed (the bench extra)."""
     try:
@@ -168,7 +126,7 @@ def has_cvxpy() -> bool:
 def cvxpy_solution(problem: FitProblem) -> np.ndarray:
     """Return the same program as a user writes it in CVXPY, built and solved.
 
-    The cost is divided by γ: as it stands Clarabel ends far from the minimum of the human's.
+    The cost is divided by γ: as it stands Clarabel may end far from the minimum.
     """
     import cvxpy as cp
 
@@ -199,20 +157,9 @@ def cost(problem: FitProblem, x: np.ndarray) -> float:
     return float(value)
 
 
-def whole_times(case: Case, repeats: int) -> dict[str, float]:
-    """Return CPU seconds from regressors to result."""
-    methods = {
-        "pullback, Clarabel": ("pullback", "clarabel"),
-        "entropic, Clarabel": ("entropic", "clarabel"),
-        "entropic, Newton": ("entropic", "newton"),
-    }
-    work = {name: lambda m=method: case.identified(*m) for name, method in methods.items()}
-    return medians(work, repeats)
-
-
 def solver_ratios(case: Case, *, repeats: int) -> dict[str, Any]:
     """Newton against Drake's program and CVXPY's on the same triangular factor, one cold solve."""
-    problem = case.problem(case.gamma)
+    problem = case.problem(GAMMA)
     solutions: dict[str, np.ndarray] = {}
 
     def keep(name: str, x: np.ndarray) -> None:
@@ -247,8 +194,6 @@ def geodesic_rows(
 
     The motors' inertia is known. Errors are of all samples, and RMS distances of the bodies.
     """
-    if case.truth is None:
-        return []
     n = case.prior.size
     truth, effort = case.truth[:n], case.b - case.A[:, n:] @ case.truth[n:]
     bodies = pseudo_inertia(truth.reshape(case.prior.shape))
@@ -276,40 +221,23 @@ def geodesic_rows(
     return table
 
 
-def measured(case: Case, *, repeats: int) -> dict[str, Any]:
-    """Return all numbers of one case."""
-    return {
-        "size": list(case.A.shape),
-        "gamma": case.gamma,
-        "whole": whole_times(case, repeats),
-        "from the factor": solver_ratios(case, repeats=repeats),
-    }
-
-
 def main() -> None:
     """Measure, print, and write what was asked for."""
     parser = script_parser(__doc__, "fewer samples and repeats")
     parser.add_argument("--repeats", type=int, help="of every time")
-    add_folder_option(parser)
     options = parser.parse_args()
     samples = 300 if options.quick else 4100
     repeats = options.repeats or (1 if options.quick else 9)
     if not has_cvxpy():
         print("CVXPY is not installed (pip install geodrake[dev]): no comparison with it.")
-    table: dict[str, Any] = {"cvxpy": has_cvxpy()}
-    panels = {}
-    cases = {"arm": arm_case(samples=samples, seed=options.seed)}
-    cases["human"] = human_case(options.shared)
-    for name, case in track(cases.items(), description="measuring"):
-        if case is None:
-            print(f"There are no measurements in {options.shared / 'data'}: no {name}.")
-            continue
-        table[name] = measured(case, repeats=repeats)
-        few = ((10,), (1.0,)) if options.quick else ((10, 30), (1.0, 10.0))
-        table[name]["geodesic least squares"] = geodesic_rows(case, *few)
-        title = f"{name}: {case.A.shape[0]} rows, {case.A.shape[1]} parameters"
-        panels[title] = {key: 1e3 * t for key, t in table[name]["whole"].items()}
-    tell(options, table, identification_speed=lambda: bars(panels, "ms"))
+    case = arm_case(samples=samples, seed=options.seed)
+    few = ((10,), (1.0,)) if options.quick else ((10, 30), (1.0, 10.0))
+    found = {
+        "size": list(case.A.shape),
+        "from the factor": solver_ratios(case, repeats=repeats),
+        "geodesic least squares": geodesic_rows(case, *few),
+    }
+    tell(options, {"cvxpy": has_cvxpy(), "arm": found})
 
 
 if __name__ == "__main__":

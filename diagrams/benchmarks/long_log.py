@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 from rich.progress import track
 
-from diagrams.harness import MODELS, bars, peak_memory, script_parser, sines, tell
+from diagrams.harness import MODELS, peak_memory, script_parser, sines, tell
 from geodrake.logs import Motion
 from geodrake.model import RobotModel, load_model
 
@@ -95,9 +95,7 @@ def main() -> None:
         path = Path(folder) / "long.npz"
         write_long_log(path, robot, samples=samples, seed=options.seed)
         costs = [measure(work, robot, path, samples) for work in options.work]
-    title = f"largest memory for a log of {samples:,} samples, with Python and Drake"
-    sizes = {"raw numbers": costs[0]["raw"]} | {c["work"]: c["peak_memory"] for c in costs}
-    tell(options, costs, long_log_memory=lambda: bars({title: sizes}, "GB"))
+    tell(options, costs)
 
 
 if __name__ == "__main__":

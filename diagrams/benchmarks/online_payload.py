@@ -10,16 +10,13 @@ offline. A filtered effort is believed to three times the RMS error of the arm's
 it is learned, to a tenth of its standard deviation. Samples at which a joint stands are left out.
 The payload is estimated by exact projections and by nudges, an online arm by nudges.
 
-    python -m diagrams.benchmarks.online_payload --json online.json --figures figures
+    python -m diagrams.benchmarks.online_payload --json online.json
 """
 
 from __future__ import annotations
 
-import argparse
 import time
-from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -29,7 +26,7 @@ from pydrake.systems.analysis import Simulator
 from pydrake.systems.framework import DiagramBuilder
 from pydrake.systems.primitives import LogVectorOutput
 
-from diagrams.harness import chart, first_samples, run_draws, script_parser, show, write
+from diagrams.harness import first_samples, run_draws, script_parser, show, write
 from diagrams.public_data import add_folder_option, require
 from geodrake.control import (
     BregmanProjectionEstimator,
@@ -252,8 +249,6 @@ def numbers(found: Streamed) -> dict[str, Any]:
         "center": [float(x) for x in np.median(phi[late, 1:4] / phi[late, :1], axis=0)],
         "least_eigenvalue": float(eigenvalues.min()),
         "rate": len(found.time) / found.seconds,
-        "time": [round(float(t), 3) for t in found.time[::10]],
-        "mass_over_time": [float(m) for m in phi[::10, 0]],
     }
 
 
@@ -262,21 +257,13 @@ def main() -> None:
     parser = script_parser(__doc__, draws=True)
     add_folder_option(parser)
     options = parser.parse_args()
-    rows = run(parser, options)
-    show("Mass of the payload in kg, times in s", rows)
-    exact = [row for row in rows if row["method"] == "projection"]
-    levels = {"by explain": {"mass_over_time": OFFLINE_MASS}}
-    draw = partial(chart, exact, "time", "mass_over_time", "log", panel="way", levels=levels)
-    write(options, {"rows": rows}, online_payload=draw)
-
-
-def run(parser: argparse.ArgumentParser, options: argparse.Namespace) -> Sequence[dict[str, Any]]:
-    """Return rows of both ways to learn the arm."""
     logs = (f"data/{name}.csv" for name in (LEARNED, *FREE, CHANGED))
     require(parser, options.shared, "reference/ur10e.urdf", *logs)
     end = 12.0 if options.quick else None
     draws = [Draw(way, str(options.shared), end) for way in ("offline", "online")]
-    return [row for rows in run_draws(parser, options, run_draw, draws) for row in rows]
+    rows = [row for own in run_draws(parser, options, run_draw, draws) for row in own]
+    show("Mass of the payload in kg, times in s", rows)
+    write(options, {"rows": rows})
 
 
 if __name__ == "__main__":

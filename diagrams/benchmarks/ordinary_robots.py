@@ -7,7 +7,7 @@ which every name is wrong, or hide nothing. Told are whether everything is named
 the tool's mass with its interval, the processor's seconds, and the calibration: of all that is said
 with a probability, how much is true.
 
-    python -m diagrams.benchmarks.ordinary_robots --seeds 10 --json ordinary.json --figures figures
+    python -m diagrams.benchmarks.ordinary_robots --seeds 10 --json ordinary.json
 """
 
 from __future__ import annotations
@@ -18,7 +18,6 @@ from dataclasses import asdict
 from typing import Any
 
 import numpy as np
-from matplotlib.figure import Figure
 
 from diagrams.benchmarks.hidden.bars import Line, share, tell_draws, told
 from diagrams.benchmarks.hidden.robots import robot_model
@@ -34,7 +33,7 @@ from diagrams.benchmarks.ordinary.logs import (
     draw,
     make_recording,
 )
-from diagrams.harness import chart, positive_number, run_draws, script_parser, write
+from diagrams.harness import positive_number, run_draws, script_parser, write
 from geodrake.diagnosis import Step, explain
 from geodrake.errors import GeodrakeError
 
@@ -246,27 +245,6 @@ def _quantiles(figure: str, values: Sequence[float], bar: float | None) -> list[
     ]
 
 
-def calibration_figure(rows: Sequence[Mapping[str, Any]]) -> Figure:
-    """Return how many of the things said with a probability are true, over the odds of that."""
-    steps, drawn = [step for row in rows for step in row["steps"]], []
-    for (low, high), line in zip(BINS, calibration(rows), strict=True):
-        said = [step["probability"] for step in steps if low < step["probability"] <= high]
-        if line.value is not None:
-            spread = line.value - line.low, line.high - line.value
-            own = {"true": line.value, "true_deviation": spread, "kind": "found"}
-            drawn.append({"odds": _odds(float(np.mean(said))), **own})
-    ideal = np.linspace(0.5, 0.9995, 400).tolist()
-    drawn.append({"odds": [*map(_odds, ideal)], "true": ideal, "kind": "as said"})
-    note = f"What was said of {len(rows)} robots: how much of it is true (95 % interval)"
-    return chart(drawn, "odds", "true", "kind", note=note)
-
-
-def _odds(probability: float) -> float:
-    """Return the odds of a probability, at most those of 0.9995."""
-    p = min(probability, 0.9995)
-    return p / (1.0 - p)
-
-
 def quick_draws(seed: int) -> list[Draw]:
     """Return a short draw of every case, of the arm that moves fastest."""
     short = {"duration": 10.0, "rate": 100.0, "velocities": True, "noise": 0.005}
@@ -291,8 +269,7 @@ def main() -> None:
     lines = lines_of(rows)
     missed = [miss_words(row) for row in rows if is_missed(row)]
     tell_draws("Ordinary robots", lines, missed, len(rows))
-    table = {"lines": told(lines), "rows": rows}
-    write(options, table, ordinary_calibration=lambda: calibration_figure(rows))
+    write(options, {"lines": told(lines), "rows": rows})
 
 
 if __name__ == "__main__":

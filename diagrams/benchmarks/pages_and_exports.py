@@ -1,8 +1,8 @@
-"""What the commands of a user take and give: CPU time, sizes of pages, first paint, exports.
+"""What the commands of a user take and give: CPU time, sizes of pages, exports.
 
 Each command runs in a process of its own, as a user starts it, on the demo and on two public logs
-of a UR10e. Pages are opened in headless Chromium, if it and playwright are installed. The fitted
-models are exported to all formats, and what simulators make of them is compared with the model.
+of a UR10e. The fitted models are exported to all formats, and what simulators make of them is
+compared with the model.
 
     python -m diagrams.benchmarks.pages_and_exports --json pages.json
 """
@@ -10,7 +10,6 @@ models are exported to all formats, and what simulators make of them is compared
 from __future__ import annotations
 
 import os
-import shutil
 import subprocess
 import sys
 from collections.abc import Sequence
@@ -20,26 +19,13 @@ from tempfile import TemporaryDirectory
 from typing import Any
 
 from diagrams.benchmarks.long_log import write_long_log
-from diagrams.harness import (
-    MODELS,
-    ONE_THREAD,
-    bars,
-    cpu_time,
-    script_parser,
-    show,
-    show_values,
-    write,
-)
+from diagrams.harness import MODELS, ONE_THREAD, cpu_time, script_parser, show, show_values, write
 from diagrams.public_data import add_folder_option, require
 from geodrake import load_model
 from geodrake.control.export_proof import export_to
 from geodrake.control.export_proof.formats import FORMATS
 
 UR10E = ("reference/ur10e.urdf", "data/ur10e_free_a.csv", "data/ur10e_free_b.csv")
-_BROWSERS = ("chromium", "chromium-browser", "google-chrome")
-_FLAGS = ("--no-sandbox", "--disable-gpu", "--disable-background-networking")
-_PAINT = "performance.getEntriesByName('first-contentful-paint')[0].startTime"
-_READY = "performance.getEntriesByType('navigation')[0].domInteractive"
 
 
 def cpu_seconds(folder: Path, *words: str | Path) -> float:
@@ -47,25 +33,6 @@ def cpu_seconds(folder: Path, *words: str | Path) -> float:
     command = [sys.executable, "-m", "geodrake", *map(str, words), "--quiet"]
     how = {"cwd": folder, "env": {**os.environ, **ONE_THREAD}, "stdout": subprocess.DEVNULL}
     return cpu_time(lambda: subprocess.run(command, check=True, **how))
-
-
-def opened(page: Path) -> dict[str, float]:
-    """Return times to the first paint and until a page may be used, s; none without a browser."""
-    path = next(filter(None, [os.environ.get("CHROMIUM"), *map(shutil.which, _BROWSERS)]), None)
-    try:
-        from playwright.sync_api import sync_playwright
-    except ImportError:
-        return {}
-    if path is None:
-        return {}
-    with sync_playwright() as driver:
-        browser = driver.chromium.launch(executable_path=path, args=list(_FLAGS))
-        tab = browser.new_page(viewport={"width": 1200, "height": 900}, bypass_csp=True)
-        tab.goto(page.resolve().as_uri())
-        tab.wait_for_function("performance.getEntriesByName('first-contentful-paint').length")
-        found = {"first_paint": tab.evaluate(_PAINT) / 1e3, "usable": tab.evaluate(_READY) / 1e3}
-        browser.close()
-    return found
 
 
 def measured(
@@ -90,7 +57,6 @@ def measured(
     return {
         "explain, CPU s": explain,
         "page, bytes": page.stat().st_size,
-        **{f"page, {key}, s": value for key, value in opened(page).items()},
         "play, CPU s": play,
         "play, bytes": (folder / "play.html").stat().st_size,
         "exports": exports,
@@ -134,12 +100,7 @@ def main() -> None:
             (folder / robot).mkdir()
             found[robot] = measured(folder / robot, model, logs, formats, seconds)
             show_robot(robot, found[robot])
-    sizes = {
-        f"{robot}: {page}": found[robot][f"{page}, bytes"] / 1e6
-        for robot in robots
-        for page in ("page", "play")
-    }
-    write(options, found, pages_and_exports=lambda: bars({"size of pages": sizes}, "MB"))
+    write(options, found)
 
 
 if __name__ == "__main__":

@@ -2,7 +2,7 @@
 
 The measurements are not part of the project. Without them the script says where they go.
 
-    python -m diagrams.benchmarks.real_robots --json real_robots.json --figures figures
+    python -m diagrams.benchmarks.real_robots --json real_robots.json
 """
 
 from __future__ import annotations
@@ -211,8 +211,6 @@ def main() -> None:
                 for effect, errors in worth:
                     errors_there = ", ".join(f"{name} {nrms:.4f}" for name, nrms in errors.items())
                     console.print(f"{study.name}, left out {effect}: {errors_there}")
-            if options.figures:
-                write_figures(study, explanation, options.figures)
     if options.quick:
         days = pairs_of_days(*QUICK_DAYS, options.shared, QUICK_PAIRS)
     else:
@@ -229,15 +227,6 @@ def main() -> None:
             console.print(f"    {log}: {before:.4f} without, {after:.4f} with")
     told = {"rows": rows, "left_out": elsewhere, "named_afterwards": named, "days": days}
     write(options, told)
-
-
-def write_figures(study: Study, explanation: Explanation, folder: Path) -> None:
-    """Write the figures of a study's report."""
-    from geodrake.report import figures_of, page_of
-
-    folder.mkdir(parents=True, exist_ok=True)
-    for name, figure in figures_of(page_of(explanation)).items():
-        figure.savefig(folder / f"{study.name.replace(' ', '_')}_{name}.png", dpi=120)
 
 
 if __name__ == "__main__":

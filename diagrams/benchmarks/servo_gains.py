@@ -25,7 +25,6 @@ from zlib import crc32
 import mujoco
 import numpy as np
 import pinocchio as pin
-from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
 from diagrams.benchmarks.hidden.robots import (
@@ -38,7 +37,6 @@ from diagrams.benchmarks.hidden.robots import (
     robot_names,
 )
 from diagrams.harness import (
-    chart,
     positive_number,
     run_draws,
     script_parser,
@@ -488,36 +486,6 @@ def _row(what: str, joint: str, value: float, spread: float, truth: float) -> di
     }
 
 
-TITLES: Mapping[str, str] = {
-    "kp": "stiffness",
-    "kd": "damping",
-    "ki": "integral gain",
-    "coulomb_friction": "dry friction",
-    "viscous_friction": "viscous friction",
-    "rotor_inertia": "armature",
-}
-
-
-def ratios_figure(rows: Sequence[Mapping[str, Any]]) -> Figure:
-    """Draw every value over the truth with its interval, a panel for each quantity."""
-    values = [value for row in rows for value in row["values"] if value["ratio"]]
-    drawn = [
-        {
-            "quantity": title,
-            "joint": place,
-            "found over true": value["ratio"],
-            "found over true_deviation": 2.0 * value["deviation"] / abs(value["truth"]),
-        }
-        for kind, title in TITLES.items()
-        for place, value in enumerate(
-            sorted((v for v in values if v["what"] == kind), key=lambda v: v["ratio"])
-        )
-    ]
-    level = {"true": {"found over true": 1.0}}
-    how = {"panel": "quantity", "levels": level, "joined": False}
-    return chart(drawn, "joint", "found over true", **how, note="± 2 standard deviations")
-
-
 def summary(rows: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
     """Return shares and medians over all logs."""
     values = [value for row in rows for value in row["values"]]
@@ -575,7 +543,7 @@ def main() -> None:
     rows = run_draws(parser, options, score_servo, draws)
     table = summary(rows)
     show_values("Servos of unknown gains", table)
-    write(options, {"summary": table, "rows": rows}, servo_gains=lambda: ratios_figure(rows))
+    write(options, {"summary": table, "rows": rows})
 
 
 if __name__ == "__main__":

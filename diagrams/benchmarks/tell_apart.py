@@ -11,24 +11,23 @@ blocks of a log to agree, may still not distinguish two effects on a motion that
 a direction that few blocks have counts little. So motions repeat. Draws are kept beside the table,
 so that an interrupted run goes on.
 
-    python -m diagrams.benchmarks.tell_apart --json tell_apart.json --figures figures
+    python -m diagrams.benchmarks.tell_apart --json tell_apart.json
 """
 
 from __future__ import annotations
 
 import argparse
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import asdict, dataclass, replace
+from dataclasses import dataclass, replace
 from functools import cache, partial
 from typing import Any
 
 import numpy as np
-from matplotlib.figure import Figure
 from numpy.typing import NDArray
 from pydrake.multibody.parsing import Parser
 from pydrake.multibody.plant import MultibodyPlant
 
-from diagrams.harness import MODELS, chart, run_draws, script_parser, show, sines, write
+from diagrams.harness import MODELS, run_draws, script_parser, show, sines, write
 from geodrake.diagnosis import Diagnosis, diagnose
 from geodrake.effects import effect_class
 from geodrake.excitation import (
@@ -480,23 +479,6 @@ def tell(rows: Sequence[dict[str, Any]]) -> None:
         print(f"The {log} motions distinguish {count} of {total} ambiguous pairs.")
 
 
-def draw(table: dict[str, Any]) -> Figure:
-    """How many pairs are distinguished, and by how many deviations of the noise they differ."""
-    drawn = [
-        {
-            "pair": f"{effect_label(row['truth'])}, not {effect_label(row['rival'])}",
-            "motion": log,
-            **row[log],
-        }
-        for row in table["rows"]
-        for log in LOGS
-    ]
-    note = f"of {table['plan']['wanted']} that the first log left ambiguous; deviations: medians"
-    return chart(
-        drawn, "pair", ("told", "deviations"), "motion", note=f"Distinguished (told) {note}"
-    )
-
-
 def main() -> None:
     """Run the study from the command line."""
     parser = script_parser(__doc__, draws=True)
@@ -508,8 +490,7 @@ def main() -> None:
     draws = draws_of(plan, parser, options)
     rows = [summary(case, draws) for case in plan.cases]
     tell(rows)
-    table = {"plan": asdict(plan), "rows": rows, "draws": draws}
-    write(options, table, tell_apart=lambda: draw(table))
+    write(options, {"plan": plan, "rows": rows, "draws": draws})
 
 
 if __name__ == "__main__":

@@ -185,7 +185,7 @@ def page(drawn: dict[type[Effect], Path], folder: Path) -> str:
 
 def main() -> None:
     """Draw, and write what was asked for."""
-    parser = script_parser(__doc__, "three pictures")
+    parser = script_parser(__doc__, "three pictures", figures=True)
     parser.add_argument("--page", type=Path, help="Markdown file of all effects and pictures")
     options = parser.parse_args()
     with as_file(files("geodrake") / "demo") as demo:

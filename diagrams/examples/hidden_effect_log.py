@@ -22,7 +22,6 @@ from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 
 import numpy as np
-from matplotlib.figure import Figure
 from numpy.typing import NDArray
 from pydrake.multibody.parsing import Parser
 from pydrake.multibody.plant import MultibodyPlant
@@ -32,7 +31,7 @@ from pydrake.systems.framework import DiagramBuilder
 from pydrake.systems.primitives import LogVectorOutput
 from pydrake.trajectories import PiecewisePolynomial
 
-from diagrams.harness import MODELS, chart, script_parser, sines, tell
+from diagrams.harness import MODELS, script_parser, sines, tell
 from geodrake.control import DelayedEffort, EffectForce, add_tracking_drives
 from geodrake.effects import Effect, EffortDelay, make_effect
 from geodrake.effects.sensors import delays_of
@@ -215,17 +214,6 @@ def summary(log: JointLog, *, scenario: Scenario) -> dict[str, object]:
     return {"scenario": asdict(scenario), "samples": len(log), "effort_std": effort}
 
 
-def draw(log: JointLog) -> Figure:
-    """Return position and effort of every joint over time."""
-    columns = zip(log.joints, log.position.T.tolist(), log.effort.T.tolist(), strict=True)
-    time, names = log.time.tolist(), ("position, rad", "effort, N·m")
-    rows = [
-        {"joint": joint, "time": time, **dict(zip(names, both, strict=True))}
-        for joint, *both in columns
-    ]
-    return chart(rows, "time", names, "joint")
-
-
 def read_options(arguments: Sequence[str] | None = None) -> argparse.Namespace:
     """Return command line options."""
     parser = script_parser(__doc__, "a log of 4 s, for a first look")
@@ -259,8 +247,7 @@ def main() -> None:
             write_log(log, options.log)
     except (GeodrakeError, ValueError) as error:
         raise SystemExit(str(error)) from None
-    table = summary(log, scenario=scenario)
-    tell(options, table, hidden_effect_log=lambda: draw(log))
+    tell(options, summary(log, scenario=scenario))
 
 
 if __name__ == "__main__":

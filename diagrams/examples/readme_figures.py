@@ -72,7 +72,7 @@ def _picture(page: Path, path: Path, size: tuple[int, int]) -> None:
 
 def main() -> None:
     """Draw the figures."""
-    parser = script_parser(__doc__, "6 s of the log")
+    parser = script_parser(__doc__, "6 s of the log", figures=True)
     parser.set_defaults(figures=ROOT / "docs" / "figures")
     parser.add_argument("--pages", action="store_true", help="pictures of pages, too")
     options = parser.parse_args()

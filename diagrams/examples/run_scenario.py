@@ -493,7 +493,7 @@ def run(options: argparse.Namespace) -> None:
 
 def main() -> None:
     """Run the command line."""
-    parser = script_parser(__doc__, f"{QUICK} s at most")
+    parser = script_parser(__doc__, f"{QUICK} s at most", figures=True)
     parser.set_defaults(seed=None)  # the scenario's random_seed
     parser.add_argument("--scenario", type=Path, default=WORKCELL, help="YAML file of scenarios")
     parser.add_argument("--scenario-name", help="which one, if the file has several")

@@ -346,7 +346,7 @@ def tell(summary: Sequence[dict[str, Any]]) -> None:
 
 def main() -> None:
     """Run the study from the command line."""
-    parser = script_parser(__doc__, "few draws, 30 and all samples", draws=True)
+    parser = script_parser(__doc__, "few draws, 30 and all samples", draws=True, figures=True)
     parser.add_argument("--draws", type=int, help="number of draws (30; 4 with --quick)")
     parser.add_argument("--gamma", type=float, default=GAMMA, help="of the entropic divergence")
     parser.add_argument("--delta", type=float, default=0.4, help="how wrong the prior's links are")

@@ -378,7 +378,7 @@ def figures_of(table: dict[str, Any]) -> dict[str, Figure]:
 
 def main() -> None:
     """Run the study from the command line."""
-    parser = script_parser(__doc__, draws=True)
+    parser = script_parser(__doc__, draws=True, figures=True)
     add_folder_option(parser, "with Atlas")
     parser.add_argument("--motions", type=int, help="how many (20; 6 with --quick)")
     parser.add_argument("--threshold", type=float, default=1e-2, help="of identifiable variances")

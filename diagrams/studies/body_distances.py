@@ -217,7 +217,7 @@ def draw_curves(curves: Sequence[Curves], note: str = "") -> Figure:
 
 def main() -> None:
     """Measures, prints, and writes what was asked for."""
-    options = script_parser(__doc__).parse_args()
+    options = script_parser(__doc__, figures=True).parse_args()
     table = measure(quick=options.quick, seed=options.seed)
     print(json.dumps({key: value for key, value in table.items() if key != "curves"}, indent=2))
     mass = "Mass: mean of balls of 0.1 m radius, perturbed by point masses of up to 30 %."

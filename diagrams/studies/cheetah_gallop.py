@@ -237,7 +237,9 @@ def run(*, seed: int, truths: int) -> tuple[list[dict[str, Any]], int]:
 
 def main() -> None:
     """Run the study from the command line."""
-    options = script_parser(__doc__, "five true legs instead of a hundred").parse_args()
+    options = script_parser(
+        __doc__, "five true legs instead of a hundred", figures=True
+    ).parse_args()
     logging.getLogger("drake").setLevel(logging.WARNING)
     rows, rank = run(seed=options.seed, truths=5 if options.quick else 100)
     show("RMS", rows)

@@ -134,7 +134,7 @@ def body_figure(study: Study) -> Figure:
 
 def main() -> None:
     """Run the study from the command line."""
-    options = script_parser(__doc__, "eight draws of one size").parse_args()
+    options = script_parser(__doc__, "eight draws of one size", figures=True).parse_args()
     logging.getLogger("drake").setLevel(logging.WARNING)
     sizes, draws = (QUICK_SIZES, QUICK_DRAWS) if options.quick else (SIZES, DRAWS)
     study = run(seed=options.seed, sizes=sizes, draws=draws)

@@ -146,7 +146,7 @@ def draw(found: dict[str, Any]) -> Figure:
 
 def main() -> None:
     """Run the study from the command line."""
-    parser = script_parser(__doc__)
+    parser = script_parser(__doc__, figures=True)
     parser.add_argument("--points", type=int, help="of the grid in each direction (121)")
     options = parser.parse_args()
     found = run(options.points or (41 if options.quick else 121), 200)

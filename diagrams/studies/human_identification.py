@@ -265,7 +265,7 @@ def held_out(human: Human, points: PointMasses, number: int) -> dict[str, list[A
 
 def main() -> None:
     """Run the study from the command line."""
-    parser = script_parser(__doc__, "only α = 0.01 and 1, three blocks")
+    parser = script_parser(__doc__, "only α = 0.01 and 1, three blocks", figures=True)
     add_folder_option(parser)
     options = parser.parse_args()
     require(parser, options.shared, DATA)
@@ -280,20 +280,10 @@ def main() -> None:
     show(f"Fits; degenerate bodies, of {len(NAMES)}", lines)
     show("RMS errors", [{k: _named(v) for k, v in each.items()} for each in errors])
     shown = {alpha: found[alpha] for alpha in (1e-4, BASELINE, 1.0) if alpha in found}
-    baseline = [row for row in rows if row["alpha"] == BASELINE]
-    masses = [
-        {"regularizer": name, "body": body, "mass": float(mass)}
-        for name, own in (
-            ("prior", human.prior[:, 0]),
-            *((row["regularizer"], row["masses"]) for row in baseline),
-        )
-        for body, mass in zip(NAMES, own, strict=True)
-    ]
     write(
         options,
         {"fits": rows, "errors": errors},
         human_ellipsoids=lambda: ellipsoid_figure(human, shown),
-        human_masses=lambda: chart(masses, "body", "mass", "regularizer", note="kg"),
         human_sweep=lambda: chart(rows, "alpha", ("residual", "distance", "least"), "regularizer"),
     )
 

@@ -1,15 +1,12 @@
 """Motions of a KUKA iiwa designed in four base representations with three normalizations.
 
 [Lee2019] §4.6.2 and table 4.2: Fourier motions of 10 s by E-optimality. With the geometric
-normalization, base parameters may be written down in any way. Beside them are motions by criteria
-that others published, with the same start, limits and number of solver iterations, and the best of
-random motions, of which there are as many as the solver may take iterations. Rounding may lead the
-solver different ways; from the best geometric motion it goes on to the same optimum in every
-representation. Errors are those to be expected, exactly, by the covariance of least squares. The
+normalization, base parameters may be written down in any way; but rounding may lead the solver
+different ways. Errors are those to be expected, exactly, by the covariance of least squares. The
 iiwa is read from the folder --shared; without it, and with --quick, an arm of our own takes its
 place. Finished designs are kept beside the table, so that an interrupted run goes on.
 
-    python -m diagrams.studies.iiwa_excitation --json iiwa.json --figures figures
+    python -m diagrams.studies.iiwa_excitation --json iiwa.json
 """
 
 from __future__ import annotations
@@ -22,19 +19,16 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
-from diagrams.harness import MODELS, chart, run_draws, script_parser, show, show_values, write
+from diagrams.harness import MODELS, run_draws, script_parser, show, show_values, write
 from diagrams.public_data import add_folder_option
 from geodrake.excitation import (
     NORMALIZATIONS,
-    Criterion,
     DesignOptions,
     ExcitationTrajectory,
     FourierMotion,
     IdentifiableParameters,
-    MotionFamily,
     MotionLimits,
     Objective,
     Target,
@@ -44,9 +38,6 @@ from geodrake.excitation import (
     measurement_factor,
     motion_limits,
 )
-from geodrake.excitation.problem import make_problem
-from geodrake.excitation.solve import Budget, solve
-from geodrake.excitation.starts import random_guess, within_limits
 from geodrake.inertia import perturb
 from geodrake.logs import Motion
 from geodrake.model import RobotModel, load_description
@@ -99,34 +90,6 @@ def effort_errors(
     acceleration = np.linalg.solve(mass, effort)
     pair = [np.square(x).sum(axis=2).mean(axis=0) for x in (effort, acceleration)]
     return tuple(np.sqrt(pair))
-
-
-_SHARPNESS = 64.0  # of the smooth form of the criterion: the last stage of a design
-
-
-def refined(
-    target: Target,
-    limits: MotionLimits,
-    family: MotionFamily,
-    coefficients: Array,
-    options: DesignOptions,
-) -> tuple[ExcitationTrajectory, float, str]:
-    """The optimum of geometric E-optimality next to a motion (count, nv) that keeps the limits.
-
-    Returns:
-        The motion, the smooth logarithm that was minimized, and what the solver said.
-    """
-    objective = Objective(target, Criterion("e_optimality", _SHARPNESS))
-    problem = make_problem(objective, limits, family, options)
-    start = problem.variables(coefficients)
-    found = solve(
-        problem,
-        start,
-        budget=Budget.of(options.seconds),
-        watch=lambda _value, _variables: None,
-    )
-    end = within_limits(problem, found.variables.reshape(start.shape), start)
-    return problem.trajectory(end), problem.cost(end)[0], found.status
 
 
 IIWA = Path("reference") / "iiwa14.sdf"
@@ -216,17 +179,6 @@ class Validation:
         return {"error": error, "effort": by_group[0], "acceleration": by_group[1]}
 
 
-RANDOM = "random"
-PEERS = {
-    ("none", "condition_number"): "Gautier and Khalil 1992",
-    ("diagonal", "condition_number"): "Venture, Ayusawa and Nakamura 2009 [64]",
-    ("none", "d_optimality"): "Swevers et al. 1997",
-}
-"""Criteria of others; D-optimality is the same with every normalization."""
-REFINED = "geometric, refined"
-REFINEMENT = 400
-
-
 @dataclass(frozen=True)
 class Plan:
     """What every design has in common."""
@@ -249,78 +201,31 @@ class Plan:
 class Cell:
     """A line of the table."""
 
-    normalization: str  # one of `NORMALIZATIONS`, `RANDOM` or `REFINED`
+    normalization: str  # one of `NORMALIZATIONS`
     base: int = 1  # number of the base representation, from one
-    criterion: str = "e_optimality"
 
 
 def design(cell: Cell, *, plan: Plan) -> dict[str, Any]:
-    """The best motion by one criterion in one representation, and the errors that it leaves."""
+    """Return the best motion in one representation: what it is worth, and the errors it leaves."""
     model = plan.robot
     target = represented_target(model, cell.base, plan.seed)
-    options = DesignOptions(
-        samples=plan.samples, rest=False, iterations=plan.iterations, quick=False
-    )
-    judge = make_problem(Objective(target), limits(model), family(plan.modes), options)
-    if cell.normalization == RANDOM:
-        rng = np.random.default_rng([plan.seed, 1])
-        middle = judge.limits.middle[None]
-        guesses = [random_guess(judge, middle, rng) for _ in range(2 * plan.iterations)]
-        motions = [judge.trajectory(guess) for guess in guesses]
-        values = [judge.objective.value(motion.motion(judge.times)) for motion in motions]
-        trajectory, evaluations = motions[int(np.argmin(values))], len(values)
-    else:
-        result = design_excitation(
-            target,
-            limits(model),
-            criterion=cell.criterion,
-            normalization=cell.normalization,
-            trajectory=family(plan.modes),
-            options=options,
-            seeds=range(plan.seed, plan.seed + plan.seeds),
-        )
-        trajectory = result.trajectory
-        evaluations = sum(outcome.evaluations for outcome in result.outcomes)
-    return {"evaluations": evaluations, **line(cell, trajectory, target, plan)}
-
-
-def refine(cell: Cell, *, plan: Plan, coefficients: Sequence[Any]) -> dict[str, Any]:
-    """Return the optimum that the solver finds from the best motion, in one representation."""
-    model = plan.robot
-    target = represented_target(model, cell.base, plan.seed)
-    iterations = min(REFINEMENT, 4 * plan.iterations)
-    options = DesignOptions(samples=plan.samples, rest=False, iterations=iterations, quick=False)
-    arguments = (target, limits(model), family(plan.modes), np.array(coefficients), options)
-    trajectory, minimized, status = refined(*arguments)
-    found = {"minimized": minimized, "status": status}
-    return {**found, **line(cell, trajectory, target, plan)}
-
-
-def line(
-    cell: Cell, trajectory: ExcitationTrajectory, target: Target, plan: Plan
-) -> dict[str, Any]:
-    """What a motion of a cell is worth: by the geometric criteria, and in expected errors."""
+    trajectory = design_excitation(
+        target,
+        limits(model),
+        normalization=cell.normalization,
+        trajectory=family(plan.modes),
+        options=DesignOptions(
+            samples=plan.samples, rest=False, iterations=plan.iterations, quick=False
+        ),
+        seeds=range(plan.seed, plan.seed + plan.seeds),
+    ).trajectory
     motion = trajectory.motion(trajectory.family.times(plan.samples))
-    eigenvalues = Objective(target).eigenvalues(motion)
-    model = plan.robot
     return {
         **asdict(cell),
         "coefficients": trajectory.coefficients.tolist(),
-        "geometric_e": Criterion().value(eigenvalues),
-        "geometric_condition": Criterion("condition_number").value(eigenvalues),
+        "geometric_e": Objective(target).value(motion),
         **Validation.of(model, plan.validation, plan.seed).errors(target, trajectory),
     }
-
-
-def first_random(plan: Plan) -> dict[str, Any]:
-    """Return the motion that all designs start from."""
-    model = plan.robot
-    target = represented_target(model, 1, plan.seed)
-    options = DesignOptions(samples=plan.samples, rest=False, quick=False)
-    problem = make_problem(Objective(target), limits(model), family(plan.modes), options)
-    rng = np.random.default_rng(plan.seed)
-    trajectory = problem.trajectory(random_guess(problem, problem.limits.middle[None], rng))
-    return line(Cell("one random motion"), trajectory, target, plan)
 
 
 def values_by_base(found: dict[str, Any], bases: int, plan: Plan) -> list[float]:
@@ -329,14 +234,13 @@ def values_by_base(found: dict[str, Any], bases: int, plan: Plan) -> list[float]
     motion = family(plan.modes).basis(np.linspace(0.0, DURATION, plan.samples))
     q, v, vd = motion @ np.array(found["coefficients"])
     targets = (represented_target(model, base + 1, plan.seed) for base in range(bases))
-    criterion, way = Criterion(found["criterion"]), found["normalization"]
-    return [Objective(one, criterion, way).value(Motion(q, v, vd)) for one in targets]
+    way = found["normalization"]
+    return [Objective(one, normalization=way).value(Motion(q, v, vd)) for one in targets]
 
 
 def spread(rows: Sequence[dict[str, Any]], normalization: str) -> dict[str, float]:
     """Return how much base representations matter to the error and to the motion's coefficients."""
-    cells = [(row, row["normalization"], row["criterion"]) for row in rows]
-    own = [row for row, *cell in cells if cell == [normalization, "e_optimality"]]
+    own = [row for row in rows if row["normalization"] == normalization]
     error, motion = [r["error"] for r in own], np.array([r["coefficients"] for r in own])
     value = [row["geometric_e"] for row in own]
     return {
@@ -349,48 +253,20 @@ def spread(rows: Sequence[dict[str, Any]], normalization: str) -> dict[str, floa
 def run(
     parser: argparse.ArgumentParser, options: argparse.Namespace, plan: Plan, bases: int
 ) -> dict[str, Any]:
-    """Return table 4.2, and the comparison with others."""
+    """Return table 4.2."""
     cells = [Cell(name, base + 1) for name in NORMALIZATIONS for base in range(bases)]
-    cells += [Cell(name, 1, criterion) for name, criterion in PEERS] + [Cell(RANDOM)]
-    cells.append(Cell("geometric", 1, "a_optimality"))
     key = {**asdict(plan), "shared": plan.shared is not None}
     rows = run_draws(parser, options, partial(design, plan=plan), cells, plan=key)
-    own = [row for row in rows if row["normalization"] == "geometric"]
-    first = min(own, key=lambda row: row["geometric_e"])
-    best, start = first["geometric_e"], first["coefficients"]
-    cells = [Cell(REFINED, base + 1) for base in range(bases)]
-    task = partial(refine, plan=plan, coefficients=start)
-    rows += run_draws(parser, options, task, cells, plan=key, best=best)
-    spreads = {name: spread(rows, name) for name in (*NORMALIZATIONS, REFINED)}
+    best = min(row["geometric_e"] for row in rows if row["normalization"] == "geometric")
+    spreads = {name: spread(rows, name) for name in NORMALIZATIONS}
     for name in NORMALIZATIONS:
         first = next(row for row in rows if row["normalization"] == name)
         values = values_by_base(first, bases, plan)
         spreads[name]["criterion_largest_over_smallest_less_1"] = max(values) / min(values) - 1.0
-    rows = [*rows, first_random(plan)]
     for row in rows:
-        row.pop("coefficients", None)
+        del row["coefficients"]
         row["criterion_over_best_geometric"] = row["geometric_e"] / best
     return {"plan": key, "rows": rows, "spread": spreads}
-
-
-def tell(table: dict[str, Any]) -> None:
-    """Print table 4.2."""
-    show("Errors by normalization, criterion and base representation", table["rows"])
-    show_values("Differences between representations", table["spread"])
-
-
-def draw(rows: Sequence[dict[str, Any]]) -> Figure:
-    """Return errors by criterion and base representation."""
-    last = "acceleration of the last joint"
-    drawn = [
-        {
-            **row,
-            "motion": f"{row['normalization']}: {row['criterion']}, base {row['base']}",
-            last: [*row["acceleration"].values()][-1],
-        }
-        for row in rows
-    ]
-    return chart(drawn, "motion", ("error", last, "criterion_over_best_geometric"))
 
 
 def main() -> None:
@@ -412,8 +288,9 @@ def main() -> None:
         seed=options.seed,
     )
     table = run(parser, options, plan, options.bases or (2 if options.quick else 4))
-    tell(table)
-    write(options, table, iiwa_excitation=lambda: draw(table["rows"]))
+    show("Errors by normalization and base representation", table["rows"])
+    show_values("Differences between representations", table["spread"])
+    write(options, table)
 
 
 if __name__ == "__main__":

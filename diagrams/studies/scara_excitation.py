@@ -6,7 +6,7 @@ every frame, until rounding has made the solver's ways part: some 300 steps alon
 hence the limit of --iterations. Errors are those to be expected, exactly, by the covariance of
 least squares. Finished designs are kept beside the table, so that an interrupted run goes on.
 
-    python -m diagrams.studies.scara_excitation --json scara.json --figures figures
+    python -m diagrams.studies.scara_excitation --json scara.json
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ from pydrake.multibody.tree import (
     SpatialInertia,
 )
 
-from diagrams.harness import chart, run_draws, script_parser, show, show_values, write
+from diagrams.harness import run_draws, script_parser, show, show_values, write
 from diagrams.studies.iiwa_excitation import identified_by, parameter_error, root_covariance
 from geodrake.excitation import (
     CRITERIA,
@@ -201,22 +201,6 @@ def geometric_value(trajectory: ExcitationTrajectory, plan: Plan) -> dict[str, f
     return {"geometric_value": objective.value(trajectory.motion(np.zeros(SAMPLES)))}
 
 
-def random_samples(plan: Plan, count: int) -> dict[str, Any]:
-    """Return the root mean square errors over sets of samples drawn evenly within the limits."""
-    rng, bounds = np.random.default_rng([plan.seed, 1]), limits()
-    rates = (bounds.reach, bounds.velocity, bounds.acceleration)
-    found = []
-    for _ in range(count):
-        coefficients = np.vstack([rng.uniform(-x, x, (SAMPLES, 2)) for x in rates])
-        trajectory = ExcitationTrajectory(FreeSamples(SAMPLES), coefficients, bounds.joints)
-        found.append({**errors(trajectory), **geometric_value(trajectory, plan)})
-    means = {
-        key: float(np.sqrt(np.mean([one[key] ** 2 for one in found])))
-        for key in (*COLUMNS, "geometric_value")
-    }
-    return {"normalization": "random samples", "frame": "", **means}
-
-
 def spread(rows: Sequence[dict[str, Any]], normalization: str) -> dict[str, float]:
     """How much frames matter: to the criterion of the same samples, to errors, and to samples."""
     own = [row for row in rows if row["normalization"] == normalization]
@@ -243,13 +227,9 @@ def main() -> None:
     rows = run_draws(parser, options, partial(design, plan=plan), cells, plan=asdict(plan))
     spreads = {name: spread(rows, name) for name in NORMALIZATIONS}
     rows = [{k: v for k, v in row.items() if k != "coefficients"} for row in rows]
-    rows.append(random_samples(plan, 20))
     show("RMS errors of m in kg, and of p^x, p^y and r^z in mm", rows)
     show_values("Differences between frames", spreads)
-    table = {"plan": plan, "rows": rows, "spread": spreads}
-    write(
-        options, table, scara_excitation=lambda: chart(rows, "frame", [*COLUMNS], "normalization")
-    )
+    write(options, {"plan": plan, "rows": rows, "spread": spreads})
 
 
 if __name__ == "__main__":

@@ -93,8 +93,8 @@ def tell(options: argparse.Namespace, rows: list[Any]) -> None:
 
 def main() -> None:
     """Run the study from the command line."""
-    how = {"group": "part", "gains": "source"}
-    laws.run_study(__doc__, run_draw, all_draws, grid_draws, tell, **how)
+    parser = laws.study_parser(__doc__, gains="source")
+    laws.run_study(parser, run_draw, all_draws, grid_draws, tell, group="part")
 
 
 if __name__ == "__main__":

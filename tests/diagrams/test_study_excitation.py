@@ -128,21 +128,9 @@ class TestManipulator:
         for name in ("none", "diagonal"):
             assert abs(np.log(values[name][1] / values[name][0])) > 0.1
 
-    def test_geometric_design_beats_random_motions_and_no_normalization(self):
+    def test_geometric_design_beats_no_normalization(self):
         plan = iiwa.Plan(None, modes=3, samples=60, iterations=5, validation=50)
-        cells = (iiwa.Cell(name) for name in ("geometric", "none", iiwa.RANDOM))
-        geometric, none, random = (iiwa.design(cell, plan=plan) for cell in cells)
-        for other in (none, random):
-            assert geometric["error"] < 0.7 * other["error"]
-            assert geometric["geometric_e"] < 0.5 * other["geometric_e"]
-        ends = [
-            iiwa.refine(
-                iiwa.Cell(iiwa.REFINED, base),
-                plan=plan,
-                coefficients=geometric["coefficients"],
-            )
-            for base in (1, 2)
-        ]
-        apart = np.subtract(ends[0]["coefficients"], ends[1]["coefficients"])
-        assert np.abs(apart).max() < 1e-6
-        assert ends[0]["geometric_e"] < geometric["geometric_e"]
+        cells = (iiwa.Cell(name) for name in ("geometric", "none"))
+        geometric, none = (iiwa.design(cell, plan=plan) for cell in cells)
+        assert geometric["error"] < 0.7 * none["error"]
+        assert geometric["geometric_e"] < 0.5 * none["geometric_e"]

@@ -5,9 +5,6 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-import numpy as np
-from matplotlib.figure import Figure
-
 from diagrams.benchmarks.fleets.logs import (
     GAIN,
     PAYLOAD,
@@ -18,8 +15,7 @@ from diagrams.benchmarks.fleets.logs import (
     day_of,
     type_file,
 )
-from diagrams.harness import chart
-from geodrake.fleet import FleetFinding, FleetResult, ParameterHistory, RobotResult
+from geodrake.fleet import FleetFinding
 from geodrake.fleet.changes import MONTH
 from geodrake.fleet.fleet_result import ChangeRival
 from geodrake.fleet.type_columns import RAMP, STEP
@@ -141,47 +137,3 @@ def summary(rows: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
 
 def _share(count: float, total: float) -> float | None:
     return count / total if total else None
-
-
-def figures_of(rows: Sequence[Mapping[str, Any]], result: FleetResult) -> dict[str, Figure]:
-    """Draw days of changes, and one joint over time if one parameter of a robot alone changed."""
-    levels = (
-        _history_figure(robot, finding, history)
-        for robot in result.robots
-        for finding in robot.findings
-        for history in robot.histories
-        if (history.parameter.effect, history.parameter.where) == (finding.effect, finding.where)
-    )
-    found = next(levels, None)
-    return {"fleet_days": _days_figure(rows), **({"fleet_levels": found} if found else {})}
-
-
-def _days_figure(rows: Sequence[Mapping[str, Any]]) -> Figure:
-    """Draw days that were found over those that were hidden, with their intervals."""
-    drawn = [
-        {
-            "hidden": row["hidden"],
-            "hidden day": row["hidden day"],
-            "day that was found": named["day"],
-            "day that was found_deviation": np.abs(np.subtract(named["interval"], named["day"])),
-        }
-        for row in rows
-        if row["hidden"] is not None
-        for named in row["named"]
-    ]
-    return chart(drawn, "hidden day", "day that was found", "hidden", joined=False)
-
-
-def _history_figure(robot: RobotResult, finding: FleetFinding, history: ParameterHistory) -> Figure:
-    name, unit = history.parameter.name, history.parameter.unit
-    y = f"{name}, {unit}" if unit else name
-    rows = [
-        {"day": float(day_of(date)), y: float(value), f"{y}_deviation": 1.96 * float(deviation)}
-        for date, value, deviation in zip(
-            robot.dates, history.values, history.deviations, strict=True
-        )
-    ]
-    note = (
-        f"{finding.effect} of {finding.where}, {robot.robot}, from day {day_of(finding.date):.0f}"
-    )
-    return chart(rows, "day", y, joined=False, note=note)

@@ -1,4 +1,4 @@
-"""The lines of the report, what was to be reached and what was, and its figures."""
+"""The lines of the report: what was to be reached, and what was."""
 
 from __future__ import annotations
 
@@ -7,7 +7,6 @@ from dataclasses import asdict, dataclass
 from typing import Any
 
 import numpy as np
-from matplotlib.figure import Figure
 from scipy.stats import binomtest
 
 from diagrams.benchmarks.hidden.logs import (
@@ -24,8 +23,7 @@ from diagrams.benchmarks.hidden.logs import (
 )
 from diagrams.benchmarks.hidden.robots import SLOW
 from diagrams.benchmarks.hidden.truths import KINDS, TRUTHS
-from diagrams.harness import chart, show, titled
-from geodrake.report import style
+from diagrams.harness import show
 
 Row = Mapping[str, Any]
 FOUND_IN = 0.9
@@ -236,19 +234,6 @@ def smallest_lines(rows: Sequence[Row]) -> list[dict[str, Any]]:
     return lines
 
 
-def confusions(rows: Sequence[Row]) -> dict[str, dict[str, int]]:
-    """How often each hidden effect was called what; the first step counts, "nothing" without."""
-    found: dict[str, dict[str, int]] = {}
-    for row in _of(rows, ONE):
-        line = found.setdefault(row["hidden"][0], {})
-        # Where the truth is the first step's companion and named too, it is no confusion.
-        answer = row["hidden"][0] if row["first"] else row["answer"] or "nothing"
-        if answer == row["hidden"][0] and not row["first"]:
-            answer = "it, elsewhere"
-        line[answer] = line.get(answer, 0) + 1
-    return found
-
-
 def _finite(value: float) -> float | None:
     return value if np.isfinite(value) else None
 
@@ -271,63 +256,3 @@ def _honest(row: Row) -> bool:
 
 def _both(row: Row) -> bool:
     return bool(row["named"] and not row["extra"])
-
-
-def figures_of(
-    lines: Sequence[Line],
-    confused: Mapping[str, Mapping[str, int]],
-    smallest: Sequence[Mapping[str, Any]],
-) -> dict[str, Figure]:
-    """Return all figures that there are numbers for."""
-    figures = {"hidden_effects": bars_figure(lines)}
-    if confused:
-        figures["hidden_effects_confusions"] = confusion_figure(confused)
-    if smallest:
-        note = f"At 1 % noise, {smallest[0]['logs']} logs each; smallest: found in nine of ten"
-        both = ("smallest", "median")
-        figures["hidden_effects_smallest"] = chart(smallest, "effect", both, note=note)
-    return figures
-
-
-def bars_figure(lines: Sequence[Line]) -> Figure:
-    """Draw each share that was reached, with its 95 % interval, and what was asked for."""
-    shown = [line for line in lines if line.value is not None and "seconds" not in line.figure]
-    words = {True: "reached", False: "missed", None: "no bar"}
-    rows = [
-        {
-            "figure": f"{line.figure} (of {line.logs}"
-            + ("" if line.bar is None else f", {'≤' if line.most else '≥'} {line.bar:g}")
-            + ")",
-            "share": line.value,
-            "share_deviation": (line.value - line.low, line.high - line.value),
-            "bar": words[line.reached],
-        }
-        for line in shown
-        if "floor" not in line.figure
-    ]
-    return chart(rows, "figure", "share", "bar", note="Shares of logs; whiskers: 95 % intervals")
-
-
-def confusion_figure(confused: Mapping[str, Mapping[str, int]]) -> Figure:
-    """Return what each hidden effect was called."""
-    rows = list(confused)
-    others = {answer for line in confused.values() for answer in line} - set(rows)
-    columns = [*rows, *sorted(others)]
-    counts = np.array([[confused[row].get(column, 0) for column in columns] for row in rows])
-    share = counts / np.maximum(counts.sum(1, keepdims=True), 1)
-    figure = style.new_figure(2.2 + 0.27 * len(rows))
-    axes = figure.subplots()
-    axes.imshow(share, cmap="Blues", vmin=0.0, vmax=1.0, aspect="auto")
-    for i, j in zip(*np.nonzero(counts), strict=True):
-        color = "white" if share[i, j] > 0.6 else style.INK
-        axes.text(j, i, counts[i, j], ha="center", va="center", **style.plain(style.SMALL, color))
-    axes.set_xticks(range(len(columns)), columns, rotation=55, ha="right", rotation_mode="anchor")
-    axes.set_yticks(range(len(rows)), rows)
-    axes.set_ylabel("hidden", **style.plain())
-    axes.set_xlabel("named first", **style.plain())
-    titled(
-        axes,
-        "What hidden effects were called: logs of one effect, all motions and priors",
-        grid="none",
-    )
-    return figure

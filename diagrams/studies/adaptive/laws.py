@@ -25,7 +25,6 @@ from geodrake.manifolds import Manifold
 Array = NDArray[np.float64]
 
 NONE, EUCLIDEAN, PULLBACK, NATURAL = "none", "euclidean", "pullback", "natural"
-NATURAL_EULER = "natural_euler"
 LAWS = (NONE, EUCLIDEAN, PULLBACK, NATURAL)
 SOURCE_SPEEDS = {EUCLIDEAN: 5e-5, PULLBACK: 1.0, NATURAL: 1.0}
 """γ⁻¹ of [Lee2019] §5.5."""
@@ -40,9 +39,7 @@ def make_law(name: str, manifold: Manifold, start: ArrayLike, speed: float) -> U
         return euclidean_adaptation(manifold.dimension, gamma)
     if name == PULLBACK:
         return pullback_adaptation(manifold, start, gamma)
-    return natural_adaptation(
-        manifold, gamma, integrator="euler" if name == NATURAL_EULER else "geodesic"
-    )
+    return natural_adaptation(manifold, gamma)
 
 
 GRID = tuple(float(f"{digit}e{power}") for power in range(-5, 4) for digit in (1, 3))
@@ -52,7 +49,6 @@ CALIBRATION_SEED = 20_190_801
 
 CHOSEN = {
     "wam": {EUCLIDEAN: 1e-3, PULLBACK: 30.0, NATURAL: 30.0},
-    "wam_100_hz": {EUCLIDEAN: 3e-5, PULLBACK: 3.0, NATURAL: 3.0},
     "payload": {EUCLIDEAN: 3.0, PULLBACK: 300.0, NATURAL: 3.0},
     "controller_acceleration": {EUCLIDEAN: 3e-5, NATURAL: 10.0},
     "controller_filtered": {EUCLIDEAN: 1e-5, NATURAL: 3e3},  # Euclidean: all were lost
@@ -63,8 +59,7 @@ CHOSEN = {
 
 def speeds(study: str, kind: str) -> dict[str, float]:
     """Return γ⁻¹ of every law: of the source, or as chosen by the rule."""
-    found = SOURCE_SPEEDS if kind == "source" else CHOSEN[study]
-    return {NONE: 1.0, **found, NATURAL_EULER: found[NATURAL]}
+    return {NONE: 1.0, **(SOURCE_SPEEDS if kind == "source" else CHOSEN[study])}
 
 
 def cells(
@@ -104,36 +99,42 @@ def grid_lines(rows: Sequence[Any], group: str) -> list[dict[str, Any]]:
     return lines
 
 
+def study_parser(doc: str, *, gains: str, estimates: bool = False) -> argparse.ArgumentParser:
+    """Return a parser with the options that studies of laws have.
+
+    Args:
+        gains: Whose speeds there are by default, "rule" or "source".
+        estimates: Whether draws differ by first estimates, of which there may be several.
+    """
+    parser = script_parser(doc, draws=True, figures=True)
+    rule = "apply the rule by which speeds are chosen, and say what it chooses"
+    parser.add_argument("--choose-gains", action="store_true", help=rule)
+    which = "adaptation speeds: by one rule for all laws, or of [Lee2019] §5.5 (%(default)s)"
+    parser.add_argument("--gains", choices=("rule", "source"), default=gains, help=which)
+    if estimates:
+        count = "number of first estimates (2; 1 with --quick)"
+        parser.add_argument("--draws", type=positive_number, help=count)
+    return parser
+
+
 def run_study(
-    doc: str,
+    parser: argparse.ArgumentParser,
     task: Callable[..., dict[str, Any]],
     wanted: Callable[[argparse.Namespace], Sequence[Any]],
     grid: Callable[[argparse.Namespace], Sequence[Any]],
     tell: Callable[[argparse.Namespace, list[Any]], None],
     *,
     group: str,
-    gains: str = "",
-    estimates: bool = False,
 ) -> None:
     """Run draws from the command line and tell of them, or choose speeds on those of a grid.
 
     Args:
+        parser: That of `study_parser`, perhaps with options of the study's own.
         task: Makes a row of a draw and a seed.
         group: Column beside the law within which a speed is chosen.
-        gains: Whose speeds there are by default, "rule" or "source"; "" for those of the rule only.
-        estimates: Whether draws differ by first estimates, of which there may be several.
     """
-    parser = script_parser(doc, draws=True)
-    rule = "apply the rule by which speeds are chosen, and say what it chooses"
-    parser.add_argument("--choose-gains", action="store_true", help=rule)
-    if gains:
-        which = "adaptation speeds: by one rule for all laws, or of [Lee2019] §5.5 (%(default)s)"
-        parser.add_argument("--gains", choices=("rule", "source"), default=gains, help=which)
-    if estimates:
-        count = "number of first estimates (2; 1 with --quick)"
-        parser.add_argument("--draws", type=positive_number, help=count)
     options = parser.parse_args()
-    if estimates:
+    if "draws" in options:
         options.draws = options.draws or (1 if options.quick else 2)
     draws = (grid if options.choose_gains else wanted)(options)
     rows = run_draws(parser, options, partial(task, seed=options.seed), draws)
