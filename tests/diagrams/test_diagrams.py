@@ -22,6 +22,7 @@ RUNS = json.loads(benchmarks_page.FIGURES.read_text(encoding="utf-8"))
 APART = "excitation_contours"
 LONG = {  # whose parts are tested elsewhere, too
     "adaptive_soak",
+    "ambidex_arm",
     "ambidex_sandbags",
     "excite_arms",
     "fleet_kills",
@@ -45,16 +46,7 @@ LONG = {  # whose parts are tested elsewhere, too
     "wam_adaptation",
     "wam_payload",
 }
-ELSEWHERE = {  # run by tests of their own, with --quick, too
-    "ambidex_arm",
-    "body_distances",
-    "cheetah_gallop",
-    "cheetah_leg",
-    "column_errors",
-    "random_mjcf",
-    "run_scenario",
-}
-NAMES = sorted({*SCRIPTS} - ELSEWHERE - {"iiwa_messages"})
+NAMES = sorted({*SCRIPTS} - {"iiwa_messages", "run_scenario"})  # which have tests of their own
 
 
 def reaches_its_bars(table):
@@ -191,6 +183,70 @@ def newton_and_others_have_the_same_cost(table):
         assert row[kind]["error"] < 0.5 * row["prior"]["error"]
 
 
+def euclidean_bodies_are_flat_and_far(table):
+    """At the same training residual; others are as near the truth as the prior is."""
+    means = {(x["samples"], x["regularizer"]): x for x in table["summary"]}
+    entropic, euclidean = (means[30, kind] for kind in ("entropic", "euclidean"))
+    assert euclidean["training"] == pytest.approx(entropic["training"], rel=1e-4)
+    assert means[4100, "entropic"]["test"] < entropic["test"] < euclidean["test"]
+    assert entropic["at_boundary"] == 0 and euclidean["at_boundary"] > 3
+    assert entropic["distance"] < 1.1 * means[0, "prior"]["distance"] < 0.5 * euclidean["distance"]
+
+
+def few_samples_need_a_distance_of_bodies(table):
+    """And all samples tell the same with every regularizer."""
+    few = {row["regularizer"]: row for row in table if row["samples"] == 30 and row["stretch"]}
+    euclidean = few["euclidean"]
+    assert euclidean["median"] > euclidean["prior"]
+    for kind in ("point_mass_euclidean", "pullback", "entropic"):
+        assert few[kind]["median"] < 0.9 * euclidean["median"]
+        assert few[kind]["test"] < 0.9 * euclidean["test"]
+    assert few["riemannian"]["median"] < euclidean["median"]
+    for kind in ("euclidean", "point_mass_euclidean", "pullback"):  # fair: as good in training
+        assert few[kind]["train"] == pytest.approx(few["entropic"]["train"], rel=1e-5)
+    most = max(row["samples"] for row in table)
+    tests = [row["test"] for row in table if row["samples"] == most]
+    assert len(tests) == 5 and max(tests) < 1.02 * min(tests)
+    assert max(tests) < 0.3 * few["entropic"]["median"]
+
+
+def a_leg_predicts_the_gallop(table):
+    means = {(row["quantity"], row["regularizer"]): row["mean"] for row in table}
+    for quantity in ("body force", "body moment"):
+        entropic, euclidean, prior = (
+            means[quantity, kind] for kind in ("entropic", "euclidean", "prior")
+        )
+        assert entropic < 0.7 * euclidean < euclidean < prior
+
+
+def distances_of_bodies_know_no_frames_and_units(table):
+    """But the Euclidean one, which also grows with the mass."""
+    spread = table["frames_and_units"]["largest_over_smallest_less_1"]
+    geometric = ("pullback", "entropic", "riemannian")
+    euclidean = ("euclidean, kg-m", "euclidean, inch-pound")
+    assert all(spread[name] < 1e-9 for name in geometric) and spread["euclidean"] > 1e3
+    assert all(angle in (0.0, 180.0) for angle in table["direction_of_shortest_deg"].values())
+    ratio = table["shortest_over_longest_by_direction"]
+    # Moved by d along x: m d² / Σxx with Σxx = m a²/5, against a ninth of it across.
+    assert ratio["entropic"] == pytest.approx(1 / 9)
+    assert all(ratio[name] > 0.8 for name in euclidean)
+    ratio = table["largest_over_smallest_by_mass"]
+    assert all(ratio[name] < 1.5 for name in geometric)  # which is the noise of 200 samples
+    assert all(ratio[name] == pytest.approx(40**2, rel=0.4) for name in euclidean)
+
+
+def names_mistakes_of_columns_and_nothing_else(table):
+    lines = {line["columns"]: line for line in table["lines"]}
+    assert lines["as it is"]["alarms"] == 0
+    assert lines["sign of an effort"]["named"] == lines["efforts swapped"]["named"] == 1
+
+
+def reads_random_files_as_mujoco(table):
+    assert table["largest relative difference"] <= 1e-9
+    assert table["refused by MuJoCo"] <= 4 and table["joints"] > 200
+    assert table["files with something left out"] == 0
+
+
 TABLE = {  # [Lee2019] table 3.1, training: N, cm, cm
     "prior": (13.79, 2.09, 1.58),
     "euclidean": (12.89, 1.61, 0.82),
@@ -219,6 +275,12 @@ def predicts_a_human_better_than_its_prior(tables):
 
 
 SHOWS = {
+    "ambidex_arm": euclidean_bodies_are_flat_and_far,
+    "body_distances": distances_of_bodies_know_no_frames_and_units,
+    "cheetah_gallop": a_leg_predicts_the_gallop,
+    "cheetah_leg": few_samples_need_a_distance_of_bodies,
+    "column_errors": names_mistakes_of_columns_and_nothing_else,
+    "random_mjcf": reads_random_files_as_mujoco,
     "identification_speed": newton_and_others_have_the_same_cost,
     "hobby_arm": moves_as_the_arm_does,
     "human_identification": predicts_a_human_better_than_its_prior,
@@ -240,8 +302,12 @@ SHOWS = {
     "real_robots": says_what_diagnose_names_and_days_tell,
 }
 DRAWN = {
+    "ambidex_arm",
     "ambidex_sandbags",
     "atlas_identification",
+    "body_distances",
+    "cheetah_gallop",
+    "cheetah_leg",
     "effect_pictures",
     "excitation_contours",
     "human_identification",

@@ -1,10 +1,7 @@
-"""The study of mistakes in columns: its logs have them, and its quick form runs."""
-
-import json
+"""The study of mistakes in columns: its logs have them."""
 
 import numpy as np
 import pytest
-from scripts import call
 
 from diagrams.benchmarks.column_errors import MISTAKES, WrongLog, make_log
 
@@ -24,12 +21,3 @@ def test_logs_have_their_mistake_and_nothing_else(mistake):
     ratio = np.sum(v * log.velocity[5:-5], axis=0) / np.sum(v**2, axis=0)
     told = mistake in ("wrong time", "wrong velocities")
     assert (np.abs(ratio - 1.0) < 0.02).all() != told
-
-
-def test_quick_run(tmp_path):
-    table = tmp_path / "table.json"
-    call("column_errors", "--quick", "--seed", 3, "--jobs", 1, "--json", table)
-    lines = {line["columns"]: line for line in json.loads(table.read_text())["lines"]}
-    assert lines["as it is"]["alarms"] == 0
-    assert lines["sign of an effort"]["named"] == 1
-    assert lines["efforts swapped"]["named"] == 1

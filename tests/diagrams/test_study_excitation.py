@@ -44,12 +44,6 @@ class TestScara:
         for other in efforts[1:]:
             np.testing.assert_allclose(other, efforts[0], rtol=1e-10, atol=1e-12)
 
-    def test_prior_is_the_source_s(self):
-        phi = scara.scara("3", scara.payload(*scara.PRIOR)).phi[1]
-        assert phi[0] == pytest.approx(4.58)
-        assert phi[1] / phi[0] == pytest.approx(0.02e-3)
-        assert np.sqrt(phi[6] / phi[0]) == pytest.approx(0.08607)
-
     def test_expected_errors_are_those_of_drawn_noise(self):
         rng = np.random.default_rng(1)
         trajectory = ExcitationTrajectory(
@@ -99,20 +93,6 @@ class TestOneFoot:
         ends = trajectory.states([0.0, 3.0])
         np.testing.assert_allclose(ends[1:], 0.0, atol=1e-9)
 
-    def test_reduced_identification_is_a_hundred_times_better(self):
-        plan = atlas.Plan(None, motions=6, rate=60, seed=1)
-        motions = [atlas.one_motion(k, plan=plan) for k in range(plan.motions)]
-        table = atlas.run(motions, plan)
-        prior, full, reduced = table["rows"]
-        assert table["error_full_over_reduced"] > 100
-        assert reduced["error"] < prior["error"]
-        assert 0 < table["identifiable"] < table["base_parameters"]
-        assert table["largest_zmp"] < 1.0
-        for kind in ("force", "moment"):
-            assert reduced[kind] < 0.5 * prior[kind]
-        for group, value in reduced["effort"].items():
-            assert value < full["effort"][group]
-
 
 class TestManipulator:
     def test_base_representation_does_not_matter_to_the_geometric_criterion(self):
@@ -127,10 +107,3 @@ class TestManipulator:
         assert values["geometric"][1] == pytest.approx(values["geometric"][0], rel=1e-9)
         for name in ("none", "diagonal"):
             assert abs(np.log(values[name][1] / values[name][0])) > 0.1
-
-    def test_geometric_design_beats_no_normalization(self):
-        plan = iiwa.Plan(None, modes=3, samples=60, iterations=5, validation=50)
-        cells = (iiwa.Cell(name) for name in ("geometric", "none"))
-        geometric, none = (iiwa.design(cell, plan=plan) for cell in cells)
-        assert geometric["error"] < 0.7 * none["error"]
-        assert geometric["geometric_e"] < 0.5 * none["geometric_e"]

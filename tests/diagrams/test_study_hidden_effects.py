@@ -5,7 +5,7 @@ import pytest
 
 pytest.importorskip("pinocchio")
 
-from diagrams.benchmarks.hidden import bars, logs, robots, scoring
+from diagrams.benchmarks.hidden import logs, robots, scoring
 from diagrams.benchmarks.hidden.robots import (
     MuJoCoEngine,
     PinocchioEngine,
@@ -119,11 +119,6 @@ class TestLogs:
         assert secret.share == pytest.approx(0.04, rel=0.1)
         assert set(secret.where) <= {*robot_model("arm6").joints, *robot_model("arm6").bodies}
 
-    def test_same_draw_is_the_same_log(self):
-        draw = logs.draw("one", ("coulomb_friction",), 3, 0, **PLAIN)
-        made = [logs.make_recording(draw, robot_model("arm6").bodies).log for _ in range(2)]
-        np.testing.assert_array_equal(made[0].effort, made[1].effort)
-
     def test_noise(self):
         for colour in (logs.WHITE, logs.COLOURED):
             fixed = {**PLAIN, "colour": colour, "shares": ()}
@@ -136,24 +131,6 @@ class TestLogs:
             assert noise.std() == pytest.approx(0.02, rel=0.1)
             next_one = np.mean(noise[1:] * noise[:-1]) / noise.var()
             assert (next_one > 0.15) == (colour == logs.COLOURED)
-
-
-class TestLines:
-    def test_bars_are_reached_or_missed(self):
-        assert bars.share("x", [True] * 19 + [False], 0.95).reached
-        assert not bars.share("x", [True] * 18 + [False] * 2, 0.95).reached
-        assert bars.share("x", [False] * 3, 0.01, most=True).reached
-        assert bars.share("x", [], 0.9).reached is None
-        for inside, reached in ((19, True), (20, False), (17, False)):
-            line = bars.share("x", [k < inside for k in range(20)], 0.9, highest=0.98)
-            assert line.reached == reached
-        assert bars.median("x", [1.0, 1.01, 2.0], 1.05).reached
-
-    def test_smallest_is_that_of_nine_in_ten(self):
-        sizes = [*np.linspace(0.01, 0.09, 9), None]
-        rows = [{"hidden": ["coulomb_friction"], "smallest": size} for size in sizes]
-        (line,) = bars.smallest_lines(rows)
-        assert line["smallest"] == pytest.approx(0.09)
 
 
 EASY = ("load_dependent_friction", "effort_delay", "rotor_inertia", "gravity_tilt")

@@ -1,14 +1,12 @@
 """The benchmark of ordinary robots: its robots, its logs, and how it scores."""
 
 from dataclasses import replace
-from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
 pytest.importorskip("pinocchio")
 
-from diagrams.benchmarks import ordinary_robots as scoring
 from diagrams.benchmarks.hidden.robots import (
     FAST,
     POINTS,
@@ -24,10 +22,8 @@ from diagrams.benchmarks.ordinary.logs import (
     KINDS,
     ORDINARY,
     OUTSIDE,
-    QUIET,
     ROTOR,
     TOOL,
-    all_draws,
     draw,
     make_recording,
 )
@@ -43,20 +39,6 @@ def test_bodies_are_those_that_geodrake_reads(name):
         assert engine.joints == model.joints
         P = pseudo_inertia(model.phi)
         np.testing.assert_allclose(engine.bodies(), P, rtol=1e-6, atol=1e-6 * np.abs(P).max())
-
-
-def test_draws_have_all_cases_early_and_all_kinds():
-    draws = all_draws(0)
-    assert {each.case for each in draws[:4]} == {ORDINARY, OUTSIDE, QUIET}
-    assert sorted(each.kind for each in draws if each.case == OUTSIDE) == sorted(KINDS)
-    assert {each.robot for each in draws if each.case == ORDINARY} == set(ARMS)
-    assert draws != all_draws(1)
-
-
-def test_same_draw_is_the_same_log():
-    made = [make_recording(draw(ORDINARY, "z1", 2, 5, **SHORT)).logs[1] for _ in range(2)]
-    np.testing.assert_array_equal(made[0].effort, made[1].effort)
-    np.testing.assert_array_equal(made[0].position, made[1].position)
 
 
 class TestRecording:
@@ -104,46 +86,3 @@ class TestRecording:
         if kind not in {"pendulum in a link", "slipping belt"}:  # which act on other joints, too
             acting = set(np.flatnonzero(shares).tolist())
             assert site.joint in acting <= {site.joint, site.other}
-
-
-def _step(effect, where, probability=0.95):
-    return SimpleNamespace(
-        effect=effect,
-        where=where,
-        probability=probability,
-        indistinguishable_from=(),
-        parameters={},
-        deviations={},
-        systematic={},
-    )
-
-
-class TestScores:
-    RECORDING = SimpleNamespace(
-        hidden={DRY: ("a", "b")}, beside={"effort_offset": ("a",)}, mass=0.0, joints=()
-    )
-
-    @pytest.mark.parametrize(
-        ("effect", "where", "off", "right"),
-        [
-            (DRY, ("a",), 0.0, True),
-            (DRY, ("a", "c"), 0.0, False),
-            ("effort_offset", ("a",), 0.0, True),
-            ("effort_offset", ("b",), 0.0, False),
-            ("wrong_inertia", ("link",), 0.0, False),
-            ("wrong_inertia", ("link",), 0.3, True),
-        ],
-    )
-    def test_right_at_all_its_places(self, effect, where, off, right):
-        own = SimpleNamespace(off=off)
-        assert scoring._step_row(_step(effect, where), own, self.RECORDING)["right"] is right
-
-    def test_missing_is_said_place_by_place(self):
-        found = scoring._missing([_step(DRY, ("b",))], {DRY: ("a", "b"), TOOL: ("link",)})
-        assert found == [f"{DRY} at a", f"{TOOL} at link"]
-
-    def test_calibration_counts_by_bins(self):
-        said = [(0.6, True), (0.6, False), (0.95, True), (0.999, True), (0.3, False)]
-        rows = [{"steps": [{"probability": p, "right": r} for p, r in said]}]
-        found = [(line.value, line.logs) for line in scoring.calibration(rows)]
-        assert found == [(0.5, 2), (None, 0), (1.0, 1), (1.0, 1)]

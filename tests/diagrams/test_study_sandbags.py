@@ -5,10 +5,7 @@ import pytest
 from scipy.linalg import block_diag
 
 from diagrams.studies import ambidex_sandbags as study
-from diagrams.studies.adaptive import laws
 from diagrams.studies.ambidex import arm as robot
-from geodrake.control.adaptation import natural_adaptation
-from geodrake.inertia import is_physical
 from geodrake.logs.motion import Motion
 
 
@@ -49,37 +46,3 @@ class TestCoupledArm:
         np.testing.assert_allclose(sample.regressor.T @ r, sample.covector(r), atol=1e-12)
         further = true.control.at(q, qd, v, a + r).effort(p) - sample.effort(p)
         np.testing.assert_allclose(sample.mass_matrix(p) @ r, further, atol=1e-10)
-
-    def test_rotors_stay(self, true):
-        law = true.law(laws.NATURAL, 1.0)
-        rng = np.random.default_rng(2)
-        p, b = true.control.prior, rng.normal(size=len(true.control.prior))
-        moved = law.step(p, b, 1e-3)
-        np.testing.assert_array_equal(moved[-7:], p[-7:])
-        size = true.manifold.dimension
-        free = natural_adaptation(true.manifold).step(p[:size], b[:size], 1e-3)
-        np.testing.assert_allclose(moved[:-7], free)
-        assert not np.isclose(moved[:-7], p[:-7]).all()
-
-    def test_plant_carries_the_bags(self):
-        bare, full = (study.make_coupled_plant(bags) for bags in ((), (2, 4, 9)))
-        mass = [plant.CalcTotalMass(plant.CreateDefaultContext()) for plant in (bare, full)]
-        assert mass[1] - mass[0] == pytest.approx(1.5)
-
-
-class TestIdentified:
-    def test_is_near_the_truth_and_not_it(self, arm):
-        known = study.known_arm(0)
-        assert is_physical(known.phi).all()
-        mass = known.phi[:10, 0].sum() / arm.phi[:10, 0].sum() - 1.0
-        assert 1e-3 < abs(mass) < 0.2
-        np.testing.assert_allclose(known.coulomb, robot.COULOMB, rtol=0.3)
-
-
-class TestMotion:
-    def test_goes_within_reach_and_rests(self):
-        motion = study.point_to_point(3, 1)
-        for t in (0.0, 1.5, 3.0, 4.5):
-            assert np.abs(motion.EvalDerivative(t, 1)).max() < 1e-9
-            assert (np.abs(motion.value(t).ravel()) <= robot.REACH + 1e-12).all()
-        assert motion.end_time() == pytest.approx(4.5)

@@ -81,15 +81,6 @@ class TestRobots:
 
 
 class TestTold:
-    def test_designed_motions_keep_the_limits(self):
-        limits = study.allowed()
-        motions = study.motions(CASES[0], 1, 5)
-        for trajectory in motions.values():
-            q, v, vd = trajectory.states(np.linspace(0.0, study.SECOND, 1500))
-            assert (q >= limits.lower - 1e-6).all() and (q <= limits.upper + 1e-6).all()
-            assert (np.abs(v) <= limits.velocity * (1 + 1e-3)).all()
-            assert (np.abs(vd) <= limits.acceleration * (1 + 1e-2)).all()
-
     def test_robots_are_drawn_until_enough_are_ambiguous(self, monkeypatch):
         def fake(draw, *, iterations):
             del iterations
