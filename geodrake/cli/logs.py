@@ -23,7 +23,7 @@ from geodrake.fleet.log_places import date_seconds
 from geodrake.logs.files import file_names, log_content
 from geodrake.logs.inspection import inspect_log, mapping_text
 from geodrake.logs.motion import JointLog
-from geodrake.logs.unit_hints import position_limit_hint
+from geodrake.logs.unit_hints import check_ticks, position_limit_hint
 from geodrake.model.logged_joints import log_of_model, model_of_logs, reading_for
 from geodrake.model.robot_model import RobotModel
 from geodrake.report.exports import InspectedLogs, log_chart
@@ -89,6 +89,8 @@ def _beyond_limits(model: RobotModel, logs: Sequence[JointLog]) -> list[str]:
     try:
         own = model_of_logs(model, logs)
         matched = [log_of_model(log, own) for log in logs]
+        for log in matched:
+            check_ticks(log)
     except GeodrakeError:
         return []  # `_columns` says why
     if len(own.position_limits[0]) != len(own.joints):

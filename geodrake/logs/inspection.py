@@ -118,7 +118,7 @@ def inspect_log(
     notes += [f"nothing is measured of the model's {', '.join(missing)}"] if missing else []
     converted = any(s.unit for n, s in columns.sources.items() if n.endswith(".position"))
     time = columns.sources.get("time")
-    hints = [effort_sign_hint(log), None if converted else position_unit_hint(log), unused]
+    hints = [None if converted else position_unit_hint(log), effort_sign_hint(log), unused]
     first = tuple(filter(None, hints))
     return LogInspection(
         log,

@@ -22,6 +22,7 @@ from numpy.typing import NDArray
 from geodrake.errors import LogError
 from geodrake.logs.motion import JointLog
 from geodrake.logs.resting import LARGEST, travels
+from geodrake.logs.unit_hints import check_ticks
 
 Array = NDArray[np.float64]
 Indices = NDArray[np.intp]
@@ -49,6 +50,7 @@ def without_faults(log: JointLog) -> JointLog:
     come back within a few rows become NaN, and so do positions and efforts that stay exactly the
     same while the joint moves, and the last position before a jump that stays.
     """
+    check_ticks(log)
     steps = np.diff(log.time[np.isfinite(log.time)])
     if not len(steps):
         return log

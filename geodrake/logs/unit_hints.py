@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from geodrake.errors import LogError
 from geodrake.logs.files.recording import are_whole
 from geodrake.logs.motion import JointLog
 
@@ -18,7 +19,7 @@ _LEAST_LIMIT = 1e-9  # N·m or N: no motor is that weak
 _NEAR_ZERO, _TOUCHES = 0.03, 4  # of the largest effort, and how often one comes down to it
 _LOOKS = 200  # at a position, between which its noise turns it round
 _LEAST_DEGREES = 45.0  # seven turns of a joint in radians
-_LEAST_TICKS = 100.0  # no joint goes there in radians
+_LEAST_TICKS, _A_TURN = 100.0, 360.0  # no joint goes there in radians, or in degrees
 _FEW = 0.01  # share of samples that may be spikes
 _MARGIN = 0.01  # of a range, by which a joint may pass its stops
 _ROWS = 100_000  # of a log that are looked at together
@@ -52,23 +53,38 @@ def effort_unit_hint(log: JointLog, effort_limits: ArrayLike) -> str | None:
 
 
 def position_unit_hint(log: JointLog) -> str | None:
-    """Return a sentence for the user if positions look like degrees or ticks; else None."""
+    """Return a sentence for the user if positions look like degrees; else None."""
     peaks = _peaks(log.position)
     worst = int(np.argmax(peaks))
-    if peaks[worst] >= _LEAST_TICKS and are_whole(log.position[:_ROWS]):
-        return (
-            f"Positions are whole numbers, of up to {peaks[worst]:.5g} at {log.joints[worst]}: "
-            "ticks of encoders? --units position=ticks@2048 converts those of servos with 4,096 a "
-            "turn and their zero in the middle, position=ticks those with it at tick 0; for others "
-            "give a gain in a mapping."
-        )
-    if peaks[worst] > _LEAST_DEGREES and np.mean(peaks > 10.0) > 0.5:
+    are_ticks = peaks[worst] > _A_TURN and are_whole(log.position[:_ROWS])
+    if not are_ticks and peaks[worst] > _LEAST_DEGREES and np.mean(peaks > 10.0) > 0.5:
         return (
             f"Positions seem to be in degrees: {log.joints[worst]} reaches "
             f"{peaks[worst]:.4g}, and most joints go beyond 10. Positions are rad or m: "
             "--units position=deg converts them."
         )
     return None
+
+
+def check_ticks(log: JointLog) -> None:
+    """Refuse positions that are whole numbers, farther from 0 than joints turn in rad."""
+    peaks = _peaks(log.position)
+    worst = int(np.argmax(peaks))
+    if peaks[worst] < _LEAST_TICKS or not are_whole(log.position[:_ROWS]):
+        return
+    may_be_degrees = peaks[worst] <= _A_TURN
+    raise LogError(
+        f"Positions of log {log.name!r} are whole numbers, of up to {peaks[worst]:.7g} at "
+        f"{log.joints[worst]}: no joint has such in rad or m.",
+        advice=(
+            "Are they degrees? --units position=deg converts them. Or ticks"
+            if may_be_degrees
+            else "Are they ticks"
+        )
+        + " of an encoder? --units position=rev/4096@2048 converts those with 4,096 a turn, gears "
+        "included, and their zero at tick 2048, position=rev/4096 those with it at tick 0.",
+        joint=log.joints[worst],
+    )
 
 
 def effort_sign_hint(log: JointLog) -> str | None:

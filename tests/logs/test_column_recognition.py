@@ -103,6 +103,8 @@ def test_names_that_say_nothing_or_are_odd(name):
         ("%time", "ns", 1e-9),
         ("pos_1 (mm)", "mm", 1e-3),
         ("pwm_2 (%)", "%", 1e-2),
+        ("elbow.present_load", "%", 1e-2),
+        ("vel_estimate", "rev/s", 6.283185307179586),
         ("voltage_1 [mA]", "mA", 1e-3),  # which is refused when it is read
     ],
 )

@@ -368,6 +368,17 @@ def test_positions_in_ticks_of_servos(tmp_path):
     )
 
 
+def test_counts_of_an_encoder_are_shares_of_a_turn(tmp_path):
+    columns = frame(effort_J=S)
+    columns |= {f"Axis0{k}.Position [cnt]": column for k, column in enumerate(100.0 * TICKS.T)}
+    path = write(tmp_path / "log.csv", columns)
+    with pytest.raises(LogError, match=r"in counts, and nobody says .*--units position=rev/4096"):
+        read_log(path, joints=JOINTS)
+    reading = Reading(units={"position": "rev/409600@204800"})
+    log = read_log(path, joints=JOINTS, reading=reading)
+    np.testing.assert_allclose(log.position, Q, atol=np.pi / 4096.0)
+
+
 def test_the_zero_of_ticks_is_where_the_model_has_its_limits(tmp_path):
     path = write(tmp_path / "log.csv", frame(q_J=TICKS, effort_J=S))
     for low, high, zero in ((-0.1, 6.2, np.pi), (-2.0, 2.0, 0.0), (7.0, 8.0, 0.0)):

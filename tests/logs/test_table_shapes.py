@@ -612,6 +612,10 @@ LOGGERS = {
         (1, 2),
     ),
     "in German": ("Zeit", 180.0 / np.pi, "Winkel Achse {}", "Moment Achse {}", (1, 2)),
+    "Siemens": ("Zeit", 1.0, "Achse {}.Lageistwert", "Achse {}.Momentenistwert", (1, 2)),
+    "CODESYS": ("Time", 1.0, "PLC_PRG.Axis{}.fActPosition", "PLC_PRG.Axis{}.fActTorque", (1, 2)),
+    "Elmo": ("Time [sec]", 1.0, "Axis0{}.Position", "Axis0{}.Active Current [A]", (1, 2)),
+    "Damiao": ("timestamp", 1.0, "m{}_pos", "m{}_tor", (1, 2)),
 }
 
 
@@ -628,6 +632,73 @@ def test_names_of_loggers(tmp_path, logger):
     np.testing.assert_allclose(log.time, TIME)
     np.testing.assert_allclose(log.position, POSITION)
     np.testing.assert_allclose(log.effort, EFFORT)
+
+
+KEYED = {"TwinCAT": "Name", "TwinCAT in pairs": "Name", "LabVIEW": "X_Value"}
+
+
+def keyed_table(kind, times):
+    """Lines of degrees as TwinCAT or LabVIEW writes them, of (signals, N) times."""
+    key, is_pair = KEYED[kind], "pairs" in kind
+    names = [f"{what} J{k}" for what in ("Angle", "Torque") for k in (1, 2)]
+    said = {key: names, "SymbolComment": ["-"] * 4, "SampleTime[ms]": ["10"] * 4}
+    said |= {"Data-Type": ["REAL64"] * 4, "Unit": ["deg", "deg", "Nm", "Nm"]}
+    values = np.vstack([np.rad2deg(POSITION.T), EFFORT.T])
+    both = (
+        np.stack([times, values], 1).reshape(8, -1) if is_pair else np.vstack([times[:1], values])
+    )
+    head = [
+        "\t".join(each for cell in cells for each in (name, cell))
+        if is_pair
+        else "\t".join([name, *cells])
+        for name, cells in said.items()
+    ]
+    if kind == "LabVIEW":
+        head.append(f"{head.pop(0)}\tComment")
+    return [
+        "a title",
+        "File\tC:\\arm",
+        "",
+        *head,
+        "",
+        *("\t".join(map(repr, r)) for r in both.T.tolist()),
+    ]
+
+
+@pytest.mark.parametrize("kind", KEYED)
+def test_rows_above_the_numbers_that_begin_with_what_they_say(tmp_path, kind):
+    path, clock = tmp_path / "log.csv", TIME if kind == "LabVIEW" else 1000.0 * TIME
+    path.write_text("\n".join(keyed_table(kind, np.tile(clock, (4, 1)))))
+    log = read_log(path, joints=JOINTS)
+    np.testing.assert_allclose(log.time, TIME)
+    np.testing.assert_allclose(log.position, POSITION)
+    np.testing.assert_allclose(log.effort, EFFORT)
+    if "pairs" in kind:
+        path.write_text("\n".join(keyed_table(kind, clock + np.arange(4.0)[:, None])))
+        with pytest.raises(LogError, match="4 columns of time, which differ"):
+            read_log(path, joints=JOINTS)
+
+
+def test_signals_of_simulink_have_labels(tmp_path):
+    signals = [
+        {"values": values, "label": name} for name, values in (("q", POSITION), ("tau", EFFORT))
+    ]
+    savemat(tmp_path / "run.mat", {"out": {"time": TIME, "signals": np.array(signals, object)}})
+    log = read_log(tmp_path / "run.mat", joints=JOINTS)
+    np.testing.assert_array_equal(log.position, POSITION)
+    np.testing.assert_array_equal(log.effort, EFFORT)
+
+
+def test_rows_of_a_joint_in_units_of_which_one_is_not_known(tmp_path):
+    frame = pandas.DataFrame({"time_s": np.repeat(TIME, 2), "motor_id": [1, 2] * ROWS})
+    frame = frame.assign(pos_deg=np.rad2deg(POSITION).ravel(), spd_erpm=1.0, cur_A=EFFORT.ravel())
+    log = read_log(csv_of(tmp_path, frame), joints=JOINTS)
+    np.testing.assert_allclose(log.position, POSITION)
+    np.testing.assert_allclose(log.effort, EFFORT)
+    assert log.velocity is None
+    assert log.effort_kinds == dict.fromkeys(JOINTS, "current")
+    said = "as nobody says how much one of erpm is: joint_1.velocity, joint_2.velocity"
+    assert any(said in note for note in log.notes)
 
 
 def test_durations_with_their_unit_are_time(tmp_path):
@@ -657,14 +728,14 @@ def test_what_topic_echo_wrote(tmp_path, name):
 
 def test_a_column_that_may_be_time_by_its_values_is_proposed(tmp_path):
     path, columns = tmp_path / "log.csv", PLAIN.assign(row=np.arange(ROWS), time=1000.0 * TIME)
-    columns = columns[["row", *PLAIN]].rename(columns={"time": "Tick"})
+    columns = columns[["row", *PLAIN]].rename(columns={"time": "Count"})
     columns.to_csv(path, index=False)
-    with pytest.raises(LogError, match="'Tick' rises by 10 from row to row: is it") as error:
+    with pytest.raises(LogError, match="'Count' rises by 10 from row to row: is it") as error:
         read_log(path, joints=JOINTS)
     (tmp_path / "m.yaml").write_text(error.value.evidence["proposal"])
     log = read_log(path, reading=Reading(mapping=read_mapping(tmp_path / "m.yaml")))
     np.testing.assert_allclose(log.time, TIME)
-    columns.drop(columns="Tick").to_csv(path, index=False)  # rows are no time
+    columns.drop(columns="Count").to_csv(path, index=False)  # rows are no time
     with pytest.raises(LogError, match="no column 'time'") as error:
         read_log(path, joints=JOINTS)
     assert "rises" not in str(error.value)

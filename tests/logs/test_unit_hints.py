@@ -5,7 +5,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from geodrake.errors import LogError
 from geodrake.logs.motion import JointLog
+from geodrake.logs.uniform_log import make_uniform
 from geodrake.logs.unit_hints import (
     effort_sign_hint,
     effort_unit_hint,
@@ -40,6 +42,16 @@ def test_positions_beyond_limits_have_a_likely_cause(first, words):
     assert f"a in {100 * outside:.0f} % of the samples of log 'run'" in said
     assert "outside of 0.2 … 1.2" in said
     assert words in said
+
+
+@pytest.mark.parametrize(("scale", "words"), [(1e4, "Are they ticks"), (250.0, "Are they degrees")])
+def test_whole_numbers_far_from_zero_are_refused_before_anything_is_made_of_them(scale, words):
+    ticks = np.rint(scale * log(SWING).position)
+    raw = replace(log(SWING), position=ticks)
+    with pytest.raises(LogError, match=f"no joint has such in rad or m. {words}.*rev/4096@2048"):
+        make_uniform(raw)
+    make_uniform(replace(raw, position=ticks + 0.5))
+    assert (position_unit_hint(raw) is None) == (scale > 360.0)
 
 
 def test_limits_that_were_taken_for_the_wrong_unit():

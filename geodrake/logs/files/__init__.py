@@ -38,9 +38,9 @@ from geodrake.logs.files.formats import (
     parts_of,
     table_of,
 )
-from geodrake.logs.files.joined_tables import RARE, meanings_of, reshaped
+from geodrake.logs.files.joined_tables import RARE, reshaped
 from geodrake.logs.files.mapping_file import read_mapping
-from geodrake.logs.files.name_rules import is_time, meaning_of
+from geodrake.logs.files.name_rules import is_time, meanings_of
 from geodrake.logs.files.reading import Reading
 from geodrake.logs.files.recording import recorded
 from geodrake.logs.files.table import LogTable, numeric_table, readable
@@ -161,12 +161,9 @@ def _check_silent(table: LogTable, reading: Reading, joints: Sequence[str] | Non
         needed = {n for n in table.silent if is_used(n) and n != "time"} - rare
         if reading.rate is None and not any(map(table.is_time, table.names)):
             needed |= {name for name in table.silent if is_time(name)}
-        heard = {
-            meaning.log_quantity.replace("command", "effort") for meaning in meanings_of(table)
-        }
-        told = {name: meaning_of(name) for name in table.silent}
+        heard = {m.log_quantity.replace("command", "effort") for m in meanings_of(table.columns)}
         missing = {"position", "effort"}.difference(heard)
-        needed |= {name for name, m in told.items() if m and m.log_quantity in missing}
+        needed |= {m.column for m in meanings_of(table.silent) if m.log_quantity in missing}
     for name, words in table.silent.items():
         if name in needed:
             raise LogError(

@@ -212,9 +212,17 @@ def _of_hdf5(path: Path, *, matlab: bool = True) -> dict[str, Any]:
 
 
 def _arrays(variables: dict[str, Any]) -> dict[str, Any]:
-    """Return arrays, and numbers alone; a struct around all else says nothing."""
+    """Return arrays, and numbers alone; a struct around all else says nothing.
+
+    Signals of Simulink, structs of values with a label each, are arrays by these.
+    """
     while len(variables) == 1 and isinstance(inner := next(iter(variables.values())), Mapping):
         variables = dict(inner)
+    signals = np.atleast_1d(variables.get("signals", []))
+    if all(isinstance(each, Mapping) and {"label", "values"} <= each.keys() for each in signals):
+        variables |= {
+            str(each["label"] or f"signal{k}"): each["values"] for k, each in enumerate(signals)
+        }
     fields = [(n, x) for n, x in _fields(variables) if isinstance(x, np.ndarray | float | int)]
     return {n: x for n, x in fields if not isinstance(x, np.ndarray) or x.size > 1}
 

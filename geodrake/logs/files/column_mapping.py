@@ -25,6 +25,7 @@ from geodrake.logs.files.name_rules import (
     Meaning,
     matched,
     meaning_of,
+    meanings_of,
     words_of,
 )
 from geodrake.logs.files.packed_files import log_name
@@ -185,6 +186,15 @@ def settled(
     unit = meaning.unit or find_unit(stated, quantity)
     if meaning.log_quantity != "effort":
         unit = unit_of(told[quantity], quantity) if quantity in told else unit
+        if unit and np.isnan(unit.factor) and quantity in ("position", "command"):
+            raise LogError(
+                f"Column {meaning.column!r} of log {str(path)!r} is in {unit.name}, and nobody "
+                "says how many of them a turn has.",
+                advice=f"Say it, gears included, as in --units {quantity}=rev/4096 (or "
+                "rev/4096@2048 if 2048 is counted where the joint is at 0), or column by column in "
+                "a mapping, which has a gain of −1 where one is reversed.",
+                column=meaning.column,
+            )
         return replace(meaning, unit=unit)
     said = reading.kind_of(joint)
     said = None if said == "command" else said
@@ -464,7 +474,7 @@ def _by_names(table: LogTable, joints: Sequence[str] | None, reading: Reading) -
     """Return what the names of the columns say."""
     path, names, units = table.path, table.names, table.units
     beside = [name for name in names if floating_name(name) is None]
-    meanings = [meaning for name in beside if (meaning := meaning_of(name)) is not None]
+    meanings = meanings_of(beside)
     of_joints = [meaning for meaning in meanings if meaning.quantity in OF_JOINTS]
     if joints and len(joints) > 1 and all(meaning.is_bare for meaning in of_joints):
         called = log_name(path)  # the joint may be said by the name of the file
@@ -480,6 +490,12 @@ def _by_names(table: LogTable, joints: Sequence[str] | None, reading: Reading) -
         places = {("", "time"): time, **places}
     own = frozenset(m.joint for m in of_joints if m.style[0] == "own")
     said, rate = [*notes, *choice_words(best)], reading.rate
+    unknown = {k: s for k, s in places.items() if s.unit is not None and np.isnan(s.unit.factor)}
+    if unknown:
+        lost = listed([source.column for source in unknown.values()])
+        of = ", ".join({source.unit.name: None for source in unknown.values() if source.unit})
+        said.append(f"not used, as nobody says how much one of {of} is: {lost}")
+    places = {key: source for key, source in places.items() if key not in unknown}
     if rate is None and time is None and table.rate is not None:
         rate, name = table.rate
         said.append(f"{rate:.6g} rows a second, as {name!r} in the file says")

@@ -22,10 +22,10 @@ from geodrake.logs.files.array_files import (
     read_parquet,
     read_rsi,
 )
-from geodrake.logs.files.joined_tables import joined_tables, meanings_of, reshaped
+from geodrake.logs.files.joined_tables import joined_tables, reshaped
 from geodrake.logs.files.lcm_log import MAGIC, read_lcm
 from geodrake.logs.files.lerobot_dataset import INFO, read_lerobot
-from geodrake.logs.files.name_rules import OF_JOINTS, meaning_of, quantity_of
+from geodrake.logs.files.name_rules import OF_JOINTS, meaning_of, meanings_of, quantity_of
 from geodrake.logs.files.packed_files import unpacked
 from geodrake.logs.files.reading import Reading
 from geodrake.logs.files.ros_bag import read_bag
@@ -161,8 +161,8 @@ def joined_table(paths: Sequence[Path], reading: Reading) -> LogTable:
     """
     named = [replace(_named_table(path, reading), path=Path(path.name)) for path in paths]
     bare = [
-        {m.column: f"{unpacked(path).stem}.{m.quantity}" for m in meanings_of(table) if m.is_bare}
-        for path, table in zip(paths, named, strict=True)
+        {m.column: f"{unpacked(path).stem}.{m.quantity}" for m in told if m.is_bare}
+        for path, told in zip(paths, [meanings_of(each.columns) for each in named], strict=True)
     ]
     new = {name for names in bare for name in names.values()}
     told = {str(mapped.column) for _, mapped in reading.mapping or ()} or new
@@ -178,9 +178,10 @@ def _named_table(path: Path, reading: Reading) -> LogTable:
     quantity = quantity_of(stem)
     if quantity is None and _TOLD.search(stem.lower()):
         quantity = "command"
-    if quantity is None or any(m.quantity == quantity for m in meanings_of(table)):
+    meanings = meanings_of(table.columns)
+    if quantity is None or any(m.quantity == quantity for m in meanings):
         return table
-    if quantity == "command" and any(m.quantity in OF_JOINTS for m in meanings_of(table)):
+    if quantity == "command" and any(m.quantity in OF_JOINTS for m in meanings):
         quantity = None  # positions by their names: of commands, as that of the file says
 
     def named(column: str) -> str:

@@ -17,6 +17,7 @@ from geodrake.logs.files.name_rules import (
     PLAIN,
     Meaning,
     meaning_of,
+    meanings_of,
     names_joints,
     number_of,
     numbers_joints,
@@ -199,11 +200,6 @@ def _turns_slowly(columns: Mapping[str, Array]) -> bool:
     return bool(np.quantile(off, 0.99) / 4.0 < _TURNED)  # half as far apart, a quarter as far off
 
 
-def meanings_of(table: LogTable) -> list[Meaning]:
-    """Return what columns of a table are, of those whose names say it."""
-    return [meaning for name in table.columns if (meaning := meaning_of(name)) is not None]
-
-
 def _time(table: LogTable, reading: Reading) -> tuple[Array | None, tuple[str, ...]]:
     """Return time stamps of a table, s, and a note of a unit that nobody said."""
     mapped = reading.mapping.time if reading.mapping else None
@@ -212,7 +208,7 @@ def _time(table: LogTable, reading: Reading) -> tuple[Array | None, tuple[str, .
             return stamps, ()
         unit = unit_of(mapped.unit or reading.units.get("time", "s"), "time")
         return mapped.gain * unit.factor * stamps, ()
-    source = time_source(meanings_of(table), reading, table)
+    source = time_source(meanings_of(table.columns), reading, table)
     if source is None:
         return None, ()
     if source.column in table.origins:
@@ -370,7 +366,8 @@ def _named(table: LogTable, naming: Mapping[str, Texts]) -> LogTable:
     """Return the table with numbered columns under the names that stand beside them in each row."""
     in_lists = all(name.endswith("]") for name in naming)
     joints = {number_of(name): words for name, words in naming.items()}
-    found = {n: m for n in table.columns if (m := _measured(n)) and m.number in joints}
+    measured = (m for m in meanings_of(table.columns) if m.quantity in OF_JOINTS)
+    found = {m.column: m for m in measured if m.role <= PLAIN and m.number in joints}
     found = {n: m for n, m in found.items() if n.endswith("]") or not in_lists}
     used = _likeliest(found, lambda m: (m.quantity, m.number))
     if not used:
@@ -391,13 +388,6 @@ def _named(table: LogTable, naming: Mapping[str, Texts]) -> LogTable:
     return replace(table, columns=columns, units=units, notes=(*table.notes, note))
 
 
-def _measured(column: str) -> Meaning | None:
-    """Return what a column of joints is, by its name; None for others, and for what is wanted."""
-    meaning = meaning_of(column)
-    is_measured = meaning is not None and meaning.quantity in OF_JOINTS and meaning.role <= PLAIN
-    return meaning if is_measured else None
-
-
 def _likeliest(
     found: Mapping[str, Meaning], place: Callable[[Meaning], object]
 ) -> dict[str, Meaning]:
@@ -413,11 +403,11 @@ def _unit_of(table: LogTable, meaning: Meaning) -> str | None:
 
 def _pivoted(table: LogTable, naming: str, words: Texts, reading: Reading) -> LogTable:
     """Return a table of a row for each joint and time as one of a row a sample."""
-    meanings = {name: meaning_of(name) for name in table.columns}
-    own = {n: m for n, m in meanings.items() if m is not None and m.quantity in OF_JOINTS}
-    own = _likeliest(own, lambda m: m.quantity)
+    told = [m for m in meanings_of(table.columns) if m.quantity in OF_JOINTS]
+    own = _likeliest({m.column: m for m in told if not m.words}, lambda m: m.quantity)
     joints = list(dict.fromkeys(words.tolist()))
-    if not own or any(m.words for m in own.values()) or len(joints) == len(words):
+    of_others = any(m.words and m.quantity == "position" for m in told)
+    if not own or of_others or len(joints) == len(words):
         return table
     _check_names(table, naming, words)
     _check_at_once(table, naming, words)

@@ -13,7 +13,7 @@ from geodrake.boundary.arguments import positive, typed
 from geodrake.boundary.yaml_schema import Schema, as_schema
 from geodrake.boundary.yaml_text import yaml_content
 from geodrake.errors import ArgumentError, LogError
-from geodrake.logs.files.name_rules import DESIRED, OF_JOINTS, Meaning, matched, meaning_of
+from geodrake.logs.files.name_rules import DESIRED, OF_JOINTS, Meaning, matched, meanings_of
 from geodrake.logs.files.reading import (
     ColumnMapping,
     MappedColumn,
@@ -21,7 +21,7 @@ from geodrake.logs.files.reading import (
     check_gain,
     parsed_gain,
 )
-from geodrake.logs.files.units import UNITS, unit_of
+from geodrake.logs.files.units import unit_names, unit_of
 from geodrake.logs.motion import EFFORT_KINDS, PASSIVE
 
 MOST_COLUMNS = 500  # of a file for which a mapping is proposed
@@ -149,7 +149,7 @@ def propose(
     """
     if reading.mapping is not None or len(names) > MOST_COLUMNS:
         return error
-    meanings = [m for name in names if headed and (m := meaning_of(name)) is not None]
+    meanings = meanings_of(names if headed else ())
     times = sorted((m for m in meanings if m.quantity == "time"), key=lambda m: m.role)
     of_joints = sorted((m for m in meanings if m.quantity in OF_JOINTS), key=lambda m: m.role)
     found, _ = matched(of_joints, joints)
@@ -165,8 +165,7 @@ def propose(
     own = joints or list(dict.fromkeys(found.values())) or ["JOINT"]
     guessed = {} if meanings else _guess(names, own, headed=headed)
     listed = "\n".join(f"#   {k}: {_word(name)}" for k, name in enumerate(names, 1))
-    units = "; ".join(f"{quantity} {', '.join(known)}" for quantity, known in UNITS.items())
-    lines = [_HEAD.format(name=path.name, columns=listed, units=units)]
+    lines = [_HEAD.format(name=path.name, columns=listed, units=unit_names())]
     if by_order:
         pairs = (f"{joint} is {name!r}" for name, joint in model.items())
         lines += [f"# A guess by the order of the joints, to be checked: {', '.join(pairs)}."]

@@ -10,15 +10,15 @@ Joints of a model are matched by their names, by names that end alike, and by nu
 from __future__ import annotations
 
 import re
-from collections import defaultdict
-from collections.abc import Callable, Mapping, Sequence
+from collections import Counter, defaultdict
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import zip_longest
 
 import numpy as np
 from numpy.typing import NDArray
 
-from geodrake.logs.files.units import Unit, find_unit, scaled_unit
+from geodrake.logs.files.units import WORDS, Unit, find_unit, scaled_unit
 from geodrake.logs.motion import EFFORT_KINDS, PARTIAL, PASSIVE, QUANTITIES, SIGNAL_KINDS
 
 Words = tuple[str | int, ...]
@@ -26,54 +26,25 @@ Words = tuple[str | int, ...]
 OF_JOINTS = (*QUANTITIES, *SIGNAL_KINDS, PASSIVE)
 """What a column of a joint may be."""
 
-QUANTITY_WORDS: Mapping[str, str] = {
-    **dict.fromkeys(["position", "positions", "pos", "q", "angle", "angles", "theta"], "position"),
-    **dict.fromkeys(["qm", "qg", "qj", "qpos"], "position"),
-    **dict.fromkeys(["velocity", "velocities", "vel", "qd", "dq", "qdot", "speed"], "velocity"),
-    **dict.fromkeys(["omega", "dtheta", "v", "qvel"], "velocity"),
-    **dict.fromkeys(
-        ["acceleration", "accelerations", "acc", "qdd", "ddq", "qddot"], "acceleration"
-    ),
-    **dict.fromkeys(["effort", "efforts", "eff", "torque", "torques", "tau", "moment"], "effort"),
-    **dict.fromkeys(["trq", "tq", "force", "load", "qfrc"], "effort"),
-    **dict.fromkeys(["current", "currents", "cur", "curr", "i", "iq"], "current"),
-    **dict.fromkeys(["voltage", "voltages", "volt", "volts"], "voltage"),
-    **dict.fromkeys(["pwm", "pwms", "duty"], "pwm"),
-    **{"winkel": "position", "geschwindigkeit": "velocity", "beschleunigung": "acceleration"},
-    **{"drehmoment": "effort", "strom": "current", "spannung": "voltage"},
-    **dict.fromkeys(["temperature", "temperatures", "temp", "temps"], "temperature"),
-}
+
+def _words(kind: str) -> frozenset[str]:
+    return frozenset(WORDS[kind].split())
+
+
+def _by_word(said: Mapping[str, str]) -> dict[str, str]:
+    """Return what each of some words says, of lists of words by that."""
+    return {word: what for what, words in said.items() for word in words.split()}
+
+
+QUANTITY_WORDS: Mapping[str, str] = _by_word(WORDS["quantities"])
 """Words that name a quantity."""
 
-_COMMAND = frozenset(["command", "commands", "commanded", "cmd", "cmds", "action", "actions"])
-_COMMAND |= {"goal", "setpoint", "reference", "ref", "desired", "target"}  # of positions, alone
-_STRONGEST = (
-    "temperature",
-    "acceleration",
-    "velocity",
-    "effort",
-    *SIGNAL_KINDS,
-    "position",
-)  # as in q1_torque
 _DERIVED = {"dot": {"position": "velocity"}, "ddot": {"position": "acceleration"}}
-_CURRENT = ("current", "currents", "cur", "curr", "i")
-_SHORT = ("v", "i")  # which say something before a number alone
-
+_CURRENT = WORDS["quantities"]["current"].split()
 MEASURED, PLAIN, MOTOR, DESIRED, OTHER = range(5)
 ROLE_WORDS: Mapping[str, int] = {
-    **dict.fromkeys(["measured", "meas", "msr", "actual", "act", "present", "feedback"], MEASURED),
-    **dict.fromkeys(["fbk", "ai", "ma", "state", "sensed", "observed", "ist"], MEASURED),
-    **dict.fromkeys(["motor", "theta", "dtheta", "drive", "rotor", "qm"], MOTOR),
-    **dict.fromkeys(["desired", "des", "commanded", "command", "commands", "cmd", "cmds"], DESIRED),
-    **dict.fromkeys(["target", "tgt", "reference", "ref", "goal", "setpoint", "set", "d"], DESIRED),
-    **dict.fromkeys(
-        ["ipo", "as", "nominal", "planned", "action", "actions", "soll", "computed"], DESIRED
-    ),
-    **dict.fromkeys(["tcp", "tool", "ee", "cartesian", "cart", "wrench", "imu", "base"], OTHER),
-    **dict.fromkeys(["external", "ext", "error", "err", "errors", "limit", "min", "max"], OTHER),
-    **dict.fromkeys(["gravity", "grav", "coriolis", "friction", "fric", "model"], OTHER),
-    **dict.fromkeys(["bias", "passive", "constraint", "inverse", "disturbance"], OTHER),
-    **dict.fromkeys(["fraction", "scaling", "contact", "direction", "sign"], OTHER),
+    word: ("measured", "", "motor", "desired", "other").index(role)
+    for word, role in _by_word(WORDS["roles"]).items()
 }
 """Words that say whether numbers were measured at the joint, and so which of several are taken."""
 
@@ -81,30 +52,18 @@ ROLES = ("measured", "", "of motors", "desired", "of something else")
 MAPPED = ("mapped",)
 """The style of columns that the user said."""
 
-_FILLERS = frozenset(
-    ["joint", "joints", "jnt", "axis", "axes", "link", "robot", "side", "states", "field"]
-) | {"msg", "data", "value", "actual", "estimated", "est", "filtered", "filt", "cycle", "estimate"}
-_FILLERS |= {"encoder", "control", "controller", "applied"}
-_NO_SIGNAL = frozenset(["limit", "limits", "min", "max", "error", "err", "errors"])
-_SUPPLY = frozenset(["supply", "bus", "battery", "main", "input"])  # which no joint has of its own
-_TIMES = frozenset(("time", "timestamp", "timestamps", "stamp", "t", "clock", "sec", "secs"))
-_TIMES |= {"datetime", "ts", "date", "times", "zeit", "uhrzeit", "ipoc"}
+_COMMAND, _SHORT, _FILLERS = map(_words, ("commands", "short", "fillers"))
+_NO_SIGNAL, _SUPPLY, _NAMING = map(_words, ("no_signal", "supply", "naming"))
+_TIMES, _NANOSECONDS, _SAMPLES = map(_words, ("times", "nanoseconds", "samples"))
 _TIME_OF_DAY = _TIMES - {"date"}
-_NANOSECONDS = frozenset(("nsec", "nsecs", "nanosec", "nanosecs", "nanoseconds"))
-_BESIDE_TIME = _TIMES | _NANOSECONDS | {"header", "ros", "rostime", "elapsed", "controller"}
-_BESIDE_TIME |= {"joint", "states", "state", "robot", "system", "log", "msg", "field", "seconds"}
-_BESIDE_TIME |= {"sim", "simulation", "wall", "relative", "sample", "device", "local", "epoch"}
-_TURNS = {"pos_estimate": "rev", "vel_estimate": "rev/s", "input_pos": "rev"}  # of ODrive
-_OF_MOTEUS = {"position": "rev", "velocity": "rev/s"}
+_BESIDE_TIME = _TIMES | _NANOSECONDS | _words("beside_time")
 _WORD = re.compile(r"[A-Z]+(?=[A-Z][a-z])|[A-Z]?[^\W\d_A-Z]+|[A-Z]+|\d+")
 _SECOND = re.compile(r"(?<![A-Za-z])(?:q2d|d2q|qd2(?=[\s_.(\[]+\d))(?![a-z])")  # qd2 is joint 2's
+_TYPED = re.compile(r"(?<![A-Za-z])(?:f|lr|r|n)(?=(?:Act|Set|Actual|Target)[A-Z])")  # in a PLC
 _OBSERVED = ("observation.state", "observation.position")  # of LeRobot
 _BRACKETS = re.compile(r"\s*[\[(<{]\s*([^\])>}]*?)\s*[\])>}]\s*$")
 _INDEX = re.compile(r"\[(\d+)\]")
-_NAMING = frozenset(["name", "names", "joint", "joints", "motor", "motors", "axis", "actuator"])
-_NAMING |= {"id", "servo"}
 _LONGEST_NAME = 200  # letters of a name of words
-_SAMPLES = ("actual", "measured", "feedback", "state", "desired", "target", "command", "reference")
 
 
 @dataclass(frozen=True)
@@ -174,6 +133,20 @@ def meaning_of(name: str) -> Meaning | None:
     if own is not None or len(name) > _LONGEST_NAME:
         return own
     return next((found for rule in RULES if (found := rule(name)) is not None), None)
+
+
+def meanings_of(names: Iterable[str]) -> list[Meaning]:
+    """Return what columns are, of those whose names say it.
+
+    A letter that is a unit of what the name says, as in `cur_A`, is no joint if no other has it.
+    """
+    found = [meaning for name in names if (meaning := meaning_of(name)) is not None]
+    counts = Counter(meaning.words for meaning in found)
+    for k, meaning in enumerate(found):
+        unit = find_unit(meaning.joint, meaning.quantity) if len(meaning.joint) == 1 else None
+        if unit is not None and counts[meaning.words] == 1:
+            found[k] = replace(meaning, joint="", words=(), unit=unit)
+    return found
 
 
 def is_time(name: str) -> bool:
@@ -274,7 +247,8 @@ def _time(name: str) -> Meaning | None:
 
 def _joint(column: str) -> Meaning | None:
     """Read a name of a quantity of a joint, its words in whatever order."""
-    name = _INDEX.sub(r"_\1", _SECOND.sub("qdd", column)).replace(*_OBSERVED)
+    name = _TYPED.sub("", _SECOND.sub("qdd", column))
+    name = _INDEX.sub(r"_\1", name).replace(*_OBSERVED)
     name = name.replace("qfrc_actuator", "qfrc")  # of MuJoCo: of motors, at joints
     brackets = _BRACKETS.search(name)
     cut = brackets.start() if brackets else len(name)
@@ -295,9 +269,8 @@ def _joint(column: str) -> Meaning | None:
     plain, unit = _without_unit(parts[place], quantity)
     if unit is None and quantity in SIGNAL_KINDS:  # of another kind: see `understanding`
         plain, unit = _without_unit(parts[place], "effort")
-    vendor = parts[place].rpartition(".")[2]
-    turns = _OF_MOTEUS if "servo_stats" in name else _TURNS
-    unit = find_unit(turns[vendor], quantity) if unit is None and vendor in turns else unit
+    of_vendor = (own for form, own in WORDS["vendors"].items() if re.search(form, column))
+    unit = unit or find_unit(next(of_vendor, ""), quantity)
     used = _used(_split(plain))
     joint = _rest(plain, used)
     counted = plain if place + 1 == len(parts) else f"{plain}/{parts[-1]}"  # as in command/data[2]
@@ -349,7 +322,7 @@ def _quantity(words: Words) -> str | None:
     if len(named) > 1:  # the current position is no motor current, and voltage in V no velocity
         named = [w for w in named if w not in (*_CURRENT, *_SHORT)] or named
     found = {QUANTITY_WORDS[w] for w in named}  # type: ignore[index]
-    quantity = next((each for each in _STRONGEST if each in found), None)
+    quantity = next((each for each in WORDS["quantities"] if each in found), None)
     for word, derived in _DERIVED.items():
         if word in words:
             quantity = derived.get(quantity or "", quantity)

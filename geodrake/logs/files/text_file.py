@@ -13,7 +13,7 @@ from functools import cached_property, partial
 from importlib import import_module
 from importlib.util import find_spec
 from io import BytesIO, StringIO, TextIOWrapper
-from itertools import chain, islice
+from itertools import chain, islice, takewhile
 from pathlib import Path
 from typing import Any, BinaryIO
 from zipfile import ZipFile
@@ -47,6 +47,7 @@ from geodrake.logs.files.units import UNITS, find_unit
 COMMENTS = ("#", "%", "//")
 _HEADER_LINES = 1000  # of a header whose names have line ends
 _PREFACE = 100  # lines, among which names are looked for
+_KEYED_ROWS = 4  # rows above numbers that begin with what they say, at least
 _LINES_AHEAD = 1000  # in which dates, lists and words are looked for
 _WHITESPACE = None
 _KEYED = re.compile(r"\s*([A-Za-z_][^:=\s]*)\s*[:=]\s*([+-]?(?:\.?\d|nan|inf).*)")
@@ -143,8 +144,12 @@ def text_layout(path: Path, file: Iterator[str], reading: Reading) -> TextLayout
     units, unnamed = dict[str, str](), tuple[str, ...]()
     both = [*cells, *_cells_of(lines[after], separator)] if any(cells) else []
     keyed = [found[1] for cell in both if (found := _KEYED.fullmatch(cell))]
+    rows = None if names or reading.columns else _KeyedRows.of(path, lines)
     if is_keyed := len(keyed) == len(both) > 1 and keyed == 2 * keyed[: len(cells)]:
         names = keyed[: len(cells)]
+    elif rows is not None:
+        names, units, separator, begin = rows.names, rows.units, rows.separator, rows.begin
+        names = _with_units(names, units)
     elif not names and (_are_numbers(cells) or any(map(_MEASURED.fullmatch, cells))):
         told = renamed(path, reading, cells) if reading.columns else ()
         names = told or _names_in_comment(cells, comment)
@@ -156,15 +161,13 @@ def text_layout(path: Path, file: Iterator[str], reading: Reading) -> TextLayout
         if not any(header):
             raise no_header(path, header)
         header, begin = _whole_header(header, lines, after, separator)
-        units = _units(header, lines[begin], separator)
-        header = [n if meaning_of(n) or not units else f"{n} [{units[n]}]" for n in header]
-        names, begin = header, begin + bool(units)
+        units = _units(header, lines[begin].split(separator))
+        names, begin = _with_units(header, units), begin + bool(units)
     layout = TextLayout(tuple(names), separator, ".", begin, units, unnamed, is_keyed)
     below = lines[begin : begin + _LINES_AHEAD]
     if _MAY_BE_MARKED[separator].search("".join(below)):
         with suppress(csv.Error):  # said when the rows are read
-            rows = [cells for _, cells in layout.cells(below)]
-            decimal, grouped, note = number_marks(path, rows)
+            decimal, grouped, note = number_marks(path, [each for _, each in layout.cells(below)])
             layout = replace(layout, decimal=decimal, grouped=grouped, note=note)
     return replace(layout, first=_first_cells(layout, below))
 
@@ -196,8 +199,62 @@ def _preface(lines: Sequence[str]) -> int:
         others = wide and len(names) != width and not any(map(is_number, names))
         if others and not few:
             before = [(j, each) for j, each, _ in rows if j < k][-1]  # whose units these may be
-            return before[0] if _units(before[1], lines[k], mark) else k
+            return before[0] if _units(before[1], lines[k].split(mark)) else k
     return 0
+
+
+@dataclass(frozen=True)
+class _KeyedRows:
+    """Rows above the numbers that begin with what they say, as TwinCAT and LabVIEW write them.
+
+    Keys are such as `Name`, `SampleTime[ms]` and `Unit`; the first column of the numbers is time.
+    """
+
+    names: list[str]
+    units: dict[str, str]
+    separator: str | None
+    begin: int  # of the numbers
+
+    @classmethod
+    def of(cls, path: Path, lines: Sequence[str]) -> _KeyedRows | None:
+        """Return those of a table of some lines; None of other tables."""
+        for begin, line in enumerate(lines[: min(_PREFACE, len(lines) - 1)]):
+            separator = _separator(line)
+            first, second = (_cells_of(each, separator) for each in lines[begin : begin + 2])
+            if len(first) == len(second) > 1 and _begins(first) and _begins(second):
+                break
+        else:
+            return None
+        rows = [cells for k in range(begin) if any(cells := _cells_of(lines[k], separator))]
+        keyed = takewhile(lambda row: row[0] and len(row) - len(first) in (0, 1), reversed(rows))
+        above = [*keyed][::-1]
+        header = max(above, key=_count_understood, default=[])
+        if len(above) < _KEYED_ROWS or not _count_understood(header):
+            return None
+        cls._check_clocks(path, header, [_cells_of(line, separator) for line in lines[begin:]])
+        names = ["Time" if meaning_of(header[0]) is None else header[0], *header[1 : len(first)]]
+        units = next(filter(None, (_units(names, cells) for cells in above)), {})
+        return cls(names, units, separator, begin)
+
+    @staticmethod
+    def _check_clocks(path: Path, header: Sequence[str], rows: Sequence[Sequence[str]]) -> None:
+        """Refuse columns of time beside each signal that differ."""
+        clocks = [k for k, name in enumerate(header) if name == header[0]]
+        whole = [cells for cells in rows if len(cells) > clocks[-1]]
+        if any(cells[k] != cells[0] for cells in whole for k in clocks):
+            raise LogError(
+                f"Log {str(path)!r} has {len(clocks)} columns of time, which differ.",
+                advice="Export one column of time for all, or a file for each signal.",
+            )
+
+
+def _begins(cells: Sequence[str]) -> bool:
+    """Return whether a row of numbers begins with its time."""
+    return _are_numbers(cells[:1]) and 2 * sum(map(is_number, cells)) > len(cells)
+
+
+def _count_understood(names: Sequence[str]) -> int:
+    return len({name for name in names if meaning_of(name) is not None})
 
 
 def _cells_of(line: str, separator: str | None) -> list[str]:
@@ -255,15 +312,21 @@ def _first_cells(layout: TextLayout, lines: Sequence[str]) -> dict[str, str]:
     return first
 
 
-def _units(header: Sequence[str], line: str, separator: str | None) -> dict[str, str]:
-    """Return units in a line below the header: as many as names, most of them known ones."""
-    cells = [cell.strip(' \t\r\n[]()"') for cell in line.split(separator)]
+def _units(header: Sequence[str], cells: Sequence[str]) -> dict[str, str]:
+    """Return units in a row beside the header: as many as names, most of them known ones."""
+    cells = [cell.strip(' \t\r\n[]()"') for cell in cells]
     if len(cells) != len(header):
         return {}
     known = {cell for cell in set(cells) if any(find_unit(cell, each) for each in UNITS)}
-    if 2 * sum(cell in known for cell in cells) <= len(cells):
+    asked = [cell for cell in cells if cell != cells[0] or cell in known]  # which may be a key
+    if 2 * sum(cell in known for cell in asked) <= len(asked):
         return {}
-    return dict(zip(header, cells, strict=True))
+    return {n: cell for n, cell in zip(header, cells, strict=True) if cell in known}
+
+
+def _with_units(names: Sequence[str], units: Mapping[str, str]) -> list[str]:
+    """Return names that say nothing with the units that are beside them."""
+    return [n if meaning_of(n) or not units.get(n) else f"{n} [{units[n]}]" for n in names]
 
 
 def _separator(line: str) -> str | None:

@@ -7,70 +7,57 @@ import re
 from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import lru_cache
+from pathlib import Path
+from typing import Any
+
+import msgspec
 
 from geodrake.errors import ArgumentError
 
-_ANGLES = {"rad": 1.0, "mrad": 1e-3, "deg": math.pi / 180, "rev": 2 * math.pi}
-_ANGLES["mdeg"] = 1e-3 * _ANGLES["deg"]
-_ANGLES["ticks"] = 2 * math.pi / 4096  # of servos with twelve bits a turn
-_MIDDLE = "ticks@2048"  # from the middle of the turn on, as drivers of such servos count angles
-_PLACES = {_MIDDLE: _ANGLES["ticks"]}
-_LENGTHS = {"m": 1.0, "cm": 1e-2, "mm": 1e-3, "um": 1e-6}
-_TIMES = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9, "min": 60.0, "days": 86400.0}
-_EFFORTS = {"Nm": 1.0, "Nmm": 1e-3, "mNm": 1e-3, "Ncm": 1e-2, "kNm": 1e3, "N": 1.0, "kN": 1e3}
-_SIGNALS = {
-    "current": {"A": 1.0, "mA": 1e-3},
-    "voltage": {"V": 1.0, "mV": 1e-3},
-    "pwm": {"share": 1.0, "%": 1e-2, "permille": 1e-3},
-}
+WORDS: Mapping[str, Any] = msgspec.yaml.decode(
+    Path(__file__).with_name("words.yaml").read_bytes(), type=dict[str, Any]
+)
+"""Words in names of columns and of units, and what they say."""
+
+_UNITS: dict[str, dict[str, float]] = WORDS["units"]
+_WAYS = _UNITS["angle"] | _UNITS["length"]
+_SIGNALS = {kind: _UNITS[kind] for kind in ("current", "voltage", "pwm")}
 
 UNITS: Mapping[str, Mapping[str, float]] = {
-    "time": _TIMES,
-    "position": _ANGLES | _PLACES | _LENGTHS,
-    "velocity": {f"{unit}/s": factor for unit, factor in (_ANGLES | _LENGTHS).items()}
-    | {"rpm": 2 * math.pi / 60},
-    "acceleration": {f"{unit}/s²": factor for unit, factor in (_ANGLES | _LENGTHS).items()},
-    "effort": _EFFORTS | _SIGNALS["current"] | _SIGNALS["voltage"] | _SIGNALS["pwm"],
+    "time": _UNITS["time"],
+    "position": _WAYS,
+    "velocity": {f"{unit}/s": factor for unit, factor in _WAYS.items()} | _UNITS["speed"],
+    "acceleration": {f"{unit}/s²": factor for unit, factor in _WAYS.items()},
+    "effort": _UNITS["effort"] | _SIGNALS["current"] | _SIGNALS["voltage"] | _SIGNALS["pwm"],
     **_SIGNALS,
-    "command": _ANGLES | _PLACES | _LENGTHS,
-    "temperature": {"°C": 1.0, "°F": 5.0 / 9.0, "K": 1.0},
+    "command": _WAYS,
+    "temperature": _UNITS["temperature"],
 }
-"""Quantity -> unit -> how many rad, m, s, N·m, N, A, V, shares of the supply or °C it is."""
+"""Quantity -> unit -> how many rad, m, s, N·m, N, A, V, shares of the supply or °C it is.
 
-_OFFSETS = {"°F": -160.0 / 9.0, "K": -273.15, _MIDDLE: -math.pi}  # °C, and rad, at 0 of them
+It is NaN where nobody knows.
+"""
 
+_OFFSETS = {"°F": -160.0 / 9.0, "K": -273.15}  # °C at 0 of them
 _SPELLINGS = {
     spelling: unit
-    for unit, spellings in {
-        "deg": "° degree degrees",
-        "ticks": "tick",
-        "rad": "radian radians",
-        "rad/s": "rads",
-        "deg/s": "degs",
-        "rev/s": "rps",
-        "rev": "turn turns revs",
-        "rpm": "1/min",
-        "s": "sec secs second seconds",
-        "ms": "msec millis milliseconds",
-        "us": "µs μs usec",
-        "ns": "nsec nsecs nanosec nanosecs",
-        "A": "amp amps",
-        "V": "volt volts",
-        "%": "percent pct",
-        "permille": "‰",
-        "°C": "c degc celsius",
-        "°F": "f degf fahrenheit",
-        "K": "kelvin",
-        "days": "day",
-    }.items()
+    for unit, spellings in WORDS["spellings"].items()
     for spelling in spellings.split()
 }
-"""What people write, in small letters -> how it is written here."""
+_SCALED = re.compile(
+    r"(?:(?P<factor>\d*\.?\d+(?:[eE][+-]?\d+)?)[\s*·]*)?(?P<unit>[^\d@]+?)(?:/(?P<share>\d+))?"
+    r"(?:@(?P<zero>-?\d+\.?\d*))?"
+)
+_TEN = re.compile(r"10*(\.0*)?|0?\.0*10*|1(\.0*)?[eE][+-]?\d+")  # powers of it
+_FORM = (
+    "others are written as 0.001deg, or rev/4096 of an encoder with so many counts a turn, and "
+    "rev/4096@2048 if it counts 2048 where the position is 0."
+)
 
 
 @dataclass(frozen=True)
 class Unit:
-    """A unit of a quantity."""
+    """A unit of a quantity; its factor is NaN where nobody knows it."""
 
     name: str
     factor: float
@@ -82,24 +69,33 @@ class Unit:
         return next((kind for kind, units in _SIGNALS.items() if self.name in units), None)
 
 
+def unit_names() -> str:
+    """Return the units of each quantity, in words."""
+    return "; ".join(f"{quantity} {_known(quantity)}" for quantity in UNITS)
+
+
+def _known(quantity: str) -> str:
+    return ", ".join(name for name, factor in UNITS[quantity].items() if not math.isnan(factor))
+
+
 def unit_of(text: str, quantity: str) -> Unit:
-    """Return the unit that a text stands for, such as `deg`, `°/s`, `N·mm` or `rad_s`."""
+    """Return the unit that a user names, such as `deg`, `N·mm`, `0.001deg` or `rev/4096@2048`."""
     if quantity not in UNITS:
         raise ArgumentError(
             f"There is no quantity {quantity!r} that has a unit.",
             advice=f"Quantities are {', '.join(UNITS)}.",
         )
-    unit = scaled_unit(text, quantity)
-    if unit is None:
+    unit = _scaled(text, quantity)
+    if unit is None or math.isnan(unit.factor):
         raise ArgumentError(
             f"{text!r} is no known unit of {quantity}.",
-            advice=f"Known are {', '.join(UNITS[quantity])}; others as a gain to SI.",
+            advice=f"Known are {_known(quantity)}; {_FORM}",
         )
     return unit
 
 
 def find_unit(text: str, quantity: str) -> Unit | None:
-    """Return the unit that a text stands for, or None; see `unit_of`."""
+    """Return the unit that a text stands for, such as `°/s`, `N·mm` or `rad_s`, or None."""
     known = UNITS.get(quantity, {})
     for name in _spelled(text.strip()) if text else ():
         if name in known:
@@ -108,17 +104,29 @@ def find_unit(text: str, quantity: str) -> Unit | None:
 
 
 def scaled_unit(text: str, quantity: str) -> Unit | None:
-    """Return the unit that a text stands for, which a power of ten may precede: `0.001deg`."""
-    if (unit := find_unit(text, quantity)) is not None:
-        return unit
-    found = re.fullmatch(r"(\d*\.?\d+(?:[eE][+-]?\d+)?)[\s*·]*(\D+)", text.strip())
-    inner = find_unit(found[2], quantity) if found else None
-    if inner is None or found is None or inner.offset or not _TEN.fullmatch(found[1]):
+    """Return the unit that a text in a name stands for, perhaps behind a power of ten, or None."""
+    found = _SCALED.fullmatch(text.strip())
+    is_plain = found is None or not (found["share"] or found["zero"])
+    is_scale = found is None or not found["factor"] or _TEN.fullmatch(found["factor"])
+    return _scaled(text, quantity) if is_plain and is_scale else find_unit(text, quantity)
+
+
+def _scaled(text: str, quantity: str) -> Unit | None:
+    """Return a unit with a factor, a share of it, and what it counts at 0, if they are there."""
+    found = _SCALED.fullmatch(text.strip())
+    if (plain := find_unit(text, quantity)) is not None or found is None:
+        return plain
+    factor, inner, share, zero = found.group("factor", "unit", "share", "zero")
+    unit = find_unit(inner, quantity)
+    scale = float(factor or 1.0) / (float(share or 1.0) or math.inf)
+    if unit is None or unit.offset or not 0.0 < scale < math.inf:
         return None
-    return Unit(f"{found[1]} {inner.name}", float(found[1]) * inner.factor)
-
-
-_TEN = re.compile(r"10*(\.0*)?|0?\.0*10*|1(\.0*)?[eE][+-]?\d+")  # powers of it
+    name = (f"{factor} " if factor else "") + unit.name + (f"/{share}" if share else "")
+    if zero is None:
+        return Unit(name, scale * unit.factor)
+    if quantity not in ("position", "command"):
+        return None
+    return Unit(f"{name}@{zero}", scale * unit.factor, -float(zero) * scale * unit.factor)
 
 
 @lru_cache(1024)
