@@ -23,14 +23,13 @@ from pydrake.systems.framework import DiagramBuilder
 from scipy.spatial import ConvexHull, QhullError
 
 from geodrake.boundary.arguments import instance, instances, typed
-from geodrake.boundary.input_files import regular_file
 from geodrake.errors import ArgumentError, ModelError
 from geodrake.inertia import Array
 from geodrake.model.robot_model import RobotModel
 from geodrake.robot.files import Given, read_description
 from geodrake.robot.files.checks import drop
 from geodrake.robot.files.description import drake_errors, drake_messages
-from geodrake.robot.mesh_files import stl_vertices
+from geodrake.robot.mesh_files import regular_mesh, stl_vertices
 from geodrake.robot.plant import arrange_as
 from geodrake.robot.shapes import (
     SHAPES_ADVICE,
@@ -152,7 +151,7 @@ def _points(path: Path) -> Array:
     """Return points (n, 3) of a mesh whose hull is that of the mesh."""
     if path.suffix.lower() == ".stl":
         return stl_vertices(path)
-    regular_file(path, "mesh", ModelError)
+    regular_mesh(path)
     with drake_messages(), drake_errors(path, how=" as a mesh", advice="Use an .obj or an .stl."):
         return _corners(Mesh(str(path)))
 
@@ -296,7 +295,7 @@ def _readable(name: str, where: Where, replacement: Path) -> Path:
     try:
         path = where(name)
         if path.suffix.lower() != ".stl":
-            return regular_file(path, "mesh", ModelError)
+            return regular_mesh(path)
         vertices = stl_vertices(path)
     except ModelError as error:
         words = error.problem.replace(f"The mesh {path} ", "it ").rstrip(".")

@@ -7,6 +7,7 @@ import re
 from collections.abc import Callable
 from itertools import chain
 from pathlib import Path
+from urllib.parse import unquote
 
 import numpy as np
 from numpy.typing import NDArray
@@ -25,19 +26,51 @@ MOST_TRIANGLES = 6000
 
 _HEADER, _COUNT, _FACET = 80, 4, 50  # bytes of a binary STL file
 _VERTEX = re.compile(rb"vertex\s+(\S+)\s+(\S+)\s+(\S+)")
+_NAMED = {
+    ".obj": re.compile(rb"^\s*mtllib\s+(.+)", re.MULTILINE),
+    ".mtl": re.compile(rb"^\s*(?:map_\w+|bump|disp|decal|refl|norm)\s+(.+)", re.MULTILINE),
+    ".gltf": re.compile(rb'"uri"\s*:\s*"([^"]*)"'),
+}
+"""Suffix -> what names other files: materials, textures, buffers."""
+_NAME = re.compile(r"(?!data:)[^\0]{1,200}")
 _MATERIALS = re.compile(rb"<bind_material.*?</bind_material>", re.DOTALL)
+_ERROR = re.compile(r"^\w+Error: ")
 _SMOOTH = 0.8  # cosine of the angle between a face's normal and the mean, up to which it is smooth
 _GRIDS = (256, 180, 128, 90, 64, 45, 32, 22, 16)  # cells along the longest side
+
+
+def regular_mesh(path: Path) -> Path:
+    """Return a mesh file, once it is clear that it and the files that it names end.
+
+    Drake opens those, materials and textures; what is not there does no harm.
+    """
+    waiting, seen = [path], set[Path]()
+    while waiting:
+        file = waiting.pop()
+        if file not in seen:
+            seen.add(file)
+            what = "mesh" if file == path else f"file that the mesh {path} names,"
+            data = read_regular(file, what, ModelError, largest=LARGEST_FILE, empty=True)
+            pattern, named = _NAMED.get(file.suffix.lower()), list[str]()
+            for match in pattern.finditer(data) if pattern else ():
+                words = match[1].decode(errors="replace").strip()
+                named += [words, words.rpartition(" ")[2], unquote(words)]
+            places = (file.parent / name for name in named if _NAME.fullmatch(name))
+            waiting += (place for place in places if place.exists() and not place.is_dir())
+    return path
 
 
 def wavefront(path: Path) -> str:
     """Return a mesh file as Wavefront's text, of `MOST_TRIANGLES` at most."""
     try:
-        return wavefront_text(READERS[path.suffix.lower()](path))
+        surface = READERS[path.suffix.lower()](path)
     except GeodrakeError:
         raise
     except Exception as error:  # whatever collada says of a file
-        raise _unreadable(path, str(error)) from error
+        raise _unreadable(path, _ERROR.sub("", str(error))) from error
+    if not len(surface[1]):
+        raise _unreadable(path, "it has no triangles")
+    return wavefront_text(surface)
 
 
 def wavefront_text(surface: Surface) -> str:
@@ -142,7 +175,8 @@ def _collada(path: Path) -> Surface:
         for primitive in geometry.primitives():
             is_cut = isinstance(primitive, collada.polylist.BoundPolylist)
             part = primitive.triangleset() if is_cut else primitive
-            if isinstance(part, collada.triangleset.BoundTriangleSet):  # and no lines
+            is_surface = isinstance(part, collada.triangleset.BoundTriangleSet)  # and no lines
+            if is_surface and part.vertex_index is not None:
                 parts.append((part.vertex, part.vertex_index))
     starts = np.cumsum([0, *(len(vertices) for vertices, _ in parts)])
     faces = np.concatenate([own + at for (_, own), at in zip(parts, starts, strict=False)])

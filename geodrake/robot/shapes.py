@@ -37,7 +37,6 @@ from pydrake.multibody.plant import AddMultibodyPlantSceneGraph, MultibodyPlant
 from pydrake.multibody.tree import BodyIndex
 from pydrake.systems.framework import DiagramBuilder
 
-from geodrake.boundary.input_files import regular_file
 from geodrake.errors import ModelError
 from geodrake.robot.files.checks import drop
 from geodrake.robot.files.description import drake_errors, drake_messages, read_description
@@ -47,7 +46,7 @@ from geodrake.robot.files.mjcf_source import compiled, load_mujoco
 from geodrake.robot.files.mjcf_terms import pose_of
 from geodrake.robot.files.xacro_file import read_expanded
 from geodrake.robot.files.xml_text import parse_xml_bytes
-from geodrake.robot.mesh_files import READERS, wavefront, wavefront_text
+from geodrake.robot.mesh_files import READERS, regular_mesh, wavefront, wavefront_text
 
 _LAST_GROUP = 2  # of geoms that MuJoCo shows unasked
 _WIDE, _DEEP = 100.0, 1.0
@@ -332,7 +331,7 @@ def _is_readable(shape: Element, where: Where, folder: Path, lost: dict[str, str
             elif found.suffix.lower() not in _DRAKE_READS:
                 raise ModelError(f"MeshCat shows no {found.suffix or 'such'} files")
             else:
-                regular_file(found, "mesh", ModelError)
+                regular_mesh(found)
         except ModelError as error:
             lost[name] = error.problem.rstrip(".")
             raise

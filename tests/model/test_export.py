@@ -282,3 +282,18 @@ def test_settings_of_masses_are_not_exported(tmp_path, settings):
     out.write_bytes(exported.content)
     np.testing.assert_allclose(load_model(out).phi, phi, rtol=1e-9, atol=1e-12)
     assert any("settings of m.xml by which MuJoCo changes masses" in n for n in exported.notes)
+
+
+def test_inertias_that_stand_in_frames_of_an_mjcf(tmp_path):
+    path = tmp_path / "r.xml"
+    path.write_text(
+        """<mujoco model="r"><compiler eulerseq="zyx"/><worldbody><body name="a">
+        <frame pos="0.1 0.2 0.3" euler="30 20 10"><frame axisangle="1 2 3 40">
+        <inertial pos="0.01 0.02 0.03" mass="1.5" diaginertia="0.01 0.02 0.025" quat="9 1 2 3"/>
+        </frame><joint name="j" axis="0 1 0"/></frame></body></worldbody></mujoco>"""
+    )
+    model = load_model(path)
+    content = export_model(replace(model, phi=1.1 * model.phi)).content
+    (tmp_path / "s.xml").write_bytes(content)
+    np.testing.assert_allclose(load_model(tmp_path / "s.xml").phi, 1.1 * model.phi, atol=1e-15)
+    assert content.count(b"<inertial") == 1

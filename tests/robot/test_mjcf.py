@@ -440,3 +440,26 @@ def test_one_thread_at_a_time_takes_mujocos_warnings():
         assert not there.wait(0.2)
     other.join(10.0)
     assert there.is_set()
+
+
+def test_models_attached_to_models_ever_more_often_end(tmp_path):
+    def write(uses, models, depth=12):
+        for k in range(depth):
+            own = range(models) if k < depth - 1 else ()
+            assets = "".join(f'<model name="m{i}" file="{k + 1}.xml"/>' for i in own)
+            attached = "".join(
+                f'<body><attach model="m{i % models}" body="root" prefix="p{i}_"/></body>'
+                for i in (range(uses) if k < depth - 1 else ())
+            )
+            (tmp_path / f"{k}.xml").write_text(
+                f'<mujoco model="f{k}"><asset>{assets}</asset><worldbody><body name="root">'
+                f'<joint name="j" axis="0 1 0"/><geom size="0.1"/>{attached}</body></worldbody>'
+                "</mujoco>"
+            )
+        return tmp_path / "0.xml"
+
+    assert len(load_model(write(2, 1, 3)).joints) == 7
+    with pytest.raises(ModelError, match=r"line 1: with <attach> there are \d+ bodies"):
+        load_model(write(10, 1))
+    with pytest.raises(ModelError, match="attaches more than 300 models"):
+        load_model(write(4, 4))

@@ -13,7 +13,7 @@ from geodrake.errors import ModelError
 from geodrake.excitation.collisions import CollisionWorld
 from geodrake.report.meshcat_scene import replay_page
 from geodrake.robot.files.given import Given
-from geodrake.robot.mesh_files import MOST_TRIANGLES, wavefront
+from geodrake.robot.mesh_files import MOST_TRIANGLES, regular_mesh, wavefront
 from geodrake.robot.shapes import robot_shapes
 
 CORNERS = np.array([[x, y, z] for x in (0, 1) for y in (0, 2) for z in (0, 3)], float)
@@ -167,6 +167,9 @@ def test_without_any_shape_links_are_sticks_and_the_page_says_so(tmp_path):
 MJCF = """<mujoco><compiler meshdir="meshes"/><asset><mesh name="m" file="m.obj"/></asset>
 <worldbody><body name="arm"><joint name="j" type="hinge"/><inertial mass="1" pos="0 0 0"
 diaginertia="1 1 1"/><geom type="mesh" mesh="m"/></body></worldbody></mujoco>"""
+EMPTY_COLLADA = """<COLLADA xmlns="http://www.collada.org/2005/11/COLLADASchema" version="1.4.1">
+<asset><up_axis>Z_UP</up_axis></asset><library_visual_scenes><visual_scene id="s"/>
+</library_visual_scenes><scene><instance_visual_scene url="#s"/></scene></COLLADA>"""
 COLLIDING = MESH.format(kind="collision", file="m.{}")
 FORMATS = ("stl", "dae", "obj", "gltf", "vtk")
 
@@ -186,3 +189,35 @@ def test_a_pipe_in_the_place_of_a_mesh_is_told(tmp_path, name, text, mesh):
     assert any("is a pipe" in note for note in robot_shapes(path, Given()).notes)
     with pytest.raises(ModelError, match="is a pipe"):
         CollisionWorld(load_model(path))
+
+
+@pytest.mark.parametrize(
+    ("mesh", "text", "pipe"),
+    [
+        ("m.obj", "mtllib m.mtl\nv 0 0 0\nv 1 0 0\nv 0 1 0\nv 0 0 1\nf 1 2 3\nf 1 2 4\n", "m.mtl"),
+        ("m.gltf", '{"images": [{"uri": "a%20texture.png"}]}', "a texture.png"),
+    ],
+)
+def test_a_pipe_behind_a_mesh_is_told(tmp_path, mesh, text, pipe):
+    path = tmp_path / "r.urdf"
+    path.write_text(ROBOT.format(shapes=COLLIDING.format(mesh.partition(".")[2])))
+    (tmp_path / mesh).write_text(text)
+    os.mkfifo(tmp_path / pipe)
+    assert any(f"{pipe} is a pipe" in note for note in robot_shapes(path, Given()).notes)
+    with pytest.raises(ModelError, match=f"{pipe} is a pipe"):
+        CollisionWorld(load_model(path))
+
+
+def test_a_texture_that_is_a_pipe_is_told(tmp_path):
+    (tmp_path / "m.obj").write_text("mtllib m.mtl\nv 0 0 0\n")
+    (tmp_path / "m.mtl").write_text("newmtl a\nmap_Kd -blendu on wood.png\n")
+    assert regular_mesh(tmp_path / "m.obj")
+    os.mkfifo(tmp_path / "wood.png")
+    with pytest.raises(ModelError, match=r"wood\.png is a pipe"):
+        regular_mesh(tmp_path / "m.obj")
+
+
+def test_a_mesh_without_triangles_is_told(tmp_path):
+    (tmp_path / "m.dae").write_text(EMPTY_COLLADA)
+    with pytest.raises(ModelError, match="has no triangles"):
+        wavefront(tmp_path / "m.dae")

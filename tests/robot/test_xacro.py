@@ -187,7 +187,7 @@ def long_text(levels: int) -> str:
     ("body", "words"),
     [
         (doubling(28), "called more than"),
-        ('<a v="${[0] * 10**15}"/>', "more memory"),
+        ('<a v="${[0] * 10**15}"/>', "makes more than"),
         (long_text(28), "MB of text"),
     ],
 )
@@ -214,3 +214,34 @@ def test_a_file_is_expanded_again_only_if_something_in_it_has_changed(tmp_path, 
     part.unlink()
     with pytest.raises(ModelError, match=r"part\.xacro"):
         read_expanded(top, given)
+
+
+@pytest.mark.parametrize("trust", [False, True])
+@pytest.mark.parametrize(
+    "expression",
+    [
+        "len([0] * 10**9)",
+        "10**10**10",
+        "len('a' * 10**9)",
+        "1 << 10**10",
+        "len([x for x in range(10**9)])",
+    ],
+)
+def test_what_expressions_make_has_a_largest_size(tmp_path, expression, trust):
+    evaluated = [] if "(" in expression else [f"$(eval {expression} + 0)"]
+    for words in (f"${{{expression}}}", *evaluated):
+        path = written(tmp_path, f'<link name="a" v="{words.replace("<", "&lt;")}"/>')
+        with pytest.raises(ModelError, match="expression that makes more than"):
+            read_expanded(path, Given(trust_xacro=trust))
+    path = written(
+        tmp_path, '<link name="a" v="${[2 * 3, (1,) * 2, 1 &lt;&lt; 3, 2**0.5, \'a\' * 2]}"/>'
+    )
+    expanded = read_expanded(path, Given(trust_xacro=trust))
+    assert b"[6, (1, 1), 8, 1.4142135623730951, 'aa']" in expanded
+
+
+@pytest.mark.parametrize("words", ["$(eval 1 +)", "$(eval arg('n')", "${1 +}", "$(eval [1, 2)"])
+def test_an_unfinished_expression_is_named(tmp_path, words):
+    path = written(tmp_path, f'<link name="a" v="{words}"/>')
+    with pytest.raises(ModelError, match=r"the expression .* is unfinished or none of Python's"):
+        read_expanded(path, Given())

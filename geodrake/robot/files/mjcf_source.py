@@ -14,7 +14,7 @@ import importlib
 import re
 import threading
 import warnings
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -44,7 +44,7 @@ _NO_DYNAMICS = (
 _FOLDERS = ("meshdir", "assetdir", "texturedir", "strippath")
 _MESHES = (".obj", ".stl", ".msh")
 _MOST_MADE = 20_000  # things that one element makes, with those around it
-_DEEPEST = 30  # models attached to models
+_DEEPEST, _MOST_MODELS = 30, 300  # models attached to models, and of all of them
 _OF_BALLS = ("armature", "frictionloss", "damping")  # that each hinge has, which is about the same
 _SUFFIXES = ("_1", "_2", "_spin")
 
@@ -132,18 +132,19 @@ class _Compiler:
         found.left_out += self.plugins
         return found
 
-    def _prepare(self, root: Element, path: Path, prefix: str, chain: tuple[Path, ...]) -> None:
-        """Leave what bears on dynamics."""
+    def _prepare(self, root: Element, path: Path, prefix: str, chain: tuple[Path, ...]) -> float:
+        """Leave what bears on dynamics; return how many bodies MuJoCo makes of it."""
         drop(root, *_NO_DYNAMICS)
         self._take_plugins(root)
         folders = _take_folders(root)
         if not self.geoms:
             _drop_idle_geoms(root)
         _name_bodies(root, prefix)
-        _check_counts(root, path)
+        sizes = dict[str, float]()
         for element in [e for e in root.iter() if e.get("file") or e.tag == "hfield"]:
             if element.tag == "model":
-                self._attach(element, path, chain)
+                size = self._attach(element, path, chain)
+                sizes[element.get("name", "")] = size
             elif element.tag == "hfield":
                 element.set("name", element.get("name") or Path(element.get("file", "")).stem)
                 for key in ("file", "elevation", "content_type"):
@@ -155,6 +156,7 @@ class _Compiler:
                 element.attrib.pop("file")
         for material in root.iter("material"):
             material.attrib.pop("texture", None)
+        return _bodies_of(root, path, sizes)
 
     def _take_plugins(self, root: Element) -> None:
         for plugin in root.iter("plugin"):
@@ -164,8 +166,8 @@ class _Compiler:
                 self.plugins.append(f"the plugin {name} ({where}) is left out.")
         drop(root, "extension", "plugin")
 
-    def _attach(self, element: Element, path: Path, chain: tuple[Path, ...]) -> None:
-        """Make a model known under a key."""
+    def _attach(self, element: Element, path: Path, chain: tuple[Path, ...]) -> float:
+        """Make a model known under a key; return how many bodies it has."""
         file = path.parent / element.get("file", "")
         data = parse_xml(file)
         if data.tag != "mujoco":
@@ -175,13 +177,17 @@ class _Compiler:
         if file.resolve() in chain or len(chain) > _DEEPEST:
             raise _wrong(f"{path} cannot be read: {file} attaches itself.", path)
         Includes(file, {}).insert_elements(data)
+        if len(self.models) >= _MOST_MODELS:
+            raise _wrong(f"{path} attaches more than {_MOST_MODELS} models.", path)
         name = element.get("name") or data.get("model") or file.stem
         element.set("name", name)
-        self._prepare(data, file, f"{name}_", (*chain, file.resolve()))
         key = f"model_{len(self.models)}.xml"
+        self.models[key] = b""
+        size = self._prepare(data, file, f"{name}_", (*chain, file.resolve()))
         element.set("file", key)
         element.attrib.pop("content_type", None)
         self.models[key] = numbered_text(data)[0].encode()
+        return size
 
     def _name_mesh(self, element: Element, path: Path, folders: Sequence[str]) -> None:
         """Names a mesh's file by a key, and the mesh itself as MuJoCo would."""
@@ -334,6 +340,14 @@ def _name_joints(spec: Any) -> None:
             joint.name = joint.name or free(f"{body.name}_joint_{i}")
 
 
+def own_frames(body: Element) -> Iterator[Element]:
+    """Yield the frames and replicates of a body, those in frames included."""
+    for child in body:
+        if child.tag in ("frame", "replicate"):
+            yield child
+            yield from own_frames(child)
+
+
 def own_joints(body: Element) -> Iterator[Element]:
     """Yield the joints of a body, those in frames included."""
     for child in body:
@@ -355,17 +369,26 @@ def unused(taken: set[str | None]) -> Callable[[str], str]:
     return name
 
 
-def _check_counts(root: Element, path: Path) -> None:
-    """Refuse elements of which MuJoCo would make more than a robot has, before it does."""
-    found = [(root, 1.0)]  # elements, and how many are made of what is around each
+def _bodies_of(root: Element, path: Path, sizes: Mapping[str, float]) -> float:
+    """Return how many bodies MuJoCo makes of a file, and refuse more than a robot has.
+
+    Args:
+        sizes: Name of a model that may be attached -> how many bodies it has.
+    """
+    found, total = [(root, 1.0)], 0.0  # elements, and how many are made of what is around each
     while found:
         element, made = found.pop()
         for word in element.get("count", "").split():
             made *= abs(float(word)) if _COUNT.fullmatch(word) else 1.0
-        if made > _MOST_MADE:
-            what = f"<{element.tag}> makes {made:.0f} of what is in it"
+        if element.tag in ("body", "attach"):
+            total += made * sizes.get(element.get("model", ""), 1.0)
+        what = f"<{element.tag}> makes {made:.0f} of what is in it"
+        if total > _MOST_MADE >= made:
+            what = f"with <{element.tag}> there are {total:.0f} bodies"
+        if max(made, total) > _MOST_MADE:
             raise wrong_at(element, path, f"{what}, and geodrake reads up to {_MOST_MADE}.")
         found += [(child, made) for child in element]
+    return total
 
 
 def _split_balls(spec: Any, found: CompiledMjcf) -> bool:

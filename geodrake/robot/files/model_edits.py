@@ -4,16 +4,20 @@ from __future__ import annotations
 
 import os
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from copy import deepcopy
 from dataclasses import dataclass
 from pathlib import Path
 from xml.etree.ElementTree import Comment, Element, SubElement
 
 import numpy as np
+from pydrake.math import RigidTransform
 
 from geodrake.errors import ModelError
-from geodrake.inertia import Array, to_mass_com_inertia
+from geodrake.inertia import Array, change_frame, to_mass_com_inertia
 from geodrake.robot.files.checks import UPPER, numbers, rotation, tensor_words, words
-from geodrake.robot.files.mjcf_source import own_joints
+from geodrake.robot.files.includes import Includes
+from geodrake.robot.files.mjcf_source import compiled, own_frames, own_joints
+from geodrake.robot.files.mjcf_terms import pose_of
 from geodrake.robot.files.source_text import check_in_itself, comment_words, edited
 from geodrake.robot.files.xml_text import SUPPORTED_FORMATS, LocatedElement, parse_xml_bytes
 
@@ -51,6 +55,7 @@ _PASSIVE: Mapping[str, tuple[str, ...]] = {
 }
 """Tag of an MJCF -> attributes of forces that are no joint's own."""
 _MJCF_ASSETS = {"mesh": "meshdir", "hfield": "meshdir", "skin": "meshdir", "texture": "texturedir"}
+_PROBE = "geodrake_frame_"
 _MJCF_FILES = ("file", "fileright", "fileleft", "fileup", "filedown", "fileback")
 
 
@@ -90,8 +95,12 @@ class EditedFile:
         """
         there = self.links
         check_in_itself(inertias, there, self.path)
+        framed = _inertials_in_frames(self.root, self.path)
         for name, phi in inertias.items():
-            self._format.put_inertia(there[name], phi)
+            holder, X_BF = framed.get(there[name], (there[name], RigidTransform()))
+            X_FB = X_BF.inverse()
+            own = change_frame(phi, X_FB.rotation().matrix(), X_FB.translation())
+            self._format.put_inertia(holder, phi if holder is there[name] else own)
 
     def set_joint_numbers(self, changes: Mapping[str, Change]) -> None:
         """Change numbers of joints by their scoped names."""
@@ -167,6 +176,32 @@ class EditedFile:
     def add_comments(self, sentences: Sequence[str]) -> None:
         """Put comments before all else."""
         self.root[:0] = [Comment(comment_words(sentence)) for sentence in sentences]
+
+
+def _inertials_in_frames(
+    root: Element, path: Path
+) -> dict[Element, tuple[Element, RigidTransform]]:
+    """Body of an MJCF whose inertia stands in a <frame> -> that, and its pose in the body."""
+    holders = {
+        frame: body
+        for body in root.iter("body")
+        for frame in own_frames(body)
+        if frame.find("inertial") is not None
+    }
+    if root.tag != "mujoco" or not holders:
+        return {}
+    probed, names = deepcopy(root), dict[Element, str]()
+    for k, (frame, twin) in enumerate(zip(root.iter("frame"), probed.iter("frame"), strict=True)):
+        if frame in holders:  # MuJoCo tells where a body there is
+            names[frame] = f"{_PROBE}{k}"
+            SubElement(twin, "body", name=names[frame], pos="0 0 0")
+    Includes(path, {}).insert_elements(probed)
+    m = compiled(probed, path).model
+    at = {frame: int(m.body(name).id) for frame, name in names.items()}
+    return {
+        body: (frame, pose_of(m.body_pos[at[frame]], m.body_quat[at[frame]]))
+        for frame, body in holders.items()
+    }
 
 
 def put_inertia(root: Element, link: Element, phi: Array) -> None:

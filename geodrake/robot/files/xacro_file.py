@@ -2,12 +2,13 @@
 
 Their expressions are Python's, without its builtins but those that xacro gives. Whoever reaches a
 class or a frame by the attributes of a value reaches all of Python, so the names of such are
-refused, unless the user trusts the file.
+refused, unless the user trusts the file. What expressions of any file make has a largest size.
 """
 
 from __future__ import annotations
 
 import ast
+import builtins
 import hashlib
 import importlib
 import importlib.util
@@ -35,6 +36,9 @@ _COMMENT = re.compile(rb"<!--.*?-->", re.DOTALL)
 _NO_ARGUMENT = re.compile(r"Undefined substitution argument (\S+)")
 _MOST_CALLS = 10_000  # of macros, which may call each other ever more often
 _MOST_FILES = 500  # read for one, as files may include each other ever more often
+_MOST_ITEMS = 1_000_000  # of a list, a text or a range that an expression makes
+_MOST_BITS = 100_000  # of a whole number that it makes
+_CLASS = re.compile(r"<class '[\w.]+'>:? ?")
 _ONE_AT_A_TIME = RLock()
 _INNER = (
     types.AsyncGeneratorType,
@@ -112,9 +116,9 @@ def _expanded(path: Path, given: Given, read: dict[Path, bytes | None]) -> bytes
         own._eval_find = own._eval_dict["find"] = lambda name: str(
             folder_of_package(name, path, given.packages)
         )
+        _limit_expressions(xacro, _Limited(path, given.trust_xacro))
         if not given.trust_xacro:
             _limit_calls(xacro)
-            _limit_expressions(xacro)
         try:
             document = xacro.process_file(str(path), mappings=dict(given.xacro))
             return bytes(document.toxml(encoding="utf-8"))
@@ -131,7 +135,9 @@ def _expanded(path: Path, given: Given, read: dict[Path, bytes | None]) -> bytes
                 inner = inner.exc
             if isinstance(inner, GeodrakeError):
                 raise inner from error
-            words = _words(inner) or str(error) or type(inner).__name__
+            words = _words(inner) or _CLASS.sub("", str(error)) or type(inner).__name__
+            half = len(words) // 2
+            words = words[:half] if words[:half] == words[half + 1 :] else words  # said twice
             files = [file for file in xacro.filestack or () if file != str(path)]
             words = one_line(Exception(words + (f" (in {files[-1]})" if files else "")))
             missing = _NO_ARGUMENT.search(words)
@@ -188,14 +194,82 @@ def _limit_calls(xacro: Any) -> None:
     xacro.handle_macro_call = counted
 
 
-def _limit_expressions(xacro: Any) -> None:
-    """Have xacro evaluate expressions of values alone."""
+class _Limited(ast.NodeTransformer):
+    """Makes of expressions such that end: whose operations make nothing that is too large.
+
+    Those of files that nobody trusts must not ask for names of what Python is made of.
+
+    Attributes:
+        functions: Names -> what does as Python does, as long as that is not too large.
+    """
+
+    def __init__(self, path: Path, trusted: bool) -> None:
+        self.path, self.trusted = path, trusted
+        self.functions = {
+            "range": self._range,
+            **{method.__name__: method for method in (self.Mult, self.Pow, self.LShift)},
+        }
+
+    def text(self, text: str) -> str:
+        """Return an expression with the functions in the place of operations."""
+        try:
+            tree = ast.parse(text.strip(), "<expression>", mode="eval")
+        except SyntaxError as error:
+            what = f"{one_line(Exception(text))!r:.80}, which is unfinished or none of Python's"
+            raise self._wrong(f"has the expression {what}: {error.msg}") from error
+        for node in ast.walk(tree) if not self.trusted else ():
+            name, attribute = getattr(node, "id", ""), getattr(node, "attr", "")
+            if name.startswith("__") or attribute.startswith("_") or attribute in _REFUSED:
+                raise RefusedError(f"{name or attribute} is asked for in '{text}'")
+        return ast.unparse(self.visit(tree))
+
+    def visit_BinOp(self, node: ast.BinOp) -> ast.expr:
+        """Put a function in the place of an operation."""
+        self.generic_visit(node)
+        name = type(node.op).__name__
+        if name not in self.functions:
+            return node
+        return ast.Call(ast.Name(name, ast.Load()), [node.left, node.right], [])
+
+    def Mult(self, a: Any, b: Any) -> Any:
+        """Return a * b."""
+        for some, count in ((a, b), (b, a)):
+            if isinstance(some, str | bytes | list | tuple) and isinstance(count, int):
+                self._check(len(some) * count, _MOST_ITEMS, "items or letters")
+        return a * b
+
+    def Pow(self, a: Any, b: Any) -> Any:
+        """Return a ** b."""
+        if isinstance(a, int) and isinstance(b, int):
+            self._check(a.bit_length() * b, _MOST_BITS, "bits")
+        return a**b
+
+    def LShift(self, a: Any, b: Any) -> Any:
+        """Return a << b."""
+        self._check(b, _MOST_BITS, "bits")
+        return a << b
+
+    def _range(self, *ends: Any) -> range:
+        found = range(*ends)
+        self._check((found.stop - found.start) // found.step, _MOST_ITEMS, "items")
+        return found
+
+    def _check(self, size: Any, most: int, what: str) -> None:
+        if size > most:
+            raise self._wrong(f"has an expression that makes more than {most:,} {what}")
+
+    def _wrong(self, what: str) -> ModelError:
+        return ModelError(f"{self.path} {what}.", advice="Correct the file.", path=self.path)
+
+
+def _limit_expressions(xacro: Any, limited: _Limited) -> None:
+    """Have xacro evaluate expressions that end, and unless they are trusted, of values alone."""
     if not hasattr(xacro, "safe_eval"):
         raise ModelError(
             "The package xacro is older than 2.1, and evaluates whatever a file asks for.",
             advice="Update it: pip install -U xacro.",
         )
-    evaluated, python = xacro.safe_eval, xacro._global_symbols["python"]
+    evaluated, symbols = xacro.safe_eval, xacro._global_symbols
 
     def withheld(name: str) -> Any:
         def refuse(*_: Any, **__: Any) -> None:
@@ -205,8 +279,9 @@ def _limit_expressions(xacro: Any) -> None:
 
     letters = 0
 
-    def counted(value: Any) -> Any:
+    def counted(text: str, *names: Any) -> Any:
         nonlocal letters
+        value = evaluated(limited.text(text), *names)
         letters += len(value) if isinstance(value, str) else 0
         if letters > LARGEST_FILE:
             raise RefusedError(
@@ -214,20 +289,14 @@ def _limit_expressions(xacro: Any) -> None:
             )
         return value
 
-    python.update({name: withheld(name) for name in _WITHHELD})
-    xacro.safe_eval = lambda text, names: counted(evaluated(_checked(text), names))
-    xacro.substitution_args.eval = lambda text, _, names: counted(
-        evaluated(_checked(text), dict(python), names)
-    )
-
-
-def _checked(text: str) -> str:
-    """Return an expression, or refuse one that asks for names of what Python is made of."""
-    for node in ast.walk(ast.parse(text.strip(), "<expression>", mode="eval")):
-        name, attribute = getattr(node, "id", ""), getattr(node, "attr", "")
-        if name.startswith("__") or attribute.startswith("_") or attribute in _REFUSED:
-            raise RefusedError(f"{name or attribute} is asked for in '{text}'")
-    return text
+    symbols.update(limited.functions)
+    symbols["python"]["range"] = limited.functions["range"]
+    if not limited.trusted:
+        symbols["python"].update({name: withheld(name) for name in _WITHHELD})
+    every = {**(vars(builtins) if limited.trusted else {}), **symbols["python"]}
+    every |= limited.functions
+    xacro.safe_eval = counted
+    xacro.substitution_args.eval = lambda text, _, names: counted(text, dict(every), names)
 
 
 def _words(error: Exception) -> str:
