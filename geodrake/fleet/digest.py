@@ -45,8 +45,6 @@ Indices = NDArray[np.intp]
 
 _LARGEST_FILE = 500_000_000  # bytes, also of what an archive says it unpacks to
 _SEAL = hashlib.sha256().digest_size
-_NUMBERS = ("noise_floor", "gain_deviations", "position", "speed", "temperature")
-_INTEGERS = ("columns", "samples", "seen")
 
 
 @dataclass(frozen=True, eq=False)
@@ -428,72 +426,29 @@ def _text(arrays: Mapping[str, NDArray[Any]], name: str) -> str:
     return bytes(np.asarray(arrays[name], np.uint8)).decode()
 
 
-def _log(said: Mapping[str, Any], nv: int) -> DigestedLog:
-    log = msgspec.convert(said, DigestedLog, dec_hook=array_of)
-    for name in _NUMBERS:
-        values = getattr(log, name)
-        if values.shape != ((2, nv) if name in ("position", "speed") else (nv,)):
-            raise ValueError(f"its {name} has the shape {values.shape}")
-        if name != "temperature" and not np.isfinite(values).all():
-            raise ValueError(f"its {name} is not finite")
-    for name in ("date", "seconds", "period", "bandwidth", "noise_weight"):
-        if not 0 < getattr(log, name) < np.inf:
-            raise ValueError(f"its {name} is {getattr(log, name)!r}")
-    return log
-
-
 def _digest(
     header: Mapping[str, Any], settings: DigestSettings, arrays: Mapping[str, NDArray[Any]]
 ) -> Digest:
-    logs = tuple(_log(said, len(settings.joints)) for said in header["logs"])
-    blocks = tuple(map(str, header["blocks"]))
-    block_logs = np.array(header["block_logs"], np.intp).reshape(len(blocks))
-    if not blocks or not 0 <= block_logs.min() <= block_logs.max() < len(logs):
-        raise ValueError("its blocks are of no log")
-    sizes = len(blocks), len(logs)
-    joints = []
-    for k, name in enumerate(settings.joints):
-        names = ("factors", *_ARRAYS, *(_PASSIVE if name in settings.passive else ()))
-        joints.append(_joint(name, {n: arrays[f"{k}.{n}"] for n in names}, settings, sizes))
-    return Digest(settings, logs, blocks, block_logs, tuple(joints))
+    """Return what a file holds whose checksum says that it is as it was written."""
+    logs = tuple(msgspec.convert(said, DigestedLog, dec_hook=array_of) for said in header["logs"])
+    pairs = enumerate(settings.joints)
+    joints = tuple(_joint(name, f"{k}.", arrays, settings, len(logs)) for k, name in pairs)
+    block_logs = np.array(header["block_logs"], np.intp)
+    return Digest(settings, logs, tuple(header["blocks"]), block_logs, joints)
 
 
 def _joint(
     name: str,
+    prefix: str,
     arrays: Mapping[str, NDArray[Any]],
     settings: DigestSettings,
-    sizes: tuple[int, int],
+    logs: int,
 ) -> JointDigest:
-    """Return a joint of a digest of so many blocks and logs, its arrays of the shapes they need."""
-    blocks, logs = sizes
-    columns = np.asarray(arrays["columns"], np.intp).ravel()
-    p = len(columns)
+    found = {each: arrays[prefix + each] for each in _ARRAYS}
+    p = len(found["columns"])
     size = p + len(settings.delays)
-    if p and not (np.diff(columns) > 0).all():
-        raise ValueError(f"columns of {name} are not in order")
-    if p and not 0 <= columns[0] <= columns[-1] < len(settings.columns):
-        raise ValueError(f"columns of {name} are not among those of the settings")
-    shapes = {
-        "columns": (p,),
-        "factors": (blocks, size * (size + 1) // 2),
-        "samples": (blocks,),
-        "seen": (blocks,),
-        "effort_sums": (blocks, 2),
-        "carried": (blocks, p),
-        "peaks": (p,),
-        "autocovariances": (blocks, settings.lags),
-        "inertia": (logs, p),
-        "scale": (logs,),
-    }
-    found: dict[str, NDArray[Any]] = {
-        each: np.zeros(shapes[each]) for each in _PASSIVE if each not in arrays
-    }
-    for each in arrays:
-        shape = shapes[each]
-        values = np.asarray(arrays[each], np.intp if each in _INTEGERS else float)
-        if values.shape != shape or not np.isfinite(values).all():
-            raise ValueError(f"{each} of {name} has the shape {values.shape}, or no numbers")
-        found[each] = values
-    factors = np.zeros((blocks, size, size))
-    factors[:, *np.triu_indices(size)] = found["factors"]
-    return JointDigest(name, **{**found, "factors": factors})
+    for each, shape in zip(_PASSIVE, ((logs, p), (logs,)), strict=True):
+        found[each] = arrays.get(prefix + each, np.zeros(shape))
+    factors = np.zeros((len(found["samples"]), size, size))
+    factors[:, *np.triu_indices(size)] = arrays[f"{prefix}factors"]
+    return JointDigest(name, factors=factors, **found)
