@@ -31,11 +31,11 @@ from diagrams.public_data import add_folder_option, require
 from geodrake.control import (
     BregmanProjectionEstimator,
     ControlModel,
-    FilteredRegressor,
     LogSource,
     SampleUpdate,
     parameter_manifold,
 )
+from geodrake.control.online_estimation import FilteredRegressor
 from geodrake.effects import (
     CoulombFriction,
     FittedEffect,

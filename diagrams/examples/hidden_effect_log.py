@@ -32,13 +32,15 @@ from pydrake.systems.primitives import LogVectorOutput
 from pydrake.trajectories import PiecewisePolynomial
 
 from diagrams.harness import MODELS, script_parser, sines, tell
-from geodrake.control import DelayedEffort, EffectForce, add_tracking_drives
+from geodrake.control import DelayedEffort, EffectForce
+from geodrake.control.systems import add_tracking_drives
 from geodrake.effects import Effect, EffortDelay, make_effect
 from geodrake.effects.sensors import delays_of
 from geodrake.errors import ArgumentError, GeodrakeError
 from geodrake.inertia import from_mass_com_inertia, to_spatial_inertia
 from geodrake.logs import JointLog, write_log
-from geodrake.robot import joint_names, position_limits, velocity_limits
+from geodrake.robot import joint_names
+from geodrake.robot.plant import position_limits, velocity_limits
 
 Array = NDArray[np.float64]
 

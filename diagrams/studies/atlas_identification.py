@@ -44,12 +44,11 @@ from geodrake.model import RobotModel
 from geodrake.robot import (
     base_wrench_regressor,
     inverse_dynamics_regressor,
-    position_limits,
-    pushforward_metric,
-    velocity_limits,
     zero_moment_point,
 )
+from geodrake.robot.base_parameters import pushforward_metric
 from geodrake.robot.files.description import drake_messages
+from geodrake.robot.plant import position_limits, velocity_limits
 
 # Robots on one foot, [Lee2019] §4.6.3: Atlas from a folder of its own, or a small one of ours.
 #

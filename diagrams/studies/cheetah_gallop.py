@@ -40,11 +40,11 @@ from geodrake.robot import (
     LinearTransmission,
     base_parameters,
     base_wrench_regressor,
-    body_poses,
     inverse_dynamics_regressor,
     joint_names,
-    load_plant,
 )
+from geodrake.robot.floating_base import body_poses
+from geodrake.robot.plant import load_plant
 
 # A gallop-like motion of the whole robot: trunk and four legs ([Lee2019] §3.6.2.2).
 #

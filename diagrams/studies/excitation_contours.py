@@ -20,8 +20,8 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from diagrams.harness import script_parser, show, write
-from geodrake.excitation import NORMALIZATIONS, Criterion
-from geodrake.excitation.objective import normalizing_map
+from geodrake.excitation import Criterion
+from geodrake.excitation.objective import NORMALIZATIONS, normalizing_map
 from geodrake.report import style
 
 Array = np.ndarray

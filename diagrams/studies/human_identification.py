@@ -35,7 +35,8 @@ from geodrake.identification import (
     RegularizerComparison,
     compare_regularizers,
 )
-from geodrake.inertia import central_second_moment, pseudo_inertia
+from geodrake.inertia import pseudo_inertia
+from geodrake.inertia.parameters import central_second_moment
 from geodrake.inertia.positive_definite import distance, relative_logarithms
 from geodrake.report import style
 

@@ -24,7 +24,6 @@ from numpy.typing import NDArray
 from diagrams.harness import MODELS, run_draws, script_parser, show, show_values, write
 from diagrams.public_data import add_folder_option
 from geodrake.excitation import (
-    NORMALIZATIONS,
     DesignOptions,
     ExcitationTrajectory,
     FourierMotion,
@@ -38,10 +37,15 @@ from geodrake.excitation import (
     measurement_factor,
     motion_limits,
 )
+from geodrake.excitation.objective import NORMALIZATIONS
 from geodrake.inertia import perturb
 from geodrake.logs import Motion
 from geodrake.model import RobotModel, load_description
-from geodrake.robot import BaseParameters, inverse_dynamics_regressor, pushforward_metric
+from geodrake.robot import (
+    BaseParameters,
+    inverse_dynamics_regressor,
+)
+from geodrake.robot.base_parameters import pushforward_metric
 
 Array = NDArray[np.float64]
 

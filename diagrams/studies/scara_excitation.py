@@ -31,8 +31,6 @@ from pydrake.multibody.tree import (
 from diagrams.harness import run_draws, script_parser, show, show_values, write
 from diagrams.studies.iiwa_excitation import identified_by, parameter_error, root_covariance
 from geodrake.excitation import (
-    CRITERIA,
-    NORMALIZATIONS,
     Criterion,
     DesignOptions,
     ExcitationTrajectory,
@@ -43,6 +41,7 @@ from geodrake.excitation import (
     design_excitation,
     make_target,
 )
+from geodrake.excitation.objective import CRITERIA, NORMALIZATIONS
 from geodrake.inertia import inertial_parameters
 from geodrake.model import RobotModel
 

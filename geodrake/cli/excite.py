@@ -16,25 +16,22 @@ from geodrake.cli.progress import STOPPING, Activity
 from geodrake.cli.session import Command, Input, Output, run
 from geodrake.errors import ArgumentError, ModelError
 from geodrake.excitation import (
-    CRITERIA,
-    NORMALIZATIONS,
     CollisionWorld,
     Criterion,
     DesignOptions,
     ExcitationResult,
     FourierMotion,
     FreeSamples,
-    MotionFamily,
     MotionLimits,
     Objective,
     SplineMotion,
-    floor_of,
-    read_obstacles,
 )
-from geodrake.excitation.collision_geometry import FLOOR
+from geodrake.excitation.collision_geometry import FLOOR, floor_of, read_obstacles
 from geodrake.excitation.design import DesignProgress, design_excitation
+from geodrake.excitation.families import MotionFamily
 from geodrake.excitation.identifiable import LogIdentifiability, log_identifiability
 from geodrake.excitation.limits import FULL_EFFORT, FULL_SPEED
+from geodrake.excitation.objective import CRITERIA, NORMALIZATIONS
 from geodrake.excitation.solve import Budget
 from geodrake.excitation.starts import below_floor
 from geodrake.excitation.target import SIZE_WORDS, usual_noise, usual_target

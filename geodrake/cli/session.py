@@ -267,9 +267,8 @@ def check_outputs(outputs: Mapping[str, Output], inputs: Iterable[Path]) -> None
         if _place(path) in taken:
             raise _refusal(name, path, taken[_place(path)], "Choose another name.")
         taken[_place(path)] = f"is already the target of --{name}"
-        reason, advice = _obstacle(path)
-        if reason:
-            raise _refusal(name, path, reason, advice)
+        if reason := _obstacle(path):
+            raise _refusal(name, path, reason, "Choose another place.")
 
 
 def _place(path: Path) -> str:
@@ -277,21 +276,13 @@ def _place(path: Path) -> str:
     return os.path.realpath(path)
 
 
-def _obstacle(path: Path) -> tuple[str, str]:
-    """Return why a file cannot be written, and what to do about it; nothing if it can."""
+def _obstacle(path: Path) -> str:
+    """Return why a file cannot be written; "" if it can."""
     try:
-        if not path.parent.is_dir():
-            return f"is in {path.parent}, which is no folder", "Choose a folder that exists."
-        if path.exists() and not path.is_file():
-            return "is there and is no file", "Choose another name."
-        if path.exists() and not os.access(path, os.W_OK):
-            return "is there and is read-only", "Choose another name."
         check_writable(path)
-    except OSError as error:
-        return f"cannot be written: {error.strerror}", "Choose another place."
     except OutputError as error:
-        return f"cannot be written: {error.evidence['reason']}", "Choose another place."
-    return "", ""
+        return f"cannot be written: {error.evidence['reason']}"
+    return "is read-only" if path.exists() and not os.access(path, os.W_OK) else ""
 
 
 def _refusal(name: str, path: Path, reason: str, advice: str) -> OutputError:

@@ -2,15 +2,15 @@
 
 from geodrake.control.adaptation import (
     PartialLaw,
-    ProjectedLaw,
-    adapted_parameters,
     euclidean_adaptation,
     natural_adaptation,
     parameter_manifold,
     pullback_adaptation,
 )
 from geodrake.control.loops import AdaptiveLoop, add_adaptive_loop
-from geodrake.control.online_estimation import FilteredRegressor, SampleUpdate
+from geodrake.control.online_estimation import (
+    SampleUpdate,
+)
 from geodrake.control.regressor import ControlModel
 from geodrake.control.rollout import Rollout, RolloutFit, fit_rollouts, roll_out
 from geodrake.control.systems import (
@@ -25,7 +25,6 @@ from geodrake.control.systems import (
     PositionServo,
     PredictionError,
     VaryingGains,
-    add_tracking_drives,
 )
 
 __all__ = [
@@ -35,7 +34,6 @@ __all__ = [
     "ControlModel",
     "DelayedEffort",
     "EffectForce",
-    "FilteredRegressor",
     "FixedGains",
     "LogSource",
     "ModelResidual",
@@ -43,14 +41,11 @@ __all__ = [
     "PassivityBasedAdaptiveController",
     "PositionServo",
     "PredictionError",
-    "ProjectedLaw",
     "Rollout",
     "RolloutFit",
     "SampleUpdate",
     "VaryingGains",
-    "adapted_parameters",
     "add_adaptive_loop",
-    "add_tracking_drives",
     "euclidean_adaptation",
     "fit_rollouts",
     "natural_adaptation",

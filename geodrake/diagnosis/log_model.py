@@ -56,7 +56,8 @@ from geodrake.identification.logs.hypothesis import (
 from geodrake.identification.logs.model_fit import model_unknowns
 from geodrake.identification.logs.unknowns import Unknowns
 from geodrake.identification.normal_equations import not_held, scaled_cholesky, solved
-from geodrake.inertia import PARAMETERS_PER_BODY, pseudo_inertia_basis
+from geodrake.inertia import PARAMETERS_PER_BODY
+from geodrake.inertia.parameters import pseudo_inertia_basis
 from geodrake.model.robot_model import RobotModel
 
 Array = NDArray[np.float64]

@@ -10,13 +10,19 @@ nor units nor the choice of base parameters matter ([Lee2019] Proposition 4.1); 
 two effects are on it (`geodrake.excitation.tell_apart`).
 """
 
-from geodrake.excitation.collision_geometry import Solid, floor_of, read_obstacles
+from geodrake.excitation.collision_geometry import (
+    Solid,
+)
 from geodrake.excitation.collisions import CollisionWorld
 from geodrake.excitation.design import (
     ExcitationResult,
     design_excitation,
 )
-from geodrake.excitation.families import FourierMotion, FreeSamples, MotionFamily, SplineMotion
+from geodrake.excitation.families import (
+    FourierMotion,
+    FreeSamples,
+    SplineMotion,
+)
 from geodrake.excitation.identifiable import (
     IdentifiableParameters,
     LogIdentifiability,
@@ -27,7 +33,10 @@ from geodrake.excitation.identifiable import (
     reduced_identification,
 )
 from geodrake.excitation.limits import MotionLimits, motion_limits
-from geodrake.excitation.objective import CRITERIA, NORMALIZATIONS, Criterion, Objective
+from geodrake.excitation.objective import (
+    Criterion,
+    Objective,
+)
 from geodrake.excitation.problem import DesignOptions
 from geodrake.excitation.target import Target, make_target
 from geodrake.excitation.tell_apart import (
@@ -37,15 +46,11 @@ from geodrake.excitation.tell_apart import (
 )
 from geodrake.excitation.trajectory import (
     ExcitationTrajectory,
-    drake_trajectory,
     read_drake_trajectory,
-    ros_joint_trajectory,
     write_trajectory,
 )
 
 __all__ = [
-    "CRITERIA",
-    "NORMALIZATIONS",
     "CollisionWorld",
     "Criterion",
     "DesignOptions",
@@ -55,7 +60,6 @@ __all__ = [
     "FreeSamples",
     "IdentifiableParameters",
     "LogIdentifiability",
-    "MotionFamily",
     "MotionLimits",
     "Objective",
     "ReducedIdentification",
@@ -64,8 +68,6 @@ __all__ = [
     "SplineMotion",
     "Target",
     "design_excitation",
-    "drake_trajectory",
-    "floor_of",
     "identifiable_parameters",
     "log_identifiability",
     "make_rival",
@@ -74,8 +76,6 @@ __all__ = [
     "measurement_factor",
     "motion_limits",
     "read_drake_trajectory",
-    "read_obstacles",
     "reduced_identification",
-    "ros_joint_trajectory",
     "write_trajectory",
 ]

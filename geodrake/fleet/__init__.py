@@ -26,7 +26,9 @@ from geodrake.fleet.fleet_result import (
     UnusedLog,
 )
 from geodrake.fleet.fleet_run import FleetWork, run_fleet
-from geodrake.fleet.settings import DigestSettings, read_settings
+from geodrake.fleet.settings import (
+    DigestSettings,
+)
 
 __all__ = [
     "ChangedParameter",
@@ -57,6 +59,5 @@ __all__ = [
     "merge",
     "read_digest",
     "read_fleet",
-    "read_settings",
     "run_fleet",
 ]

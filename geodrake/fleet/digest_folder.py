@@ -6,6 +6,7 @@ come. Files appear whole or not at all: a run that was stopped goes on where it 
 
 from __future__ import annotations
 
+import os
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -241,28 +242,14 @@ def _row(
 
 def _check_folder(path: Path) -> None:
     """Refuse a folder that cannot be written to, before the work."""
-    reason, there = "", path
     try:
-        if not path.is_dir():
-            there = path.parent
-            if path.exists() or path.is_symlink():
-                reason = "is there and is no folder"
-            elif not there.is_dir():
-                reason = f"is in {there}, which is no folder"
-        if not reason:
-            check_writable(there / f"digest{_SUFFIX}")
-    except (OSError, ValueError) as error:
-        reason = f"cannot be used: {getattr(error, 'strerror', error)}"
+        check_writable(path / f"digest{_SUFFIX}" if os.path.lexists(path) else path)
     except OutputError as error:
-        if "reason" not in error.evidence:
-            raise
-        reason = f"cannot be written to: {error.evidence['reason']}"
-    if reason:
         raise OutputError(
-            f"Digests cannot be written to {path}: it {reason}.",
+            f"Digests cannot be written to {path}: {error.evidence.get('reason', error)}.",
             advice="Choose another folder.",
             path=path,
-        )
+        ) from error
 
 
 def check_settings(settings: DigestSettings, model: RobotModel, wanted: Wanted) -> None:

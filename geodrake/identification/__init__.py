@@ -1,11 +1,15 @@
 """Identification: fits of physical parameters to data, near a prior."""
 
 from geodrake.identification.comparison import RegularizerComparison, compare_regularizers
-from geodrake.identification.conic_fit import build_fit, solve_fit
+from geodrake.identification.conic_fit import (
+    solve_fit,
+)
 from geodrake.identification.fit import Certificate, FitResult
 from geodrake.identification.geodesic_least_squares import geodesic_least_squares
 from geodrake.identification.identify import REGULARIZERS, IdentificationResult, identify
-from geodrake.identification.least_squares import least_squares, physical_least_squares
+from geodrake.identification.least_squares import (
+    least_squares,
+)
 from geodrake.identification.models import (
     IdentificationSettings,
     ModelIdentification,
@@ -31,12 +35,10 @@ __all__ = [
     "Regularizer",
     "RegularizerComparison",
     "Riemannian",
-    "build_fit",
     "compare_regularizers",
     "geodesic_least_squares",
     "identify",
     "identify_model",
     "least_squares",
-    "physical_least_squares",
     "solve_fit",
 ]

@@ -37,11 +37,10 @@ from geodrake.inertia import (
     PARAMETERS_PER_BODY,
     Array,
     Ellipsoid,
-    central_second_moment,
-    from_point_masses,
     is_physical,
     pseudo_inertia,
 )
+from geodrake.inertia.parameters import central_second_moment, from_point_masses
 from geodrake.robot.reduction import triangular_factor
 
 _MOST = 1_000_000  # points of a body

@@ -19,8 +19,8 @@ from geodrake.excitation import (
     design_excitation,
     make_target,
     motion_limits,
-    read_obstacles,
 )
+from geodrake.excitation.collision_geometry import read_obstacles
 from geodrake.excitation.starts import RampPlanner
 from geodrake.model.robot_model import load_description
 from geodrake.robot import joint_names

@@ -19,9 +19,8 @@ from geodrake.fleet import (
     digest_logs,
     merge,
     read_digest,
-    read_settings,
 )
-from geodrake.fleet.settings import SETTINGS_FILE
+from geodrake.fleet.settings import SETTINGS_FILE, read_settings
 from geodrake.logs.files import Reading, write_log
 from geodrake.logs.known_payload import KnownPayload
 from geodrake.model.saved_model import load_model
@@ -182,10 +181,11 @@ def test_settings_that_are_lost_are_not_made_anew(model, made, folder):
 
 def test_a_folder_that_cannot_be_is_refused_before_the_work(model, made, tmp_path):
     for to, words in (
-        (made / "log_1.csv", "is no folder"),
-        (tmp_path / "none" / "digests", "which is no folder"),
-        (made / "log_1.csv" / "digests", "which is no folder"),
+        (made / "log_1.csv", "Not a directory"),
+        (tmp_path / "none" / "digests", "No such file"),
+        (made / "log_1.csv" / "digests", "Not a directory"),
         (Path("/proc/digests"), "annot"),
+        (tmp_path / ("x" * 300), "too long"),
     ):
         with pytest.raises(OutputError, match=words):
             digest_logs(model, [made / "none.csv"], to)

@@ -28,6 +28,7 @@ from geodrake import control, effects, excitation, fleet, inertia
 from geodrake.control.adaptation import AdaptationLaw, LinearSet, mass_limits, parameter_manifold
 from geodrake.effects import FittedEffect
 from geodrake.excitation import FourierMotion
+from geodrake.excitation.trajectory import drake_trajectory
 from geodrake.identification import Riemannian
 from geodrake.inertia.ellipsoids import equivalent_ellipsoid
 from geodrake.logs import JointLog, KnownPayload, Motion, write_log
@@ -103,7 +104,7 @@ def folder():
     geodrake.save_model(model(), path / "model.yaml")
     arrays = {"time": log().time, "position": log().position, "effort": log().effort}
     savemat(path / "log.mat", arrays)
-    (path / "motion.yaml").write_text(excitation.drake_trajectory(trajectory()), encoding="utf-8")
+    (path / "motion.yaml").write_text(drake_trajectory(trajectory()), encoding="utf-8")
     digest = fleet.make_digest(model(), log(), settings(), facts())
     (path / "digest.npz").write_bytes(fleet.digest_content(digest))
     return path

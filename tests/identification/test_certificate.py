@@ -14,7 +14,7 @@ from geodrake.identification import BodyConstraints, conic_fit, identify
 from geodrake.identification.conic_fit import build_fit, certified
 from geodrake.identification.identify import REGULARIZERS
 from geodrake.identification.newton import solve_newton
-from geodrake.inertia import pseudo_inertia_basis
+from geodrake.inertia.parameters import pseudo_inertia_basis
 
 
 def moved(fit, share):

@@ -15,8 +15,8 @@ from geodrake.identification import (
     compare_regularizers,
     identify,
     least_squares,
-    physical_least_squares,
 )
+from geodrake.identification.least_squares import physical_least_squares
 from geodrake.inertia import is_physical
 
 

@@ -14,7 +14,6 @@ from geodrake.inertia import (
     change_frame,
     equivalent_ellipsoid,
     from_mass_com_inertia,
-    from_point_masses,
     from_spatial_inertia,
     is_physical,
     is_realizable,
@@ -23,6 +22,7 @@ from geodrake.inertia import (
     riemannian_distance,
 )
 from geodrake.inertia.ellipsoids import ellipsoid_of_quadric, realizability_row
+from geodrake.inertia.parameters import from_point_masses
 
 SEEDS = st.integers(0, 2**32 - 1)
 EXAMPLES = settings(max_examples=20)

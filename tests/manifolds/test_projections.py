@@ -8,8 +8,9 @@ from pydrake.solvers import ClarabelSolver, MathematicalProgram, SolverOptions
 from random_points import other_view, random_inertia, random_point, round_inertia
 
 from geodrake.errors import ArgumentError, ConvergenceError
-from geodrake.inertia import Ellipsoid, pseudo_inertia_basis
+from geodrake.inertia import Ellipsoid
 from geodrake.inertia.ellipsoids import realizability_row
+from geodrake.inertia.parameters import pseudo_inertia_basis
 from geodrake.manifolds import (
     ConstrainedInertia,
     Free,

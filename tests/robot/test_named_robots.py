@@ -13,7 +13,7 @@ from geodrake.cli.app import app
 from geodrake.errors import ModelError
 from geodrake.logs import JointLog, Motion, write_log
 from geodrake.model import Given, load_model, save_model
-from geodrake.robot import load_plant
+from geodrake.robot.plant import load_plant
 from geodrake.robot.shapes import robot_shapes
 
 robots = pytest.importorskip("robot_descriptions")

@@ -37,9 +37,9 @@ from geodrake.robot import (
     base_wrench_regressor,
     gears,
     inverse_dynamics_regressor,
-    load_plant,
     rolling_joint,
 )
+from geodrake.robot.plant import load_plant
 from geodrake.robot.reduction import triangular_factor
 
 Array = NDArray[np.float64]

@@ -29,8 +29,8 @@ from geodrake.robot import (
     LinearTransmission,
     inverse_dynamics_regressor,
     joint_names,
-    load_plant,
 )
+from geodrake.robot.plant import load_plant
 from geodrake.robot.reduction import triangular_factor
 
 Array = NDArray[np.float64]
