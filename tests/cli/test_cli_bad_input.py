@@ -176,7 +176,7 @@ BAD = {
         "urdf . --force": "is an input",
         "urdf log.csv": "no folder",
         "urdf log.csv/out": "log.csv",
-        "urdf out --json no/x.json": "no folder",
+        "urdf out --json no/x.json": "No such file",
         "urdf": "--to-dir",
     },
     "demo": {"--report no_folder/page.html": "Cannot write"},
