@@ -13,9 +13,8 @@ from geodrake.model.robot_model import RobotModel, read_again
 from geodrake.model.saved_model import is_saved_model
 from geodrake.report.pictures import check_video, video
 from geodrake.report.play_page import play_page
-from geodrake.report.playback import Played, play_back
+from geodrake.report.playback import Playback, play_back
 from geodrake.report.recordings import check_viewer, recording
-from geodrake.report.robot_scene import drawn_shapes
 
 DEFAULT_OUT = Path("play.html")
 
@@ -37,8 +36,8 @@ def run_play(options: PlayOptions) -> None:
 
     title, speed = f"{options.model.name}: play", options.speed
 
-    def played(given: Input) -> Played:
-        playback = play_back(
+    def played(given: Input) -> Playback:
+        return play_back(
             given.model,
             given.logs,
             before=_before(options, given),
@@ -48,14 +47,13 @@ def run_play(options: PlayOptions) -> None:
             progress=given.progress,
             **given.settings,
         )
-        return Played(playback, drawn_shapes(playback.models[-1].model))
 
-    def page(found: Played) -> str:
+    def page(found: Playback) -> str:
         return play_page(
             found, title=title, log_names=[log.name for log in options.logs], speed=speed
         )
 
-    def filmed(found: Played) -> bytes:
+    def filmed(found: Playback) -> bytes:
         return video(found, (options.video or Path()).suffix.lower(), speed=speed)
 
     outputs = {

@@ -6,6 +6,7 @@ import abc
 import json
 from collections.abc import Iterable
 from dataclasses import dataclass
+from functools import cached_property
 from pathlib import Path
 
 import numpy as np
@@ -13,7 +14,7 @@ from numpy.typing import ArrayLike
 from pydrake.common.yaml import yaml_load
 from pydrake.math import BsplineBasis
 from pydrake.trajectories import BsplineTrajectory
-from scipy.interpolate import make_interp_spline
+from scipy.interpolate import BPoly, make_interp_spline
 
 from geodrake.boundary.arguments import file_path, instance, number, real_array
 from geodrake.boundary.escaping import quoted
@@ -162,20 +163,14 @@ class Ramp(ExecutableMotion):
 
     def states(self, times: ArrayLike) -> Array:
         """Return positions, velocities and accelerations (3, N, nv) by joint at times (N,), s."""
-        t = np.atleast_1d(real_array(times, "times"))
-        ends = np.cumsum(self.durations)
-        leg = np.minimum(np.searchsorted(ends, t, side="left"), len(ends) - 1)
-        T = self.durations[leg]
-        x = np.clip((t - ends[leg] + T) / T, 0.0, 1.0)
-        ways = (self.postures[1:] - self.postures[:-1])[leg]
-        shares = (
-            x**3 * (10.0 - 15.0 * x + 6.0 * x**2),
-            30.0 * x**2 * (1.0 - x) ** 2 / T,
-            60.0 * x * (1.0 - x) * (1.0 - 2.0 * x) / T**2,
-        )
-        states = np.stack([share[:, None] * ways for share in shares])
-        states[0] += self.postures[leg]
-        return states
+        t = np.clip(np.atleast_1d(real_array(times, "times")), 0.0, self.length)
+        return np.stack([self._polynomial(t, nu=order) for order in range(3)])
+
+    @cached_property
+    def _polynomial(self) -> BPoly:
+        rests = np.zeros_like(self.postures)
+        ends = np.concatenate([[0.0], np.cumsum(self.durations)])
+        return BPoly.from_derivatives(ends, np.stack([self.postures, rests, rests], axis=1))
 
     def _instants(self) -> Array:
         return np.linspace(0.0, self.length, _RAMP_STEPS + 1)

@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import logging
 import pickle
-from collections import deque
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import CancelledError
 from contextlib import ExitStack, contextmanager
@@ -23,7 +22,7 @@ from geodrake.errors import FleetError
 T = TypeVar("T")
 R = TypeVar("R")
 
-_AHEAD = 4  # packets for each thread that the scheduler knows of
+_AHEAD = 4  # packets at least for each thread, as long as pieces are left
 _TOGETHER = 8  # pieces of work in a packet, at most
 _SECONDS = 20.0  # until a scheduler, and a worker of it, must have answered
 _SETTINGS = {
@@ -51,29 +50,27 @@ class Workers:
             return
         dask: Any = optional_package("distributed", "fleet", "workers", FleetError)
         threads = max(1, sum(self.client.nthreads().values()))
-        todo, futures = deque(_packets(pieces, threads)), {}
-        done = dask.as_completed()
+        futures, done = dict[Any, dict[int, T]](), dask.as_completed()
 
-        def begin() -> None:
-            if todo:
-                packet = todo.popleft()
-                content = pickle.dumps((work, list(packet.values())))
-                future = self.client.submit(_done, content, pure=False)
-                futures[future.key] = packet
-                done.add(future)
+        def begin(packet: dict[int, T]) -> None:
+            content = pickle.dumps((work, list(packet.values())))
+            future = self.client.submit(_done, content, pure=False)
+            futures[future.key] = packet
+            done.add(future)
 
         try:
-            for _ in range(_AHEAD * threads):
-                begin()
+            for packet in _packets(pieces, threads):
+                begin(packet)
             for future in done:
                 packet = futures.pop(future.key)
                 try:
-                    results = pickle.loads(future.result())
+                    yield from zip(packet, pickle.loads(future.result()), strict=True)
                 except dask.KilledWorker:
-                    results = [None] if len(packet) == 1 else []
-                    todo.extendleft({at: piece} for at, piece in packet.items() if not results)
-                yield from zip(packet, results, strict=False)
-                begin()
+                    if len(packet) == 1:
+                        yield from dict.fromkeys(packet).items()
+                    else:  # one by one, as it is not known which of them it was
+                        for at, piece in packet.items():
+                            begin({at: piece})
         except (CancelledError, dask.comm.CommClosedError) as error:
             raise FleetError(
                 f"The scheduler {self.client.scheduler.address} does not answer any more.",

@@ -31,7 +31,7 @@ from geodrake.report.drawn_robots import (
 )
 from geodrake.report.numbers import number, percent
 from geodrake.report.page import Picture, Pictures
-from geodrake.report.playback import Playback, Played
+from geodrake.report.playback import Playback
 from geodrake.report.robot_scene import FRAMES, Extent, camera_place, drawn_shapes, posed_links
 from geodrake.report.words import capitalized
 
@@ -137,9 +137,9 @@ def _encoder() -> Any:
     return encoder
 
 
-def video(found: Played, suffix: str, *, speed: float = 1.0) -> bytes:
+def video(found: Playback, suffix: str, *, speed: float = 1.0) -> bytes:
     """Return a video, ".mp4" or ".gif", at so many seconds of the log in a second."""
-    rate, count = RATES[suffix], len(found.playback.q)
+    rate, count = RATES[suffix], len(found.q)
     step = FRAMES * speed / rate
     numbers = np.minimum(np.arange(0.0, count, step).round().astype(int), count - 1)
     frames = _frames(found, numbers.tolist())
@@ -166,19 +166,19 @@ def video(found: Played, suffix: str, *, speed: float = 1.0) -> bytes:
             ) from error
 
 
-def _frames(found: Played, numbers: list[int]) -> Iterator[Pixels]:
-    playback, robots = found.playback, found.robots
+def _frames(found: Playback, numbers: list[int]) -> Iterator[Pixels]:
+    robots = found.robots
     far, target = camera_place(found.extent, len(robots))
     place = target + _CLOSER * (far - target)
     view = DrawnRobots(robots, Camera(place, target, _WIDTH, _HEIGHT))
-    plot, left, right = _error_plot(playback)
+    plot, left, right = _error_plot(found)
     titles = " | ".join(robot.played.title for robot in robots)
     for number_ in numbers:
         picture = Image.fromarray(np.vstack([on_ground(view.picture(number_), _GROUND), plot]))
         pen = ImageDraw.Draw(picture)
-        at = left + (right - left) * number_ / max(len(playback.times) - 1, 1)
+        at = left + (right - left) * number_ / max(len(found.times) - 1, 1)
         pen.line([(at, _HEIGHT + 8), (at, _HEIGHT + _PLOTS - 24)], fill="#1f2a37", width=2)
-        log, time = playback.own_time(number_)
+        log, time = found.own_time(number_)
         pen.text((16, 12), f"{titles}    {time:.2f} s of {log}", fill="#1f2a37", font_size=18)
         yield np.asarray(picture)
 

@@ -28,25 +28,25 @@ from geodrake.report.meshcat_scene import (
     recording,
 )
 from geodrake.report.numbers import number, percent
-from geodrake.report.playback import Moment, Played, PlayedModel, PlayedRobot
+from geodrake.report.playback import Moment, Playback, PlayedModel, PlayedRobot
 from geodrake.report.robot_scene import FRAMES, camera_place, own_joints, posed_links
 
 _GHOSTLY, _INNER = 0.35, 0.99  # opacity and size of ghosts, which are seen where they depart
 _TEMPLATE = "play.html.jinja"
 
 
-def play_page(found: Played, *, title: str, log_names: Sequence[str], speed: float = 1.0) -> str:
+def play_page(found: Playback, *, title: str, log_names: Sequence[str], speed: float = 1.0) -> str:
     """Return one HTML page that loads nothing from elsewhere and plays logs over the robot.
 
     Links have the colour of the error of their joint. A panel names the worst moments, and jumps to
     them; strips show the errors of all joints over time.
     """
-    playback, meshcat = found.playback, calm_meshcat()
+    meshcat = calm_meshcat()
     with recording(meshcat):
         marks = [_draw(meshcat, found, robot, k) for k, robot in enumerate(found.robots)]
     meshcat.SetCameraPose(*camera_place(found.extent, len(marks)))
-    repairs = (repair for played in playback.models for repair in played.model.repairs)
-    models = list(enumerate(zip(playback.models, marks, strict=True)))
+    repairs = (repair for played in found.models for repair in played.model.repairs)
+    models = list(enumerate(zip(found.models, marks, strict=True)))
     panel = (
         templates()
         .get_template(_TEMPLATE)
@@ -57,16 +57,16 @@ def play_page(found: Played, *, title: str, log_names: Sequence[str], speed: flo
             groups=[
                 (
                     played.title,
-                    [_moment(moment, found) for moment in playback.moments if moment.played == k],
+                    [_moment(moment, found) for moment in found.moments if moment.played == k],
                 )
                 for k, (played, _) in models
             ],
             notes=list(dict.fromkeys((*repairs, *found.shapes.notes, *found.left_out))),
             gradient=", ".join(COLORS),
-            top=percent(playback.top),
+            top=percent(found.top),
             measured=MEASURED,
             predicted=style.AFTER,
-            ghosts=any(map(_has_ghost, playback.models)),
+            ghosts=any(map(_has_ghost, found.models)),
             # JSON that may stand in a script of a page.
             data=json.dumps(_data(found, marks, speed)).replace("<", "\\u003c"),
         )
@@ -88,17 +88,17 @@ def _has_ghost(played: PlayedModel) -> bool:
     return not np.isnan(played.simulated).all()
 
 
-def _draw(meshcat: Meshcat, found: Played, robot: PlayedRobot, k: int) -> list[Mark]:
+def _draw(meshcat: Meshcat, found: Playback, robot: PlayedRobot, k: int) -> list[Mark]:
     """Record a robot and its ghost, and return what to say of its effects."""
-    playback, played, size = found.playback, robot.played, found.extent.size
+    played, size = robot.played, found.extent.size
     path, model = _path(played, k), played.model
-    times = {frame: clock(frame) for frame in range(len(playback.q))}
+    times = {frame: clock(frame) for frame in range(len(found.q))}
     draw_robot(meshcat, path, robot.links, times, p_WR=robot.place)
     draw_floor(meshcat, path, found.extent)
     draw_efforts(meshcat, path, played, size)
     if _has_ghost(played):
         ghost, there = f"ghost/{k}", np.asarray(np.isfinite(played.simulated).all(1))
-        q = np.where(there[:, None], played.simulated, playback.q)
+        q = np.where(there[:, None], played.simulated, found.q)
         links = posed_links(model, model.positions(q), found.shapes)
         shown = {frame: time for frame, time in times.items() if there[frame]}
         color = Rgba(*to_rgb(style.AFTER), _GHOSTLY)
@@ -107,7 +107,7 @@ def _draw(meshcat: Meshcat, found: Played, robot: PlayedRobot, k: int) -> list[M
         for frame, time in times.items():
             meshcat.SetProperty(ghost, "visible", bool(there[frame]), time)
     return draw_effects(
-        meshcat, path, model, robot.links, playback.excerpts, units=found.units, size=size
+        meshcat, path, model, robot.links, found.excerpts, units=found.units, size=size
     )
 
 
@@ -125,9 +125,9 @@ def _model_words(played: PlayedModel, marks: Iterable[Mark], k: int) -> dict[str
     }
 
 
-def _moment(moment: Moment, found: Played) -> dict[str, Any]:
-    joint = found.playback.joints[moment.joint]
-    log, time = found.playback.own_time(moment.frame)
+def _moment(moment: Moment, found: Playback) -> dict[str, Any]:
+    joint = found.joints[moment.joint]
+    log, time = found.own_time(moment.frame)
     return {
         "frame": moment.frame,
         "joint": joint,
@@ -139,35 +139,35 @@ def _moment(moment: Moment, found: Played) -> dict[str, Any]:
     }
 
 
-def _several(found: Played) -> bool:
-    return len({excerpt.log for excerpt in found.playback.excerpts}) > 1
+def _several(found: Playback) -> bool:
+    return len({excerpt.log for excerpt in found.excerpts}) > 1
 
 
-def _data(found: Played, marks: Sequence[Sequence[Mark]], speed: float) -> dict[str, Any]:
+def _data(found: Playback, marks: Sequence[Sequence[Mark]], speed: float) -> dict[str, Any]:
     """Return what the page's script reads."""
-    playback, units = found.playback, found.units
+    units = found.units
     curves = ("measured", "predicted", "simulated")
     return {
         "rate": FRAMES,
-        "frames": len(playback.q),
+        "frames": len(found.q),
         "speed": speed,
         "several": _several(found),
-        "joints": [printable(joint) for joint in playback.joints],
-        "first": playback.moments[0].joint if playback.moments else 0,
-        "positions": _packed(playback.q.astype("<f4")),
-        "angles": [units.at(joint, "rad") for joint in playback.joints],
+        "joints": [printable(joint) for joint in found.joints],
+        "first": found.moments[0].joint if found.moments else 0,
+        "positions": _packed(found.q.astype("<f4")),
+        "angles": [units.at(joint, "rad") for joint in found.joints],
         "inks": {"measured": MEASURED, "predicted": style.AFTER, "before": style.BEFORE},
-        "units": [units.effort([joint]) for joint in playback.joints],
+        "units": [units.effort([joint]) for joint in found.joints],
         "colors": COLORS,
         "excerpts": [
             {"log": printable(e.log), "start": float(e.time[0]), "frames": len(e.time)}
-            for e in playback.excerpts
+            for e in found.excerpts
         ],
         "robots": [
             {
                 "title": printable(played.title),
                 "path": f"{_path(played, k)}/floor",
-                "levels": _packed(levels(played.relative, playback.top)),
+                "levels": _packed(levels(played.relative, found.top)),
                 "errors": _packed(played.relative.astype("<f4")),
                 **{name: _packed(getattr(played, name).astype("<f4")) for name in curves},
                 "moved": [
@@ -176,7 +176,7 @@ def _data(found: Played, marks: Sequence[Sequence[Mark]], speed: float) -> dict[
                 ],
                 "marks": _labels(own),
             }
-            for k, (played, own) in enumerate(zip(playback.models, marks, strict=True))
+            for k, (played, own) in enumerate(zip(found.models, marks, strict=True))
         ],
     }
 

@@ -28,7 +28,15 @@ from geodrake.report.explaining import comparison_page
 from geodrake.report.json_output import record
 from geodrake.report.numbers import Units, number, percent
 from geodrake.report.page import About, ColoredList, Page, Section, View
-from geodrake.report.robot_scene import FRAMES, RIGHT, Extent, body_links, joint_places, posed_links
+from geodrake.report.robot_scene import (
+    FRAMES,
+    RIGHT,
+    Extent,
+    body_links,
+    drawn_shapes,
+    joint_places,
+    posed_links,
+)
 from geodrake.report.words import effect_label
 from geodrake.robot.shapes import RobotShapes
 
@@ -84,8 +92,18 @@ class Moment:
 
 
 @dataclass(frozen=True, eq=False)
+class PlayedRobot(ColoredRobot):
+    """One copy of the robot."""
+
+    played: PlayedModel
+    name: str  # its title, as part of a path
+    # What was found, and the link at which it is said; None for the whole robot.
+    findings: list[tuple[str, str | None]]
+
+
+@dataclass(frozen=True, eq=False)
 class Playback:
-    """Motions and errors, frame by frame."""
+    """Motions and errors, frame by frame, and how the robot looks in them."""
 
     joints: tuple[str, ...]
     excerpts: tuple[Excerpt, ...]  # what is played, one after another
@@ -121,6 +139,54 @@ class Playback:
         if len(self.excerpts) == 1:
             return self.excerpts[0].time
         return np.arange(len(self.q)) / FRAMES
+
+    @property
+    def units(self) -> Units:
+        """Return the units of the last model."""
+        return Units.of(self.models[-1].model)
+
+    @cached_property
+    def shapes(self) -> RobotShapes:
+        """Return how the robot looks."""
+        return drawn_shapes(self.models[-1].model)
+
+    @cached_property
+    def extent(self) -> Extent:
+        """Return where the robot goes."""
+        model = self.models[-1].model
+        return Extent.of(model, model.positions(self.q))
+
+    @cached_property
+    def robots(self) -> list[PlayedRobot]:
+        """Return a copy of the robot for each model, one beside the other."""
+        return [
+            PlayedRobot(
+                posed_links(played.model, played.model.positions(self.q), self.shapes),
+                k * self.extent.gap * RIGHT,
+                error_colors(played.relative, self.top),
+                played,
+                path_part(played.title),
+                _findings(played, self.units),
+            )
+            for k, played in enumerate(self.models)
+        ]
+
+    @property
+    def left_out(self) -> list[str]:
+        """Return what is not played, in words."""
+        left = self.seconds_left_out
+        words = f"the worst passages are played; {left:.0f} s of the logs are not (--seconds)"
+        return [words] if left > 0.5 else []
+
+    def moment_words(self, moment: Moment) -> str:
+        """Return when a joint is how far off."""
+        joint = self.joints[moment.joint]
+        log, time = self.own_time(moment.frame)
+        return (
+            f"{joint} at {time:.2f} s of {log}: {number(moment.error)} "
+            f"{self.units.effort([joint])} off, {percent(moment.relative)} of the deviation of its "
+            "effort"
+        )
 
 
 def play_back(
@@ -322,68 +388,6 @@ def _worst(number: int, played: PlayedModel) -> Iterable[Moment]:
         left[:, counts >= _MOST_AT_ONE] = -1.0
 
 
-@dataclass(frozen=True, eq=False)
-class PlayedRobot(ColoredRobot):
-    """One copy of the robot."""
-
-    played: PlayedModel
-    name: str  # its title, as part of a path
-    # What was found, and the link at which it is said; None for the whole robot.
-    findings: list[tuple[str, str | None]]
-
-
-@dataclass(frozen=True, eq=False)
-class Played:
-    """A playback, and how the robot looks in it."""
-
-    playback: Playback
-    shapes: RobotShapes
-
-    @property
-    def units(self) -> Units:
-        """Return the units of the last model."""
-        return Units.of(self.playback.models[-1].model)
-
-    @cached_property
-    def extent(self) -> Extent:
-        """Return where the robot goes."""
-        model = self.playback.models[-1].model
-        return Extent.of(model, model.positions(self.playback.q))
-
-    @cached_property
-    def robots(self) -> list[PlayedRobot]:
-        """Return a copy of the robot for each model, one beside the other."""
-        playback, units = self.playback, self.units
-        return [
-            PlayedRobot(
-                posed_links(played.model, played.model.positions(playback.q), self.shapes),
-                k * self.extent.gap * RIGHT,
-                error_colors(played.relative, playback.top),
-                played,
-                path_part(played.title),
-                _findings(played, units),
-            )
-            for k, played in enumerate(playback.models)
-        ]
-
-    @property
-    def left_out(self) -> list[str]:
-        """Return what is not played, in words."""
-        left = self.playback.seconds_left_out
-        words = f"the worst passages are played; {left:.0f} s of the logs are not (--seconds)"
-        return [words] if left > 0.5 else []
-
-    def moment_words(self, moment: Moment) -> str:
-        """Return when a joint is how far off."""
-        joint = self.playback.joints[moment.joint]
-        log, time = self.playback.own_time(moment.frame)
-        return (
-            f"{joint} at {time:.2f} s of {log}: {number(moment.error)} "
-            f"{self.units.effort([joint])} off, {percent(moment.relative)} of the deviation of its "
-            "effort"
-        )
-
-
 def _findings(played: PlayedModel, units: Units) -> list[tuple[str, str | None]]:
     places = {name: place.link for name, place in joint_places(played.model).items()}
     places |= body_links(played.model)
@@ -395,26 +399,24 @@ def _findings(played: PlayedModel, units: Units) -> list[tuple[str, str | None]]
     return found
 
 
-def playback_page(found: Played, about: About) -> Page:
+def playback_page(playback: Playback, about: About) -> Page:
     """Say when models err most, and beside it how the last one does."""
-    playback = found.playback
     lists = []
     for k, played in enumerate(playback.models):
         data = "training data" if played.trained else "held-out data"
         nrms = number(played.comparison.errors.nrms)
-        told = tuple(found.moment_words(m) for m in playback.moments if m.played == k)
+        told = tuple(playback.moment_words(m) for m in playback.moments if m.played == k)
         color = "after" if k == len(playback.models) - 1 else "before"
         lists.append(ColoredList(f"{played.title}, nrms {nrms} on {data}", color, told))
     page = comparison_page(playback.models[-1].comparison, about)
     *others, notes = page.sections
-    notes = replace(notes, items=(*found.left_out, *found.shapes.notes, *notes.items))
+    notes = replace(notes, items=(*playback.left_out, *playback.shapes.notes, *notes.items))
     detailed = (replace(each, detailed=True) for each in others)
     return replace(page, sections=(Section("Worst moments", lists=tuple(lists)), *detailed, notes))
 
 
-def playback_dict(found: Played) -> dict[str, Any]:
+def playback_dict(playback: Playback) -> dict[str, Any]:
     """Return what is played, and where the models err most."""
-    playback = found.playback
     moments: list[list[Any]] = [[] for _ in playback.models]
     for moment in playback.moments:
         log, time = playback.own_time(moment.frame)
@@ -456,4 +458,4 @@ def effect_words(fitted: FittedEffect, units: Units) -> str:
     return f"{label} {shown} {units.parameter(effect.name, names[0], place)}".strip()
 
 
-VIEWS = {Played: View(playback_page, playback_dict)}  # how to see this result
+VIEWS = {Playback: View(playback_page, playback_dict)}  # how to see this result

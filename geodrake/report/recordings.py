@@ -17,7 +17,7 @@ from geodrake.boundary.optional_packages import optional_package
 from geodrake.errors import OutputError
 from geodrake.inertia import Array
 from geodrake.report.drawn_robots import GRAYS, link_triangles
-from geodrake.report.playback import Moment, Playback, Played, PlayedModel, PlayedRobot
+from geodrake.report.playback import Moment, Playback, PlayedModel, PlayedRobot
 from geodrake.report.robot_scene import PosedLink
 
 _MARK = 0.05  # m, of the balls whose colour is a joint's error
@@ -35,7 +35,7 @@ def check_viewer(to: str, file: Path) -> None:
     optional_package(module, "viewers", f"recordings for {to}", OutputError)
 
 
-def recording(to: str, found: Played, *, title: str) -> bytes:
+def recording(to: str, found: Playback, *, title: str) -> bytes:
     """Return a recording for "rerun" or "mcap": robots, joints and efforts, and what was found."""
     _, module, write = _VIEWERS[one_of(to, "to", _VIEWERS)]
     package = optional_package(module, "viewers", f"recordings for {to}", OutputError)
@@ -65,16 +65,16 @@ def _joint_values(played: PlayedModel) -> dict[str, Array]:
     }
 
 
-def _moment_words(found: Played, moment: Moment) -> str:
-    return f"{found.playback.models[moment.played].title}: {found.moment_words(moment)}"
+def _moment_words(found: Playback, moment: Moment) -> str:
+    return f"{found.models[moment.played].title}: {found.moment_words(moment)}"
 
 
-def _write_rerun(rr: Any, path: Path, found: Played, title: str) -> None:
-    playback, robots = found.playback, found.robots
+def _write_rerun(rr: Any, path: Path, found: Playback, title: str) -> None:
+    robots = found.robots
     record = rr.RecordingStream("geodrake", send_properties=False)
     record.save(path)
     record.send_recording_name(title)
-    times = rr.TimeColumn("time", duration=playback.times)
+    times = rr.TimeColumn("time", duration=found.times)
 
     def send(entity: str, columns: Any) -> None:
         rr.send_columns(entity, indexes=[times], columns=columns, recording=record)
@@ -100,16 +100,16 @@ def _write_rerun(rr: Any, path: Path, found: Played, title: str) -> None:
                 label = rr.Points3D([[0.0, 0.0, 0.0]], labels=["; ".join(said)], radii=[0.01])
                 record.log(f"{entity}/findings", label, static=True)
         for name, values in _joint_values(robot.played).items():
-            for joint, column in zip(playback.joints, values.T, strict=True):
+            for joint, column in zip(found.joints, values.T, strict=True):
                 entity = path_of("efforts", joint, name, robot.name)
                 send(entity, rr.Scalars.columns(scalars=column))
         lines = [f"# {robot.played.title}", *(f"- {words}" for words, _ in robot.findings)]
         text = rr.TextDocument("\n".join(lines), media_type="text/markdown")
         record.log(path_of("findings", robot.name), text, static=True)
-    for joint, q in zip(playback.joints, playback.q.T, strict=True):
+    for joint, q in zip(found.joints, found.q.T, strict=True):
         send(path_of("positions", joint), rr.Scalars.columns(scalars=q))
-    if moments := sorted(playback.moments, key=lambda moment: moment.frame):
-        at = playback.times[[moment.frame for moment in moments]]
+    if moments := sorted(found.moments, key=lambda moment: moment.frame):
+        at = found.times[[moment.frame for moment in moments]]
         rr.send_columns(
             "worst_moments",
             indexes=[rr.TimeColumn("time", duration=at)],
@@ -123,15 +123,15 @@ def _write_rerun(rr: Any, path: Path, found: Played, title: str) -> None:
     record.disconnect()
 
 
-def _write_mcap(foxglove: Any, path: Path, found: Played, title: str) -> None:
-    playback, robots = found.playback, found.robots
+def _write_mcap(foxglove: Any, path: Path, found: Playback, title: str) -> None:
+    robots = found.robots
     kinds, channels = foxglove.messages, foxglove.channels
     context = foxglove.Context()
-    instants = np.rint(1e9 * (playback.times - playback.times[0])).astype(int)
-    names = ("position", *_joint_values(playback.models[0]))
+    instants = np.rint(1e9 * (found.times - found.times[0])).astype(int)
+    names = ("position", *_joint_values(found.models[0]))
     numbers = {name: {"type": "number"} for name in names}
     row = {"type": "object", "properties": numbers}
-    joints = {printable(joint): row for joint in playback.joints}
+    joints = {printable(joint): row for joint in found.joints}
     schema = {"title": "geodrake.Joints", "type": "object", "properties": joints}
     with foxglove.open_mcap(str(path), context=context):
         scene = channels.SceneUpdateChannel("/robot", context=context)
@@ -149,7 +149,7 @@ def _write_mcap(foxglove: Any, path: Path, found: Played, title: str) -> None:
                 message = f"{robot.played.title}: {words}"
                 level = kinds.LogLevel.Info
                 findings.log(kinds.Log(level=level, message=message, name=title), log_time=0)
-        moments = {moment.frame: moment for moment in playback.moments}
+        moments = {moment.frame: moment for moment in found.moments}
         poses = [[_poses(r, link.X_WB) for link in _shown(r)] for r in robots]
         values = [_joint_values(robot.played) for robot in robots]
         for frame, instant in enumerate(instants.tolist()):
@@ -169,7 +169,7 @@ def _write_mcap(foxglove: Any, path: Path, found: Played, title: str) -> None:
             balls = [e for r in robots for e in _error_marks(kinds, r, frame, stamp)]
             marks.log(kinds.SceneUpdate(entities=balls), log_time=instant)
             for channel, own_values in zip(plots, values, strict=True):
-                row = _joint_row(playback, own_values, frame)
+                row = _joint_row(found, own_values, frame)
                 channel.log(row, log_time=instant)
             if moment := moments.get(frame):
                 words = _moment_words(found, moment)
@@ -245,7 +245,7 @@ def _joint_row(playback: Playback, values: dict[str, Array], frame: int) -> dict
     return row
 
 
-_Writer = Callable[[Any, Path, Played, str], None]
+_Writer = Callable[[Any, Path, Playback, str], None]
 
 _VIEWERS: dict[str, tuple[str, str, _Writer]] = {
     "rerun": (".rrd", "rerun", _write_rerun),

@@ -35,7 +35,7 @@ _KINDS = {
     "rollouts": ("Rollout", "Simulated", "RolloutFit"),
     "fleets": ("FleetResult", "WatchedFleet"),
     "exports": ("ProvenExport", "CheckedModel", "DigestRun", "InspectedLogs"),
-    "playback": ("Played",),
+    "playback": ("Playback",),
 }
 """Module here -> the results that its `VIEWS` are of; imported only where there is one of them."""
 

@@ -23,15 +23,14 @@ from geodrake.logs import JointLog, read_log
 from geodrake.report.drawn_robots import COLORS, UNKNOWN, levels
 from geodrake.report.meshcat_scene import rollout_replay_page
 from geodrake.report.play_page import play_page
-from geodrake.report.playback import Played, play_back
-from geodrake.report.robot_scene import FRAMES, drawn_shapes
+from geodrake.report.playback import play_back
+from geodrake.report.robot_scene import FRAMES
 
 
 def page_of(playback, *names):
     """The page of a playback of logs of some names."""
     title, *logs = names or ("demo: <play>", "demo.csv")
-    shapes = drawn_shapes(playback.models[-1].model)
-    return play_page(Played(playback, shapes), title=title, log_names=logs)
+    return play_page(playback, title=title, log_names=logs)
 
 
 @pytest.fixture(scope="module")

@@ -15,17 +15,12 @@ from report_results import JOINT, LOG, URDF
 from geodrake import load_model
 from geodrake.report import pictures, recordings
 from geodrake.report.drawn_robots import triangles
-from geodrake.report.playback import Played, play_back
+from geodrake.report.playback import play_back
 from geodrake.report.robot_scene import drawn_shapes, posed_links
 
 
-@pytest.fixture(scope="module")
-def shapes(short):
-    return drawn_shapes(short.models[0].model)
-
-
-def recorded(short, shapes, to):
-    return recordings.recording(to, Played(short, shapes), title="demo")
+def recorded(short, to):
+    return recordings.recording(to, short, title="demo")
 
 
 def flange_places(short):
@@ -95,10 +90,10 @@ def test_triangles_enclose_the_volume_of_their_shape(shape, volume):
     assert enclosed == pytest.approx(volume, rel=0.05)
 
 
-def test_rerun_reads_its_recording(short, shapes, tmp_path):
+def test_rerun_reads_its_recording(short, tmp_path):
     chunk = pytest.importorskip("rerun.chunk")
     path = tmp_path / "r.rrd"
-    path.write_bytes(recorded(short, shapes, "rerun"))
+    path.write_bytes(recorded(short, "rerun"))
     rows = {}
     for one in chunk.RrdReader(path).stream():
         batch = one.to_record_batch()
@@ -121,12 +116,12 @@ def test_rerun_reads_its_recording(short, shapes, tmp_path):
     assert len(rows["/worst_moments", "TextLog:text"]) == len(short.moments)
 
 
-def test_mcap_is_read_by_its_libraries(short, shapes):
+def test_mcap_is_read_by_its_libraries(short):
     reader, decoder = (
         pytest.importorskip("mcap.reader"),
         pytest.importorskip("mcap_protobuf.decoder"),
     )
-    data = recorded(short, shapes, "mcap")
+    data = recorded(short, "mcap")
     read = reader.make_reader(BytesIO(data), decoder_factories=[decoder.DecoderFactory()])
     found = {}
     for schema, channel, message in read.iter_messages():
@@ -161,9 +156,9 @@ def test_mcap_is_read_by_its_libraries(short, shapes):
     np.testing.assert_allclose(np.array(stamps) * 1e-9, times - times[0], atol=1e-8)
 
 
-def test_videos_show_the_robot_in_motion(after, cut, shapes):
+def test_videos_show_the_robot_in_motion(after, cut):
     moving = play_back(after, [cut], seconds=0.7)
-    image = Image.open(BytesIO(pictures.video(Played(moving, shapes), ".gif")))
+    image = Image.open(BytesIO(pictures.video(moving, ".gif")))
     assert image.n_frames == round(len(moving.q) / 3)
     image.seek(0)
     first = np.asarray(image.convert("RGB"), int)
@@ -171,7 +166,7 @@ def test_videos_show_the_robot_in_motion(after, cut, shapes):
     last = np.asarray(image.convert("RGB"), int)
     assert (np.abs(first - last).sum(-1) > 60)[:500].mean() > 0.005
     encoder = pytest.importorskip("imageio_ffmpeg")
-    data = pictures.video(Played(moving, shapes), ".mp4", speed=4.0)
+    data = pictures.video(moving, ".mp4", speed=4.0)
     assert data[4:8] == b"ftyp" and encoder.get_ffmpeg_exe()
 
 
