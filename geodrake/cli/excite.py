@@ -312,7 +312,7 @@ def check_alone(options: ExciteOptions, names: Sequence[str]) -> None:
 
 
 def rivals_in(text: str) -> tuple[Placed, Placed]:
-    """Names and places of two effects, `a@elbow,b@j1+j2`; a place that is not said is empty."""
+    """Return names and places of two effects, `a@elbow,b@j1+j2`; an unsaid place is empty."""
     parts = [part.strip().partition("@") for part in text.split(",")]
     if len(parts) != 2 or not all(name for name, _, _ in parts):
         raise ArgumentError(f"--tell-apart takes two effects; got {text!r}.", advice=_FORM)

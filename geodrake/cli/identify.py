@@ -76,10 +76,10 @@ def run_identify(options: IdentifyOptions) -> None:
 def named_effects(
     names: Sequence[str], model: RobotModel, extra: Sequence[type[Effect]] = ()
 ) -> tuple[Effect, ...]:
-    """Effects by name, at a place (`payload@hand`, `coupled_friction@j5+j6`) or at all places.
+    """Return effects by name, at a place (`payload@hand`, `coupled_friction@a+b`) or everywhere.
 
-    At all places that do not have it yet: joints of one degree of freedom, or pairs that follow
-    each other.
+    That is at all places that do not have it yet: joints of one degree of freedom, or pairs that
+    follow each other.
     """
     taken = {(fitted.effect.name, fitted.effect.where) for fitted in model.effects}
     found: dict[Effect, None] = {}

@@ -632,7 +632,7 @@ def path(text: str) -> Path:
 
 
 def _documented(options: type[Any]) -> dict[str, tuple[str | None, str]]:
-    """Option -> metavariable and help, as the docstrings of the class and its bases have them."""
+    """Return option -> metavariable and help, as docstrings of a class and its bases have them."""
     found: dict[str, tuple[str | None, str]] = {}
     for each in reversed(options.__mro__):
         text = inspect.cleandoc(each.__doc__ or "").partition("Attributes:\n")[2]

@@ -249,7 +249,7 @@ def _checked_outputs(command: Command[R], options: Any) -> dict[str, Output]:
 
 
 def files_of(outputs: Mapping[str, Output]) -> dict[str, Path]:
-    """Option -> file, those asked for."""
+    """Return option -> file, those asked for."""
     return {name: one.path for name, one in outputs.items() if one.path not in (None, STDOUT)}
 
 
@@ -431,11 +431,10 @@ def unchecked_words(model: RobotModel) -> list[str]:
 def known_payloads(
     files: Sequence[Path], given: Sequence[str], model: RobotModel
 ) -> dict[Path, tuple[KnownPayload, ...]]:
-    """Log -> its known payloads, of logs that have some.
+    """Return log -> its known payloads, of logs that have some.
 
-    Args:
-        given: `LOG:BODY:MASS[:X,Y,Z]`: path or name of a log, link of the robot, kg, and the centre
-            of mass in the link's frame, m.
+    They are given as `LOG:BODY:MASS[:X,Y,Z]`: path or name of a log, link of the robot, kg, and the
+    centre of mass in the link's frame, m.
     """
     carried: dict[Path, list[KnownPayload]] = defaultdict(list)
     for text in given:

@@ -251,7 +251,7 @@ def solids_of_file(path: Path, given: Given) -> dict[str, list[Solid]]:
 
 
 def _prepare(root: Element, where: Where, folder: Path) -> None:
-    """Leaves collision geometry; hulls of STL files go to a folder as OBJ."""
+    """Leave collision geometry alone; hulls of STL files go to a folder as OBJ."""
     drop(root, "visual")
     files = (folder / f"{number}.obj" for number in count())
     move_meshes(root, lambda name: _readable(name, where, next(files)))

@@ -126,12 +126,12 @@ class ExcitationResult(Shown):
         return self.trajectory.motion(self.trajectory.family.times(self.samples))
 
 
-def identifiable_directions(result: ExcitationResult, threshold: float = THRESHOLD) -> int:
-    """Return how many directions the motion's samples identify to within a relative variance.
+def identifiable_directions(result: ExcitationResult) -> int:
+    """Return how many directions the motion's samples identify to within `THRESHOLD`.
 
     Meaningful for the geometric normalization, whose variances are relative.
     """
-    return int(np.count_nonzero(result.eigenvalues * threshold >= 1.0))
+    return int(np.count_nonzero(result.eigenvalues * THRESHOLD >= 1.0))
 
 
 def improvement(result: ExcitationResult) -> float:

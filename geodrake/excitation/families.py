@@ -248,12 +248,12 @@ class FreeSamples(MotionFamily):
         return 0.0
 
     def times(self, samples: int) -> Array:
-        """Zeros, one for each sample there is."""
+        """Return zeros, one for each sample there is."""
         del samples
         return np.zeros(self.samples)
 
     def limit_times(self, share: float = 0.05) -> Array:
-        """Zeros, one for each sample there is."""
+        """Return zeros, one for each sample there is."""
         del share
         return np.zeros(self.samples)
 

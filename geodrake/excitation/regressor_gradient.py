@@ -194,7 +194,7 @@ def _by_differences(
     parts: Sequence[tuple[Effect, Array]],
     sign_width: Array,
 ) -> MotionGradient:
-    """Central differences for effects that state no gradient, one coordinate of the motion a time.
+    """Take central differences for effects without a gradient, one coordinate at a time.
 
     Every sample moves at once: an effect's columns depend on their own sample only.
     """

@@ -429,7 +429,7 @@ class RobotSearch(Short):
         return tuple(ChangedParameter(*name, *own) for name, own in pairs)
 
     def _interval(self, evidence: ChangeEvidence, place: ChangePlace) -> tuple[float, float]:
-        """Shortest time around that of a finding that holds the probability of an interval, s."""
+        """Return the shortest time around a finding's of the probability of an interval, s."""
         first, share = _beginnings(evidence, place.hypothesis, kind_of(place.form))
         share = share / max(share.sum(), _TINY)
         low = high = int(np.flatnonzero(first == place.first)[0])

@@ -81,7 +81,7 @@ def write_record(folder: Path, record: LogRecord) -> None:
 
 
 def read_records(folder: Path, robot: FleetRobot) -> dict[str, LogRecord]:
-    """Address -> record of a robot's logs that have a digest, of those that its patterns fit.
+    """Return address -> record of a robot's logs that have a digest and that its patterns fit.
 
     One that is damaged, or was said otherwise, is none: its log is looked at again.
     """

@@ -233,7 +233,7 @@ def type_layout(
 
 
 def _model_values(model: RobotModel, settings: DigestSettings) -> dict[int, tuple[float, bool]]:
-    """Column of settings -> value of the model's effect there, and whether it is never negative."""
+    """Return column of settings -> value of the model's effect, and if it is never negative."""
     starts, at = {}, len(settings.independent)
     for each in settings.effects:
         if not each.in_bodies:

@@ -98,7 +98,7 @@ class RobotFit(Short):
         return found
 
     def solve(self, right: Array) -> Array:
-        """N⁻¹ times (n,) or (n, m), with the normal matrix N = 𝟙 + Σ L_tᵀ M_t L_t."""
+        """Return N⁻¹ times (n,) or (n, m), with the normal matrix N = 𝟙 + Σ L_tᵀ M_t L_t."""
         return np.asarray(cho_solve(self._factor, right))
 
     @cached_property
@@ -380,7 +380,7 @@ def kept_share(directions: Array) -> Array:
 
 @cache
 def _kept_shares() -> tuple[Array, Array]:
-    """Numbers of directions, and the share for each, over those of mean squares z² ~ χ²_r / r."""
+    """Return numbers of directions, and the share for each, over those of mean z² ~ χ²_r / r."""
     directions = np.arange(1.0, 7.0)
     middles = (np.arange(1000) + 0.5) / 1000
     squares = 2.0 * gammaincinv(0.5 * directions[:, None], middles) / directions[:, None]

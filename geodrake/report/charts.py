@@ -250,7 +250,7 @@ def _extremes(time: Array, curves: Array, most: int) -> tuple[Array, Array]:
 
 
 def gap_filled(time: Array) -> Array:
-    """Instants with those that are missing, where a line breaks, put between their neighbours."""
+    """Put instants that are missing, where a line breaks, between their neighbours."""
     missing = np.isnan(time)
     index = np.arange(len(time))
     return np.interp(index, index[~missing], time[~missing]) if (~missing).any() else time[:0]

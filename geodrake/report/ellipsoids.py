@@ -151,7 +151,7 @@ class SkeletonLines:
 
 
 def identification_sets(found: ModelIdentification) -> tuple[EllipsoidSet, ...]:
-    """Prior and identified bodies, and those of the other regularizers it was compared with."""
+    """Return prior and identified bodies, and those of the other regularizers in the comparison."""
     bodies = found.model.bodies
 
     def numbers(names: Sequence[str]) -> list[int]:

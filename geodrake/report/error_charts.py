@@ -62,7 +62,7 @@ _CHOSEN, _LESS = Color("after", label="chosen"), Color("measured", label="less l
 _TIED = Color("tied", label="as good, as far as the logs show")
 
 
-def worst_joints(errors: ErrorTable, most: int = MOST_PANELS) -> tuple[str, ...]:
+def worst_joints(errors: ErrorTable) -> tuple[str, ...]:
     """Return the joints of largest error over standard deviation, in the table's order.
 
     The joint of largest RMS is always among them, and one whose error is no number counts as worst.
@@ -71,8 +71,8 @@ def worst_joints(errors: ErrorTable, most: int = MOST_PANELS) -> tuple[str, ...]
     rms = np.array([joint.rms for joint in errors.joints])
     order = np.argsort(-np.nan_to_num(nrms, nan=np.inf), kind="stable")
     worst = int(np.argmax(np.nan_to_num(rms, nan=np.inf)))
-    chosen = [*order[:most]]
-    if most > 1 and worst not in chosen:
+    chosen = [*order[:MOST_PANELS]]
+    if worst not in chosen:
         chosen[-1] = worst
     return tuple(errors.joints[i].joint for i in sorted(chosen))
 

@@ -486,6 +486,7 @@ def excitation_dict(result: ExcitationResult) -> dict[str, Any]:
     objective, family = result.objective, result.trajectory.family
     use, limits, target = result.use, result.limits, result.objective.target
     pairs = distinguished_pairs(result)
+    identifiable = None if pairs else identifiable_directions(result)
     coefficients = zip(result.trajectory.joints, result.trajectory.coefficients.T, strict=True)
 
     def by_joint(kind: str, of: object) -> dict[str, dict[str, float]]:
@@ -503,7 +504,8 @@ def excitation_dict(result: ExcitationResult) -> dict[str, Any]:
         improvement_over_random=improvement(result),
         verdict=excitation_verdict(result),
         interrupted=result.is_interrupted,
-        directions_told=None if pairs else identifiable_directions(result),
+        directions_identifiable=identifiable,
+        directions_told=identifiable,
         pairs=[
             picked(each.pair, "truth", "where", "rival")
             | {"deviations": each.deviations, "effort_rms": each.effort}
@@ -547,6 +549,7 @@ def identifiable_dict(found: LogIdentifiability) -> dict[str, Any]:
     return record(
         "Identifiability",
         found,
+        identifiable=found.count,
         told=found.count,
         told_at_sensor_noise=found.count_at_floor,
         threshold=identifiable.threshold,

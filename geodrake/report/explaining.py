@@ -716,7 +716,7 @@ def formulas_table(draft: Draft) -> Table:
 
 
 def bodies_table(bodies: Sequence[BodyChange]) -> Table:
-    """Mass and centre of mass of every body before and after, in kg and mm."""
+    """Return mass and centre of mass of every body before and after, in kg and mm."""
     rows = [
         cells(
             *(body.name, body.mass[0], with_deviation(body.mass[1], body.mass_deviation)),

@@ -195,7 +195,7 @@ def _step(step: Step) -> dict[str, Any]:
 
 
 def _errors(**tables: ErrorTable) -> dict[str, Any]:
-    """RMS by joint of several tables, then their nrms and pooled RMS; the floor is common."""
+    """Return RMS by joint of tables, then their nrms and pooled RMS; the floor is common."""
     last = list(tables.values())[-1]
     return {
         **{name: table.by_joint() for name, table in tables.items()},

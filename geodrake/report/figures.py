@@ -110,7 +110,7 @@ def _draw(ax: Axes, chart: Chart, panel: Panel, plot: Plot, stages: list[Stage])
     if plot.floor > 0:
         ax.axhspan(-plot.floor, plot.floor, color=style.FLOOR, alpha=0.25, linewidth=0)
     if plot.log:
-        style.log_scale(ax, "y")
+        style.log_scale(ax)
     elif plot.span is not None:
         ax.set_ylim(*plot.span)
     elif plot.centred:

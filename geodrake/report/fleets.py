@@ -316,7 +316,7 @@ def _panel(robot: RobotResult, place: str, days: Array) -> Panel:
 
 
 def _begins(finding: FleetFinding, dates: Array) -> tuple[float, float]:
-    """Days between which a change began: a step after the log before the first that shows it."""
+    """Return days between which a change began, a step after the log before the first with it."""
     low, high = finding.interval
     if finding.kind == STEP:
         low = max(dates[dates < low], default=low)
@@ -448,7 +448,7 @@ def _robot(robot: RobotResult) -> dict[str, Any]:
 
 
 def parquet_contents(result: FleetResult, folder: Path) -> Mapping[Path, Content]:
-    """File -> content of three tables: `findings`, `parameters` over time, and `unused_logs`."""
+    """Return file -> content of tables: `findings`, `parameters` over time, and `unused_logs`."""
     arrow = optional_package("pyarrow", "fleet", "tables in Parquet", FleetError)
     parquet = optional_package("pyarrow.parquet", "fleet", "tables in Parquet", FleetError)
     text, real, flag = arrow.string(), arrow.float64(), arrow.bool_()

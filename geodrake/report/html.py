@@ -57,7 +57,7 @@ def templates() -> Environment:
 
 
 def _shown_text(value: Any) -> Any:
-    """Printable text whose numbers stay on one line with their per cent signs and deviations."""
+    """Return printable text whose numbers stay on one line with per cent signs and deviations."""
     if not isinstance(value, str) or hasattr(value, "__html__"):  # a macro's: done
         return value
     text = re.sub(r"(?<=\d) %", "\N{NO-BREAK SPACE}%", printable(value))
@@ -65,7 +65,7 @@ def _shown_text(value: Any) -> Any:
 
 
 def _breakable(text: str) -> Markup:
-    """Lines as markup whose long names may go on in a new line after an underscore or a slash."""
+    """Return lines as markup whose long names may break after an underscore or a slash."""
     shown = "\n".join(str(escape(_shown_text(line))) for line in text.split("\n"))
     return Markup(re.sub("(?<=[_/])(?=[^_/])", "<wbr>", shown))
 

@@ -60,7 +60,7 @@ _BEFORE, _AFTER = ("simulated before", style.BEFORE, 0.6), ("simulated", style.A
 
 
 def clock(frame: int) -> float:
-    """Time of a frame in MeshCat's recording, s: in its middle, so that none is counted twice."""
+    """Return the time of a frame in a recording, s: its middle, so that none is counted twice."""
     return (frame + 0.5) / FRAMES
 
 

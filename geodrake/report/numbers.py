@@ -142,7 +142,7 @@ class Units:
         return " or ".join(sorted(found, reverse=True))
 
     def parameter(self, effect: str, name: str, place: str) -> str:
-        """Unit in which a parameter is shown at a place, such as `a & b`; "" for plain numbers."""
+        """Return the unit of a parameter at a place, such as `a & b`; "" for plain numbers."""
         if self._in_milliseconds(effect, name):
             return "ms"
         unit = self._unit(effect, name)

@@ -175,7 +175,7 @@ def _values_table(found: RolloutFit, units: Units) -> Table:
 
 
 def _fit_table(found: RolloutFit, units: Units) -> Table:
-    """Departures of every joint before and after a fit, in the windows it saw and in the others."""
+    """Return departures of every joint before and after a fit, in windows it saw and in others."""
     stages = (*found.fitted, *found.held_out)
     rows = [
         cells(

@@ -10,7 +10,6 @@ from typing import Any
 import numpy as np
 from matplotlib import rc_context, rcParamsDefault
 from matplotlib.axes import Axes
-from matplotlib.axis import XAxis, YAxis
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from matplotlib.font_manager import findfont, get_font
@@ -83,7 +82,7 @@ def polish(ax: Axes, *, grid: str = "both") -> Axes:
 
 
 def plain(size: float = NORMAL, color: str = INK, **more: Any) -> dict[str, Any]:
-    """Text properties; names of joints may contain `$`, which must not be read as mathematics."""
+    """Return text properties by which `$` in names of joints is not read as mathematics."""
     return {"fontsize": size, "color": color, "parse_math": False, **more}
 
 
@@ -95,28 +94,27 @@ def joint_title(ax: Axes, joint: str, detail: str = "") -> None:
 
 
 def label(text: str, most: int = _MOST_LETTERS) -> str:
-    """Words for a figure: not too many letters, and those that the font does not have as �."""
+    """Return words for a figure, not too many letters; those that the font has not become �."""
     font = get_font(findfont(_FONT))
     return "".join(c if font.get_char_index(ord(c)) else "�" for c in shortened(text, most))
 
 
-def log_scale(ax: Axes, axis: str) -> None:
-    """Make an axis logarithmic, its ticks written as plain numbers."""
-    of: XAxis | YAxis = ax.xaxis if axis == "x" else ax.yaxis
-    ax.set(**{f"{axis}scale": "log"})
-    low, high = of.get_view_interval()
+def log_scale(ax: Axes) -> None:
+    """Make the axis of values logarithmic, its ticks written as plain numbers."""
+    ax.set_yscale("log")
+    low, high = ax.yaxis.get_view_interval()
     subs = (1.0, 2.0, 5.0) if high / low < 3e3 else (1.0,)
-    of.set_major_locator(LogLocator(subs=subs, numticks=12))
-    of.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
-    of.set_minor_formatter(NullFormatter())
+    ax.yaxis.set_major_locator(LogLocator(subs=subs, numticks=12))
+    ax.yaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
+    ax.yaxis.set_minor_formatter(NullFormatter())
 
 
-def legend_above(figure: Figure, handles: Sequence[Any], *, columns: int = 5) -> None:
+def legend_above(figure: Figure, handles: Sequence[Any]) -> None:
     """Add one legend for the whole figure, above it."""
     figure.legend(
         handles=list(handles),
         loc="outside upper left",
-        ncols=columns,
+        ncols=5,
         frameon=False,
         fontsize=SMALL + 0.5,
         labelcolor=INK,

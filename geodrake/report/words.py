@@ -205,7 +205,7 @@ def correlate_words(found: Correlate) -> str:
 
 
 def explained_share(before: float, after: float) -> float:
-    """Share of the squared error that goes from one nrms to another; negative if it grows."""
+    """Return the share of the squared error that a change of nrms removes; negative if it grows."""
     return 1.0 - (after / before) ** 2 if before > 0 else 0.0
 
 
@@ -375,7 +375,7 @@ def _times(errors: ErrorTable) -> str:
 
 
 def noise_alone(errors: ErrorTable) -> str:
-    """That an error is no larger than the noise floor, or hardly, or that this cannot be told."""
+    """Say that an error is no larger than the noise floor, or hardly, or that nobody can know."""
     if errors.is_mostly_noise:
         return (
             f"noise is as large as what the model explains (its nrms is "
