@@ -147,7 +147,7 @@ def _understood(
     table = reshaped(table, reading)
     _check_silent(table, reading, joints)
     columns = columns_of(table, joints, reading, partial=partial)
-    log, columns = recorded(columns, *table.read(columns.files, skip=reading.skip_bad_rows))
+    log = recorded(columns, *table.read(columns.files, skip=reading.skip_bad_rows))
     motors = reading.motors_of(log.joints)
     return replace(log, notes=(*table.notes, *log.notes), motors=motors), columns
 

@@ -326,52 +326,6 @@ _WORDS_ADVICE = (
 _MAPPING_ADVICE = "Or say which column is what by --mapping."
 
 
-@dataclass(frozen=True)
-class Columns:
-    """Which column of a file is which quantity of which joint, and what is read of them.
-
-    Attributes:
-        reading: How the user said that the file is to be read.
-        sources: `time` and `<joint>.<quantity>` -> the column that its numbers come from.
-        rate: Rows a second, Hz, where there is no column of time.
-        origin: Since when time is, ns since 1970, if that is known.
-        joints: Names of the n joints, in the order of the log to be.
-        standing: Joints of which there is the position alone.
-        quantities: Quantities that every joint has; and efforts and commands, which some may lack.
-        passive: Joints without a motor, which need no column of efforts.
-        floating: Names of columns of a free base and of contacts, which are among the sources.
-        others: Joint -> further columns that could be taken for its efforts, or in their place.
-        left_out: Joints of the file that the model lacks.
-    """
-
-    path: Path
-    reading: Reading
-    sources: Mapping[str, Meaning]
-    notes: tuple[str, ...]
-    rate: float | None
-    origin: int | None
-    joints: tuple[str, ...]
-    standing: tuple[str, ...]
-    quantities: tuple[str, ...]
-    passive: tuple[str, ...]
-    floating: tuple[str, ...]
-    others: Mapping[str, tuple[str, ...]]
-    left_out: tuple[str, ...]
-
-    @property
-    def kinds(self) -> dict[str, str]:
-        """Joint -> what is in the place of its efforts, where it has none."""
-        named = {joint: self.sources.get(f"{joint}.effort") for joint in self.joints}
-        found = {joint: source.quantity for joint, source in named.items() if source is not None}
-        found |= dict.fromkeys(self.passive, PASSIVE)
-        return {joint: kind for joint, kind in found.items() if kind != "effort"}
-
-    @property
-    def files(self) -> tuple[str, ...]:
-        """Columns of the file that are read."""
-        return tuple(dict.fromkeys(c for source in self.sources.values() for c in source.columns))
-
-
 def columns_of(
     table: LogTable, joints: Sequence[str] | None, reading: Reading, *, partial: bool = False
 ) -> Columns:
@@ -383,76 +337,24 @@ def columns_of(
     is_mapped, first = reading.mapping is not None, table.unnamed
     if first and not is_mapped:
         raise propose(no_header(path, first), path, first, joints, reading, headed=False)
-    told = _by_mapping(table, reading) if is_mapped else _by_names(table, joints, reading)
+    columns = _by_mapping(table, reading) if is_mapped else _by_names(table, joints, reading)
     clock = ""
     try:
-        if told.rate is None and ("", "time") not in told.places:
+        if columns.rate is None and ("", "time") not in columns.places:
             clock, words = likely_clock(table)
             raise LogError(
                 f"Log {str(path)!r} has no column 'time'; it has {listed(names)}.",
                 advice=f"{words}{HEADER_ADVICE} Without time, give the rows a second by --rate.",
             )
-        origin = told.date(table)
-        own, standing = told.chosen(table, joints, partial=partial)
+        columns.date(table)
+        columns.choose(table, joints, partial=partial)
     except LogError as error:
         propose(error, path, table.counted, joints, reading, clock=clock)
         raise
-    used = {c for source in told.places.values() for c in source.columns}
-    check_once(path, names, used)
-    told.check_said(path, own)
-    quantities = list[str]()
-    for quantity in QUANTITIES:
-        missing = [f"{j}.{quantity}" for j in own if (j, quantity) not in told.places]
-        some = len(missing) < len(own) and quantity in PARTIAL
-        if not missing or some or quantity == "effort":
-            quantities.append(quantity)
-        elif len(missing) < len(own):
-            told.notes.append(f"{quantity} is not used: there is no {listed(missing)}")
-    passive = told.passive(own)
-    if said := [joint for joint in passive if joint not in reading.motorless]:
-        told.notes.append(f"no motor at {listed(said)}: bodies and friction need no effort there")
-    sources = {
-        quantity if quantity == "time" else f"{joint}.{quantity}": _scaled(source, joint, reading)
-        for (joint, quantity), source in told.places.items()
-        if quantity == "time"
-        or (joint in own and quantity in quantities)
-        or (joint in standing and quantity == "position")
-    }
-    floating = dict[str, Meaning]()
-    for name in names:
-        if name not in used and (known := floating_name(name)) is not None:
-            floating.setdefault(known, Meaning(name, known))
-    sources |= floating
-    told.notes.extend(unit_words(sources, reading))
-    kept = {c for source in floating.values() for c in source.columns}
-    for (joint, quantity), source in told.places.items():
-        kept.update(source.columns if quantity == "time" or joint in (*own, *standing) else ())
-    if ignored := [name for name in names if name and name not in kept]:
-        told.notes.append(f"columns ignored: {listed(ignored)}")
-    beside = [j for j in told.having("position") if j not in (*own, *standing)]
-    return Columns(
-        path,
-        reading,
-        sources,
-        tuple(told.notes),
-        told.rate,
-        origin,
-        own,
-        standing,
-        tuple(quantities),
-        passive,
-        tuple(floating),
-        told.others,
-        tuple(beside) if joints is not None else (),
-    )
-
-
-def _scaled(source: Meaning, joint: str, reading: Reading) -> Meaning:
-    """Return a column; with a known gain, signals are efforts."""
-    gain = reading.gains.get(joint)
-    if gain is None or source.log_quantity != "effort":
-        return source
-    return replace(source, gain=gain * source.gain, quantity="effort")
+    check_once(path, names, {c for source in columns.places.values() for c in source.columns})
+    columns.check_said()
+    columns.keep_used(names)
+    return columns
 
 
 def likely_clock(table: LogTable) -> tuple[str, str]:
@@ -470,7 +372,7 @@ def likely_clock(table: LogTable) -> tuple[str, str]:
     return "", f"Is it {close[0]!r}? " if close else ""
 
 
-def _by_names(table: LogTable, joints: Sequence[str] | None, reading: Reading) -> Told:
+def _by_names(table: LogTable, joints: Sequence[str] | None, reading: Reading) -> Columns:
     """Return what the names of the columns say."""
     path, names, units = table.path, table.names, table.units
     beside = [name for name in names if floating_name(name) is None]
@@ -499,10 +401,10 @@ def _by_names(table: LogTable, joints: Sequence[str] | None, reading: Reading) -
     if rate is None and time is None and table.rate is not None:
         rate, name = table.rate
         said.append(f"{rate:.6g} rows a second, as {name!r} in the file says")
-    return Told(reading, places, said, rate, own, others)
+    return Columns(path, reading, places, said, rate, own, others)
 
 
-def _by_mapping(table: LogTable, reading: Reading) -> Told:
+def _by_mapping(table: LogTable, reading: Reading) -> Columns:
     """Return what a mapping says."""
     places, path, names = dict[tuple[str, str], Meaning](), table.path, table.names
     mapping = reading.mapping or ColumnMapping({})
@@ -527,30 +429,66 @@ def _by_mapping(table: LogTable, reading: Reading) -> Told:
     for joint in [joint for joint, quantity in places if quantity == "command"]:
         if reading.kind_of(joint) == "command":  # in the place of its efforts
             places.pop((joint, "effort"), None)
-    return Told(reading, places, [], reading.rate or mapping.rate, frozenset(mapping.joints))
+    rate = reading.rate or mapping.rate
+    return Columns(path, reading, places, [], rate, frozenset(mapping.joints))
 
 
 @dataclass
-class Told:
-    """What names or a mapping say of columns.
+class Columns:
+    """Which column of a file is which quantity of which joint, and what is read of them.
 
     Attributes:
+        reading: How the user said that the file is to be read.
         places: (joint, quantity) -> column, in the order of the file; `("", "time")` is time.
         notes: What is to be noted of them.
         rate: Rows a second, Hz, where there is no column of time.
         own: Joints by geodrake's own names, of which none is left out unasked.
         others: Joint -> further columns that could be taken for its efforts, or in their place.
+        origin: Since when time is, ns since 1970, if that is known.
+        joints: Names of the n joints, in the order of the log to be.
+        standing: Joints of which there is the position alone.
+        quantities: Quantities that every joint has; and efforts and commands, which some may lack.
+        passive: Joints without a motor, which need no column of efforts.
+        floating: Name -> column of a free base or of contacts.
+        left_out: Joints of the file that the model lacks.
     """
 
+    path: Path
     reading: Reading
     places: dict[tuple[str, str], Meaning]
     notes: list[str]
     rate: float | None
     own: frozenset[str]
     others: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
+    origin: int | None = None
+    joints: tuple[str, ...] = ()
+    standing: tuple[str, ...] = ()
+    quantities: tuple[str, ...] = ()
+    passive: tuple[str, ...] = ()
+    floating: dict[str, Meaning] = field(default_factory=dict)
+    left_out: tuple[str, ...] = ()
 
-    def date(self, table: LogTable) -> int | None:
-        """Take time for seconds, whatever its name says, if since a known instant; return that.
+    @property
+    def sources(self) -> dict[str, Meaning]:
+        """`time`, `<joint>.<quantity>` and names of a free base -> column."""
+        own = {q if q == "time" else f"{joint}.{q}": s for (joint, q), s in self.places.items()}
+        return own | self.floating
+
+    @property
+    def kinds(self) -> dict[str, str]:
+        """Joint -> what is in the place of its efforts, where it has none."""
+        named = {joint: self.places.get((joint, "effort")) for joint in self.joints}
+        found = {joint: source.quantity for joint, source in named.items() if source is not None}
+        found |= dict.fromkeys(self.passive, PASSIVE)
+        return {joint: kind for joint, kind in found.items() if kind != "effort"}
+
+    @property
+    def files(self) -> tuple[str, ...]:
+        """Columns of the file that are read."""
+        return tuple(dict.fromkeys(c for source in self.sources.values() for c in source.columns))
+
+    def date(self, table: LogTable) -> None:
+        """Take time for seconds, whatever its name says, if since a known instant.
 
         Time is left out where a rate says it. Commands are in the unit of their joint's position
         if nobody says theirs.
@@ -570,20 +508,17 @@ class Told:
                     advice=_MAPPING_ADVICE,
                 )
         time = self.places.get(("", "time"))
-        if time is None or time.column not in table.origins:
-            return None
-        self.places["", "time"] = Meaning(time.column, "time", unit=unit_of("s", "time"))
-        origin = table.origins[time.column]
-        self.notes += [] if origin is None else [f"time is in s since {date_words(origin)}"]
-        return origin
+        if time is not None and time.column in table.origins:
+            self.places["", "time"] = Meaning(time.column, "time", unit=unit_of("s", "time"))
+            self.origin = table.origins[time.column]
+            since = self.origin
+            self.notes += [] if since is None else [f"time is in s since {date_words(since)}"]
 
-    def chosen(
-        self, table: LogTable, wanted: Sequence[str] | None, *, partial: bool
-    ) -> tuple[tuple[str, ...], tuple[str, ...]]:
-        """Return the joints of the log, and those of which there is the position alone."""
+    def choose(self, table: LogTable, wanted: Sequence[str] | None, *, partial: bool) -> None:
+        """Find the joints of the log, and those of which there is the position alone."""
         path, moved = table.path, self._of_model(self.having("position"), wanted)
         efforts = self.having("effort", "command")
-        heard = {*efforts, *self.passive(moved)}
+        heard = {*efforts, *self._without_motor(moved)}
         silent = [joint for joint in moved if joint not in heard]
         if len(silent) == len(moved):
             told = {} if moved or efforts else table.first_words
@@ -614,7 +549,48 @@ class Told:
         if wanted is not None:
             check_joints(log_name(path), [*own, *standing], wanted, partial=partial)
             own = tuple(joint for joint in wanted if joint in own)
-        return own, standing
+        self.joints, self.standing, self.passive = own, standing, self._without_motor(own)
+        beside = [j for j in self.having("position") if j not in (*own, *standing)]
+        self.left_out = tuple(beside) if wanted is not None else ()
+
+    def keep_used(self, names: Sequence[str]) -> None:
+        """Keep what is read of columns of some names, and note what becomes of others."""
+        own, reading, used = self.joints, self.reading, {*self.files}
+        for quantity in QUANTITIES:
+            missing = [f"{j}.{quantity}" for j in own if (j, quantity) not in self.places]
+            some = len(missing) < len(own) and quantity in PARTIAL
+            if not missing or some or quantity == "effort":
+                self.quantities += (quantity,)
+            elif len(missing) < len(own):
+                self.notes.append(f"{quantity} is not used: there is no {listed(missing)}")
+        if said := [joint for joint in self.passive if joint not in reading.motorless]:
+            words = f"no motor at {listed(said)}: bodies and friction need no effort there"
+            self.notes.append(words)
+        of_joints = {
+            (joint, quantity): source
+            for (joint, quantity), source in self.places.items()
+            if quantity == "time" or joint in (*own, *self.standing)
+        }
+        self.places = {
+            (joint, quantity): self._scaled(source, joint)
+            for (joint, quantity), source in of_joints.items()
+            if quantity in ("time", *self.quantities)
+            and (joint not in self.standing or quantity == "position")
+        }
+        for name in names:
+            if name not in used and (known := floating_name(name)) is not None:
+                self.floating.setdefault(known, Meaning(name, known))
+        self.notes += unit_words(self.sources, reading)
+        known_too = {c for source in of_joints.values() for c in source.columns}
+        if ignored := [n for n in names if n and n not in {*self.files, *known_too}]:
+            self.notes.append(f"columns ignored: {listed(ignored)}")
+
+    def _scaled(self, source: Meaning, joint: str) -> Meaning:
+        """Return a column; with a known gain, signals are efforts."""
+        gain = self.reading.gains.get(joint)
+        if gain is None or source.log_quantity != "effort":
+            return source
+        return replace(source, gain=gain * source.gain, quantity="effort")
 
     def _of_model(self, joints: Sequence[str], wanted: Sequence[str] | None) -> tuple[str, ...]:
         """Return joints without those that the model lacks, if it has some of the log's.
@@ -632,7 +608,7 @@ class Told:
             if joint in wanted or difflib.get_close_matches(names[joint], missing, 1)
         )
 
-    def passive(self, joints: Sequence[str]) -> tuple[str, ...]:
+    def _without_motor(self, joints: Sequence[str]) -> tuple[str, ...]:
         """Return those of some joints without a motor, as the log, the user or the model says."""
         heard, said = self.having("effort", "command"), self.having(PASSIVE)
         return tuple(
@@ -647,8 +623,9 @@ class Told:
         """Return joints with one of some quantities, in the order of the file."""
         return list(dict.fromkeys(joint for joint, other in self.places if other in quantities))
 
-    def check_said(self, path: Path, joints: Sequence[str]) -> None:
+    def check_said(self) -> None:
         """Refuse gains and kinds of joints that have no such column."""
+        path, joints = self.path, self.joints
         heard, told = self.having("effort"), self.having("command")
         whats = {PASSIVE: "--passive names", "gain": "There is a gain of"}
         for joint, said in (

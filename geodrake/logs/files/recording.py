@@ -32,10 +32,8 @@ _HELD, _MARGIN = 0.99, 0.05  # share of positions that limits hold, and rad by w
 _ROUNDING = 1e-3  # by which a whole number is off after a unit's factor
 
 
-def recorded(
-    columns: Columns, numbers: dict[str, Array], torn: TornRows
-) -> tuple[JointLog, Columns]:
-    """Return the log of a file's numbers, and its columns with units that these tell.
+def recorded(columns: Columns, numbers: dict[str, Array], torn: TornRows) -> JointLog:
+    """Return the log of a file's numbers; its columns are given units that these tell.
 
     Every number is held once, but for those of a quantity: ten million rows of seven joints fill
     more than a gigabyte.
@@ -51,18 +49,19 @@ def recorded(
             advice="Record several seconds of motion.",
         )
 
-    def column(name: str) -> Array:
-        source = columns.sources.get(name)
+    def column(joint: str, quantity: str) -> Array:
+        source = columns.places.get((joint, quantity))
         return np.full(rows, np.nan) if source is None else read_column(source, numbers)
 
-    rate, joints, stamps = columns.rate, columns.joints, columns.sources.get("time")
-    time = np.arange(rows) / rate if rate is not None else column("time")
-    standing = {joint: f"{joint}.position" for joint in columns.standing}
-    data = {name: column(name) for name in (*standing.values(), *columns.floating)}
+    rate, joints, stamps = columns.rate, columns.joints, columns.places.get(("", "time"))
+    time = np.arange(rows) / rate if rate is not None else column("", "time")
+    alone = {joint: column(joint, "position") for joint in columns.standing}
+    data = {name: read_column(source, numbers) for name, source in columns.floating.items()}
+    data |= {f"{joint}.position": place for joint, place in alone.items()}
     for quantity in columns.quantities:
         data[quantity] = np.empty((rows, len(joints)))
         for place, joint in enumerate(joints):
-            data[quantity][:, place] = column(f"{joint}.{quantity}")
+            data[quantity][:, place] = column(joint, quantity)
 
     time, notes = (time, ()) if stamps is None else in_seconds(stamps, time)
     time, more = with_clock_set_back(time)
@@ -78,7 +77,8 @@ def recorded(
     kept, left_out = torn.settle(time)
     if again.any():
         kept = ~again if kept is None else kept & ~again
-    signed, columns = _with_signs(data, columns), _in_radians(data, columns)
+    signed = _with_signs(data, columns)
+    _take_ticks(data, columns)
     kinds, motors = _without_motors(data, columns)
     if kept is not None:
         time, data = time[kept], {name: values[kept] for name, values in data.items()}
@@ -90,7 +90,7 @@ def recorded(
         time = time[rarest]
     uncertainty = columns.reading.effort_uncertainty(joints)
     passive = np.array([kinds.get(joint) == PASSIVE for joint in joints])
-    log = JointLog(
+    return JointLog(
         log_name(columns.path),
         joints,
         time,
@@ -100,8 +100,8 @@ def recorded(
         data.get("acceleration"),
         (*columns.notes, *notes, *more, *even, *signed, *motors, *left_out),
         effort_uncertainty=np.where(passive, 0.0, uncertainty) if passive.any() else uncertainty,
-        standing={joint: _place(data[name]) for joint, name in standing.items()},
-        alone={joint: data[name] for joint, name in standing.items()},
+        standing={joint: _place(data[f"{joint}.position"]) for joint in alone},
+        alone={joint: data[f"{joint}.position"] for joint in alone},
         command=data.get("command"),
         effort_kinds=kinds,
         temperature=data.get("temperature"),
@@ -109,7 +109,6 @@ def recorded(
         floating={name: data[name] for name in columns.floating},
         left_out=columns.left_out,
     )
-    return log, columns
 
 
 def _with_signs(data: dict[str, Array], columns: Columns) -> list[str]:
@@ -117,7 +116,7 @@ def _with_signs(data: dict[str, Array], columns: Columns) -> list[str]:
     notes = []
     for quantity in columns.quantities:
         for at, joint in enumerate(columns.joints):
-            source = columns.sources.get(f"{joint}.{quantity}")
+            source = columns.places.get((joint, quantity))
             numbers = data[quantity][:, at]
             if source is None or not are_whole(source.written(numbers[:_FIRST])):
                 continue
@@ -169,7 +168,7 @@ def _are_apart(numbers: Array, half: float, least: float) -> bool:
     return bool(not few and crossings >= 2 and least - numbers[~above].max() >= half)
 
 
-def _in_radians(data: dict[str, Array], columns: Columns) -> Columns:
+def _take_ticks(data: dict[str, Array], columns: Columns) -> None:
     """Turn positions and commands (N, n) into rad where they are ticks of servos.
 
     Whole numbers from 0 to less than 4,096, and beyond 1,024, are taken for ticks if nobody says
@@ -179,19 +178,19 @@ def _in_radians(data: dict[str, Array], columns: Columns) -> Columns:
     """
     told = [n for n in data if n in ("position", "command") and np.isfinite(data[n]).any()]
     if "position" not in told:
-        return columns
-    sources = dict[str, Meaning]()
+        return
+    sources = dict[tuple[str, str], Meaning]()
     for quantity in told:
-        names = [f"{joint}.{quantity}" for joint in columns.joints]
-        own = {n: source for n in names if (source := columns.sources.get(n)) is not None}
-        if any(s.unit or s.factor != 1.0 or s.column == n for n, s in own.items()):
-            return columns
+        places = [(joint, quantity) for joint in columns.joints]
+        own = {p: source for p in places if (source := columns.places.get(p)) is not None}
+        if any(s.unit or s.factor != 1.0 or s.column == ".".join(p) for p, s in own.items()):
+            return
         sources |= own
         numbers, least = data[quantity], TICKS / 4 if quantity == "position" else 0.0
         if not (are_whole(numbers[:_FIRST]) and are_whole(numbers)):
-            return columns
+            return
         if not np.nanmin(numbers) >= 0.0 or not least < np.nanmax(numbers) < TICKS:
-            return columns
+            return
     ticks = data["position"]
     middle, bottom = (unit_of(name, "position") for name in ("ticks@2048", "ticks"))
     held = {unit: _share_within(columns, ticks, unit) for unit in (middle, bottom)}
@@ -206,9 +205,8 @@ def _in_radians(data: dict[str, Array], columns: Columns) -> Columns:
     for quantity in told:
         data[quantity] *= unit.factor
         data[quantity] += unit.offset
-    known = {n: replace(s, unit=unit) for n, s in sources.items()}
-    notes = (*columns.notes, words)
-    return replace(columns, sources={**columns.sources, **known}, notes=notes)
+    columns.places |= {place: replace(source, unit=unit) for place, source in sources.items()}
+    columns.notes.append(words)
 
 
 def _share_within(columns: Columns, ticks: Array, unit: Unit) -> float:
