@@ -117,6 +117,26 @@ def controller_state(
     return write_rosbag2(folder / "controller", topics, store, storage=storage)
 
 
+def motor_states(folder, log, *, spare=0):
+    """States of motors, a message each in one of the robot, as Unitree's robots publish them."""
+    from rosbags.typesys import get_types_from_msg
+
+    store, kinds = ros2_store(), ("unitree_go/msg/MotorState", "unitree_go/msg/LowState")
+    count = len(log.joints) + spare
+    text = f"unitree_go/MotorState[{count}] motor_state\nuint32 tick\n"
+    store.register(get_types_from_msg("uint8 mode\nfloat32 q\nfloat32 tau_est\n", kinds[0]))
+    store.register(get_types_from_msg(text, kinds[1]))
+    Motor, State = (store.types[kind] for kind in kinds)
+
+    def messages():
+        for k, since in enumerate(nanoseconds(log)):
+            both = zip(log.position[k].tolist(), log.effort[k].tolist(), strict=True)
+            motors = [Motor(1, q, effort) for q, effort in both]
+            yield since + EPOCH, State([*motors, *[Motor(0, 0.0, 0.0)] * spare], since // 10**6)
+
+    return write_rosbag2(folder / "motors", {"/lowstate": messages()}, store)
+
+
 def bare_mcap(folder, log):
     """One MCAP file, by the writer of mcap-ros2-support."""
     from mcap_ros2.writer import Writer

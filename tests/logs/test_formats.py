@@ -35,6 +35,15 @@ def test_every_format_keeps_every_number(tmp_path, log, write):
         assert np.allclose(getattr(read, quantity), getattr(log, quantity), rtol=0, atol=1e-8)
 
 
+def test_messages_with_one_for_each_motor(tmp_path, log):
+    """Behind the last motor there are others, which no robot of that kind has."""
+    spare = foreign_logs.motor_states(tmp_path, log, spare=3)
+    read = read_log(spare, joints=JOINTS)
+    assert np.allclose(read.position, log.position, atol=1e-6)
+    assert np.allclose(read.effort, log.effort, atol=1e-6)
+    assert "and so of no motor: position[2] …" in " ".join(read.notes)
+
+
 @pytest.mark.parametrize("version", ["v2.1", "v3.0"])
 def test_episodes_of_a_dataset_are_one_log_with_gaps_or_one_of_them(tmp_path, log, version):
     path = lerobot(tmp_path, log, version=version, episodes=3)

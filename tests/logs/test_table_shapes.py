@@ -126,6 +126,17 @@ SHAPES = {
     "names_once.npz": lambda path: np.savez(path, joint_names=JOINTS[::-1], **TURNED),
     "names_once.h5": in_hdf5({**TURNED, "joint_names": list(JOINTS[::-1])}),
     "clock.csv": times("%H:%M:%S.%f"),
+    "noon.csv": times("%d/%m/%Y %I:%M:%S.%f %p"),
+    "half_day.csv": times("%I:%M:%S.%f %p"),
+    "colons.csv": table(PLAIN.assign(time=[f"{m:%H:%M:%S}:{m.microsecond // 1000:03}"
+        for m in MOMENTS])),
+    "melted.csv": table(PLAIN.melt(id_vars="time")),
+    "fields.csv": table(A_ROW_A_JOINT.melt(["time", "joint"], var_name="_field",
+        value_name="_value")),
+    "samples.json": text(json.dumps({"robot": {"rate": 100}, "samples":
+        pandas.DataFrame(listed(LISTS)).to_dict("records")})),
+    "logging.log": text("\n".join(f"{m:%Y-%m-%d %H:%M:%S,%f} INFO arm: q={[*q]} tau={[*e]}"
+        for m, q, e in zip(MOMENTS, POSITION.tolist(), EFFORT.tolist(), strict=True))),
     "strokes.csv": times("%Y/%m/%d %H:%M:%S.%f"),
     "timedelta.csv": table(PLAIN.assign(time=pandas.to_timedelta(TIME, unit="s").map(str))),
     "arrays.csv": table(pandas.DataFrame({n: [*map(repr, LISTS[n])] for n in ("q", "tau")})
@@ -699,6 +710,12 @@ def test_rows_of_a_joint_in_units_of_which_one_is_not_known(tmp_path):
     assert log.effort_kinds == dict.fromkeys(JOINTS, "current")
     said = "as nobody says how much one of erpm is: joint_1.velocity, joint_2.velocity"
     assert any(said in note for note in log.notes)
+
+
+def test_cells_with_units_are_refused_with_where_these_belong(tmp_path):
+    path = csv_of(tmp_path, PLAIN.assign(**{"base.effort": [f"{x:.3f} Nm" for x in EFFORT[:, 0]]}))
+    with pytest.raises(LogError, match=r"numbers alone, and .* name: base.effort \[Nm\]"):
+        read_log(path)
 
 
 def test_durations_with_their_unit_are_time(tmp_path):

@@ -56,10 +56,12 @@ def read_json(path: Path, reading: Reading) -> LogTable:
             content = json.loads(text)
     content = _of_pandas(content)
     if isinstance(content, Mapping):
+        content = next((x for x in content.values() if _are_records(x)), content)
+    if isinstance(content, Mapping):
         fields = [(n, x) for n, x in _fields(content) if isinstance(x, list | int | float)]
         lists = {n: x for n, x in fields if not isinstance(x, list) or len(x) > 1}
         return numeric_table(path, lists, rows_of(lists))
-    if not isinstance(content, list) or not all(isinstance(row, Mapping) for row in content):
+    if not _are_records(content):
         raise LogError(f"Log {str(path)!r} is neither an object nor records.", advice=_JSON_ADVICE)
     return _records(path, content)
 
@@ -106,6 +108,10 @@ def _records(path: Path, content: Sequence[Mapping[str, Any]]) -> LogTable:
             values.extend([None] * (k + 1 - len(values)))
     arrays = {name: np.array(values, object) for name, values in columns.items()}
     return numeric_table(path, arrays, len(content))
+
+
+def _are_records(content: Any) -> bool:
+    return isinstance(content, list) and all(isinstance(row, Mapping) for row in content)
 
 
 def _of_pandas(content: Any) -> Any:

@@ -19,6 +19,7 @@ from geodrake.logs.files.name_rules import (
     meaning_of,
     meanings_of,
     names_joints,
+    names_signals,
     number_of,
     numbers_joints,
     plain_words,
@@ -324,6 +325,8 @@ def reshaped(table: LogTable, reading: Reading) -> LogTable:
     words = {n: w for column, cells in table.words.items() for n, w in _items(column, cells)}
     numbers = {n: _numbered(table.columns[n]) for n in table.columns if numbers_joints(n)}
     words |= {n: w for n, w in numbers.items() if w is not None}
+    if reading.mapping is None and (signal := next(filter(names_signals, words), None)):
+        table, words = _spread_values(table, words, signal, reading), {}
     naming = {n: w for n, w in words.items() if names_joints(n) and len({*w}) <= _MOST_JOINTS}
     numbered = {n: w for n, w in naming.items() if number_of(n) is not None}
     if reading.mapping is not None or not naming:
@@ -331,6 +334,25 @@ def reshaped(table: LogTable, reading: Reading) -> LogTable:
     if numbered and all(_NAMES & plain_words(name) or name.endswith("]") for name in numbered):
         return _named(table, numbered)
     return _pivoted(table, *next(iter(naming.items())), reading)
+
+
+def _spread_values(
+    table: LogTable, words: Mapping[str, Texts], signal: str, reading: Reading
+) -> LogTable:
+    """Return a table with a column for each signal, of one with a row for each of their values."""
+    value = [n for n in table.columns if meaning_of(n) is None and "value" in plain_words(n)]
+    if not value or not any(map(table.is_time, table.columns)):
+        return table
+    of_joints = next((w for n, w in words.items() if n != signal and names_joints(n)), None)
+    names = words[signal] if of_joints is None else of_joints + "." + words[signal]
+    parts = []
+    for name in dict.fromkeys(names.tolist()):
+        kept = {name if n == value[0] else n: x for n, x in table.columns.items()}
+        kept = {n: x[names == name] for n, x in kept.items() if n == name or table.is_time(n)}
+        parts.append(LogTable(Path(name), kept, origins=table.origins))
+    joined = joined_tables(table.path, parts, reading)
+    note = f"a row for each value of what {signal!r} says: one for each instant is made of them"
+    return replace(joined, notes=(note, *table.notes, *joined.notes))
 
 
 def _items(column: str, cells: Texts) -> Iterator[tuple[str, Texts]]:

@@ -273,8 +273,19 @@ class MessageRows(MessageNumbers):
                 )
             if again := np.count_nonzero(steps == 0):
                 notes.append(f"{again} messages with the stamp of the one before left out")
-        first, *others = self.tables_of(groups)
+        first, *others = map(self._without_spare, self.tables_of(groups))
         return [first.noting(*notes), *others]
+
+    def _without_spare(self, table: LogTable) -> LogTable:
+        """Return a table without what messages have for motors behind the last of the robot."""
+        if self.fields.names or any(len(p) < 2 for own in self.fields.arrays.values() for p in own):
+            return table
+        places = {n: int(n.rpartition("[")[2][:-1]) for n in table.columns if n.endswith("]")}
+        last = max((k for name, k in places.items() if table.columns[name].any()), default=0)
+        spare = [name for name, k in places.items() if k > last]
+        note = f"zero throughout, and so of no motor: {', '.join(spare[:1])} …"
+        columns = {name: x for name, x in table.columns.items() if name not in spare}
+        return replace(table, columns=columns).noting(*[note] * bool(spare))
 
 
 def stamp_of(message: Any) -> int:
@@ -284,14 +295,19 @@ def stamp_of(message: Any) -> int:
 
 
 def _leaves(message: Any, path: tuple[str, ...] = ()) -> Iterator[tuple[tuple[str, ...], Any]]:
-    """Yield what is in a message of ROS or LCM, and in messages in it, and where it is."""
-    if isinstance(message, list) and len(message) == 1:
-        (message,) = message
-    fields: Iterable[str] = getattr(message, "__dict__", ()) or getattr(message, "__slots__", ())
+    """Yield what is in a message of ROS or LCM, and in messages in it, and where it is.
+
+    Of a list of messages, one for each motor, numbers of each field together.
+    """
+    first, *others = message if isinstance(message, list) and message else [message]
+    fields: Iterable[str] = getattr(first, "__dict__", ()) or getattr(first, "__slots__", ())
     if path and not fields:
         yield path, message
     for name in fields:
-        yield from _leaves(getattr(message, name), (*path, name))
+        if not others:
+            yield from _leaves(getattr(first, name), (*path, name))
+        elif np.isscalar(getattr(first, name)):
+            yield (*path, name), _at(message, [name])
 
 
 @lru_cache(1024)
@@ -314,11 +330,13 @@ def _quantity_at(path: tuple[str, ...]) -> tuple[str, int]:
 
 
 def _at(message: Any, path: Sequence[str]) -> Any:
-    """Return what a message has at a place, None for nothing; a list of one is what is in it."""
+    """Return what a message has at a place, None for nothing; of several, numbers of each."""
     for name in path:
-        if isinstance(message, list):
-            message = message[0] if len(message) == 1 else None
-        message = getattr(message, name, None)
+        first, *others = message if isinstance(message, list) and message else [message]
+        message = getattr(first, name, None)
+        if others:
+            is_number = np.isscalar(message)
+            message = [message, *(getattr(x, name) for x in others)] if is_number else None
     return message
 
 

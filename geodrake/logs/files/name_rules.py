@@ -55,6 +55,7 @@ MAPPED = ("mapped",)
 _COMMAND, _SHORT, _FILLERS = map(_words, ("commands", "short", "fillers"))
 _NO_SIGNAL, _SUPPLY, _NAMING = map(_words, ("no_signal", "supply", "naming"))
 _TIMES, _NANOSECONDS, _SAMPLES = map(_words, ("times", "nanoseconds", "samples"))
+_SIGNALS = _words("signals")
 _TIME_OF_DAY = _TIMES - {"date"}
 _BESIDE_TIME = _TIMES | _NANOSECONDS | _words("beside_time")
 _WORD = re.compile(r"[A-Z]+(?=[A-Z][a-z])|[A-Z]?[^\W\d_A-Z]+|[A-Z]+|\d+")
@@ -164,6 +165,12 @@ def names_joints(column: str) -> bool:
     """Return whether a column of words, by its name, has names of joints."""
     words = plain_words(column)
     return bool(_NAMING.intersection(words)) and "frame" not in words
+
+
+def names_signals(column: str) -> bool:
+    """Return whether a column of words, by its name, says what the value in each row is."""
+    words = _split(column)
+    return bool(words) and _SIGNALS.issuperset(words)
 
 
 def numbers_joints(column: str) -> bool:

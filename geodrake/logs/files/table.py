@@ -58,12 +58,14 @@ def check_room(path: Path, count: int, words: str) -> None:
 
 Array = NDArray[np.float64]
 
-_DATE = re.compile(
+DATE = re.compile(
     r"(\d{4}[-/]\d\d[-/]\d\d[Tt ]\d\d:\d\d(?::\d\d)?)"
     r"(?:[.,](\d{1,9})\d*)?\s*([Zz]|UTC|[+-]\d\d(?::?\d\d)?)?"
 )
 _BY_DAY = re.compile(r"(?<![\d/.])(\d\d?)([./])(\d\d?)\2(\d{4})(?=[Tt ])")  # as in 01.05.2026
-_LAST_MONTH = 12
+_COLON = re.compile(r"(?<=:\d\d):(?=\d{3}\b)")  # before milliseconds
+_HOUR = re.compile(r"(?<![\d:])(\d)(?=:)")  # of one digit
+_LAST_MONTH = _NOON = 12
 _TIME = re.compile(r"(?:(\d+) days? )?(\d\d?):(\d\d):(\d\d)(?:[.,](\d{1,9})\d*)?")
 _SECONDS = re.compile(r"(\d+)(?:[.,](\d{1,9})\d*)? ?s(?:ec)?")  # as MATLAB writes durations
 _EPOCH = datetime(1970, 1, 1, tzinfo=UTC)
@@ -75,15 +77,23 @@ def date_of(text: str, *, day_first: bool = False) -> int | None:
 
     Args:
         text: In ISO 8601, with a blank for the T or strokes if need be; or day, month and year with
-            points, or month, day and year with strokes. Without a time zone it is in UTC. A time of
-            day alone, days and a time, or seconds with their unit, are those since 1970.
+            points, or month, day and year with strokes. Without a time zone it is in UTC; AM or PM
+            may stand behind it. A time of day alone, days and a time, or seconds with their unit,
+            are those since 1970.
         day_first: Whether the day comes before the month with strokes, too.
     """
-    if (found := _TIME.fullmatch(text.strip())) is not None:
+    text = text.strip()
+    if (half := text[-2:].upper()) in ("AM", "PM"):
+        hour = int((re.search(r"\d+(?=:)", text) or "0")[0])
+        date = date_of(_HOUR.sub(r"0\1", text[:-2].rstrip()), day_first=day_first)
+        noon = _NOON * 3600 * _SECOND * ((half == "PM") - (hour == _NOON))
+        return date + noon if date is not None and 0 < hour <= _NOON else None
+    text = _COLON.sub(".", text) if text.count(":") > 2 else text
+    if (found := _TIME.fullmatch(text)) is not None:
         days, hours, minutes, seconds = (int(number or 0) for number in found.groups()[:4])
         seconds += _DAY * days + 3600 * hours + 60 * minutes
         return seconds * _SECOND + int((found[5] or "").ljust(9, "0"))
-    if (found := _SECONDS.fullmatch(text.strip())) is not None:
+    if (found := _SECONDS.fullmatch(text)) is not None:
         return int(found[1]) * _SECOND + int((found[2] or "").ljust(9, "0"))
 
     def year_first(date: re.Match[str]) -> str:
@@ -91,7 +101,7 @@ def date_of(text: str, *, day_first: bool = False) -> int | None:
         month, day = (second, first) if mark == "." or day_first else (first, second)
         return f"{year}-{month:0>2}-{day:0>2}"
 
-    found = _DATE.fullmatch(_BY_DAY.sub(year_first, text.strip(), count=1))
+    found = DATE.fullmatch(_BY_DAY.sub(year_first, text, count=1))
     if found is None:
         return None
     head, fraction, zone = found.groups()

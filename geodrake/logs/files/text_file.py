@@ -25,12 +25,19 @@ from geodrake.boundary.input_files import regular_file
 from geodrake.boundary.optional_packages import optional_package
 from geodrake.errors import LogError
 from geodrake.logs.files.column_mapping import HEADER_ADVICE, check_text, listed, no_header
-from geodrake.logs.files.name_rules import is_time, meaning_of, names_joints, numbers_joints
+from geodrake.logs.files.name_rules import (
+    is_time,
+    meaning_of,
+    names_joints,
+    names_signals,
+    numbers_joints,
+)
 from geodrake.logs.files.number_marks import ADVICE as MARKS_ADVICE
 from geodrake.logs.files.number_marks import may_be_grouped, number_marks, plain
 from geodrake.logs.files.packed_files import open_log, unpacked
 from geodrake.logs.files.reading import Reading
 from geodrake.logs.files.table import (
+    DATE,
     NOTHING,
     Cells,
     LogTable,
@@ -50,7 +57,9 @@ _PREFACE = 100  # lines, among which names are looked for
 _KEYED_ROWS = 4  # rows above numbers that begin with what they say, at least
 _LINES_AHEAD = 1000  # in which dates, lists and words are looked for
 _WHITESPACE = None
-_KEYED = re.compile(r"\s*([A-Za-z_][^:=\s]*)\s*[:=]\s*([+-]?(?:\.?\d|nan|inf).*)")
+_KEYED = re.compile(  # a name and its number, or a list of numbers
+    r"(?<![\w.\])])([A-Za-z_][^:=\s,;]*)\s*[:=]\s*(\[[^\]]*\]|\([^)]*\)|[+-]?(?:\.?\d|nan|inf)[^\s,;]*)"
+)
 _MAY_BE_MARKED = defaultdict(
     lambda: re.compile(r"\d[,'’ \u00a0\u202f]\d|,\d|\d\.\d{3}(?!\d)"),
     {",": re.compile('"'), _WHITESPACE: re.compile("[,'’]")},
@@ -58,6 +67,7 @@ _MAY_BE_MARKED = defaultdict(
 """Separator -> what numbers have that are not as Python writes them."""
 
 _UNIT_BEHIND = re.compile(r"\s+(?=[\[(][^\d\W][^\])]*[\])])")  # blanks before `[rad]`
+_NUMBER_OF = re.compile(r"[+-]?[\d.,]+\s*([^\W\d]\S*|°\S*|%)")  # a unit
 _MEASURED = re.compile(r"[+-]?\d+[.,]\d+([eE][+-]?\d+)?")
 _HEADS = (
     ("header.stamp.sec", "header.stamp.nanosec", "header.frame_id"),
@@ -75,7 +85,7 @@ class TextLayout:
     Attributes:
         grouped: Place of a column -> the mark between its thousands, which the note says.
         units: Units of columns, where the line after the header has them.
-        is_keyed: Whether each cell has its name, as in `q=0.1`.
+        is_keyed: Whether each cell has its name, as in `q=0.1`; a date may come first.
         first: The first cells of columns that have something.
         day_first: Columns of dates in which days come before months.
         unnamed: Cells of the first row, where nobody names the columns; see `LogTable`.
@@ -117,7 +127,9 @@ class TextLayout:
 
     def cells(self, lines: Sequence[str]) -> Iterator[tuple[int, list[str]]]:
         """Cells of every line that has some and is no comment, with the number of its line."""
-        if self.separator is None:
+        if self.is_keyed:
+            rows = ((k, [cell for _, cell in _keyed(line)]) for k, line in enumerate(lines, 1))
+        elif self.separator is None:
             rows = ((k, line.split()) for k, line in enumerate(lines, 1))
         else:
             reader = csv.reader(lines, delimiter=self.separator)
@@ -127,7 +139,6 @@ class TextLayout:
                 continue
             trailing = len(cells) == len(self.names) + 1 and not cells[-1].strip()
             kept = cells[:-1] if trailing else cells  # a separator behind the last cell
-            kept = [_KEYED.sub(r"\2", cell) for cell in kept] if self.is_keyed else kept
             if self.decimal != "." or self.grouped:
                 kept = [plain(c, self.decimal, self.grouped.get(k)) for k, c in enumerate(kept)]
             yield line, kept
@@ -142,11 +153,11 @@ def text_layout(path: Path, file: Iterator[str], reading: Reading) -> TextLayout
     cells, after = _header_cells(path, lines, begin, separator)
     names: Sequence[str] = () if reading.columns else _joint_state(cells)
     units, unnamed = dict[str, str](), tuple[str, ...]()
-    both = [*cells, *_cells_of(lines[after], separator)] if any(cells) else []
-    keyed = [found[1] for cell in both if (found := _KEYED.fullmatch(cell))]
+    first, second = (_keyed("".join(lines[k : k + 1])) for k in (begin, after))
+    keyed, again = ([name for name, _ in each] for each in (first, second))
     rows = None if names or reading.columns else _KeyedRows.of(path, lines)
-    if is_keyed := len(keyed) == len(both) > 1 and keyed == 2 * keyed[: len(cells)]:
-        names = keyed[: len(cells)]
+    if is_keyed := len(keyed) > 1 and keyed == again:
+        names = keyed
     elif rows is not None:
         names, units, separator, begin = rows.names, rows.units, rows.separator, rows.begin
         names = _with_units(names, units)
@@ -170,6 +181,12 @@ def text_layout(path: Path, file: Iterator[str], reading: Reading) -> TextLayout
             decimal, grouped, note = number_marks(path, [each for _, each in layout.cells(below)])
             layout = replace(layout, decimal=decimal, grouped=grouped, note=note)
     return replace(layout, first=_first_cells(layout, below))
+
+
+def _keyed(line: str) -> list[tuple[str, str]]:
+    """Return names and cells of a line that has them together, and a date at its beginning."""
+    found, date = _KEYED.findall(line), DATE.match(line.lstrip(" ["))
+    return [("time", date.group().strip()), *found] if found and date else found
 
 
 def _first_line(lines: Sequence[str]) -> tuple[int, str]:
@@ -608,7 +625,8 @@ def _text_table(path: Path, reading: Reading, opened: Opener) -> LogTable:
     layout = replace(layout, day_first=frozenset(k for k, (first, _) in orders.items() if first))
     notes = dict.fromkeys(note for note in (layout.note, *(n for _, n in orders.values())) if note)
     table = TextTable(path, layout, lines, reading.skip_bad_rows, opened).noting(*notes)
-    names_rows = any(map(names_joints, layout.words)) or any(map(numbers_joints, layout.names))
+    names_rows = any(names_joints(name) or names_signals(name) for name in layout.words)
+    names_rows |= any(map(numbers_joints, layout.names))
     return table.loaded() if names_rows and reading.mapping is None else table
 
 
@@ -703,6 +721,8 @@ def _refusal(path: Path, row: int, column: str, text: str, kind: Cells) -> LogEr
     advice = "Leave a cell empty, or write nan, where nothing was measured."
     if may_be_grouped(text):
         advice = f"{MARKS_ADVICE} Lines above it do not tell what its mark is."
+    elif (unit := _NUMBER_OF.fullmatch(text.strip())) is not None:
+        advice = f"Write numbers alone, and their unit in the column's name: {column} [{unit[1]}]."
     elif is_time(column):
         advice += " A column of dates has them from its first row on."
     if kind.count is not None:
