@@ -52,12 +52,7 @@ class RobotBodies:
         return {} if self.tree.actuation is None else self.tree.actuation.behind
 
     def tree_samples(self, v: Array, vd: Array) -> tuple[Array, Array, Array, Array]:
-        """Return positions, velocities and accelerations of the joints of the tree, and J.
-
-        Args:
-            v: (N, nv) velocities.
-            vd: (N, nv) accelerations.
-        """
+        """Return positions, velocities and accelerations of the joints of the tree, and J."""
         if self.tree.actuation is not None:
             return self.tree.actuation.all_samples(self.q, v, vd)
         return self.q, v, vd, np.eye(self.tree.num_velocities)[None]
@@ -77,11 +72,7 @@ class RobotBodies:
         return np.array(moment) / m if m > 0.0 else np.zeros(3)
 
     def gravity_efforts(self, gravities: Array) -> Array:
-        """Return (N, nv, k) efforts that holding the bodies needs, N·m or N.
-
-        Args:
-            gravities: (3, k) k gravities in the world frame, m/s².
-        """
+        """Return efforts (N, nv, k) that holding the bodies needs under gravities (3, k), m/s²."""
         still = np.zeros((len(self.q), self.tree.num_velocities))
         phi = np.where(self.phi[:, :1] > 0.0, self.phi, 0.0)
         tree, samples, J = self.tree.joint_samples(self.q, still, still)

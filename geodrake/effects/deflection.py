@@ -39,11 +39,9 @@ class Deflection:
 
     @classmethod
     def along(cls, lag: Array, time: Array | None) -> Deflection:
-        """Return a smooth lag (N,) with its rates, which are zero where it is no series.
+        """Return a smooth lag (N,) with its rates at instants (N,) of a uniform series, s.
 
-        Args:
-            lag: (N,) lag of the link behind its motor, rad or m.
-            time: (N,) instants of a uniform series, s; None where the samples are no series.
+        Rates are zero where there is no time, as it is no series.
         """
         if time is None or len(lag) <= _DEGREE:
             return cls(lag, np.zeros_like(lag), np.zeros_like(lag))
@@ -52,12 +50,9 @@ class Deflection:
         return cls(lag, np.asarray(spline(time, 1)), np.asarray(spline(time, 2)))
 
     def effort(self, slopes: EffortSlopes, joint: int) -> Array:
-        """Change of the needed effort (N, nv), to first order in the lag.
+        """Change of the needed effort (N, nv), to first order in the lag, by slopes at motors.
 
         −(∂τ/∂q_j s + ∂τ/∂v_j ṡ + M_{·j} s̈), with the bodies' effort τ(q, v, v̇).
-
-        Args:
-            slopes: Slopes of the effort with the motion of the motors.
         """
         change = slopes.position[:, :, joint] * self.lag[:, None]
         change += slopes.velocity[:, :, joint] * self.rate[:, None]
@@ -115,11 +110,7 @@ class DeflectionEffect(JointEffect):
         """Return how far the link lags behind at a motion of the motors, for a parameter of one."""
 
     def give(self, parameters: Array) -> Give:
-        """Return how motor and link are held together in a simulation.
-
-        Args:
-            parameters: (k,) linear parameters.
-        """
+        """Return how motor and link are held together in a simulation, by parameters (k,)."""
         raise ArgumentError(
             f"{self.name} does not say how motor and link are held together: it gives way by "
             f"parameters {parameters.tolist()} in a fit only.",
@@ -129,10 +120,8 @@ class DeflectionEffect(JointEffect):
     def rollout_values(self, parameters: Array) -> Values:
         """Return positive values that a simulated motion shows, and efforts hardly; none for most.
 
-        `geodrake.control.fit_rollouts` fits them. Names are those of parameters and shapes.
-
-        Args:
-            parameters: (k,) linear parameters.
+        They are of parameters (k,) and shapes, by their names; `geodrake.control.fit_rollouts` fits
+        them.
         """
         del parameters
         return {}

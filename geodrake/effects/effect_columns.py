@@ -69,15 +69,7 @@ class EffectColumns:
         ]
 
     def effort(self, motion: RobotMotion, mu: Array) -> Array:
-        """Return the effort that the effects need along a motion.
-
-        Args:
-            motion: The motion, of N samples.
-            mu: (k,) parameters.
-
-        Returns:
-            (N, nv) effort, N·m or N.
-        """
+        """Return the effort (N, nv), N·m or N, that the effects with parameters mu (k,) need."""
         total = np.zeros_like(motion.v)
         for effect, part in zip(self.effects, self._parts, strict=True):
             for joint, columns in rows_of(effect, motion).items():

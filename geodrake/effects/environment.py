@@ -192,11 +192,7 @@ class AerodynamicDrag(BodyEffect):
         return 0
 
     def center(self, p_BoBcm_B: Array) -> Array:
-        """Return (3,) position of P from Bo, m.
-
-        Args:
-            p_BoBcm_B: (3,) that of the mass centre.
-        """
+        """Return (3,) position of P from Bo, m, of that of the mass centre."""
         given = zip((self.x, self.y, self.z), p_BoBcm_B.tolist(), strict=True)
         return np.array([mean if value is None else value for value, mean in given])
 

@@ -542,15 +542,7 @@ class Hysteresis(JointEffect):
         return np.asarray((v - np.abs(v) * state) / self.breakaway_angle)
 
     def bend(self, q: Array, start: float = 0.0) -> Array:
-        """Return the bristles' bend z along positions, exact between reversals.
-
-        Args:
-            q: (N,) positions one after another, rad or m.
-            start: z at the first of them.
-
-        Returns:
-            (N,) z.
-        """
+        """Return the bristles' bend z (N,) along positions (N,), exact between reversals."""
         step = np.diff(q, prepend=q[:1])
         kept = np.exp(-np.abs(step) / self.breakaway_angle)
         z = np.sign(step) * (1.0 - kept)

@@ -57,11 +57,9 @@ def joint_gradient(
 
 
 def sign_slope(sign_v: Array, width: float | Array) -> Array:
-    """Derivative of `RobotMotion.direction` with respect to v; zero where the sign is a step.
+    """Derivative of `RobotMotion.direction` with respect to v, by smoothed signs (...) and widths.
 
-    Args:
-        sign_v: (...) smoothed signs of the velocities.
-        width: Speed below which the sign fades, rad/s or m/s; broadcast.
+    Zero where the sign is a step.
     """
     width = np.asarray(width, float)
     return np.asarray(np.where(width > 0, (1.0 - sign_v**2) / np.where(width > 0, width, 1.0), 0.0))

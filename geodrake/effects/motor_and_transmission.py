@@ -312,11 +312,9 @@ class Backlash(DeflectionEffect):
         return FittedEffect(replace(self, half_width=width), np.ones(1), share)
 
     def lag(self, acceleration: Array, time: Array) -> Array:
-        """Return the lag s (N,) of a link.
+        """Return the lag s (N,) of a link at instants (N,), s.
 
-        Args:
-            acceleration: (N,) τ_j / M_jj, with which it falls behind when it is loose, rad/s².
-            time: (N,) instants, s.
+        When it is loose, it falls behind with accelerations (N,) τ_j / M_jj, rad/s².
         """
         steps = np.diff(time, append=time[-1:]) / _SUBSTEPS
         following = np.append(acceleration[1:], acceleration[-1:])

@@ -107,12 +107,7 @@ class RobotMotion(Short):
         )
 
     def efforts_at(self, name: str, columns: Array) -> Mapping[str, Array]:
-        """Columns by joint, of those (N, k) of efforts at one joint, τ_q = Jᵀ τ_θ.
-
-        Args:
-            name: Name of the joint.
-            columns: (N, k) columns.
-        """
+        """Columns by joint, of those (N, k) of efforts at one joint, τ_q = Jᵀ τ_θ."""
         if (found := self._behind(name)) is None:
             return {name: columns}
         (*_, J), _, at = found
@@ -185,12 +180,7 @@ class RobotMotion(Short):
 
     @staticmethod
     def direction(v: Array, width: float | Array) -> Array:
-        """Return smoothed sign of a velocity, tanh(v / width); the plain sign where the width is 0.
-
-        Args:
-            v: (...) velocities, rad/s or m/s.
-            width: Speed below which the sign fades, rad/s or m/s; broadcast.
-        """
+        """Return smoothed signs of velocities, tanh(v / width); plain ones where the width is 0."""
         width = np.asarray(width)
         if width.all():
             return np.tanh(v / width)

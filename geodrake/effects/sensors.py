@@ -243,11 +243,7 @@ def delays_of(effects: Sequence[Effect], joints: Sequence[str]) -> Array:
 
 
 def effort_delays(delays: ArrayLike, joints: Sequence[str]) -> list[EffortDelay]:
-    """Return the effects that delay n joints by (n,) s: one of all efforts if they are equal.
-
-    Args:
-        delays: (n,) delays, s.
-    """
+    """Return the effects that delay n joints by (n,) s: one of all efforts if they are equal."""
     seconds = np.asarray(delays, float).tolist()
     if len(set(seconds)) == 1:
         return [EffortDelay(seconds[0])] if seconds[0] else []
@@ -257,13 +253,7 @@ def effort_delays(delays: ArrayLike, joints: Sequence[str]) -> list[EffortDelay]
 def delayed_by(
     delays: ArrayLike, signals: Array, period: float, *, spline: BSpline | None = None
 ) -> Array:
-    """Return signals (N, n) as they were some time ago, each with a delay of its own.
-
-    Args:
-        delays: (n,) delays, s.
-        signals: (N, n) samples at a uniform rate.
-        period: Time between samples, s.
-    """
+    """Return signals (N, n), a period apart, as they were (n,) s ago."""
     seconds = np.asarray(delays, float).tolist()
     if len(set(seconds)) == 1:
         return EffortDelay(seconds[0]).delayed(signals, period, spline=spline)

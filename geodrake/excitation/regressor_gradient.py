@@ -34,7 +34,7 @@ from geodrake.robot.coordinates import RobotCoordinates
 from geodrake.robot.floating_base import on_a_free_world, wrench_map
 from geodrake.robot.kinematics import KinematicTree
 from geodrake.robot.regressor import checked_samples, checked_tree, put_regressor
-from geodrake.robot.transmission.base import times
+from geodrake.robot.transmission import times
 
 _STEP = 1e-5  # of differences, of the largest value there is
 

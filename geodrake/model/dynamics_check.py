@@ -40,7 +40,7 @@ from geodrake.robot.joints import scoped
 from geodrake.robot.mujoco_check import OtherProgram, Places, Units, by_mujoco, joint_units, part
 from geodrake.robot.plant import free_roots, set_inertial_parameters
 from geodrake.robot.regressor import inverse_dynamics, inverse_dynamics_regressor
-from geodrake.robot.transmission.base import times
+from geodrake.robot.transmission import times
 
 States = tuple[Array, Array, Array]
 _ENDS = ("parent", "child")

@@ -531,12 +531,7 @@ class RobotModel(Short):
 def from_loaded_plant(
     loaded: LoadedPlant, *, floating: bool, transmission: Sequence[Drive] = ()
 ) -> RobotModel:
-    """Return the model of a plant: damping, friction and rotor inertia of the file become effects.
-
-    Args:
-        loaded: The plant of a model file, and what the file says of friction, damping and rotors.
-        floating: Whether free roots float instead of being welded to the world.
-    """
+    """Return the model of a plant; damping, friction and rotor inertia of its file are effects."""
     drives = tuple(d for d in instances(transmission, "transmission", Drive) if not d.is_loop)
     loops = tuple(loop.drive for loop in loaded.loops if loop.map.actuators)
     for loop in loops:

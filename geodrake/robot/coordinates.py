@@ -23,7 +23,7 @@ from geodrake.compiling import contiguous
 from geodrake.errors import ModelError
 from geodrake.inertia import Array
 from geodrake.robot.joints import Follower, Indices, joint_names, joints_of, scoped
-from geodrake.robot.transmission.base import times
+from geodrake.robot.transmission import times
 from geodrake.robot.transmission.loop import LoopTransmission
 from geodrake.robot.transmission.statements import Drive
 
@@ -170,36 +170,42 @@ class RobotCoordinates:
         """J (nv of the tree, nv) where no ratio changes with the position; else None."""
         if any(place.drive.map.constant_jacobian is None for place in self.places):
             return None
-        return self._jacobian(np.zeros((1, self.num_positions)))[0]
+        return self.along(np.zeros((1, self.num_positions)))[1][0]
+
+    def along(self, q: Array, v: Array | None = None) -> tuple[Array, Array, Array]:
+        """Return positions (N, nq of the tree) at those of the robot (N, nq), and J, J̇.
+
+        Those are (N, nv of the tree, nv), with the tree's velocities J v; J̇ of rest without v.
+        """
+        shape = len(q), self.sizes[1], self.num_velocities
+        whole, J, rate = np.zeros((len(q), self.sizes[0])), np.zeros(shape), np.zeros(shape)
+        (own, tree), (own_v, tree_v) = self.kept_q, self.kept_v
+        whole[:, tree] = q[:, own]
+        J[:, tree_v, own_v] = 1.0
+        for place in self.places:
+            block = np.ix_(np.arange(len(q)), place.joint_v, place.actuator_v)
+            rates = None if v is None else v[:, place.actuator_v]
+            found = place.drive.map.along(q[:, place.actuator_q], rates)
+            whole[:, place.joint_q], J[block], rate[block] = found
+        for rows in (J, rate):
+            self.led.spread(rows)
+        to, of = self.led.positions
+        whole[:, to] = self.led.ratios * whole[:, of] + self.led.offsets
+        return whole, J, rate
 
     def tree_positions(self, q: Array) -> Array:
         """Return (N, nq of the tree) positions, of those of the robot (N, nq)."""
-        whole, _ = self._kept(q)
-        for place in self.places:
-            whole[:, place.joint_q] = place.drive.map.joint_positions(q[:, place.actuator_q])
-        return self._with_followers(whole)
-
-    def _with_followers(self, positions: Array) -> Array:
-        """Return positions (N, nq of the tree), in which those that follow are put."""
-        to, of = self.led.positions
-        positions[:, to] = self.led.ratios * positions[:, of] + self.led.offsets
-        return positions
+        return self.along(q)[0]
 
     def jacobian(self, q: Array) -> Array:
         """J (N, nv of the tree, nv) with the tree's velocities J v."""
         if self.constant is not None:
             return np.broadcast_to(self.constant, (len(q), *self.constant.shape))
-        return self._jacobian(q)
+        return self.along(q)[1]
 
     def jacobian_rate(self, q: Array, v: Array) -> Array:
         """J̇ (N, nv of the tree, nv)."""
-        rate = np.zeros((len(q), self.sizes[1], self.num_velocities))
-        for place in self.places:
-            block = np.ix_(np.arange(len(q)), place.joint_v, place.actuator_v)
-            motion = q[:, place.actuator_q], v[:, place.actuator_v]
-            rate[block] = place.drive.map.jacobian_rate(*motion)
-        self.led.spread(rate)
-        return rate
+        return self.along(q, v)[2]
 
     def jacobian_rate_slope(self, q: Array, v: Array) -> Array:
         """Return ∂(J̇ v)/∂q (N, nv of the tree, nv), by differences of J̇ along v.
@@ -233,20 +239,8 @@ class RobotCoordinates:
 
     def tree_samples(self, q: Array, v: Array, vd: Array) -> tuple[Array, Array, Array, Array]:
         """Positions, velocities and accelerations of the tree, and J, along a motion (N, ·)."""
-        if self.constant is not None:
-            J = self.jacobian(q)
-            samples = self.tree_positions(q), times(J, v), times(J, vd)
-        else:
-            positions, J = self._kept(q)
-            bias = np.zeros((len(q), self.sizes[1]))
-            for place in self.places:
-                rates = v[:, place.actuator_v]
-                theta, own, rate = place.drive.map.along(q[:, place.actuator_q], rates)
-                positions[:, place.joint_q], bias[:, place.joint_v] = theta, times(rate, rates)
-                J[np.ix_(np.arange(len(q)), place.joint_v, place.actuator_v)] = own
-            for rows in (J, bias):
-                self.led.spread(rows)
-            samples = self._with_followers(positions), times(J, v), times(J, vd) + bias
+        theta, J, rate = self.along(q, None if self.constant is not None else v)
+        samples = theta, times(J, v), times(J, vd) + times(rate, v)
         theta, rates, accelerations = (contiguous(x) for x in samples)
         return theta, rates, accelerations, J
 
@@ -429,25 +423,6 @@ class RobotCoordinates:
         to, of = self.led.velocities
         moves[to] = moves[of]
         return moves
-
-    def _kept(self, q: Array) -> tuple[Array, Array]:
-        """Return positions (N, nq of the tree) and J with those of joints without a drive alone."""
-        whole, J = (
-            np.zeros((len(q), *shape))
-            for shape in (self.sizes[:1], (self.sizes[1], self.num_velocities))
-        )
-        (own, tree), (own_v, tree_v) = self.kept_q, self.kept_v
-        whole[:, tree] = q[:, own]
-        J[:, tree_v, own_v] = 1.0
-        return whole, J
-
-    def _jacobian(self, q: Array) -> Array:
-        _, J = self._kept(q)
-        for place in self.places:
-            block = np.ix_(np.arange(len(q)), place.joint_v, place.actuator_v)
-            J[block] = place.drive.map.jacobian(q[:, place.actuator_q])
-        self.led.spread(J)
-        return J
 
 
 def seated_at(drive: Drive, joints: Sequence[int]) -> list[int]:

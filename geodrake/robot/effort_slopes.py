@@ -42,7 +42,7 @@ from geodrake.robot.recursion import (
     wrench_of,
 )
 from geodrake.robot.regressor import checked_samples, checked_tree
-from geodrake.robot.transmission.base import times
+from geodrake.robot.transmission import times
 from geodrake.robot.vectors import (
     Vector,
     add,

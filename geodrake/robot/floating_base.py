@@ -39,18 +39,13 @@ def base_wrench_regressor(
     *,
     X_WP: RigidTransform | ArrayLike | None = None,
 ) -> Array:
-    """Return the regressor of the wrench that a motion needs from outside.
+    """Return the regressor (N, 6, 10 nb) of the wrench nx … fz that a motion needs from outside.
 
     Of a robot with a floating base, these are the first six rows of inverse dynamics, without the
     work for the others. Of a robot that is fixed to the world, they are its reaction.
 
-    Args:
-        X_WP: Pose of the frame P that the wrench is about: one for all samples, such as a force
-            plate's, or (N, 4, 4) for one that moves, such as a base's (`body_poses`); the world
-            if None.
-
-    Returns:
-        (N, 6, 10 nb) rows nx, ny, nz, fx, fy, fz.
+    The wrench is about a frame P: one for all samples, such as a force plate's, or (N, 4, 4) for
+    one that moves, such as a base's (`body_poses`); the world if None.
     """
     tree, (q, v, _, vd), _ = checked_samples(plant, q, v, vd)
     resting = np.zeros((len(q), 6))

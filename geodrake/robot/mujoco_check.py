@@ -29,7 +29,7 @@ from geodrake.robot.files import ModelDescription
 from geodrake.robot.files.mjcf import MjcfText
 from geodrake.robot.files.mjcf_source import load_mujoco, quiet_mujoco
 from geodrake.robot.joints import joints_of
-from geodrake.robot.transmission.base import times
+from geodrake.robot.transmission import times
 
 _APART = 1e-4  # of the size, by which loops of rounded numbers may be open
 BUG = "This is a bug in geodrake; please report it with the file."
@@ -174,9 +174,7 @@ def whole_mjcf(description: ModelDescription) -> MjcfText | None:
 def check_loops(text: MjcfText, plant: MultibodyPlant, held: Places, q: Array, v: Array) -> None:
     """Refuse closed loops that are not closed by MuJoCo's constraints in the same MJCF.
 
-    Args:
-        q: (N, nq) positions of the plant.
-        v: (N, nv) velocities.
+    Positions (N, nq) and velocities (N, nv) are those of the plant.
     """
     m = text.compiled
     data, numbers = load_mujoco().MjData(m), _numbers(m, plant)

@@ -27,19 +27,12 @@ _PIECE = 1 << 18  # numbers of a piece: two megabytes stay in a core's cache
 def inverse_dynamics_regressor(
     plant: MultibodyPlant | KinematicTree, q: ArrayLike, v: ArrayLike, vd: ArrayLike
 ) -> Array:
-    """Return the regressor of the effort that a motion needs, without friction and joint damping.
+    """Return the regressor (N, nv, 10 nb) of the effort of a motion, without friction and damping.
 
     `Y @ inertial_parameters(plant).ravel()` is M v̇ + C v − τ_g: what Drake's
-    `CalcInverseDynamics` gives with gravity as the only applied force.
-
-    Args:
-        plant: A finalized plant, or its tree where the same plant is used many times.
-        q: (N, nq) positions in Drake's order.
-        v: (N, nv) velocities in Drake's order.
-        vd: (N, nv) accelerations v̇ in Drake's order.
-
-    Returns:
-        (N, nv, 10 nb) regressor Y; bodies in the order of `geodrake.inertia.bodies.lumped_bodies`.
+    `CalcInverseDynamics` gives with gravity as the only applied force. The plant is finalized, or
+    its tree where it is used many times; positions (N, nq), velocities and accelerations (N, nv)
+    are in Drake's order, and bodies in that of `geodrake.inertia.bodies.lumped_bodies`.
     """
     tree, samples, J = checked_samples(plant, q, v, vd)
     regressor = np.zeros(

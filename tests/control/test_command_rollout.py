@@ -30,7 +30,7 @@ from geodrake.report import page_of, render
 from geodrake.report.page import About
 from geodrake.report.rollouts import motions_dict, rollout_dict
 from geodrake.robot import gears
-from geodrake.robot.transmission import Drive
+from geodrake.robot.transmission.statements import Drive
 
 INERTIAL = """<inertial><origin xyz="0 0 0.2"/><mass value="1.5"/>
   <inertia ixx="0.02" iyy="0.02" izz="0.01" ixy="0" ixz="0" iyz="0"/></inertial>"""

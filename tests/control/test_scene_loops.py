@@ -21,7 +21,8 @@ from geodrake.errors import ArgumentError
 from geodrake.model import load_model
 from geodrake.report.adaptation_view import AdaptationView
 from geodrake.robot import RobotInstance, RobotPorts, take_out_stated
-from geodrake.robot.transmission import Drive, gears
+from geodrake.robot.transmission import gears
+from geodrake.robot.transmission.statements import Drive
 
 ACTING = [
     (effects.ViscousFriction("shoulder"), [0.4]),

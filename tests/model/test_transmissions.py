@@ -28,8 +28,8 @@ from geodrake.model.logged_joints import model_of_logs
 from geodrake.robot import base_wrench_regressor, inverse_dynamics_regressor, joint_names
 from geodrake.robot.effort_slopes import effort_slopes
 from geodrake.robot.regressor import inverse_dynamics
-from geodrake.robot.transmission import Drive
-from geodrake.robot.transmission.base import times
+from geodrake.robot.transmission import times
+from geodrake.robot.transmission.statements import Drive
 
 STEP = 1e-5
 J = np.array([[-1 / 8, 0, 0], [0, 0.5, 0.5], [0, 0.4, -0.4]])

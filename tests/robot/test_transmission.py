@@ -9,8 +9,14 @@ from pydrake.multibody.tree import PrismaticJoint, SpatialInertia
 from geodrake.errors import ArgumentError
 from geodrake.logs.motion import Motion
 from geodrake.robot.coordinates import RobotCoordinates
-from geodrake.robot.transmission import Drive, LinearTransmission
-from geodrake.robot.transmission.base import InSequence, SideBySide, gears, rolling_joint
+from geodrake.robot.transmission import (
+    InSequence,
+    LinearTransmission,
+    SideBySide,
+    gears,
+    rolling_joint,
+)
+from geodrake.robot.transmission.statements import Drive
 
 
 def random_motion(count=6, width=2, seed=0):

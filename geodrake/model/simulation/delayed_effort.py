@@ -35,11 +35,7 @@ class DelayedEffort(LeafSystem):
     """
 
     def __init__(self, delays: ArrayLike, *, period: float = 1e-3) -> None:
-        """Construct the system.
-
-        Args:
-            delays: (n,) delays δ of the n efforts, s; each is zero or at least a period.
-            period: Sampling period, s.
+        """Construct the system of delays (n,), s, each zero or at least a sampling period, s.
 
         Raises:
             ArgumentError: A delay is negative, or not zero but below the period.

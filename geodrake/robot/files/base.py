@@ -139,7 +139,7 @@ class ModelText(abc.ABC):
         return self._inertia(self._links[link])
 
     def motors(self) -> tuple[Statement, ...]:
-        """Return what the file states of motors behind transmissions; see `files.motors`."""
+        """Return what the file states of motors behind transmissions."""
         return ()
 
     def set_inertia(self, link: str, phi: Array | None) -> bool:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator, Mapping, Sequence
+from pathlib import Path
 from typing import Any
 from xml.etree.ElementTree import Element, SubElement
 
@@ -9,6 +11,7 @@ import numpy as np
 from pydrake.common.eigen_geometry import AngleAxis
 from pydrake.math import RigidTransform, RotationMatrix
 
+from geodrake.errors import ModelError
 from geodrake.inertia import Array
 from geodrake.robot.files.base import ModelText
 from geodrake.robot.files.checks import (
@@ -25,9 +28,8 @@ from geodrake.robot.files.includes import Includes
 from geodrake.robot.files.mjcf_source import CompiledMjcf, compiled, load_mujoco, unused
 from geodrake.robot.files.mjcf_terms import MjcfTerms, actuator_shares, pose_of
 from geodrake.robot.files.model_edits import MOTORS
-from geodrake.robot.files.motors import mjcf_motors
 from geodrake.robot.files.xml_text import LocatedElement
-from geodrake.robot.transmission.statements import Statement
+from geodrake.robot.transmission.statements import Coupled, Gear, Statement
 
 
 class MjcfText(ModelText):
@@ -73,7 +75,7 @@ class MjcfText(ModelText):
 
     def motors(self) -> tuple[Statement, ...]:
         """Return gears of actuators, and fixed tendons."""
-        return mjcf_motors(self.compiled, self.path)
+        return _motors(self.compiled, self.path)
 
     def _inertia(self, link: Element) -> Array | None:
         inertial = link.find("inertial")
@@ -177,3 +179,47 @@ def _back(m: Any, joint: int) -> RigidTransform:
         return RigidTransform(-ref * axis)
     turn = RotationMatrix(AngleAxis(-ref, axis))
     return RigidTransform(turn, point - turn.multiply(point))
+
+
+def _motors(m: Any, path: Path) -> tuple[Statement, ...]:
+    """Return what actuators state: gears at joints, q = γ θ, and fixed tendons, q = γ Σ cᵢ θᵢ."""
+    gears, pulled = list[Gear](), dict[str, dict[str, float]]()
+    for at in range(len(m.actuator_trntype)):
+        if not (shares := {m.joint(j).name: x for j, x in actuator_shares(m, at).items()}):
+            continue
+        if not m.actuator_gear[at][0]:
+            what = f"{path}: an actuator has a gear of 0."
+            raise ModelError(what, advice="Correct it there.")
+        name, on = m.actuator(at).name, int(m.actuator_trnid[at][0])
+        if int(m.actuator_trntype[at]) == load_mujoco().mjtTrn.mjTRN_TENDON:
+            pulled[name or m.tendon(on).name or f"tendon_{on}"] = shares
+        else:
+            ((joint, gear),) = shares.items()
+            gears.append(Gear(name or joint, joint, gear))
+    return (*gears, *_coupled(pulled, path))
+
+
+def _coupled(pulled: Mapping[str, Mapping[str, float]], path: Path) -> Iterator[Coupled]:
+    """Groups of joints that tendons move together, θ = C⁻¹ q of q = C θ."""
+    left = dict(pulled)
+    while left:
+        group, joints = [next(iter(left))], set(left[next(iter(left))])
+        while more := [n for n in left if n not in group and joints.intersection(left[n])]:
+            group += more
+            joints |= {joint for name in more for joint in left[name]}
+        names = list(dict.fromkeys(joint for name in group for joint in left[name]))
+        rows = [left.pop(name) for name in group]
+        C = np.array([[row.get(joint, 0.0) for joint in names] for row in rows])
+        if len(names) != len(group) or np.linalg.matrix_rank(C) < len(names):
+            raise ModelError(
+                f"{path}: the tendons of {', '.join(group)} do not determine {', '.join(names)}.",
+                advice="Write a transmission file: --transmission FILE.yaml.",
+            )
+        yield Coupled(_terms(names, group, np.linalg.inv(C)))
+
+
+def _terms(
+    joints: Sequence[str], actuators: Sequence[str], J: Array
+) -> dict[str, dict[str, float]]:
+    rows = zip(joints, J.tolist(), strict=True)
+    return {joint: {a: x for a, x in zip(actuators, row, strict=True) if x} for joint, row in rows}

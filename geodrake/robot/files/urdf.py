@@ -1,10 +1,24 @@
-"""URDF."""
+"""URDF, and what it states of motors behind transmissions.
+
+Most logs of robots with such files are of joints all the same, so that this counts only where it
+is asked for. The transmissions are those of ros_control, whose formulas are (reductions n_a of
+actuators and n_j of joints, offsets θ₀):
+
+    Simple:        θ = q / (n_a n_j) + θ₀
+    Differential:  θ₁ = (q₁/n_a1 + q₂/n_a2) / (2 n_j1) + θ₀₁,  θ₂ the same with a difference
+    FourBar:       θ₁ = q₁ / (n_j1 n_a1) + θ₀₁,  θ₂ = (q₂/n_a2 − q₁/(n_j1 n_a1)) / n_j2 + θ₀₂
+"""
 
 from __future__ import annotations
 
+from collections.abc import Iterator, Sequence
 from copy import deepcopy
+from pathlib import Path
 from xml.etree.ElementTree import Element
 
+import numpy as np
+
+from geodrake.errors import ModelError
 from geodrake.inertia import Array
 from geodrake.robot.files.base import URDF_UNREAD, ModelText, is_nothing, unread
 from geodrake.robot.files.checks import (
@@ -17,9 +31,11 @@ from geodrake.robot.files.checks import (
     rotation,
     symmetric,
 )
-from geodrake.robot.files.motors import urdf_motors
 from geodrake.robot.files.xml_text import wrong_at
-from geodrake.robot.transmission.statements import Statement
+from geodrake.robot.transmission.statements import Coupled, Gear, Statement
+
+_KINDS = ("SimpleTransmission", "DifferentialTransmission", "FourBarLinkageTransmission")
+_REDUCTIONS = ("mechanicalReduction", "mechanical_reduction")
 
 
 class UrdfText(ModelText):
@@ -98,7 +114,7 @@ class UrdfText(ModelText):
 
     def motors(self) -> tuple[Statement, ...]:
         """Return the transmissions of ros_control."""
-        return urdf_motors(self._transmissions, self.path)
+        return tuple(part for e in self._transmissions for part in _motors(e, self.path))
 
     def _inertia(self, link: Element) -> Array | None:
         inertial = link.find("inertial")
@@ -112,3 +128,55 @@ class UrdfText(ModelText):
         inertia = symmetric(moments.get(key, "0") for key in TENSOR)
         mass = number(inertial, "mass", "value")
         return inertial_parameters_of(mass, com, rotation(rpy), inertia)
+
+
+def _motors(element: Element, path: Path) -> Iterator[Statement]:
+    """Yield what a transmission of a URDF states."""
+    words = element.findtext("type") or element.findtext("plugin") or element.get("type") or ""
+    kind = words.strip().rpartition("/")[2]
+    if kind not in _KINDS:
+        return
+    what = f"{path}: the transmission {element.get('name', '')!r}"
+    joints, actuators = (_in_roles(element, tag) for tag in ("joint", "actuator"))
+    count = 1 if kind == "SimpleTransmission" else 2
+    if len(joints) != count or len(actuators) != count:
+        raise ModelError(
+            f"{what} has {len(joints)} joints and {len(actuators)} actuators instead of {count}.",
+            advice="Correct it there, or write a transmission file.",
+        )
+    names = [[e.get("name", "") for e in group] for group in (joints, actuators)]
+    nj, na = ([_reduction(e, what) for e in group] for group in (joints, actuators))
+    shifts = [_value(e, ("offset",), 0.0, what) for e in joints]
+    (j1, *j2), (a1, *a2) = names
+    if kind == "SimpleTransmission":
+        yield Gear(a1, j1, na[0] * nj[0], shifts[0])
+        return
+    if kind == "DifferentialTransmission":
+        first = {a1: 0.5 / (nj[0] * na[0]), a2[0]: 0.5 / (nj[0] * na[1])}
+        second = {a1: 0.5 / (nj[1] * na[0]), a2[0]: -0.5 / (nj[1] * na[1])}
+    else:
+        through = 1.0 / (nj[0] * na[0])
+        first = {a1: through}
+        second = {a1: -through / nj[1], a2[0]: 1.0 / (nj[1] * na[1])}
+    yield Coupled({j1: first, j2[0]: second}, dict(zip(names[0], shifts, strict=True)))
+
+
+def _in_roles(element: Element, tag: str) -> list[Element]:
+    """Return its joints or actuators in the order of their roles, such as joint1 and joint2."""
+    found = element.findall(tag)
+    return sorted(found, key=lambda e: (e.get("role") or e.findtext("role") or "").strip())
+
+
+def _reduction(element: Element, what: str) -> float:
+    value = _value(element, _REDUCTIONS, 1.0, what)
+    if not value:
+        raise ModelError(f"{what} has a reduction of 0.", advice="Correct it there.")
+    return value
+
+
+def _value(element: Element, tags: Sequence[str], default: float, what: str) -> float:
+    text = next((t for tag in tags if (t := element.findtext(tag)) is not None), None)
+    value = default if text is None else float(numbers(text.strip() or "none", 1)[0])
+    if not np.isfinite(value):
+        raise ModelError(f"{what} has {text!r:.52}, which is no number.", advice="Correct it.")
+    return value

@@ -9,22 +9,341 @@ becomes the regressor Y_q of what is measured, with all gyroscopic and inertial 
 rotors. Friction and inertia *on the actuator's side* are effects in q, q̇, q̈ as they stand.
 """
 
-from geodrake.robot.transmission.base import (
-    InSequence,
-    LinearTransmission,
-    SideBySide,
-    Transmission,
-    gears,
-    rolling_joint,
-)
-from geodrake.robot.transmission.statements import Drive
+from __future__ import annotations
 
-__all__ = [
-    "Drive",
-    "InSequence",
-    "LinearTransmission",
-    "SideBySide",
-    "Transmission",
-    "gears",
-    "rolling_joint",
-]
+import abc
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from itertools import pairwise
+
+import numpy as np
+from numpy.typing import ArrayLike
+from scipy.linalg import block_diag
+
+from geodrake.boundary.arguments import Sizes, instance, instances, number, real_array
+from geodrake.boundary.showing import Short
+from geodrake.errors import ArgumentError
+from geodrake.inertia import Array
+from geodrake.logs.motion import Motion
+
+_STEP = 2e-3  # rad or m: fourth order differences err by about 1e-12
+_MOST_ITERATIONS = 50
+
+
+class Transmission(abc.ABC):
+    """A smooth map from n actuator coordinates to k joint positions, for many samples at once.
+
+    One of your own, a linkage or a cam, defines `shape`, `joint_positions` and `jacobian`.
+    """
+
+    @property
+    @abc.abstractmethod
+    def shape(self) -> tuple[int, int]:
+        """Numbers (k, n) of joint positions θ and of actuator coordinates q."""
+
+    @property
+    def num_joints(self) -> int:
+        """Number k of joint positions θ."""
+        return self.shape[0]
+
+    @property
+    def num_actuators(self) -> int:
+        """Number n of actuator coordinates q."""
+        return self.shape[1]
+
+    @abc.abstractmethod
+    def joint_positions(self, q: Array) -> Array:
+        """θ = T(q), (N, k), of q (N, n)."""
+
+    @abc.abstractmethod
+    def jacobian(self, q: Array) -> Array:
+        """J = ∂T/∂q, (N, k, n), of q (N, n)."""
+
+    def inside(self, q: Array) -> Array:
+        """Actuator coordinates (N, n) moved to where the map is known; themselves by default."""
+        return q
+
+    def jacobian_rate(self, q: Array, v: Array) -> Array:
+        """J̇ (N, k, n) at q (N, n) and q̇ = v (N, n); fourth order differences unless overridden."""
+        speed = np.abs(v).max(axis=1, initial=0.0)[:, None]
+        step = _STEP * v / np.where(speed > 0, speed, 1.0)
+        near = self.jacobian(q + step) - self.jacobian(q - step)
+        far = self.jacobian(q + 2 * step) - self.jacobian(q - 2 * step)
+        return (8 * near - far) / (12 * _STEP) * speed[:, :, None]
+
+    def along(self, q: Array, v: Array | None = None) -> tuple[Array, Array, Array]:
+        """θ (N, k), J and J̇ (N, k, n) along a motion of the actuators; J̇ of rest without v."""
+        rate = np.zeros((len(q), *self.shape)) if v is None else self.jacobian_rate(q, v)
+        return self.joint_positions(q), self.jacobian(q), rate
+
+    @property
+    def constant_jacobian(self) -> Array | None:
+        """J (k, n) where it is the same everywhere; None where it depends on q."""
+        return None
+
+    def joint_motion(self, motion: Motion) -> Motion:
+        """Return the joints' motion, of a motion of the actuators."""
+        instance(motion, "motion", Motion)
+        sizes: Sizes = {}
+        q, v, vd = (
+            real_array(getattr(motion, name), f"motion.{name}", ("N", self.num_actuators), sizes)
+            for name in ("q", "v", "vd")
+        )
+        J = self.jacobian(q)
+        acceleration = times(J, vd) + times(self.jacobian_rate(q, v), v)
+        return Motion(self.joint_positions(q), times(J, v), acceleration, motion.time)
+
+    def regressor(self, q: ArrayLike, regressor: ArrayLike) -> Array:
+        """Y_q = Jᵀ Y_θ (N, n, p), of the tree's regressor (N, k, p) at `joint_motion`'s samples."""
+        sizes: Sizes = {}
+        q = self._q(q, sizes)
+        rows = real_array(regressor, "regressor", ("N", self.num_joints, "p"), sizes)
+        return np.swapaxes(self.jacobian(q), 1, 2) @ rows
+
+    def _q(self, q: ArrayLike, sizes: Sizes | None = None) -> Array:
+        """Return checked coordinates (N, n) of the actuators."""
+        return real_array(q, "q", ("N", self.num_actuators), sizes)
+
+    def actuator_positions(self, theta: Array, *, start: ArrayLike = 0.0) -> Array:
+        """Return q (N, n) with T(q) = θ (N, k), by Gauss-Newton on all samples together.
+
+        A start (n,) or (N, n) near the solution chooses one of several.
+        """
+        theta = real_array(theta, "theta", ("N", self.num_joints))
+        q, wanted = real_array(start, "start"), (len(theta), self.num_actuators)
+        if q.shape not in ((), wanted[1:], wanted):
+            raise ArgumentError(f"A start has the shape {wanted[1:]} or {wanted}; got {q.shape}.")
+        q = self.inside(np.broadcast_to(q, wanted).copy())
+        size = 1.0 + np.abs(theta).max(initial=0.0)
+        for _ in range(_MOST_ITERATIONS):
+            inverse = np.asarray(np.linalg.pinv(self.jacobian(q)), float)
+            step = times(inverse, theta - self.joint_positions(q))
+            q = self.inside(q + step)
+            if np.abs(step).max(initial=0.0) < 1e-13 * size:
+                break
+        error = np.abs(theta - self.joint_positions(q)).max(initial=0.0)
+        if not error < 1e-9 * size:
+            raise ArgumentError(
+                f"Some joint positions cannot be reached by the actuators; they miss by {error:g}.",
+                advice="Check the transmission and its offsets, or give a nearer start.",
+            )
+        return q
+
+
+class JointlyEvaluated(Transmission):
+    """A transmission that defines `along`, of which all else is a part."""
+
+    @abc.abstractmethod
+    def along(self, q: Array, v: Array | None = None) -> tuple[Array, Array, Array]:
+        """θ (N, k), J and J̇ (N, k, n) along a motion of the actuators; J̇ of rest without v."""
+
+    def joint_positions(self, q: Array) -> Array:
+        """θ = T(q)."""
+        return self.along(q)[0]
+
+    def jacobian(self, q: Array) -> Array:
+        """J."""
+        return self.along(q)[1]
+
+    def jacobian_rate(self, q: Array, v: Array) -> Array:
+        """J̇."""
+        return self.along(q, v)[2]
+
+
+def times(matrices: Array, vectors: Array) -> Array:
+    """Return products (N, m) of matrices (N, m, n) and vectors (N, n)."""
+    return np.einsum("nij,nj->ni", matrices, vectors)
+
+
+@dataclass(frozen=True, eq=False)
+class LinearTransmission(Transmission, Short):
+    """θ = J q + θ₀ with a constant J, of `of` or `from_ratios`: gears, belts, coupled wrists.
+
+    Attributes:
+        matrix: (k, n) J.
+        offset: (k,) θ₀, rad or m.
+    """
+
+    matrix: Array
+    offset: Array
+
+    def __post_init__(self) -> None:
+        sizes: Sizes = {}
+        J = real_array(self.matrix, "matrix", ("k", "n"), sizes)
+        object.__setattr__(self, "matrix", J)
+        object.__setattr__(self, "offset", real_array(self.offset, "offset", ("k",), sizes))
+        if (rank := np.linalg.matrix_rank(J) if J.size else 0) < J.shape[1]:
+            raise ArgumentError(
+                f"matrix must be of rank n = {J.shape[1]}; its rank is {rank}.",
+                advice="Leave out actuators that move nothing that others do not.",
+            )
+
+    @classmethod
+    def of(cls, matrix: ArrayLike, offset: ArrayLike = 0.0) -> LinearTransmission:
+        """Make it of J (k, n) and θ₀ (k,) or one number for all, rad or m."""
+        J, shift = real_array(matrix, "matrix", ("k", "n")), real_array(offset, "offset")
+        return cls(J, np.full(len(J), shift) if shift.ndim == 0 else shift)
+
+    @classmethod
+    def from_ratios(
+        cls,
+        joints: Sequence[str],
+        actuators: Sequence[str],
+        ratios: Mapping[str, Mapping[str, float]],
+    ) -> LinearTransmission:
+        """By name: `{"knee": {"knee": 1.0}, "knee_rotor": {"knee": 10.6}}`.
+
+        Args:
+            joints: Names of the tree's k velocities, such as `geodrake.robot.joint_names(plant)`.
+            ratios: Joint -> actuator -> how far the joint turns when the actuator turns by one.
+                Joints that are not named do not move.
+        """
+        joints, actuators = instances(joints, "joints", str), instances(actuators, "actuators", str)
+        J = np.zeros((len(joints), len(actuators)))
+        for joint, terms in instance(ratios, "ratios", Mapping).items():
+            for actuator, ratio in instance(terms, f"ratios[{joint!r}]", Mapping).items():
+                for name, known in ((joint, joints), (actuator, actuators)):
+                    if name not in known:
+                        raise ArgumentError(f"There is no {name!r} among {', '.join(known)}.")
+                place = joints.index(joint), actuators.index(actuator)
+                J[place] = number(ratio, f"ratios[{joint!r}][{actuator!r}]")
+        return cls.of(J)
+
+    @property
+    def shape(self) -> tuple[int, int]:
+        """That of J."""
+        return self.matrix.shape[0], self.matrix.shape[1]
+
+    @property
+    def constant_jacobian(self) -> Array:
+        """J."""
+        return self.matrix
+
+    def joint_positions(self, q: Array) -> Array:
+        """θ = J q + θ₀."""
+        return self._q(q) @ self.matrix.T + self.offset
+
+    def jacobian(self, q: Array) -> Array:
+        """J, the same for all samples."""
+        return np.broadcast_to(self.matrix, (len(self._q(q)), *self.shape))
+
+    def jacobian_rate(self, q: Array, v: Array) -> Array:
+        """Zero."""
+        sizes: Sizes = {}
+        real_array(v, "v", ("N", self.num_actuators), sizes)
+        return np.zeros((len(self._q(q, sizes)), *self.shape))
+
+
+def gears(ratios: ArrayLike) -> LinearTransmission:
+    """Joints θ_i = q_i / N_i of motors that turn N_i times as fast; a negative N_i reverses."""
+    N = real_array(ratios, "ratios", ("n",))
+    if not N.all():
+        raise ArgumentError(f"Gear ratios must not be zero; got {N.tolist()}.")
+    return LinearTransmission.of(np.diag(1.0 / N))
+
+
+def rolling_joint(share: float = 0.5) -> LinearTransmission:
+    """Two parallel joints that one coordinate turns: θ = (s q, (1 − s) q), with s from 0 to 1.
+
+    Two bodies that roll on each other, with the radii r₁ and r₂ around the axes of the tree, turn
+    by angles in the ratio r₂ : r₁, so that s = r₂ / (r₁ + r₂); with equal ones, by half each.
+    """
+    number(share, "share", lower=0.0, upper=1.0)
+    return LinearTransmission.of([[share], [1.0 - share]])
+
+
+@dataclass(frozen=True)
+class SideBySide(JointlyEvaluated):
+    """Several transmissions that do not share actuators or joints, in their order."""
+
+    parts: tuple[Transmission, ...]
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "parts", instances(self.parts, "parts", Transmission))
+        if not self.parts:
+            raise ArgumentError("A transmission has at least one part.")
+
+    @property
+    def shape(self) -> tuple[int, int]:
+        """Sums over the parts."""
+        return sum(p.num_joints for p in self.parts), sum(p.num_actuators for p in self.parts)
+
+    @property
+    def constant_jacobian(self) -> Array | None:
+        """The parts' Jacobians as blocks, where all are constant."""
+        given = [p.constant_jacobian for p in self.parts if p.constant_jacobian is not None]
+        return np.asarray(block_diag(*given)) if len(given) == len(self.parts) else None
+
+    def along(self, q: Array, v: Array | None = None) -> tuple[Array, Array, Array]:
+        """Return positions of the parts, one after another, and J and J̇ of them as blocks."""
+        rates = [None] * len(self.parts) if v is None else self._split(v)
+        inputs = zip(self.parts, self._split(q), rates, strict=True)
+        theta, J, rate = zip(*(part.along(x, xd) for part, x, xd in inputs), strict=True)
+        return np.hstack(theta), self._blocks(J), self._blocks(rate)
+
+    def inside(self, q: Array) -> Array:
+        """Return the parts' own."""
+        inputs = zip(self.parts, self._split(q), strict=True)
+        return np.hstack([part.inside(x) for part, x in inputs])
+
+    def _split(self, q: Array) -> list[Array]:
+        ends = np.cumsum([part.num_actuators for part in self.parts])
+        return np.split(q, ends[:-1], axis=1)
+
+    def _blocks(self, blocks: Sequence[Array]) -> Array:
+        full = np.zeros((len(blocks[0]), *self.shape))
+        row = column = 0
+        for block in blocks:
+            _, k, n = block.shape
+            full[:, row : row + k, column : column + n] = block
+            row, column = row + k, column + n
+        return full
+
+
+@dataclass(frozen=True)
+class InSequence(JointlyEvaluated):
+    """One transmission after another, from the actuators to the joints: θ = T_last(…T_first(q)).
+
+    Attributes:
+        stages: The transmissions, the actuators' one first.
+    """
+
+    stages: tuple[Transmission, ...]
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "stages", instances(self.stages, "stages", Transmission))
+        if not self.stages:
+            raise ArgumentError("A transmission has at least one stage.")
+        for inner, outer in pairwise(self.stages):
+            if inner.num_joints != outer.num_actuators:
+                raise ArgumentError(
+                    f"A stage gives {inner.num_joints} positions, but the next one takes "
+                    f"{outer.num_actuators}."
+                )
+
+    @property
+    def shape(self) -> tuple[int, int]:
+        """Joints of the last stage, and actuators of the first."""
+        return self.stages[-1].num_joints, self.stages[0].num_actuators
+
+    def inside(self, q: Array) -> Array:
+        """Return the interval where the first stage is known."""
+        return self.stages[0].inside(q)
+
+    @property
+    def constant_jacobian(self) -> Array | None:
+        """The product of the stages' Jacobians, where all are constant."""
+        product: Array = np.eye(self.num_actuators)
+        for stage in self.stages:
+            if (J := stage.constant_jacobian) is None:
+                return None
+            product = J @ product
+        return product
+
+    def along(self, q: Array, v: Array | None = None) -> tuple[Array, Array, Array]:
+        """θ, J = J₂ J₁ and J̇ = J̇₂ J₁ + J₂ J̇₁, stage by stage."""
+        theta, J, rate = self.stages[0].along(q, v)
+        for stage in self.stages[1:]:
+            theta, own, own_rate = stage.along(theta, None if v is None else times(J, v))
+            J, rate = own @ J, own_rate @ J + own @ rate
+        return theta, J, rate

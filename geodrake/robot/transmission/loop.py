@@ -20,7 +20,7 @@ from geodrake.compiling import compiled, contiguous, inlined
 from geodrake.errors import ArgumentError
 from geodrake.inertia import Array
 from geodrake.robot.recursion import MOTION, POSE, Record, TreeRecords, pose, put_pose
-from geodrake.robot.transmission.base import Transmission
+from geodrake.robot.transmission import JointlyEvaluated
 from geodrake.robot.vectors import (
     Vector,
     add,
@@ -370,7 +370,7 @@ _SMALLER, _MOST_TRIALS = 0.8, 15  # ranges of several free joints
 
 
 @dataclass(frozen=True, eq=False)
-class LoopTransmission(Transmission, Short):
+class LoopTransmission(JointlyEvaluated, Short):
     """How all joints of a closed loop follow from the free ones.
 
     Attributes:
@@ -418,29 +418,18 @@ class LoopTransmission(Transmission, Short):
         calc_loop(self.records, q, theta, G, reached)
         return theta, G, reached
 
-    def along(self, q: Array, v: Array) -> tuple[Array, Array, Array]:
+    def along(self, q: Array, v: Array | None = None) -> tuple[Array, Array, Array]:
         """θ = T(q), J and J̇ along a motion, by one solution."""
         theta, G, rate = self.of_all(q, v)
         return theta[:, self.shown], G[:, self.shown], rate[:, self.shown]
 
-    def of_all(self, q: Array, v: Array) -> tuple[Array, Array, Array]:
-        """Return positions (N, k) of all k joints, G and Ġ (N, k, n)."""
+    def of_all(self, q: Array, v: Array | None = None) -> tuple[Array, Array, Array]:
+        """Return positions (N, k) of all k joints by Newton's method, G and Ġ (N, k, n)."""
         theta, G = self._closed(self._q(q))
         rate = np.zeros_like(G)
-        calc_loop_rates(self.records, theta, G, contiguous(v), rate)
+        if v is not None:
+            calc_loop_rates(self.records, theta, G, contiguous(v), rate)
         return theta, G, rate
-
-    def joint_positions(self, q: Array) -> Array:
-        """θ = T(q), by Newton's method."""
-        return self._closed(self._q(q))[0][:, self.shown]
-
-    def jacobian(self, q: Array) -> Array:
-        """J = G."""
-        return self._closed(self._q(q))[1][:, self.shown]
-
-    def jacobian_rate(self, q: Array, v: Array) -> Array:
-        """J̇ = Ġ."""
-        return self.along(q, v)[2]
 
     def actuator_positions(self, theta: Array, *, start: object = 0.0) -> Array:
         """Return Q (N, n): those of the free joints, whatever the others'."""

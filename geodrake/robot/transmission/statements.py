@@ -32,8 +32,9 @@ from geodrake.boundary.yaml_schema import Schema, as_schema
 from geodrake.boundary.yaml_text import yaml_content
 from geodrake.errors import ArgumentError, GeodrakeError, ModelError
 from geodrake.inertia import Array
-from geodrake.robot.transmission.base import (
+from geodrake.robot.transmission import (
     InSequence,
+    JointlyEvaluated,
     LinearTransmission,
     SideBySide,
     Transmission,
@@ -55,7 +56,7 @@ _EVERYWHERE = -np.inf, np.inf
 
 
 @dataclass(frozen=True, eq=False)
-class ScalarTransmission(Transmission, Short):
+class ScalarTransmission(JointlyEvaluated, Short):
     """θ = f(q) of one actuator and one joint.
 
     Attributes:
@@ -71,18 +72,12 @@ class ScalarTransmission(Transmission, Short):
         """One, and one."""
         return 1, 1
 
-    def joint_positions(self, q: Array) -> Array:
-        """θ = f(q)."""
-        return self.law(self._q(q)[:, 0], 0)[:, None]
-
-    def jacobian(self, q: Array) -> Array:
-        """J = f′(q)."""
-        return self.law(self._q(q)[:, 0], 1)[:, None, None]
-
-    def jacobian_rate(self, q: Array, v: Array) -> Array:
-        """J̇ = f″(q) q̇, of q and q̇ (N, 1)."""
-        rate = self.law(self._q(q)[:, 0], 2) * real_array(v, "v", ("N", 1))[:, 0]
-        return rate[:, None, None]
+    def along(self, q: Array, v: Array | None = None) -> tuple[Array, Array, Array]:
+        """θ = f(q), J = f′(q) and J̇ = f″(q) q̇, of q and q̇ (N, 1)."""
+        own, rate = self._q(q)[:, 0], np.zeros(len(q))
+        if v is not None:
+            rate = self.law(own, 2) * real_array(v, "v", ("N", 1))[:, 0]
+        return self.law(own, 0)[:, None], self.law(own, 1)[:, None, None], rate[:, None, None]
 
     def inside(self, q: Array) -> Array:
         """Return positions moved to where f is known, a little off its ends."""
