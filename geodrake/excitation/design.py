@@ -22,7 +22,7 @@ from geodrake.errors import ArgumentError
 from geodrake.excitation.collisions import CollisionWorld
 from geodrake.excitation.families import FourierMotion, MotionFamily
 from geodrake.excitation.limits import MotionLimits
-from geodrake.excitation.margins import COARSE, FINE, LimitUse, keeps_limits, least_of, limit_use
+from geodrake.excitation.margins import COARSE, LimitUse, keeps_limits, least_of, limit_use
 from geodrake.excitation.objective import Criterion, Objective
 from geodrake.excitation.problem import DesignOptions, DesignProblem, make_problem
 from geodrake.excitation.solve import (
@@ -208,7 +208,7 @@ def design_excitation(
     run = _Run(problem, postures, progress)
     ends = run.from_seeds(chosen, budget.part(_FOR_STARTS))
     best, _ = min(ends, key=lambda end: end[1].value)
-    use = limit_use(problem, best, budget=run.for_a_closer_look(budget))
+    use = limit_use(problem, best)
     final, ramps = problem.trajectory(best), None
     if stand is not None and family.timed:
         ramps = RampPlanner(model, problem.limits, options.collisions).ramped(final, stand)
@@ -226,7 +226,7 @@ def design_excitation(
         notes=(
             *model.repairs,
             *(() if options.collisions is None else options.collisions.notes),
-            *_time_notes(problem, run, run.starts - len(ends), use.stride),
+            *_time_notes(run, run.starts - len(ends)),
         ),
         is_interrupted=run.is_stopped,
         ramps=ramps,
@@ -248,15 +248,12 @@ def _with_ramps(
     return replace(use, clearances=clearances)
 
 
-def _time_notes(problem: DesignProblem, run: _Run, left_out: int, stride: int) -> tuple[str, ...]:
+def _time_notes(run: _Run, left_out: int) -> tuple[str, ...]:
     """Return what there was no time for."""
     why = "it was interrupted" if run.is_stopped else "time was up"
     notes = [_STOPPED] if run.is_stopped else []
     if left_out:
         notes.append(f"{left_out} starts were not begun, as {why}")
-    if stride > 1:
-        apart = stride * float(problem.family.limit_times(FINE)[1])
-        notes.append(f"collisions were looked for every {apart:.2g} s only, as {why}")
     return tuple(notes)
 
 
@@ -365,7 +362,7 @@ class _Run:
         )
         if found.status == INTERRUPTED:
             self._stop(number, self._value(guess))
-            budget = self.for_a_closer_look(budget)
+            budget = Budget.of(min(budget.left, _AFTER_STOP))
         inside = self._inside(problem, found, guess, budget)
         better = inside if self._value(inside) < self._value(guess) else guess
         return better, found.status
@@ -389,10 +386,6 @@ class _Run:
                     nearest = y.reshape(guess.shape)
                     break
         return within_limits(self.problem, nearest, guess, budget)
-
-    def for_a_closer_look(self, budget: Budget) -> Budget:
-        """Return the time to check limits, s: the rest, or little once the design was stopped."""
-        return Budget.of(min(budget.left, _AFTER_STOP)) if self.is_stopped else budget
 
     def _stop(self, number: int, value: float) -> None:
         """Begin nothing more, and tell of it."""

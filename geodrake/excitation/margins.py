@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -38,9 +38,6 @@ class LimitUse:
     clearances: Mapping[str, tuple[float, str]] = field(default_factory=dict)
     # The distance to be kept, m; infinite distances without collision geometry.
     clearance: float = 0.0
-    # Every how many of the instants that were to be looked at the distances are of; more than one
-    # if time was up.
-    stride: int = 1
     # "velocity", "acceleration", "jerk" or "effort" -> (nv,) largest sizes, SI units.
     peaks: Mapping[str, Array] = field(default_factory=dict)
 
@@ -61,25 +58,13 @@ class LimitUse:
         return within and self.distance >= self.clearance - _TOLERANCE
 
 
-def limit_use(problem: DesignProblem, variables: Array, *, budget: Budget = UNLIMITED) -> LimitUse:
-    """Return what a motion uses of its limits.
-
-    Args:
-        budget: Time for collisions, which are the slow part: what is left out when it is up is
-            between instants at which they were looked for.
-    """
+def limit_use(problem: DesignProblem, variables: Array) -> LimitUse:
+    """Return what a motion uses of its limits; collisions are looked for at all instants."""
     motion, use = _use_of_joints(problem, variables)
     world = problem.collisions
     if world is None:
         return use
-    clearances: dict[str, tuple[float, str]] = {}
-    stride = 1
-    for before, postures in _passes(motion.q):
-        if before and budget.left <= 0.0:
-            stride = before
-            break
-        clearances = least_of(clearances, world.nearest(postures))
-    return replace(use, clearances=clearances, clearance=world.clearance, stride=stride)
+    return replace(use, clearances=world.nearest(motion.q), clearance=world.clearance)
 
 
 def least_of(
@@ -105,8 +90,11 @@ def keeps_limits(
 
 def stays_clear(world: CollisionWorld, q: Array, budget: Budget = UNLIMITED) -> bool:
     """Return whether postures (n, nq) keep the clearance; ends where it is not kept."""
-    for _, postures in _passes(q):
+    first = np.argmax([np.arange(len(q)) % stride == 0 for stride in _STRIDES], axis=0)
+    order = np.argsort(first, kind="stable")
+    for at in range(0, len(q), _AT_ONCE):
         budget.check()
+        postures = q[order[at : at + _AT_ONCE]]
         if world.distances(postures)[0].min() < world.clearance - _TOLERANCE:
             return False
     return True
@@ -129,18 +117,6 @@ def _use_of_joints(problem: DesignProblem, variables: Array) -> tuple[Motion, Li
     shares = {name: peak / getattr(limits, name) for name, peak in peaks.items()}
     position = _peak((q - limits.middle) / limits.reach, timed)
     return motion, LimitUse(position=position, peaks=peaks, **shares)
-
-
-def _passes(q: Array) -> Iterator[tuple[int, Array]]:
-    """Yield some postures of (n, nq) at a time, each once, and every how many were there before."""
-    seen, before = np.zeros(len(q), bool), 0
-    for stride in _STRIDES:
-        new = np.arange(0, len(q), stride)
-        new = new[~seen[new]]
-        seen[new] = True
-        for first in range(0, len(new), _AT_ONCE):
-            yield before, q[new[first : first + _AT_ONCE]]
-        before = stride
 
 
 def _peak(signals: Array, timed: bool) -> Array:

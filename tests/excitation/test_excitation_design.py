@@ -388,6 +388,7 @@ class TestBadInput:
 # In a time, with the best motion found by then
 
 SLACK = 1.0  # s, for what cannot be interrupted
+LAST_LOOK = 2.1  # s, at all thousand postures of the motion, which is always taken
 WALL = Solid("wall", Box(0.1, 2.0, 2.0), RigidTransform([0.0, -3.0, 0.0]))
 
 
@@ -456,15 +457,14 @@ def test_what_ends_by_itself_is_the_same_with_more_time():
 
 def test_starts_share_the_time(clock):
     result, took = designed(clock, 1.5, seeds=4)
-    assert took < 1.1 * 1.5 + SLACK
+    assert took < 1.1 * 1.5 + SLACK + LAST_LOOK
     assert result.use.is_within
     assert any(outcome.status == "out of time" for outcome in result.outcomes)
     assert result.value <= min(outcome.random_value for outcome in result.outcomes)
 
 
-def test_no_time_for_a_close_look_is_said(clock):
+def test_starts_for_which_there_is_no_time_are_said(clock):
     result, took = designed(clock, 0.01, seeds=3)
-    assert took < SLACK + 0.5
+    assert took < SLACK + LAST_LOOK + 0.5
     assert [outcome.seed for outcome in result.outcomes] == [0]
     assert "2 starts were not begun, as time was up" in result.notes
-    assert any("collisions were looked for every 0.3" in note for note in result.notes)
