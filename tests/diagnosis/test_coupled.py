@@ -87,10 +87,6 @@ class TestCandidates:
         assert set(first.where) == set(SECOND_AND_LAST)
         assert apart == []
 
-    def test_not_in_bodies_that_are_off(self):
-        candidates, _ = diagnosed(None)
-        assert [c.effect for c in candidates] == ["wrong_inertia"]
-
 
 def test_chance_is_as_small_as_told(colour=0.8):
     """Noise in the place of residuals: as many false alarms at most as are admitted."""

@@ -375,18 +375,6 @@ def test_what_was_found_is_saved_and_another_log_needs_nothing_more(name, tmp_pa
     assert explain(again, [other.log]).steps == ()
 
 
-def test_friction_that_jumps_to_another_in_each_direction_hides_nothing_else():
-    """Where a joint turns round its mean is not zero, and looks like a preload."""
-
-    def hidden(q, v, vd, load):
-        return np.where(v > 0.0, 0.6 + 0.3 * v, -0.2 + 0.1 * v) * [0.0, 1.0]
-
-    found = explain(model_file(PENDULUM), [pendulum_log(seed, hidden) for seed in (1, 11)])
-    (step,) = found.steps
-    assert (step.effect, step.where) == ("asymmetric_friction", (ELBOW,))
-    assert list(step.parameters[ELBOW].values()) == pytest.approx([0.6, 0.2, 0.3, 0.1], abs=5e-3)
-
-
 def test_the_centre_of_pressure_is_told():
     values = explained("drag")[1].steps[0].parameters["lower_link"]
     center = [values[axis] + values[f"drag_lever_{axis}"] / values["drag"] for axis in "xz"]

@@ -20,7 +20,7 @@ from pinocchio_logs import MODELS, effort_log
 
 from geodrake import load_model
 from geodrake.control.systems import EffectForce
-from geodrake.effects import FittedEffect, Hysteresis
+from geodrake.effects import Hysteresis
 from geodrake.identification.logs.noise import prepare_for_model
 from geodrake.identification.logs.reduce import reduce_logs
 from geodrake.logs.folds import validation_blocks
@@ -84,13 +84,6 @@ class TestMemory:
         twice = PENDULUM.motion(whole[200:][300:400])
         found = self.effect.regressor(twice)[:, 1, 0]
         np.testing.assert_allclose(found, expected[500:600], atol=1e-12)
-
-    def test_effort_of_a_model(self):
-        model = replace(PENDULUM, effects=(FittedEffect(self.effect, np.array([0.5])),))
-        motion = series()
-        more = model.effort(motion) - PENDULUM.effort(motion)
-        bend = self.effect.bend(motion.q[:, 1], np.sign(motion.v[0, 1]))
-        np.testing.assert_allclose(more[:, 1], 0.5 * bend, atol=1e-12)
 
     def test_logs_in_chunks(self, monkeypatch):
         """Reduction in many chunks gives what it gives in one."""

@@ -14,7 +14,6 @@ from geodrake.identification import BodyConstraints, conic_fit, identify
 from geodrake.identification.conic_fit import build_fit, certified
 from geodrake.identification.identify import REGULARIZERS
 from geodrake.identification.newton import solve_newton
-from geodrake.inertia.parameters import pseudo_inertia_basis
 
 
 def moved(fit, share):
@@ -80,25 +79,6 @@ def test_the_gap_bounds_how_far_any_parameters_are_from_the_least_cost(seed, log
     )
     told = certified(problem, fit)
     assert told.certificate.holds and not told.certificate.replaced
-
-
-def test_cvxpy_finds_no_lower_cost_than_the_certificate_says():
-    cp = pytest.importorskip("cvxpy")
-    problem = constrained(entropic_fit(4, gamma=0.2, rows=40))
-    told = certified(problem, solve_newton(problem)).certificate
-    x = cp.Variable(problem.size)
-    value = cp.sum_squares(problem.factor[:, :-1] @ x - problem.factor[:, -1])
-    rows = problem.constraints.matrix @ x
-    limits = [x[30] >= 0, x[30] <= 1.5, x[31] <= 4.0, rows[:3] >= 0, rows[3] == 8.0]
-    for start, (phi, gamma) in problem.entropic.items():
-        P = cp.Variable((4, 4), symmetric=True)
-        basis = pseudo_inertia_basis()
-        limits.append(sum(x[start + i] * basis[i] for i in range(10)) == P)
-        prior = sum(phi[i] * basis[i] for i in range(10))
-        value += gamma * (cp.trace(np.linalg.inv(prior) @ P) - 4 - cp.log_det(P))
-        value += gamma * np.linalg.slogdet(prior)[1]
-    least = cp.Problem(cp.Minimize(value), limits).solve(solver="CLARABEL")
-    assert cost(problem, solve_newton(problem).x) - least <= told.gap + 1e-8 * told.cost
 
 
 def test_a_minimum_around_which_the_cost_is_not_convex_is_not_certified():

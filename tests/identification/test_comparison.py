@@ -102,15 +102,6 @@ def test_physical_least_squares_is_the_limit_of_a_weak_prior():
     np.testing.assert_allclose(inside.x, least_squares(*easy).x, rtol=1e-6)
 
 
-def test_bodies_flat_to_the_solvers_accuracy_are_solved_with_a_wider_margin():
-    A, b = data(0, extra=1)
-    options = {"sigma": 0.3, "extra_bounds": [[0.0, np.inf]]}
-    bound = identify(A, b, PRIOR, regularizer="entropic", gamma=0.8, **options).residual
-    result = identify(A, b, PRIOR, regularizer="euclidean", residual_bound=bound, **options)
-    assert is_physical(result.phi).all()
-    assert result.residual == pytest.approx(bound, rel=1e-6)
-
-
 def test_a_regularizer_without_a_solution_is_told_beside_the_others(monkeypatch):
     A, b = data(2)
     solve, options = Riemannian.solve, {"gamma": 1.0, "certify": False}

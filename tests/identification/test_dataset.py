@@ -25,12 +25,11 @@ from geodrake.identification.logs import reduce
 from geodrake.identification.logs.log_slices import RowCache
 from geodrake.identification.logs.noise import (
     coherent_bandwidth,
-    effort_ratio,
     filtered_below,
     known_noise,
     prepare_for_model,
 )
-from geodrake.identification.logs.reduce import peak_speeds, reduce_logs
+from geodrake.identification.logs.reduce import reduce_logs
 from geodrake.logs.folds import validation_blocks
 from geodrake.logs.motion import JointLog
 from geodrake.logs.preparation import prepare_logs
@@ -138,22 +137,6 @@ def test_factors_are_those_of_the_dense_columns(model, trajectories, folds, data
             )
 
 
-def test_chunks_change_nothing(model, trajectories, folds, dataset, monkeypatch):
-    monkeypatch.setattr(reduce, "CHUNK", 300)
-    pieces = reduce_logs(model, trajectories, folds, effects=EFFECTS)
-    np.testing.assert_array_equal(pieces.samples, dataset.samples)
-    np.testing.assert_allclose(pieces.effort_std, dataset.effort_std)
-    for one, other in zip(pieces.data, dataset.data, strict=True):
-        scale = np.sqrt(np.diag(other.grams.sum(0)))
-        np.testing.assert_allclose(
-            one.grams / np.outer(scale, scale), other.grams / np.outer(scale, scale), atol=1e-10
-        )
-        for few, many in zip(one.rows, other.rows, strict=True):
-            for a, b in zip(few, many, strict=True):
-                np.testing.assert_allclose(a.A, b.A, atol=1e-9)
-                np.testing.assert_array_equal(a.time, b.time)
-
-
 def test_every_joint_has_delays_of_its_own(model):
     log = pendulum_log(3, noise=(0.0, 0.0))
     rate = np.array([3.0, 5.0])
@@ -191,16 +174,6 @@ def test_effort_that_never_changes_is_refused(model):
     trajectories = prepare_logs([flat], bandwidth=8.0)
     with pytest.raises(LogError, match=r"effort of elbow never changes in the log: it is 3\.3 "):
         reduce_logs(model, trajectories, validation_blocks(trajectories), effects=())
-
-
-def test_joint_that_does_not_move_has_no_peak_speed():
-    log = pendulum_log(6, seconds=20.0)
-    position = log.position.copy()
-    position[:, 1] = 0.3 + 1e-5 * np.random.default_rng(0).normal(size=len(log))
-    trajectories = prepare_logs([replace(log, position=position)], bandwidth=8.0)
-    shoulder, elbow = peak_speeds(trajectories)
-    assert shoulder > 0.5
-    assert elbow == 0.0
 
 
 @pytest.mark.parametrize("bandwidth", [4.0, 15.0])
@@ -291,15 +264,6 @@ def test_vibration_that_efforts_do_not_know_lowers_the_bandwidth(model):
     assert words is None or "bandwidth" in words
 
 
-def test_a_lower_bandwidth_leaves_enough_of_a_short_log(model):
-    log = shaken(5e-2, at=3.0, seconds=4.0)
-    before = prepare_logs([log])[0]
-    (after,), words = prepare_for_model(model, [log])
-    assert coherent_bandwidth(model, [before]) < after.filter.bandwidth < before.filter.bandwidth
-    assert "bandwidth lowered" in words
-    assert len(validation_blocks([after])) > 1
-
-
 def test_short_log_gets_more_bandwidth(model):
     log = pendulum_log(9, seconds=15.0, rate=500.0)
     before = prepare_logs([log])[0]
@@ -327,13 +291,6 @@ def test_a_joint_that_rests_does_not_keep_the_bandwidth_of_a_short_log(model):
     still = 0.3 + 1e-6 * np.random.default_rng(1).normal(size=len(log.time))
     resting = replace(log, position=np.column_stack([log.position[:, 0], still]))
     assert "as the log is short" in (prepare_for_model(model, [resting])[1] or "")
-
-
-def test_effort_ratio_of_a_right_model_is_one(model):
-    trajectories = prepare_logs([pendulum_log(11, noise=(0.0, 0.0))], bandwidth=8.0)
-    frequency, ratio = effort_ratio(model, trajectories)
-    moving = (frequency > 0.15) & (frequency < 1.0)
-    np.testing.assert_allclose(ratio[moving], 1.0, rtol=0.02)
 
 
 def test_reductions_that_share_filtered_rows_are_those_that_do_not(

@@ -21,14 +21,6 @@ def autoregressive(rng, n, rho):
     return lfilter([1.0], [1.0, -rho], drive)
 
 
-@pytest.mark.parametrize("rho", [0.3, 0.9])
-def test_effective_samples_of_autoregressive_series(rho):
-    """The mean of an AR(1) series has the variance of n (1 − ρ)/(1 + ρ) independent samples."""
-    rng, n = np.random.default_rng(1), 200_000
-    theory = n * (1 - rho) / (1 + rho)
-    assert effective_samples([autoregressive(rng, n, rho)]) == pytest.approx(theory, rel=0.08)
-
-
 def test_effective_samples_of_blocks_of_all_lengths():
     """By the sum itself: n / (1 + 2 Σ ρ) up to the first ρ below 0.02."""
     rng = np.random.default_rng(8)

@@ -17,14 +17,12 @@ from geodrake.effects import (
     CoulombFriction,
     CoupledFriction,
     EffortOffset,
-    EffortScale,
     JointSpring,
     ViscousFriction,
 )
 from geodrake.errors import IdentificationError
 from geodrake.identification import normal_equations, solve_fit
 from geodrake.identification.conic_fit import solve_with_fallback
-from geodrake.identification.logs.candidate_effects import LONGEST_DELAY, candidate_delays
 from geodrake.identification.logs.hypothesis import CrossValidation, hold_out
 from geodrake.identification.logs.model_fit import fit_model, model_unknowns
 from geodrake.identification.logs.reduce import reduce_logs
@@ -259,15 +257,6 @@ def test_gains_that_a_model_took_in_act_on_what_has_changed_since(model):
     np.testing.assert_allclose(one.gain_shifts.sum(axis=0)[added], moved, rtol=0.02)
 
 
-def test_a_gain_that_is_fitted_moves_nothing_else(model):
-    logs = [pendulum_log(1, seconds=20.0), carrying_log(2)]
-    data = reduced(model, logs, (EffortScale("elbow"),))
-    unknowns = with_effects(data, model_unknowns(data, model), EffortScale("elbow"))
-    shoulder, elbow = fit_model(model, data, unknowns, WEIGHTS).gain_shifts
-    assert shoulder.any()
-    assert not elbow.any()
-
-
 def test_what_is_unexplained_moves_a_parameter_by_two_deviations_at_most(dataset, model):
     """By a second fit, to efforts with an error that varies with the parameter as no other does."""
     unknowns = with_effects(dataset, model_unknowns(dataset, model), *EFFECTS[:4])
@@ -297,15 +286,6 @@ def test_what_is_unexplained_moves_a_parameter_by_two_deviations_at_most(dataset
         )
         deviation = np.sqrt(fit.unexplained_covariance[k, k])
         assert moved.x[k] - fit.result.x[k] == pytest.approx(2.0 * deviation, rel=1e-3)
-
-
-@pytest.mark.parametrize(("period", "bandwidth"), [(0.002, 10.0), (0.01, 2.0), (0.04, 12.0)])
-def test_delays_are_those_that_can_be_told_apart(period, bandwidth):
-    delays = candidate_delays(period, bandwidth)
-    assert delays[0] == 0.0
-    assert len(set(delays)) == len(delays)
-    assert max(np.abs(delays)) <= LONGEST_DELAY + 1e-12
-    assert np.diff(sorted(delays)).min() >= period - 1e-12
 
 
 @pytest.mark.parametrize("wrong", [np.nan, np.inf, -2.0])

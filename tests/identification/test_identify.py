@@ -41,7 +41,7 @@ def test_results_say_what_was_found(regularizer):
 
 
 @pytest.mark.parametrize("gamma", [0.3, pytest.param(1e-5, marks=pytest.mark.thorough)])
-@pytest.mark.parametrize("regularizer", ["pullback", "riemannian"])
+@pytest.mark.parametrize("regularizer", ["pullback", "entropic", "riemannian"])
 @given(seed=st.integers(0, 10_000), length=st.floats(0.05, 20.0), mass=st.floats(0.05, 20.0))
 @settings(max_examples=3)
 def test_invariance_under_frames_and_units(regularizer, gamma, seed, length, mass):

@@ -121,15 +121,6 @@ def test_a_joint_that_falls_over_is_far_off_and_no_servo():
     assert fit_servo(alone, EffortSignal("hinge", "command", 0.5)) is None
 
 
-def test_a_log_of_commands_gives_servos_and_efforts(model, log):
-    known, (efforts,), notes = calibrate_efforts(model, [log])
-    (signal,) = known.effort_signals
-    assert signal.kind == "command"
-    assert abs(signal.gain - TRUTH[0]) < 2.0 * signal.deviation
-    assert signal.gain == pytest.approx(TRUTH[0], rel=0.1)
-    assert np.isfinite(efforts.effort).all() and "commands" in notes[0]
-
-
 def test_efforts_of_a_servo_are_its_equation(log):
     signal = EffortSignal("hinge", "command", 60.0, damping=2.0, delay=LATE, limit=5.0)
     effort = servo_effort(log, 0, signal)
@@ -200,22 +191,6 @@ def test_a_linear_fit_of_the_motion_is_where_searches_begin(model, log, summed, 
     found = motions.linear_servo(EffortSignal("hinge", "command", 0.5))
     assert found.gain == pytest.approx(TRUTH[0], rel=0.1)
     assert found.integral == pytest.approx(integral, rel=0.1)
-
-
-def test_efforts_contain_the_integral(fitted, summed):
-    """Those of the log are what bodies and friction need, with no constant left."""
-    model, (known,), _ = fitted
-    q, t = summed.position[:, 0], summed.time
-    v = np.gradient(q, t)
-    needed = (0.05 + 2.0 * 0.4**2 + TRUTH[4]) * np.gradient(v, t) + 2.0 * 9.81 * 0.4 * np.sin(q)
-    needed += TRUTH[2] * v + TRUTH[3] * np.sign(v)
-    smooth = np.ones(25) / 25
-    left = np.convolve(known.effort[:, 0] - needed, smooth, "valid")
-    assert np.std(left) < 0.12 * np.std(needed)
-    assert abs(np.mean(left)) < 0.03 * np.std(needed)
-    without = replace(model.effort_signals[0], integral=0.0)
-    late = calibrate_efforts(replace(model, effort_signals=(without,)), [summed])[1][0].effort[:, 0]
-    assert np.std(np.convolve(late - needed, smooth, "valid")) > 0.5 * np.std(needed)
 
 
 def test_an_integral_has_grown_to_what_a_payload_needs(model):

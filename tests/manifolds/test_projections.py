@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from pydrake.solvers import ClarabelSolver, MathematicalProgram, SolverOptions
-from random_points import other_view, random_inertia, random_point, round_inertia
+from random_points import random_inertia, random_point
 
 from geodrake.errors import ArgumentError, ConvergenceError
 from geodrake.inertia import Ellipsoid
@@ -135,19 +135,6 @@ def test_bodies_may_be_orders_of_magnitude_from_where_they_are_to_be(seed, decad
     y = bregman_projection(PhysicalInertia(), x, constraints)
     size = np.abs(constraints.matrix).max() * np.abs(y).max()
     assert constraints.violation(y).max() <= 1e-9 * size
-
-
-@settings(max_examples=10)
-@given(SEEDS, st.floats(1e-3, 1e3), st.floats(1e-3, 1e3))
-def test_projection_knows_no_frame_and_no_units(seed, metre, kilogram):
-    rng = np.random.default_rng(seed)
-    view, (x, inside) = other_view(rng, metre, kilogram), round_inertia(rng, 2)
-    A = rng.normal(size=(2, 10))
-    lower, upper = A @ inside - 0.01, A @ inside + 0.01
-    y = bregman_projection(PhysicalInertia(), x, Polyhedron(A, lower, upper))
-    seen = Polyhedron(A @ np.linalg.inv(view), lower, upper)
-    back = np.linalg.solve(view, bregman_projection(PhysicalInertia(), view @ x, seen))
-    np.testing.assert_allclose(back, y, atol=1e-8 * np.abs(y).max())
 
 
 def test_rows_that_barely_bind():
