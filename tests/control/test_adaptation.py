@@ -33,8 +33,6 @@ from geodrake.control.systems import PassivityBasedAdaptiveController
 from geodrake.effects import CoulombFriction, EffortOffset, FittedEffect, Payload, ViscousFriction
 from geodrake.errors import ArgumentError, ConvergenceError
 from geodrake.inertia import (
-    change_frame,
-    change_units,
     is_physical,
     pseudo_inertia,
 )
@@ -125,35 +123,6 @@ def test_the_parameter_error_changes_by_what_tracking_loses(seed):
         scale = abs(ahead) + np.abs(truth - estimate) @ np.abs(b)
         expected = -(estimate - truth) @ b
         assert (ahead - back) / (2 * h) == pytest.approx(expected, abs=1e-6 * scale), name
-
-
-@properties
-@given(seeds)
-def test_the_natural_law_does_not_depend_on_frames_and_units(seed):
-    rng = np.random.default_rng(seed)
-    metre, kilogram = 10.0 ** rng.uniform(-3, 3, 2)
-    R = np.linalg.qr(rng.normal(size=(3, 3)))[0]
-    R *= np.sign(np.linalg.det(R))
-    p = rng.normal(size=3)
-
-    def other(phi):
-        return change_units(change_frame(phi, R, p), metre=metre, kilogram=kilogram)
-
-    def back(phi):
-        there = change_units(phi, metre=1 / metre, kilogram=1 / kilogram)
-        return change_frame(there, R.T, -R.T @ p)
-
-    manifold = Product((PhysicalInertia(),))
-    law = natural_adaptation(manifold)
-    phi, b = random_inertia(rng), rng.normal(size=10)
-    b /= np.sqrt(b @ manifold.inverse_metric_times(phi, b))  # a step as long as its time
-    b_other = back(np.eye(10)) @ b
-    for dt in (1e-3, 1.0, 3.0):
-        expected = pseudo_inertia(law.step(phi, b, dt))
-        there = pseudo_inertia(back(law.step(other(phi), b_other, dt)))
-        # Relative to the inertia itself, in all directions alike.
-        inverse = np.linalg.inv(np.linalg.cholesky(expected))
-        assert np.abs(inverse @ (there - expected) @ inverse.T).max() < 1e-9
 
 
 # Projections

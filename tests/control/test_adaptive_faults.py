@@ -31,8 +31,6 @@ from pydrake.trajectories import PiecewisePolynomial
 from diagrams.benchmarks.adaptive_soak import distances
 from diagrams.studies.adaptive.faults import Episode, moments
 from geodrake.control.adaptation import (
-    PartialLaw,
-    adapted_parameters,
     euclidean_adaptation,
     natural_adaptation,
     parameter_manifold,
@@ -46,11 +44,9 @@ from geodrake.control.systems import (
     PredictionError,
     Safeguards,
 )
-from geodrake.control.systems.safeguards import Watch
 from geodrake.effects import FittedEffect, JointEffect, Parameter
 from geodrake.errors import ArgumentError
-from geodrake.inertia import change_frame, is_physical
-from geodrake.manifolds import PhysicalInertia
+from geodrake.inertia import is_physical
 
 FILTERED = PredictionError(1.0, alone=True)
 LIMITS = np.array([8.0, 4.0])
@@ -252,44 +248,6 @@ def test_a_second_of_faults_ruins_no_estimate(kind, law, friction, fault):
         assert masses.max() < 20.0
 
 
-PERIOD = 2e-3
-
-
-def believed(noise=0.0, *, sample=0, wrong=(0.0, 0.0), stuck=None):
-    """Whether a sensor of a swing is believed as it is and is trusted, (N, 2), and its states."""
-    t = np.arange(0.0, 2.5, PERIOD)
-    states = np.stack([np.sin(3.0 * t), 3.0 * np.cos(3.0 * t)], axis=1)
-    states += noise * np.random.default_rng(0).normal(size=states.shape)
-    states[sample] += wrong
-    if stuck:
-        states[stuck:, 0] = states[stuck, 0]
-    watch = Watch(1, PERIOD, 0.05, 0.02, 1.0)
-    memory, told = watch.start(), []
-    for state in states:
-        seen, memory = watch.look(memory, state, np.zeros(2), np.zeros(1))
-        told.append((bool(seen.q == state[:1]), seen.trusted))
-    return np.array(told), states
-
-
-def test_a_smooth_motion_is_believed_and_so_is_the_noise_of_good_sensors():
-    assert believed()[0].all() and believed([1e-3, 0.05])[0].all()
-
-
-@pytest.mark.parametrize("wrong", [[2.0 * np.pi, 0.0], [0.0, 1e3], [1e12, 0.0]])
-def test_an_outlier_is_not_believed(wrong):
-    told, _ = believed(sample=500, wrong=wrong)
-    assert not told[500, 0] and told[499, 0] and told[501:, 0].all()
-    waits = np.flatnonzero(told[:, 1] == 0)
-    assert len(waits) == (1 if max(wrong) > 1e6 else 500)  # what is absurd is only missing
-
-
-def test_an_encoder_that_sticks_is_found_within_its_drift():
-    told, states = believed(stuck=500)
-    first = 500 + int(np.argmax(told[500:, 0] == 0))
-    assert np.abs(states[500:first, 1]).sum() * PERIOD < 2 * 0.02
-    assert not told[first:, 1].any()
-
-
 def test_what_was_learned_just_before_an_interruption_is_not_believed():
     """A jump of the desired motion takes efforts to their limits."""
     system = interrupted("passivity", "natural", MODEL)
@@ -307,27 +265,6 @@ def test_what_was_learned_just_before_an_interruption_is_not_believed():
     then = [k for k in range(750, 876) if np.array_equal(p[k], p[1000])]
     assert then and not np.array_equal(p[999], p[1000])
     assert np.ptp(p[1000:1500], axis=0).max() == 0.0 and not np.array_equal(p[1600], p[1000])
-
-
-def test_no_frame_matters_to_limits_about_a_model():
-    turned = np.linalg.qr(np.random.default_rng(1).normal(size=(3, 3)))[0]
-    turned *= np.sign(np.linalg.det(turned))
-    place, law = np.array([0.3, -0.2, 0.5]), natural_adaptation(PhysicalInertia())
-    for phi in (CONTROL.phi(TRUTH)[0], change_frame(CONTROL.phi(TRUTH)[0], turned, place)):
-        limits = limited(law, phi[None], 10.0).constraints
-        np.testing.assert_allclose([limits.lower, limits.upper], [[0.4], [40.0]])
-        np.testing.assert_allclose(limits.matrix @ phi, 4.0)
-
-
-def test_what_is_held_of_a_partial_law_has_no_limits():
-    last, p = adapted_parameters(MODEL, [MODEL.bodies[-1]]), TRUTH
-    law = PartialLaw(natural_adaptation(PhysicalInertia()), last)
-    partial = limited(law, TRUTH[None], 10.0)
-    limits = partial.law.constraints
-    assert limits.matrix.shape == (1, 10)
-    for _ in range(20):
-        p = partial.step(p, -1e3 * np.ones(len(TRUTH)), 1e-2)
-    assert limits.violation(p[last]).max() < 1e-9 and (p[last] != TRUTH[last]).any()
 
 
 def test_leakage_takes_the_estimate_to_the_model():

@@ -174,6 +174,11 @@ SHAPES = {
     "echo_of_ros1.csv": table(echo_of_ros1(), header=False),
     "turned.npz": lambda path: np.savez(path, time=TIME, q=POSITION.T, tau=EFFORT.T),
     "episode_000000.parquet": pandas.DataFrame(listed(LEROBOT)).to_parquet,
+    "durations.csv": table(PLAIN.assign(time=[f"{t:g} sec" for t in TIME])),
+    "day.csv": table(PLAIN.assign(time=MOMENTS.strftime("%H:%M:%S.%f"), Date="2026-05-01")
+        [["Date", *PLAIN]]),
+    **{f"{name}.csv": table(PLAIN, sep=mark, decimal=",")
+       for name, mark in {"semicolons": ";", "tabs": "\t", "bars": "|", "blanks": " "}.items()},
 }  # fmt: skip
 """A file of each shape, and what writes it."""
 
@@ -205,6 +210,7 @@ def test_a_table_of_any_shape_is_the_same_log(tmp_path, name):
     np.testing.assert_allclose(log.time - log.time[0], TIME, atol=1e-6)
     np.testing.assert_allclose(log.position, POSITION, atol=1e-12)
     np.testing.assert_allclose(log.effort, EFFORT, atol=1e-12)
+    assert "thousands" not in " ".join(log.notes)
 
 
 def test_a_last_row_that_is_cut_off_is_left_out(tmp_path):
@@ -375,16 +381,6 @@ def test_the_rate_tells_the_unit_of_time_that_nobody_said(tmp_path, factor, unit
     log = read_log(csv_at(tmp_path, factor * TIME, name="timestamp"))
     np.testing.assert_allclose(log.time, TIME, atol=1e-12)
     assert any(f"time is in {unit}, as 100 rows a second say" in note for note in log.notes)
-
-
-def test_turns_and_currents_of_an_odrive(tmp_path):
-    columns = {"time": TIME}
-    for j in (0, 1):
-        columns[f"axis{j}.pos_estimate"] = POSITION[:, j] / (2 * np.pi)
-        columns[f"axis{j}.Iq_measured"] = EFFORT[:, j]
-    log = read_log(csv_of(tmp_path, columns), joints=JOINTS)
-    np.testing.assert_allclose(log.position, POSITION, atol=1e-12)
-    assert log.effort_kinds == dict.fromkeys(JOINTS, "current")
 
 
 @pytest.mark.parametrize("odd", ["none", "empty cell", "cut off", "text", "one cell more"])
@@ -585,16 +581,6 @@ def test_three_decimals_beside_whole_hundreds_are_no_thousands(tmp_path):
     assert "thousands" not in " ".join(log.notes)
 
 
-@pytest.mark.parametrize("separator", [";", "\t", "|", " "])
-def test_decimal_commas(tmp_path, separator):
-    path = tmp_path / "log.csv"
-    PLAIN.to_csv(path, index=False, sep=separator, decimal=",")
-    log = read_log(path, joints=JOINTS)
-    np.testing.assert_allclose(log.position, POSITION)
-    np.testing.assert_allclose(log.effort, EFFORT)
-    assert "thousands" not in " ".join(log.notes)
-
-
 @pytest.mark.parametrize(("program", "day"), [("Excel", 45000.4), ("MATLAB", 738000.4)])
 @pytest.mark.parametrize("name", ["time", "Date", "datetime"])
 def test_days_of_spreadsheets_are_time(tmp_path, program, day, name):
@@ -603,13 +589,6 @@ def test_days_of_spreadsheets_are_time(tmp_path, program, day, name):
     log = read_log(path, joints=JOINTS)
     np.testing.assert_allclose(log.time - log.time[0], TIME, atol=2e-5)
     assert f"time is in days, as {program} counts them" in " ".join(log.notes)
-
-
-def test_a_date_beside_the_time_of_day_is_no_time(tmp_path):
-    path = tmp_path / "log.csv"
-    clock = MOMENTS.strftime("%H:%M:%S.%f")
-    PLAIN.assign(time=clock, Date="2026-05-01")[["Date", *PLAIN]].to_csv(path, index=False)
-    np.testing.assert_allclose(read_log(path, joints=JOINTS).time, TIME, atol=1e-6)
 
 
 LOGGERS = {
@@ -643,6 +622,7 @@ def test_names_of_loggers(tmp_path, logger):
     np.testing.assert_allclose(log.time, TIME)
     np.testing.assert_allclose(log.position, POSITION)
     np.testing.assert_allclose(log.effort, EFFORT)
+    assert set(log.effort_kinds.values()) == ({"current"} if "urrent" in effort else set())
 
 
 KEYED = {"TwinCAT": "Name", "TwinCAT in pairs": "Name", "LabVIEW": "X_Value"}

@@ -15,7 +15,7 @@ from geodrake.effects import (
     LoadDependentFriction,
     Payload,
 )
-from geodrake.inertia import from_mass_com_inertia, inertial_parameters
+from geodrake.inertia import from_mass_com_inertia
 from geodrake.logs.motion import Motion
 from geodrake.robot.regressor import inverse_dynamics_regressor
 
@@ -44,16 +44,6 @@ def fitted(effect, *values):
     return FittedEffect(effect, np.array(values, float))
 
 
-def test_payload_is_a_heavier_link(arm, motion):
-    phi = from_mass_com_inertia(2.5, [0.05, -0.02, 0.1], 0.01 * np.eye(3))
-    loaded = replace(arm, effects=(fitted(Payload(arm.bodies[-1]), *phi),))
-    np.testing.assert_allclose(loaded.effort(motion), drake_effort(loaded, motion), atol=1e-9)
-    np.testing.assert_allclose(loaded.total_phi[-1], arm.phi[-1] + phi)
-    np.testing.assert_array_equal(loaded.phi, arm.phi)
-    context = loaded.create_context()
-    np.testing.assert_allclose(inertial_parameters(loaded.plant, context), loaded.total_phi)
-
-
 def test_effects_add_to_the_effort_needed(arm, motion):
     """The load is that of the rigid bodies with the payload; delays are not applied."""
     phi = from_mass_com_inertia(1.5, [0.0, 0.1, 0.0], 0.004 * np.eye(3))
@@ -69,14 +59,6 @@ def test_effects_add_to_the_effort_needed(arm, motion):
     expected[:, 1] += 0.1 * np.abs(load[:, 1]) * np.sign(motion.v[:, 1])
     expected[:, 2] += 4.0 * (motion.q[:, 2] - 0.2) ** 3 - 0.5
     np.testing.assert_allclose(model.effort(motion), expected, rtol=0, atol=1e-9)
-
-
-def test_a_floating_base_is_six_joints():
-    floating = load_model(MODELS / "double_pendulum.urdf", floating=True)
-    names = [f"base_link_{each}" for each in ("x", "y", "z", "yaw", "pitch", "roll")]
-    assert set(floating.single_joints) == {"shoulder", "elbow", *names}
-    assert list(floating.base_joints) == names
-    assert floating.bodies[0] == "base_link"
 
 
 def test_motion_with_a_load_that_is_known(arm, motion):

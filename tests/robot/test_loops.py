@@ -29,16 +29,6 @@ from geodrake.robot import joint_names
 COUPLER, ROCKER = 'diaginertia=".003 .004 .0025"/>', 'diaginertia=".005 .004 .0035"/>'
 
 
-def welded():
-    """The same four-bar, closed by a further link that is welded to the rocker."""
-    text = four_bar('<weld body1="link" body2="rocker"/>')
-    link = '<body name="link" pos=".25 0 .1"><joint name="end" axis="0 1 0"/>'
-    inertial = '<inertial mass=".2" pos=".01 0 0" diaginertia="1e-4 1e-4 1e-4"/></body>'
-    return text.replace(
-        'diaginertia=".003 .004 .0025"/>', f'diaginertia=".003 .004 .0025"/>{link}{inertial}'
-    )
-
-
 def by_sites():
     site = '<site name="{}" pos="{}" euler="1 2 3"/>'
     text = four_bar('<connect site1="p" site2="q"/>')
@@ -48,7 +38,6 @@ def by_sites():
 
 ROBOTS = {
     "a four-bar": (four_bar(), "crank"),
-    "closed by a weld": (welded(), "crank"),
     "closed at sites": (by_sites(), "crank"),
     "driven at the rocker": (four_bar(motors="rocker"), "rocker"),
     "a parallel gripper": (gripper(), "arm left"),

@@ -73,15 +73,6 @@ def test_own_models_are_physical_and_limited(name, capfd):
         assert np.isfinite(limits(plant)).all()
 
 
-def test_double_pendulum_has_the_published_numbers():
-    plant = load_plant(MODELS / "double_pendulum.urdf").plant
-    assert joint_names(plant) == ("shoulder", "elbow")
-    phi = inertial_parameters(plant)
-    np.testing.assert_allclose(phi[:, 0], [0.5235, 0.6256])
-    np.testing.assert_allclose(phi[:, 3] / phi[:, 0], [-0.2, -0.2557])
-    np.testing.assert_allclose(phi[:, 5], [0.03189, 0.05087], rtol=1e-5)
-
-
 def test_urdf_ignores_geometry_mimic_and_transmissions(load):
     mesh = """<visual><geometry><mesh filename="package://none/a.dae"/></geometry></visual>
     <collision><geometry><mesh filename="missing.stl"/></geometry></collision>"""

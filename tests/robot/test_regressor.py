@@ -2,7 +2,6 @@
 
 import weakref
 
-import mujoco
 import numpy as np
 import pytest
 from chain_logs import inverse_dynamics as drakes_efforts
@@ -18,7 +17,6 @@ from known_robots import (
     moving_joints,
     plant_of,
 )
-from mujoco_efforts import mujoco_efforts
 from pydrake.autodiffutils import AutoDiffXd, ExtractGradient, InitializeAutoDiff
 from pydrake.multibody.plant import MultibodyPlant
 from pydrake.multibody.tree import MultibodyForces_, RevoluteJoint
@@ -201,18 +199,6 @@ def test_every_entry_is_pinocchios(name):
         assert_close(ours[i][drake][:, bodies].reshape(len(joints), -1), expected)
 
 
-# MuJoCo refuses the last link of tx40, which has no mass.
-@pytest.mark.parametrize("name", cases(*sorted({*ARMS} - {"reference/tx40.urdf"})))
-def test_efforts_of_arms_are_mujocos(name):
-    text = description(name)
-    plant, model = plant_of(text), mujoco.MjModel.from_xml_string(text)
-    motion, joints = random_motion(plant, np.random.default_rng(0), 5), moving_joints(plant)
-    efforts = inverse_dynamics(plant, *motion, inertial_parameters(plant))
-    ours = [joint.velocity_start() for joint in joints]
-    names = [joint.name() for joint in joints]
-    assert_close(efforts[:, ours], mujoco_efforts(model, names, *(x[:, ours] for x in motion)))
-
-
 def test_the_factor_is_triangular_and_has_the_gram_matrix():
     matrix = np.random.default_rng(0).normal(size=(10_000, 30))
     factor = triangular_factor(np.split(matrix, [3, 3, 4500, 9000]))
@@ -231,10 +217,3 @@ def test_small_singular_values_survive_where_the_gram_matrix_loses_them():
     np.testing.assert_allclose(found, singular, rtol=1e-4)
     smallest = np.linalg.eigvalsh(matrix.T @ matrix)[0]
     assert abs(smallest / singular[-1] ** 2 - 1.0) > 1.0
-
-
-def test_a_factor_continues_as_a_block():
-    matrix = np.random.default_rng(3).normal(size=(500, 8))
-    once = triangular_factor([matrix])
-    twice = triangular_factor([triangular_factor([matrix[:200]]), matrix[200:]])
-    np.testing.assert_allclose(np.abs(once), np.abs(twice), atol=1e-12)
