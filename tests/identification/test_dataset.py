@@ -264,15 +264,6 @@ def test_vibration_that_efforts_do_not_know_lowers_the_bandwidth(model):
     assert words is None or "bandwidth" in words
 
 
-def test_short_log_gets_more_bandwidth(model):
-    log = pendulum_log(9, seconds=15.0, rate=500.0)
-    before = prepare_logs([log])[0]
-    (after,), words = prepare_for_model(model, [log])
-    assert after.filter.bandwidth > 1.2 * before.filter.bandwidth
-    assert sum(after.output_counts) > sum(before.output_counts)
-    assert "as the log is short" in words
-
-
 def test_bandwidth_of_a_short_log_is_raised_as_far_as_accelerations_are_no_noise(model):
     log = pendulum_log(9, seconds=15.0, rate=500.0, noise=(0.3, 1e-3))
     shaky = np.random.default_rng(0).normal(size=(len(log.time), 1)) * [0.0, 1.0]

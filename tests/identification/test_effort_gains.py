@@ -10,7 +10,6 @@ from pinocchio_logs import MODELS, effort_log
 from geodrake import load_model
 from geodrake.errors import LogError
 from geodrake.identification.logs.case import open_case
-from geodrake.identification.logs.effort_gains import _GeodesicBodies
 from geodrake.identification.logs.signal_calibration import calibrate_efforts, calibrated
 from geodrake.logs.files import read_log
 from geodrake.model import EffortSignal
@@ -84,19 +83,6 @@ def test_measured_efforts_tell_the_scale_of_the_others(arm, torques, found):
     alone = {s.joint: s.uncertainty for s in found}
     assert log.joints[1] not in known
     assert known[log.joints[2]] < alone[log.joints[2]]
-
-
-def test_slopes_of_geodesic_bodies_are_those_of_differences(arm):
-    bodies = _GeodesicBodies.of(arm)
-    x = 0.3 * np.random.default_rng(0).normal(size=arm.phi.size)
-    x[:10] = 0.0  # where eigenvalues meet
-    slope = bodies.at(x)[1]
-    step = 1e-6
-    columns = [
-        (bodies.at(x + step * e)[0] - bodies.at(x - step * e)[0]) / (2.0 * step)
-        for e in np.eye(len(x))
-    ]
-    np.testing.assert_allclose(slope, np.stack(columns, 1), atol=1e-6 * np.abs(slope).max())
 
 
 def test_known_gains_are_taken_as_they_are(arm, torques):

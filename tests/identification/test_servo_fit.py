@@ -71,16 +71,6 @@ def log():
     return servo_log()
 
 
-def test_a_joint_sticks_until_friction_is_overcome():
-    rows = np.zeros((400, 8))
-    rows[:, 1] = 1.0
-    rows[:, 7] = 0.01 * np.arange(400) / 400
-    motions = JointMotions((rows,), (np.zeros(400),), (0.005,))
-    x = motions.simulated(motions.servo([100.0, 0.0, 20.0, 0.5]))
-    assert not x[:199].any()
-    assert x[-1] == pytest.approx(0.01 - 0.005, abs=2e-3)
-
-
 def test_it_finds_what_mujoco_has(model, log):
     fit = fit_servo(alone(model, log), EffortSignal("hinge", "command", 50.0))
     kp, rate, damping, coulomb, armature, late, offset, load, _ = fit.parameters
@@ -134,21 +124,6 @@ def test_efforts_of_a_servo_are_its_equation(log):
     np.testing.assert_array_equal(same.effort[:, 0], effort)
 
 
-def test_where_a_joint_stands_says_nothing_of_a_servo():
-    """Offsets of stretches, as of heavier bodies, made a tenth of the error no gain at all."""
-    rng = np.random.default_rng(0)
-    stretches = tuple(np.zeros((n, 8)) for n in (400, 300))
-    motions = JointMotions(stretches, tuple(rows[:, 0] for rows in stretches), (0.004, 0.004))
-    before, after = 1e-3 * rng.normal(size=700), 1e-4 * rng.normal(size=700)
-    gain = motions.gain_of(before, after)
-    assert gain > 700.0
-    offset = np.repeat([2e-3, -5e-3], [400, 300])
-    assert motions.gain_of(before + offset, after + offset) == pytest.approx(gain)
-    assert motions.gain_of(before, after + offset, motions.tested) == pytest.approx(
-        motions.gain_of(before, after, motions.tested)
-    )
-
-
 @pytest.fixture(scope="module")
 def fitted(model, summed):
     return calibrate_efforts(model, [summed])
@@ -182,15 +157,6 @@ def test_a_servo_without_integral_and_limit_gets_none(model):
     rows = [each + 0.3 * np.eye(8)[0] for each in motions.rows]
     fit = fit_servo(replace(motions, rows=tuple(rows)), EffortSignal("hinge", "command", 50.0))
     assert fit is None or fit.parameters[-1] == 0.0
-
-
-@pytest.mark.parametrize("integral", [0.0, INTEGRAL])
-def test_a_linear_fit_of_the_motion_is_where_searches_begin(model, log, summed, integral):
-    """The gain by inertias says nothing of a servo whose integral holds the joint up."""
-    motions = alone(model, summed if integral else log)
-    found = motions.linear_servo(EffortSignal("hinge", "command", 0.5))
-    assert found.gain == pytest.approx(TRUTH[0], rel=0.1)
-    assert found.integral == pytest.approx(integral, rel=0.1)
 
 
 def test_an_integral_has_grown_to_what_a_payload_needs(model):

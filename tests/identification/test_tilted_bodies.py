@@ -8,7 +8,7 @@ import pytest
 from pinocchio_logs import MODELS, perturbed, robot
 
 from geodrake import load_model
-from geodrake.effects import GravityTilt, ViscousFriction
+from geodrake.effects import GravityTilt
 from geodrake.identification.logs.log_slices import INERTIA, Layout
 from geodrake.logs.motion import Motion
 
@@ -60,17 +60,3 @@ def test_efforts_of_any_bodies_are_exact_at_the_slope(angles):
         data = turned.createData()
         wanted = [pin.rnea(turned, data, *sample) for sample in zip(q, v, vd, strict=True)]
         np.testing.assert_allclose(efforts, wanted, atol=1e-9 * np.abs(wanted).max())
-
-
-@pytest.mark.parametrize("effects", [(), (GravityTilt(), ViscousFriction(ARM.joints[0]))])
-def test_a_level_base_changes_nothing(effects):
-    q, v, vd = np.random.default_rng(6).normal(size=(3, 5, NV))
-    layout, inertial, _, held, _ = columns(effects, Motion(q, v, vd))
-    plain, alone, *_ = columns((), Motion(q, v, vd))
-    assert layout.tree is ARM.tree
-    assert held == [0.0] * NV
-    for j in range(NV):
-        np.testing.assert_array_equal(inertial[j], alone[j])
-        width = ARM.phi.size
-        own = layout.columns[j]
-        np.testing.assert_array_equal(own[own < width], plain.columns[j])
