@@ -96,14 +96,6 @@ def test_filtered_computed_torque_with_a_sensor_of_a_third_of_the_rate():
     assert V[-1] < 0.97 * V[0]
 
 
-@pytest.mark.parametrize("make", [passive, computed])
-def test_with_the_true_model_nothing_is_left_to_adapt(make):
-    controller = make(parameters=TRUTH, time_step=1e-3)
-    time, logs = run(controller, 0.5)
-    assert tracking_error(logs).max() < 1e-3
-    np.testing.assert_allclose(logs["parameters"], np.tile(TRUTH, (len(time), 1)), atol=1e-3)
-
-
 def test_actuation_is_the_formula_of_the_source():
     """u against [Lee2019] Eq. (5.2.10) and Remark 5.1 from Drake's own mass matrix and bias."""
     rng = np.random.default_rng(0)

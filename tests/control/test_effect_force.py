@@ -60,28 +60,6 @@ STATES = [np.random.default_rng(seed).normal(size=(3, 3)) for seed in range(2)]
 
 
 class TestExactDynamics:
-    def test_rotor_inertia_is_drakes(self):
-        terms = [(effects.RotorInertia("joint2"), [0.4])]
-        for q, v, u in STATES:
-            with_effect = acceleration(arm(damping=0.8), q, v, 10 * u, terms)
-            expected = acceleration(arm(damping=0.8, rotor=0.4), q, v, 10 * u)
-            np.testing.assert_allclose(with_effect, expected, rtol=1e-10)
-
-    def test_payload_on_a_welded_tool(self):
-        phi = from_spatial_inertia(TOOL)
-        loaded = arm(weld_tool=True)
-        tool = loaded.GetBodyByName("tool")
-        for q, v, u in STATES:
-            with_effect = acceleration(
-                arm(weld_tool=True), q, v, u, [(effects.Payload("tool"), phi)]
-            )
-            context = loaded.CreateDefaultContext()
-            loaded.SetPositionsAndVelocities(context, np.concatenate([q, v]))
-            tool.SetSpatialInertiaInBodyFrame(context, TOOL)
-            loaded.get_actuation_input_port().FixValue(context, u)
-            expected = loaded.get_generalized_acceleration_output_port(default_model_instance())
-            np.testing.assert_allclose(with_effect, expected.Eval(context), rtol=1e-9)
-
     def test_effort_of_all_effects_is_what_their_regressors_say(self):
         terms = [
             (effects.ViscousFriction("joint1"), [0.5]),
@@ -117,14 +95,6 @@ class TestExactDynamics:
             )
             effort = sum(effect.effort(motion, mu)[0] for effect, mu in terms)
             np.testing.assert_allclose(load + 0.3 * v + effort, u, rtol=1e-7, atol=1e-7)
-
-    def test_gain_divides_the_applied_effort(self):
-        friction = effects.ViscousFriction("joint2"), [0.5]
-        for q, v, u in STATES:
-            terms = [(effects.EffortScale("joint2"), [0.25]), friction]
-            with_effect = acceleration(arm(), q, v, u, terms)
-            smaller = u / np.array([1.0, 1.25, 1.0])
-            np.testing.assert_allclose(with_effect, acceleration(arm(), q, v, smaller, [friction]))
 
 
 class TestSimulation:

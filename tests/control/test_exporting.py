@@ -27,7 +27,6 @@ from geodrake.control.export_proof.reference import (
 from geodrake.effects import (
     AsymmetricFriction,
     CoulombFriction,
-    CoupledRotorInertia,
     EffortDelay,
     EffortOffset,
     FittedEffect,
@@ -37,7 +36,6 @@ from geodrake.effects import (
     Payload,
     RotorInertia,
     StribeckFriction,
-    TorqueRipple,
     ViscousFriction,
 )
 from geodrake.errors import ModelError
@@ -329,21 +327,6 @@ def test_what_a_format_lacks_is_fitted_into_what_it_holds(kind, values, tmp_path
             effects = [*held.model.effects]
             effects[k] = FittedEffect(each.effect, factor * each.parameters)
             assert error(replace(held.model, effects=tuple(effects))) > error(held.model)
-
-
-def test_what_nothing_resembles_is_left_out(tmp_path):
-    model = fitted(loaded(tmp_path, "urdf"), springs=True)
-    more = [
-        FittedEffect(EffortDelay(0.01), np.zeros(0)),
-        FittedEffect(TorqueRipple("a", 6), np.array([0.2, 0.1])),
-        FittedEffect(CoupledRotorInertia(("a", "b")), np.array([0.04])),
-    ]
-    whole = replace(model, effects=(*model.effects, *more))
-    held = held_by(whole, FORMATS["urdf"].holding(whole), [motion(whole)])
-    assert {lost.into for lost in held.lost} == {()}
-    left_out = {"joint_spring", "effort_offset", *(each.effect.name for each in more)}
-    assert {lost.effect for lost in held.lost} == left_out
-    assert "payload" in {each.effect.name for each in held.model.effects}
 
 
 def test_isaac_has_a_value_for_everything_that_it_would_read_elsewhere(tmp_path):
