@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from excitation_robots import arm, motion_of, random_pose
+from excitation_robots import arm, motion_of
 from pydrake.math import RigidTransform
 from scipy.linalg import sqrtm
 
@@ -69,22 +69,6 @@ class TestFormulas:
 
 
 class TestProperties:
-    def test_neither_frames_nor_base_matter(self):
-        rng = np.random.default_rng(5)
-        model, turned = arm(), arm(frames=[random_pose(rng) for _ in range(3)])
-        motion, check = slow_motion(model), motion_of(model, 9)
-        b = np.random.default_rng(6).normal(size=(60, 3)) * 5.0
-        predictions, counts = [], []
-        for robot in (model, turned):
-            target = make_target(robot, noise=NOISE)
-            factor = measurement_factor(target, motion, [b])
-            found = reduced_identification(target, factor, threshold=1.0)
-            predictions.append(target.measure(check).regressor @ found.parameters)
-            counts.append(found.identifiable.counts)
-        scale = np.abs(predictions[0]).max()
-        np.testing.assert_allclose(predictions[0], predictions[1], atol=1e-7 * scale)
-        np.testing.assert_allclose(counts[0], counts[1], atol=1e-7)
-
     def test_eigenvalues_are_those_of_the_criterion(self):
         target, motion, *_ = measured_case()
         found = identifiable_parameters(target, measurement_factor(target, motion), threshold=1.0)

@@ -26,12 +26,10 @@ from geodrake.fleet import (
 )
 from geodrake.fleet.digest import sealed
 from geodrake.fleet.hashes import model_hash, text_hash
-from geodrake.fleet.history import weighted_grams
 from geodrake.fleet.log_places import date_of_log, date_seconds
 from geodrake.identification.logs.case import open_case, reduced
 from geodrake.identification.logs.hypothesis import first_hypothesis
 from geodrake.identification.logs.model_fit import model_unknowns
-from geodrake.logs.files import read_log
 from geodrake.logs.known_payload import KnownPayload
 from geodrake.model.saved_model import load_model
 
@@ -167,21 +165,6 @@ def test_samples_are_worth_what_residuals_of_the_library_say(model, digests, log
         assert np.all(digest.effective < 0.7 * digest.samples)  # friction is missing
     white = digested(model, chain_log(model, 7, seconds=22.0, share=0.3), settings)
     assert np.median(white.effective_share) > 0.7
-
-
-def test_a_log_of_few_rows_is_worth_no_more_than_its_sensors_are(digests):
-    """A fit of as many columns as there are rows leaves nothing, whatever was measured."""
-    digest, joint = digests[1], digests[1].joints[3]
-    p, rng = len(joint.columns), np.random.default_rng(1)
-    factors = np.zeros_like(joint.factors)
-    factors[0, :p] = np.linalg.qr(rng.normal(size=(p, factors.shape[2])), "r")
-    few = replace(joint, factors=factors, samples=np.array([p, 0, 0, 0]))
-    short = replace(digest, joints=(*digest.joints[:3], few, *digest.joints[4:]))
-    every = np.arange(len(digest.columns))
-    weight = (
-        weighted_grams(short, every)[0][3].grams[0, -1, -1] / short.normal_matrices()[3, -1, -1]
-    )
-    assert weight <= 1.0 / digest.noise_floor[3] ** 2
 
 
 def test_behind_a_transmission_digests_are_exact_and_have_temperatures(tmp_path):
@@ -370,17 +353,6 @@ def test_dates_are_those_of_stamps_or_said(logs, tmp_path):
     with pytest.raises(LogError, match=r"Nobody knows when .* changed at 0 s since 1970.*--date"):
         date_of_log(log, [file])
     assert date_of_log(log, [file], said) == (said, "option")
-
-
-def test_dates_in_a_file_say_when_a_log_began(tmp_path, logs):
-    log, path = logs[0], tmp_path / "dated.csv"
-    stamps = np.datetime64("2026-05-01T12:00:00.000000000") + (1e9 * log.time).astype("m8[ns]")
-    head = ["time", *(f"{j}.{q}" for q in ("position", "effort") for j in log.joints)]
-    rows = zip(stamps, log.position, log.effort, strict=True)
-    lines = [",".join([str(t), *map(repr, map(float, [*q, *e]))]) for t, q, e in rows]
-    path.write_text("\n".join([",".join(head), *lines[:200]]) + "\n", encoding="utf-8")
-    read = read_log(path)
-    assert date_of_log(read, [path]) == (1777636800.0, "stamps")
 
 
 @pytest.mark.parametrize("text", ["", "yesterday", "2026-13-01", "1970-01-02", "1e9"])
