@@ -43,8 +43,8 @@ from geodrake.robot import (
     inverse_dynamics_regressor,
     joint_names,
 )
-from geodrake.robot.floating_base import body_poses
 from geodrake.robot.plant import load_plant
+from geodrake.robot.regressor import body_poses
 
 # A gallop-like motion of the whole robot: trunk and four legs ([Lee2019] §3.6.2.2).
 #

@@ -31,9 +31,14 @@ from geodrake.inertia import PARAMETERS_PER_BODY, Array
 from geodrake.logs.motion import Motion
 from geodrake.model.robot_model import RobotModel
 from geodrake.robot.coordinates import RobotCoordinates
-from geodrake.robot.floating_base import on_a_free_world, wrench_map
 from geodrake.robot.kinematics import KinematicTree
-from geodrake.robot.regressor import checked_samples, checked_tree, put_regressor
+from geodrake.robot.regressor import (
+    checked_samples,
+    checked_tree,
+    on_a_free_world,
+    put_regressor,
+    wrench_map,
+)
 from geodrake.robot.transmission import times
 
 _STEP = 1e-5  # of differences, of the largest value there is

@@ -22,8 +22,11 @@ from geodrake.logs.motion import Motion
 from geodrake.manifolds import PhysicalInertia
 from geodrake.model.robot_model import RobotModel
 from geodrake.robot.base_parameters import BaseParameters, base_parameters
-from geodrake.robot.floating_base import base_wrench_regressor
-from geodrake.robot.regressor import inverse_dynamics, inverse_dynamics_regressor
+from geodrake.robot.regressor import (
+    base_wrench_regressor,
+    inverse_dynamics,
+    inverse_dynamics_regressor,
+)
 
 Indices = NDArray[np.intp]
 

@@ -31,9 +31,9 @@ from geodrake.model.file_terms import CoupledDry, DryFriction
 from geodrake.model.robot_model import RobotModel, is_of_file
 from geodrake.robot.arrangement import base_joints, moving_joints, open_loops
 from geodrake.robot.files import read_description
-from geodrake.robot.files.base import ModelText
 from geodrake.robot.files.description import drake_errors, drake_messages
 from geodrake.robot.files.mjcf import MjcfText
+from geodrake.robot.files.texts import ModelText
 from geodrake.robot.files.xacro_file import read_expanded
 from geodrake.robot.files.xml_text import parse_xml_bytes
 from geodrake.robot.joints import scoped

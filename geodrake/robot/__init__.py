@@ -1,10 +1,14 @@
 """A robot as its model file says: plant, tree, regressors, base parameters, transmissions."""
 
 from geodrake.robot.base_parameters import BaseParameters, base_parameters
-from geodrake.robot.floating_base import base_wrench_regressor, zero_moment_point
 from geodrake.robot.joints import joint_names
 from geodrake.robot.kinematics import KinematicTree
-from geodrake.robot.regressor import inverse_dynamics, inverse_dynamics_regressor
+from geodrake.robot.regressor import (
+    base_wrench_regressor,
+    inverse_dynamics,
+    inverse_dynamics_regressor,
+    zero_moment_point,
+)
 from geodrake.robot.robot_instance import RobotInstance, RobotPorts, take_out_stated
 from geodrake.robot.transmission import (
     InSequence,

@@ -24,10 +24,10 @@ from geodrake.boundary.arguments import instance, instances, real_array, typed
 from geodrake.errors import ArgumentError
 from geodrake.inertia import Array, inertial_parameters
 from geodrake.inertia.bodies import body_names, check_context, check_plant, lumped_bodies
-from geodrake.robot.floating_base import body_poses
 from geodrake.robot.joints import joint_names
 from geodrake.robot.kinematics import KinematicTree
 from geodrake.robot.plant import set_lump_inertias
+from geodrake.robot.regressor import body_poses
 
 _SAME_GRAVITY = 1e-6  # m/s², between two files of one robot
 _SAME_ROTATION = 1e-6

@@ -7,8 +7,7 @@ import numpy as np
 from diagrams.studies import cheetah_gallop as gallop
 from diagrams.studies.cheetah import leg as cheetah
 from geodrake.robot.base_parameters import base_parameters
-from geodrake.robot.floating_base import base_wrench_regressor, body_poses
-from geodrake.robot.regressor import inverse_dynamics
+from geodrake.robot.regressor import base_wrench_regressor, body_poses, inverse_dynamics
 
 MODELS = Path(__file__).parents[2] / "models"
 

@@ -37,7 +37,7 @@ ALLOWED = {
     "robot/files/model_edits.py": "drake:rotor_inertia is a tag of Drake's",
     "robot/files/checks.py": "drake:rotor_inertia is a tag of Drake's",
     "robot/files/mjcf_source.py": "contact is a tag of MuJoCo's",
-    "robot/files/base.py": "contact is a tag of PyBullet's",
+    "robot/files/texts.py": "contact is a tag of PyBullet's",
 }
 """Files where the name of an effect is a word of somebody else's; one of them translates all."""
 

@@ -19,12 +19,12 @@ from random_plants import JOINTS, random_motion, random_plant
 from geodrake.inertia import inertial_parameters
 from geodrake.inertia.bodies import lumped_bodies
 from geodrake.robot.base_parameters import base_parameters, structural_base_parameters
-from geodrake.robot.floating_base import (
+from geodrake.robot.regressor import (
     base_wrench_regressor,
     body_poses,
+    inverse_dynamics,
     zero_moment_point,
 )
-from geodrake.robot.regressor import inverse_dynamics
 
 moving = sorted(set(JOINTS) - {"weld", "weld, reversed"})
 

@@ -26,10 +26,11 @@ from geodrake.errors import ArgumentError, ModelError
 from geodrake.inertia import inertial_parameters
 from geodrake.inertia.bodies import lumped_bodies
 from geodrake.robot.effort_slopes import effort_slopes
-from geodrake.robot.floating_base import base_wrench_regressor, body_poses
 from geodrake.robot.kinematics import KinematicTree
 from geodrake.robot.reduction import triangular_factor
 from geodrake.robot.regressor import (
+    base_wrench_regressor,
+    body_poses,
     body_regressor,
     inverse_dynamics,
     inverse_dynamics_regressor,

@@ -33,12 +33,10 @@ from geodrake.boundary.input_files import regular_file
 from geodrake.boundary.yaml_text import yaml_text
 from geodrake.errors import GeodrakeError, ModelError
 from geodrake.inertia import Array
-from geodrake.robot.files.base import ModelText
 from geodrake.robot.files.given import Given
 from geodrake.robot.files.includes import Includes, add_packages, named_packages
 from geodrake.robot.files.mjcf import MjcfText
-from geodrake.robot.files.sdf import SdfText
-from geodrake.robot.files.urdf import UrdfText
+from geodrake.robot.files.texts import ModelText, SdfText, UrdfText
 from geodrake.robot.files.xacro_file import is_xacro, read_expanded
 from geodrake.robot.files.xml_text import LARGEST_FILE, SUPPORTED_FORMATS, parse_xml_bytes
 from geodrake.robot.stated import FileTerms

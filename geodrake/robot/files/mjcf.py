@@ -13,7 +13,6 @@ from pydrake.math import RigidTransform, RotationMatrix
 
 from geodrake.errors import ModelError
 from geodrake.inertia import Array
-from geodrake.robot.files.base import ModelText
 from geodrake.robot.files.checks import (
     MJCF_NUMBERS,
     UPPER,
@@ -28,6 +27,7 @@ from geodrake.robot.files.includes import Includes
 from geodrake.robot.files.mjcf_source import CompiledMjcf, compiled, load_mujoco, unused
 from geodrake.robot.files.mjcf_terms import MjcfTerms, actuator_shares, pose_of
 from geodrake.robot.files.model_edits import MOTORS
+from geodrake.robot.files.texts import ModelText
 from geodrake.robot.files.xml_text import LocatedElement
 from geodrake.robot.transmission.statements import Coupled, Gear, Statement
 

@@ -1,0 +1,468 @@
+"""Robot descriptions as texts that Drake accepts: what all formats share, URDF and SDF.
+
+What URDFs state of motors behind transmissions counts only where it is asked for, as most logs of
+robots with such files are of joints all the same. The transmissions are those of ros_control, whose
+formulas are (reductions n_a of actuators and n_j of joints, offsets θ₀):
+
+    Simple:        θ = q / (n_a n_j) + θ₀
+    Differential:  θ₁ = (q₁/n_a1 + q₂/n_a2) / (2 n_j1) + θ₀₁,  θ₂ the same with a difference
+    FourBar:       θ₁ = q₁ / (n_j1 n_a1) + θ₀₁,  θ₂ = (q₂/n_a2 − q₁/(n_j1 n_a1)) / n_j2 + θ₀₂
+"""
+
+from __future__ import annotations
+
+import abc
+import re
+from collections.abc import Collection, Iterator, Mapping, Sequence
+from copy import deepcopy
+from pathlib import Path
+from typing import ClassVar
+from xml.etree.ElementTree import Element
+
+import numpy as np
+from pydrake.math import RigidTransform
+
+from geodrake.errors import ModelError
+from geodrake.inertia import Array, is_physical
+from geodrake.robot.files.checks import (
+    SDF_NUMBERS,
+    TENSOR,
+    URDF_NUMBERS,
+    Numeric,
+    check_inertia,
+    check_limits,
+    check_links,
+    check_numbers,
+    drop,
+    inertial_parameters_of,
+    number,
+    numbers,
+    rotation,
+    symmetric,
+)
+from geodrake.robot.files.includes import PACKAGE_ADVICE, Includes
+from geodrake.robot.files.model_edits import put_inertia, sdf_models
+from geodrake.robot.files.xml_text import numbered_text, place_of, wrong_at
+from geodrake.robot.joints import Follower
+from geodrake.robot.stated import Closure, FileTerms, Spring
+from geodrake.robot.transmission.statements import Coupled, Gear, Statement
+
+URDF_UNREAD: Mapping[str, Collection[str]] = {
+    "gazebo": ("dampingFactor", "velocity_decay", "enable_wind"),
+    "actuator": ("motorInertia", "rotorInertia"),
+    "contact": ("inertia_scaling",),
+    "joint": ("joint_properties",),
+    "robot": ("drake:linear_spring_damper", "drake:prismatic_spring", "drake:revolute_spring"),
+}
+SDF_UNREAD: Mapping[str, Collection[str]] = {
+    "link": ("velocity_decay", "enable_wind"),
+    "inertial": ("fluid_added_mass",),
+    "axis2": ("friction", "spring_stiffness"),
+    "model": ("drake:linear_spring_damper", "drake:prismatic_spring", "drake:revolute_spring"),
+}
+"""Tag -> tags of its children, or of theirs, that bear on efforts unless they are zero."""
+
+DYNAMICS_READ = frozenset({"damping", "friction"})
+"""Attributes of <dynamics> in a URDF that are read; others are a simulator's own."""
+
+_FORCES = re.compile(
+    r"buoyan|lift.?drag|hydrodyn|wind(?!ow)|spring|apply.?(force|wrench)|thruster", re.I
+)
+_NOTHING = frozenset({"", "false"})
+
+
+def unread(root: Element, table: Mapping[str, Collection[str]], path: Path) -> Iterator[str]:
+    """Yield a sentence on each element that bears on efforts and is not read."""
+    for element in root.iter():
+        for child in element if element.tag in table else ():
+            yield from _of(child, table[element.tag], path)
+        if element.tag == "plugin":
+            name = element.get("filename") or element.get("name") or ""
+            if _FORCES.search(name):
+                yield f"{place_of(element) or path}: the plugin {name.strip()} is left out."
+        if element.tag == "dynamics" and root.tag == "robot":
+            for key in sorted(set(element.attrib) - DYNAMICS_READ):
+                value = element.get(key, "").strip()
+                if not is_nothing(value):
+                    where = place_of(element) or path
+                    yield f"{where}: {key}={value[:50]} of <dynamics> is left out."
+
+
+def _of(element: Element, tags: Collection[str], path: Path) -> Iterator[str]:
+    if element.tag not in tags:
+        for child in element if element.tag == "dynamics" else ():
+            yield from _of(child, tags, path)
+        return
+    words = [*element.attrib.values(), *(part.text or "" for part in element.iter())]
+    stated = [word.strip() for word in words if not is_nothing(word)]
+    if stated:
+        value = " ".join(" ".join(stated).split())[:80]
+        yield f"{place_of(element) or path}: <{element.tag}> {value} is left out."
+
+
+def is_nothing(text: str) -> bool:
+    """Return whether a text says that there is none: no text, `false`, or numbers that are 0."""
+    words = text.split()
+    if not words or text.strip().lower() in _NOTHING:
+        return True
+    try:
+        return not any(float(word) for word in words)
+    except ValueError:
+        return False
+
+
+_BALL = "drake:ball_constraint"
+_LOOPS = ("linear_bushing_rpy", "distance_constraint", "weld_constraint")
+
+
+class ModelText(abc.ABC):
+    """A robot description as text that Drake accepts.
+
+    Attributes:
+        numeric: Numbers of the format and what they may be.
+        terms: What the file states that is not in the text.
+        packages: Names of packages whose files are left for Drake to include.
+        folders: Package -> folder, which come before those that are found.
+    """
+
+    kind: ClassVar[str]
+    numeric: ClassVar[Numeric]
+
+    def __init__(
+        self, root: Element, path: Path, scope: str | None, folders: Mapping[str, Path]
+    ) -> None:
+        self.root, self.path, self.scope, self.folders = root, path, scope, folders
+        self.terms, self.packages = FileTerms(), set[str]()
+        self._links: dict[str, Element] = {}
+        self._read()
+        check_numbers(self.root, self.numeric, path)
+        check_limits(self.root, path)
+        check_links(self._links, path)
+        for name, link in self._links.items():
+            phi = self._inertia(link)
+            if phi is not None:
+                check_inertia(link, phi, path)
+            if phi is not None and not is_physical(phi):
+                self.terms.set_aside[name] = phi
+                self.set_inertia(name, None)
+
+    @property
+    def links(self) -> tuple[str, ...]:
+        """Scoped names of the links."""
+        return tuple(self._links)
+
+    def stated_inertia(self, link: str) -> Array | None:
+        """Inertial parameters (10,) that the file states for a link, possible or not; else None."""
+        if link in self.terms.set_aside or link not in self._links:
+            return self.terms.set_aside.get(link)
+        return self._inertia(self._links[link])
+
+    def motors(self) -> tuple[Statement, ...]:
+        """Return what the file states of motors behind transmissions."""
+        return ()
+
+    def set_inertia(self, link: str, phi: Array | None) -> bool:
+        """Give a link inertial parameters (10,), or none; False if the link is not in the text."""
+        if link not in self._links:
+            return False
+        element = self._links[link]
+        for inertial in element.findall("inertial"):  # not of the bodies below it in MJCF
+            element.remove(inertial)
+        if phi is not None:
+            put_inertia(self.root, element, phi)
+        return True
+
+    def text(self) -> tuple[str, list[str]]:
+        """Return the simplified description, and each of its lines' place in the file."""
+        return numbered_text(self.root)
+
+    def _take_balls(self, scope: str, model: Element) -> None:
+        """Take Drake's constraints of points that are one, which close loops, out of a model."""
+        for ball in model.findall(_BALL):
+            model.remove(ball)
+
+            def stated(key: str, ball: Element = ball) -> str:
+                found = ball.find(f"{_BALL}_{key}")
+                words = "" if found is None else found.get("name") or found.get("value")
+                return (words or (found.text if found is not None else "") or "").strip()
+
+            first, second = stated("body_A"), stated("body_B")
+            if not first or not second:
+                raise wrong_at(ball, self.path, f"<{_BALL}> does not name its two bodies.")
+            at, other = (RigidTransform(numbers(stated(key), 3)) for key in ("p_AP", "p_BQ"))
+            bodies = f"{scope}::{first}", f"{scope}::{second}"
+            name = f"<{_BALL}> of {first} and {second}"
+            self.terms.closures.append(Closure(name, bodies, (at, other), False))
+
+    def _drop_loops(self) -> None:
+        tags = {f"{prefix}{tag}" for tag in _LOOPS for prefix in ("drake:", "")}
+        for element in (each for each in self.root.iter() if each.tag in tags):
+            where, what = place_of(element) or self.path, f"<{element.tag}> is ignored"
+            self.terms.left_out.append(f"{where}: {what}: the robot is read as an open tree.")
+        drop(self.root, *tags)
+
+    def _take_weightless(self, off: Collection[str]) -> None:
+        """Take scoped names of links on which gravity does not act: if all, there is none."""
+        heavy = {name for name, link in self._links.items() if link.find("inertial") is not None}
+        if off and heavy.issubset(off):
+            self.terms.gravity = np.zeros(3)
+        else:
+            self.terms.carried = dict.fromkeys(off, 1.0)
+
+    def _take_spring(self, joint: str, parent: Element, *tags: str) -> None:
+        """Take the spring of a joint, by its scoped name, of the tags of stiffness and rest."""
+        stated = [parent.find(tag) for tag in tags]
+        texts = ["0" if each is None else each.text or "0" for each in stated]
+        values = [float(numbers(text, 1)[0]) for text in texts]
+        for element, text, value in zip(stated, texts, values, strict=True):
+            if element is not None and not np.isfinite(value):
+                what = f"<{element.tag}> has {text.strip()[:50]!r} instead of a number."
+                raise wrong_at(element, self.path, what)
+        self.terms.springs[joint] = Spring.linear(*values)
+
+    def _take_mimic(self, scope: str, joint: Element) -> None:
+        for mimic in [e for e in joint.iter() if e.tag in ("mimic", "drake:mimic")]:
+            ratio, offset = (
+                float(numbers(mimic.get(key) or mimic.findtext(key) or default, 1)[0])
+                for key, default in (("multiplier", "1"), ("offset", "0"))
+            )
+            start = float(numbers(mimic.findtext("reference", "0"), 1)[0])  # of SDF
+            own, leader = (f"{scope}::{name}" for name in (joint.get("name"), mimic.get("joint")))
+            self.terms.followers.append(Follower(own, leader, ratio, offset - ratio * start))
+        drop(joint, "mimic", "drake:mimic")
+
+    @abc.abstractmethod
+    def _read(self) -> None:
+        """Fill the attributes and take out what Drake shall not see."""
+
+    @abc.abstractmethod
+    def _inertia(self, link: Element) -> Array | None:
+        """Return inertial parameters that the file states for a link."""
+
+
+_SPRING = ("spring_stiffness", "spring_reference")
+
+
+class SdfText(ModelText):
+    """An SDF model or world."""
+
+    kind = "sdf"
+    numeric = SDF_NUMBERS
+
+    def _read(self) -> None:
+        includes, terms = Includes(self.path, self.folders), self.terms
+        includes.insert(self.root, self.path.parent)
+        self.packages = includes.names
+        terms.notes += includes.absent
+        terms.left_out += includes.missing
+        terms.left_out += unread(self.root, SDF_UNREAD, self.path)
+        for link in self.root.iter("link"):
+            inertial = link.find("inertial")
+            if inertial is None or inertial.get("auto") != "true":
+                drop(link, "collision")
+        drop(self.root, "visual", "sensor", "plugin", "drake:collision_filter_group")
+        models = list(sdf_models(self.root, first=self.scope or ""))
+        for name, model in models:
+            self._take_balls(name, model)
+        self._drop_loops()
+        for name, model in models:
+            self._links |= {f"{name}::{e.get('name')}": e for e in model.findall("link")}
+            for joint in model.findall("joint"):
+                self._take_mimic(name, joint)
+                self._read_joint(f"{name}::{joint.get('name')}", joint)
+        nowhere = [*includes.missing, *includes.absent]
+        if nowhere and not self._links:
+            raise ModelError(
+                f"{self.path} has no model but such as lead nowhere: {nowhere[0]}",
+                advice=PACKAGE_ADVICE,
+                path=self.path,
+            )
+        self._take_gravity()
+
+    def _take_gravity(self) -> None:
+        for stated in self.root.findall("world/gravity"):
+            words = stated.text or ""
+            vector = numbers(words, 3)
+            if not np.isfinite(vector).all():
+                what = f"<gravity> has {words[:50]!r} instead of three numbers."
+                raise wrong_at(stated, self.path, what)
+            if words.strip():
+                self.terms.gravity = vector
+        of_links = {name: link.findtext("gravity") for name, link in self._links.items()}
+        self._take_weightless(
+            [name for name, text in of_links.items() if text is not None and is_nothing(text)]
+        )
+
+    def _read_joint(self, name: str, joint: Element) -> None:
+        self.terms.friction[name] = numbers(joint.findtext("axis/dynamics/friction", "0"), 1)[0]
+        for dynamics in joint.iter("dynamics"):
+            if dynamics is joint.find("axis/dynamics"):
+                self._take_spring(name, dynamics, *_SPRING)
+            drop(dynamics, *_SPRING)
+
+    def _inertia(self, link: Element) -> Array | None:
+        inertial = link.find("inertial")
+        if inertial is None or inertial.get("auto") == "true":
+            return None
+        pose = inertial.find("pose")
+        values = np.zeros(6) if pose is None else numbers(pose.text or "", 6)
+        turn = values[3:]
+        if pose is not None and pose.get("degrees") == "true":
+            turn = np.deg2rad(turn)
+        if pose is not None and pose.get("rotation_format") == "quat_xyzw":
+            values = numbers(pose.text or "", 7)
+            turn = values[[6, 3, 4, 5]]
+        inertia = symmetric(
+            inertial.findtext(f"inertia/{key}", "1" if key in ("ixx", "iyy", "izz") else "0")
+            for key in TENSOR
+        )
+        mass = numbers(inertial.findtext("mass", "1"), 1)[0]
+        return inertial_parameters_of(mass, values[:3], rotation(turn), inertia)
+
+
+_KINDS = ("SimpleTransmission", "DifferentialTransmission", "FourBarLinkageTransmission")
+_REDUCTIONS = ("mechanicalReduction", "mechanical_reduction")
+
+
+class UrdfText(ModelText):
+    """A URDF file."""
+
+    kind = "urdf"
+    numeric = URDF_NUMBERS
+
+    def _read(self) -> None:
+        root, terms = self.root, self.terms
+        terms.left_out += unread(root, URDF_UNREAD, self.path)
+        gazebo = [e for e in root.findall("gazebo") if e.get("reference")]
+        drop(root, "visual", "collision", "gazebo", "material", "drake:collision_filter_group")
+        self._transmissions = [deepcopy(e) for e in root.iter("transmission")]
+        for transmission in root.findall("transmission"):
+            # Only Drake's own rotor inertia and gear ratio matter; joints state their efforts.
+            if not any(element.tag.startswith("drake:") for element in transmission.iter()):
+                root.remove(transmission)
+            for kind in transmission.findall("type"):
+                if not (kind.text or "").strip():  # which would end Drake, and the process with it
+                    transmission.remove(kind)
+        scope = self.scope or root.get("name") or self.path.stem
+        self._take_balls(scope, root)
+        self._drop_loops()
+        root.set("name", root.get("name") or scope)
+        self._links = {f"{scope}::{e.get('name')}": e for e in root.findall("link")}
+        joints = [*root.findall("joint"), *root.findall("drake:joint")]
+        self._check_floating(joints)
+        every = {e.get("name") for tag in ("joint", "drake:joint") for e in root.iter(tag)}
+        self._take_gazebo(scope, gazebo, every)
+        for joint in joints:
+            name = f"{scope}::{joint.get('name')}"
+            self._take_mimic(scope, joint)
+            terms.friction[name] = number(joint, "dynamics", "friction")
+            terms.effort[name] = number(joint, "limit", "effort")
+            if (limit := joint.find("limit")) is not None and terms.effort[name] == 0.0:
+                limit.attrib.pop("effort", None)  # with 0, Drake ignores the rotor, too
+
+    def _check_floating(self, joints: list[Element]) -> None:
+        """Refuse links that float beside one that moves, whose joints Drake leaves out."""
+        ends = {
+            tag: {j: getattr(j.find(tag), "attrib", {}).get("link") for j in joints}
+            for tag in ("parent", "child")
+        }
+        holding = {child: joint for joint, child in ends["child"].items()}
+        for joint in (each for each in joints if each.get("type") == "floating"):
+            inner, seen = holding.get(ends["parent"][joint]), {joint}
+            while inner is not None and inner not in seen and inner.get("type") == "fixed":
+                seen.add(inner)
+                inner = holding.get(ends["parent"][inner])
+            if inner is not None and inner.get("type") != "floating":
+                what = f"the joint {joint.get('name')!r} is floating, and what it hangs on moves."
+                raise wrong_at(joint, self.path, what)
+
+    def _take_gazebo(self, scope: str, elements: list[Element], joints: set[str | None]) -> None:
+        """Take springs of joints, and links without gravity."""
+        off = list[str]()
+        for element in elements:
+            name = f"{scope}::{element.get('reference')}"
+            stated = element.findtext("springStiffness", "")
+            if element.get("reference") in joints and stated.strip():
+                self._take_spring(name, element, "springStiffness", "springReference")
+            elif not is_nothing(stated):
+                said = wrong_at(
+                    element,
+                    self.path,
+                    f"<springStiffness> {stated.strip()[:50]} of {element.get('reference')}, which "
+                    "is no joint, is left out.",
+                )
+                self.terms.left_out.append(said.problem)
+            falls = [is_nothing(each.text or "") for each in element.findall("gravity")]
+            falls += [not is_nothing(each.text or "") for each in element.findall("turnGravityOff")]
+            if any(falls) and name in self._links:
+                off.append(name)
+        self._take_weightless(off)
+
+    def motors(self) -> tuple[Statement, ...]:
+        """Return the transmissions of ros_control."""
+        return tuple(part for e in self._transmissions for part in _motors(e, self.path))
+
+    def _inertia(self, link: Element) -> Array | None:
+        inertial = link.find("inertial")
+        if inertial is None:
+            return None
+        origin, tensor = inertial.find("origin"), inertial.find("inertia")
+        com, rpy = (
+            numbers("" if origin is None else origin.get(key, ""), 3) for key in ("xyz", "rpy")
+        )
+        moments = {} if tensor is None else tensor.attrib
+        inertia = symmetric(moments.get(key, "0") for key in TENSOR)
+        mass = number(inertial, "mass", "value")
+        return inertial_parameters_of(mass, com, rotation(rpy), inertia)
+
+
+def _motors(element: Element, path: Path) -> Iterator[Statement]:
+    """Yield what a transmission of a URDF states."""
+    words = element.findtext("type") or element.findtext("plugin") or element.get("type") or ""
+    kind = words.strip().rpartition("/")[2]
+    if kind not in _KINDS:
+        return
+    what = f"{path}: the transmission {element.get('name', '')!r}"
+    joints, actuators = (_in_roles(element, tag) for tag in ("joint", "actuator"))
+    count = 1 if kind == "SimpleTransmission" else 2
+    if len(joints) != count or len(actuators) != count:
+        raise ModelError(
+            f"{what} has {len(joints)} joints and {len(actuators)} actuators instead of {count}.",
+            advice="Correct it there, or write a transmission file.",
+        )
+    names = [[e.get("name", "") for e in group] for group in (joints, actuators)]
+    nj, na = ([_reduction(e, what) for e in group] for group in (joints, actuators))
+    shifts = [_value(e, ("offset",), 0.0, what) for e in joints]
+    (j1, *j2), (a1, *a2) = names
+    if kind == "SimpleTransmission":
+        yield Gear(a1, j1, na[0] * nj[0], shifts[0])
+        return
+    if kind == "DifferentialTransmission":
+        first = {a1: 0.5 / (nj[0] * na[0]), a2[0]: 0.5 / (nj[0] * na[1])}
+        second = {a1: 0.5 / (nj[1] * na[0]), a2[0]: -0.5 / (nj[1] * na[1])}
+    else:
+        through = 1.0 / (nj[0] * na[0])
+        first = {a1: through}
+        second = {a1: -through / nj[1], a2[0]: 1.0 / (nj[1] * na[1])}
+    yield Coupled({j1: first, j2[0]: second}, dict(zip(names[0], shifts, strict=True)))
+
+
+def _in_roles(element: Element, tag: str) -> list[Element]:
+    """Return its joints or actuators in the order of their roles, such as joint1 and joint2."""
+    found = element.findall(tag)
+    return sorted(found, key=lambda e: (e.get("role") or e.findtext("role") or "").strip())
+
+
+def _reduction(element: Element, what: str) -> float:
+    value = _value(element, _REDUCTIONS, 1.0, what)
+    if not value:
+        raise ModelError(f"{what} has a reduction of 0.", advice="Correct it there.")
+    return value
+
+
+def _value(element: Element, tags: Sequence[str], default: float, what: str) -> float:
+    text = next((t for tag in tags if (t := element.findtext(tag)) is not None), None)
+    value = default if text is None else float(numbers(text.strip() or "none", 1)[0])
+    if not np.isfinite(value):
+        raise ModelError(f"{what} has {text!r:.52}, which is no number.", advice="Correct it.")
+    return value
