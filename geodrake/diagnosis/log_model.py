@@ -450,9 +450,10 @@ class LogModel:
             worth = np.minimum(found, self.beliefs.discrepancy)
             # All but the noise of efforts varies with the motion, however often that repeats: so
             # does the noise of a base's accelerations, which is in the columns, too.
-            data = self.dataset
-            noise = np.square(data.noise_floor) - np.square(data.motion_noise)
-            more = np.clip(1.0 - NOISE_MARGIN**2 * noise / fit.variance, 0.0, 1.0)
+            moving = np.square(self.dataset.motion_noise)
+            noise = np.square(self.dataset.noise_floor) - moving
+            more = np.maximum(1.0 - NOISE_MARGIN**2 * noise / fit.variance, moving / fit.variance)
+            more = np.clip(more, 0.0, 1.0)
             samples = 1.0 / ((1.0 - more) / found + more / worth)
             self._shares[key] = np.clip(samples / self.rows, _LEAST_SHARE, 1.0)
         return self._shares[key]

@@ -135,6 +135,7 @@ _RESPONSE_POINTS = 257
 _HALFWIDTH = 6  # in output samples; the passband then ends at 0.64 of the bandwidth
 _LARGEST_EXCESS = 1.04  # output rate over 2·bandwidth; above it the filtered noise is correlated
 _DYNAMIC_RANGE = 1e-8  # of the acceleration's spectrum; a motion below this share is no matter
+_RISE = 2.0  # of the power of positions: their noise rises by less by chance
 _LEAST_MARGIN, _LARGEST_MARGIN = 4.0, 10.0  # bandwidth over that of the velocity
 _WELCH_SECONDS = 20.0
 _LEAST_SAMPLES = 6  # of a quintic spline
@@ -342,8 +343,7 @@ def choose_bandwidth(pieces: Sequence[tuple[Array, float]]) -> float:
         0.25 * np.log(power[:-2]) + 0.5 * np.log(power[1:-1]) + 0.25 * np.log(power[2:])
     )
     velocity = power / frequency**2
-    peak = int(np.argmax(velocity))
-    valley = peak + int(np.argmin(power[peak:]))
+    valley = _end_of_motion(power, frequency)
     held = np.cumsum((velocity * frequency)[: valley + 1])
     motion = frequency[np.searchsorted(held, 0.999 * held[-1])]
     inside = (frequency >= _LEAST_MARGIN * motion) & (frequency <= _LARGEST_MARGIN * motion)
@@ -351,6 +351,21 @@ def choose_bandwidth(pieces: Sequence[tuple[Array, float]]) -> float:
         return float(highest)
     # Below the dynamic range everything is equally good, and the lowest frequency is taken.
     return float(frequency[inside][np.argmin(power[inside])])
+
+
+def _end_of_motion(power: Array, frequency: Array) -> int:
+    """Return where a spectrum (m,) of accelerations is lowest between the motion and the noise.
+
+    Where positions have more power farther on, as a gait has beside a slow sway, there is motion
+    still: their noise is white at most.
+    """
+    position, peak = power / frequency**4, int(np.argmax(power / frequency**2))
+    while True:
+        valley = peak + int(np.argmin(power[peak:]))
+        beyond = valley + int(np.argmax(position[valley:]))
+        if position[beyond] <= _RISE * position[valley]:
+            return valley
+        peak = beyond
 
 
 def _acceleration_power(pieces: Sequence[tuple[Array, float]], edges: Array) -> Array:

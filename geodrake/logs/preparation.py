@@ -109,7 +109,7 @@ def _prepare(
     stretches: tuple[Stretch, ...] = ()
     if long:
         stretches, standstill = _smooth(usable, low_pass, smoother, notes)
-    derived = any(stretch.derived for stretch in stretches)
+    derived = np.any([stretch.derived for stretch in stretches], axis=0)
     temperatures = Temperatures.of(log.joints, log.time, log.temperature)
     notes += _failed_sensors(log, temperatures)
     is_much, left_out = _left_out(uniform, stretches, standstill)
@@ -120,7 +120,7 @@ def _prepare(
         stretches,
         low_pass,
         _speed_noise(uniform, smoother),
-        _acceleration_noise(uniform, low_pass, derived=derived),
+        _acceleration_noise(uniform, low_pass, derived),
         tuple(notes),
         float(log.time[np.isfinite(log.time)][0]),
         log.payloads,
@@ -210,7 +210,11 @@ def _smooth(
 def _measured_lag(
     uniform: UniformLog, smoother: ZeroPhaseFilter
 ) -> tuple[Array | None, str | None]:
-    """Return (n,) lag of measured velocities, s; None if none agree with the positions."""
+    """Return (n,) lag of measured velocities, s; NaN of those that positions say better.
+
+    The noise of positions is no disagreement: where it makes up their derivatives, measured
+    velocities are the better ones. None if there are none.
+    """
     truths, measured, slopes = [], [], []
     inner = slice(smoother.halfwidth, -smoother.halfwidth)  # free of reflected data
     for part in uniform.sample_parts():
@@ -226,15 +230,19 @@ def _measured_lag(
     steepness = np.sum(slope**2, axis=0) + still
     lag = np.sum((truth - found) * slope, axis=0) / np.where(steepness > 0.0, steepness, np.inf)
     error = np.sum((found + lag * slope - truth) ** 2, axis=0)
+    error = np.maximum(error - len(truth) * _speed_noise(uniform, smoother) ** 2, 0.0)
     # A joint that does not move in these parts says nothing against its velocities.
     speed = np.sum(truth**2, axis=0) + still
     relative = np.sqrt(error / np.where(speed > 0.0, speed, np.inf))
-    worst, latest = int(np.argmax(relative)), int(np.argmax(np.abs(lag)))
-    if relative[worst] > _SPEED_AGREEMENT:
-        return None, (
-            f"measured velocities are not used: that of {uniform.log.joints[worst]} is "
-            f"{100 * relative[worst]:.0f} % off the derivative of its position"
-        )
+    worst, wrong = int(np.argmax(relative)), relative > _SPEED_AGREEMENT
+    note = (
+        f"measured velocities of {', '.join(np.array(uniform.log.joints)[wrong])} are not used: "
+        f"that of {uniform.log.joints[worst]} is {100 * relative[worst]:.0f} % off the derivative "
+        "of its position"
+    )
+    if wrong.any():
+        return np.where(wrong, np.nan, lag), note
+    latest = int(np.argmax(np.abs(lag)))
     if abs(lag[latest]) < _NOTED_LAG * uniform.period:
         return lag, None
     return lag, (
@@ -250,25 +258,28 @@ def _speed_noise(uniform: UniformLog, smoother: ZeroPhaseFilter) -> Array:
     return uniform.noise * 2 * np.pi * cutoff * np.sqrt(2 * cutoff * uniform.period / 3)
 
 
-def _acceleration_noise(uniform: UniformLog, low_pass: ZeroPhaseFilter, *, derived: bool) -> Array:
+def _acceleration_noise(
+    uniform: UniformLog, low_pass: ZeroPhaseFilter, derived: NDArray[np.bool_]
+) -> Array:
     """Return (n,) deviation of the accelerations' noise, for white noise of the positions.
 
-    That is of themselves where they are measured.
+    It is that of velocities where these are measured and not `derived` (n,), and that of
+    accelerations themselves where these are measured.
     """
     parts = list(uniform.sample_parts())
-    derived = derived or any(part.velocity is None for part in parts)
-    order = 2 if derived else 1
     rate, power, weight = 1.0 / uniform.period, np.zeros(len(uniform.log.joints)), 0
     for part in parts:
-        signal = part.position if derived or part.velocity is None else part.velocity
         # Differences are free of the motion's large slow part, which would leak into the noise.
-        density = quiet_density(signal, rate, low_pass.bandwidth, differences=order)
+        density = quiet_density(part.position, rate, low_pass.bandwidth, differences=2)
+        if part.velocity is not None and not derived.all():
+            own = quiet_density(part.velocity, rate, low_pass.bandwidth, differences=1)
+            density = np.where(derived, density, own)
         if part.acceleration is not None:
             own = quiet_density(part.acceleration, rate, low_pass.bandwidth)
             density[[*part.measured]] = own
         power += len(part) * density
         weight += len(part)
-    orders = np.full(len(power), order)
+    orders = np.where(derived, 2, 1)
     orders[[*parts[0].measured]] = 0
     frequency = np.linspace(0.0, 2.0 * low_pass.bandwidth, _FREQUENCIES)
     passed = low_pass.response(frequency) * (2.0 * np.pi * frequency) ** orders[:, None]

@@ -121,8 +121,8 @@ class Stretch:
     """Part of a piece in which a log is of use, smoothed and differentiated slice by slice.
 
     Attributes:
-        lag: (n,) time by which measured velocities are late, s; None to derive the velocities
-            from the positions instead.
+        lag: (n,) time by which measured velocities are late, s; NaN of those that are derived from
+            the positions instead, None if all are.
         first: First of the piece's samples that is in it.
         made: The whole piece, once somebody has looked, if it stays in memory; else None.
     """
@@ -140,9 +140,10 @@ class Stretch:
         return self.piece.period
 
     @property
-    def derived(self) -> bool:
-        """Whether velocities are derived from the positions."""
-        return self.lag is None
+    def derived(self) -> NDArray[np.bool_]:
+        """(n,) whether velocities are derived from the positions."""
+        joints = self.piece.position.shape[1]
+        return np.ones(joints, bool) if self.lag is None else np.isnan(self.lag)
 
     def __len__(self) -> int:
         return self.stop - self.first
@@ -200,6 +201,8 @@ class Stretch:
         else:
             late = self.smoother.smooth(near.velocity)
             velocity = late + self.lag * differentiate(late, self.period)
+            if (derived := self.derived).any():
+                velocity[:, derived] = differentiate(position[:, derived], self.period)
         return near, inner, position, velocity
 
     def _smoothed(self, start: int, stop: int) -> Segment:

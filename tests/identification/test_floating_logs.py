@@ -24,13 +24,16 @@ from geodrake.cli.app import app
 from geodrake.control.rollout import roll_out
 from geodrake.diagnosis import explain
 from geodrake.effects.body_motion import RobotBodies
+from geodrake.effects.motor_and_transmission import JointElasticity
 from geodrake.errors import LogError
 from geodrake.identification.logs.compare import compare
 from geodrake.identification.logs.contact_rows import rows_without
 from geodrake.identification.logs.noise import known_noise
+from geodrake.identification.logs.reduce import reduce_logs
 from geodrake.logs import read_log
 from geodrake.logs.files.messages import BaseRows, base_sources
 from geodrake.logs.floating import ContactFlags
+from geodrake.logs.folds import validation_blocks
 from geodrake.logs.motion import JointLog
 from geodrake.logs.preparation import prepare_logs
 from geodrake.model.floating_logs import contact_frames, on_soles, with_base
@@ -218,6 +221,36 @@ def test_noise_of_the_base_is_that_of_its_imu(model, maker):
     floor, _, of_motion = known_noise([trajectory], model)
     assert (of_motion <= floor).all()
     np.testing.assert_allclose(of_motion[at], model.phi[:, 0].sum() * expected, rtol=0.2)
+
+
+def _lifted(trajectory, share):
+    """Return a trajectory whose feet are in the air in some share of the time, from the first."""
+    time = trajectory.segments[0][:].time
+    on_ground = np.arange(len(time)) >= share * len(time)
+    flags = np.repeat(on_ground[:, None], len(FEET), axis=1)
+    return replace(trajectory, contacts=ContactFlags(FEET, time, flags))
+
+
+def test_noise_of_limbs_is_that_of_the_time_in_the_air(model, maker):
+    log = log_of_model(maker.log(wrenches=True, noise=1.0), model)
+    trajectory = prepare_logs([log])[0]
+    whole, part = (known_noise([_lifted(trajectory, s)], model)[0] for s in (1.0, 0.4))
+    np.testing.assert_allclose(part[-12:], whole[-12:], rtol=0.3)
+
+
+def test_columns_of_limbs_in_the_air_do_not_follow_measured_efforts(model, maker):
+    effect, found = JointElasticity("hl_pitch"), []
+    for size in (0.0, 0.3):
+        log, rng = log_of_model(maker.log(wrenches=True), model), np.random.default_rng(0)
+        log = replace(log, effort=log.effort + size * rng.normal(size=log.effort.shape))
+        trajectory = _lifted(prepare_logs([log], bandwidth=5.0)[0], 1.0)
+        folds = validation_blocks([trajectory])
+        data = reduce_logs(model, [trajectory], folds, effects=[effect])
+        own = data.data[model.joints.index("hl_pitch")]
+        at = own.local(data.effect_columns(effect))[0]
+        found.append(np.concatenate([rows.A[:, at] for fold in own.rows for rows in fold]))
+    assert np.ptp(found[0]) > 1.0
+    np.testing.assert_allclose(found[0], found[1], atol=1e-9)
 
 
 @pytest.mark.parametrize("wrenches", [True, False])

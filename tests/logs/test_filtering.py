@@ -113,6 +113,14 @@ def test_bandwidth_holds_the_motion(highest, noise):
     assert 3.0 * highest < chosen < 12.0 * highest
 
 
+def test_bandwidth_holds_a_gait_beside_a_slow_sway():
+    """The spectrum is low between the two, and not for noise."""
+    sway, gait = _motion(0.4, 1e-5), _motion(10.0, 0.0)
+    begins = 0.5 + 0.5 * np.tanh(2.0 * np.linspace(-20.0, 20.0, len(gait)))[:, None]
+    for pieces in ([sway, sway + gait], [sway + begins * gait]):
+        assert choose_bandwidth([(piece, 0.001) for piece in pieces]) > 12.0
+
+
 @pytest.mark.parametrize("length", [2, 3, 255, 256, 1000])
 @pytest.mark.parametrize(("window", "name"), [(HANN, "hann"), (BLACKMAN_HARRIS, "blackmanharris")])
 @pytest.mark.parametrize("centered", [True, False])

@@ -186,6 +186,21 @@ def test_velocities_that_disagree_are_not_used_and_late_ones_moved(measured, wor
     assert any(words in note for note in trajectory.notes)
 
 
+def test_velocities_are_used_joint_by_joint():
+    """Those of the elbow are wrong; positions of the shoulder are noisier than its velocities."""
+    log, rng = _make_log(_uniform()), np.random.default_rng(0)
+    velocity = RATES * np.cos(RATES * log.time[:, None]) * [1.0, 1.3]
+    position = log.position + [3e-3, 0.0] * rng.normal(size=log.position.shape)
+    log = replace(log, position=position, velocity=velocity)
+    trajectory = prepare_logs([log], bandwidth=8.0)[0]
+    assert trajectory.segments[0].derived.tolist() == [False, True]
+    assert any("velocities of elbow are not used" in note for note in trajectory.notes)
+    segment = trajectory.segments[0][:]
+    truth = RATES * np.cos(RATES * segment.time[:, None])
+    np.testing.assert_allclose(segment.velocity, truth, atol=2e-3)
+    assert trajectory.acceleration_noise[0] < 1e-3
+
+
 def test_shapes_and_time_are_checked():
     log = _make_log(_uniform())
     with pytest.raises(ArgumentError, match=r"effort .* \(3000, 1\).* \(3000, 2\)"):

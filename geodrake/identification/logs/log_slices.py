@@ -408,8 +408,8 @@ class LogSlice:
             known = shared.get(key)
             motion, load = self._motion(shared), None if known is None else known[0]
             rows = self._contact_rows(shared)
-            if self.trajectory.is_grounded:
-                load = self._here.motor_effort  # which no model tells beside the ground's forces
+            if self.trajectory.is_grounded and load is None:
+                load = self._load(motion, rows)
             new, load = layout.evaluate(motion, self.trajectory, missing, load)
             if rows is not None and layout.coupling is not None:
                 new = [
@@ -421,6 +421,19 @@ class LogSlice:
                 found[part] = blocks
                 shared.keep(keys[part], blocks)
         return [blocks for blocks in found.values() if blocks is not None]
+
+    def _load(self, motion: Motion, rows: MixedRows | None) -> Array:
+        """Return loads (N, nv) of joints beside the ground's forces, which no model tells.
+
+        They are the efforts of motors; in limbs in the air they are what the model needs. Columns
+        that follow measured efforts there would explain the noise of these.
+        """
+        efforts = self._here.motor_effort
+        if rows is None:
+            return efforts
+        phi = carrying(self.layout.model, self.trajectory.payloads).total_phi
+        needed = inverse_dynamics(self.layout.tree, motion.q, motion.v, motion.vd, phi)
+        return np.where(rows.own == 1.0, needed, efforts)
 
     def _filtered(self, parts: Sequence[Blocks], shared: RowCache) -> list[Blocks]:
         """Return columns of some parts in the rows that joints have."""

@@ -58,8 +58,9 @@ def known_noise(
     (n,) of the floors, N·m or N, that a free base's accelerations add; it is zero for robots fixed
     to the world. That noise is in the columns, too, so that it varies with the motion.
     """
-    power, weight = np.zeros(len(trajectories[0].joints)), 0
-    claimed, moving, silent = power.copy(), power.copy(), np.zeros(len(power), bool)
+    power = np.zeros(len(trajectories[0].joints))
+    weight, claimed, moving = power.copy(), power.copy(), power.copy()
+    silent = np.zeros(len(power), bool)
     for trajectory in trajectories:
         robot = None if model is None else carrying(model, trajectory.payloads)
         gain, bandwidth = trajectory.filter.noise_gain, trajectory.filter.bandwidth
@@ -84,8 +85,8 @@ def known_noise(
                     moving += len(segment) * share * noise
             silent |= _is_silent(density, start)
             power += len(segment) * noise
-            weight += len(segment)
-    known = ~silent & (claimed <= JOINT_NOISE_MARGIN**2 * power)
+            weight += len(segment) * _shares(rows)
+    known, weight = ~silent & (claimed <= JOINT_NOISE_MARGIN**2 * power), np.maximum(weight, 1.0)
     return np.sqrt(power / weight), known, np.sqrt(moving / weight)
 
 
@@ -105,6 +106,14 @@ def _is_silent(density: Array, segment: Segment) -> NDArray[np.bool_]:
     """Return (n,) whether white noise of a density is less than any sensor of efforts has."""
     rms = np.sqrt(density * 0.5 / segment.period)
     return np.asarray(rms < LEAST_NOISE * segment.effort.std(axis=0))
+
+
+def _shares(rows: Array | None) -> Array | float:
+    """Return (nv,) the share of samples in which velocities have rows (N, nv, nv).
+
+    Limbs that stand have none, and what is zero there is no noise.
+    """
+    return 1.0 if rows is None else rows.any(axis=2).mean(axis=0)
 
 
 def _taken(rows: Array | None, efforts: Array) -> Array:
