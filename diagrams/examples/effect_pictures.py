@@ -11,9 +11,8 @@ the effects say of themselves.
 
 from __future__ import annotations
 
-import json
 import os
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from importlib.resources import as_file, files
 from pathlib import Path
@@ -22,11 +21,12 @@ import numpy as np
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
-from diagrams.harness import script_parser
+from diagrams.harness import script_parser, sines, tell
 from geodrake import effects, load_model
 from geodrake.boundary.whole_files import write_whole
 from geodrake.effects import Effect, RobotMotion, catalogue
 from geodrake.effects.lookup import table_rows
+from geodrake.inertia import from_mass_com_inertia
 from geodrake.logs.motion import Motion
 from geodrake.model import RobotModel
 from geodrake.report import style
@@ -59,7 +59,7 @@ class Example:
     """An effect of usual size."""
 
     effect: Effect
-    values: tuple[float, ...]  # its parameters, SI
+    values: Sequence[float] | Array  # its parameters, SI
     joint: str = ELBOW
 
     def residual(self, motion: RobotMotion) -> Array:
@@ -68,12 +68,9 @@ class Example:
         return np.asarray(own[:, motion.index(self.joint)])
 
 
-def phi_of(mass: float, x: float, y: float, z: float, radius: float = 0.05) -> tuple[float, ...]:
-    """Return inertial parameters of a ball of a mass, kg, whose centre is at (x, y, z), m."""
-    own, p = 0.4 * mass * radius**2, np.array([x, y, z])
-    inertia = own * np.eye(3) + mass * (p @ p * np.eye(3) - np.outer(p, p))
-    moments = (*np.diag(inertia), inertia[0, 1], inertia[1, 2], inertia[2, 0])
-    return tuple(map(float, (mass, *(mass * p), *moments)))
+def phi_of(mass: float, *center: float, radius: float = 0.05) -> Array:
+    """Return inertial parameters of a ball of a mass, kg, about a centre (3,), m."""
+    return from_mass_com_inertia(mass, np.array(center), 0.4 * mass * radius**2 * np.eye(3))
 
 
 def examples() -> list[Example]:
@@ -105,9 +102,7 @@ def examples() -> list[Example]:
         Example(effects.Payload("flange"), phi_of(2.0, 0.02, 0.0, 0.08)),
         Example(effects.TemporaryPayload("flange", 3.0), phi_of(2.0, 0.02, 0.0, 0.08)),
         Example(effects.GravityTilt(), (0.05, 0.03), SHOULDER),
-        Example(
-            effects.Contact("flange", 2.5, 5.0, 0.2, 0, 0.1), (10.0, 0.0, -25.0, 0.0, 0.0, 0.0)
-        ),
+        Example(effects.Contact("flange", 2.5, 5.0, 0.2, 0, 0.1), PUSH),
         Example(effects.AerodynamicDrag("flange"), (1.5, 0.0, 0.0, 0.0)),
     ]
 
@@ -117,11 +112,9 @@ def motion_of(model: RobotModel) -> RobotMotion:
     t = np.arange(0.0, DURATION, PERIOD)
     rates = np.array([0.9, 0.8, 1.1, 1.5, 1.7, 2.1])
     sizes = np.array([0.9, 0.6, 0.8, 1.0, 0.9, 1.2])
-    phase = np.outer(t, rates) + np.arange(6)
-    second = np.outer(t, 2.3 * rates)
-    q = sizes * (np.sin(phase) + 0.25 * np.sin(second)) + np.array([0.0, 0.3, -1.0, 0.0, 0.0, 0.0])
-    v = sizes * rates * (np.cos(phase) + 0.575 * np.cos(second))
-    vd = -sizes * rates**2 * (np.sin(phase) + 1.3225 * np.sin(second))
+    waves = np.outer([1.0, 0.25], sizes), np.outer([1.0, 2.3], rates)
+    q, v, vd = sines(t, *waves, np.outer([1.0, 0.0], np.arange(6.0)))
+    q += np.array([0.0, 0.3, -1.0, 0.0, 0.0, 0.0])
     warmth = 30.0 + 12.0 * np.sin(0.4 * t[:, None] + np.arange(6))
     return model.motion(Motion(q, v, vd, t, q[:0], warmth), sign_width=np.full(6, 0.01))
 
@@ -135,7 +128,7 @@ def delayed(motion: RobotMotion) -> Array:
 def heavier(motion: RobotMotion) -> Array:
     """Return (N,) what a forearm leaves at the elbow that is 1.5 kg heavier than its model."""
     columns = motion.body_columns("forearm")[:, motion.index(ELBOW)]
-    return np.asarray(columns @ np.array(phi_of(1.5, 0.15, 0.0, 0.0)))
+    return np.asarray(columns @ phi_of(1.5, 0.15, 0.0, 0.0))
 
 
 BY_THEMSELVES: dict[type[Effect], Callable[[RobotMotion], Array]] = {
@@ -192,10 +185,7 @@ def main() -> None:
         motion = motion_of(load_model(demo / "demo.urdf"))
     left = {type(e.effect): (e.residual(motion), e.joint) for e in examples()}
     left |= {effect: (made(motion), ELBOW) for effect, made in BY_THEMSELVES.items()}
-    table = {e.name: float(np.sqrt(np.mean(left[e][0] ** 2))) for e in catalogue()}
-    print(json.dumps(table, indent=2))
-    if options.json:
-        write_whole(options.json, json.dumps(table, indent=2) + "\n")
+    tell(options, {e.name: float(np.sqrt(np.mean(left[e][0] ** 2))) for e in catalogue()})
     if options.figures:
         drawn = {e: options.figures / f"{e.name}.png" for e in catalogue()}
         for effect, path in list(drawn.items())[: 3 if options.quick else None]:
