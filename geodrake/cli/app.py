@@ -16,7 +16,7 @@ from geodrake.boundary.escaping import printable
 from geodrake.boundary.version import versions
 from geodrake.cli import options
 from geodrake.cli.options import Options, taking
-from geodrake.cli.surroundings import settled_surroundings
+from geodrake.cli.streams import settled_surroundings
 
 DEMO_MODEL, DEMO_LOG = "demo.urdf", "demo.csv"
 DEMO_TIME = "Done within about 15 seconds; the first time within a minute, as loops are compiled."

@@ -9,11 +9,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from geodrake.boundary.arguments import number, one_of, positive
+from geodrake.cli.command import Command, Input, Output, run
 from geodrake.cli.identify import named_effects
 from geodrake.cli.option_values import joint_values, limits_of, split_effects
 from geodrake.cli.options import ExciteOptions, IdentifiableOptions
 from geodrake.cli.progress import STOPPING, Activity
-from geodrake.cli.session import Command, Input, Output, run
 from geodrake.errors import ArgumentError, ModelError
 from geodrake.excitation import (
     CollisionWorld,

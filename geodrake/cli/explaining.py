@@ -7,9 +7,9 @@ from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from geodrake.cli.command import Command, Input, Output, run
 from geodrake.cli.options import AddOptions, ExplainOptions, Options
 from geodrake.cli.progress import step_teller
-from geodrake.cli.session import Command, Input, Output, run
 from geodrake.diagnosis.add import add, check_places
 from geodrake.diagnosis.diagnose import diagnose
 from geodrake.diagnosis.drafting import draft_effects, rest_correlates, source_of

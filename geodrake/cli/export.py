@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from pathlib import Path
 
+from geodrake.cli.command import STDOUT, Command, Input, inputs_of, run
 from geodrake.cli.options import CheckOptions, ExportOptions
-from geodrake.cli.session import STDOUT, Command, Input, inputs_of, run
-from geodrake.cli.surroundings import INTERNAL_ERROR
+from geodrake.cli.streams import INTERNAL_ERROR
 from geodrake.control.export_proof.export import (
     ProvenExport,
     check_folder,

@@ -12,15 +12,15 @@ import typer
 from geodrake.boundary.arguments import number
 from geodrake.boundary.version import version
 from geodrake.boundary.whole_files import Content, write_together
+from geodrake.cli.command import STDOUT, Command, Input, check_outputs, run, usual_outputs
 from geodrake.cli.input_options import repairs_in_short
 from geodrake.cli.options import FleetOptions
 from geodrake.cli.progress import Activity, progress
-from geodrake.cli.session import STDOUT, Command, Input, check_outputs, run, usual_outputs
-from geodrake.cli.surroundings import printing, results, warn
+from geodrake.cli.streams import printing, results, warn
 from geodrake.errors import ArgumentError, FleetError
 from geodrake.fleet.fleet_file import Fleet, read_fleet
 from geodrake.fleet.fleet_logs import FleetDigests
-from geodrake.fleet.fleet_result import FleetResult, keep_told, new_findings
+from geodrake.fleet.fleet_result import FleetResult, keep_reported, new_findings
 from geodrake.fleet.fleet_run import FleetWork, look_at_fleet, run_fleet
 from geodrake.report.fleets import WatchedFleet, finding_line, fleet_dict, parquet_contents
 from geodrake.report.html import render
@@ -126,5 +126,5 @@ def _look(
         for finding in new:
             print(finding_line(finding), file=results(), flush=True)
     if new:
-        keep_told(fleet.folder, new)
+        keep_reported(fleet.folder, new)
     return digests, bool(new)

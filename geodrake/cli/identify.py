@@ -6,9 +6,9 @@ from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 
+from geodrake.cli.command import Command, Input, Output, run
 from geodrake.cli.option_values import split_effects
 from geodrake.cli.options import IdentifyOptions
-from geodrake.cli.session import Command, Input, Output, run
 from geodrake.effects import Effect, effect_class, make_effect
 from geodrake.errors import ArgumentError
 from geodrake.excitation.tell_apart import every_place

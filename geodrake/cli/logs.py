@@ -5,8 +5,7 @@ from __future__ import annotations
 import shlex
 from collections.abc import Sequence
 
-from geodrake.cli.options import DigestOptions, LogCommandOptions
-from geodrake.cli.session import (
+from geodrake.cli.command import (
     Command,
     Input,
     Output,
@@ -15,6 +14,7 @@ from geodrake.cli.session import (
     known_payloads,
     run,
 )
+from geodrake.cli.options import DigestOptions, LogCommandOptions
 from geodrake.diagnosis.columns import ColumnFinding, corrected_columns
 from geodrake.errors import ArgumentError, GeodrakeError
 from geodrake.fleet.digest_folder import FAILED, DigestRun, digest_logs

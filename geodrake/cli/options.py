@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Annotated, Any, ClassVar, TypeVar, get_type_hi
 import typer
 
 from geodrake.cli.input_options import AxisOptions, ModelOptions, ReadingOptions
-from geodrake.cli.surroundings import guarded
+from geodrake.cli.streams import guarded
 from geodrake.errors import ArgumentError
 
 if TYPE_CHECKING:

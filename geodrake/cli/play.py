@@ -5,10 +5,10 @@ from __future__ import annotations
 from pathlib import Path
 
 from geodrake.boundary.arguments import positive
+from geodrake.cli.command import Command, Input, Output, run
 from geodrake.cli.options import PlayOptions
 from geodrake.cli.rollout import other_model
 from geodrake.cli.serving import page_server, serve_page
-from geodrake.cli.session import Command, Input, Output, run
 from geodrake.model.robot_model import RobotModel, read_again
 from geodrake.model.saved_model import is_saved_model
 from geodrake.report.pictures import check_video, video

@@ -17,7 +17,7 @@ from rich.console import Console
 from rich.progress import BarColumn, Progress, SpinnerColumn, TaskID, TextColumn
 
 from geodrake.boundary.escaping import printable
-from geodrake.cli.surroundings import warn
+from geodrake.cli.streams import warn
 from geodrake.compiling import while_compiling
 
 if TYPE_CHECKING:

@@ -6,9 +6,9 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any, cast
 
+from geodrake.cli.command import Command, Input, Output, run
 from geodrake.cli.input_options import tell_repairs
 from geodrake.cli.options import RolloutOptions
-from geodrake.cli.session import Command, Input, Output, run
 from geodrake.control.rollout import Rollout, RolloutFit, fit_rollouts, roll_out
 from geodrake.control.rollout.rollout_values import rollout_values
 from geodrake.errors import ArgumentError

@@ -184,13 +184,13 @@ class FleetResult(Short):
         return sum(robot.state == state for robot in self.robots)
 
 
-_TOLD_FILE = "told_findings.json"
+_REPORTED_FILE = "told_findings.json"
 _NEAR = 2.0 * DAY  # by which the interval of a finding may move with further logs
 
 
 @dataclass(frozen=True)
-class ToldFinding:
-    """What was told of a finding."""
+class ReportedFinding:
+    """What was reported of a finding."""
 
     robot: str
     effect: str
@@ -199,8 +199,8 @@ class ToldFinding:
     latest: float
 
     @classmethod
-    def of(cls, finding: FleetFinding) -> ToldFinding:
-        """Return what was told of a finding."""
+    def of(cls, finding: FleetFinding) -> ReportedFinding:
+        """Return what was reported of a finding."""
         return cls(finding.robot, finding.effect, finding.where, *finding.interval)
 
     def is_of(self, finding: FleetFinding) -> bool:
@@ -212,26 +212,26 @@ class ToldFinding:
 
 
 def new_findings(folder: Path, findings: Sequence[FleetFinding]) -> list[FleetFinding]:
-    """Return findings that were not told before."""
-    told = _read_told(folder / _TOLD_FILE)
-    return [finding for finding in findings if not any(old.is_of(finding) for old in told)]
+    """Return findings that were not reported before."""
+    reported = _read_reported(folder / _REPORTED_FILE)
+    return [finding for finding in findings if not any(old.is_of(finding) for old in reported)]
 
 
-def keep_told(folder: Path, findings: Sequence[FleetFinding]) -> None:
-    """Remember that findings were told."""
-    told = [*_read_told(folder / _TOLD_FILE), *map(ToldFinding.of, findings)]
-    lines = ",\n".join(json.dumps(vars(each)) for each in told)
-    write_whole(folder / _TOLD_FILE, f"[\n{lines}\n]\n")
+def keep_reported(folder: Path, findings: Sequence[FleetFinding]) -> None:
+    """Remember that findings were reported."""
+    reported = [*_read_reported(folder / _REPORTED_FILE), *map(ReportedFinding.of, findings)]
+    lines = ",\n".join(json.dumps(vars(each)) for each in reported)
+    write_whole(folder / _REPORTED_FILE, f"[\n{lines}\n]\n")
 
 
-def _read_told(path: Path) -> list[ToldFinding]:
+def _read_reported(path: Path) -> list[ReportedFinding]:
     if not path.exists():
         return []
     try:
         data = read_regular(path, "file", FleetError)
-        return msgspec.json.decode(data, type=list[ToldFinding])
+        return msgspec.json.decode(data, type=list[ReportedFinding])
     except (FleetError, msgspec.MsgspecError, UnicodeDecodeError) as error:
         raise FleetError(
-            f"{path}, which says what was told before, cannot be read: {one_line(error)}.",
+            f"{path}, which says what was reported before, cannot be read: {one_line(error)}.",
             advice="Delete it; then all findings are new.",
         ) from error

@@ -15,7 +15,7 @@ from geodrake.boundary.escaping import (
     printable,
     quoted,
 )
-from geodrake.cli.session import make_console
+from geodrake.cli.command import make_console
 
 
 def test_joints_that_differ_in_punctuation_alone_have_names_of_their_own():

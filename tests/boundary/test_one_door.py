@@ -73,7 +73,7 @@ HELD = {
 
 OWN = {
     "boundary/whole_files.py": {"open"},
-    "cli/surroundings.py": {"open"},
+    "cli/streams.py": {"open"},
     "compiling.py": {"fdopen", "open", "read_text"},
     "identification/solvers.py": {"open"},
     "report/html.py": {"read_text"},

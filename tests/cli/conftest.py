@@ -27,5 +27,5 @@ def schema_of_numbers(monkeypatch):
         msgspec.json.decode(text, type=WRITTEN_BY(result["command"]))
         return text
 
-    monkeypatch.setattr("geodrake.cli.session.to_json", compared)
+    monkeypatch.setattr("geodrake.cli.command.to_json", compared)
     monkeypatch.setattr("geodrake.cli.fleet.to_json", compared)

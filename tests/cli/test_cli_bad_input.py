@@ -270,7 +270,7 @@ def test_what_is_wrong_in_the_words_is_refused_before_anything_is_read(folder, m
     def read(*_, **__):
         raise AssertionError("a model or a log was read")
 
-    monkeypatch.setattr("geodrake.cli.session.read_model", read)
+    monkeypatch.setattr("geodrake.cli.command.read_model", read)
     for words in ("add nonsense", "compare --json none/x.json", "compare --save x.json"):
         command, *options = words.split()
         refused(command, *options[:1], "pendulum.urdf", "log.csv", *options[1:])
@@ -299,7 +299,7 @@ def test_a_bug_is_told_in_one_line_and_traced_on_demand(folder, monkeypatch):
     def broken(*_arguments, **_settings):
         raise RuntimeError("the sky\nfell")
 
-    monkeypatch.setattr("geodrake.cli.session.read_model", broken)
+    monkeypatch.setattr("geodrake.cli.command.read_model", broken)
     words = ("compare", PENDULUM, "log.csv")
     message = refused(*words, code=1)
     assert message.startswith("Internal error: RuntimeError: the sky fell. ")

@@ -9,9 +9,9 @@ from commands import refused, run, told
 from pendulum_logs import PENDULUM, body_effort
 from PIL import Image
 
+from geodrake.cli.command import with_facts
 from geodrake.cli.input_options import ReadingOptions
 from geodrake.cli.options import AddOptions
-from geodrake.cli.session import with_facts
 from geodrake.logs.files import Reading, read_log, read_mapping
 
 OWN = "time,shoulder.position,elbow.position,shoulder.effort,elbow.effort"

@@ -18,7 +18,7 @@ from scipy.spatial.transform import Rotation
 from diagrams.benchmarks.column_errors import DURATION, WrongLog, make_log
 from diagrams.benchmarks.hidden.robots import make_engine, robot_file
 from geodrake import load_model
-from geodrake.cli.session import unchecked_words
+from geodrake.cli.command import unchecked_words
 from geodrake.diagnosis import ColumnFinding, check_columns, corrected
 from geodrake.diagnosis.beliefs import Beliefs
 from geodrake.diagnosis.columns.assignment import Assignment

@@ -10,10 +10,10 @@ from dataclasses import fields, replace
 import pytest
 from hostile import PENDULUM, fill
 
-from geodrake.cli import session
+from geodrake.cli import command, progress
 
 _FOUND = {}
-_SEARCH = session.found_columns
+_SEARCH = command.found_columns
 
 
 def found_once(model, logs, settings):
@@ -30,7 +30,12 @@ def found_once(model, logs, settings):
 
 @pytest.fixture(autouse=True)
 def columns_are_checked_once(monkeypatch):
-    monkeypatch.setattr(session, "found_columns", found_once)
+    monkeypatch.setattr(command, "found_columns", found_once)
+
+
+@pytest.fixture(autouse=True)
+def no_word_of_progress_on_a_busy_machine(monkeypatch):
+    monkeypatch.setattr(progress, "_SILENT", 600.0)
 
 
 @pytest.fixture

@@ -22,7 +22,7 @@ from hostile import KEPT, PASSING, Row, changed, contents, read_json
 from processes import PACKAGES, PATIENCE, ended, run_forked, run_here, start
 
 from geodrake.boundary import whole_files
-from geodrake.cli import explaining, session
+from geodrake.cli import command, explaining
 
 ALL = ["--save", "kept.yaml", "--json", "kept.json", "--report", "kept.html"]
 COMPARE = ["compare", "robot.urdf", "log.csv", *ALL]
@@ -119,13 +119,13 @@ def test_where_one_file_cannot_be_renamed_none_is_new(filled, monkeypatch, numbe
 def test_what_changes_during_the_work_is_noticed_before_files_are_written(
     name, change, says, filled, monkeypatch
 ):
-    to_json = session.to_json
+    to_json = command.to_json
 
     def meanwhile(numbers):
         change(filled / name)
         return to_json(numbers)
 
-    monkeypatch.setattr(session, "to_json", meanwhile)
+    monkeypatch.setattr(command, "to_json", meanwhile)
     before = contents(filled)
     code, _, err = run_here(NEW)
     assert code == 2

@@ -21,7 +21,7 @@ from geodrake.boundary.whole_files import Content, check_writable, write_togethe
 from geodrake.cli.input_options import AxisOptions, proposing, read_model, written_axis
 from geodrake.cli.options import Options
 from geodrake.cli.progress import Activity, progress
-from geodrake.cli.surroundings import INTERRUPTED, print_whole, printing, results
+from geodrake.cli.streams import INTERRUPTED, print_whole, printing, results
 from geodrake.diagnosis.columns import (
     MOST_JOINTS,
     ColumnFinding,

@@ -1,4 +1,4 @@
-"""What a command finds around it, and what becomes of errors: one message, never a traceback."""
+"""Standard streams, locale and memory of a command; errors become a message, never a traceback."""
 
 from __future__ import annotations
 
