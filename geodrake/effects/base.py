@@ -84,6 +84,7 @@ class Effect(CheckedFields, abc.ABC):
             bound to.
         parameters: The linear parameters, in the order of the regressor's columns.
         shapes: Unit and usual values of its shape parameters.
+        positive: Names of shape parameters that are above 0.
         depends_on: The signals that its columns depend on: positions "q", velocities "v" and
             accelerations "vd" of the joints, "load", the effort that the joints need otherwise,
             the "time" since a log began, where "bodies" are and how they move, the "history" of
@@ -118,6 +119,7 @@ class Effect(CheckedFields, abc.ABC):
     places: ClassVar[str]
     parameters: ClassVar[tuple[Parameter, ...]]
     shapes: ClassVar[tuple[Shape, ...]] = ()
+    positive: ClassVar[tuple[str, ...]] = ()
     depends_on: ClassVar[frozenset[str]] = frozenset({"q", "v", "vd", "load"})
     state_count: ClassVar[int] = 0
     summary: ClassVar[str] = ""

@@ -176,6 +176,7 @@ class CheckedFields:
                 number(value, name)
             elif kind.startswith("int"):
                 integer(value, name)
+        require_positive(effect, *effect.positive)
 
 
 def whole_numbers(effect: Any, values: Mapping[str, Any]) -> dict[str, Any]:

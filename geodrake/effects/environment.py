@@ -55,11 +55,7 @@ class GravityTilt(RobotEffect):
     )
     signature = "follows the robot's posture at all joints, as if it stood on a slope"
     depends_on = frozenset({"q", "bodies"})
-
-    @property
-    def free_shapes(self) -> int:
-        """None: the angles are parameters."""
-        return 0
+    free_shapes = 0  # as the angles are parameters
 
     @property
     def reported_shape(self) -> dict[str, float]:
@@ -180,16 +176,12 @@ class AerodynamicDrag(BodyEffect):
     signature = "grows with the square of a body's speed, at all joints up to it"
     depends_on = frozenset({"q", "v", "bodies"})
     complexity = 3
+    free_shapes = 0  # as the position is a matter of the parameters
 
     @classmethod
     def candidates(cls, body: str) -> tuple[AerodynamicDrag, ...]:
         """About the mass centre, and about the joint, too far away for slopes from there."""
         return cls(body), cls(body, 0.0, 0.0, 0.0)
-
-    @property
-    def free_shapes(self) -> int:
-        """None: the position is a matter of the parameters."""
-        return 0
 
     def center(self, p_BoBcm_B: Array) -> Array:
         """Return (3,) position of P from Bo, m, of that of the mass centre."""

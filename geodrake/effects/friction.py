@@ -19,7 +19,6 @@ from geodrake.effects.base import (
     RobotMotion,
     Rows,
     Shape,
-    require_positive,
 )
 from geodrake.effects.gradient import RobotGradient, sign_slope
 from geodrake.effects.sensors import EffortOffset
@@ -158,20 +157,13 @@ class StribeckFriction(JointEffect):
     parameters = (Parameter("excess", "N·m", lower=0.0),)
     signature = "extra friction near reversals that fades as the joint speeds up"
     depends_on = frozenset({"v"})
-
-    def __post_init__(self) -> None:
-        super().__post_init__()
-        require_positive(self, "stribeck_velocity", "exponent")
+    positive = ("stribeck_velocity", "exponent")
+    refines = ((CoulombFriction,), (CoulombFriction, ViscousFriction))
 
     def columns(self, joint: JointMotion) -> Sequence[Array]:
         """[exp(−|v / v_s|^α) sgn v]."""
         fading = np.exp(-(np.abs(joint.v / self.stribeck_velocity) ** self.exponent))
         return [fading * joint.sign_v]
-
-    @property
-    def refines(self) -> tuple[tuple[type[Effect], ...], ...]:
-        """Dry friction, with viscous friction or without."""
-        return ((CoulombFriction,), (CoulombFriction, ViscousFriction))
 
 
 _LEAST_RATIO = 1.25  # of the exponent to that of viscous friction
@@ -193,10 +185,7 @@ class NonlinearViscousFriction(JointEffect):
     parameters = (Parameter("viscous", "N·m·(s/rad)^α", lower=0.0),)
     signature = "follows the joint's speed along a curve and changes sign with it"
     depends_on = frozenset({"v"})
-
-    def __post_init__(self) -> None:
-        super().__post_init__()
-        require_positive(self, "exponent")
+    positive = ("exponent",)
 
     def columns(self, joint: JointMotion) -> Sequence[Array]:
         """[|v|^α sgn v]."""
@@ -270,11 +259,7 @@ class GearEfficiency(JointEffect):
     signature = "a step at reversals that grows with the load, more where the joint drives"
     depends_on = frozenset({"v", "load"})
     needs_known_inertia = True
-
-    @property
-    def refines(self) -> tuple[tuple[type[Effect], ...], ...]:
-        """Load-dependent friction, which it replaces where the difference is worth it."""
-        return ((LoadDependentFriction,),)
+    refines = ((LoadDependentFriction,),)
 
     def columns(self, joint: JointMotion) -> Sequence[Array]:
         """[|τ_model| sgn v where τ_model v > 0, and where it is not]."""
@@ -398,10 +383,8 @@ class FrictionDrift(JointEffect):
     parameters = (Parameter("coulomb_change", "N·m"), Parameter("viscous_change", "N·m·s/rad"))
     signature = "friction that is another one at the end of a log than at its start"
     depends_on = frozenset({"v", "time"})
-
-    def __post_init__(self) -> None:
-        super().__post_init__()
-        require_positive(self, "time_constant")
+    positive = ("time_constant",)
+    refines = ((CoulombFriction,), (ViscousFriction,), ())
 
     def columns(self, joint: JointMotion) -> Sequence[Array]:
         """Nothing, of a joint that has settled."""
@@ -418,11 +401,6 @@ class FrictionDrift(JointEffect):
     def course(self, along: Array) -> Array:
         """Share e^{−t/T} of the change that is left at instants (N,) since the log began, s."""
         return np.exp(-along / self.time_constant)
-
-    @property
-    def refines(self) -> tuple[tuple[type[Effect], ...], ...]:
-        """Dry friction or viscous friction, or nothing: what runs in may settle at none."""
-        return ((CoulombFriction,), (ViscousFriction,), ())
 
 
 @dataclass(frozen=True)
@@ -451,11 +429,8 @@ class ThermalFriction(JointEffect):
     )
     signature = "friction that varies with the logged temperature of the joint"
     depends_on = frozenset({"v", "temperature"})
-
-    @property
-    def free_shapes(self) -> int:
-        """None: another T₀ is the same law with other friction beside it."""
-        return 0
+    free_shapes = 0  # as another T₀ is the same law with other friction beside it
+    refines = ((CoulombFriction,), (ViscousFriction,))
 
     def columns(self, joint: JointMotion) -> Sequence[Array]:
         """Nothing, of a joint at T₀."""
@@ -467,11 +442,6 @@ class ThermalFriction(JointEffect):
             return super().rows(motion)
         joint, warmer = motion.joint(self.joint), motion.warmer(self.joint, self.reference)
         return {self.joint: warmer[:, None] * np.stack([joint.sign_v, joint.v], -1)}
-
-    @property
-    def refines(self) -> tuple[tuple[type[Effect], ...], ...]:
-        """Dry friction or viscous friction."""
-        return ((CoulombFriction,), (ViscousFriction,))
 
 
 @dataclass(frozen=True)
@@ -508,10 +478,7 @@ class Hysteresis(JointEffect):
     signature = "dry friction that after a reversal comes back over an angle, not at once"
     depends_on = frozenset({"q", "v", "history"})
     state_count = 1
-
-    def __post_init__(self) -> None:
-        super().__post_init__()
-        require_positive(self, "breakaway_angle")
+    positive = ("breakaway_angle",)
 
     def columns(self, joint: JointMotion) -> Sequence[Array]:
         """[sgn v], of a joint that has slipped far."""

@@ -19,7 +19,6 @@ from geodrake.effects.base import (
     Rows,
     Shape,
     Values,
-    require_positive,
 )
 from geodrake.effects.deflection import SPRING_DAMPING, Deflection, DeflectionEffect, Give
 from geodrake.effects.friction import Direction, SharedActuatorEffect
@@ -111,10 +110,7 @@ class TorqueRipple(JointEffect):
     parameters = (Parameter("cosine", "N·m"), Parameter("sine", "N·m"))
     signature = "waves over the joint's position, at any speed at the same places"
     depends_on = frozenset({"q"})
-
-    def __post_init__(self) -> None:
-        super().__post_init__()
-        require_positive(self, "order")
+    positive = ("order",)
 
     def columns(self, joint: JointMotion) -> Sequence[Array]:
         """[cos nq, sin nq]."""
@@ -212,16 +208,12 @@ class JointElasticity(DeflectionEffect):
     shapes = (Shape("damping", "1"),)
     parameters = (Parameter("compliance", "rad/(N·m)", lower=0.0),)
     signature = "follows what moving the joint on by its own load would change, at all joints"
+    free_shapes = 0  # as efforts do not show the damping
 
     def __post_init__(self) -> None:
         super().__post_init__()
         if self.damping is not None and self.damping < 0.0:
             raise ArgumentError(f"damping of {self.name} must not be negative; got {self.damping}.")
-
-    @property
-    def free_shapes(self) -> int:
-        """None: efforts do not show the damping."""
-        return 0
 
     def deflection(self, motion: RobotMotion) -> Deflection:
         """Return the load of the joint, as a spring of unit stiffness gives way to it."""
@@ -279,10 +271,7 @@ class Backlash(DeflectionEffect):
     shapes = (Shape("half_width", "rad", grid=(1e-5, 3e-5, 1e-4, 3e-4, 1e-3, 3e-3, 1e-2)),)
     parameters = (Parameter("gap_share", "1", lower=0.0),)
     signature = "no load for a moment where the load changes its sign, and then a blow"
-
-    def __post_init__(self) -> None:
-        super().__post_init__()
-        require_positive(self, "half_width")
+    positive = ("half_width",)
 
     def deflection(self, motion: RobotMotion) -> Deflection:
         """At the side to which the load pushes the link, or loose between both sides."""

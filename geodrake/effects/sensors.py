@@ -73,16 +73,12 @@ class WrenchOffset(BodyEffect):
     depends_on = frozenset({"q", "bodies"})
     complexity = 2
     of_force_sensor = True
+    free_shapes = 0  # as the sensor's place is known
 
     @classmethod
     def candidates(cls, body: str, *origin: float) -> tuple[WrenchOffset, ...]:
         """About the origin of the sensor, m, in the body's frame."""
         return (cls(body, *origin),)
-
-    @property
-    def free_shapes(self) -> int:
-        """None: the sensor's place is known."""
-        return 0
 
     def rows(self, motion: RobotMotion) -> Rows:
         """[Jᵀ R_WB] of the force and of the moment, at the joints that move the body."""
@@ -114,11 +110,7 @@ class ThermalOffset(JointEffect):
     parameters = (Parameter("offset", "N·m"), Parameter("slope", "N·m/°C"))
     signature = "an offset that varies with the logged temperature of the joint"
     depends_on = frozenset({"temperature"})
-
-    @property
-    def free_shapes(self) -> int:
-        """None: another T₀ is the same law with another offset beside it."""
-        return 0
+    free_shapes = 0  # as another T₀ is the same law with another offset beside it
 
     def columns(self, joint: JointMotion) -> Sequence[Array]:
         """[1, 0], of a joint at T₀."""
