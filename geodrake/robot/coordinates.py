@@ -170,13 +170,26 @@ class RobotCoordinates:
         """J (nv of the tree, nv) where no ratio changes with the position; else None."""
         if any(place.drive.map.constant_jacobian is None for place in self.places):
             return None
-        return self.along(np.zeros((1, self.num_positions)))[1][0]
+        return self._along(np.zeros((1, self.num_positions)), None)[1][0]
+
+    @cached_property
+    def _linear(self) -> tuple[Array, Array]:
+        """(nq, nq of the tree) and (nq of the tree,), of positions q A + b where J is constant."""
+        zero = np.zeros(self.num_positions)
+        start, *ends = self._along(np.vstack([zero, np.eye(len(zero))]), None)[0]
+        return np.reshape(ends, (len(zero), len(start))) - start, start
 
     def along(self, q: Array, v: Array | None = None) -> tuple[Array, Array, Array]:
         """Return positions (N, nq of the tree) at those of the robot (N, nq), and J, J̇.
 
         Those are (N, nv of the tree, nv), with the tree's velocities J v; J̇ of rest without v.
         """
+        if self.constant is None:
+            return self._along(q, v)
+        (A, b), shape = self._linear, (len(q), *self.constant.shape)
+        return q @ A + b, np.broadcast_to(self.constant, shape), np.broadcast_to(0.0, shape)
+
+    def _along(self, q: Array, v: Array | None) -> tuple[Array, Array, Array]:
         shape = len(q), self.sizes[1], self.num_velocities
         whole, J, rate = np.zeros((len(q), self.sizes[0])), np.zeros(shape), np.zeros(shape)
         (own, tree), (own_v, tree_v) = self.kept_q, self.kept_v
@@ -199,8 +212,6 @@ class RobotCoordinates:
 
     def jacobian(self, q: Array) -> Array:
         """J (N, nv of the tree, nv) with the tree's velocities J v."""
-        if self.constant is not None:
-            return np.broadcast_to(self.constant, (len(q), *self.constant.shape))
         return self.along(q)[1]
 
     def jacobian_rate(self, q: Array, v: Array) -> Array:
@@ -239,8 +250,11 @@ class RobotCoordinates:
 
     def tree_samples(self, q: Array, v: Array, vd: Array) -> tuple[Array, Array, Array, Array]:
         """Positions, velocities and accelerations of the tree, and J, along a motion (N, ·)."""
-        theta, J, rate = self.along(q, None if self.constant is not None else v)
-        samples = theta, times(J, v), times(J, vd) + times(rate, v)
+        theta, J, rate = self.along(q, v)
+        if self.constant is None:
+            samples = theta, times(J, v), times(J, vd) + times(rate, v)
+        else:
+            samples = theta, v @ self.constant.T, vd @ self.constant.T
         theta, rates, accelerations = (contiguous(x) for x in samples)
         return theta, rates, accelerations, J
 

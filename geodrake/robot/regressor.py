@@ -46,11 +46,14 @@ def inverse_dynamics_regressor(
     are in Drake's order, and bodies in that of `geodrake.inertia.bodies.lumped_bodies`.
     """
     tree, samples, J = checked_samples(plant, q, v, vd)
-    regressor = np.zeros(
-        (len(samples[0]), tree.num_velocities, PARAMETERS_PER_BODY * len(tree.bodies))
-    )
-    put_regressor(tree, samples, regressor)
-    return actuator_rows(J, regressor)
+    nv = tree.num_velocities if J is None else J.shape[2]
+    regressor = np.zeros((len(samples[0]), nv, PARAMETERS_PER_BODY * len(tree.bodies)))
+    if J is None:
+        put_regressor(tree, samples, regressor)
+    else:
+        for part, piece in _pieces(tree, samples, J):
+            regressor[part] = piece
+    return regressor
 
 
 def body_regressor(
@@ -87,7 +90,12 @@ def regressor_pieces(
     Yields:
         The samples, as a slice, and their Y (n, nv, 10 nb). The next piece overwrites the array.
     """
-    tree, samples, J = checked_samples(plant, q, v, vd)
+    yield from _pieces(*checked_samples(plant, q, v, vd))
+
+
+def _pieces(
+    tree: KinematicTree, samples: Samples, J: Array | None
+) -> Iterator[tuple[slice, Array]]:
     columns = PARAMETERS_PER_BODY * len(tree.bodies)
     most = max(1, _PIECE // max(1, tree.num_velocities * columns))
     room = np.zeros((min(most, len(samples[0])), tree.num_velocities, columns))
