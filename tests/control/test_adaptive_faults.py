@@ -31,6 +31,7 @@ from pydrake.trajectories import PiecewisePolynomial
 from diagrams.benchmarks.adaptive_soak import distances
 from diagrams.studies.adaptive.faults import Episode, moments
 from geodrake.control.adaptation import (
+    PartialLaw,
     euclidean_adaptation,
     natural_adaptation,
     parameter_manifold,
@@ -46,7 +47,8 @@ from geodrake.control.systems import (
 )
 from geodrake.effects import FittedEffect, JointEffect, Parameter
 from geodrake.errors import ArgumentError
-from geodrake.inertia import is_physical
+from geodrake.inertia import change_frame, is_physical
+from geodrake.manifolds import PhysicalInertia
 
 FILTERED = PredictionError(1.0, alone=True)
 LIMITS = np.array([8.0, 4.0])
@@ -265,6 +267,17 @@ def test_what_was_learned_just_before_an_interruption_is_not_believed():
     then = [k for k in range(750, 876) if np.array_equal(p[k], p[1000])]
     assert then and not np.array_equal(p[999], p[1000])
     assert np.ptp(p[1000:1500], axis=0).max() == 0.0 and not np.array_equal(p[1600], p[1000])
+
+
+def test_no_frame_matters_to_limits_about_a_model():
+    turned = np.array([[0.0, -0.6, 0.8], [0.0, 0.8, 0.6], [-1.0, 0.0, 0.0]])
+    link, law = CONTROL.phi(TRUTH)[0], natural_adaptation(PhysicalInertia())
+    for phi in (link, change_frame(link, turned, np.array([0.3, -0.2, 0.5]))):
+        held = np.concatenate([phi, [1.0]])
+        partial = limited(PartialLaw(law, np.arange(11) < 10), held[None], 10.0)
+        limits = partial.law.constraints
+        np.testing.assert_allclose([limits.lower, limits.upper], [[0.4], [40.0]])
+        np.testing.assert_allclose(limits.matrix @ phi, 4.0)
 
 
 def test_leakage_takes_the_estimate_to_the_model():
