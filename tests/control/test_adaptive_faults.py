@@ -45,6 +45,7 @@ from geodrake.control.systems import (
     PredictionError,
     Safeguards,
 )
+from geodrake.control.systems.safeguards import Watch
 from geodrake.effects import FittedEffect, JointEffect, Parameter
 from geodrake.errors import ArgumentError
 from geodrake.inertia import change_frame, is_physical
@@ -248,6 +249,28 @@ def test_a_second_of_faults_ruins_no_estimate(kind, law, friction, fault):
         assert is_physical(phi).all()
         masses = phi[:, :, 0] / system.control.phi(system.control.prior)[:, 0]
         assert masses.max() < 20.0
+
+
+@pytest.mark.parametrize(
+    ("sample", "wrong"), [(0, [0.0, 0.0]), (500, [2.0 * np.pi, 0.0]), (500, [0.0, 1e3])]
+)
+def test_good_sensors_are_believed_outliers_are_not_and_stuck_encoders_within_their_drift(
+    sample, wrong
+):
+    t, told = 2e-3 * np.arange(1250), []
+    states = np.stack([np.sin(3.0 * t), 3.0 * np.cos(3.0 * t)], axis=1)
+    states += [1e-3, 0.05] * np.random.default_rng(0).normal(size=states.shape)
+    states[sample] += wrong
+    states[1100:, 0] = states[1100, 0]
+    watch = Watch(1, 2e-3, 0.05, 0.02, 1.0)
+    memory = watch.start()
+    for state in states:
+        seen, memory = watch.look(memory, state, np.zeros(2), np.zeros(1))
+        told.append((bool(seen.q == state[:1]), seen.trusted))
+    told, first = np.array(told), 1100 + int(np.argmin(np.array(told)[1100:, 0]))
+    assert told[:first, 0].sum() == first - (sample > 0) and told[sample, 0] == (sample == 0)
+    assert (~told[500:1000, 1]).sum() == (500 if sample else 0)
+    assert np.abs(states[1100:first, 1]).sum() * 2e-3 < 2 * 0.02 and not told[first:, 1].any()
 
 
 def test_what_was_learned_just_before_an_interruption_is_not_believed():
