@@ -415,7 +415,8 @@ def _motion(made: ServoLog, model: RobotModel, found: Explanation) -> dict[str, 
             damping=float(servos.damping[j]) if servos.knows_rate else 0.0,
             delay=servos.delay,
             integral=float(servos.integral[j]),
-            limit=float(servos.limit[j]),
+            # One that damps the velocity is at its limit for another error than one without.
+            limit=float(servos.limit[j]) if servos.knows_rate else np.inf,
         )
         for j, joint in enumerate(made.log.joints)
     ]

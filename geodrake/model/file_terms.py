@@ -7,7 +7,6 @@ from geodrake.effects import EffortDelay as Delay
 from geodrake.effects import EffortOffset as Offset
 from geodrake.effects import GravityTilt as Tilt
 from geodrake.effects import JointSpring as Spring
-from geodrake.effects import LoadDependentFriction as LoadFriction
 from geodrake.effects import NonlinearViscousFriction as Drag
 from geodrake.effects import RotorInertia as Rotor
 from geodrake.effects import StribeckFriction as StaticFriction
@@ -17,6 +16,7 @@ from geodrake.effects.of_files import JointCoupling as Coupling
 from geodrake.effects.of_files import MediumDrag as Medium
 from geodrake.effects.of_files import PolynomialSpring as Polynomial
 from geodrake.effects.of_files import Strut as StrutEffect
+from geodrake.effects.of_files import WeightFriction as LoadFriction
 
 __all__ = [
     "Carried",

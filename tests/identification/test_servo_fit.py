@@ -87,17 +87,18 @@ def test_it_finds_what_mujoco_has(model, log):
 
 @pytest.mark.parametrize("published, kept", [(1e3, True), (0.5, False)])
 def test_a_data_sheet_limits_what_the_motion_does_not(tmp_path, published, kept):
+    """It has the torque that friction leaves."""
     motions = alone(pendulum(tmp_path, 1e3), servo_log(seconds=6.0))
     signal = EffortSignal("hinge", "command", 50.0)
-    assert (
-        fit_servo(motions, signal, expected={"limit": (published, 0.7)}).limit == published
-    ) == kept
+    fit = fit_servo(motions, signal, expected={"limit": (published, 0.7)})
+    gross = published + fit.parameters[3] + fit.parameters[7] * published**2
+    assert (fit.limit == gross) == kept
 
 
 def test_a_joint_that_falls_over_is_far_off_and_no_servo():
     """It stands on its head, and the servo that the search begins with is too weak to hold it."""
     period, count = 0.02, 1000
-    rows = np.zeros((count, 8))
+    rows = np.zeros((count, 9))
     rows[:, 1], rows[:, 2], rows[:, 4] = 0.5, -800.0, np.sin(3.0 * period * np.arange(count))
     rows[:, 0], rows[:, 7] = 5.0 * rows[:, 4], rows[:, 4]
     motions = JointMotions((rows,), (rows[:, 4],), (period,))
@@ -106,7 +107,7 @@ def test_a_joint_that_falls_over_is_far_off_and_no_servo():
     slopes = motions.slopes(at, np.arange(len(at)) < 6)
     assert np.isfinite(found @ found) and np.isfinite(slopes.T @ slopes).all()
     assert np.abs(found - rows[:, 4]).max() == pytest.approx(1e3)
-    few = rows[:200] * np.where(np.arange(8) == 2, 125.0, 1.0)
+    few = rows[:200] * np.where(np.arange(9) == 2, 125.0, 1.0)
     alone = JointMotions((few,), (few[:, 4],), (period,))
     assert fit_servo(alone, EffortSignal("hinge", "command", 0.5)) is None
 
@@ -154,7 +155,7 @@ def test_a_servo_without_integral_and_limit_gets_none(model):
     assert fit.parameters[-1] == 0.0 and fit.deviations[-1] == 0.0
     assert fit.parameters[0] == pytest.approx(TRUTH[0], rel=0.03)
     assert fit.limit == np.inf  # which it does not keep
-    rows = [each + 0.3 * np.eye(8)[0] for each in motions.rows]
+    rows = [each + 0.3 * np.eye(9)[0] for each in motions.rows]
     fit = fit_servo(replace(motions, rows=tuple(rows)), EffortSignal("hinge", "command", 50.0))
     assert fit is None or fit.parameters[-1] == 0.0
 
@@ -249,7 +250,7 @@ def test_simulation_is_that_of_position_servo():
     exact = solve_ivp(rates, (0.0, time[-1]), np.zeros(3), t_eval=time, max_step=4e-3, rtol=1e-6)
     efforts = [effort_of(servo, error(*each))[0] for each in zip(time, exact.y.T, strict=True)]
     assert 0.1 < np.mean(np.abs(efforts) >= limit) < 0.6
-    rows = np.zeros((count, 8))
+    rows = np.zeros((count, 9))
     rows[:, :4], rows[:, 7] = (b, M, K, D), np.sin(3.0 * time)
     motions = JointMotions((rows,), (exact.y[0],), (period,))
     parameters = [kp, kr, d, 0.0, armature, late, 0.0, 0.0, ki]
@@ -269,7 +270,7 @@ def test_slopes_are_finite_differences(limit, own, tmp_path):
         (whole.positions[0][:600], whole.positions[0][900:1400]),
         whole.periods * 2,
     )
-    at = motions.servo([55.0, 1.0, 3.0, 0.8, 0.1, 0.0123, 0.3, 0.1, 50.0], limit=limit)
+    at = motions.servo([55.0, 1.0, 3.0, 0.8, 0.1, 0.0123, 0.3, 0.02, 50.0], limit=limit)
     at[10:] = own, 1.5, -0.7
     free = np.array([0, 1, 2, 3, 4, 5, 6, 7, 8, 11, 12, *([9] if np.isfinite(limit) else [])])
     every = motions.slopes(at, np.ones(len(at), bool))
@@ -311,12 +312,12 @@ def test_velocity_feedback_is_within_the_limit(tmp_path):
     assert sum(fit.parameters[1:3]) == pytest.approx(TRUTH[2], rel=0.1)
     assert fit.own or fit.parameters[1] == pytest.approx(TRUTH[2] - 1.0, rel=0.1)
     found = fit_servo(motions, EffortSignal("hinge", "command", 50.0))
-    assert found.limit == pytest.approx(5.0, rel=0.02) and found.error < 1.1 * fit.error
+    assert found.limit == pytest.approx(5.0, rel=0.03) and found.error < 1.1 * fit.error
 
 
 def test_a_joint_that_stands_exactly_still_has_no_servo():
     """Of no effort, too: no number is divided by what is not there."""
-    rows = np.zeros((400, 8))
+    rows = np.zeros((400, 9))
     rows[:, 1] = 0.5
     motions = JointMotions((rows,), (rows[:, 4],), (0.004,))
     for integral in (0.0, 3.0):
@@ -344,7 +345,7 @@ def test_an_integral_in_a_log_is_held_as_that_of_position_servo():
 
 def test_an_integral_that_makes_a_joint_swing_up_ends_its_search():
     """Its slopes grow beyond numbers."""
-    rows, time = np.zeros((6000, 8)), 0.005 * np.arange(6000)
+    rows, time = np.zeros((6000, 9)), 0.005 * np.arange(6000)
     rows[:, 7], rows[:, 4] = np.sin(2.0 * time), 0.9 * np.sin(2.0 * time - 0.2)
     rows[:, 5] = np.gradient(rows[:, 4], time)
     rows[:, 6] = np.gradient(rows[:, 5], time)

@@ -9,7 +9,7 @@ move as they were measured to. Near the measured motion the bodies' effort is li
 
 with slopes of the recursion, and the joint's motion x follows from
 
-    … + o + I ẍ + d ẋ + (F + k |b|) sgn ẋ
+    … + o + I ẍ + d ẋ + (F + k g²) sgn ẋ
         = kp (c(t − δ) − x) + kr (dc/dt(t − δ) − ẋ) + w + ki ∫(c(t − δ) − x) dt.
 
 Its parameters are those of least squares of x − q by Levenberg and Marquardt's method, from a
@@ -68,7 +68,7 @@ PARAMETERS = (
     "integral",
 )
 """kp, kr, d, F, I, δ, o, k and ki; of joints that turn in N·m/rad, N·m·s/rad (twice), N·m, kg·m²,
-s, N·m, 1 and N·m/(rad·s).
+s, N·m, 1/(N·m) and N·m/(rad·s).
 
 Numbers of a servo are these, its limit (infinite for none), the share of d within it (0 or 1), and
 the efforts w that an integral begins with, one for each stretch.
@@ -77,7 +77,7 @@ the efforts w that an integral begins with, one for each stretch.
 LONGEST_DELAY, USUAL_DELAY = 0.06, 0.01
 """Commands are late by no more, and in the mean, s."""
 
-_RATE, _DELAY, _OFFSET, _LOAD, _INTEGRAL = 1, 5, 6, 7, 8
+_RATE, _COULOMB, _DELAY, _OFFSET, _LOAD, _INTEGRAL = 1, 3, 5, 6, 7, 8
 _LIMIT, _SHARE, _BEGUN = 9, 10, 11
 _PLACES = {name: at for at, name in enumerate((*PARAMETERS, "limit"))}
 _STEPS, _LONGEST_STEP = 4, 5e-3  # of simulations between two rows at least, and at most so long, s
@@ -90,7 +90,7 @@ _FIRST_DAMPING, _LEAST_DAMPING = 1e-3, 1e-9  # of steps, over squares of slopes
 _FARTHEST = 3.0  # deviations of a number from what is expected
 _LEAST_LIMIT = 0.01  # of its size
 LOWERED = 0.7  # deviation of the logarithm of a limit from a stall torque: servos are set to less
-_USUAL_LOAD, _MOST_LOAD = 0.2, 1.0  # of the load, that friction in proportion to it is
+_USUAL_LOAD, _MOST_LOAD = 0.2, 2.0  # of the largest load, that friction by its square is there
 _NOTHING = float(np.finfo(float).tiny)  # rad² or m², of a joint that stands exactly still
 _FAR = 1e3  # rad or m, from the measured motion, and no farther: squares stay numbers
 _TRIED_DELAYS = (0.0, 0.01, 0.03)  # s, that searches begin from
@@ -115,7 +115,7 @@ class ServoFit:
 class JointMotions:
     """One joint along S stretches of logs: what a simulation of it alone needs."""
 
-    rows: tuple[Array, ...]  # per stretch (N, 8) b, M, K, D, and smooth q, q̇, q̈, and the command
+    rows: tuple[Array, ...]  # per stretch (N, 9) b, M, K, D, and smooth q, q̇, q̈, command, weight
     positions: tuple[Array, ...]  # per stretch (N,) positions as logged, rad or m
     periods: tuple[float, ...]  # per stretch the time between rows, s
 
@@ -200,7 +200,7 @@ class JointMotions:
 
     @cached_property
     def _whole(self) -> tuple[Array, Indices, Array]:
-        """(N, 8) rows of all stretches, where each ends, and periods, s."""
+        """(N, 9) rows of all stretches, where each ends, and periods, s."""
         return (
             np.concatenate(self.rows),
             np.cumsum(list(map(len, self.rows))),
@@ -326,23 +326,25 @@ def motions_of(
         for stretch in trajectory.segments:
             chunks = [(part.time, _about(robot, part)) for _, part in stretch.chunks()]
             time = np.concatenate([instants for instants, _ in chunks])
-            columns = np.concatenate([values for _, values in chunks])  # (N, 7, n)
+            columns = np.concatenate([values for _, values in chunks])  # (N, 8, n)
             for j in joints:
                 told = _read(log.time, command[:, j], time)
-                rows[j].append(contiguous(np.column_stack([columns[:, :, j], told])))
+                rows[j].append(contiguous(np.insert(columns[:, :, j], 7, told, axis=1)))
                 positions[j].append(_read(log.time, log.position[:, j], time))
             periods.append(stretch.period)
     return {j: JointMotions(tuple(rows[j]), tuple(positions[j]), tuple(periods)) for j in joints}
 
 
 def _about(model: RobotModel, part: Segment) -> Array:
-    """Return (N, 7, n) b, M, K, D, q, q̇ and q̈ of every joint alone."""
+    """Return (N, 8, n) b, M, K, D, q, q̇, q̈ and weight of every joint alone."""
     motion = (model.positions(part.position), part.velocity, part.acceleration)
     slopes = effort_slopes(model.tree, *motion, model.total_phi)
     kinds = (slopes.acceleration, slopes.position, slopes.velocity)
     own = (np.diagonal(slope, axis1=1, axis2=2) for slope in kinds)
     b = inverse_dynamics(model.tree, *motion, model.total_phi)
-    return np.stack([b, *own, part.position, part.velocity, part.acceleration], 1)
+    still = np.zeros_like(part.velocity)
+    weight = inverse_dynamics(model.tree, motion[0], still, still, model.total_phi)
+    return np.stack([b, *own, part.position, part.velocity, part.acceleration, weight], 1)
 
 
 def _read(time: Array, values: Array, instants: Array) -> Array:
@@ -472,7 +474,9 @@ class _Search:
         if not error < min(first, moved):
             return None
         if np.isfinite(usual):
-            held = best.limited(usual, 0.0)
+            # Of what a servo gives, friction takes its part before the shaft of a data sheet.
+            dry = float(best.numbers[_COULOMB] + best.numbers[_LOAD] * usual**2)
+            held = best.limited(usual + dry, 0.0)
             if (motions.residual(held.numbers) == motions.residual(best.numbers)).all():
                 best = held
         parameters, limit, own = np.split(best.numbers[:_BEGUN], [_LIMIT, _SHARE])
@@ -556,7 +560,7 @@ class _Search:
             noise = np.sqrt(left @ left / WORTH)
             weights, late = noise / spread, noise / USUAL_DELAY * np.sqrt(2.0 / np.pi)
         upper, lower = np.full((2, size), np.inf)
-        upper[[_DELAY, _LOAD]] = LONGEST_DELAY, _MOST_LOAD
+        upper[[_DELAY, _LOAD]] = LONGEST_DELAY, _MOST_LOAD / self._most
         lower[:_LIMIT], lower[_LIMIT], lower[_SHARE:] = 0.0, _LEAST_LIMIT * self._most, -np.inf
         lower[_OFFSET] = -np.inf
         farthest = np.exp(_FARTHEST * spread)
@@ -597,7 +601,7 @@ class _Search:
         numbers, free, gain = best.numbers, best.free, best.numbers[0]
         least = np.full(len(numbers), float(np.std(self.motions.needed)) or 1.0)
         least[:_OFFSET] = 0.0, 0.02 * gain, 0.01 * gain, 1e-3, 1e-4, 0.01
-        least[_LOAD], least[_INTEGRAL] = _USUAL_LOAD, gain
+        least[_LOAD], least[_INTEGRAL] = _USUAL_LOAD / self._most, gain
         size = np.maximum(np.abs(numbers), least)[free]
         residual, J = self.motions.residual(numbers), self.motions.slopes(numbers, free) * size
         noise = residual @ residual / WORTH
@@ -673,7 +677,7 @@ def calc_servo_motions(
     """Write the positions of a joint along stretches, one after the other; see the next.
 
     Args:
-        rows: (N, 8) of all stretches.
+        rows: (N, 9) of all stretches.
         ends: (S,) where each ends.
         periods: (S,) s.
         servo: (11 + S,) numbers of a servo, an effort w for each stretch.
@@ -697,12 +701,13 @@ def calc_servo_motion(rows: Array, period: float, servo: Array, out: tuple[Array
 
     Forces are those between both ends of a step, where the error is of second order but for what
     damps stiff joints. Dry friction is that of the velocity afterwards, and a set at rest: a joint
-    sticks until more than F + k |b| pulls at it. Slopes are those of the steps themselves, while a
+    sticks until more than F + k g² pulls at it, with the
+    weight g that it holds. Slopes are those of the steps themselves, while a
     joint that sticks goes on doing so. One that a weak servo lets run away is held where it is far
     from the measured motion.
 
     Args:
-        rows: (N, 8) b, M, K, D, q, q̇, q̈ and the command.
+        rows: (N, 9) b, M, K, D, q, q̇, q̈, the command, and what holds the bodies still.
         period: Time between rows, s.
         servo: (12,) kp, kr, d, F, I, δ, o, k, ki, the largest effort, the share of d within it,
             and w.
@@ -724,22 +729,24 @@ def calc_servo_motion(rows: Array, period: float, servo: Array, out: tuple[Array
     slopes[:1, :count] = 0.0
     for k in range(len(rows) - 1):
         for s in range(steps):
-            b, M, K, D, q, qd, qdd = calc_between(rows[k], rows[k + 1], (s + _THETA) / steps)
+            b, M, K, D, q, qd, qdd, weight = calc_between(
+                rows[k], rows[k + 1], (s + _THETA) / steps
+            )
             before, rise_before = c, rise
             c, rise = calc_command_before(rows, k + (s + 1.0) / steps - late, period)
             told = (1.0 - _THETA) * before + _THETA * c
             inertia, free, old = (M + armature) / dt, D + (1.0 - own) * d, (1.0 - _THETA) * v
             at = x + ahead * old
-            drive = kp * (told - at) + kr * ((c - before) / dt - old) - own * d * old
-            drive += ki * (z + ahead * (told - at)) + w
+            pulled = kp * (told - at) + ki * (z + ahead * (told - at)) + w
+            drive = pulled + kr * ((c - before) / dt - old) - own * d * old
             rest = inertia * v - b - offset - K * (at - q) + D * qd - free * old + M * qdd
             heavy, gives, bound = inertia + K * ahead * _THETA + free * _THETA, 1.0, 0.0
-            dry = F + load * abs(b)
-            now, way = calc_velocity_after(drive + rest, heavy + soft, dry)
+            held = weight + K * (at - q)
+            now, way = calc_velocity_after(drive + rest, heavy + soft, F + load * held**2)
             effort = drive - soft * now
             if effort > limit or effort < -limit:
                 gives, bound = 0.0, limit if effort > 0.0 else -limit
-                now, way = calc_velocity_after(bound + rest, heavy, dry)
+                now, way = calc_velocity_after(bound + rest, heavy, F + load * held**2)
             mean = old + _THETA * now
             error = told - x - ahead * mean
             grows = gives > 0.0 or effort * error < 0.0
@@ -753,14 +760,15 @@ def calc_servo_motion(rows: Array, period: float, servo: Array, out: tuple[Array
                     (v - now) / dt,
                     -gives * (reach * later + kr * (rise - rise_before) / dt),
                     -1.0,
-                    -way * abs(b),
+                    -way * held**2,
                     gives * (z + ahead * error),
                     np.sign(bound),
                     0.0,
                     gives,
                 )
-                damps, pulls = free + gives * (kr + own * d), K + gives * reach
+                damps = free + gives * (kr + own * d)
                 moves = 1.0 / (heavy + gives * soft) if way != 0.0 else 0.0
+                pulls = K * (1.0 + 2.0 * way * load * held) + gives * reach
                 step = inertia, damps, pulls, gives * ki, moves, dt if grows else 0.0, dt
                 move_slopes(at_numbers, direct, step)
                 at_numbers[2, 5] -= dt * later if grows else 0.0
@@ -802,8 +810,8 @@ def move_slopes(
 @inlined
 def calc_between(
     a: Array, b: Array, share: float
-) -> tuple[float, float, float, float, float, float, float]:
-    """Return b, M, K, D, q, q̇ and q̈ between two rows."""
+) -> tuple[float, float, float, float, float, float, float, float]:
+    """Return b, M, K, D, q, q̇, q̈ and the weight between two rows."""
     left = 1.0 - share
     return (
         left * a[0] + share * b[0],
@@ -813,6 +821,7 @@ def calc_between(
         left * a[4] + share * b[4],
         left * a[5] + share * b[5],
         left * a[6] + share * b[6],
+        left * a[8] + share * b[8],
     )
 
 
