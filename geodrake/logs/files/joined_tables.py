@@ -317,7 +317,7 @@ _NAMES = frozenset(["name", "names"])
 _ITEM = re.compile(r"[^\s,;'\"\[\]()]+")  # of a list of names
 _MOST_CHANGES = 0.05  # of the rows, after which another joint follows in tables of one at a time
 _TOGETHER = 0.9  # of the time and the rows of a joint, that others have which are logged with it
-_MOST_JOINTS = 200  # more different words are no names of joints
+_MOST_JOINTS, _MOST_SIGNALS = 200, 2000  # more different words are no names
 
 
 def reshaped(table: LogTable, reading: Reading) -> LogTable:
@@ -325,34 +325,30 @@ def reshaped(table: LogTable, reading: Reading) -> LogTable:
     words = {n: w for column, cells in table.words.items() for n, w in _items(column, cells)}
     numbers = {n: _numbered(table.columns[n]) for n in table.columns if numbers_joints(n)}
     words |= {n: w for n, w in numbers.items() if w is not None}
-    if reading.mapping is None and (signal := next(filter(names_signals, words), None)):
-        table, words = _spread_values(table, words, signal, reading), {}
+    if reading.mapping is not None:
+        return table
+    if (spread := _spread_values(table, words, reading)) is not None:
+        return spread
     naming = {n: w for n, w in words.items() if names_joints(n) and len({*w}) <= _MOST_JOINTS}
     numbered = {n: w for n, w in naming.items() if number_of(n) is not None}
-    if reading.mapping is not None or not naming:
-        return table
     if numbered and all(_NAMES & plain_words(name) or name.endswith("]") for name in numbered):
         return _named(table, numbered)
-    return _pivoted(table, *next(iter(naming.items())), reading)
+    return _pivoted(table, *next(iter(naming.items())), reading) if naming else table
 
 
 def _spread_values(
-    table: LogTable, words: Mapping[str, Texts], signal: str, reading: Reading
-) -> LogTable:
+    table: LogTable, words: Mapping[str, Texts], reading: Reading
+) -> LogTable | None:
     """Return a table with a column for each signal, of one with a row for each of their values."""
+    signal = next(filter(names_signals, words), None)
     value = [n for n in table.columns if meaning_of(n) is None and "value" in plain_words(n)]
-    if not value or not any(map(table.is_time, table.columns)):
-        return table
+    if signal is None or not value or not any(map(table.is_time, table.columns)):
+        return None
     of_joints = next((w for n, w in words.items() if n != signal and names_joints(n)), None)
     names = words[signal] if of_joints is None else of_joints + "." + words[signal]
-    parts = []
-    for name in dict.fromkeys(names.tolist()):
-        kept = {name if n == value[0] else n: x for n, x in table.columns.items()}
-        kept = {n: x[names == name] for n, x in kept.items() if n == name or table.is_time(n)}
-        parts.append(LogTable(Path(name), kept, origins=table.origins))
-    joined = joined_tables(table.path, parts, reading)
-    note = f"a row for each value of what {signal!r} says: one for each instant is made of them"
-    return replace(joined, notes=(note, *table.notes, *joined.notes))
+    if len({*names}) > _MOST_SIGNALS:
+        return None
+    return _brought_together(table, signal, names, {value[0]: ""}, reading)
 
 
 def _items(column: str, cells: Texts) -> Iterator[tuple[str, Texts]]:
@@ -427,31 +423,39 @@ def _pivoted(table: LogTable, naming: str, words: Texts, reading: Reading) -> Lo
     """Return a table of a row for each joint and time as one of a row a sample."""
     told = [m for m in meanings_of(table.columns) if m.quantity in OF_JOINTS]
     own = _likeliest({m.column: m for m in told if not m.words}, lambda m: m.quantity)
-    joints = list(dict.fromkeys(words.tolist()))
     of_others = any(m.words and m.quantity == "position" for m in told)
-    if not own or of_others or len(joints) == len(words):
+    if not own or of_others or len({*words}) == len(words):
         return table
     _check_names(table, naming, words)
     _check_at_once(table, naming, words)
+    return _brought_together(
+        table, naming, words, {n: f".{m.quantity}" for n, m in own.items()}, reading
+    )
+
+
+def _brought_together(
+    table: LogTable, naming: str, words: Texts, ends: Mapping[str, str], reading: Reading
+) -> LogTable:
+    """Return a table of a row for each word and instant as one of a row an instant.
+
+    Its columns are called by the words of the column `naming`, and what their names are to end in.
+    """
     parts = []
-    for joint in joints:
-        here = words == joint
-        names = {n: f"{joint}.{own[n].quantity}" if n in own else n for n in table.columns}
-        columns = {
-            names[n]: v[here] for n, v in table.columns.items() if n in own or table.is_time(n)
-        }
-        units = {n: unit for n, unit in table.units.items() if n not in own}
-        units |= {names[n]: unit for n, m in own.items() if (unit := _unit_of(table, m))}
-        parts.append(LogTable(Path(joint), columns, units, origins=table.origins))
+    told = {m.column: unit for m in meanings_of(ends) if (unit := _unit_of(table, m))}
+    for word in dict.fromkeys(words.tolist()):
+        kept = {n: x[words == word] for n, x in table.columns.items() if table.is_time(n)}
+        kept |= {word + end: table.columns[n][words == word] for n, end in ends.items()}
+        units = {**table.units} | {word + ends[n]: unit for n, unit in told.items()}
+        parts.append(LogTable(Path(word), kept, units, origins=table.origins))
     try:
         joined = joined_tables(table.path, parts, reading)
     except LogError as error:
         raise LogError(
-            f"Log {str(table.path)!r} has a row for each joint in {naming!r}, which cannot be "
+            f"Log {str(table.path)!r} has a row for each word in {naming!r}, which cannot be "
             f"brought together: {error.problem}",
             advice=error.advice,
         ) from error
-    note = f"a row for each joint in {naming!r}: one for each instant is made of them"
+    note = f"a row for each word in {naming!r}: one for each instant is made of them"
     return replace(joined, notes=(note, *table.notes, *joined.notes))
 
 

@@ -13,7 +13,7 @@ from functools import cached_property, partial
 from importlib import import_module
 from importlib.util import find_spec
 from io import BytesIO, StringIO, TextIOWrapper
-from itertools import chain, islice, takewhile
+from itertools import chain, dropwhile, islice, product, takewhile
 from pathlib import Path
 from typing import Any, BinaryIO
 from zipfile import ZipFile
@@ -149,18 +149,19 @@ def text_layout(path: Path, file: Iterator[str], reading: Reading) -> TextLayout
     lines = [*islice(file, _HEADER_LINES + _LINES_AHEAD)]
     begin, comment = _first_line(lines)
     lines.append("")
+    above, data, mark = _rows_above(lines, begin)
+    keyed_names, units = _keyed_names(path, [cells for _, cells in above], lines[data:], mark)
+    begin = above[0][0] if above else begin
     separator = _separator(lines[begin])
     cells, after = _header_cells(path, lines, begin, separator)
     names: Sequence[str] = () if reading.columns else _joint_state(cells)
-    units, unnamed = dict[str, str](), tuple[str, ...]()
+    unnamed = tuple[str, ...]()
     first, second = (_keyed("".join(lines[k : k + 1])) for k in (begin, after))
     keyed, again = ([name for name, _ in each] for each in (first, second))
-    rows = None if names or reading.columns else _KeyedRows.of(path, lines)
     if is_keyed := len(keyed) > 1 and keyed == again:
         names = keyed
-    elif rows is not None:
-        names, units, separator, begin = rows.names, rows.units, rows.separator, rows.begin
-        names = _with_units(names, units)
+    elif keyed_names and not reading.columns:
+        names, separator, begin = keyed_names, mark, data
     elif not names and (_are_numbers(cells) or any(map(_MEASURED.fullmatch, cells))):
         told = renamed(path, reading, cells) if reading.columns else ()
         names = told or _names_in_comment(cells, comment)
@@ -197,81 +198,62 @@ def _first_line(lines: Sequence[str]) -> tuple[int, str]:
         if plain.startswith(COMMENTS) and not plain.startswith("%time"):
             comment = plain.lstrip("#%/ \t")
         elif plain and not _EXCEL.fullmatch(plain):
-            return k + _preface(lines[k : k + _PREFACE]), comment
+            return k, comment
     return len(lines), comment
 
 
-def _preface(lines: Sequence[str]) -> int:
-    """Return how many lines come before that of the names: free text about the recording.
+def _rows_above(
+    lines: Sequence[str], begin: int
+) -> tuple[list[tuple[int, list[str]]], int, str | None]:
+    """Return rows right above the numbers and as wide, where these begin, and their separator.
 
-    Two rows with numbers follow that line, with as many cells as names.
+    Free text and titles above are left out. There are none in tables without two rows of numbers.
     """
-    rows = [(k, line.split(mark := _separator(line)), mark) for k, line in enumerate(lines)]
-    rows = [(k, cells, mark) for k, cells, mark in rows if lines[k].strip()]
-    filled = [bool(cell.strip(' "\r\n')) for _, cells, _ in rows[:1] for cell in cells]
-    width = 1 if sum(filled) == 1 else len(filled)  # a title fills one cell
-    for (k, names, mark), *below in zip(rows[1:], rows[2:], rows[3:], strict=False):
-        wide = all(len(cells) == len(names) > 1 and other == mark for _, cells, other in below)
-        few = min(sum(map(is_number, cells)) for _, cells, _ in below) <= len(names) / 2
-        others = wide and len(names) != width and not any(map(is_number, names))
-        if others and not few:
-            before = [(j, each) for j, each, _ in rows if j < k][-1]  # whose units these may be
-            return before[0] if _units(before[1], lines[k].split(mark)) else k
-    return 0
+    for is_row, at in product((_begins_with_time, _has_numbers), range(begin, begin + _PREFACE)):
+        separator = _separator("".join(lines[at : at + 1]))
+        first, second = (_cells_of("".join(lines[k : k + 1]), separator) for k in (at, at + 1))
+        if len(first) == len(second) > 1 and is_row(first) and is_row(second):
+            break
+    else:
+        return [], begin, None
+    rows = [(k, cells) for k in range(begin, at) if any(cells := _cells_of(lines[k], separator))]
+    wide = takewhile(lambda row: len(row[1]) - len(first) in (0, 1), reversed(rows))
+    above = [*dropwhile(lambda row: sum(map(bool, row[1])) == 1, [*wide][::-1])]
+    return above, at, separator
 
 
-@dataclass(frozen=True)
-class _KeyedRows:
-    """Rows above the numbers that begin with what they say, as TwinCAT and LabVIEW write them.
+def _has_numbers(cells: Sequence[str]) -> bool:
+    return 2 * sum(map(is_number, cells)) > len(cells)
 
-    Keys are such as `Name`, `SampleTime[ms]` and `Unit`; the first column of the numbers is time.
+
+def _begins_with_time(cells: Sequence[str]) -> bool:
+    return _are_numbers(cells[:1]) and _has_numbers(cells)
+
+
+def _keyed_names(
+    path: Path, above: Sequence[Sequence[str]], lines: Sequence[str], separator: str | None
+) -> tuple[Sequence[str], dict[str, str]]:
+    """Return names and units in rows that begin with what they say; no names in others.
+
+    TwinCAT and LabVIEW write several, such as `Name`, `SampleTime[ms]` and `Unit`. The first column
+    of the numbers in these lines is time; others of its name must be the same.
     """
-
-    names: list[str]
-    units: dict[str, str]
-    separator: str | None
-    begin: int  # of the numbers
-
-    @classmethod
-    def of(cls, path: Path, lines: Sequence[str]) -> _KeyedRows | None:
-        """Return those of a table of some lines; None of other tables."""
-        for begin, line in enumerate(lines[: min(_PREFACE, len(lines) - 1)]):
-            separator = _separator(line)
-            first, second = (_cells_of(each, separator) for each in lines[begin : begin + 2])
-            if len(first) == len(second) > 1 and _begins(first) and _begins(second):
-                break
-        else:
-            return None
-        rows = [cells for k in range(begin) if any(cells := _cells_of(lines[k], separator))]
-        keyed = takewhile(lambda row: row[0] and len(row) - len(first) in (0, 1), reversed(rows))
-        above = [*keyed][::-1]
-        header = max(above, key=_count_understood, default=[])
-        if len(above) < _KEYED_ROWS or not _count_understood(header):
-            return None
-        cls._check_clocks(path, header, [_cells_of(line, separator) for line in lines[begin:]])
-        names = ["Time" if meaning_of(header[0]) is None else header[0], *header[1 : len(first)]]
-        units = next(filter(None, (_units(names, cells) for cells in above)), {})
-        return cls(names, units, separator, begin)
-
-    @staticmethod
-    def _check_clocks(path: Path, header: Sequence[str], rows: Sequence[Sequence[str]]) -> None:
-        """Refuse columns of time beside each signal that differ."""
-        clocks = [k for k, name in enumerate(header) if name == header[0]]
-        whole = [cells for cells in rows if len(cells) > clocks[-1]]
-        if any(cells[k] != cells[0] for cells in whole for k in clocks):
-            raise LogError(
-                f"Log {str(path)!r} has {len(clocks)} columns of time, which differ.",
-                advice="Export one column of time for all, or a file for each signal.",
-            )
-
-
-def _begins(cells: Sequence[str]) -> bool:
-    """Return whether a row of numbers begins with its time."""
-    return _are_numbers(cells[:1]) and 2 * sum(map(is_number, cells)) > len(cells)
-
-
-def _count_understood(names: Sequence[str]) -> int:
-    return len({name for name in names if meaning_of(name) is not None})
+    if len(above) < _KEYED_ROWS or not all(cells[0] for cells in above):
+        return (), {}
+    counts = [len({name for name in cells if meaning_of(name) is not None}) for cells in above]
+    if not any(counts):
+        return (), {}
+    rows = [_cells_of(line, separator) for line in lines]
+    header = above[counts.index(max(counts))][: len(rows[0])]
+    clocks = [k for k, name in enumerate(header) if name == header[0]]
+    if any(cells[k] != cells[0] for cells in rows if len(cells) > clocks[-1] for k in clocks):
+        raise LogError(
+            f"Log {str(path)!r} has {len(clocks)} columns of time, which differ.",
+            advice="Export one column of time for all, or a file for each signal.",
+        )
+    names = ["Time" if meaning_of(header[0]) is None else header[0], *header[1:]]
+    units = next(filter(None, (_units(names, cells) for cells in above)), {})
+    return _with_units(names, units), units
 
 
 def _cells_of(line: str, separator: str | None) -> list[str]:
