@@ -299,22 +299,22 @@ def spline_through(signal: Array) -> BSpline:
     return make_interp_spline(samples, signal, k=degree - (degree % 2 == 0), axis=0)
 
 
-def resample(time: Array, smooth: Array, sharp: Array, instants: Array) -> tuple[Array, Array]:
-    """Move jittered samples to other instants; those that are there already stay as they are.
+def resample(time: Array, signals: Array, instants: Array, *, sharp: bool = False) -> Array:
+    """Move jittered signals (N, n) to other instants; samples that are there stay as they are.
 
     Args:
-        smooth: (N, m) signals to interpolate by a cubic spline (positions, velocities).
-        sharp: (N, n) signals to interpolate linearly, without overshoot (efforts).
         instants: (K,) new time stamps between the first and the last.
+        sharp: Whether to interpolate linearly, without overshoot, as efforts; else by a cubic
+            spline, as positions and velocities.
     """
     start = int(np.argmin(np.abs(time - instants[0]))) if len(instants) else 0
     same = time[start : start + len(instants)]
     near = _SAME_INSTANT * (time[-1] - time[0]) / max(len(time) - 1, 1)
     if len(same) == len(instants) and (np.abs(same - instants) <= near).all():
-        there = slice(start, start + len(instants))
-        return smooth[there], sharp[there]
-    linear = np.stack([np.interp(instants, time, column) for column in sharp.T], 1)
-    return CubicSpline(time, smooth)(instants), linear
+        return signals[start : start + len(instants)]
+    if sharp:
+        return np.stack([np.interp(instants, time, column) for column in signals.T], 1)
+    return np.asarray(CubicSpline(time, signals)(instants))
 
 
 def choose_bandwidth(pieces: Sequence[tuple[Array, float]]) -> float:

@@ -11,6 +11,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -60,24 +61,13 @@ class Piece:
         grid = np.minimum(grid, self.time[-1])
         before, after = np.searchsorted(self.time, grid[[0, -1]]) if len(grid) else (0, 0)
         rows = slice(max(0, before - SPLINE_REACH), after + SPLINE_REACH)
-        kept = [x for x in (self.position, self.velocity, self.acceleration) if x is not None]
-        smooth = np.hstack([x[rows] for x in kept])
-        efforts = [x[rows] for x in (self.effort, self.ground) if x is not None]
-        signals, both = resample(self.time[rows], smooth, np.hstack(efforts), grid)
-        effort, *ground = np.split(both, len(efforts), axis=1)
-        ends = np.cumsum([x.shape[1] for x in kept])
-        position, *others = np.split(signals, ends[:-1], axis=1)
-        velocity = None if self.velocity is None else others.pop(0)
-        acceleration = None if self.acceleration is None else others.pop(0)
-        return replace(
-            self,
-            time=grid,
-            position=position,
-            velocity=velocity,
-            effort=effort,
-            acceleration=acceleration,
-            ground=ground[0] if ground else None,
-        )
+        names = ("position", "velocity", "acceleration", "effort", "ground")
+        signals: dict[str, Any] = {
+            name: resample(self.time[rows], signal[rows], grid, sharp=name in ("effort", "ground"))
+            for name in names
+            if (signal := getattr(self, name)) is not None
+        }
+        return replace(self, time=grid, **signals)
 
 
 @dataclass(frozen=True, eq=False)
@@ -101,8 +91,8 @@ class Segment:
         return len(self.time)
 
     def __getitem__(self, samples: slice) -> Segment:
-        time, position, velocity, acceleration, effort = (x[samples] for x in self.signals)
         ground = None if self.ground is None else self.ground[samples]
+        time, position, velocity, acceleration, effort = (x[samples] for x in self.signals)
         return Segment(time, position, velocity, acceleration, effort, self.period, ground)
 
     @property

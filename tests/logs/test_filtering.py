@@ -92,7 +92,8 @@ def test_resampled_efforts_do_not_overshoot():
     time = np.cumsum(rng.choice([0.01, 0.012, 0.03], 300, p=[0.7, 0.28, 0.02]))
     step = (time > 1.5).astype(float)[:, None]
     grid = np.arange(time[0], time[-1], 0.01)
-    smooth, sharp = resample(time, np.sin(3 * time)[:, None], step, grid)
+    smooth = resample(time, np.sin(3 * time)[:, None], grid)
+    sharp = resample(time, step, grid, sharp=True)
     assert np.abs(smooth[:, 0] - np.sin(3 * grid)).max() < 1e-4
     assert sharp.min() == 0.0
     assert sharp.max() == 1.0
