@@ -19,6 +19,7 @@ _LEAST_LIMIT = 1e-9  # N·m or N: no motor is that weak
 _NEAR_ZERO, _TOUCHES = 0.03, 4  # of the largest effort, and how often one comes down to it
 _LOOKS = 200  # at a position, between which its noise turns it round
 _LEAST_DEGREES = 45.0  # seven turns of a joint in radians
+_MOST_DEGREES = 3600.0  # ten turns
 _LEAST_TICKS, _A_TURN = 100.0, 360.0  # no joint goes there in radians, or in degrees
 _FEW = 0.01  # share of samples that may be spikes
 _MARGIN = 0.01  # of a range, by which a joint may pass its stops
@@ -52,37 +53,40 @@ def effort_unit_hint(log: JointLog, effort_limits: ArrayLike) -> str | None:
     return None
 
 
+_TICKS_ADVICE = (
+    "ticks of an encoder? --units position=rev/4096@2048 converts those with 4,096 a turn, gears "
+    "included, and their zero at tick 2048, position=rev/4096 those with it at tick 0."
+)
+
+
 def position_unit_hint(log: JointLog) -> str | None:
-    """Return a sentence for the user if positions look like degrees; else None."""
+    """Return a sentence for the user if positions look like degrees or ticks; else None."""
     peaks = _peaks(log.position)
     worst = int(np.argmax(peaks))
-    are_ticks = peaks[worst] > _A_TURN and are_whole(log.position[:_ROWS])
-    if not are_ticks and peaks[worst] > _LEAST_DEGREES and np.mean(peaks > 10.0) > 0.5:
-        return (
-            f"Positions seem to be in degrees: {log.joints[worst]} reaches "
-            f"{peaks[worst]:.4g}, and most joints go beyond 10. Positions are rad or m: "
-            "--units position=deg converts them."
-        )
-    return None
+    farthest = f"{log.joints[worst]} reaches {peaks[worst]:.4g}, and most joints go beyond 10"
+    if not peaks[worst] > _LEAST_DEGREES or np.mean(peaks > 10.0) <= 0.5:
+        return None
+    if peaks[worst] > _MOST_DEGREES:
+        return f"Positions are neither rad nor degrees: {farthest}. Are they {_TICKS_ADVICE}"
+    return (
+        f"Positions seem to be in degrees: {farthest}. Positions are rad or m: "
+        "--units position=deg converts them."
+    )
 
 
 def check_ticks(log: JointLog) -> None:
     """Refuse positions that are whole numbers, farther from 0 than joints turn in rad."""
+    if not are_whole(log.position[:_ROWS]):
+        return
     peaks = _peaks(log.position)
     worst = int(np.argmax(peaks))
-    if peaks[worst] < _LEAST_TICKS or not are_whole(log.position[:_ROWS]):
+    if peaks[worst] < _LEAST_TICKS:
         return
-    may_be_degrees = peaks[worst] <= _A_TURN
+    in_degrees = "degrees? --units position=deg converts them. Or "
     raise LogError(
         f"Positions of log {log.name!r} are whole numbers, of up to {peaks[worst]:.7g} at "
         f"{log.joints[worst]}: no joint has such in rad or m.",
-        advice=(
-            "Are they degrees? --units position=deg converts them. Or ticks"
-            if may_be_degrees
-            else "Are they ticks"
-        )
-        + " of an encoder? --units position=rev/4096@2048 converts those with 4,096 a turn, gears "
-        "included, and their zero at tick 2048, position=rev/4096 those with it at tick 0.",
+        advice=f"Are they {in_degrees if peaks[worst] <= _A_TURN else ''}{_TICKS_ADVICE}",
         joint=log.joints[worst],
     )
 

@@ -1,5 +1,6 @@
 """What names of columns say, and which joints of a model they are of."""
 
+import numpy as np
 import pytest
 
 from geodrake.logs.files.name_rules import MEASURED, matched, meaning_of
@@ -112,6 +113,13 @@ def test_units_in_names(name, unit, factor):
     found = meaning_of(name).unit
     assert found.name == unit
     assert found.factor == pytest.approx(factor)
+
+
+@pytest.mark.parametrize(("name", "counted"), [("q_1 [inc]", True), ("q_inc_1", False)])
+def test_counts_of_an_encoder_are_a_unit_in_brackets(name, counted):
+    unit = meaning_of(name).unit
+    assert (unit is not None) == counted
+    assert unit is None or (unit.name == "counts" and np.isnan(unit.factor))
 
 
 @pytest.mark.parametrize(

@@ -51,7 +51,7 @@ def test_whole_numbers_far_from_zero_are_refused_before_anything_is_made_of_them
     with pytest.raises(LogError, match=f"no joint has such in rad or m. {words}.*rev/4096@2048"):
         make_uniform(raw)
     make_uniform(replace(raw, position=ticks + 0.5))
-    assert (position_unit_hint(raw) is None) == (scale > 360.0)
+    assert ("neither rad nor degrees" in position_unit_hint(raw)) == (scale > 3600.0)
 
 
 def test_limits_that_were_taken_for_the_wrong_unit():

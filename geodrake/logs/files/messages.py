@@ -241,11 +241,9 @@ class MessageRows(MessageNumbers):
         """Yield the columns of joints, `<joint>.<quantity>`, or `position[0]` without names."""
         joints, quantities = key
         for k, joint in enumerate(joints):
-            places = {quantity: k + at * len(joints) for at, quantity in enumerate(quantities)}
-            if isinstance(joint, int):
-                yield joint, {f"{quantity}[{joint}]": at for quantity, at in places.items()}
-            else:
-                yield joint, {f"{joint}.{quantity}": at for quantity, at in places.items()}
+            name = "{1}[{0}]" if isinstance(joint, int) else "{0}.{1}"
+            named = (name.format(joint, quantity) for quantity in quantities)
+            yield joint, {each: k + at * len(joints) for at, each in enumerate(named)}
 
     def tables(self, *, part: bool = False) -> list[LogTable]:
         """Return what the messages say; of a part of a log, nothing is left out."""

@@ -61,6 +61,7 @@ _BESIDE_TIME = _TIMES | _NANOSECONDS | _words("beside_time")
 _WORD = re.compile(r"[A-Z]+(?=[A-Z][a-z])|[A-Z]?[^\W\d_A-Z]+|[A-Z]+|\d+")
 _SECOND = re.compile(r"(?<![A-Za-z])(?:q2d|d2q|qd2(?=[\s_.(\[]+\d))(?![a-z])")  # qd2 is joint 2's
 _TYPED = re.compile(r"(?<![A-Za-z])(?:f|lr|r|n)(?=(?:Act|Set|Actual|Target)[A-Z])")  # in a PLC
+_INCREMENTAL = ("inc", "cnt", "qc")  # a kind of encoder, where they stand in no brackets
 _OBSERVED = ("observation.state", "observation.position")  # of LeRobot
 _BRACKETS = re.compile(r"\s*[\[(<{]\s*([^\])>}]*?)\s*[\])>}]\s*$")
 _INDEX = re.compile(r"\[(\d+)\]")
@@ -370,7 +371,7 @@ def _without_unit(name: str, quantity: str) -> tuple[str, Unit | None]:
             last = first + count == len(parts)
             if len(text) < 2 and not (last and len(parts) > 2 and text in ("A", "N", "V")):
                 continue
-            unit = find_unit(text, quantity)
+            unit = None if text in _INCREMENTAL else find_unit(text, quantity)
             if unit is not None and (last or parts[-1].isdecimal()):
                 return "_".join(parts[:first] + parts[first + count :]), unit
     return name, None

@@ -135,17 +135,12 @@ def _named(path: Path, topics: Sequence[Topic], name: str, *, alone: bool) -> To
     found = [topic for topic in topics if topic.name.strip("/") == name.strip("/")]
     if found and (found[0].fits if alone else found[0].part):
         return found[0]
-    if found and not alone:
-        raise LogError(
-            f"Topic {found[0]} of log {str(path)!r} says nothing of joints.",
-            advice=f"Topics that do: {_listed([topic for topic in topics if topic.part])}.",
-            topic=name,
-        )
     if found:
-        fitting = [topic for topic in topics if topic.fits]
+        lacks = "has not both positions and efforts of" if alone else "says nothing of"
+        fitting = [topic for topic in topics if (topic.fits if alone else topic.part)]
         raise LogError(
-            f"Topic {found[0]} of log {str(path)!r} has not both positions and efforts of joints.",
-            advice=f"Those that do: {_listed(fitting)}." if fitting else "No topic of it has both.",
+            f"Topic {found[0]} of log {str(path)!r} {lacks} joints.",
+            advice=f"Those that do: {_listed(fitting)}." if fitting else "No topic of it does.",
             topic=name,
         )
     names = [topic.name for topic in topics]
