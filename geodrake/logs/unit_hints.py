@@ -8,6 +8,7 @@ from numpy.typing import ArrayLike, NDArray
 from geodrake.errors import LogError
 from geodrake.logs.files.recording import are_whole
 from geodrake.logs.motion import JointLog
+from geodrake.logs.resting import LARGEST
 
 Array = NDArray[np.float64]
 
@@ -80,7 +81,7 @@ def check_ticks(log: JointLog) -> None:
         return
     peaks = _peaks(log.position)
     worst = int(np.argmax(peaks))
-    if peaks[worst] < _LEAST_TICKS:
+    if not _LEAST_TICKS <= peaks[worst] <= LARGEST:
         return
     in_degrees = "degrees? --units position=deg converts them. Or "
     raise LogError(

@@ -451,11 +451,11 @@ def _brought_together(
         joined = joined_tables(table.path, parts, reading)
     except LogError as error:
         raise LogError(
-            f"Log {str(table.path)!r} has a row for each word in {naming!r}, which cannot be "
+            f"Log {str(table.path)!r} has a row for each name in {naming!r}, which cannot be "
             f"brought together: {error.problem}",
             advice=error.advice,
         ) from error
-    note = f"a row for each word in {naming!r}: one for each instant is made of them"
+    note = f"a row for each name in {naming!r}: one for each instant is made of them"
     return replace(joined, notes=(note, *table.notes, *joined.notes))
 
 
