@@ -20,7 +20,7 @@ import zipfile
 import zlib
 from collections import Counter
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, replace
 from functools import cached_property
 from operator import methodcaller
 from pathlib import Path
@@ -37,6 +37,7 @@ from geodrake.boundary.showing import Short
 from geodrake.errors import ArgumentError, DigestError
 from geodrake.fleet.hashes import text_hash
 from geodrake.fleet.settings import FORMAT, DigestColumn, DigestSettings, array_of, settings_of
+from geodrake.identification.logs.dataset import JointData
 from geodrake.identification.logs.evidence import effective_by_covariance
 from geodrake.inertia import Array
 from geodrake.logs.known_payload import KnownPayload
@@ -48,18 +49,12 @@ _SEAL = hashlib.sha256().digest_size
 
 
 @dataclass(frozen=True, eq=False)
-class JointDigest(Short):
-    """What B blocks say about one joint.
+class JointDigest(JointData, Short):
+    """What B blocks say about one joint: sums as of the folds of a `Dataset`, without rows.
+
+    Columns are those of the settings; factors are triangular.
 
     Attributes:
-        columns: (p_j,) which of the settings' p columns can be nonzero at this joint, ascending.
-        factors: (B, p_j + d, p_j + d) upper triangular factors R of [A | b], for d delays: in N·m
-            or N over the columns' units, and in N·m or N.
-        samples: (B,) rows behind each factor: filtered and decimated samples at which it moves.
-        seen: (B,) rows before those were left out at which the joint stands still.
-        effort_sums: (B, 2) sums of the measured efforts, and of their squares.
-        carried: (B, p_j) products Aᵀc with the effort c of known payloads, which b is without.
-        peaks: (p_j,) largest size of each column.
         autocovariances: (B, lags) sums over rows of r_t r_{t+k} for k = 0, 1, …, where r is what
             the model, refitted to the other blocks of the same log, leaves of this one.
         inertia: (L, p_j) of L logs, what each column adds to the inertia that a joint without a
@@ -68,13 +63,6 @@ class JointDigest(Short):
     """
 
     joint: str
-    columns: Indices
-    factors: Array
-    samples: NDArray[np.int_]
-    seen: NDArray[np.int_]
-    effort_sums: Array
-    carried: Array
-    peaks: Array
     autocovariances: Array
     inertia: Array
     scale: Array
@@ -413,9 +401,7 @@ def read_digest(path: str | Path) -> Digest:
         ) from error
 
 
-_ARRAYS = tuple(
-    f.name for f in fields(JointDigest) if f.name not in ("joint", "factors", *_PASSIVE)
-)
+_ARRAYS = ("columns", "samples", "seen", "effort_sums", "carried", "peaks", "autocovariances")
 
 
 def _bytes(text: bytes) -> NDArray[np.uint8]:
@@ -451,4 +437,4 @@ def _joint(
         found[each] = arrays.get(prefix + each, np.zeros(shape))
     factors = np.zeros((len(found["samples"]), size, size))
     factors[:, *np.triu_indices(size)] = arrays[f"{prefix}factors"]
-    return JointDigest(name, factors=factors, **found)
+    return JointDigest(joint=name, factors=factors, rows=(), **found)

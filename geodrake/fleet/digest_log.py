@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass, field, replace
+from dataclasses import asdict, dataclass, field, fields, replace
 from pathlib import Path
 from typing import Any
 
@@ -348,19 +348,16 @@ def _joint(name: str, data: JointData, settings: DigestSettings) -> JointDigest:
     effects = data.columns[len(bodies) :] - inertial + base
     factors = [triangular_factor([factor]) for factor in data.factors]
     factors = [np.where(np.diagonal(R) < 0.0, -1.0, 1.0)[:, None] * R for R in factors]
-    return JointDigest(
-        name,
-        np.concatenate([np.searchsorted(settings.independent, bodies), effects]),
-        np.array(factors),
-        data.samples,
-        data.seen,
-        data.effort_sums,
-        data.carried,
-        data.peaks,
-        np.zeros((len(data.samples), settings.lags)),
-        np.zeros((1, len(bodies) + len(effects))),
-        np.zeros(1),
-    )
+    own = {
+        "columns": np.concatenate([np.searchsorted(settings.independent, bodies), effects]),
+        "factors": np.array(factors),
+        "rows": (),
+        "joint": name,
+        "autocovariances": np.zeros((len(data.samples), settings.lags)),
+        "inertia": np.zeros((1, len(bodies) + len(effects))),
+        "scale": np.zeros(1),
+    }
+    return JointDigest(**{f.name: getattr(data, f.name) for f in fields(data)} | own)
 
 
 def _with_passive(digest: Digest, scale: Array, inertia: Array) -> Digest:
