@@ -69,7 +69,7 @@ def _type(said: Any) -> Any:
     units = schema()["units"]
     words = "; ".join(filter(None, [units.get(name), reason and f"null where {reason}"]))
     found = SCALARS.get(name) or (float | None if name in units else type_of(name))
-    if reason or said.endswith("?"):
+    if reason or said.endswith("*"):
         found = found | None
     return Annotated[found, Meta(description=words)] if words else found
 

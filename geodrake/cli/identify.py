@@ -33,7 +33,7 @@ def run_identify(options: IdentifyOptions) -> None:
         compare=options.compare,
         bandwidth=options.bandwidth,
         blocks=options.blocks,
-        hold_resting=options.holds_resting,
+        hold_resting=options.hold_resting,
     )
 
     def identified(given: Input) -> ModelIdentification:

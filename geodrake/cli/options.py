@@ -79,13 +79,9 @@ class LogOptions(AxisOptions, ModelOptions, CommonOptions):
 
     @property
     def settings(self) -> dict[str, Any]:
-        """How logs are prepared, as keyword arguments."""
-        return {"bandwidth": self.bandwidth}
-
-    @property
-    def log_facts(self) -> dict[str, Any]:
-        """What is known of all logs beside what is in their files, as fields of `JointLog`."""
-        return {}
+        """How logs are prepared, as keyword arguments: what options there are of these."""
+        names = ("bandwidth", "blocks", "hold_resting")
+        return {name: getattr(self, name) for name in names if hasattr(self, name)}
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -97,11 +93,6 @@ class ValidationOptions(LogOptions):
     """
 
     blocks: int | None = None
-
-    @property
-    def settings(self) -> dict[str, Any]:
-        """How logs are prepared, as keyword arguments."""
-        return {"bandwidth": self.bandwidth, "blocks": self.blocks}
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -123,12 +114,7 @@ class Options(ValidationOptions):
     details: bool = False
 
     @property
-    def settings(self) -> dict[str, Any]:
-        """How logs are prepared, as keyword arguments."""
-        return {**super().settings, "hold_resting": self.holds_resting}
-
-    @property
-    def holds_resting(self) -> bool:
+    def hold_resting(self) -> bool:
         """Whether joints that hardly move are held."""
         return not self.no_auto_lock
 
@@ -147,7 +133,7 @@ class _Steps(Options):
 
     @property
     def log_facts(self) -> dict[str, Any]:
-        """How well the gains are known, if that is said."""
+        """How well the gains are known, if that is said, as fields of `JointLog`."""
         share = self.effort_uncertainty
         return {} if share is None else {"effort_uncertainty": share}
 
@@ -308,9 +294,9 @@ class IdentifyOptions(_NamedEffects, Options, _Regularization):
     meshcat: Path | None = None
 
     @property
-    def holds_resting(self) -> bool:
+    def hold_resting(self) -> bool:
         """Whether joints that hardly move are held: not beside a mass, which is of all bodies."""
-        return super().holds_resting and self.total_mass is None
+        return super().hold_resting and self.total_mass is None
 
 
 @dataclass(frozen=True, kw_only=True)

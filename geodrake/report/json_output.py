@@ -53,13 +53,13 @@ def keys_of(kind: str) -> Mapping[str, tuple[Any, bool]]:
     """Return key -> its type, and whether it may be absent; inherited keys come first."""
     said = schema()["kinds"][kind]
     base = keys_of(said["is"]) if "is" in said else {}
-    return {**base, **{k.rstrip("?"): (t, k.endswith("?")) for k, t in said["keys"].items()}}
+    return {**base, **{k.rstrip("*"): (t, k.endswith("*")) for k, t in said["keys"].items()}}
 
 
 def type_and_reason(said: str) -> tuple[str, str]:
     """Return the name of a type without its mark, and why a value may be null; "" if unsaid."""
     name, _, reason = said.partition(" | ")
-    return name.rstrip("?"), reason
+    return name.rstrip("*"), reason
 
 
 def record(kind: str, source: object = None, /, **given: Any) -> dict[str, Any]:

@@ -1,15 +1,17 @@
 """Numbers of JSON are finite, or null with the reason beside it; keys are those of its schema."""
 
 import json
+from importlib.resources import files
 from pathlib import Path
 from runpy import run_path
 
 import numpy as np
 import pytest
+import yaml
 from report_results import explanation, joint_names
 
 from geodrake.report.explaining_json import explanation_dict
-from geodrake.report.json_output import number_or, record, to_json
+from geodrake.report.json_output import number_or, record, schema, to_json
 
 SCHEMA = run_path(str(Path(__file__).parents[2] / "tools" / "result_schema.py"))
 
@@ -44,6 +46,11 @@ def test_published_schema_is_that_of_the_tables():
     kinds = json.loads(published)["$defs"]
     assert kinds["Failing"]["properties"]["rms"]["description"] == "N·m or N"
     assert {kind["$ref"].split("/")[-1] for kind in json.loads(published)["anyOf"]} <= set(kinds)
+
+
+def test_the_tables_are_read_alike_without_libyaml():
+    text = (files("geodrake.report") / "schema.yaml").read_text(encoding="utf-8")
+    assert yaml.load(text, yaml.SafeLoader) == schema()
 
 
 def test_an_object_has_the_keys_of_its_kind():
