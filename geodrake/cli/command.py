@@ -306,7 +306,7 @@ def _read(
         update("Reading the logs")
         known, reading = model.known_joints, reading_for(model, asked)
         paths, found, unread = _readable(given, known, reading)
-        model = model_of_logs(model, found, hold_resting=_holds_resting(options))
+        model = model_of_logs(model, found, hold_resting=getattr(options, "hold_resting", False))
         model = replace(model, notes=(*unread, *model.notes)) if unread else model
         command.check(model)
         carried = known_payloads(paths, getattr(options, "known_payload", None) or (), model)
@@ -334,11 +334,6 @@ def _readable(
     return kept, logs, [f"{path.name} is left out: {error.problem}" for path, error in errors]
 
 
-def _holds_resting(options: Any) -> bool:
-    """Return whether joints that hardly move are held: only where efforts are what counts."""
-    return bool(getattr(options, "settings", {}).get("hold_resting", False))
-
-
 def _with_columns(
     options: Any, given: Input, update: Activity
 ) -> tuple[Input, tuple[ColumnFinding, ...] | None, bool]:
@@ -352,7 +347,7 @@ def _with_columns(
     if corrects:
         logs = tuple(corrected(log, columns) for log in given.logs)
         model = with_motor_limits(given.model, given.logs, columns)
-        if _holds_resting(options):  # as is known of columns in rad alone
+        if options.hold_resting:  # as is known of columns in rad alone
             model = holding_resting(model, logs)
         given = replace(given, model=model, logs=logs)
     return given, columns, corrects

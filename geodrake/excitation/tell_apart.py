@@ -27,7 +27,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from functools import cached_property
+from functools import cached_property, lru_cache
 from typing import Any
 
 import numpy as np
@@ -526,6 +526,7 @@ class DistinguishedPair:
     effort: float
 
 
+@lru_cache(maxsize=1)  # what is told of a result asks for them again and again
 def distinguished_pairs(result: ExcitationResult) -> tuple[DistinguishedPair, ...]:
     """Return the pairs of a motion that is to distinguish effects, the hardest first; else none."""
     objective, motion = result.objective, result.motion
