@@ -12,14 +12,8 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from importlib.metadata import version
-from types import ModuleType
-from typing import Any
-from xml.etree.ElementTree import Element
 
 import numpy as np
-from pydrake.math import RigidTransform, RotationMatrix
-from pydrake.multibody.plant import MultibodyPlant
 from pydrake.multibody.tree import MultibodyForces
 
 from geodrake.boundary.arguments import instance, integer
@@ -28,22 +22,25 @@ from geodrake.errors import ModelError
 from geodrake.inertia import Array, inertial_parameters
 from geodrake.logs.motion import Motion
 from geodrake.model.file_terms import CoupledDry, DryFriction
+from geodrake.model.other_programs import (
+    OtherProgram,
+    Places,
+    by_drake,
+    by_mujoco,
+    by_pinocchio,
+    joint_units,
+)
 from geodrake.model.robot_model import RobotModel, is_of_file
-from geodrake.robot.arrangement import base_joints, moving_joints, open_loops
+from geodrake.robot.arrangement import moving_joints
 from geodrake.robot.files import read_description
-from geodrake.robot.files.description import drake_errors, drake_messages
+from geodrake.robot.files.description import drake_messages
 from geodrake.robot.files.mjcf import MjcfText
 from geodrake.robot.files.texts import ModelText
-from geodrake.robot.files.xacro_file import read_expanded
-from geodrake.robot.files.xml_text import parse_xml_bytes
-from geodrake.robot.joints import scoped
-from geodrake.robot.mujoco_check import OtherProgram, Places, Units, by_mujoco, joint_units, part
-from geodrake.robot.plant import free_roots, set_inertial_parameters
+from geodrake.robot.plant import set_inertial_parameters
 from geodrake.robot.regressor import inverse_dynamics, inverse_dynamics_regressor
 from geodrake.robot.transmission import times
 
 States = tuple[Array, Array, Array]
-_ENDS = ("parent", "child")
 
 
 def second_opinion(model: RobotModel, states: States) -> tuple[str, Array, Array] | str:
@@ -77,9 +74,9 @@ def second_opinion(model: RobotModel, states: States) -> tuple[str, Array, Array
         still = [f for f in model.effects if not isinstance(f.effect, DryFriction | CoupledDry)]
         ours = replace(model, effects=tuple(still)).effort(Motion(*states))
     elif len(texts) == 1 and texts[0].kind == "urdf":
-        found = _by_pinocchio(model, texts[0], held, joints)
+        found = by_pinocchio(model, texts[0], held, joints)
     else:
-        found = _by_drake(model, held, joints)
+        found = by_drake(model, held, joints)
     if isinstance(found, str):
         return found
     return found.by, found.efforts_of(model.coordinates, joints, states), ours
@@ -96,143 +93,6 @@ def _held(model: RobotModel, text: ModelText) -> Places:
             if leader in places:
                 places.setdefault(joint, follower.ratio * places[leader] + follower.offset)
     return places
-
-
-def pinocchio_or_none() -> ModuleType | None:
-    """Return Pinocchio, where it is installed."""
-    try:
-        import pinocchio
-    except ImportError:
-        return None
-    return pinocchio if hasattr(pinocchio, "buildModelFromXML") else None
-
-
-def _by_pinocchio(
-    model: RobotModel, text: ModelText, held: Places, units: Units
-) -> OtherProgram | str:
-    pinocchio = pinocchio_or_none()
-    if pinocchio is None:
-        return 'Pinocchio, which reads URDF, is not installed: pip install "geodrake[export]"'
-    try:
-        theirs = _read_by_pinocchio(pinocchio, model, text)
-    except ModelError:
-        raise
-    except Exception as error:  # of any kind, by an extension module
-        return f"Pinocchio does not read the file: {' '.join(str(error).split())[:200]}"
-    theirs.gravity.linear = np.array(model.tree.gravity)
-    names = ["root_joint" if len(unit) > 1 else unit[-1].name() for unit in units]
-    counts = [len(unit) - 1 + unit[-1].num_velocities() for unit in units]
-    named = dict(zip(names, counts, strict=True))
-    there = [name for name in (*named, *held) if theirs.existJointName(name)]
-    own = {name: theirs.joints[theirs.getJointId(name)] for name in there}
-    sizes = {**dict.fromkeys(held, 1), **named}
-    if any(name not in own or own[name].nv != nv or nv == 3 for name, nv in sizes.items()):
-        return "Pinocchio has other joints"
-    places = {
-        name: (slice(j.idx_q, j.idx_q + j.nq), slice(j.idx_v, j.idx_v + j.nv))
-        for name, j in own.items()
-    }
-    data = theirs.createData()
-
-    def free(R: RotationMatrix, p: Array, v: Array) -> tuple[Array, Array, Array]:
-        T, back = np.zeros((6, 6)), R.matrix().T
-        T[:3, 3:] = T[3:, :3] = back
-        w, x, y, z = R.ToQuaternion().wxyz()
-        linear, angular = back @ v[3:], back @ v[:3]
-        bias = np.concatenate([-np.cross(angular, linear), np.zeros(3)])
-        return np.concatenate([p, [x, y, z, w]]), T, bias
-
-    position = pinocchio.neutral(theirs)
-    for name, place in held.items():
-        joint = own[name]  # one without limits has its cosine and sine
-        at = [place] if joint.nq == 1 else [np.cos(place), np.sin(place)]
-        position[joint.idx_q : joint.idx_q + joint.nq] = at
-    return OtherProgram(
-        f"Pinocchio {pinocchio.__version__}",
-        (position, *np.zeros((2, theirs.nv))),
-        [places[name] for name in names],
-        free,
-        lambda q, v, vd: pinocchio.rnea(theirs, data, q, v, vd),
-    )
-
-
-def _by_drake(model: RobotModel, held: Places, units: Units) -> OtherProgram | str:
-    """Return Drake with the file as it stands, which geodrake simplifies before Drake reads it."""
-    plant, own = MultibodyPlant(time_step=0.0), model.plant
-    floating = {base[-1].child_body().scoped_name().get_full() for base in base_joints(own)}
-    try:
-        with drake_messages(), drake_errors(model.path):
-            read_description(model.path, model.given).add_to(plant, simplified=False)
-            open_loops(plant)
-            for body in free_roots(plant):
-                if body.scoped_name().get_full() not in floating:
-                    X_WB = plant.GetDefaultFloatingBaseBodyPose(body)
-                    plant.WeldFrames(plant.world_frame(), body.body_frame(), X_WB)
-            for index in plant.GetJointActuatorIndices():
-                plant.get_mutable_joint_actuator(index).set_default_rotor_inertia(0.0)
-            plant.mutable_gravity_field().set_gravity_vector(model.tree.gravity)
-            plant.Finalize()
-    except ModelError as error:
-        return f"Drake does not read the file as it stands: {error.problem.rstrip('.')}"
-    context, places = plant.CreateDefaultContext(), list[tuple[slice, slice]]()
-    joints = {scoped(joint): joint for joint in moving_joints(plant)}
-    for unit in units:
-        if len(unit) > 1:
-            child = unit[-1].child_body()
-            instance = plant.GetModelInstanceByName(
-                own.GetModelInstanceName(child.model_instance())
-            )
-            body = plant.GetBodyByName(child.name(), instance)
-            q, v = body.floating_positions_start(), body.floating_velocities_start_in_v()
-            places.append((slice(q, q + 7), slice(v, v + 6)))
-        elif (joint := joints.get(scoped(unit[0]))) is None:
-            return "Drake has other joints in the file as it stands"
-        else:
-            places.append(part((joint,)))
-    rest = plant.GetPositions(context)
-    for joint in joints.values():
-        if joint.name() in held:
-            rest[joint.position_start()] = held[joint.name()]
-
-    def free(R: RotationMatrix, p: Array, v: Array) -> tuple[Array, Array, Array]:
-        return np.concatenate([R.ToQuaternion().wxyz(), p]), np.eye(6), np.zeros(len(v))
-
-    def inverse_dynamics(q: Array, v: Array, vd: Array) -> Array:
-        plant.SetPositions(context, q)
-        plant.SetVelocities(context, v)
-        effort = plant.CalcInverseDynamics(context, vd, MultibodyForces(plant))
-        return np.asarray(effort - plant.CalcGravityGeneralizedForces(context))
-
-    by = f"Drake {version('drake')} of the file as it stands"
-    return OtherProgram(
-        by, (rest, *np.zeros((2, plant.num_velocities()))), places, free, inverse_dynamics
-    )
-
-
-def _read_by_pinocchio(pinocchio: ModuleType, model: RobotModel, text: ModelText) -> Any:
-    """Return Pinocchio's model of a file, where the plant has it."""
-    plant, data = model.plant, read_expanded(text.path, model.given)
-    scope, own = _root_of(parse_xml_bytes(data, text.path), text).rsplit("::", 1)
-    root, X = plant.world_body(), RigidTransform()
-    if own != "world":
-        root = plant.GetBodyByName(own, plant.GetModelInstanceByName(scope))
-    floats = any(base[-1].child_body().index() == root.index() for base in base_joints(plant))
-    free = [pinocchio.JointModelFreeFlyer()] if floats else []
-    if not floats:  # as its root has no place of its own
-        X = root.body_frame().CalcPoseInWorld(plant.CreateDefaultContext())
-    part = pinocchio.buildModelFromXML(data.decode(errors="replace"), *free)
-    pose = pinocchio.SE3(X.rotation().matrix(), X.translation())
-    return pinocchio.appendModel(pinocchio.Model(), part, 0, pose)
-
-
-def _root_of(xml: Element, text: ModelText) -> str:
-    """Return the scoped name of the link of a file that no joint moves."""
-    links = [link.get("name", "") for link in xml.iter("link")]
-    ends = {kind: [e.get("link", "") for e in xml.iter(kind)] for kind in _ENDS}
-    if not set(links).issuperset(e for own in ends.values() for e in own):
-        raise ValueError("it has joints whose links it lacks")
-    name = next((link for link in links if link not in ends["child"]), links[0])
-    return f"{text.links[0].rpartition('::')[0]}::{name}"
 
 
 Quantities = dict[str, Array]

@@ -33,6 +33,7 @@ from geodrake.logs.motion import Motion
 from geodrake.logs.temperatures import Temperatures
 from geodrake.model.effort_signal import EffortSignal, signal_of
 from geodrake.model.file_terms import Carried, CoupledDry, DryFriction, Medium, StrutEffect
+from geodrake.model.other_programs import BUG, by_mujoco, check_loops, joint_units
 from geodrake.model.simulation.robot_in_diagram import RobotInDiagram, add_robot, make_act
 from geodrake.model.simulation.terms import DrivenPlant
 from geodrake.model.stated_terms import stated_effects
@@ -42,7 +43,6 @@ from geodrake.robot.files import Given
 from geodrake.robot.files.mjcf import MjcfText
 from geodrake.robot.joints import Follower, joint_names
 from geodrake.robot.kinematics import KinematicTree
-from geodrake.robot.mujoco_check import BUG, by_mujoco, check_loops, joint_units
 from geodrake.robot.plant import (
     LoadedPlant,
     cannot_follow,

@@ -50,7 +50,6 @@ from geodrake.robot.joints import (
     scoped,
 )
 from geodrake.robot.loops import ClosedLoop, LoopJoints, Loops, closed_loops
-from geodrake.robot.mujoco_check import whole_mjcf
 from geodrake.robot.repairs import Repair, repair_inertias
 from geodrake.robot.stated import Closure, CutJoint, FileTerms, Spring
 from geodrake.robot.transmission.statements import Followers, Gear
@@ -195,8 +194,15 @@ def load_plant(
         bent=tuple(part for part in terms.bent if part not in loops.taken),
         # Gears of MJCF's actuators do not count: most scale efforts and are no gears.
         geared=tuple(joint for is_alike, joint in _motors(description) if not is_alike),
-        mjcf=whole_mjcf(description),
+        mjcf=_whole_mjcf(description),
     )
+
+
+def _whole_mjcf(description: ModelDescription) -> MjcfText | None:
+    """Return the text of an MJCF that is all of a file, if all inertias of it are known."""
+    text, *others = description.texts
+    is_whole = isinstance(text, MjcfText) and text.reference is not None and not others
+    return text if is_whole else None  # type: ignore[return-value]
 
 
 def _once(sentences: Iterable[str]) -> tuple[str, ...]:

@@ -1,7 +1,7 @@
 """What a compiled MJCF has beside rigid bodies: at joints, and what no model of geodrake takes.
 
 What is not taken is said with its value, and taken out of the copy of the compiled model that the
-robot is compared with (`geodrake.robot.mujoco_check`), as are carried weights, media and struts.
+robot is compared with (`geodrake.model.other_programs`), as are carried weights, media and struts.
 MuJoCo's forces are (its modeling and XML reference, joint, tendon and option)
 
     spring   −(q − q₀) (k + k₁ (q − q₀) + k₂ (q − q₀)²)      damper   −v (d + d₁ |v| + d₂ v²)

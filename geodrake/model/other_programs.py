@@ -1,4 +1,4 @@
-"""Robots in other programs: their efforts by MuJoCo, say, and their closed loops.
+"""Robots in other programs: their efforts by MuJoCo, Pinocchio and Drake, and closed loops.
 
 Of velocities u of a joint of Drake's, in the world or the joint's frame, those of another program
 are T u, those of a turning body in the body. With its rotation R,
@@ -14,25 +14,36 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from importlib.metadata import version
+from types import ModuleType
 from typing import Any
+from xml.etree.ElementTree import Element
 
 import numpy as np
-from pydrake.math import RollPitchYaw, RotationMatrix
+from pydrake.math import RigidTransform, RollPitchYaw, RotationMatrix
 from pydrake.multibody.plant import MultibodyPlant
-from pydrake.multibody.tree import Joint
+from pydrake.multibody.tree import Joint, MultibodyForces
 
 from geodrake.errors import ModelError
 from geodrake.inertia import Array
-from geodrake.robot.arrangement import base_joints, moving_joints
+from geodrake.model.simulation.terms import Model
+from geodrake.robot.arrangement import base_joints, moving_joints, open_loops
 from geodrake.robot.coordinates import RobotCoordinates
-from geodrake.robot.files import ModelDescription
+from geodrake.robot.files import read_description
+from geodrake.robot.files.description import drake_errors, drake_messages
 from geodrake.robot.files.mjcf import MjcfText
 from geodrake.robot.files.mjcf_source import load_mujoco, quiet_mujoco
-from geodrake.robot.joints import joints_of
+from geodrake.robot.files.texts import ModelText
+from geodrake.robot.files.xacro_file import read_expanded
+from geodrake.robot.files.xml_text import parse_xml_bytes
+from geodrake.robot.joints import joints_of, scoped
+from geodrake.robot.plant import free_roots
 from geodrake.robot.transmission import times
 
 _APART = 1e-4  # of the size, by which loops of rounded numbers may be open
 BUG = "This is a bug in geodrake; please report it with the file."
+
+_ENDS = ("parent", "child")
 
 Units = Sequence[tuple[Joint, ...]]
 """Joints that move, the six of a free base as one."""
@@ -164,13 +175,6 @@ def joint_units(plant: MultibodyPlant) -> list[tuple[Joint, ...]]:
     return [*others, *bases]
 
 
-def whole_mjcf(description: ModelDescription) -> MjcfText | None:
-    """Return the text of an MJCF that is all of a file, if all inertias of it are known."""
-    text, *others = description.texts
-    is_whole = isinstance(text, MjcfText) and text.reference is not None and not others
-    return text if is_whole else None  # type: ignore[return-value]
-
-
 def check_loops(text: MjcfText, plant: MultibodyPlant, held: Places, q: Array, v: Array) -> None:
     """Refuse closed loops that are not closed by MuJoCo's constraints in the same MJCF.
 
@@ -211,3 +215,139 @@ def _numbers(m: Any, plant: MultibodyPlant) -> list[tuple[Joint, int]]:
         if joint.num_velocities() == joint.num_positions() == 1 and at >= 0:
             found.append((joint, at))
     return found
+
+
+def pinocchio_or_none() -> ModuleType | None:
+    """Return Pinocchio, where it is installed."""
+    try:
+        import pinocchio
+    except ImportError:
+        return None
+    return pinocchio if hasattr(pinocchio, "buildModelFromXML") else None
+
+
+def by_pinocchio(model: Model, text: ModelText, held: Places, units: Units) -> OtherProgram | str:
+    """Return Pinocchio with the URDF of a model, or why it is of no use."""
+    pinocchio = pinocchio_or_none()
+    if pinocchio is None:
+        return 'Pinocchio, which reads URDF, is not installed: pip install "geodrake[export]"'
+    try:
+        theirs = _read_by_pinocchio(pinocchio, model, text)
+    except ModelError:
+        raise
+    except Exception as error:  # of any kind, by an extension module
+        return f"Pinocchio does not read the file: {' '.join(str(error).split())[:200]}"
+    theirs.gravity.linear = np.array(model.tree.gravity)
+    names = ["root_joint" if len(unit) > 1 else unit[-1].name() for unit in units]
+    counts = [len(unit) - 1 + unit[-1].num_velocities() for unit in units]
+    named = dict(zip(names, counts, strict=True))
+    there = [name for name in (*named, *held) if theirs.existJointName(name)]
+    own = {name: theirs.joints[theirs.getJointId(name)] for name in there}
+    sizes = {**dict.fromkeys(held, 1), **named}
+    if any(name not in own or own[name].nv != nv or nv == 3 for name, nv in sizes.items()):
+        return "Pinocchio has other joints"
+    places = {
+        name: (slice(j.idx_q, j.idx_q + j.nq), slice(j.idx_v, j.idx_v + j.nv))
+        for name, j in own.items()
+    }
+    data = theirs.createData()
+
+    def free(R: RotationMatrix, p: Array, v: Array) -> tuple[Array, Array, Array]:
+        T, back = np.zeros((6, 6)), R.matrix().T
+        T[:3, 3:] = T[3:, :3] = back
+        w, x, y, z = R.ToQuaternion().wxyz()
+        linear, angular = back @ v[3:], back @ v[:3]
+        bias = np.concatenate([-np.cross(angular, linear), np.zeros(3)])
+        return np.concatenate([p, [x, y, z, w]]), T, bias
+
+    position = pinocchio.neutral(theirs)
+    for name, place in held.items():
+        joint = own[name]  # one without limits has its cosine and sine
+        at = [place] if joint.nq == 1 else [np.cos(place), np.sin(place)]
+        position[joint.idx_q : joint.idx_q + joint.nq] = at
+    return OtherProgram(
+        f"Pinocchio {pinocchio.__version__}",
+        (position, *np.zeros((2, theirs.nv))),
+        [places[name] for name in names],
+        free,
+        lambda q, v, vd: pinocchio.rnea(theirs, data, q, v, vd),
+    )
+
+
+def by_drake(model: Model, held: Places, units: Units) -> OtherProgram | str:
+    """Return Drake with the file as it stands, which geodrake simplifies before Drake reads it."""
+    plant, own = MultibodyPlant(time_step=0.0), model.plant
+    floating = {base[-1].child_body().scoped_name().get_full() for base in base_joints(own)}
+    try:
+        with drake_messages(), drake_errors(model.path):
+            read_description(model.path, model.given).add_to(plant, simplified=False)
+            open_loops(plant)
+            for body in free_roots(plant):
+                if body.scoped_name().get_full() not in floating:
+                    X_WB = plant.GetDefaultFloatingBaseBodyPose(body)
+                    plant.WeldFrames(plant.world_frame(), body.body_frame(), X_WB)
+            for index in plant.GetJointActuatorIndices():
+                plant.get_mutable_joint_actuator(index).set_default_rotor_inertia(0.0)
+            plant.mutable_gravity_field().set_gravity_vector(model.tree.gravity)
+            plant.Finalize()
+    except ModelError as error:
+        return f"Drake does not read the file as it stands: {error.problem.rstrip('.')}"
+    context, places = plant.CreateDefaultContext(), list[tuple[slice, slice]]()
+    joints = {scoped(joint): joint for joint in moving_joints(plant)}
+    for unit in units:
+        if len(unit) > 1:
+            child = unit[-1].child_body()
+            instance = plant.GetModelInstanceByName(
+                own.GetModelInstanceName(child.model_instance())
+            )
+            body = plant.GetBodyByName(child.name(), instance)
+            q, v = body.floating_positions_start(), body.floating_velocities_start_in_v()
+            places.append((slice(q, q + 7), slice(v, v + 6)))
+        elif (joint := joints.get(scoped(unit[0]))) is None:
+            return "Drake has other joints in the file as it stands"
+        else:
+            places.append(part((joint,)))
+    rest = plant.GetPositions(context)
+    for joint in joints.values():
+        if joint.name() in held:
+            rest[joint.position_start()] = held[joint.name()]
+
+    def free(R: RotationMatrix, p: Array, v: Array) -> tuple[Array, Array, Array]:
+        return np.concatenate([R.ToQuaternion().wxyz(), p]), np.eye(6), np.zeros(len(v))
+
+    def inverse_dynamics(q: Array, v: Array, vd: Array) -> Array:
+        plant.SetPositions(context, q)
+        plant.SetVelocities(context, v)
+        effort = plant.CalcInverseDynamics(context, vd, MultibodyForces(plant))
+        return np.asarray(effort - plant.CalcGravityGeneralizedForces(context))
+
+    by = f"Drake {version('drake')} of the file as it stands"
+    return OtherProgram(
+        by, (rest, *np.zeros((2, plant.num_velocities()))), places, free, inverse_dynamics
+    )
+
+
+def _read_by_pinocchio(pinocchio: ModuleType, model: Model, text: ModelText) -> Any:
+    """Return Pinocchio's model of a file, where the plant has it."""
+    plant, data = model.plant, read_expanded(text.path, model.given)
+    scope, own = _root_of(parse_xml_bytes(data, text.path), text).rsplit("::", 1)
+    root, X = plant.world_body(), RigidTransform()
+    if own != "world":
+        root = plant.GetBodyByName(own, plant.GetModelInstanceByName(scope))
+    floats = any(base[-1].child_body().index() == root.index() for base in base_joints(plant))
+    free = [pinocchio.JointModelFreeFlyer()] if floats else []
+    if not floats:  # as its root has no place of its own
+        X = root.body_frame().CalcPoseInWorld(plant.CreateDefaultContext())
+    part = pinocchio.buildModelFromXML(data.decode(errors="replace"), *free)
+    pose = pinocchio.SE3(X.rotation().matrix(), X.translation())
+    return pinocchio.appendModel(pinocchio.Model(), part, 0, pose)
+
+
+def _root_of(xml: Element, text: ModelText) -> str:
+    """Return the scoped name of the link of a file that no joint moves."""
+    links = [link.get("name", "") for link in xml.iter("link")]
+    ends = {kind: [e.get("link", "") for e in xml.iter(kind)] for kind in _ENDS}
+    if not set(links).issuperset(e for own in ends.values() for e in own):
+        raise ValueError("it has joints whose links it lacks")
+    name = next((link for link in links if link not in ends["child"]), links[0])
+    return f"{text.links[0].rpartition('::')[0]}::{name}"
