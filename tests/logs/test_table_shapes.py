@@ -692,6 +692,17 @@ def test_rows_of_a_joint_in_units_of_which_one_is_not_known(tmp_path):
     assert any(said in note for note in log.notes)
 
 
+def test_signals_of_unknown_names_are_mapped(tmp_path):
+    names = dict(zip(PLAIN.columns[1:], ("A", "B", "C", "D"), strict=True))
+    path = csv_of(tmp_path, PLAIN.rename(columns=names).melt(id_vars="time"))
+    with pytest.raises(LogError, match="no joint with both position and effort") as error:
+        read_log(path)
+    assert ": D" in error.value.evidence["proposal"]
+    columns = [{"position": MappedColumn(q), "effort": MappedColumn(e)} for q, e in ("AC", "BD")]
+    mapping = ColumnMapping(dict(zip(JOINTS, columns, strict=True)), MappedColumn("time"))
+    np.testing.assert_allclose(read_log(path, reading=Reading(mapping=mapping)).effort, EFFORT)
+
+
 def test_cells_with_units_are_refused_with_where_these_belong(tmp_path):
     path = csv_of(tmp_path, PLAIN.assign(**{"base.effort": [f"{x:.3f} Nm" for x in EFFORT[:, 0]]}))
     with pytest.raises(LogError, match=r"numbers alone, and .* name: base.effort \[Nm\]"):

@@ -325,10 +325,11 @@ def reshaped(table: LogTable, reading: Reading) -> LogTable:
     words = {n: w for column, cells in table.words.items() for n, w in _items(column, cells)}
     numbers = {n: _numbered(table.columns[n]) for n in table.columns if numbers_joints(n)}
     words |= {n: w for n, w in numbers.items() if w is not None}
-    if reading.mapping is not None:
-        return table
-    if (spread := _spread_values(table, words, reading)) is not None:
-        return spread
+    mapped = {each.among(table.counted) for _, each in reading.mapping or ()}
+    is_mapped = reading.mapping is not None and mapped.issubset(table.names)
+    spread = None if is_mapped else _spread_values(table, words, reading)
+    if spread is not None or reading.mapping is not None:
+        return table if spread is None else spread
     naming = {n: w for n, w in words.items() if names_joints(n) and len({*w}) <= _MOST_JOINTS}
     numbered = {n: w for n, w in naming.items() if number_of(n) is not None}
     if numbered and all(_NAMES & plain_words(name) or name.endswith("]") for name in numbered):
@@ -342,7 +343,9 @@ def _spread_values(
     """Return a table with a column for each signal, of one with a row for each of their values."""
     signal = next(filter(names_signals, words), None)
     value = [n for n in table.columns if meaning_of(n) is None and "value" in plain_words(n)]
-    if signal is None or not value or not any(map(table.is_time, table.columns)):
+    has_time = any(map(table.is_time, table.columns))
+    has_joints = any(m.quantity in OF_JOINTS for m in meanings_of(table.columns))
+    if signal is None or not value or not has_time or has_joints:
         return None
     of_joints = next((w for n, w in words.items() if n != signal and names_joints(n)), None)
     names = words[signal] if of_joints is None else of_joints + "." + words[signal]

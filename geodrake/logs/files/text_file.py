@@ -317,7 +317,8 @@ def _units(header: Sequence[str], cells: Sequence[str]) -> dict[str, str]:
     if len(cells) != len(header):
         return {}
     known = {cell for cell in set(cells) if any(find_unit(cell, each) for each in UNITS)}
-    asked = [cell for cell in cells if cell != cells[0] or cell in known]  # which may be a key
+    key = None if is_number(cells[0]) else cells[0] or None  # such as Unit
+    asked = [cell for cell in cells if cell != key or cell in known]
     if 2 * sum(cell in known for cell in asked) <= len(asked):
         return {}
     return {n: cell for n, cell in zip(header, cells, strict=True) if cell in known}
@@ -607,9 +608,9 @@ def _text_table(path: Path, reading: Reading, opened: Opener) -> LogTable:
     layout = replace(layout, day_first=frozenset(k for k, (first, _) in orders.items() if first))
     notes = dict.fromkeys(note for note in (layout.note, *(n for _, n in orders.values())) if note)
     table = TextTable(path, layout, lines, reading.skip_bad_rows, opened).noting(*notes)
-    names_rows = any(names_joints(name) or names_signals(name) for name in layout.words)
-    names_rows |= any(map(numbers_joints, layout.names))
-    return table.loaded() if names_rows and reading.mapping is None else table
+    names_rows = any(map(names_joints, layout.words)) or any(map(numbers_joints, layout.names))
+    has_values = any(map(names_signals, layout.words))
+    return table.loaded() if has_values or (names_rows and reading.mapping is None) else table
 
 
 def _blocks(path: Path, opened: Opener, skip: int = 0) -> Iterator[bytes]:
