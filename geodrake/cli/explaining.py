@@ -55,7 +55,7 @@ def run_add(options: AddOptions) -> None:
         found = add(
             effect, given.model, given.logs, where=where, extra=given.extra, **given.settings
         )
-        return Explained(found, added=True)
+        return Explained.of(found, added=True)
 
     command = Command(
         "add",
@@ -89,7 +89,7 @@ def _drafted(given: Input) -> Explained:
         progress=step_teller(given.progress),
         **given.settings,
     )
-    return Explained(explanation, draft=draft)
+    return Explained.of(explanation, draft=draft)
 
 
 def _explained(given: Input, *, every_step: bool) -> Explained:
@@ -97,12 +97,12 @@ def _explained(given: Input, *, every_step: bool) -> Explained:
     found = investigate(case, progress=step_teller(given.progress))
     explanation = found.explanation
     if explanation.is_interrupted:
-        return Explained(explanation)
+        return Explained.of(explanation)
     motions = _motions(given, explanation, every_step=every_step)
     if explanation.verdict != "unexplained":
-        return Explained(explanation, (), motions)
+        return Explained.of(explanation, motions=motions)
     given.progress("Looking for what the remaining error varies with")
-    return Explained(explanation, rest_correlates(found), motions)
+    return Explained.of(explanation, correlates=rest_correlates(found), motions=motions)
 
 
 def _motions(given: Input, found: Explanation, *, every_step: bool) -> tuple[Rollout, ...] | None:

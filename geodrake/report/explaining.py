@@ -6,7 +6,7 @@ import hashlib
 import importlib.metadata
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass, field, replace
+from dataclasses import asdict, dataclass, field, fields, replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -19,7 +19,6 @@ from geodrake.identification.logs.model_errors import Comparison, ErrorTable, Se
 from geodrake.identification.models.results import BodyChange, ModelIdentification
 from geodrake.inertia import Array
 from geodrake.model.effort_signal import COMMAND, EFFORT, EffortSignal
-from geodrake.model.robot_model import RobotModel
 from geodrake.report import words
 from geodrake.report.charts import Bars, Chart, Panel, Plot, Stage
 from geodrake.report.error_charts import (
@@ -81,25 +80,19 @@ _PERCENT_COLUMNS = (
 
 
 @dataclass(frozen=True, eq=False)
-class Explained:
+class Explained(Explanation):
     """An explanation, and what its command adds."""
 
-    explanation: Explanation
     correlates: Sequence[Correlate] = ()  # what the error varies with that is left
     # Rollouts under commands before, after the steps, and after the last, if any.
     motions: Sequence[Rollout] | None = None
     draft: Draft | None = None  # formulas for the rest, where they were asked for
     added: bool = False  # whether the effect was asked for, and not found
 
-    @property
-    def model(self) -> RobotModel:
-        """The model to save: that of the explanation, without drafted formulas."""
-        return self.explanation.model
-
-    @property
-    def is_interrupted(self) -> bool:
-        """Whether this is what was found by an interrupt."""
-        return self.explanation.is_interrupted
+    @classmethod
+    def of(cls, explanation: Explanation, **more: Any) -> Explained:
+        """Return an explanation with more."""
+        return cls(**{f.name: getattr(explanation, f.name) for f in fields(Explanation)} | more)
 
 
 @dataclass(frozen=True, eq=False)
@@ -240,11 +233,10 @@ def diagnosis_page(diagnosis: Diagnosis, about: About) -> Page:
     )
 
 
-def explanation_page(found: Explained | Explanation, about: About) -> Page:
+def explanation_page(found: Explanation, about: About) -> Page:
     """Say what a model lacks, step by step, and what is left; units are those of its own model."""
-    if isinstance(found, Explanation):
-        found = Explained(found)
-    explanation, units = found.explanation, Units.of(found.model, [*about.units.effects.values()])
+    explanation = found if isinstance(found, Explained) else Explained.of(found)
+    units = Units.of(found.model, [*about.units.effects.values()])
     start, end, steps = explanation.start, explanation.end, explanation.steps
     gone = words.explained_share(start.nrms, end.nrms)
     signals = explanation.model.effort_signals
@@ -263,8 +255,8 @@ def explanation_page(found: Explained | Explanation, about: About) -> Page:
     joints, failing = shown.sections()
     return Page(
         about,
-        words.explanation_mark(explanation, added=found.added),
-        words.explanation_headline(explanation, units, added=found.added),
+        words.explanation_mark(explanation, added=explanation.added),
+        words.explanation_headline(explanation, units, added=explanation.added),
         (
             Section(
                 "What is missing",
@@ -279,11 +271,11 @@ def explanation_page(found: Explained | Explanation, about: About) -> Page:
             Section(
                 REST,
                 more="Shares of the error left at a joint on held-out data.",
-                items=tuple(map(words.correlate_words, found.correlates)),
+                items=tuple(map(words.correlate_words, explanation.correlates)),
                 deep=True,
             ),
-            *(_draft_sections(found.draft, units) if found.draft else ()),
-            _motions_section(found.motions, units),
+            *(_draft_sections(explanation.draft, units) if explanation.draft else ()),
+            _motions_section(explanation.motions, units),
             failing,
             joints,
             Section(
@@ -300,7 +292,9 @@ def explanation_page(found: Explained | Explanation, about: About) -> Page:
             *shown.ends(explanation.before, explanation.notes),
         ),
         verdict=explanation.verdict,
-        lead=words.explanation_lead(explanation, advised=not (found.draft or found.added)),
+        lead=words.explanation_lead(
+            explanation, advised=not (explanation.draft or explanation.added)
+        ),
         tiles=shown.tiles(
             *tiles, ends=[start, end] if steps else [start], of="of the squared error left"
         ),
@@ -783,7 +777,7 @@ def _explained_dict(found: Explained) -> dict[str, Any]:
         more = {"draft": draft_dict(found.draft)}
     elif not found.added:
         more = {"correlates": found.correlates, **motions_dict(found.motions)}
-    return explanation_dict(found.explanation, **more)
+    return explanation_dict(found, **more)
 
 
 def _explained_series(found: Explanation) -> Columns:
@@ -817,10 +811,10 @@ VIEWS = {
     Explained: View(
         explanation_page,
         _explained_dict,
-        lambda found: step_records(found.explanation),
-        lambda found: _explained_series(found.explanation),
+        step_records,
+        _explained_series,
         "efforts",
-        lambda found: _drawn(found.explanation),
+        _drawn,
     ),
     ModelIdentification: View(
         identification_page,

@@ -272,7 +272,7 @@ def test_an_added_effect_that_makes_things_worse_is_said_to():
     useless = step("joint_spring", joints, {}, {}, error_before=0.565, error_after=0.569)
     added = explanation(joints, (useless,))
     added = dataclasses.replace(added, end=errors(joints, 1.01))
-    sentence = page_of(Explained(added, added=True)).sentence
+    sentence = page_of(Explained.of(added, added=True)).sentence
     assert "Joint spring does not lower it (nrms 0.565 -> 0.569)." in sentence
     assert "Added: joint spring (all 3 joints)." in sentence
     text = page(added)
