@@ -176,11 +176,13 @@ def check_time(name: str, time: Array) -> None:
         return
     first = int(np.argmax(steps <= 0))
     before, after = rows[first] + 1, rows[first + 1] + 1
-    what = "runs backwards" if steps[first] < 0 else "repeats" if steps.any() else "is constant"
+    again = steps[first] == 0
+    what = "runs backwards" if not again else "repeats" if steps.any() else "is constant"
     raise LogError(
         f"Time {what} in log {name!r}: row {before} has {time[before - 1]:.9g} s and row {after} "
         f"has {time[after - 1]:.9g} s.",
         advice="Log the instant each sample was measured at, with enough digits, and sort or "
-        "remove rows so that time increases.",
+        "remove rows so that time increases."
+        + (" Of rows that are evenly apart, --rate says how many a second." if again else ""),
         row=int(after),
     )

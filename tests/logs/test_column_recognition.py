@@ -71,7 +71,7 @@ def test_names_of_loggers(name, quantity, joint, number):
     "name",
     [
         *("time", "t", "timestamp", "__time", "%time", "header.stamp.secs", "Time (ms)", "time_us"),
-        *("/joint_states/header/stamp/sec", "elapsed time [s]"),
+        *("/joint_states/header/stamp/sec", "elapsed time [s]", "Temps (s)", "ctrl_timestamp"),
     ],
 )
 def test_names_of_time(name):

@@ -135,6 +135,12 @@ SHAPES = {
         value_name="_value")),
     "samples.json": text(json.dumps({"robot": {"rate": 100}, "samples":
         pandas.DataFrame(listed(LISTS)).to_dict("records")})),
+    "braces.csv": table(PLAIN[["time"]].assign(
+        q=["{" + f"{a!r}, {b!r}" + "}" for a, b in POSITION.tolist()],
+        tau=["{" + f"{a!r}, {b!r}" + "}" for a, b in EFFORT.tolist()])),
+    "two_clocks.h5": in_hdf5({"observation/joint_positions": POSITION, "observation/tau": EFFORT,
+        "observation/timestamp/seconds": np.full(ROWS, 1.7e9),
+        "observation/timestamp/nanos": 1e9 * TIME}),
     "logging.log": text("\n".join(f"{m:%Y-%m-%d %H:%M:%S,%f} INFO arm: q={[*q]} tau={[*e]}"
         for m, q, e in zip(MOMENTS, POSITION.tolist(), EFFORT.tolist(), strict=True))),
     "strokes.csv": times("%Y/%m/%d %H:%M:%S.%f"),
@@ -690,6 +696,13 @@ def test_rows_of_a_joint_in_units_of_which_one_is_not_known(tmp_path):
     assert log.effort_kinds == dict.fromkeys(JOINTS, "current")
     said = "as nobody says how much one of erpm is: joint_1.velocity, joint_2.velocity"
     assert any(said in note for note in log.notes)
+
+
+def test_stamps_of_whole_seconds_are_refused_with_what_to_do(tmp_path):
+    path = csv_of(tmp_path, PLAIN.assign(time=np.floor(TIME)))
+    with pytest.raises(LogError, match="evenly apart, --rate says how many a second"):
+        read_log(path)
+    np.testing.assert_allclose(read_log(path, reading=Reading(rate=100.0)).time, TIME)
 
 
 def test_signals_of_unknown_names_are_mapped(tmp_path):

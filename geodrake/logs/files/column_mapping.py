@@ -342,8 +342,10 @@ def columns_of(
     try:
         if columns.rate is None and ("", "time") not in columns.places:
             clock, words = likely_clock(table)
+            told = [] if names else [f"; {n!r} {why}" for n, why in table.silent.items()]
+            silent = "".join(told[:_FEW_WORDS])
             raise LogError(
-                f"Log {str(path)!r} has no column 'time'; it has {listed(names)}.",
+                f"Log {str(path)!r} has no column 'time'; it has {listed(names)}{silent}.",
                 advice=f"{words}{HEADER_ADVICE} Without time, give the rows a second by --rate.",
             )
         columns.date(table)

@@ -229,10 +229,12 @@ def _own(name: str) -> Meaning | None:
 def _time(name: str) -> Meaning | None:
     """Read a name of time stamps, such as `Time (ms)`, `header.stamp.secs` or `%time`."""
     plain, unit = _without_brackets(name, "time")
+    suffix = False
     parts = [part for part in re.split(r"[_\s./]+", plain) if part]
     if unit is None and len(parts) > 1 and parts[-1].lower() not in _TIMES | _NANOSECONDS:
         unit = find_unit(parts[-1], "time")
-        plain = "_".join(parts[:-1]) if unit else plain
+        suffix = unit is not None
+        plain = "_".join(parts[:-1]) if suffix else plain
     words = _split(plain)
     inside, stroke, own = name.rpartition("/")
     if stroke and words and not (_BESIDE_TIME | ROLE_WORDS.keys()).issuperset(_split(inside)):
@@ -241,7 +243,7 @@ def _time(name: str) -> Meaning | None:
     if not words or not (_BESIDE_TIME | ROLE_WORDS.keys()).issuperset(words):
         return None
     asked = DESIRED in (ROLE_WORDS.get(str(w)) for w in words)  # by a plan's clock
-    context = tuple(map(str, words[:-1]))
+    context = tuple(map(str, words if suffix else words[:-1]))
     if words[-1] in _NANOSECONDS:
         return Meaning(name, "nanoseconds", style=context)
     if not _TIMES.intersection(words):
@@ -274,6 +276,8 @@ def _joint(column: str) -> Meaning | None:
         return None
     if quantity in ("current", "voltage") and _SUPPLY.intersection(said):
         return None
+    if quantity == "temperature" and _without_brackets(name, "time")[1] is not None:
+        return None  # as of "Temps (s)" in French
     plain, unit = _without_unit(parts[place], quantity)
     if unit is None and quantity in SIGNAL_KINDS:  # of another kind: see `understanding`
         plain, unit = _without_unit(parts[place], "effort")

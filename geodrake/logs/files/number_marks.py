@@ -89,6 +89,6 @@ def plain(cell: str, decimal: str, mark: str | None) -> str:
         cell = cell.replace(mark, "")
     return (
         cell.replace(",", ".")
-        if decimal == "," and not cell.lstrip().startswith(("[", "("))
+        if decimal == "," and not cell.lstrip().startswith(("[", "(", "{"))
         else cell
     )

@@ -156,8 +156,9 @@ def _signed_register(numbers: Array, *, magnitudes: bool) -> tuple[Array, str] |
 
 
 def are_whole(numbers: Array) -> bool:
-    """Return whether numbers (N,) are whole ones, but for rounding and empty cells."""
-    return not np.any(np.abs(numbers - np.rint(numbers)) > _ROUNDING)
+    """Return whether numbers (N,) are whole ones, but for rounding, empty cells and infinity."""
+    with np.errstate(invalid="ignore"):
+        return not np.any(np.abs(numbers - np.rint(numbers)) > _ROUNDING)
 
 
 def _are_apart(numbers: Array, half: float, least: float) -> bool:

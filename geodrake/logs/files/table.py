@@ -365,7 +365,7 @@ NOTHING = frozenset(f(word) for word in _SAYS_NOTHING for f in (str, str.upper, 
 }
 """What stands in a cell where nothing was measured."""
 
-LIST = re.compile(r"(?:(?:array|tensor)\()?[\[(]([^\[\]()]*)[\])](?:, dtype=[\w.]+)?\)?")
+LIST = re.compile(r"(?:(?:array|tensor)\()?[\[({]([^\[\](){}]*)[\])}](?:, dtype=[\w.]+)?\)?")
 _FORTRAN = re.compile(r"(?<=\d)[Dd](?=[+-]\d)")  # in 1.5D+00
 _BETWEEN = re.compile(r"\s*[,;]\s*|\s+")
 _NUMBERS = msgspec.json.Decoder(list[float])
