@@ -217,3 +217,20 @@ def test_mass_matrix_is_the_slope_of_the_effort_in_the_acceleration(arm):
     rest = control.at(q, qd, v, 0 * a).effort(control.prior)
     slopes = [control.at(q, qd, v, e).effort(control.prior) - rest for e in np.eye(len(a))]
     close(control.at(q, qd, v, a).mass_matrix(control.prior), np.transpose(slopes), 1e-10)
+
+
+def test_momentum_regressors_with_effects(arm):
+    effects = [
+        e for e in all_effects(arm) if e.name not in ("running_mean", "load_dependent_friction")
+    ]
+    control = ControlModel.of(fitted(arm, *effects), sign_width=0.3)
+    q, qd, _, a, _ = motion_of(arm)
+    h, zero = 1e-5, np.zeros_like(q)
+
+    def momenta(step):
+        moved = control.at(q + step * qd, qd + step * a, zero, zero)
+        return moved.momentum_regressors[0]
+
+    rate = (momenta(h) - momenta(-h)) / (2 * h)
+    drift = control.at(q, qd, zero, zero).momentum_regressors[1]
+    close(rate - drift, control.at(q, qd, qd, a).regressor, 1e-7)

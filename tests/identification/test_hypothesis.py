@@ -173,6 +173,23 @@ def test_bound_is_kept(dataset, model):
 WEIGHT = KnownPayload("lower_link", 1.0, (0.05, 0.0, -0.2))
 
 
+def test_released_effect_is_forgotten_and_the_rest_is_not(dataset, model):
+    unknowns = with_effects(dataset, model_unknowns(dataset, model), *EFFECTS[:3])
+    size = len(unknowns.columns)
+    root = np.random.default_rng(3).normal(size=(2 * size, size))
+    known = replace(unknowns, information=root.T @ root)
+    weak = np.array([[1e-6]])
+    released = known.released(EFFECTS[1], weak)
+    span = known.span(EFFECTS[1])
+    rest = np.delete(np.arange(len(known.columns)), span)
+    before, after = (np.linalg.inv(u.information) for u in (known, released))
+    np.testing.assert_allclose(
+        after[np.ix_(rest, rest)], before[np.ix_(rest, rest)], rtol=1e-6, atol=1e-9
+    )
+    np.testing.assert_array_equal(released.information[span, span], weak)
+    np.testing.assert_array_equal(released.information[span, rest], 0.0)
+
+
 def weight_effort(q, v, vd, load):
     """What a weight at the lower link needs beside the model, by Drake."""
     plant = MultibodyPlant(0.0)

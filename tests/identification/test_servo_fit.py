@@ -125,6 +125,21 @@ def test_efforts_of_a_servo_are_its_equation(log):
     np.testing.assert_array_equal(same.effort[:, 0], effort)
 
 
+def test_where_a_joint_stands_says_nothing_of_a_servo():
+    """Offsets of stretches, as of heavier bodies, made a tenth of the error no gain at all."""
+    rng = np.random.default_rng(0)
+    stretches = tuple(np.zeros((n, 8)) for n in (400, 300))
+    motions = JointMotions(stretches, tuple(rows[:, 0] for rows in stretches), (0.004, 0.004))
+    before, after = 1e-3 * rng.normal(size=700), 1e-4 * rng.normal(size=700)
+    gain = motions.gain_of(before, after)
+    assert gain > 700.0
+    offset = np.repeat([2e-3, -5e-3], [400, 300])
+    assert motions.gain_of(before + offset, after + offset) == pytest.approx(gain)
+    assert motions.gain_of(before, after + offset, motions.tested) == pytest.approx(
+        motions.gain_of(before, after, motions.tested)
+    )
+
+
 @pytest.fixture(scope="module")
 def fitted(model, summed):
     return calibrate_efforts(model, [summed])
