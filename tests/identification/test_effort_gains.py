@@ -10,6 +10,7 @@ from pinocchio_logs import MODELS, effort_log
 from geodrake import load_model
 from geodrake.errors import LogError
 from geodrake.identification.logs.case import open_case
+from geodrake.identification.logs.effort_gains import _GeodesicBodies
 from geodrake.identification.logs.signal_calibration import calibrate_efforts, calibrated
 from geodrake.logs.files import read_log
 from geodrake.model import EffortSignal
@@ -131,3 +132,16 @@ def test_ur10e_gains_lie_in_their_intervals():
     found = calibrated(model, [currents(log, GAINS)], ["current"] * 6)
     off = np.log([s.gain / gain for s, gain in zip(found, GAINS, strict=True)])
     assert (np.abs(off) < 2.0 * np.array([s.uncertainty for s in found])).all()
+
+
+def test_slopes_of_geodesic_bodies_are_those_of_differences(arm):
+    bodies = _GeodesicBodies.of(arm)
+    x = 0.3 * np.random.default_rng(0).normal(size=arm.phi.size)
+    x[:10] = 0.0  # where eigenvalues meet
+    slope = bodies.at(x)[1]
+    step = 1e-6
+    columns = [
+        (bodies.at(x + step * e)[0] - bodies.at(x - step * e)[0]) / (2.0 * step)
+        for e in np.eye(len(x))
+    ]
+    np.testing.assert_allclose(slope, np.stack(columns, 1), atol=1e-6 * np.abs(slope).max())

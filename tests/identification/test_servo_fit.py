@@ -153,6 +153,15 @@ def with_gaps(log, instants, length):
     return replace(log, **{name: getattr(log, name)[kept] for name in columns})
 
 
+@pytest.mark.parametrize("integral", [0.0, INTEGRAL])
+def test_a_linear_fit_of_the_motion_is_where_searches_begin(model, log, summed, integral):
+    """The gain by inertias says nothing of a servo whose integral holds the joint up."""
+    motions = alone(model, summed if integral else log)
+    found = motions.linear_servo(EffortSignal("hinge", "command", 0.5))
+    assert found.gain == pytest.approx(TRUTH[0], rel=0.1)
+    assert found.integral == pytest.approx(integral, rel=0.1)
+
+
 def test_it_finds_the_integral_that_mujoco_has(fitted):
     """By a log alone: bodies are those of the file, gains as uncertain as these are."""
     (signal,) = fitted[0].effort_signals
