@@ -56,10 +56,10 @@ def run_fleet_command(options: FleetOptions) -> None:
         _tell_repairs(digests, given.progress)
         known = sum(map(len, digests.records.values()))
         words = f"{len(fleet.robots)} robots, {known} logs, {digests.made} of them new"
-        return WatchedFleet(result, str(fleet.folder), words)
+        return WatchedFleet.of(result, str(fleet.folder), words)
 
     def write(found: WatchedFleet, contents: Mapping[Path, Content]) -> tuple[Path, ...]:
-        write_together({**_own_contents(fleet, found.result), **contents})
+        write_together({**_own_contents(fleet, found), **contents})
         return ()
 
     command = Command("fleet", "Looking at the fleet", looked, inputs=fleet.files, write=write)
@@ -118,7 +118,7 @@ def _look(
         contents[options.json] = _numbers(result)
     if options.report is not None:
         about = About(fleet.path.name, (), "fleet")
-        page = page_of(WatchedFleet(result, str(fleet.folder)), about)
+        page = page_of(WatchedFleet.of(result, str(fleet.folder)), about)
         contents[options.report] = render(page)
     write_together(contents)
     new = new_findings(fleet.folder, result.findings)

@@ -154,6 +154,7 @@ class DynamicsCheck(Short):
     left_out: tuple[str, ...] = ()
     second: Agreement | None = None
     by: str = ""
+    notes: tuple[str, ...] = ()
 
     @property
     def worst(self) -> Agreement:
@@ -202,7 +203,8 @@ def check_dynamics(model: RobotModel, *, samples: int = 100, seed: int = 0) -> D
         by, efforts, own = by
         size = float(np.abs(efforts).max(initial=0.0))
         second = _agreement(f"efforts by {by}", own - efforts, size, model.joints)
-    return DynamicsCheck(agreements, *of_model, second, by)
+    notes = tuple(dict.fromkeys((*model.repairs, *model.notes)))
+    return DynamicsCheck(agreements, *of_model, second, by, notes)
 
 
 def _random_states(model: RobotModel, count: int, rng: np.random.Generator) -> States:

@@ -153,17 +153,8 @@ def _proof_table(found: ProvenExport, units: Units) -> Table:
     return Table(head, rows, words=4)
 
 
-@dataclass(frozen=True, eq=False)
-class CheckedModel:
-    """A check, and what is to be known of the model, repairs first."""
-
-    check: DynamicsCheck
-    notes: tuple[str, ...]
-
-
-def check_page(checked: CheckedModel, about: About) -> Page:
+def check_page(found: DynamicsCheck, about: About) -> Page:
     """Say whether a model's dynamics are MultibodyPlant's, and where they differ most."""
-    found = checked.check
     states = "1 random state" if found.samples == 1 else f"{found.samples} random states"
     rows = [
         cells(
@@ -183,7 +174,7 @@ def check_page(checked: CheckedModel, about: About) -> Page:
                 "In N·m or N, of the mass matrix in kg·m² or kg, beside the largest value.",
                 tables=(table,),
             ),
-            notes_section(checked.notes),
+            notes_section(found.notes),
         ),
         of=f"{about.model} against MultibodyPlant, {states}",
     )
@@ -474,9 +465,9 @@ def _log_dict(found: LogInspection) -> dict[str, Any]:
     )
 
 
-def _check_dict(checked: CheckedModel) -> dict[str, Any]:
+def _check_dict(found: DynamicsCheck) -> dict[str, Any]:
     """Return a check."""
-    found, second = checked.check, checked.check.second
+    second = found.second
     return record(
         "Check",
         found,
@@ -486,13 +477,12 @@ def _check_dict(checked: CheckedModel) -> dict[str, Any]:
         quantities={each.quantity: each for each in found.agreements},
         second_opinion={"by": found.by, **(record("Agreement", second) if second else {})},
         worst=found.worst.quantity,
-        notes=checked.notes,
     )
 
 
 VIEWS = {
     ProvenExport: View(export_page, _export_dict),
-    CheckedModel: View(check_page, _check_dict),
+    DynamicsCheck: View(check_page, _check_dict),
     DigestRun: View(digests_page, _digests_dict),
     InspectedLogs: View(logs_page, _logs_dict),
 }

@@ -9,7 +9,7 @@ from __future__ import annotations
 import json
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -59,19 +59,23 @@ _CERTAIN = 3.0  # deviations from 0 from which on a part of a change is told in 
 
 
 @dataclass(frozen=True, eq=False)
-class WatchedFleet:
+class WatchedFleet(FleetResult):
     """A fleet's result, its folder, and what was read of it in words."""
 
-    result: FleetResult
     folder: str = ""
     words: str = ""
 
+    @classmethod
+    def of(cls, result: FleetResult, folder: str = "", words: str = "") -> WatchedFleet:
+        """Return a result with its folder and words."""
+        own = {f.name: getattr(result, f.name) for f in fields(FleetResult)}
+        return cls(**own, folder=folder, words=words)
 
-def fleet_page(found: WatchedFleet | FleetResult, about: About) -> Page:
+
+def fleet_page(result: FleetResult, about: About) -> Page:
     """Say which robots of a fleet changed, at which joint, by what, since when."""
-    if isinstance(found, FleetResult):
-        found = WatchedFleet(found)
-    result, folder = found.result, found.folder
+    found = result if isinstance(result, WatchedFleet) else WatchedFleet.of(result)
+    folder = found.folder
     changed = [robot for robot in result.robots if robot.findings]
     steady = [robot for robot in result.robots if not robot.findings]
     shown = (changed or [robot for robot in steady if robot.logs][:1])[:_MOST_PAGES]
@@ -534,6 +538,5 @@ def _parameter_rows(result: FleetResult) -> list[dict[str, Any]]:
 
 VIEWS = {
     FleetResult: View(fleet_page, fleet_dict),
-    WatchedFleet: View(fleet_page, lambda found: fleet_dict(found.result)),
 }
 """How to see each of these results."""

@@ -33,8 +33,8 @@ _KINDS = {
     "explaining": ("Comparison", "Diagnosis", "Explanation", "Explained", "ModelIdentification"),
     "exciting": ("ExcitationResult", "LogIdentifiability"),
     "rollouts": ("Rollout", "Simulated", "RolloutFit"),
-    "fleets": ("FleetResult", "WatchedFleet"),
-    "exports": ("ProvenExport", "CheckedModel", "DigestRun", "InspectedLogs"),
+    "fleets": ("FleetResult",),
+    "exports": ("ProvenExport", "DynamicsCheck", "DigestRun", "InspectedLogs"),
     "playback": ("Playback",),
 }
 """Module here -> the results that its `VIEWS` are of; imported only where there is one of them."""
