@@ -203,6 +203,7 @@ def log_of_frame(
     """
     instance(name, "name", str)
     joints = None if joints is None else instances(joints, "joints", str)
+    reading = Reading() if reading is None else instance(reading, "reading", Reading)
     with readable(Path(name), "frame of numbers", "Give columns of numbers, such as float64."):
         arrays = _frame_arrays(frame, name)
     rows = max((len(values) for values in arrays.values() if np.ndim(values)), default=0)
@@ -210,7 +211,7 @@ def log_of_frame(
     if getattr(getattr(index, "dtype", None), "kind", "") in ("M", "m", "f"):  # no count of rows
         arrays.setdefault("time", index.to_numpy())
     table = numeric_table(Path(name), arrays, rows)
-    return log_of(table, joints, reading or Reading())[0]
+    return log_of(table, joints, reading)[0]
 
 
 def _frame_arrays(frame: Any, called: str) -> dict[str, Any]:
