@@ -676,6 +676,15 @@ def test_rows_above_the_numbers_that_begin_with_what_they_say(tmp_path, kind):
             read_log(path, joints=JOINTS)
 
 
+@pytest.mark.parametrize("first", ["time", "kind"])
+def test_rows_with_few_cells_at_the_beginning_are_none_with_keys(tmp_path, first):
+    sparse = PLAIN.assign(kind="state")[[first, *PLAIN.columns.drop(first, errors="ignore")]]
+    sparse.loc[:9, ["base.position", "elbow.position", "base.effort"]] = np.nan
+    log = read_log(csv_of(tmp_path, sparse))
+    assert len(log) == ROWS
+    assert np.isnan(log.effort[:10, 0]).all()
+
+
 def test_signals_of_simulink_have_labels(tmp_path):
     signals = [
         {"values": values, "label": name} for name, values in (("q", POSITION), ("tau", EFFORT))

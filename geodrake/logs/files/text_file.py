@@ -218,8 +218,13 @@ def _rows_above(
         return [], begin, None
     rows = [(k, cells) for k in range(begin, at) if any(cells := _cells_of(lines[k], separator))]
     wide = takewhile(lambda row: len(row[1]) - len(first) in (0, 1), reversed(rows))
-    above = [*dropwhile(lambda row: sum(map(bool, row[1])) == 1, [*wide][::-1])]
-    return above, at, separator
+    above = dropwhile(lambda row: _names_nothing(row[1]), reversed([*wide]))
+    return [*above], at, separator
+
+
+def _names_nothing(cells: Sequence[str]) -> bool:
+    """Return whether cells are a title alone, or a row with few numbers."""
+    return sum(map(bool, cells)) == 1 or _are_numbers(cells[:1])
 
 
 def _has_numbers(cells: Sequence[str]) -> bool:
@@ -238,7 +243,8 @@ def _keyed_names(
     TwinCAT and LabVIEW write several, such as `Name`, `SampleTime[ms]` and `Unit`. The first column
     of the numbers in these lines is time; others of its name must be the same.
     """
-    if len(above) < _KEYED_ROWS or not all(cells[0] for cells in above):
+    keys = {cells[0] for cells in above if not _are_numbers(cells[:1])} - {""}
+    if not len(above) == len(keys) >= _KEYED_ROWS:  # or they are rows with few numbers
         return (), {}
     counts = [len({name for name in cells if meaning_of(name) is not None}) for cells in above]
     if not any(counts):
