@@ -77,10 +77,7 @@ class MjcfText(ModelText):
         """Return gears of actuators, and fixed tendons."""
         return _motors(self.compiled, self.path)
 
-    def _inertia(self, link: Element) -> Array | None:
-        inertial = link.find("inertial")
-        if inertial is None:
-            return None
+    def _inertia(self, inertial: Element) -> Array:
         mass, com = numbers(inertial.get("mass", ""), 1)[0], numbers(inertial.get("pos", ""), 3)
         moments = symmetric(inertial.get("fullinertia", "").split())
         return inertial_parameters_of(mass, com, np.eye(3), moments)

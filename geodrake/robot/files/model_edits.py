@@ -258,6 +258,15 @@ def sdf_models(parent: Element, scope: str = "", first: str = "") -> Iterator[tu
         yield from sdf_models(model, name)
 
 
+def sdf_pose(pose: Element) -> tuple[Array, Array]:
+    """Return the position (3,) of a <pose>, and roll, pitch, yaw or a quaternion w, x, y, z."""
+    quaternion = pose.get("rotation_format") == "quat_xyzw"
+    values = numbers(pose.text or "", 7 if quaternion else 6)
+    if quaternion:
+        return values[:3], values[[6, 3, 4, 5]]
+    return values[:3], np.deg2rad(values[3:]) if pose.get("degrees") == "true" else values[3:]
+
+
 def child_of(parent: Element, tag: str, *, new: bool = False) -> Element:
     """Return the child of a tag; where there is none, a new one before those of the file."""
     found = None if new else parent.find(tag)
@@ -322,14 +331,10 @@ def _put_sdf_inertia(link: Element, phi: Array) -> None:
     if inertial.get("auto") == "true":
         inertial.set("auto", "false")
     pose = child_of(inertial, "pose")
-    quaternion, text = pose.get("rotation_format") == "quat_xyzw", pose.text or ""
-    values = numbers(text, 7 if quaternion else 6)
-    angles = values[[6, 3, 4, 5]] if quaternion else values[3:]
-    if not quaternion and pose.get("degrees") == "true":
-        angles = np.deg2rad(angles)
-    turn, rest = rotation(angles), " ".join(text.split()[3:])
+    angles = sdf_pose(pose)[1]
+    turn, rest = rotation(angles), " ".join((pose.text or "").split()[3:])
     if not rest or not np.isfinite(turn).all():
-        turn, rest = np.eye(3), "0 0 0 1" if quaternion else "0 0 0"
+        turn, rest = np.eye(3), "0 0 0 1" if len(angles) > 3 else "0 0 0"
     pose.text = f"{words(com)} {rest}"
     child_of(inertial, "mass").text = words(mass)
     tensor = child_of(inertial, "inertia")

@@ -41,7 +41,7 @@ from geodrake.robot.files.checks import (
     symmetric,
 )
 from geodrake.robot.files.includes import PACKAGE_ADVICE, Includes
-from geodrake.robot.files.model_edits import put_inertia, sdf_models
+from geodrake.robot.files.model_edits import put_inertia, sdf_models, sdf_pose
 from geodrake.robot.files.xml_text import numbered_text, place_of, wrong_at
 from geodrake.robot.joints import Follower
 from geodrake.robot.stated import Closure, FileTerms, Spring
@@ -139,7 +139,7 @@ class ModelText(abc.ABC):
         check_limits(self.root, path)
         check_links(self._links, path)
         for name, link in self._links.items():
-            phi = self._inertia(link)
+            phi = self._stated(link)
             if phi is not None:
                 check_inertia(link, phi, path)
             if phi is not None and not is_physical(phi):
@@ -155,7 +155,13 @@ class ModelText(abc.ABC):
         """Inertial parameters (10,) that the file states for a link, possible or not; else None."""
         if link in self.terms.set_aside or link not in self._links:
             return self.terms.set_aside.get(link)
-        return self._inertia(self._links[link])
+        return self._stated(self._links[link])
+
+    def _stated(self, link: Element) -> Array | None:
+        inertial = link.find("inertial")
+        if inertial is None or inertial.get("auto") == "true":  # the latter of SDF
+            return None
+        return self._inertia(inertial)
 
     def motors(self) -> tuple[Statement, ...]:
         """Return what the file states of motors behind transmissions."""
@@ -236,8 +242,8 @@ class ModelText(abc.ABC):
         """Fill the attributes and take out what Drake shall not see."""
 
     @abc.abstractmethod
-    def _inertia(self, link: Element) -> Array | None:
-        """Return inertial parameters that the file states for a link."""
+    def _inertia(self, inertial: Element) -> Array:
+        """Return the inertial parameters (10,) that an <inertial> states."""
 
 
 _SPRING = ("spring_stiffness", "spring_reference")
@@ -300,24 +306,15 @@ class SdfText(ModelText):
                 self._take_spring(name, dynamics, *_SPRING)
             drop(dynamics, *_SPRING)
 
-    def _inertia(self, link: Element) -> Array | None:
-        inertial = link.find("inertial")
-        if inertial is None or inertial.get("auto") == "true":
-            return None
+    def _inertia(self, inertial: Element) -> Array:
         pose = inertial.find("pose")
-        values = np.zeros(6) if pose is None else numbers(pose.text or "", 6)
-        turn = values[3:]
-        if pose is not None and pose.get("degrees") == "true":
-            turn = np.deg2rad(turn)
-        if pose is not None and pose.get("rotation_format") == "quat_xyzw":
-            values = numbers(pose.text or "", 7)
-            turn = values[[6, 3, 4, 5]]
+        com, turn = (np.zeros(3), np.zeros(3)) if pose is None else sdf_pose(pose)
         inertia = symmetric(
             inertial.findtext(f"inertia/{key}", "1" if key in ("ixx", "iyy", "izz") else "0")
             for key in TENSOR
         )
         mass = numbers(inertial.findtext("mass", "1"), 1)[0]
-        return inertial_parameters_of(mass, values[:3], rotation(turn), inertia)
+        return inertial_parameters_of(mass, com, rotation(turn), inertia)
 
 
 _KINDS = ("SimpleTransmission", "DifferentialTransmission", "FourBarLinkageTransmission")
@@ -402,10 +399,7 @@ class UrdfText(ModelText):
         """Return the transmissions of ros_control."""
         return tuple(part for e in self._transmissions for part in _motors(e, self.path))
 
-    def _inertia(self, link: Element) -> Array | None:
-        inertial = link.find("inertial")
-        if inertial is None:
-            return None
+    def _inertia(self, inertial: Element) -> Array:
         origin, tensor = inertial.find("origin"), inertial.find("inertia")
         com, rpy = (
             numbers("" if origin is None else origin.get(key, ""), 3) for key in ("xyz", "rpy")
