@@ -21,7 +21,7 @@ _NEAR_ZERO, _TOUCHES = 0.03, 4  # of the largest effort, and how often one comes
 _LOOKS = 200  # at a position, between which its noise turns it round
 _LEAST_DEGREES = 45.0  # seven turns of a joint in radians
 _MOST_DEGREES = 3600.0  # ten turns
-_LEAST_TICKS, _A_TURN = 100.0, 360.0  # no joint goes there in radians, or in degrees
+_LEAST_TICKS = 100.0  # no joint goes there in radians
 _FEW = 0.01  # share of samples that may be spikes
 _MARGIN = 0.01  # of a range, by which a joint may pass its stops
 _ROWS = 100_000  # of a log that are looked at together
@@ -54,9 +54,9 @@ def effort_unit_hint(log: JointLog, effort_limits: ArrayLike) -> str | None:
     return None
 
 
-_TICKS_ADVICE = (
-    "ticks of an encoder? --units position=rev/4096@2048 converts those with 4,096 a turn, gears "
-    "included, and their zero at tick 2048, position=rev/4096 those with it at tick 0."
+_UNIT_ADVICE = (
+    "Say their unit: --units position=deg, position=mm or, of an encoder that counts 4,096 in a "
+    "turn of the joint and 2048 where that is at 0, position=rev/4096@2048."
 )
 
 
@@ -68,7 +68,7 @@ def position_unit_hint(log: JointLog) -> str | None:
     if not peaks[worst] > _LEAST_DEGREES or np.mean(peaks > 10.0) <= 0.5:
         return None
     if peaks[worst] > _MOST_DEGREES:
-        return f"Positions are neither rad nor degrees: {farthest}. Are they {_TICKS_ADVICE}"
+        return f"Positions are neither rad nor degrees: {farthest}. {_UNIT_ADVICE}"
     return (
         f"Positions seem to be in degrees: {farthest}. Positions are rad or m: "
         "--units position=deg converts them."
@@ -83,11 +83,10 @@ def check_ticks(log: JointLog) -> None:
     worst = int(np.argmax(peaks))
     if not _LEAST_TICKS <= peaks[worst] <= LARGEST:
         return
-    in_degrees = "degrees? --units position=deg converts them. Or "
     raise LogError(
         f"Positions of log {log.name!r} are whole numbers, of up to {peaks[worst]:.7g} at "
         f"{log.joints[worst]}: no joint has such in rad or m.",
-        advice=f"Are they {in_degrees if peaks[worst] <= _A_TURN else ''}{_TICKS_ADVICE}",
+        advice=_UNIT_ADVICE,
         joint=log.joints[worst],
     )
 

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from geodrake.logs.files.name_rules import MEASURED, matched, meaning_of
+from geodrake.logs.files.name_rules import MEASURED, matched, meaning_of, meanings_of
 
 UR = tuple(
     f"{name}_joint"
@@ -113,6 +113,13 @@ def test_units_in_names(name, unit, factor):
     found = meaning_of(name).unit
     assert found.name == unit
     assert found.factor == pytest.approx(factor)
+
+
+def test_letters_of_units_are_joints_where_several_columns_or_geodrakes_names_have_them():
+    found = [m.joint for m in meanings_of(["q_A", "cur_A", "cur_B", "m.position"])]
+    assert found == ["A", "A", "B", "m"]
+    (_, current) = meanings_of(["pos_deg", "cur_A"])
+    assert (current.joint, current.unit.name) == ("", "A")
 
 
 @pytest.mark.parametrize(("name", "counted"), [("q_1 [inc]", True), ("q_inc_1", False)])

@@ -111,7 +111,7 @@ def _records(path: Path, content: Sequence[Mapping[str, Any]]) -> LogTable:
 
 
 def _are_records(content: Any) -> bool:
-    return isinstance(content, list) and all(isinstance(row, Mapping) for row in content)
+    return isinstance(content, list) and {isinstance(row, Mapping) for row in content} == {True}
 
 
 def _of_pandas(content: Any) -> Any:

@@ -66,11 +66,13 @@ class JointFields:
         arrays: Quantity -> where its array may be; the first with numbers counts. `NUMBERS` of
             which the message says no more.
         by_joint: Whether every joint has a list of its own, of values and what they are.
+        by_motor: Whether there is a message for each motor, or for more than the robot has.
     """
 
     names: str | None
     arrays: Mapping[str, tuple[tuple[str, ...], ...]]
     by_joint: bool = False
+    by_motor: bool = False
 
     @classmethod
     def of(cls, message: Any) -> JointFields | None:
@@ -90,7 +92,9 @@ class JointFields:
         }
         by_joint = hasattr(message, "interface_values")
         says = by_joint or any(arrays.get(q) for q in ("position", "effort", "command", NUMBERS))
-        return cls(names, arrays, by_joint) if says else None
+        wholes = (_at(message, path[:-1]) for paths in arrays.values() for path in paths)
+        by_motor = any(isinstance(whole, list) and len(whole) > 1 for whole in wholes)
+        return cls(names, arrays, by_joint, by_motor) if says else None
 
     def sample(self, message: Any) -> tuple[tuple[JointKey, ...], dict[str, Any], bool]:
         """Return joints and arrays of a message, and whether efforts are those of a controller.
@@ -276,7 +280,7 @@ class MessageRows(MessageNumbers):
 
     def _without_spare(self, table: LogTable) -> LogTable:
         """Return a table without what messages have for motors behind the last of the robot."""
-        if self.fields.names or any(len(p) < 2 for own in self.fields.arrays.values() for p in own):
+        if not self.fields.by_motor:
             return table
         places = {n: int(n.rpartition("[")[2][:-1]) for n in table.columns if n.endswith("]")}
         last = max((k for name, k in places.items() if table.columns[name].any()), default=0)

@@ -145,7 +145,8 @@ def meanings_of(names: Iterable[str]) -> list[Meaning]:
     found = [meaning for name in names if (meaning := meaning_of(name)) is not None]
     counts = Counter(meaning.words for meaning in found)
     for k, meaning in enumerate(found):
-        unit = find_unit(meaning.joint, meaning.quantity) if len(meaning.joint) == 1 else None
+        is_letter = len(meaning.joint) == 1 and meaning.style[:1] != ("own",)
+        unit = find_unit(meaning.joint, meaning.quantity) if is_letter else None
         if unit is not None and counts[meaning.words] == 1:
             found[k] = replace(meaning, joint="", words=(), unit=unit)
     return found
@@ -252,6 +253,7 @@ def _time(name: str) -> Meaning | None:
         unit = find_unit("ns", "time")  # of `rostopic echo -p`
     rank = 0 if "header" in words else 1 if not name.startswith(("_", "%")) else 2
     rank += 3 * asked + ("date" in words and not _TIME_OF_DAY.intersection(words))
+    rank += 3 * ("tick" in words)  # which may count rows
     return Meaning(name, "time", role=1 + rank, unit=unit, style=context)
 
 
