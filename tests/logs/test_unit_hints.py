@@ -48,7 +48,7 @@ def test_positions_beyond_limits_have_a_likely_cause(first, words):
 def test_whole_numbers_far_from_zero_are_refused_before_anything_is_made_of_them(scale):
     ticks = np.rint(scale * log(SWING).position)
     raw = replace(log(SWING), position=ticks)
-    with pytest.raises(LogError, match="no joint has such in rad or m. .*mm .*rev/4096@2048"):
+    with pytest.raises(LogError, match=r"no joint has such in rad or m\. .*mm .*rev/4096@2048"):
         make_uniform(raw)
     make_uniform(replace(raw, position=ticks + 0.5))
     assert ("neither rad nor degrees" in position_unit_hint(raw)) == (scale > 3600.0)
