@@ -8,13 +8,14 @@ from pydrake.multibody.tree import (
     RevoluteSpring,
     SpatialInertia,
     UnitInertia,
+    WeldJoint,
 )
 
 LINK = SpatialInertia(2.0, [0.02, -0.01, 0.25], UnitInertia.SolidBox(0.2, 0.1, 1.2))
 MOTOR = 0.3  # kg·m², of the body of a motor
 
 
-def arm(*, damping=0.0, spring=None, dofs=3, time_step=0.0):
+def arm(*, damping=0.0, spring=None, dofs=3, weld_tool=False, time_step=0.0):
     """A chain of revolute joints about y, z and x, whose links hang from each other.
 
     `spring` are stiffness and damping between the body of the first joint's motor and its link.
@@ -38,5 +39,9 @@ def arm(*, damping=0.0, spring=None, dofs=3, time_step=0.0):
             plant.AddForceElement(RevoluteSpring(joint, 0.0, spring[0]))
         plant.AddJointActuator(f"motor{i + 1}", joint)
         parent = body.body_frame()
+    if weld_tool:
+        tool = plant.AddRigidBody("tool", SpatialInertia.Zero())
+        X = RigidTransform(RollPitchYaw(0.4, -0.3, 0.2), [0.1, -0.05, 0.2])
+        plant.AddJoint(WeldJoint("flange", parent, tool.body_frame(), X))
     plant.Finalize()
     return plant

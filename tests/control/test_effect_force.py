@@ -60,6 +60,18 @@ STATES = [np.random.default_rng(seed).normal(size=(3, 3)) for seed in range(2)]
 
 
 class TestExactDynamics:
+    def test_payload_on_a_welded_tool(self):
+        loaded, payload = arm(weld_tool=True), effects.Payload("tool")
+        for q, v, u in STATES:
+            terms = [(payload, from_spatial_inertia(TOOL))]
+            with_effect = acceleration(arm(weld_tool=True), q, v, u, terms)
+            context = loaded.CreateDefaultContext()
+            loaded.SetPositionsAndVelocities(context, np.concatenate([q, v]))
+            loaded.GetBodyByName("tool").SetSpatialInertiaInBodyFrame(context, TOOL)
+            loaded.get_actuation_input_port().FixValue(context, u)
+            expected = loaded.get_generalized_acceleration_output_port(default_model_instance())
+            np.testing.assert_allclose(with_effect, expected.Eval(context), rtol=1e-9)
+
     def test_effort_of_all_effects_is_what_their_regressors_say(self):
         terms = [
             (effects.ViscousFriction("joint1"), [0.5]),

@@ -365,6 +365,8 @@ def test_dates_are_those_of_stamps_or_said(logs, tmp_path):
     assert date_of_log(log, [file], said) == (said, "option")
     absolute = replace(log, time=log.time + 1.7e9)
     assert date_of_log(absolute, [file], said) == (1.7e9, "stamps")
+    since = replace(log, origin=1_777_636_800 * 10**9)
+    assert date_of_log(since, [file]) == (said + log.time[0], "stamps")
     os.utime(file, (0.0, 0.0))
     with pytest.raises(LogError, match=r"Nobody knows when .* changed at 0 s since 1970.*--date"):
         date_of_log(log, [file])
