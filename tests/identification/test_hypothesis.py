@@ -17,6 +17,7 @@ from geodrake.effects import (
     CoulombFriction,
     CoupledFriction,
     EffortOffset,
+    EffortScale,
     JointSpring,
     ViscousFriction,
 )
@@ -255,6 +256,15 @@ def test_gains_that_a_model_took_in_act_on_what_has_changed_since(model):
     added = slice(-2, None)
     moved = (other.result.x - one.result.x)[added] / 0.01
     np.testing.assert_allclose(one.gain_shifts.sum(axis=0)[added], moved, rtol=0.02)
+
+
+def test_a_gain_that_is_fitted_moves_nothing_else(model):
+    logs = [pendulum_log(1, seconds=20.0), carrying_log(2)]
+    data = reduced(model, logs, (EffortScale("elbow"),))
+    unknowns = with_effects(data, model_unknowns(data, model), EffortScale("elbow"))
+    shoulder, elbow = fit_model(model, data, unknowns, WEIGHTS).gain_shifts
+    assert shoulder.any()
+    assert not elbow.any()
 
 
 def test_what_is_unexplained_moves_a_parameter_by_two_deviations_at_most(dataset, model):
