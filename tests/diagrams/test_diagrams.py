@@ -168,6 +168,7 @@ def moves_as_the_arm_does(table):
     ours, simple = (row["MSE, rad²"] for row in table["arm"])
     assert ours < 1e-4 and ours < 0.1 * simple
     assert table["pendulum"]["fitted, °"] < 1.8
+    assert table["pendulum"]["by MuJoCo, °"] < 2.5
 
 
 def newton_and_others_have_the_same_cost(table):

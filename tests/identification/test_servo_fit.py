@@ -17,6 +17,7 @@ from geodrake.control.systems.position_servo import (
 )
 from geodrake.control.systems.position_servo import servo_effort as effort_of
 from geodrake.effects import CoulombFriction, FittedEffect, RotorInertia, ViscousFriction
+from geodrake.effects.of_files import WeightFriction
 from geodrake.errors import LogError
 from geodrake.identification.logs.case import open_case
 from geodrake.identification.logs.servo_fit import JointMotions, fit_servo, motions_of
@@ -83,6 +84,19 @@ def test_it_finds_what_mujoco_has(model, log):
     assert fit.error < 2e-3 * fit.moved
     assert fit.error < 0.1 * fit.start
     assert np.isinf(fit.limit)
+
+
+def test_it_finds_friction_by_the_weight(model, log):
+    """Which is neither dry friction nor in proportion to the weight."""
+    motions = alone(model, log)
+    moved = motions.simulated(motions.servo([60.0, 0.0, 4.0, 0.2, 0.08, 0.0, 0.0, 0.03]))
+    told = replace(motions, positions=(moved,))
+    fit = fit_servo(told, EffortSignal("hinge", "command", 50.0))
+    assert fit.parameters[[0, 3, 7]] == pytest.approx([60.0, 0.2, 0.03], rel=0.03)
+    motion = Motion(np.array([[0.7], [-0.4]]), np.array([[0.3], [-0.2]]), np.array([[2.0], [5.0]]))
+    held = 2.0 * 9.81 * 0.4 * np.sin([0.7, -0.4])
+    row = WeightFriction("hinge").effort(model.motion(motion), np.array([0.03]))
+    np.testing.assert_allclose(row[:, 0], 0.03 * held**2 * [1.0, -1.0], rtol=1e-6)
 
 
 @pytest.mark.parametrize("published, kept", [(1e3, True), (0.5, False)])
