@@ -67,7 +67,7 @@ def settled(model: LogModel, fit: Fit) -> Fit:
         better, seen = _refitted(model, fit, shares), {was}
         for _ in range(_MOST_STEPS):
             choices = [choice for choice in neighbours(model, better) if choice.key not in seen]
-            tried = model.ranked(choices, shares, better.variance)
+            tried = model.ranked(choices, shares, better.noise)
             if not tried or tried[0].score <= better.score:
                 break
             better = tried[0]
@@ -94,11 +94,11 @@ def _step(
     fit = _refitted(model, fit, high if hopeful else own)
     choices = neighbours(model, fit, joints=joints, further=further)
     choices = [choice for choice in choices if choice.key not in seen]
-    tried = model.ranked(choices, high, fit.variance)
+    tried = model.ranked(choices, high, fit.noise)
     promising = tried[:_JUDGED]
     if not hopeful:
         choices = [each.choice for each in tried[:_COUNTED]]
-        promising += model.ranked(choices, own, fit.variance)[:_JUDGED]
+        promising += model.ranked(choices, own, fit.noise)[:_JUDGED]
         promising += sorted(tried, key=lambda each: -_potential(model, fit, each, high))[:further]
     best, gain = None, 1e-6
     for other in {each.choice.key: each for each in promising}.values():
@@ -110,12 +110,12 @@ def _step(
 
 def _potential(model: LogModel, fit: Fit, other: Fit, shares: Array) -> float:
     """Return the score of another fit if its residuals, where it leaves less, were white noise."""
-    fallen = np.log(np.maximum(fit.variance / np.maximum(other.variance, 1e-300), 1.0))
-    return other.score + float(((1.0 - shares) * model.rows) @ fallen)
+    fallen = np.log(np.maximum(fit.noise / np.maximum(other.noise, 1e-300), 1.0))
+    return other.score + float(((1.0 - shares)[model.joint_of] * model.block_rows) @ fallen)
 
 
 def _refitted(model: LogModel, fit: Fit, shares: Array) -> Fit:
-    found = model.fit(fit.choice, shares, fit.variance)
+    found = model.fit(fit.choice, shares, fit.noise)
     return fit if found is None else found
 
 
@@ -128,8 +128,8 @@ def gain_of(
     """
     shares = np.where(other.variance < fit.variance, model.shares(other), model.shares(fit))
     shares = np.maximum(shares, _OPTIMISTIC) if hopeful else shares
-    one = model.fit(fit.choice, shares, fit.variance)
-    two = model.fit(other.choice, shares, other.variance)
+    one = model.fit(fit.choice, shares, fit.noise)
+    two = model.fit(other.choice, shares, other.noise)
     if two is None:
         return None
     return two.score - (fit.score if one is None else one.score), two

@@ -28,7 +28,7 @@ def final_fit(case: Case, found: Found) -> tuple[Case, ModelFit]:
     """
     search, was = found.model, found.fit
     width = search.likely_width(was)
-    near = search.unbounded(replace(was.choice, width=width), search.shares(was), was.variance)
+    near = search.unbounded(replace(was.choice, width=width), search.shares(was), was.noise)
     end = search.validated(near)
     delays = found.case.model.delays + delays_of(found.model, found.fit)[0]
     lags = fitted_delays(delays, case.model.joints)

@@ -98,7 +98,7 @@ def without(found: Found, gone: Sequence[Term]) -> Found:
 def _refitted(found: Found, choice: Choice) -> Found:
     """Return what was found with another explanation in its place."""
     model, was = found.model, found.fit
-    return replace(found, fit=model.unbounded(choice, model.shares(was), was.variance))
+    return replace(found, fit=model.unbounded(choice, model.shares(was), was.noise))
 
 
 @dataclass(frozen=True)
@@ -298,7 +298,7 @@ def _with_bodies_that_stay(found: Found, finding: Finding) -> tuple[Fit, Fit]:
     rest = [term for term in was.terms if term not in finding.terms]
     without, whole = (
         model.unbounded(
-            model.choice(was.choice, terms, width=model.widths[0]), model.shares(was), was.variance
+            model.choice(was.choice, terms, width=model.widths[0]), model.shares(was), was.noise
         )
         for terms in (rest, was.terms)
     )

@@ -174,15 +174,18 @@ class _Around:
 
     @classmethod
     def of(cls, case: Case, model: LogModel, fit: Fit, *, without: Term | None) -> _Around:
-        """Return a fit less a term, at the noise of the fit."""
-        kept = np.ones(len(fit.x), bool)
+        """Return a fit less a term, at its noise where joints do not reverse.
+
+        An instant that is not exact leaves errors at few rows, in which a joint may reverse.
+        """
+        hessian, kept = model.even_hessian(fit), np.ones(len(fit.x), bool)
         if without is not None:
             kept[model.spans(fit.terms)[without]] = False
-        H, x = fit.hessian[np.ix_(kept, kept)], fit.x[kept]
+        H, x = hessian[np.ix_(kept, kept)], fit.x[kept]
         factor, scale = scaled_cholesky(H, _RIDGE)
         root = factor / scale[:, None]
         if without is not None:
-            pull = fit.hessian[np.ix_(kept, ~kept)] @ fit.x[~kept]
+            pull = hessian[np.ix_(kept, ~kept)] @ fit.x[~kept]
             half = solve_triangular(root, pull, lower=True)
             x = x + solve_triangular(root.T, half, lower=False)
         prior = pullback_information(model.dataset.payload[None], max(model.beliefs.payloads))

@@ -5,10 +5,12 @@
 with the rows of all logs and the parameters of bodies, effects and nuisances. Twice the logarithm
 of the evidence of a set of terms, at its own most probable noise, is
 
-    −Σ_j n_j log σ_j² − (x − m)ᵀ Λ (x − m) − log |Λ + Σ_j w_j A_jᵀA_j| + log |Λ|,
+    −Σ_k n_k log σ_k² − (x − m)ᵀ Λ (x − m) − log |Λ + Σ_k w_k A_kᵀA_k| + log |Λ|,
 
-w_j = n_j / (N_j σ_j²), for N_j rows that are worth n_j independent ones. Normal matrices of all
-columns are formed once.
+w_k = n_k / (N_k σ_k²), for N_k rows that are worth n_k independent ones. A block k has the rows of
+a joint, or those of them in which it reverses: how much of a jump of dry friction a sample has is
+not known, so that they are noisier, but how much is told by what an explanation leaves of them.
+Normal matrices of all columns are formed once.
 """
 
 from __future__ import annotations
@@ -27,6 +29,7 @@ from geodrake.diagnosis.beliefs import Beliefs
 from geodrake.diagnosis.normal_kernels import (
     RIDGE,
     Normal,
+    add_normal,
     calc_most_probable,
     calc_noise_changes,
     calc_packed,
@@ -45,7 +48,7 @@ from geodrake.diagnosis.unknown_efforts import UnresolvedReversal
 from geodrake.effects.base import Effect
 from geodrake.effects.episode import Episode
 from geodrake.identification.logs.criteria import LEAST_NOISE, NOISE_MARGIN, SPREAD
-from geodrake.identification.logs.dataset import Dataset, is_payload
+from geodrake.identification.logs.dataset import Dataset, JointData, JointRows, is_payload
 from geodrake.identification.logs.hypothesis import (
     CrossValidation,
     HeldOut,
@@ -74,6 +77,8 @@ _NOTABLE = 0.5  # of a squared error, that the error of a gain takes
 _MOST_PINNED, _PINNED = 4, 1e15
 _STATED = 1e-4  # share to which a file knows the values of effects, unless they are others
 _PSEUDO = pseudo_inertia_basis()
+_REVERSING = 0.1  # share of a row's time in which the direction of motion is not known
+_FEWEST_ROWS = 5  # that have noise of their own
 _DRAWS = np.random.default_rng(0).normal(size=(200, PARAMETERS_PER_BODY))
 
 
@@ -98,15 +103,20 @@ class Fit:
     choice: Choice
     columns: Indices  # (n,) its columns among those of the model
     x: Array  # (n,) parameters
-    variance: Array  # (nv,) mean squared residuals, (N·m)² or N²
-    weights: Array  # (nv,) w_j
-    hessian: Array  # (n, n) Λ + Σ_j w_j A_jᵀA_j
+    noise: Array  # (B,) mean squared residuals of blocks of rows, (N·m)² or N²
+    weights: Array  # (B,) w_k
+    hessian: Array  # (n, n) Λ + Σ_k w_k A_kᵀA_k
     score: float  # twice the logarithm of the evidence and of the prior odds, but for a constant
 
     @property
     def terms(self) -> Terms:
         """Return the terms of the explanation."""
         return self.choice.terms
+
+    @property
+    def variance(self) -> Array:
+        """(nv,) mean squared residuals of each joint, reversals left aside, (N·m)² or N²."""
+        return self.noise[: len(self.choice.delay)]
 
 
 class LogModel:
@@ -166,28 +176,34 @@ class LogModel:
             self.mean[at] = term.mean
             self.prior_scores[at[0]] = term.log_information - term.prior_distance
             self.owner[at], self.positive[at[term.positive]] = k, True
-        # Of each joint the normal matrix of its columns, efforts, load and rate of its efforts, and
-        # zeros for what it is not; and where in it every column of the model stands.
-        widest = max(joint.factors.shape[2] for joint in data.data) + 3
-        self.grams = np.zeros((nv, widest, widest))
-        self.places, self._mixed = np.full((nv, len(columns)), -1), list[Array]()
         rates, unsure_delay = self._rates()
+        places, self._mixed = np.full((nv, len(columns)), -1), list[Array]()
         for j, joint in enumerate(data.data):
-            gram, ends = joint.gram, len(joint.columns)
-            own, n = joint.local(self.unknowns.columns), len(gram)
+            own, n = joint.local(self.unknowns.columns), joint.factors.shape[2]
             mixed = np.zeros((n, 2))
             mixed[own[own >= 0], 0] = self.unknowns.mean[own >= 0]
-            mixed[ends:, 1] = rates[:, j]
+            mixed[len(joint.columns) :, 1] = rates[:, j]
             self._mixed.append(mixed)
-            self.grams[j, :n, :n] = gram
-            self.grams[j, :n, n : n + 2] = gram @ mixed
-            self.grams[j, n : n + 2, :n] = self.grams[j, :n, n : n + 2].T
-            self.grams[j, n : n + 2, n : n + 2] = mixed.T @ gram @ mixed
             known = columns >= 0
-            self.places[j, known] = joint.local(columns[known])
-            self.places[j, len(self.unknowns.columns) + np.array([j, nv])] = n, n + 1
+            places[j, known] = joint.local(columns[known])
+            places[j, len(self.unknowns.columns) + np.array([j, nv])] = n, n + 1
+        # Of each block the normal matrix of the columns of its joint, efforts, load and rate of its
+        # efforts, and zeros for what it is not; and where in it every column of the model stands.
+        self._unsure = {effect.joint: self._unsure_column(effect) for effect in self._reversals}
+        blocks = self._blocks()
+        self.joint_of = np.array([j for j, _, _ in blocks])
+        self._reversing = {j: nv + k for k, j in enumerate(self.joint_of[nv:].tolist())}
+        self.block_rows = np.array([max(rows, 1) for _, rows, _ in blocks], float)
+        self.grams = np.zeros((len(blocks), *[max(map(len, self._mixed)) + 3] * 2))
+        for block, (j, _, gram) in zip(self.grams, blocks, strict=True):
+            n, mixed = len(gram), self._mixed[j]
+            block[:n, :n] = gram
+            block[:n, n : n + 2] = gram @ mixed
+            block[n : n + 2, :n] = block[:n, n : n + 2].T
+            block[n : n + 2, n : n + 2] = mixed.T @ gram @ mixed
+        self.places, self._inertias = places[self.joint_of], self._inertias[self.joint_of]
         self._ends = np.array([len(joint.columns) for joint in data.data])
-        self._powers = [self.grams[j].diagonal().copy() for j in range(nv)]
+        self._powers = [block.diagonal().copy() for block in self.grams]
         self.mean[: len(self.unknowns.columns)] = self.unknowns.mean
         gains = np.maximum(data.gain_uncertainty, 1e-6) ** -2.0
         unsure = [
@@ -197,6 +213,48 @@ class LogModel:
         ]
         self._nuisances = np.concatenate([gains, [unsure_delay**-2.0], unsure])
         self.floor = np.square(LEAST_NOISE * np.maximum(data.effort_std, 1e-12))
+
+    def _blocks(self) -> list[tuple[int, int, Array]]:
+        """Return joint, number of rows and normal matrix of each block, those of all joints first.
+
+        Rows in which a joint reverses are blocks that follow.
+        """
+        data = self.dataset
+        blocks = [(j, int(self.rows[j]), joint.gram) for j, joint in enumerate(data.data)]
+        for j, (name, joint) in enumerate(zip(data.joints, data.data, strict=True)):
+            rows = _rows(joint)
+            kept = sum(len(each.b) for each in rows)
+            if name not in self._unsure or data.is_mixed or kept != joint.samples.sum():
+                continue  # of long logs some rows are kept
+            own = np.concatenate([self.reverses(j, each) for each in rows])
+            if min(own.sum(), len(own) - own.sum()) < _FEWEST_ROWS:
+                continue
+            A, b = (np.concatenate([getattr(each, f) for each in rows])[own] for f in "Ab")
+            gram = np.hstack([A, b]).T @ np.hstack([A, b])
+            blocks[j] = j, kept - int(own.sum()), blocks[j][2] - gram
+            blocks.append((j, int(own.sum()), gram))
+        return blocks
+
+    def _unsure_column(self, effect: UnresolvedReversal) -> int:
+        """Return the column of a joint's rows that tells where its direction is not known."""
+        joint = self.dataset.data[self.dataset.joints.index(effect.joint)]
+        return int(joint.local(self.dataset.effect_columns(effect))[effect.unsure])
+
+    def reverses(self, joint: int, rows: JointRows) -> NDArray[np.bool_]:
+        """Return (K,) in which rows the direction of a joint is unknown for a part of the time."""
+        at = self._unsure.get(self.dataset.joints[joint])
+        return np.zeros(len(rows.b), bool) if at is None else rows.A[:, at] > _REVERSING
+
+    def even_hessian(self, fit: Fit) -> Array:
+        """Return the Hessian (n, n) of a fit if its joints were no noisier where they reverse."""
+        hessian = fit.hessian.copy()
+        packed = calc_packed(self.grams, self.places.take(fit.columns, axis=1))
+        add_normal(packed, fit.weights[self.joint_of] - fit.weights, hessian)
+        return hessian
+
+    def of_joints(self, values: Array) -> Array:
+        """Return sums (nv,) over the blocks of each joint of values (B,)."""
+        return np.bincount(self.joint_of, values, len(self.rows)).astype(float)
 
     def _rates(self) -> tuple[Array, float]:
         """Return weights (K, nv) that make rates of efforts of those at all delays, in 1/s.
@@ -299,17 +357,17 @@ class LogModel:
             found += sorted(near, key=lambda t: abs(t.log_information - was.log_information))[:1]
         return found
 
-    def fit(self, choice: Choice, shares: Array, variance: Array | None = None) -> Fit | None:
+    def fit(self, choice: Choice, shares: Array, noise: Array | None = None) -> Fit | None:
         """Fit the most probable parameters and noise of an explanation.
 
-        `shares` (nv,) are independent samples over rows, and `variance` (nv,) is that of the noise
-        to begin with. None if something is negative that must not be.
+        `shares` (nv,) are independent samples over rows, and `noise` (B,), or (nv,), is the
+        variance of the noise to begin with. None if something is negative that must not be.
         """
         prior, logarithm = self._prior(choice)
         least = [s.start + t.positive for t, s in self.spans(choice.terms).items()]
         least, free = [at for at in least if len(at)], np.ones(len(prior), bool)
         for _ in range(_MOST_PINNED):
-            found = self._solved(choice, shares, variance, (prior, logarithm))
+            found = self._solved(choice, shares, noise, (prior, logarithm))
             below = np.array([k for at in least for k in at if free[k] and found.x[k] <= 0.0], int)
             if not len(below):
                 return found
@@ -326,9 +384,9 @@ class LogModel:
         fits = [self.fit(choice, shares, variance) for choice in choices]
         return sorted((fit for fit in fits if fit is not None), key=lambda fit: -fit.score)
 
-    def unbounded(self, choice: Choice, shares: Array, variance: Array | None = None) -> Fit:
+    def unbounded(self, choice: Choice, shares: Array, noise: Array | None = None) -> Fit:
         """Fit as `fit` does, whatever is negative."""
-        return self._solved(choice, shares, variance, self._prior(choice))
+        return self._solved(choice, shares, noise, self._prior(choice))
 
     def bare(self, shares: Array) -> Fit:
         """Fit nothing new, with bodies as near to those of the model as the logs say."""
@@ -336,20 +394,23 @@ class LogModel:
         return max(fits, key=lambda fit: fit.score)
 
     def _solved(
-        self, choice: Choice, shares: Array, variance: Array | None, known: tuple[Array, float]
+        self, choice: Choice, shares: Array, noise: Array | None, known: tuple[Array, float]
     ) -> Fit:
         """Return the fit with a prior Λ (n, n) and log |Λ|, without regard to bounds."""
         prior, logarithm = known
         own = [self.at[term] for term in choice.terms]
-        columns, rows = np.concatenate([np.arange(self.first_term), *own]), self.rows
+        columns, joint_of = np.concatenate([np.arange(self.first_term), *own]), self.joint_of
         mean, inertias = self.mean[columns], self._inertias.take(columns, axis=1)
-        joints = self.normal(columns, choice.delay)
-        if variance is None:
-            passive = inertias.any(axis=1)
-            variance = np.where(passive, self.dataset.effort_std**2, joints[-1] / rows)
-        noise, of_prior = (shares, rows, self.floor), (prior, prior @ mean)
+        blocks, samples = self.normal(columns, choice.delay), shares[joint_of] * self.block_rows
+        if noise is None:
+            passive, scale = inertias.any(axis=1), self.dataset.effort_std[joint_of]
+            noise = np.where(passive, scale**2, blocks[-1] / self.block_rows)
+        elif len(noise) != len(joint_of):  # that of another model
+            noise = noise[: len(shares)][joint_of]
+        of_noise, of_prior = (samples, self.block_rows, self.floor[joint_of]), (prior, prior @ mean)
+        of_joints = inertias, joint_of
         try:
-            x, variance, found = calc_most_probable(joints, of_prior, inertias, noise, variance)
+            x, noise, found = calc_most_probable(blocks, of_prior, of_noise, of_joints, noise)
         except np.linalg.LinAlgError as error:
             raise not_held() from error
         weights, inertia, hessian, factor, determinant = found
@@ -357,14 +418,14 @@ class LogModel:
             raise not_held()
         way = x - mean
         score = (
-            -float((shares * rows) @ np.log(variance / inertia**2))
+            -float(samples @ np.log(noise / inertia**2))
             - float(way @ prior @ way)
             - determinant
             + logarithm
             + self._physical(choice, x, factor)
             - self.odds_against(choice)
         )
-        return Fit(choice, columns, x, variance, weights, hessian, score)
+        return Fit(choice, columns, x, noise, weights, hessian, score)
 
     def likely_width(self, fit: Fit) -> float:
         """Return the most probable width of the prior of all bodies, from 0.01 to the widest.
@@ -375,7 +436,7 @@ class LogModel:
             return fit.choice.width
         shares, widths = self.shares(fit), np.geomspace(_FREE, self.widths[-1], _WIDTHS)
         choices = [replace(fit.choice, width=float(width)) for width in widths]
-        fits = [self.unbounded(choice, shares, fit.variance) for choice in choices]
+        fits = [self.unbounded(choice, shares, fit.noise) for choice in choices]
         scores = [each.score + self.odds_against(each.choice) for each in fits]
         return float(widths[int(np.argmax(scores))])
 
@@ -392,7 +453,7 @@ class LogModel:
             rest = [other for other in fit.terms if other is not term]
             same = [other for other in self.terms if other.effect == term.effect]
             choices = [self.choice(fit.choice, [*rest, other], width=width) for other in same]
-            scores = np.array([self.unbounded(c, shares, fit.variance).score for c in choices])
+            scores = np.array([self.unbounded(c, shares, fit.noise).score for c in choices])
             weights = np.exp(0.5 * (scores - scores.max()))
             weights /= weights.sum()
             means = np.array([other.mean for other in same])
@@ -404,7 +465,7 @@ class LogModel:
     def refitted(self, fit: Fit) -> Fit:
         """Fit another model's terms to the columns of this one, without regard to bounds."""
         choice = self.choice(fit.choice, self.alike(fit.terms))
-        return self.unbounded(choice, np.full(len(self.rows), _USUAL_SHARE), fit.variance)
+        return self.unbounded(choice, np.full(len(self.rows), _USUAL_SHARE), fit.noise)
 
     def _physical(self, choice: Choice, x: Array, factor: Array) -> float:
         """Return twice the logarithm of the probability that the fitted payloads are physical.
@@ -426,26 +487,30 @@ class LogModel:
         return total
 
     def efforts(self, delay: Delay) -> Indices:
-        """Return (nv,) where the efforts of each joint, later by a delay, stand in its matrix."""
-        return np.asarray(self._ends + np.array(delay))
+        """Return (B,) where the efforts of each block, later by a delay, stand in its matrix."""
+        return np.asarray(self._ends + np.array(delay))[self.joint_of]
 
     def normal(self, columns: Indices, delay: Delay) -> Normal:
-        """Return the normal matrices of all joints over columns (n,), efforts later by a delay."""
+        """Return the normal matrices of all blocks over columns (n,), efforts later by a delay."""
         packed = calc_packed(self.grams, self.places.take(columns, axis=1))
         return packed, *self.moments(columns, delay)
 
     def moments(self, columns: Indices, delay: Delay) -> tuple[Array, Array]:
-        """Return Aᵀb (nv, n) and bᵀb (nv,) of efforts later by a delay."""
-        joints, efforts = np.arange(len(self.grams)), self.efforts(delay)
+        """Return Aᵀb (B, n) and bᵀb (B,) of efforts later by a delay."""
+        blocks, efforts = np.arange(len(self.grams)), self.efforts(delay)
         places = self.places.take(columns, axis=1)  # the last row is of zeros
-        own = self.grams[joints[:, None], efforts[:, None], places]
-        return own, self.grams[joints, efforts, efforts]
+        own = self.grams[blocks[:, None], efforts[:, None], places]
+        return own, self.grams[blocks, efforts, efforts]
 
     def shares(self, fit: Fit) -> Array:
         """Return (nv,) how many independent samples each row of a fit's residuals is worth."""
         key = fit.choice.key
         if key not in self._shares:
-            blocks = [self._residuals(fit, j) for j in range(len(self.rows))]
+            data, blocks = self.dataset, list[list[Array]]()
+            for j, joint in enumerate(data.data):
+                share = np.sqrt(fit.weights[self._reversing.get(j, j)] / fit.weights[j])
+                left = zip(_rows(joint), self._residuals(fit, j), strict=True)
+                blocks.append([np.where(self.reverses(j, r), share, 1.0) * x for r, x in left])
             found = effective_of_rows(blocks, self.rows)
             worth = np.minimum(found, self.beliefs.discrepancy)
             # All but the noise of efforts varies with the motion, however often that repeats: so
@@ -466,16 +531,20 @@ class LogModel:
         """
         if len(self.dataset.delays) < 2 or self.dataset.is_mixed:
             return
-        for j, data in enumerate(self.dataset.data):
+        for block, j in enumerate(self.joint_of.tolist()):
             own, late = fit.choice.delay[j], self.dataset.delays[:, j]
-            rows, left = [r for fold in data.rows for r in fold], self._residuals(fit, j)
+            rows, left = _rows(self.dataset.data[j]), self._residuals(fit, j)
             if sum(map(len, left)) < 2:
                 continue
             time, efforts = (np.concatenate([getattr(r, f) for r in rows]) for f in ("time", "b"))
             predicted = efforts[:, own] - np.concatenate(left)
-            change = calc_noise_changes(time, predicted, contiguous(efforts), own, late - late[own])
+            turns = np.concatenate([self.reverses(j, each) for each in rows])
+            counted = turns == (block >= len(self.rows)) if j in self._reversing else turns | True
+            signals = time, predicted, contiguous(efforts), counted
+            change = calc_noise_changes(signals, own, late - late[own])
             at = self._ends[j] + np.arange(len(change))
-            self.grams[j, at, at] = self._powers[j][at] - change * self.rows[j] / len(time)
+            scale = self.block_rows[block] / counted.sum()
+            self.grams[block, at, at] = self._powers[block][at] - change * scale
 
     def _residuals(self, fit: Fit, joint: int) -> list[Array]:
         """Return the residuals (K_i,) of a joint in each stretch of its rows."""
@@ -484,9 +553,7 @@ class LogModel:
         np.add.at(x, self.places[joint][fit.columns], fit.x)
         own, ends = x[: len(mixed)] + mixed @ x[len(mixed) : len(mixed) + 2], len(data.columns)
         return [
-            rows.b[:, delay] - rows.A @ own[:ends] - rows.b @ own[ends:]
-            for blocks in data.rows
-            for rows in blocks
+            rows.b[:, delay] - rows.A @ own[:ends] - rows.b @ own[ends:] for rows in _rows(data)
         ]
 
     def usual_gains(self, fit: Fit) -> dict[str, tuple[float, float]]:
@@ -494,11 +561,12 @@ class LogModel:
 
         Joint -> the error, and the deviation of the gain by the log, both as shares.
         """
-        joints, found = self.normal(fit.columns, fit.choice.delay), dict[str, tuple[float, float]]()
+        blocks, found = self.normal(fit.columns, fit.choice.delay), dict[str, tuple[float, float]]()
+        now = self.of_joints(fit.noise * self.block_rows)
         for j, joint in enumerate(self.dataset.joints):
             at, x = len(self.unknowns.columns) + j, fit.x.copy()
             x[at] = 0.0
-            if calc_squares(joints, x)[j] * _NOTABLE > fit.variance[j] * self.rows[j]:
+            if self.of_joints(calc_squares(blocks, x))[j] * _NOTABLE > now[j]:
                 found[joint] = float(fit.x[at]), float(self.dataset.gain_uncertainty[j])
         return found
 
@@ -586,7 +654,7 @@ class LogModel:
         *,
         physical: bool = True,
     ) -> Hypothesis:
-        effective = self.shares(fit) * self.rows
+        effective, weights = self.shares(fit) * self.rows, fit.weights[: len(self.rows)]
         # Bodies and payloads alone: all that have inertia.
         x = np.zeros(len(unknowns.columns))
         x[: self._bodies] = self.bodies(fit).ravel()
@@ -597,12 +665,15 @@ class LogModel:
         cv = CrossValidation(
             self.dataset,
             unknowns,
-            fit.weights,
+            weights,
             delay=choice.delay,
             held_out=held_out,
             physical=physical,
         )
         prior_scale = choice.width / self._spread
-        return Hypothesis(
-            self.dataset, unknowns, fit.weights, choice.delay, prior_scale, cv, effective
-        )
+        return Hypothesis(self.dataset, unknowns, weights, choice.delay, prior_scale, cv, effective)
+
+
+def _rows(data: JointData) -> list[JointRows]:
+    """Return the kept rows of a joint, by stretch."""
+    return [rows for blocks in data.rows for rows in blocks]

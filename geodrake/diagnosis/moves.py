@@ -76,7 +76,7 @@ def additions(model: LogModel, fit: Fit) -> list[Fit]:
         for move in moves
         if not any(isinstance(term.effect, UNKNOWN) for term in move.choice.terms)
     ]
-    return model.ranked(choices, model.shares(fit), fit.variance)
+    return model.ranked(choices, model.shares(fit), fit.noise)
 
 
 def alone(model: LogModel, fit: Fit) -> Terms:

@@ -74,8 +74,8 @@ class Neighbourhood:
             return []
         packed, own, _ = model.normal(columns, was)
         late = [model.moments(columns, (k,) * len(was)) for k in range(count)]
-        samples = fit.weights * np.maximum(fit.variance, model.floor) * model.rows
-        now, found = fit.variance * model.rows, list[tuple[Delay, float]]()
+        samples, now = self._samples(), fit.noise * model.block_rows
+        found = list[tuple[Delay, float]]()
         base, servos = model.model.base_joints, servos_of(model.model)
         free = [
             [j]
@@ -83,16 +83,22 @@ class Neighbourhood:
             if joint not in base and servos[j] is None and not model.dataset.is_mixed
         ]
         for moved in free if any(servos) else (joints, *free):
-            tried, alone = [], packed if len(moved) > 1 else packed_of(packed, moved[0])
+            tried, at = [], np.flatnonzero(np.isin(model.joint_of, moved))
+            alone = packed if len(at) == len(now) else packed_of(packed, at)
             for k, (moments, powers) in enumerate(late):
-                change = fit.weights[moved] @ (moments[moved] - own[moved])
-                x = fit.x + self._inverse @ change
-                left = calc_squares((alone, moments[moved], powers[moved]), x)
-                ratio = np.maximum(left, 1e-12 * now[moved]) / now[moved]
+                x = fit.x + self._inverse @ (fit.weights[at] @ (moments[at] - own[at]))
+                left = calc_squares((alone, moments[at], powers[at]), x)
+                ratio = np.maximum(left, 1e-12 * now[at]) / now[at]
                 delay = tuple(k if j in moved else was[j] for j in joints)
-                tried.append((delay, float(-samples[moved] @ np.log(ratio))))
+                tried.append((delay, float(-samples[at] @ np.log(ratio))))
             found.append(max((each for each in tried if each[0] != was), key=lambda each: each[1]))
         return found
+
+    def _samples(self) -> Array:
+        """Return (B,) how many independent samples each block of rows is worth."""
+        fit, model = self.fit, self._model
+        floor = model.floor[model.joint_of]
+        return np.asarray(fit.weights * np.maximum(fit.noise, floor) * model.block_rows)
 
     def dropped(self, terms: Sequence[Term]) -> Dropped:
         """Return what leaving some of the fit's terms out changes."""
@@ -118,7 +124,7 @@ class Neighbourhood:
         """
         gains, falls = self._gained([(term,) for term in terms], None)
         rows, joints = self._model.rows, self._model.dataset.joints
-        samples = self.fit.weights * np.maximum(self.fit.variance, self._model.floor) * rows
+        samples = self._model.of_joints(self._samples())
         at = [joints.index(term.where[0]) for term in terms]
         share = np.minimum(falls / samples[at], _MOST_TAKEN)
         return gains - falls - rows[at] * np.log1p(-share)

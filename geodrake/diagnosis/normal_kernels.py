@@ -1,7 +1,7 @@
 """Kernels of `LogModel`: weighted normal matrices of all joints, and the most probable parameters.
 
-Joint j has a normal matrix G_j of all that it may feel, and column a of a fit stands at its place
-(j, a) in there; places are negative where the joint does not feel it.
+Block j, rows of one joint, has a normal matrix G_j of all that the joint may feel, and column a of
+a fit stands at its place (j, a) in there; places are negative where the joint does not feel it.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ Array = NDArray[np.float64]
 Indices = NDArray[np.intp]
 
 Packed = tuple[Indices, Indices, Array]
-"""Columns that joints feel, ascending, where those of each end, and lower triangles, row by row."""
+"""Columns that blocks feel, ascending, where those of each end, and lower triangles, row by row."""
 Normal = tuple[Packed, Array, Array]
 """With these, Aᵀb (J, n) and bᵀb (J,) of all joints."""
 
@@ -55,14 +55,17 @@ def calc_packed(grams: Array, places: Indices) -> Packed:
     return columns, ends, lower
 
 
-def packed_of(packed: Packed, joint: int) -> Packed:
-    """Return what is there of one joint."""
+def packed_of(packed: Packed, blocks: Indices) -> Packed:
+    """Return what is there of some blocks."""
     columns, ends, lower = packed
     counts = np.diff(ends)
-    last = np.cumsum(counts * (counts + 1) // 2)[joint]
-    size = counts[joint] * (counts[joint] + 1) // 2
-    own = columns[ends[joint] : ends[joint + 1]]
-    return own, np.array([0, len(own)], np.intp), lower[last - size : last]
+    sizes = np.concatenate([[0], np.cumsum(counts * (counts + 1) // 2)])
+    own = [columns[ends[k] : ends[k + 1]] for k in blocks]
+    return (
+        np.concatenate(own),
+        np.cumsum([0, *map(len, own)]),
+        np.concatenate([lower[sizes[k] : sizes[k + 1]] for k in blocks]),
+    )
 
 
 @compiled
@@ -103,10 +106,11 @@ def calc_squares(joints: Normal, x: Array) -> Array:
 
 @compiled
 def calc_most_probable(
-    joints: Normal,
+    blocks: Normal,
     prior: tuple[Array, Array],  # information (n, n), and its product with the mean (n,)
-    inertias: Array,  # (J, n) as `Dataset.passive_shares`
-    noise: tuple[Array, Array, Array],  # (J,) independent samples over rows, rows, least variance
+    noise: tuple[Array, Array, Array],  # (J,) independent samples, rows, least variance
+    # (J, n) as `Dataset.passive_shares`; (J,) a block that has no more noise, or the block itself
+    joints: tuple[Array, Indices],
     variance: Array,  # (J,) to begin with
 ) -> tuple[Array, Array, tuple[Array, Array, Array, Array, float]]:
     """Return the parameters (n,) and variances (J,), and what they follow from.
@@ -114,8 +118,8 @@ def calc_most_probable(
     That are weights (J,), the inertias of joints without motors (J,), the normal matrix (n, n) with
     the prior, its Cholesky factor, and the logarithm of its determinant.
     """
-    (information, pull), (shares, rows, floor) = prior, noise
-    packed, moments, _ = joints
+    (information, pull), (samples, rows, floor), (inertias, quieter) = prior, noise, joints
+    packed, moments, _ = blocks
     n, count = len(pull), len(rows)
     weights, inertia, passive = np.empty(count), np.ones(count), np.zeros(count, np.bool_)
     for j in range(count):
@@ -124,14 +128,19 @@ def calc_most_probable(
     for _ in range(_MOST_FITS):
         gram, right = information.copy(), pull.copy()
         for j in range(count):
-            weights[j] = shares[j] / max(variance[j], floor[j])
+            weights[j] = samples[j] / rows[j] / max(variance[j], floor[j])
             if passive[j]:
-                right += shares[j] * rows[j] / inertia[j] * inertias[j]
+                right += samples[j] / inertia[j] * inertias[j]
             for i in range(n):
                 right[i] += weights[j] * moments[j, i]
         add_normal(packed, weights, gram)
         x, logarithm, factor = calc_solution(gram, right, RIDGE)
-        before, variance, settled = variance, calc_squares(joints, x) / rows, True
+        squares, before, settled = calc_squares(blocks, x), variance, True
+        variance = squares / rows
+        for j in range(count):
+            i = quieter[j]
+            if variance[j] < variance[i]:
+                variance[i] = variance[j] = (squares[i] + squares[j]) / (rows[i] + rows[j])
         for j in range(count):
             if passive[j]:
                 inertia[j] = max(np.sum(inertias[j] * x), LEAST_INERTIA)
@@ -217,22 +226,27 @@ def calc_gains(
 
 @compiled
 def calc_noise_changes(
-    time: Array, predicted: Array, efforts: Array, own: int, lags: Array
+    signals: tuple[Array, Array, Array, NDArray[np.bool_]], own: int, lags: Array
 ) -> Array:
     """Return (d,) how much of a fall in squared errors is due to noise at other instants; ≤ 0.
 
-    Rows are at instants (K,), s, with predictions (K,) and efforts (K, d), each later by a lag
-    (d,), s, than those in column `own`. To keep the noise the same, those efforts are compared with
-    predictions that are earlier by the lag, interpolated between four consecutive rows.
+    Rows are at instants (K,), s, with predictions (K,), efforts (K, d), each later by a lag (d,),
+    s, than those in column `own`, and whether they count (K,). To keep the noise the same, those
+    efforts are compared with predictions that are earlier by the lag, interpolated between four
+    consecutive rows.
     """
+    time, predicted, efforts, counted = signals
     found, errors = np.zeros(len(lags)), np.square(efforts[:, own] - predicted)
+    rows = np.flatnonzero(counted)
     usual = np.median(np.diff(time))
-    most = _MOST_NOISE * np.sqrt(len(time)) * np.mean(errors)
+    most = _MOST_NOISE * np.sqrt(len(rows)) * np.mean(errors[rows])
     for d in range(len(lags)):
         if lags[d] == 0.0:
             continue
         seen, change = 0, 0.0
-        for i in range(1, len(time)):
+        for i in rows:
+            if i == 0:
+                continue
             period = time[i] - time[i - 1]
             if period <= 0.0:  # another stretch
                 continue
@@ -249,7 +263,7 @@ def calc_noise_changes(
             change += (efforts[i, own] - moved) ** 2 - errors[i]
             seen += 1
         if seen:
-            all_rows = np.sum(np.square(efforts[:, d] - predicted) - errors)
+            all_rows = np.sum((np.square(efforts[:, d] - predicted) - errors)[rows])
             limit = most * abs(np.sin(np.pi * lags[d] / usual))
-            found[d] = min(max(all_rows - change * len(time) / seen, -limit), 0.0)
+            found[d] = min(max(all_rows - change * len(rows) / seen, -limit), 0.0)
     return found

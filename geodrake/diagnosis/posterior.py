@@ -51,8 +51,8 @@ class Posterior:
         shares = model.shares(fit)
         others = neighbours(model, fit, most=_MOST)
         fits = [
-            model.unbounded(fit.choice, shares, fit.variance),
-            *(model.fit(choice, shares, fit.variance) for choice in others),
+            model.unbounded(fit.choice, shares, fit.noise),
+            *(model.fit(choice, shares, fit.noise) for choice in others),
         ]
         self._model, self._fit = model, fit
         self._fits = [each for each in fits if each is not None]

@@ -84,7 +84,7 @@ def _score_at(model: LogModel, fit: Fit, joints: list[int], delay: int) -> float
     """Return the score of a fit with another delay of some joints, prior odds left aside."""
     late = tuple(delay if j in joints else own for j, own in enumerate(fit.choice.delay))
     choice = Choice(fit.terms, fit.choice.width, late)
-    found = model.fit(choice, model.shares(fit), fit.variance)
+    found = model.fit(choice, model.shares(fit), fit.noise)
     return None if found is None else found.score + model.odds_against(choice)
 
 
@@ -156,7 +156,7 @@ def other_choices(model: LogModel, fit: Fit, grid: Sequence[Effect]) -> Iterator
             if other.key == term.key
             and any(getattr(other.effect, n) != getattr(term.effect, n) for n in choices)
         ]
-        for best in model.ranked(others, model.shares(fit), fit.variance)[:1]:
+        for best in model.ranked(others, model.shares(fit), fit.noise)[:1]:
             yield next(each for each in best.terms if each.key == term.key)
 
 

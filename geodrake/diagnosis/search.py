@@ -195,9 +195,9 @@ class Search:
     def _best(self, choices: Sequence[Choice], was: Fit) -> Fit:
         """Return the most probable of some explanations, even where it is not physical."""
         shares = np.full(len(self.model.rows), _FORCED_SHARE)
-        if ranked := self.model.ranked(choices, shares, was.variance):
+        if ranked := self.model.ranked(choices, shares, was.noise):
             return ranked[0]
-        fits = [self.model.unbounded(choice, shares, was.variance) for choice in choices]
+        fits = [self.model.unbounded(choice, shares, was.noise) for choice in choices]
         return max(fits, key=lambda fit: fit.score)
 
     def _suggested(self) -> list[Effect]:
@@ -223,7 +223,7 @@ class Search:
         kept = [term for term in was.terms if not is_short(self.case, term.effect)]
         if len(kept) == len(was.terms):
             return was
-        return model.unbounded(model.choice(was.choice, kept), model.shares(was), was.variance)
+        return model.unbounded(model.choice(was.choice, kept), model.shares(was), was.noise)
 
     def _start(self) -> Fit:
         """Return the model with nothing new, its bodies as near to the file as the logs say."""
@@ -311,7 +311,7 @@ class Search:
         shares = np.full(len(self.model.rows), _FORCED_SHARE)
         for kept in (terms, [term for term in terms if not len(term.positive)]):
             choice = self.model.choice(was.choice, kept, delay=delay)
-            fit = self.model.fit(choice, shares, was.variance)
+            fit = self.model.fit(choice, shares, was.noise)
             if fit is not None:
                 break
         self.fit = fit or self._start()  # something became negative

@@ -67,6 +67,8 @@ class UnresolvedReversal(JointEffect):
     )
     shapes: ClassVar[tuple[Shape, ...]] = (Shape("speed", "rad/s"), Shape("slip", "rad/s"))
     depends_on: ClassVar[frozenset[str]] = frozenset({"v"})
+    unsure: ClassVar[int] = 7
+    """Which column is the share of time in which the direction of motion is not known."""
 
     def columns(self, joint: JointMotion) -> Sequence[Array]:
         """Return one column for each parameter, in the order of the equation."""

@@ -47,7 +47,7 @@ def with_terms(found, *names, width=None):
     known = {term.name: term for term in model.terms if term.where == ("elbow",)}
     width = was.choice.width if width is None else width
     choice = model.choice(was.choice, [known[name] for name in names], width=width)
-    return replace(found, fit=model.unbounded(choice, model.shares(was), was.variance))
+    return replace(found, fit=model.unbounded(choice, model.shares(was), was.noise))
 
 
 def named(findings, name):
@@ -89,7 +89,7 @@ def test_a_finding_is_the_more_likely_the_more_it_takes_beside_what_is_left(foun
 
     def chance(before, after, end, floor=0.01):
         errors = [table(rms, floor) for rms in (before, after, end)]
-        left = replace(whole.fit, variance=np.full(2, end**2))
+        left = replace(whole.fit, noise=np.full(2, end**2))
         return unknown_probability(replace(whole, fit=left), finding, errors)
 
     chances = [chance(before, 0.1, 0.1) for before in (0.9, 0.3, 0.2, 0.12, 0.1)]
@@ -104,7 +104,7 @@ def test_a_finding_is_the_more_likely_the_more_it_takes_beside_what_is_left(foun
     assert chance(0.3, 0.2, 0.2, floor=0.0) == 0.0  # nobody knows what is noise
     # Reversals that are not resolved err in the end, and not in a fit that allows for them.
     errors = [table(rms, 0.01) for rms in (0.3, 0.2, 0.2)]
-    noise = replace(whole.fit, variance=np.full(2, 0.01**2))
+    noise = replace(whole.fit, noise=np.full(2, 0.01**2))
     assert unknown_probability(replace(whole, fit=noise), finding, errors) == 0.0
 
 
@@ -125,7 +125,7 @@ def with_load(found, *, width, has_load=True):
     loads = [t for t in model.terms if t.is_whole and t.where == ("lower_link",)]
     terms = loads[-2:-1] if has_load else []
     choice = model.choice(was.choice, terms, width=width)
-    return replace(found, fit=model.unbounded(choice, model.shares(was), was.variance))
+    return replace(found, fit=model.unbounded(choice, model.shares(was), was.noise))
 
 
 def test_a_payload_that_bodies_may_have_taken_in_is_said(loaded):

@@ -20,7 +20,7 @@ from geodrake.diagnosis.log_model import Choice, LogModel
 from geodrake.diagnosis.moves import neighbours
 from geodrake.diagnosis.neighbourhood import Neighbourhood
 from geodrake.diagnosis.normal_kernels import calc_noise_changes
-from geodrake.diagnosis.search import searched
+from geodrake.diagnosis.search import Search, searched
 from geodrake.effects import CoulombFriction, EffortOffset, GravityCompensator, Payload
 from geodrake.identification.logs.case import open_case
 from geodrake.identification.logs.dataset import Dataset, JointData
@@ -328,7 +328,8 @@ def test_noise_at_other_instants_is_no_evidence_of_a_delay():
         noise = low_pass.smooth(rng.normal(size=(12_000, 1)))[:, 0] / low_pass.noise_gain
         efforts = np.sin(time + late_by) + [noise[at + step] for step in steps]
         squares = np.square(efforts - np.sin(time)).sum(axis=1)
-        change = calc_noise_changes(time, np.sin(time), np.ascontiguousarray(efforts.T), 6, late)
+        signals = time, np.sin(time), np.ascontiguousarray(efforts.T), np.ones(len(time), bool)
+        change = calc_noise_changes(signals, 6, late)
         raw.append(squares - squares[6])
         left.append(squares - change - squares[6])
     lost = np.square(np.sin(time) - np.sin(time - late_by)).sum(axis=1)
@@ -336,3 +337,42 @@ def test_noise_at_other_instants_is_no_evidence_of_a_delay():
     assert np.min(raw, axis=0)[0] < lost[0] - 8.0 * spread[0]
     assert (np.min(left, axis=0) > lost - 4.0 * spread - 0.1).all()
     assert (np.array(left) >= raw).all()
+
+
+def test_rows_in_which_a_joint_reverses_have_noise_of_their_own():
+    """A drive that notices reversals too early or too late errs there, and nowhere else."""
+    rng, friction_of = np.random.default_rng(3), np.array([3.0, 1.5])
+
+    def hidden(seen):
+        direction = np.sign(seen.v)
+        for j in range(2):
+            for k in np.flatnonzero(np.diff(direction[:, j])):
+                late = int(rng.integers(-1, 2))  # samples
+                direction[k + 1 : k + 1 + late, j] = direction[k, j]
+                direction[k + 1 + late : k + 1, j] = -direction[k, j]
+        return friction_of * direction
+
+    recording = effort_log("double_pendulum", 4, hidden, duration=60.0, rate=50.0, share=0.002)
+    search = Search(open_case(PENDULUM, [recording.log], candidates=True))
+    model, shares = search.model, np.full(2, 0.5)
+    dry = tuple(t for t in model.terms if t.effect in [CoulombFriction(joint) for joint in JOINTS])
+    fit = model.unbounded(model.choice(Choice((), WIDTH, model.on_time), dry), shares)
+    np.testing.assert_allclose(
+        [fit.x[model.spans(fit.terms)[t]][0] for t in dry], friction_of, rtol=0.02
+    )
+    assert model.joint_of.tolist() == [0, 1, 0, 1]
+    for j, data in enumerate(model.dataset.data):
+        rows = [part for fold in data.rows for part in fold]
+        left = np.square(np.concatenate(model._residuals(fit, j)))
+        turns = np.concatenate([model.reverses(j, part) for part in rows])
+        assert model.block_rows[[j, 2 + j]].tolist() == [(~turns).sum(), turns.sum()]
+        own = [left[~turns].mean(), left[turns].mean()]
+        np.testing.assert_allclose(fit.noise[[j, 2 + j]], own, rtol=0.03)  # by which it settles
+        assert own[1] > 5.0 * own[0]
+        weights = shares[j] / fit.noise[[j, 2 + j]]
+        np.testing.assert_allclose(fit.weights[[j, 2 + j]], weights, rtol=0.03)
+    # Rows that are no noisier are as good as all others.
+    model.block_rows[2:] *= 100.0
+    even = model.unbounded(fit.choice, shares)
+    np.testing.assert_allclose(even.noise[2:], even.noise[:2], rtol=1e-12)
+    np.testing.assert_allclose(model.even_hessian(even), even.hessian, rtol=1e-9)
