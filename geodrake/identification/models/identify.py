@@ -214,7 +214,8 @@ def identify_model(
 
 
 def _is_friction_by_load(effect: Effect) -> bool:
-    by_load = declares_signals(type(effect)) and "load" in effect.depends_on
+    seen = effect.depends_on & {"load", "bodies"}
+    by_load = declares_signals(type(effect)) and bool(seen)
     return effect.role is Role.FORCE and effect.jumps and by_load
 
 
