@@ -34,6 +34,7 @@ from geodrake.diagnosis.normal_kernels import (
     calc_noise_changes,
     calc_packed,
     calc_squares,
+    nothing_packed,
 )
 from geodrake.diagnosis.terms import (
     Compatibility,
@@ -204,6 +205,9 @@ class LogModel:
         self.places, self._inertias = places[self.joint_of], self._inertias[self.joint_of]
         self._ends = np.array([len(joint.columns) for joint in data.data])
         self._powers = [block.diagonal().copy() for block in self.grams]
+        # What all fits share: the columns before those of terms.
+        first = self.places[:, : self.first_term].copy()
+        self._common = calc_packed(self.grams, first, nothing_packed(len(blocks)))
         self.mean[: len(self.unknowns.columns)] = self.unknowns.mean
         gains = np.maximum(data.gain_uncertainty, 1e-6) ** -2.0
         unsure = [
@@ -248,7 +252,7 @@ class LogModel:
     def even_hessian(self, fit: Fit) -> Array:
         """Return the Hessian (n, n) of a fit if its joints were no noisier where they reverse."""
         hessian = fit.hessian.copy()
-        packed = calc_packed(self.grams, self.places.take(fit.columns, axis=1))
+        packed = calc_packed(self.grams, self.places.take(fit.columns, axis=1), self._common)
         add_normal(packed, fit.weights[self.joint_of] - fit.weights, hessian)
         return hessian
 
@@ -491,8 +495,11 @@ class LogModel:
         return np.asarray(self._ends + np.array(delay))[self.joint_of]
 
     def normal(self, columns: Indices, delay: Delay) -> Normal:
-        """Return the normal matrices of all blocks over columns (n,), efforts later by a delay."""
-        packed = calc_packed(self.grams, self.places.take(columns, axis=1))
+        """Return the normal matrices of all blocks over columns (n,), efforts later by a delay.
+
+        The columns begin with those before the terms', which all fits have.
+        """
+        packed = calc_packed(self.grams, self.places.take(columns, axis=1), self._common)
         return packed, *self.moments(columns, delay)
 
     def moments(self, columns: Indices, delay: Delay) -> tuple[Array, Array]:

@@ -31,28 +31,39 @@ _LATE_ROW = 0.1  # of a period: rows that are farther apart are not consecutive
 
 
 @compiled
-def calc_packed(grams: Array, places: Indices) -> Packed:
+def calc_packed(grams: Array, places: Indices, known: Packed) -> Packed:
     """Return what normal matrices (J, M, M) hold of columns at places (J, n), close together.
 
-    Fits go through it again and again, and do not have to gather it each time.
+    Fits go through it again and again, and do not have to gather it each time; nor do they gather
+    what is `known` of their first columns, which many of them share.
     """
+    _, known_ends, known_lower = known
     count, size = 0, 0
     for j in range(len(places)):
         felt = np.sum(places[j] >= 0)
         count, size = count + felt, size + felt * (felt + 1) // 2
     columns, ends = np.empty(count, np.intp), np.zeros(len(places) + 1, np.intp)
-    lower, at = np.empty(size), 0
+    lower, at, known_at = np.empty(size), 0, 0
     for j in range(len(places)):
         own = np.flatnonzero(places[j] >= 0)
         local = places[j][own]
         ends[j + 1] = ends[j] + len(own)
         columns[ends[j] : ends[j + 1]] = own
-        for i in range(len(own)):
+        first = known_ends[j + 1] - known_ends[j]
+        same = first * (first + 1) // 2
+        lower[at : at + same] = known_lower[known_at : known_at + same]
+        at, known_at = at + same, known_at + same
+        for i in range(first, len(own)):
             row = grams[j, local[i]]
             for k in range(i + 1):
                 lower[at + k] = row[local[k]]
             at += i + 1
     return columns, ends, lower
+
+
+def nothing_packed(blocks: int) -> Packed:
+    """Return what is there of no column."""
+    return np.empty(0, np.intp), np.zeros(blocks + 1, np.intp), np.empty(0)
 
 
 def packed_of(packed: Packed, blocks: Indices) -> Packed:
@@ -92,14 +103,12 @@ def calc_squares(joints: Normal, x: Array) -> Array:
     squares, at = np.empty(len(powers)), 0
     for j in range(len(powers)):
         own = columns[ends[j] : ends[j + 1]]
+        values = x[own]
         squares[j] = powers[j]
         for i in range(len(own)):
-            product = 0.0
-            for k in range(i):
-                product += lower[at + k] * x[own[k]]
-            value = x[own[i]]
-            product = 2.0 * (product - moments[j, own[i]]) + lower[at + i] * value
-            squares[j] += product * value
+            product = lower[at : at + i] @ values[:i]
+            product = 2.0 * (product - moments[j, own[i]]) + lower[at + i] * values[i]
+            squares[j] += product * values[i]
             at += i + 1
     return squares
 
