@@ -53,6 +53,8 @@ class WrenchOffset(BodyEffect):
 
     effort = Jᵀ w₀, with the force in N and the moment about the sensor's origin in N·m. Where the
     logged forces of a foot count as efforts of the base and the joints, an error of them does, too.
+    Efforts tell of several sensors on one body, as at heel and toe, the sum of their offsets alone:
+    it is told about the origin of the first.
 
     Attributes:
         x: Position of the sensor's origin from Bo along x of the body's frame, m.

@@ -25,7 +25,9 @@ from geodrake.control.rollout import roll_out
 from geodrake.diagnosis import explain
 from geodrake.effects.body_motion import RobotBodies
 from geodrake.effects.motor_and_transmission import JointElasticity
+from geodrake.effects.sensors import WrenchOffset
 from geodrake.errors import LogError
+from geodrake.identification.logs.candidate_effects import candidate_effects
 from geodrake.identification.logs.compare import compare
 from geodrake.identification.logs.contact_rows import rows_without
 from geodrake.identification.logs.noise import known_noise
@@ -354,6 +356,14 @@ def test_a_payload_and_an_offset_of_a_foot_sensor_are_named_and_placed(model, he
     values = [foot.parameters["hl_calf"][f"force_{axis}"] for axis in "xyz"]
     deviations = [foot.deviations["hl_calf"][f"force_{axis}"] for axis in "xyz"]
     assert np.all(np.abs(values - offset) < 3.0 * np.array(deviations) + 0.02 * np.abs(offset))
+
+
+def test_force_sensors_of_one_body_have_one_offset(model, maker):
+    trajectory = prepare_logs([log_of_model(maker.log(wrenches=True), model)])[0]
+    trajectory = replace(trajectory, force_sensors=("hl_calf", "hl_foot", "fr_foot"))
+    effects = candidate_effects(model, [trajectory])
+    offsets = {e.body: (e.x, e.y, e.z) for e in effects if isinstance(e, WrenchOffset)}
+    assert offsets == {"hl_calf": (0.0, 0.0, 0.0), "fr_calf": (0.0, 0.0, -0.2)}
 
 
 def ros_topics(log, store):

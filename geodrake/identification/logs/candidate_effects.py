@@ -60,7 +60,8 @@ def candidate_effects(
     duration = max(float(t.segments[-1][-1:].time[0] - t.began) for t in trajectories)
     passive = {joint for trajectory in trajectories for joint in trajectory.passive}
     frames = dict.fromkeys(frame for t in trajectories for frame in t.force_sensors)
-    sensors = {f.body: f.origin.tolist() for f in contact_frames(model, [*frames])}
+    # Of several on one body the first: their offsets add up.
+    sensors = {f.body: f.origin.tolist() for f in reversed(contact_frames(model, [*frames]))}
 
     def has_none(effect: type[Effect], joint: str) -> bool:
         slides = effect.turning_only and joint in model.sliding_joints
