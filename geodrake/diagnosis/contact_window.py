@@ -199,6 +199,7 @@ class Predicted:
     before: Array  # (nv,) mean squared residual of each joint, 0 where it is not known
     after: Array  # (nv,) what is left of it
     share: float  # share of the squared residuals that is predicted
+    fitted: float  # the same share by a wrench of all pieces
     gain: float  # twice the log-likelihood ratio
     felt: int  # how many directions of the wrench the joints feel
 
@@ -224,8 +225,10 @@ def evidence(window: ResidualWindow, contact: PointEpisode) -> Predicted:
     samples = np.array([effective_samples([joint]) if len(joint) else 0.0 for joint in left])
     floor = np.maximum(1e-3 * before, np.finfo(float).tiny)
     gain = samples * np.log(np.maximum(before, floor) / np.maximum(after, floor))
-    scaled = A[known] / _sizes(A[known])
-    felt = int(np.linalg.matrix_rank(scaled, rtol=_cut(window.residual[known])))
+    scaled, whole = A[known] / _sizes(A[known]), window.residual[known]
+    felt = int(np.linalg.matrix_rank(scaled, rtol=_cut(whole)))
+    rest_of_all = np.square(whole - A[known] @ _wrench(A[known], whole)).sum()
+    fitted = float(1.0 - rest_of_all / max(np.square(whole).sum(), 1e-300))
     share = float(1.0 - after.sum() / max(before.sum(), 1e-300))
     count = np.maximum((known & inside[:, None]).sum(0), 1)
-    return Predicted(before / count, after / count, share, float(gain.sum()), felt)
+    return Predicted(before / count, after / count, share, fitted, float(gain.sum()), felt)

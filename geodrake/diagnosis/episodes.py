@@ -45,8 +45,10 @@ _LEAST_JOINTS = 2
 MOST_TIME = 0.3  # share of a log: what is there longer is no contact
 _MOST = 8
 _LEAST_SHARE = 0.6  # of the squared error in the window that the wrench must predict
-_HOPELESS = 0.2  # share that the best guess predicts before its times and point are looked for
-_REFINED = 4  # guesses whose times and point are looked for
+_HOPELESS = 0.2  # share that the best guess takes before its times and point are looked for
+# So many guesses whose wrench predicts most, and so many whose wrench fits best, have their times
+# and point looked for: edges that are not exact yet spoil what the right wrench predicts.
+_REFINED = 4
 _AS_GOOD = 0.9  # share of the best body's reduction with which one nearer to the base is preferred
 _MODEL = 0.05  # share of its effort that even a right contact leaves unexplained
 _REST = 1.0  # s, of standing still that do not end an episode
@@ -63,9 +65,14 @@ class _Scale:
     periods: list[float]
 
 
-def find_episodes(case: Case, hypothesis: Hypothesis) -> tuple[PointEpisode, ...]:
-    """Return contacts that stand out of what a robust fit of a hypothesis leaves."""
-    scale = _scaled(case, hypothesis)
+def find_episodes(
+    case: Case, hypothesis: Hypothesis, on_time: tuple[int, ...]
+) -> tuple[PointEpisode, ...]:
+    """Return contacts that stand out of what a robust fit of a hypothesis leaves.
+
+    The model's own delays are `on_time`, indices of the dataset's.
+    """
+    scale = _scaled(case, hypothesis, on_time)
     windows = _new_windows(case, hypothesis, scale)
     motion = full_motion(case) if windows else []
     cut = [(w[0], _cut_out(case, scale, motion, w)) for w in windows]
@@ -91,8 +98,8 @@ def _new_windows(case: Case, hypothesis: Hypothesis, scale: _Scale) -> list[Wind
     return windows if len(windows) <= _MOST else []
 
 
-def _scaled(case: Case, hypothesis: Hypothesis) -> _Scale:
-    joints = _robust_residuals(case, hypothesis)
+def _scaled(case: Case, hypothesis: Hypothesis, on_time: tuple[int, ...]) -> _Scale:
+    joints = _robust_residuals(case, hypothesis, on_time)
     periods = [trajectory.filter.output_period for trajectory in case.trajectories]
     size = np.array([_typical(joint.residual, np.finfo(float).tiny) for joint in joints])
     grids = _Grids(joints, periods)
@@ -136,45 +143,55 @@ class _Grids:
         return found
 
 
-def _robust_residuals(case: Case, hypothesis: Hypothesis) -> list[JointResidual]:
+def _robust_residuals(
+    case: Case, hypothesis: Hypothesis, on_time: tuple[int, ...]
+) -> list[JointResidual]:
     """Fit again, with little weight on stretches of large errors; return what that leaves.
 
-    An ordinary fit bends towards a contact and spreads its error over the whole log. Bounds of
-    parameters are left aside.
+    An ordinary fit bends towards a contact and spreads its error over the whole log. So may a
+    delay: efforts that are on time are tried, too. Bounds of parameters are left aside.
     """
     dataset, unknowns, columns = hypothesis.dataset, hypothesis.unknowns, list[Array]()
-    delays, joints = dataset.delay_of_each(hypothesis.delay), joint_residuals(case, hypothesis)
-    efforts, x = list[Array](), hypothesis.held_out.x.mean(axis=0)
+    joints, efforts = joint_residuals(case, hypothesis), list[Array]()
     moving = np.flatnonzero([data.samples.any() for data in dataset.data])
     for j in moving:
         data = dataset.data[j]
         parts, local = [part for kept in data.rows for part in kept], data.local(unknowns.columns)
         A = np.concatenate([part.A for part in parts])
         columns.append(np.where(local >= 0, A[:, local], 0.0))
-        efforts.append(np.concatenate([part.b[:, delays[j]] for part in parts]))
+        efforts.append(np.concatenate([part.b for part in parts]))
     grids = _Grids(joints, [trajectory.filter.output_period for trajectory in case.trajectories])
     least = np.maximum(dataset.noise_floor, LEAST_NOISE * np.maximum(dataset.effort_std, 1e-12))
-    rows = [*zip(columns, efforts, strict=True)]
-    left = [b - A @ x for A, b in rows]
-    weights = [np.ones(len(b)) for b in efforts]
-    for _ in range(_ROBUST_FITS):
-        H, right = unknowns.information.copy(), unknowns.information @ unknowns.mean + unknowns.pull
-        size = np.array([_typical(own, least[j]) for j, own in zip(moving, left, strict=True)])
-        for k, (A, b) in enumerate(rows):
-            share = hypothesis.power[moving[k]] / (len(b) * size[k] ** 2)
-            weighted = (share * weights[k])[:, None] * A
-            H, right = H + weighted.T @ A, right + weighted.T @ b
-        factor, scale = scaled_cholesky(H)
-        x = scale * solved(factor, scale * right)
+
+    def sizes(left: Sequence[Array]) -> Array:
+        return np.array([_typical(own, least[j]) for j, own in zip(moving, left, strict=True)])
+
+    def settled(x: Array, delay: tuple[int, ...]) -> list[Array]:
+        """Return what is left (K,) of each joint after fits that begin with parameters (p,)."""
+        rows = [(A, b[:, delay[j]]) for j, A, b in zip(moving, columns, efforts, strict=True)]
         left = [b - A @ x for A, b in rows]
-        means = [
-            _averaged(grid, period).mean(axis=1)
-            for grid, period in zip(grids.of(left, size), grids.periods, strict=True)
-        ]
-        weights = [
-            1.0 / (1.0 + grids.at_rows(means, k, len(b)) / _LOW) for k, b in enumerate(efforts)
-        ]
-    return [replace(joint, residual=own) for joint, own in zip(joints, left, strict=True)]
+        for _ in range(_ROBUST_FITS):
+            size, H = sizes(left), unknowns.information.copy()
+            right = H @ unknowns.mean + unknowns.pull
+            means = [
+                _averaged(grid, period).mean(axis=1)
+                for grid, period in zip(grids.of(left, size), grids.periods, strict=True)
+            ]
+            for k, (A, b) in enumerate(rows):
+                share = hypothesis.power[moving[k]] / (len(b) * size[k] ** 2)
+                weight = share / (1.0 + grids.at_rows(means, k, len(b)) / _LOW)
+                weighted = weight[:, None] * A
+                H, right = H + weighted.T @ A, right + weighted.T @ b
+            factor, scale = scaled_cholesky(H)
+            x = scale * solved(factor, scale * right)
+            left = [b - A @ x for A, b in rows]
+        return left
+
+    tried = [settled(hypothesis.held_out.x.mean(axis=0), hypothesis.delay)]
+    if hypothesis.delay != on_time:
+        tried.append(settled(unknowns.mean, on_time))
+    best = min(tried, key=lambda left: float(np.log(sizes(left)).sum()))
+    return [replace(joint, residual=own) for joint, own in zip(joints, best, strict=True)]
 
 
 def _averaged(grid: Array, period: float) -> Array:
@@ -245,12 +262,12 @@ def _contacts(case: Case, log: str, window: ResidualWindow, tried: int) -> list[
         for guess in kind.in_window(body, window.start, window.end, **window_of)
     ]
     rough = [with_point(window, guess) for guess in guesses]
-    shares = [evidence(window, guess).share for guess in rough]
-    best = max(shares)
-    if best < _HOPELESS:
+    first = [evidence(window, guess) for guess in rough]
+    if max(found.fitted for found in first) < _HOPELESS:
         return []
-    order = sorted(range(len(rough)), key=lambda k: -shares[k])[:_REFINED]
-    shapes = [refined(window, rough[k], tries=FEW) for k in sorted(order)]
+    by_share = sorted(range(len(rough)), key=lambda k: -first[k].share)[:_REFINED]
+    by_fit = sorted(range(len(rough)), key=lambda k: -first[k].fitted)[:_REFINED]
+    shapes = [refined(window, rough[k], tries=FEW) for k in sorted({*by_share, *by_fit})]
     tried_shapes = [(shape, evidence(window, shape)) for shape in shapes]
     best = max(found.share for _, found in tried_shapes)
     if best < 0.5 * _LEAST_SHARE:

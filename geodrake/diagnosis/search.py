@@ -203,7 +203,8 @@ class Search:
     def _suggested(self) -> list[Effect]:
         """Return what the residual suggests: shared actuators, ripples, contacts."""
         found = proposed(self.case, self.model, self.fit)
-        contacts = find_episodes(self.case, self.model.hypothesis(self._without_short_loads()))
+        hypothesis = self.model.hypothesis(self._without_short_loads())
+        contacts = find_episodes(self.case, hypothesis, self._on_time)
         if contacts:
             numbers = [log_number(trajectory.name) for trajectory in self.case.trajectories]
             windows = list[tuple[int, float, float]]()
