@@ -78,7 +78,7 @@ def digests_are_small_and_merge(table):
 
 def says_what_diagnose_names_and_days_tell(table):
     """A fit to one run of a robot, another run, and an error of a third before and after."""
-    assert set(table["named_afterwards"]) == {"double pendulum"}
+    assert table["named_afterwards"] == {"double pendulum": []}
     (pair,) = table["days"]
     assert pair["fit"] != pair["test"] and pair["steps"]
     ((before, after),) = pair["third"].values()
