@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 from matplotlib import rc_context, rcParamsDefault
 from matplotlib.axes import Axes
+from matplotlib.axis import XAxis, YAxis
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from matplotlib.font_manager import findfont, get_font
@@ -99,14 +100,15 @@ def label(text: str, most: int = _MOST_LETTERS) -> str:
     return "".join(c if font.get_char_index(ord(c)) else "�" for c in shortened(text, most))
 
 
-def log_scale(ax: Axes) -> None:
-    """Make the axis of values logarithmic, its ticks written as plain numbers."""
-    ax.set_yscale("log")
-    low, high = ax.yaxis.get_view_interval()
+def log_scale(ax: Axes, axis: str = "y") -> None:
+    """Make an axis logarithmic, its ticks written as plain numbers."""
+    of: XAxis | YAxis = ax.xaxis if axis == "x" else ax.yaxis
+    ax.set(**{f"{axis}scale": "log"})
+    low, high = of.get_view_interval()
     subs = (1.0, 2.0, 5.0) if high / low < 3e3 else (1.0,)
-    ax.yaxis.set_major_locator(LogLocator(subs=subs, numticks=12))
-    ax.yaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
-    ax.yaxis.set_minor_formatter(NullFormatter())
+    of.set_major_locator(LogLocator(subs=subs, numticks=12))
+    of.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
+    of.set_minor_formatter(NullFormatter())
 
 
 def legend_above(figure: Figure, handles: Sequence[Any]) -> None:
