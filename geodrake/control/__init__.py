@@ -8,9 +8,7 @@ from geodrake.control.adaptation import (
     pullback_adaptation,
 )
 from geodrake.control.loops import AdaptiveLoop, add_adaptive_loop
-from geodrake.control.online_estimation import (
-    SampleUpdate,
-)
+from geodrake.control.online_estimation import SampleUpdate
 from geodrake.control.regressor import ControlModel
 from geodrake.control.rollout import Rollout, RolloutFit, fit_rollouts, roll_out
 from geodrake.control.systems import (

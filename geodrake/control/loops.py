@@ -16,12 +16,7 @@ from pydrake.systems.framework import (
     OutputPort,
     System,
 )
-from pydrake.systems.primitives import (
-    LogVectorOutput,
-    MatrixGain,
-    TrajectorySource,
-    VectorLogSink,
-)
+from pydrake.systems.primitives import LogVectorOutput, MatrixGain, TrajectorySource, VectorLogSink
 from pydrake.trajectories import Trajectory
 
 from geodrake.boundary.arguments import instance, positive

@@ -67,7 +67,7 @@ class UnresolvedReversal(JointEffect):
     )
     shapes: ClassVar[tuple[Shape, ...]] = (Shape("speed", "rad/s"), Shape("slip", "rad/s"))
     depends_on: ClassVar[frozenset[str]] = frozenset({"v"})
-    unsure: ClassVar[int] = 7
+    unsure: ClassVar[int] = [each.name for each in parameters].index("mean_0")
     """Which column is the share of time in which the direction of motion is not known."""
 
     def columns(self, joint: JointMotion) -> Sequence[Array]:

@@ -10,19 +10,10 @@ nor units nor the choice of base parameters matter ([Lee2019] Proposition 4.1); 
 two effects are on it (`geodrake.excitation.tell_apart`).
 """
 
-from geodrake.excitation.collision_geometry import (
-    Solid,
-)
+from geodrake.excitation.collision_geometry import Solid
 from geodrake.excitation.collisions import CollisionWorld
-from geodrake.excitation.design import (
-    ExcitationResult,
-    design_excitation,
-)
-from geodrake.excitation.families import (
-    FourierMotion,
-    FreeSamples,
-    SplineMotion,
-)
+from geodrake.excitation.design import ExcitationResult, design_excitation
+from geodrake.excitation.families import FourierMotion, FreeSamples, SplineMotion
 from geodrake.excitation.identifiable import (
     IdentifiableParameters,
     LogIdentifiability,
@@ -33,17 +24,10 @@ from geodrake.excitation.identifiable import (
     reduced_identification,
 )
 from geodrake.excitation.limits import MotionLimits, motion_limits
-from geodrake.excitation.objective import (
-    Criterion,
-    Objective,
-)
+from geodrake.excitation.objective import Criterion, Objective
 from geodrake.excitation.problem import DesignOptions
 from geodrake.excitation.target import Target, make_target
-from geodrake.excitation.tell_apart import (
-    Separation,
-    make_rival,
-    make_separation,
-)
+from geodrake.excitation.tell_apart import Separation, make_rival, make_separation
 from geodrake.excitation.trajectory import (
     ExcitationTrajectory,
     read_drake_trajectory,

@@ -41,11 +41,7 @@ from geodrake.excitation.starts import (
     within_limits,
 )
 from geodrake.excitation.target import Target, make_target
-from geodrake.excitation.trajectory import (
-    ExcitationTrajectory,
-    ExecutableMotion,
-    RampedTrajectory,
-)
+from geodrake.excitation.trajectory import ExcitationTrajectory, ExecutableMotion, RampedTrajectory
 from geodrake.inertia import Array
 from geodrake.logs.motion import Motion
 from geodrake.model.robot_model import RobotModel

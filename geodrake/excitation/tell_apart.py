@@ -137,7 +137,7 @@ def make_rival(
 
 
 def every_place(cls: type[Effect], model: RobotModel) -> list[tuple[str, ...]]:
-    """Return the places where a robot can have an effect of which nobody says where it is."""
+    """Return the places where a robot can have an effect that no place is given for."""
     if cls.places == "robot":
         return [()]
     if cls.places == "joint":

@@ -26,9 +26,7 @@ from geodrake.fleet.fleet_result import (
     UnusedLog,
 )
 from geodrake.fleet.fleet_run import FleetWork, run_fleet
-from geodrake.fleet.settings import (
-    DigestSettings,
-)
+from geodrake.fleet.settings import DigestSettings
 
 __all__ = [
     "ChangedParameter",

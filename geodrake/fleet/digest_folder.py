@@ -30,12 +30,7 @@ from geodrake.fleet.digest_log import (
 )
 from geodrake.fleet.hashes import file_hash, text_hash
 from geodrake.fleet.log_places import date_text
-from geodrake.fleet.settings import (
-    SETTINGS_FILE,
-    DigestSettings,
-    own_sources,
-    read_settings,
-)
+from geodrake.fleet.settings import SETTINGS_FILE, DigestSettings, own_sources, read_settings
 from geodrake.inertia import Array
 from geodrake.logs.files import check_log, parts_of, read_log
 from geodrake.logs.known_payload import KnownPayload

@@ -373,7 +373,7 @@ class TypeModel(Short):
 def kept_share(directions: Array) -> Array:
     """Return (...) share of squared scores left where odd logs count less, if none is odd.
 
-    It depends on in how many directions of a spread a log tells of it.
+    It depends on how many directions of a spread the log identifies.
     """
     return np.interp(directions, *_kept_shares())
 

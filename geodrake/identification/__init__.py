@@ -1,15 +1,11 @@
 """Identification: fits of physical parameters to data, near a prior."""
 
 from geodrake.identification.comparison import RegularizerComparison, compare_regularizers
-from geodrake.identification.conic_fit import (
-    solve_fit,
-)
+from geodrake.identification.conic_fit import solve_fit
 from geodrake.identification.fit import Certificate, FitResult
 from geodrake.identification.geodesic_least_squares import geodesic_least_squares
 from geodrake.identification.identify import REGULARIZERS, IdentificationResult, identify
-from geodrake.identification.least_squares import (
-    least_squares,
-)
+from geodrake.identification.least_squares import least_squares
 from geodrake.identification.models import (
     IdentificationSettings,
     ModelIdentification,

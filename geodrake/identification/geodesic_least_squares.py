@@ -17,12 +17,7 @@ from geodrake.errors import ArgumentError, ConvergenceError, IdentificationError
 from geodrake.identification.coordinates import SYMMETRIC_BASIS, smat, svec
 from geodrake.identification.identify import identify, physical_prior
 from geodrake.identification.problem import whitened
-from geodrake.inertia import (
-    PARAMETERS_PER_BODY,
-    Array,
-    from_pseudo_inertia,
-    pseudo_inertia,
-)
+from geodrake.inertia import PARAMETERS_PER_BODY, Array, from_pseudo_inertia, pseudo_inertia
 from geodrake.inertia.parameters import dual
 from geodrake.inertia.positive_definite import karcher_mean, whitening
 

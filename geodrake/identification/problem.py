@@ -14,12 +14,7 @@ from scipy.linalg import block_diag
 from geodrake.boundary.arguments import instance, instances, integer, integers, number, real_array
 from geodrake.boundary.showing import Short
 from geodrake.errors import ArgumentError
-from geodrake.inertia import (
-    PARAMETERS_PER_BODY,
-    Array,
-    is_physical,
-    pseudo_inertia,
-)
+from geodrake.inertia import PARAMETERS_PER_BODY, Array, is_physical, pseudo_inertia
 from geodrake.inertia.parameters import from_dual
 from geodrake.robot.reduction import triangular_factor
 

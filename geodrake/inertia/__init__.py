@@ -16,11 +16,7 @@ from geodrake.inertia.body_distances import (
     pullback_distance,
     riemannian_distance,
 )
-from geodrake.inertia.ellipsoids import (
-    Ellipsoid,
-    equivalent_ellipsoid,
-    is_realizable,
-)
+from geodrake.inertia.ellipsoids import Ellipsoid, equivalent_ellipsoid, is_realizable
 from geodrake.inertia.kernels import PARAMETERS_PER_BODY, Array
 from geodrake.inertia.parameters import (
     PARAMETER_NAMES,
@@ -34,15 +30,9 @@ from geodrake.inertia.parameters import (
     pullback_metric,
     to_mass_com_inertia,
 )
-from geodrake.inertia.perturbation import (
-    perturb,
-)
+from geodrake.inertia.perturbation import perturb
 from geodrake.inertia.positive_definite import karcher_mean
-from geodrake.inertia.spatial import (
-    from_spatial_inertia,
-    inertial_parameters,
-    to_spatial_inertia,
-)
+from geodrake.inertia.spatial import from_spatial_inertia, inertial_parameters, to_spatial_inertia
 
 __all__ = [
     "PARAMETERS_PER_BODY",

@@ -10,12 +10,7 @@ from numpy.typing import NDArray
 from geodrake.boundary.arguments import LARGEST
 from geodrake.compiling import contiguous
 from geodrake.inertia import PARAMETERS_PER_BODY, is_physical, pullback_metric
-from geodrake.inertia.kernels import (
-    BASIS,
-    calc_dual,
-    calc_from_pseudo_inertia,
-    calc_pseudo_inertia,
-)
+from geodrake.inertia.kernels import BASIS, calc_dual, calc_from_pseudo_inertia, calc_pseudo_inertia
 from geodrake.inertia.positive_definite import log_det_divergence, whitening
 from geodrake.manifolds.base import Array, Manifold, MirrorSpan
 from geodrake.manifolds.robot_kernels import (

@@ -3,9 +3,7 @@
 from geodrake.effects import FittedEffect
 from geodrake.model.dynamics_check import DynamicsCheck, check_dynamics
 from geodrake.model.effort_signal import EffortSignal
-from geodrake.model.export import (
-    save_export,
-)
+from geodrake.model.export import save_export
 from geodrake.model.holding import holding
 from geodrake.model.logged_joints import model_of_logs
 from geodrake.model.robot_model import RobotModel, load_description

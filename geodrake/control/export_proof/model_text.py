@@ -28,12 +28,7 @@ from geodrake.robot.arrangement import moving_joints
 from geodrake.robot.files.checks import words
 from geodrake.robot.files.description import model_text_of
 from geodrake.robot.files.mjcf import MjcfText
-from geodrake.robot.files.model_edits import (
-    EditedFile,
-    comment_words,
-    put_inertia,
-    put_numbers,
-)
+from geodrake.robot.files.model_edits import EditedFile, comment_words, put_inertia, put_numbers
 from geodrake.robot.files.xacro_file import read_expanded
 from geodrake.robot.joints import joint_names, scoped
 from geodrake.robot.plant import motor_joints, scoped_joint_names

@@ -19,12 +19,7 @@ from geodrake.boundary.arguments import instance
 from geodrake.control.rollout.acting import Acting
 from geodrake.control.rollout.fit_servos import fit_servos, held_out
 from geodrake.control.rollout.linearized_motion import LinearizedMotion
-from geodrake.control.rollout.motion_search import (
-    MotionSearch,
-    SearchWindow,
-    blind_to,
-    blinds,
-)
+from geodrake.control.rollout.motion_search import MotionSearch, SearchWindow, blind_to, blinds
 from geodrake.control.rollout.passages import Passage, chosen_passages
 from geodrake.control.rollout.results import FittedValue, Rollout, RolloutFit
 from geodrake.control.rollout.roll_out import (

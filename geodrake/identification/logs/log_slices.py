@@ -23,11 +23,7 @@ from geodrake.model.carried_payloads import carried_phi, carrying
 from geodrake.model.robot_model import RobotModel
 from geodrake.robot.base_parameters import BaseParameters
 from geodrake.robot.kinematics import KinematicTree
-from geodrake.robot.regressor import (
-    inverse_dynamics,
-    inverse_dynamics_regressor,
-    regressor_pieces,
-)
+from geodrake.robot.regressor import inverse_dynamics, inverse_dynamics_regressor, regressor_pieces
 
 Array = NDArray[np.float64]
 Blocks = Mapping[int, Array]

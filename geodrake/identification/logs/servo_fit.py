@@ -701,10 +701,9 @@ def calc_servo_motion(rows: Array, period: float, servo: Array, out: tuple[Array
 
     Forces are those between both ends of a step, where the error is of second order but for what
     damps stiff joints. Dry friction is that of the velocity afterwards, and a set at rest: a joint
-    sticks until more than F + k g² pulls at it, with the
-    weight g that it holds. Slopes are those of the steps themselves, while a
-    joint that sticks goes on doing so. One that a weak servo lets run away is held where it is far
-    from the measured motion.
+    sticks until more than F + k g² pulls at it, with the weight g that it holds. Slopes are those
+    of the steps themselves, while a joint that sticks goes on doing so. One that a weak servo lets
+    run away is held where it is far from the measured motion.
 
     Args:
         rows: (N, 9) b, M, K, D, q, q̇, q̈, the command, and what holds the bodies still.

@@ -26,12 +26,7 @@ from geodrake.identification.models.results import (
     IdentificationSettings,
     ModelIdentification,
 )
-from geodrake.inertia import (
-    PARAMETERS_PER_BODY,
-    Array,
-    pullback_distance,
-    to_mass_com_inertia,
-)
+from geodrake.inertia import PARAMETERS_PER_BODY, Array, pullback_distance, to_mass_com_inertia
 from geodrake.logs.motion import JointLog
 from geodrake.model.holding import holding
 from geodrake.model.robot_model import RobotModel

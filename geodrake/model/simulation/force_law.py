@@ -27,12 +27,7 @@ from geodrake.effects.effect_columns import dependencies
 from geodrake.errors import ArgumentError, ModelError
 from geodrake.inertia import Array
 from geodrake.model.admissible import check_effect
-from geodrake.model.simulation.terms import (
-    Parameters,
-    PlantMotion,
-    PlantState,
-    Terms,
-)
+from geodrake.model.simulation.terms import Parameters, PlantMotion, PlantState, Terms
 
 LEAST_MOTOR = 0.01
 """Share of the link's inertia that a motor has at least, as without one it could not be moved."""

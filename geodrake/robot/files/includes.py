@@ -237,7 +237,7 @@ def packages_below(entry: str | Path) -> Iterator[Path]:
 
 
 def package_name(folder: Path) -> str | None:
-    """Return what a folder's manifest calls the package; None if there is none that can be read."""
+    """Return what a folder's manifest calls the package; None if no manifest can be read."""
     manifest = folder / "package.xml"
     with suppress(ModelError):
         data = read_regular(manifest, "manifest", ModelError, largest=_LARGEST_MANIFEST)
