@@ -557,6 +557,7 @@ def from_loaded_plant(
         known_joints=loaded.joints,
     )
     stated = stated_effects(loaded, bare.coordinates)
+    effects = tuple(stated.fitted())
     notes += stated.notes
     left_out += tuple(stated.left_out)
     if loaded.geared and not transmission:
@@ -567,7 +568,7 @@ def from_loaded_plant(
     if drives:
         words = "; ".join(f"{', '.join(d.actuators)} for {', '.join(d.joints)}" for d in drives)
         notes.append(f"Logs, efforts and effects are those of the actuators: {words}.")
-    model = replace(bare, effects=tuple(stated.effects))
+    model = replace(bare, effects=effects)
     if loaded.mjcf is not None:
         _check_against_mujoco(
             model, loaded.mjcf, {j.rpartition("::")[2]: x for j, x in loaded.places.items()}

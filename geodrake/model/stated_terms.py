@@ -10,12 +10,10 @@ two; damping and inertia likewise.
 from __future__ import annotations
 
 from collections import defaultdict
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field
-from itertools import combinations
+from collections.abc import Mapping, Sequence
+from itertools import chain, combinations
 
 import numpy as np
-from numpy.typing import ArrayLike
 from pydrake.math import RigidTransform
 from pydrake.multibody.tree import BodyIndex
 
@@ -41,140 +39,144 @@ from geodrake.robot.joints import joint_names
 from geodrake.robot.plant import LoadedPlant, scoped_joint_names
 
 _LEAST = 1e-100  # SI units: less counts as zero, as its square has no inverse
-_DAMPING, _FRICTION, _ROTOR = "damping", "dry friction", "reflected rotor inertia"
-_SINGLE: Mapping[str, Callable[[str], Effect]] = {
-    _DAMPING: Damping,
-    _FRICTION: DryFriction,
-    _ROTOR: Rotor,
+_WORDS: Mapping[type[Effect], str] = {
+    Damping: "damping",
+    DryFriction: "dry friction",
+    Rotor: "reflected rotor inertia",
+    Drag: "damping of the power {exponent:g}",
+    Spring: "spring",
+    Polynomial: "spring",
+    Coupling: "coupling by tendons",
+    CoupledRotor: "rotor inertia of tendons",
+    CoupledDry: "dry friction of tendons",
+    Carried: "carried weight",
+    StrutEffect: "tendon",
+    Medium: "medium",
 }
+"""What files call effects, in the order of effects in a model."""
 
 
-Rows = dict[str, list[dict[str, float]]]
-"""Scoped joint -> of each of its velocities, the actuator, or joint, that it follows -> ratio."""
-
-
-@dataclass
 class StatedEffects:
-    """Effects that a file states.
+    """Effects that a file states at coordinates, or joints, and at bodies.
 
     Attributes:
-        notes: Sentences on what the effects are of.
         left_out: Sentences on what no effect is.
+        notes: Sentences on what the effects are of.
     """
 
-    names: Sequence[str]
-    effects: list[FittedEffect] = field(default_factory=list)
-    notes: list[str] = field(default_factory=list)
-    left_out: list[str] = field(default_factory=list)
+    def __init__(self, names: Sequence[str]) -> None:
+        self.left_out, self.notes = list[str](), list[str]()
+        self._at = {name: at for at, name in enumerate(names)}
+        self._sums, self._springs = dict[Effect, Array](), dict[str, stated.Spring]()
 
-    def keep(self, what: str, found: Sequence[tuple[Effect, Sequence[float]]]) -> None:
-        """Add effects with values that are not all zero, and a note on them."""
-        found = [(effect, values) for effect, values in found if any(values)]
-        self.effects += [FittedEffect(effect, np.array(values, float)) for effect, values in found]
-        if found:
-            listed = ", ".join(
-                f"{effect.place} {' '.join(f'{value:g}' for value in values if value)}"
-                for effect, values in found
+    def add(self, effect: Effect, *values: float) -> None:
+        """Add an effect with its parameters to what there is of it."""
+        if any(values):
+            self._sums[effect] = self._sums.get(effect, 0.0) + np.array(values, float)
+
+    def add_inertia(self, first: str, second: str, value: float) -> None:
+        """Add what is in the mass matrix at two coordinates, or at one."""
+        pair = min(first, second), max(first, second)
+        self.add(Rotor(first) if first == second else CoupledRotor(pair), value)
+
+    def add_length(self, length: stated.StatedLength) -> None:
+        """Add what is stated along a length of coordinates."""
+        shares, friction = length.shares, length.friction
+        for name, share in shares.items():
+            for power, value in enumerate(length.damping, start=1):
+                drag = Damping(name) if power == 1 else Drag(name, exponent=float(power))
+                self.add(drag, abs(share) ** (power + 1) * value)
+            self.add_inertia(name, name, share**2 * length.armature)
+            if not length.spring.is_none:
+                spring, known = length.spring.through(share, 0.0), self._springs.get(name)
+                self._springs[name] = spring if known is None else known + spring
+        for pair in combinations(sorted(shares), 2):
+            both = shares[pair[0]] * shares[pair[1]]
+            stiffness = length.spring.coefficients[1]
+            self.add(Coupling(pair), both * stiffness, both * length.damping[0])
+        names, size = sorted(shares), max(map(abs, shares.values()), default=0.0)
+        alike = all(abs(share) == size for share in shares.values())
+        if len(shares) == 1:
+            self.add(DryFriction(*names), size * friction)
+        elif len(shares) == 2 and alike and self._at.keys() >= shares.keys():
+            one, two = names
+            sign = 1 if shares[one] == shares[two] else -1
+            self.add(CoupledDry((one, two), sign), size * friction, 0.0)
+        elif friction and shares:
+            self.left_out.append(
+                f"The dry friction {friction:g} of {length.name}, over joints that pull it "
+                "unequally, is left out."
             )
-            kept = found[0][0].name
-            self.notes.append(f"The {what} in the file ({listed}) is kept as {kept}.")
 
-    def by_name(self, own: Mapping[str, ArrayLike], rows: Rows, power: float) -> dict[str, float]:
-        """Return actuator or joint -> its coefficient, of those of joints by scoped names.
+    def fitted(self) -> list[FittedEffect]:
+        """Return the effects whose parameters are not all zero, which notes tell of."""
+        for name, spring in self._springs.items():
+            preload, stiffness, *powers = spring.coefficients
+            if stiffness >= 0.0 and not any(powers):  # a linear one that pulls back
+                self.add(Spring(name, center=spring.center), stiffness, preload)
+            else:
+                self.add(Polynomial(name, spring.center), *spring.coefficients)
+        groups = defaultdict[tuple[str, str], list[FittedEffect]](list)
+        for effect in sorted(self._sums, key=self._rank):
+            values, words = self._sums[effect], _WORDS[type(effect)].format(**effect.shape)
+            how = f"is kept as {effect.name}"
+            if np.abs(values).max() < _LEAST:
+                how = "is negligible, and counts as 0"
+            if values.any():
+                groups[words, how].append(FittedEffect(effect, values))
+        for (words, how), own in groups.items():
+            each = ((f.effect.place, *(f"{x:g}" for x in f.parameters if x)) for f in own)
+            self.notes.append(f"The {words} in the file ({', '.join(map(' '.join, each))}) {how}.")
+        kept = chain.from_iterable(groups.values())
+        return [fitted for fitted in kept if np.abs(fitted.parameters).max() >= _LEAST]
 
-        A ratio J multiplies it by |J| to a power.
-        """
-        found = dict.fromkeys(self.names, 0.0)
-        for joint, each in rows.items():
-            values = np.broadcast_to(np.nan_to_num(own.get(joint, 0.0)), len(each))
-            for row, value in zip(each, values.tolist(), strict=True):
-                for name, ratio in row.items() if value else ():
-                    found[name] = found.get(name, 0.0) + abs(ratio) ** power * value
-        return found
+    def _rank(self, effect: Effect) -> tuple[int, float, int]:
+        """Return where an effect is among others: by its kind, its power, its place."""
+        kind, power = list(_WORDS).index(type(effect)), effect.shape.get("exponent") or 0.0
+        return kind, power, self._at.get(effect.where[0], len(self._at))
 
 
-def _rows(loaded: LoadedPlant, coordinates: RobotCoordinates) -> tuple[Rows, dict[str, float]]:
-    """Return what each joint follows, and its position where that is at zero.
+def _places(loaded: LoadedPlant, coordinates: RobotCoordinates) -> dict[str, stated.Followed]:
+    """Return where each joint is, by its scoped name and, of several velocities, with a number.
 
     A joint that several actuators move, or by a ratio that changes, follows itself.
     """
-    rows, shifts = dict[int, dict[str, float]](), dict[int, float]()
-    for at, joint in enumerate(joint_names(loaded.plant)):
-        name, ratio, shifts[at] = coordinates.ratios.get(at, (joint, 1.0, 0.0))
-        rows[at] = {name: ratio}
+    names, joints = joint_names(loaded.plant), scoped_joint_names(loaded.plant)
+    own = {
+        at: stated.Followed(*coordinates.ratios.get(at, (name, 1.0, 0.0)))
+        for at, name in enumerate(names)
+    }
     for to, of, ratio, offset in coordinates.led.each():
-        rows[to] = {name: ratio * own for name, own in rows[of].items()}
-        shifts[to] = ratio * shifts[of] + offset
-    found, places = Rows(), dict(loaded.places)
-    for at, joint in enumerate(scoped_joint_names(loaded.plant)):
-        found.setdefault(joint, []).append(rows[at])
-        places[joint] = shifts[at]
-    found |= {cut.scoped_name: [{cut.name: 1.0}] for cut in loaded.closing}
-    return found | {joint: [{}] for joint in loaded.places}, places
+        name, inner, place = own[of]
+        own[to] = stated.Followed(name, ratio * inner, ratio * place + offset)
+    keys = (
+        joint if joints.count(joint) == 1 else f"{joint}[{joints[:at].count(joint)}]"
+        for at, joint in enumerate(joints)
+    )
+    found = {key: own[at] for at, key in enumerate(keys)}
+    found |= {cut.scoped_name: stated.Followed(cut.name) for cut in loaded.closing}
+    return found | {joint: stated.Followed("", 0.0, at) for joint, at in loaded.places.items()}
 
 
 def stated_effects(loaded: LoadedPlant, coordinates: RobotCoordinates) -> StatedEffects:
     """Return the effects that a model file states, by coordinates of all of the plant's joints."""
     found, terms = StatedEffects(coordinates.names), loaded.terms
-    rows, places = _rows(loaded, coordinates)
-    values = {
-        _DAMPING: found.by_name(terms.damping, rows, 2.0),
-        _FRICTION: found.by_name(terms.friction, rows, 1.0),
-        _ROTOR: found.by_name(terms.armature, rows, 2.0),
-    }
-    springs = dict[str, stated.Spring]()
-
-    def add_spring(name: str, spring: stated.Spring) -> None:
-        springs[name] = springs[name] + spring if name in springs else spring
-
-    by_joint = {joint: each[-1] for joint, each in rows.items()}
-    for joint, row in by_joint.items():
-        for to, ratio in row.items() if joint in terms.springs else ():
-            add_spring(to, terms.springs[joint].through(ratio, places.get(joint, 0.0)))
-    inertias = stated.entries_through(terms.coupled_inertia, by_joint)
-    for name in [name for name, other in inertias if name == other]:
-        values[_ROTOR][name] = values[_ROTOR].get(name, 0.0) + inertias.pop((name, name))
-    tendons = [each for each in terms.tendons if by_joint.keys() >= each.shares.keys()]
-    found.left_out += [
-        f"The tendon {tendon.name} over joints of several robots is left out."
-        for tendon in terms.tendons
-        if tendon not in tendons and not by_joint.keys().isdisjoint(tendon.shares)
-    ]
-    own_tendons = [each.through(by_joint, places) for each in tendons]
-    couplings, rubs = _across(found, own_tendons, values, add_spring)
-    for what, kind in _SINGLE.items():
-        own = values[what]
-        small = {n: value for n, value in own.items() if 0.0 < abs(value) < _LEAST}
-        if small:
-            listed = ", ".join(f"{name} {value:g}" for name, value in small.items())
-            found.notes.append(f"The {what} in the file ({listed}) is negligible, and counts as 0.")
-        found.keep(what, [(kind(n), [x]) for n, x in own.items() if n not in small])
-    for exponent, of_power in ((2.0, terms.damping_2), (3.0, terms.damping_3)):
-        what = f"damping of the power {exponent:g}"
-        single = found.by_name(of_power, rows, exponent + 1.0)
-        found.keep(what, [(Drag(n, exponent=exponent), [x]) for n, x in single.items()])
-    simple, others = [], []
-    for name, spring in springs.items():
-        preload, stiffness, *powers = spring.coefficients
-        if stiffness >= 0.0 and not any(powers):  # a linear one that pulls back
-            simple.append((Spring(name, center=spring.center), (stiffness, preload)))
-        else:
-            others.append((Polynomial(name, spring.center), spring.coefficients))
-    found.keep("spring", simple)
-    found.keep("spring", others)
-    pairs = [(Coupling(pair), own.tolist()) for pair, own in couplings.items()]
-    found.keep("coupling by tendons", pairs)
-    rotors = [(CoupledRotor(pair), [x]) for pair, x in inertias.items()]
-    found.keep("rotor inertia of tendons", rotors)
-    found.keep(
-        "dry friction of tendons",
-        [(CoupledDry((i, j), sign), [x, 0.0]) for (i, j, sign), x in rubs.items()],
-    )
-    _keep_of_bodies(found, loaded)
+    places = _places(loaded, coordinates)
+    for length in chain.from_iterable(each.each(places) for each in terms.lengths):
+        if places.keys() >= length.shares.keys():
+            found.add_length(length.through(places))
+        elif not places.keys().isdisjoint(length.shares):
+            what = f"The tendon {length.name} over joints of several robots is left out."
+            found.left_out.append(what)
+    for first, second, value in terms.coupled_inertia:
+        if {first, second} <= places.keys():
+            (i, a, _), (j, b, _) = places[first], places[second]
+            found.add_inertia(i, j, a * b * value * (2.0 if i == j and first != second else 1.0))
+    _add_of_bodies(found, loaded)
     return found
 
 
-def _keep_of_bodies(found: StatedEffects, loaded: LoadedPlant) -> None:
+def _add_of_bodies(found: StatedEffects, loaded: LoadedPlant) -> None:
     """Add what carries weights, struts and media, at the bodies that their links are parts of."""
     terms, plant = loaded.terms, loaded.plant
     places, still = stated.places_of_links(plant), (stated.WORLD, RigidTransform())
@@ -187,59 +189,20 @@ def _keep_of_bodies(found: StatedEffects, loaded: LoadedPlant) -> None:
         if share and link.default_mass() > 0.0:
             com = X @ link.default_spatial_inertia().get_com()
             weights[body] += share * link.default_mass() * np.append(1.0, com)
-    carried = [(Carried(b, *(w[1:] / w[0]).tolist()), [w[0]]) for b, w in weights.items() if w[0]]
-    found.keep("carried weight", carried)
-    struts, boxes = list[tuple[Effect, list[float]]](), list[tuple[Effect, list[float]]]()
+    for body, weight in weights.items():
+        if weight[0]:
+            found.add(Carried(body, *(weight[1:] / weight[0]).tolist()), weight[0])
     for strut in terms.struts:
         (one, X), (two, Y) = (places.get(link, ("", RigidTransform())) for link in strut.bodies)
         if one and two and one != two:
             ends = (X @ strut.points[0]).tolist(), (Y @ strut.points[1]).tolist()
-            numbers = [strut.stiffness, -strut.stiffness * strut.length, strut.damping]
-            struts.append((StrutEffect((one, two), *ends[0], *ends[1]), numbers))
-    found.keep("tendon", struts)
+            preload = -strut.stiffness * strut.length
+            effect = StrutEffect((one, two), *ends[0], *ends[1])
+            found.add(effect, strut.stiffness, preload, strut.damping)
     for box in terms.boxes:
         body, X = places.get(box.body, still)
         if body != stated.WORLD:
-            boxes.append((_drag(box, body, X @ box.X_BP), [box.density, box.viscosity]))
-    found.keep("medium", boxes)
-
-
-def _across(
-    found: StatedEffects,
-    tendons: Sequence[stated.Tendon],
-    values: Mapping[str, dict[str, float]],
-    add_spring: Callable[[str, stated.Spring], None],
-) -> tuple[dict[tuple[str, str], Array], dict[tuple[str, str, int], float]]:
-    """Add what tendons are at each joint to values and springs.
-
-    Returns:
-        What they are between two joints: stiffness and damping, and dry friction by sign.
-    """
-    couplings = defaultdict[tuple[str, str], Array](lambda: np.zeros(2))
-    rubs = defaultdict[tuple[str, str, int], float](float)
-    for tendon in tendons:
-        shares = {name: share for name, share in tendon.shares.items() if share}
-        for name, share in shares.items():
-            values[_DAMPING][name] = values[_DAMPING].get(name, 0.0) + share**2 * tendon.damping
-            if k := tendon.stiffness:
-                add_spring(name, stated.Spring.linear(share**2 * k, tendon.length / share))
-        for pair in combinations(sorted(shares), 2):
-            both = shares[pair[0]] * shares[pair[1]]
-            couplings[pair] += (both * tendon.stiffness, both * tendon.damping)
-        sizes, own = {abs(share) for share in shares.values()}, set(found.names).issuperset(shares)
-        if tendon.friction and len(shares) == 1:
-            (name,) = shares
-            rubbing = values[_FRICTION].get(name, 0.0) + abs(shares[name]) * tendon.friction
-            values[_FRICTION][name] = rubbing
-        elif tendon.friction and len(shares) == 2 and len(sizes) == 1 and own:
-            (i, first), (j, second) = sorted(shares.items())
-            rubs[i, j, 1 if first == second else -1] += abs(first) * tendon.friction
-        elif tendon.friction and shares:
-            found.left_out.append(
-                f"The dry friction {tendon.friction:g} of {tendon.name}, over joints that pull it "
-                "unequally, is left out."
-            )
-    return couplings, rubs
+            found.add(_drag(box, body, X @ box.X_BP), box.density, box.viscosity)
 
 
 def _drag(box: stated.BoxInMedium, body: str, X_BP: RigidTransform) -> Medium:

@@ -51,13 +51,12 @@ from geodrake.robot.joints import (
 )
 from geodrake.robot.loops import ClosedLoop, LoopJoints, Loops, closed_loops
 from geodrake.robot.repairs import Repair, repair_inertias
-from geodrake.robot.stated import Closure, CutJoint, FileTerms, Spring
+from geodrake.robot.stated import Closure, CutJoint, FileTerms, StatedLength
 from geodrake.robot.transmission.statements import Followers, Gear
 
 _WORLD = 0
 _LIMIT = "limit of "  # before the names of actuators that only have a limit of efforts
 _SAME = 1e-9  # of the largest of a body's parameters: what text and Drake may change
-_NO_SPRING = Spring.linear(0.0)
 
 
 @dataclass(frozen=True, eq=False)
@@ -65,14 +64,12 @@ class BuiltPlant:
     """A plant of rigid bodies, and what it was made without.
 
     Attributes:
-        damping: Scoped name of a joint -> damping of its velocities, SI.
-        rotor: Likewise reflected inertia, kg·m² or kg.
+        lengths: Damping and reflected inertia of its joints.
         opened: Joints that closed its loops.
     """
 
     plant: MultibodyPlant
-    damping: dict[str, ArrayLike]
-    rotor: dict[str, float]
+    lengths: list[StatedLength]
     notes: tuple[str, ...]
     opened: tuple[Closure, ...]
 
@@ -166,8 +163,7 @@ def load_plant(
         if phi is not None:
             _check_inertias(built.plant, phi, path)
     terms, plant = description.terms, built.plant
-    damping, armature = built.damping | terms.damping, built.rotor | terms.armature
-    terms = replace(terms, damping=damping, armature=armature)
+    terms = replace(terms, lengths=[*built.lengths, *terms.lengths])
     apart = _ignored(description, arrangement)
     of_xml = any(text.kind == "xml" for text in description.texts)
     notes = [*origin, *terms.notes, *built.notes, *_follower_notes(arrangement), *loops.notes]
@@ -281,8 +277,12 @@ def _loops(description: ModelDescription, built: BuiltPlant, how: LoopJoints) ->
     limited = (a.joint() for a in _actuators(plant) if np.isfinite(a.effort_limit()))
     driven = {names[joint.velocity_start()] for joint in limited} | terms.driven
     driven |= {each.cut.name for each in built.opened if each.cut and each.cut.driven}
-    single = _single_joints(plant).items()
-    stiffness = {n: terms.springs.get(scoped(j), _NO_SPRING).coefficients[1] for n, j in single}
+    stiffness, single = dict[str, float](), {scoped(j): n for n, j in _single_joints(plant).items()}
+    for length in terms.lengths:
+        (joint, share), *others = length.shares.items()
+        if joint in single and not others:
+            own = share**2 * length.spring.coefficients[1]
+            stiffness[single[joint]] = stiffness.get(single[joint], 0.0) + own
     sprung = sorted((n for n, k in stiffness.items() if k > 0.0), key=lambda n: -stiffness[n])
     how = replace(how, bent=tuple(terms.bent), driven=driven, sprung=sprung)
     found = closed_loops(plant, closures, path=description.path, how=how)
@@ -339,11 +339,19 @@ def _build(
     description.add_to(plant)
     terms = description.terms
     with drake_errors(description.path):
-        damping = {scoped(j): j.default_damping_vector().copy() for j in joints_of(plant)}
-        rotor = dict[str, float]()
+        lengths = list[StatedLength]()
+        for joint in joints_of(plant):
+            damping = joint.default_damping_vector().tolist()
+            names = (
+                [scoped(joint)]
+                if len(damping) == 1
+                else [f"{scoped(joint)}[{k}]" for k in range(len(damping))]
+            )
+            each = zip(names, damping, strict=True)
+            lengths += [StatedLength({n: 1.0}, damping=(c, 0.0, 0.0)) for n, c in each if c]
         for actuator in _actuators(plant):
-            name = scoped(actuator.joint())
-            rotor[name] = rotor.get(name, 0.0) + actuator.default_reflected_inertia()
+            rotor = actuator.default_reflected_inertia()
+            lengths.append(StatedLength({scoped(actuator.joint()): 1.0}, armature=rotor))
             actuator.set_default_rotor_inertia(0.0)
         opened = open_loops(plant)
         weld_joints(plant, arrangement.held)
@@ -367,7 +375,7 @@ def _build(
         )
     if plant.num_constraints() or plant.num_force_elements() > 1:
         notes.append("Constraints and springs of the file are no part of the open tree.")
-    return BuiltPlant(plant, damping, rotor, tuple(notes), opened)
+    return BuiltPlant(plant, lengths, tuple(notes), opened)
 
 
 def _write_inertias(description: ModelDescription, plant: MultibodyPlant, phi: ArrayLike) -> None:

@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field, fields, replace
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.polynomial import Polynomial
-from numpy.typing import ArrayLike
 from pydrake.math import RigidTransform
 from pydrake.multibody.plant import MultibodyPlant
 
@@ -20,6 +19,7 @@ from geodrake.robot.transmission.statements import Followers
 WORLD = "world"
 """Name of the world among bodies."""
 
+_MOST_VELOCITIES = 6  # of a joint
 _ROUNDING = 1e-14  # of what two springs have, where they have nothing together
 
 
@@ -70,55 +70,56 @@ def _four(values: Any) -> tuple[float, float, float, float]:
     return p, k1, k2, k3
 
 
-@dataclass(frozen=True)
-class Tendon:
-    """A tendon of length L = Σ cᵢ qᵢ over joints of one degree of freedom.
+_NO_SPRING = Spring.linear(0.0)
 
-    effort of joint i = cᵢ (k (L − L₀) + d L̇ + F sgn L̇).
+
+@dataclass(frozen=True)
+class StatedLength:
+    """What is stated along a length L = Σ cᵢ qᵢ over joints: of one, of a fixed tendon, of a motor.
+
+    effort of joint i = cᵢ (spring(L) + d₁ L̇ + d₂ |L̇| L̇ + d₃ L̇³ + F sgn L̇ + I L̈).
 
     Attributes:
-        shares: Joint -> cᵢ.
+        shares: Joint -> cᵢ; of one that moves by several velocities, all of them alike, or
+            `joint[k]` for one of them.
+        damping: d₁, d₂, d₃.
+        friction: F.
+        armature: I.
+        name: That of a tendon.
     """
 
-    name: str
     shares: Mapping[str, float]
-    stiffness: float = 0.0
-    length: float = 0.0
-    damping: float = 0.0
+    spring: Spring = _NO_SPRING
+    damping: tuple[float, float, float] = (0.0, 0.0, 0.0)
     friction: float = 0.0
+    armature: float = 0.0
+    name: str = ""
 
-    def through(self, rows: Mapping[str, Mapping[str, float]], at: Mapping[str, float]) -> Tendon:
-        """Return the tendon over what its joints follow.
+    def each(self, joints: Collection[str]) -> list[StatedLength]:
+        """Return it for each velocity of a joint that has several, of the joints that there are."""
+        (joint, share), *others = self.shares.items()
+        several = [f"{joint}[{k}]" for k in range(_MOST_VELOCITIES) if f"{joint}[{k}]" in joints]
+        if others or not several:
+            return [self]
+        return [replace(self, shares={own: share}) for own in several]
 
-        Args:
-            rows: Joint -> what it follows -> ratio; none of a joint that stands still.
-            at: Joint -> its position where those are at zero, rad or m.
-        """
+    def through(self, places: Mapping[str, Followed]) -> StatedLength:
+        """Return the length over what its joints follow."""
         shares, shift = dict[str, float](), 0.0
         for joint, share in self.shares.items():
-            shift += share * at.get(joint, 0.0)
-            for place, ratio in rows[joint].items():
-                shares[place] = shares.get(place, 0.0) + share * ratio
-        return replace(self, shares=shares, length=self.length - shift)
+            place = places[joint]
+            shift += share * place.offset
+            shares[place.name] = shares.get(place.name, 0.0) + share * place.ratio
+        shares = {name: share for name, share in shares.items() if share}
+        return replace(self, shares=shares, spring=self.spring.through(1.0, shift))
 
 
-def entries_through(
-    entries: Iterable[tuple[str, str, float]], rows: Mapping[str, Mapping[str, float]]
-) -> dict[tuple[str, str], float]:
-    """Return entries i ≤ j of a symmetric matrix between what joints follow.
+class Followed(NamedTuple):
+    """Where a joint is: it follows ratio q + offset of a coordinate; 0 of none if it is held."""
 
-    Args:
-        entries: Two joints, or one twice, and the entry between them.
-        rows: Joint -> what it follows -> ratio.
-    """
-    found = dict[tuple[str, str], float]()
-    for first, second, value in entries:
-        once = 0.5 if first == second else 1.0
-        for i, own in rows.get(first, {}).items():
-            for j, other in rows.get(second, {}).items():
-                pair = (min(i, j), max(i, j))
-                found[pair] = found.get(pair, 0.0) + own * other * value * once * (1.0 + (i == j))
-    return found
+    name: str
+    ratio: float = 1.0
+    offset: float = 0.0
 
 
 @dataclass(frozen=True)
@@ -204,12 +205,12 @@ class FileTerms:
         lost: Sentences on inertias that nothing tells.
         gravity: (3,) acceleration of gravity, m/s²; None for Drake's.
         set_aside: Link -> (10,) inertial parameters that no body can have; not in the plant.
-        damping: Joint -> c of its damping c v; of one that turns by several velocities, of each.
-        damping_2: Joint -> c of its damping c |v| v; likewise c v³.
+        lengths: What joints, fixed tendons and motors have.
         start: Joint -> where the file has it by default, rad or m; otherwise at 0.
         fixed: Joint -> where a constraint holds it, rad or m.
         effort: Joint -> its largest effort, N or N·m.
-        coupled_inertia: Two joints, or one twice, and what tendons are there in the mass matrix.
+        coupled_inertia: Two joints, or one twice, and what tendons over several joints are there in
+            the mass matrix.
         carried: Link -> which share of its weight something else carries.
         bent: Joints that follow others by a ratio that changes.
         between: Bodies between several joints of one, which weigh nothing.
@@ -220,17 +221,11 @@ class FileTerms:
     lost: list[str] = field(default_factory=list)
     gravity: Array | None = None
     set_aside: dict[str, Array] = field(default_factory=dict)
-    friction: dict[str, float] = field(default_factory=dict)
-    armature: dict[str, float] = field(default_factory=dict)
-    damping: dict[str, ArrayLike] = field(default_factory=dict)
-    damping_2: dict[str, float] = field(default_factory=dict)
-    damping_3: dict[str, float] = field(default_factory=dict)
+    lengths: list[StatedLength] = field(default_factory=list)
     start: dict[str, float] = field(default_factory=dict)
     fixed: dict[str, float] = field(default_factory=dict)
     effort: dict[str, float] = field(default_factory=dict)
     driven: set[str] = field(default_factory=set)
-    springs: dict[str, Spring] = field(default_factory=dict)
-    tendons: list[Tendon] = field(default_factory=list)
     coupled_inertia: list[tuple[str, str, float]] = field(default_factory=list)
     carried: dict[str, float] = field(default_factory=dict)
     boxes: list[BoxInMedium] = field(default_factory=list)

@@ -46,6 +46,12 @@ def tensor(xx, yy, zz, xy=0.0):
     return f"ixx='{xx}' iyy='{yy}' izz='{zz}' ixy='{xy}' ixz='0' iyz='0'"
 
 
+def stated(loaded, joint):
+    """Damping, rotor inertia and dry friction that a file states at a joint."""
+    own = [length for length in loaded.terms.lengths if length.shares == {joint: 1.0}]
+    return np.sum([(x.damping[0], x.armature, x.friction) for x in own], axis=0)
+
+
 @pytest.fixture
 def load(tmp_path, capfd):
     """Loads a text under a file name and checks that nothing was printed."""
@@ -104,7 +110,7 @@ def test_rotor_inertia_is_read_out_and_removed(load, effort):
     text = urdf(inertial(), extra=extra).replace("<robot", "<robot xmlns:x='http://drake.mit.edu'")
     text = text.replace('effort="10"', f'effort="{effort}"')
     loaded = load(text)
-    assert [*loaded.terms.armature.values()] == pytest.approx([0.1])
+    assert stated(loaded, "r::j1") == pytest.approx([0.0, 0.1, 0.0])
     mass = loaded.plant.CalcMassMatrix(loaded.plant.CreateDefaultContext())
     assert mass[0, 0] == pytest.approx(0.1 + 0.1**2)
 
@@ -122,11 +128,10 @@ SDF = """<sdf version="1.7"><model name="m"><link name="l1"><inertial>
 def test_sdf(load):
     loaded = load(SDF.format(mass=1.0, ixx=0.1), "m.sdf")
     assert loaded.repairs == ()
-    terms = loaded.terms
-    stated = terms.damping | {"friction": terms.friction["m::j1"]}
-    assert np.hstack([*stated.values()]) == pytest.approx([0.2, 0.3])
+    assert stated(loaded, "m::j1") == pytest.approx([0.2, 0.0, 0.3])
     assert effort_limits(loaded.plant) == pytest.approx([7.0])
-    assert terms.springs == {"m::j1": Spring.linear(3.0)}
+    springs = [x.spring for x in loaded.terms.lengths if not x.spring.is_none]
+    assert springs == [Spring.linear(3.0)]
     assert loaded.plant.num_force_elements() == 1
 
 
@@ -137,6 +142,17 @@ def test_sdf_inertia_is_repaired_in_the_frame_of_the_link(load):
     com, inertia = np.array([0.0, 0.0, 0.1]), np.diag([0.2, 0.5, 0.2])
     np.testing.assert_allclose(repair.before, from_mass_com_inertia(2.0, com, inertia), atol=1e-12)
     np.testing.assert_allclose(inertial_parameters(loaded.plant)[0], repair.after, rtol=1e-9)
+
+
+def test_an_sdf_states_springs_and_friction_of_a_universal_joint_at_its_first_axis(load):
+    text = SDF.format(mass=1.0, ixx=0.1).replace('type="revolute"', 'type="universal"')
+    text = text.replace("0 1 0", "1 0 0").replace(
+        "</axis>", "</axis><axis2><xyz>0 1 0</xyz></axis2>"
+    )
+    model = from_loaded_plant(load(text, "m.sdf"), floating=False)
+    places = {f.effect.name: f.effect.where for f in model.effects}
+    assert places["joint_spring"] == places["coulomb_friction"] == ("j1_wx",)
+    assert len([f for f in model.effects if f.effect.name == "coulomb_friction"]) == 1
 
 
 MJCF = """<mujoco model="m"><compiler meshdir="absent"/><asset><mesh name="x" file="x.stl"/>
@@ -158,10 +174,8 @@ def test_mjcf(load):
     loaded = load(MJCF, "m.xml")
     plant = loaded.plant
     assert joint_names(plant) == ("h", "s", "s2", "q_wx", "q_wy", "q_wz")
-    terms = loaded.terms
     for name, friction in {"h": 2.0, "s": 0.5, "s2": 0.0, "q": 0.0}.items():
-        stated = (each[f"m::{name}"] for each in (terms.damping, terms.armature, terms.friction))
-        assert [*stated] == pytest.approx([0.3, 0.2, friction])
+        assert stated(loaded, f"m::{name}") == pytest.approx([0.3, 0.2, friction])
     assert effort_limits(plant)[0] == pytest.approx(100.0)
     assert any("meshes" in note and "b" in note for note in loaded.changes)
     # The body without mass gets a thousandth of the robot's; that between two joints has none.

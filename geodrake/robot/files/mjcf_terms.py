@@ -13,7 +13,7 @@ spring there. Contacts and limits of joints are no part of any model.
 from __future__ import annotations
 
 import copy
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from itertools import combinations_with_replacement, pairwise
 from typing import Any
 
@@ -30,8 +30,8 @@ from geodrake.robot.stated import (
     Closure,
     FileTerms,
     Spring,
+    StatedLength,
     StatedStrut,
-    Tendon,
 )
 from geodrake.robot.transmission.statements import Followers
 
@@ -43,7 +43,7 @@ _KINDS = {
     "armature": "",
 }
 """What joints, tendons and actuators have -> what can be switched off."""
-_OF_BALLS = {"damping": "damping", "frictionloss": "friction", "armature": "armature"}
+_OF_BALLS = "damping", "frictionloss", "armature"
 
 
 def pose_of(position: Array, quaternion: Array) -> RigidTransform:
@@ -126,10 +126,10 @@ class MjcfTerms:
     def _body(self, at: int) -> str:
         return f"{self.scope}::{self._name('BODY', at)}"
 
-    def _add(self, quantity: str, joint: int, value: float) -> None:
-        values = getattr(self.found, quantity)
-        name = self._joint(joint)
-        values[name] = values.get(name, 0.0) + float(value)
+    def _add(self, shares: Mapping[int, float], **stated: Any) -> None:
+        """Add what is stated along a length of joints, each with its share."""
+        named = {self._joint(joint): share for joint, share in shares.items()}
+        self.found.lengths.append(StatedLength(named, **stated))
 
     def _velocities(self, joint: int) -> int:
         kinds = self.mujoco.mjtJoint
@@ -156,15 +156,12 @@ class MjcfTerms:
                 self._take_along("", {joint: 1.0}, has, float(m.qpos_spring[m.jnt_qposadr[joint]]))
                 if m.jnt_actfrclimited[joint]:
                     self._limit(joint, float(np.abs(m.jnt_actfrcrange[joint]).max()))
-                self._add("start", joint, m.qpos0[m.jnt_qposadr[joint]])
+                self.found.start[self._joint(joint)] = float(m.qpos0[m.jnt_qposadr[joint]])
             if count == 3:
-                for key, quantity in _OF_BALLS.items():
-                    self._add(quantity, joint, _pop(has, key)[0])
+                damping, friction, armature = (_pop(has, key)[0] for key in _OF_BALLS)
+                own = {"friction": friction, "armature": armature}
+                self._add({joint: 1.0}, damping=_three([damping]), **own)
             self._leave_rest(f"The joint {self._name('JOINT', joint)}", has, where)
-
-    def _add_spring(self, joint: int, spring: Spring) -> None:
-        name, springs = self._joint(joint), self.found.springs
-        springs[name] = springs[name] + spring if name in springs else spring
 
     def _limit(self, joint: int, most: float) -> None:
         name, limits = self._joint(joint), self.found.effort
@@ -192,31 +189,26 @@ class MjcfTerms:
         shares = {joint: share for joint, share in shares.items() if share}
         if not shares or any(self._velocities(joint) > 1 for joint in shares):
             return
-        stiffness = [0.0] if length is None else _pop(has, "stiffness")
-        damping = _pop(has, "damping")
-        friction, (inertia, *_) = _pop(has, "frictionloss"), _pop(has, "armature")
-        if len(shares) > 1:
-            for pair in combinations_with_replacement(shares, 2) if inertia else ():
-                chains = [set(chain_to_world(self.m, int(self.m.jnt_bodyid[j]))) for j in pair]
-                if chains[0] <= chains[1] or chains[1] <= chains[0]:  # others MuJoCo has not
-                    first, second = map(self._joint, pair)
-                    own = inertia * shares[pair[0]] * shares[pair[1]]
-                    self.found.coupled_inertia.append((first, second, own))
-            named = {self._joint(joint): share for joint, share in shares.items()}
-            if stiffness[0] or damping[0] or friction[0]:
-                numbers = (stiffness[0], length or 0.0, damping[0], friction[0])
-                self.found.tendons.append(Tendon(name, named, *numbers))
-            return
-        ((joint, share),) = shares.items()
-        powers = [0.0, 0.0] if length is None else _pop(has, "stiffnesspoly")
-        spring = Spring(length or 0.0, (0.0, stiffness[0], *_two(powers)))
-        if not spring.is_none:
-            self._add_spring(joint, spring.through(share, 0.0))
-        for power, value in enumerate((*damping[:1], *_two(_pop(has, "dampingpoly"))), start=1):
-            key = "damping" if power == 1 else f"damping_{power}"
-            self._add(key, joint, abs(share) ** (power + 1) * value)
-        self._add("friction", joint, abs(share) * friction[0])
-        self._add("armature", joint, share**2 * inertia)
+        single = len(shares) == 1
+        forms = ("", "poly") if single else ("",)
+        springs = forms if length is not None else ()
+        stiffness = [x for form in springs for x in _pop(has, f"stiffness{form}")]
+        damping = [x for form in forms for x in _pop(has, f"damping{form}")]
+        (friction, *_), (inertia, *_) = _pop(has, "frictionloss"), _pop(has, "armature")
+        pairs = combinations_with_replacement(shares, 2) if inertia and not single else ()
+        for one, other in pairs:
+            chains = [set(chain_to_world(self.m, int(self.m.jnt_bodyid[j]))) for j in (one, other)]
+            if chains[0] <= chains[1] or chains[1] <= chains[0]:  # others MuJoCo has not
+                own = self._joint(one), self._joint(other), inertia * shares[one] * shares[other]
+                self.found.coupled_inertia.append(own)
+        self._add(
+            shares,
+            spring=Spring(length or 0.0, (0.0, *_three(stiffness))),
+            damping=_three(damping),
+            friction=friction,
+            armature=inertia if single else 0.0,
+            name=name,
+        )
 
     def _take_strut(self, at: int, has: dict[str, Array], length: float | None) -> None:
         """Take spring and damper of a tendon over sites that changes between two of them alone."""
@@ -268,8 +260,8 @@ class MjcfTerms:
             if shares and int(m.actuator_trntype[at]) != on_tendon:
                 ((on, gear),) = shares.items()
                 self._limit_of_motor(at, on, gear)
-                for power, value in zip((2, 3), _pop(has, "dampingpoly"), strict=True):
-                    self._add(f"damping_{power}", on, gear**2 * value)  # not gear³, as of tendons
+                more = [gear**2 * c for c in _pop(has, "dampingpoly")]  # not gear³, as of tendons
+                self._add({on: 1.0}, damping=_three([0.0, *more]))
             self._take_along(name, shares, has, None)
             self._leave_rest(f"The actuator {name}", has, where)
 
@@ -487,9 +479,9 @@ def _pop(has: dict[str, Array], key: str) -> list[float]:
     return [float(value) for value in values]
 
 
-def _two(values: Any) -> tuple[float, float]:
-    first, second = (float(value) for value in values)
-    return first, second
+def _three(values: Sequence[float]) -> tuple[float, float, float]:
+    first, second, third = (*values, 0.0, 0.0, 0.0)[:3]
+    return first, second, third
 
 
 def _list(values: Array) -> str:

@@ -44,7 +44,7 @@ from geodrake.robot.files.includes import PACKAGE_ADVICE, Includes
 from geodrake.robot.files.model_edits import put_inertia, sdf_models, sdf_pose
 from geodrake.robot.files.xml_text import numbered_text, place_of, wrong_at
 from geodrake.robot.joints import Follower
-from geodrake.robot.stated import Closure, FileTerms, Spring
+from geodrake.robot.stated import Closure, FileTerms, Spring, StatedLength
 from geodrake.robot.transmission.statements import Coupled, Gear, Statement
 
 URDF_UNREAD: Mapping[str, Collection[str]] = {
@@ -224,7 +224,7 @@ class ModelText(abc.ABC):
             if element is not None and not np.isfinite(value):
                 what = f"<{element.tag}> has {text.strip()[:50]!r} instead of a number."
                 raise wrong_at(element, self.path, what)
-        self.terms.springs[joint] = Spring.linear(*values)
+        self.terms.lengths.append(StatedLength({joint: 1.0}, Spring.linear(*values)))
 
     def _take_mimic(self, scope: str, joint: Element) -> None:
         for mimic in [e for e in joint.iter() if e.tag in ("mimic", "drake:mimic")]:
@@ -300,7 +300,9 @@ class SdfText(ModelText):
         )
 
     def _read_joint(self, name: str, joint: Element) -> None:
-        self.terms.friction[name] = numbers(joint.findtext("axis/dynamics/friction", "0"), 1)[0]
+        name = f"{name}[0]" if joint.get("type") == "universal" else name
+        friction = numbers(joint.findtext("axis/dynamics/friction", "0"), 1)[0]
+        self.terms.lengths.append(StatedLength({name: 1.0}, friction=friction))
         for dynamics in joint.iter("dynamics"):
             if dynamics is joint.find("axis/dynamics"):
                 self._take_spring(name, dynamics, *_SPRING)
@@ -352,7 +354,8 @@ class UrdfText(ModelText):
         for joint in joints:
             name = f"{scope}::{joint.get('name')}"
             self._take_mimic(scope, joint)
-            terms.friction[name] = number(joint, "dynamics", "friction")
+            friction = number(joint, "dynamics", "friction")
+            terms.lengths.append(StatedLength({name: 1.0}, friction=friction))
             terms.effort[name] = number(joint, "limit", "effort")
             if (limit := joint.find("limit")) is not None and terms.effort[name] == 0.0:
                 limit.attrib.pop("effort", None)  # with 0, Drake ignores the rotor, too
