@@ -46,8 +46,8 @@ def type_of(name: str, whole: bool = False) -> Any:
     """Return a kind of object as a type; as the whole of a result, with what all of these have."""
     found = {**keys_of(name), **(keys_of("Result") if whole else {})}
     fields = [
-        (key, _type(said) | UnsetType, UNSET) if is_optional else (key, _type(said))
-        for key, (said, is_optional) in found.items()
+        (name, _type(key.type) | UnsetType, UNSET) if key.is_optional else (name, _type(key.type))
+        for name, key in found.items()
     ]
     if whole:
         commands = tuple(command for command, kind in COMMANDS.items() if kind == name)

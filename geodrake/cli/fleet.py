@@ -22,11 +22,11 @@ from geodrake.fleet.fleet_file import Fleet, read_fleet
 from geodrake.fleet.fleet_logs import FleetDigests
 from geodrake.fleet.fleet_result import FleetResult, keep_reported, new_findings
 from geodrake.fleet.fleet_run import FleetWork, look_at_fleet, run_fleet
-from geodrake.report.fleets import WatchedFleet, finding_line, fleet_dict, parquet_contents
+from geodrake.report.fleets import WatchedFleet, finding_line, parquet_contents
 from geodrake.report.html import render
 from geodrake.report.json_output import to_json
 from geodrake.report.page import About
-from geodrake.report.views import page_of
+from geodrake.report.views import numbers_of, page_of
 
 NEW_FINDING = 3  # exit code of `--once` where there is a finding that was not told before
 
@@ -73,7 +73,7 @@ def _tell_repairs(digests: FleetDigests, told: Activity) -> None:
 
 
 def _numbers(result: FleetResult) -> str:
-    return to_json({"version": version(), "command": "fleet", **fleet_dict(result)})
+    return to_json({"version": version(), "command": "fleet", **numbers_of(result)})
 
 
 def _own_contents(fleet: Fleet, result: FleetResult) -> dict[Path, Content]:

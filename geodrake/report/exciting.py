@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable, Mapping
 from dataclasses import asdict
 from typing import Any
 
@@ -13,7 +14,7 @@ from geodrake.excitation.identifiable import LogIdentifiability
 from geodrake.excitation.tell_apart import CLEAR, distinguished_pairs
 from geodrake.inertia import Array
 from geodrake.report.charts import MOST_PANELS, Chart, Panel, Plot, Stage
-from geodrake.report.json_output import keys_of, picked, record
+from geodrake.report.json_output import keys_of
 from geodrake.report.numbers import UNKNOWN, Units, number, percent, relative
 from geodrake.report.page import About, Cell, Page, Records, Section, Table, Tile, View, cells
 from geodrake.report.views import Columns
@@ -481,95 +482,53 @@ def _identifiable_chart(found: LogIdentifiability) -> Chart:
     return _directions_chart("relative deviation", caption, curves, limits)
 
 
-def excitation_dict(result: ExcitationResult) -> dict[str, Any]:
-    """Return a designed motion: its coefficients, what it is worth, what it uses of the limits."""
-    objective, family = result.objective, result.trajectory.family
-    use, limits, target = result.use, result.limits, result.objective.target
-    pairs = distinguished_pairs(result)
+def _excitation_values(result: ExcitationResult) -> dict[str, Any]:
+    """Return what a designed motion is worth, its coefficients, and what it uses of the limits."""
+    objective, trajectory, pairs = result.objective, result.trajectory, distinguished_pairs(result)
     identifiable = None if pairs else identifiable_directions(result)
-    coefficients = zip(result.trajectory.joints, result.trajectory.coefficients.T, strict=True)
+    family, joints = trajectory.family, result.limits.joints
+    coefficients = zip(trajectory.joints, trajectory.coefficients.T, strict=True)
 
-    def by_joint(kind: str, of: object) -> dict[str, dict[str, float]]:
-        names = keys_of(kind)
-        return {
-            joint: {name: getattr(of, name)[j] for name in names}
-            for j, joint in enumerate(limits.joints)
-        }
+    def by_joint(names: Iterable[str], of: Mapping[str, Any]) -> dict[str, dict[str, float]]:
+        return {joint: {n: of[n][j] for n in names} for j, joint in enumerate(joints)}
 
-    return record(
-        "Excitation",
-        result,
-        criterion="separation" if pairs else objective.criterion.name,
-        normalization=objective.normalization,
-        improvement_over_random=improvement(result),
-        verdict=excitation_verdict(result),
-        interrupted=result.is_interrupted,
-        directions_identifiable=identifiable,
-        directions_told=identifiable,
-        pairs=[
-            picked(each.pair, "truth", "where", "rival")
-            | {"deviations": each.deviations, "effort_rms": each.effort}
-            for each in pairs
-        ],
-        noise=dict(zip(target.model.joints, target.noise, strict=True)),
-        motion={
+    return {
+        "criterion": "separation" if pairs else objective.criterion.name,
+        "improvement_over_random": improvement(result),
+        "verdict": excitation_verdict(result),
+        "directions_identifiable": identifiable,
+        "directions_told": identifiable,
+        "pairs": pairs,
+        "motion": {
             "family": family.name,
             **asdict(family),  # type: ignore[call-overload]
             "coefficients": dict(coefficients),
         },
-        limits=by_joint("Limits", limits),
-        use=by_joint("Used", use),
-        peaks={
-            joint: {name: values[j] for name, values in use.peaks.items()}
-            for j, joint in enumerate(limits.joints)
-        },
-        clearances=use.clearances,
-        seconds={
-            "motion": result.trajectory.length,
-            "with_ramps": result.executed.length,
-            "search": result.seconds,
-        },
-        start=dict(zip(limits.joints, result.trajectory.states([0.0])[0, 0], strict=True)),
-        distance={
-            "least": use.distance,
-            "clearance": use.clearance,
-            "between": use.nearest,
-        },
-        starts=result.outcomes,
-    )
+        "limits": by_joint(keys_of("Limits"), vars(result.limits)),
+        "use": by_joint(keys_of("Used"), vars(result.use)),
+        "peaks": by_joint(result.use.peaks, result.use.peaks),
+        "start": dict(zip(joints, trajectory.states([0.0])[0, 0], strict=True)),
+    }
 
 
-def identifiable_dict(found: LogIdentifiability) -> dict[str, Any]:
-    """Return what is identifiable from logs."""
-    identifiable = found.identifiable
-    directions = zip(
-        identifiable.variances, found.floor_variances, identifiable.shares.T, strict=True
-    )
-    joints = zip(found.model.joints, found.noise, found.floor, found.samples, strict=True)
-    return record(
-        "Identifiability",
-        found,
-        identifiable=found.count,
-        told=found.count,
-        told_at_sensor_noise=found.count_at_floor,
-        threshold=identifiable.threshold,
-        verdict=identifiability_verdict(found),
-        directions=[
-            {
-                "variance": variance,
-                "variance_at_sensor_noise": ideal,
-                "told": k < found.count,
-                "shares": dict(zip(found.blocks, shares, strict=True)),
-            }
-            for k, (variance, ideal, shares) in enumerate(directions)
+def _identifiable_values(found: LogIdentifiability) -> dict[str, Any]:
+    """Return directions, and what limits each joint's efforts."""
+    variances, shares = found.identifiable.variances, found.identifiable.shares.T
+    return {
+        "verdict": identifiability_verdict(found),
+        "directions": [
+            (own, ideal, k < found.count, dict(zip(found.blocks, of, strict=True)))
+            for k, (own, ideal, of) in enumerate(
+                zip(variances, found.floor_variances, shares, strict=True)
+            )
         ],
-        bodies={body.name: record("Identifiable", body, told=body.count) for body in found.bodies},
-        effects=[record("IdentifiableEffect", entry, told=entry.count) for entry in found.effects],
-        joints={
-            joint: {"noise": noise, "sensor_noise": floor, "samples": samples}
-            for joint, noise, floor, samples in joints
+        "joints": {
+            joint: tuple(each)
+            for joint, *each in zip(
+                found.model.joints, found.noise, found.floor, found.samples, strict=True
+            )
         },
-    )
+    }
 
 
 def _use_records(found: ExcitationResult) -> Records:
@@ -591,11 +550,19 @@ def _motion(found: ExcitationResult) -> Columns:
 
 
 VIEWS = {
-    ExcitationResult: View(excitation_page, excitation_dict, _use_records, _motion, "motion"),
+    ExcitationResult: View(
+        excitation_page,
+        "Excitation",
+        _excitation_values,
+        records=_use_records,
+        samples=_motion,
+        figure="motion",
+    ),
     LogIdentifiability: View(
         identifiability_page,
-        identifiable_dict,
-        lambda found: [asdict(block) for block in (*found.bodies, *found.effects)],
+        "Identifiability",
+        _identifiable_values,
+        records=lambda found: [asdict(block) for block in (*found.bodies, *found.effects)],
         figure="directions",
     ),
 }

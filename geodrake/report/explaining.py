@@ -34,14 +34,13 @@ from geodrake.report.error_charts import (
 )
 from geodrake.report.explaining_json import (
     body_records,
-    comparison_dict,
-    diagnosis_dict,
-    draft_dict,
+    draft_values,
     error_records,
-    explanation_dict,
-    identification_dict,
+    explanation_values,
+    identification_values,
     step_records,
 )
+from geodrake.report.json_output import record
 from geodrake.report.numbers import (
     UNKNOWN,
     Units,
@@ -54,8 +53,8 @@ from geodrake.report.numbers import (
     with_deviation,
 )
 from geodrake.report.page import About, Cell, ColoredList, Page, Section, Table, Tile, View, cells
-from geodrake.report.rollouts import departures_table, motions_dict, stages_table
-from geodrake.report.views import Columns, comparison_series
+from geodrake.report.rollouts import departures_table, motion_values, stages_table
+from geodrake.report.views import comparison_series
 
 if TYPE_CHECKING:
     from geodrake.control.rollout import Rollout
@@ -771,58 +770,53 @@ def _gamma(value: float) -> str:
     return number(value) if math.isfinite(value) else "without end"
 
 
-def _explained_dict(found: Explained) -> dict[str, Any]:
-    more: dict[str, Any] = {}
+def _explained_values(found: Explained) -> dict[str, Any]:
+    values = explanation_values(found)
     if found.draft is not None:
-        more = {"draft": draft_dict(found.draft)}
-    elif not found.added:
-        more = {"correlates": found.correlates, **motions_dict(found.motions)}
-    return explanation_dict(found, **more)
-
-
-def _explained_series(found: Explanation) -> Columns:
-    return comparison_series(found.after, found.before)
+        return {**values, "draft": record("Draft", found.draft, **draft_values(found.draft))}
+    if found.added:
+        return values
+    return {**values, "correlates": found.correlates, **motion_values(found.motions)}
 
 
 def _drawn(found: Explanation) -> Mapping[str, Comparison]:
     return {"as it stands": found.before, **({"now": found.after} if found.steps else {})}
 
 
+_EXPLANATION: dict[str, Any] = {
+    "records": step_records,
+    "samples": lambda found: comparison_series(found.after, found.before),
+    "figure": "efforts",
+    "drawn": _drawn,
+}
+
 VIEWS = {
     Comparison: View(
         comparison_page,
-        comparison_dict,
-        error_records,
-        comparison_series,
-        "efforts",
-        lambda found: {"": found},
+        "Comparison",
+        records=error_records,
+        samples=comparison_series,
+        figure="efforts",
+        drawn=lambda found: {"": found},
     ),
     Diagnosis: View(
         diagnosis_page,
-        diagnosis_dict,
-        lambda found: list(map(asdict, found.candidates)),
-        lambda found: comparison_series(found.comparison),
-        "candidates",
-        lambda found: {"": found.comparison},
+        "Diagnosis",
+        records=lambda found: list(map(asdict, found.candidates)),
+        samples=lambda found: comparison_series(found.comparison),
+        figure="candidates",
+        drawn=lambda found: {"": found.comparison},
     ),
-    Explanation: View(
-        explanation_page, explanation_dict, step_records, _explained_series, "efforts", _drawn
-    ),
-    Explained: View(
-        explanation_page,
-        _explained_dict,
-        step_records,
-        _explained_series,
-        "efforts",
-        _drawn,
-    ),
+    Explanation: View(explanation_page, "Explanation", explanation_values, **_EXPLANATION),
+    Explained: View(explanation_page, "Explanation", _explained_values, **_EXPLANATION),
     ModelIdentification: View(
         identification_page,
-        identification_dict,
-        body_records,
-        lambda found: comparison_series(found.comparison),
-        "efforts",
-        lambda found: {
+        "Identification",
+        identification_values,
+        records=body_records,
+        samples=lambda found: comparison_series(found.comparison),
+        figure="efforts",
+        drawn=lambda found: {
             "as it stands": replace(found.comparison, errors=found.before),
             "identified": found.comparison,
         },

@@ -383,107 +383,68 @@ def _effort_curve(found: LogInspection, row: int) -> tuple[NDArray[np.float64], 
     return effort, words.get(kind, f"{kind}, {_SI.get(kind, '')}")
 
 
-def _export_dict(found: ProvenExport) -> dict[str, Any]:
-    """Return an export: its files, what they hold and lack, and what simulators make of them."""
-    error = {}
-    if (costs := found.costs) is not None:
+def _export_values(found: ProvenExport) -> dict[str, Any]:
+    """Return what an export lacks, and what that costs."""
+    error, costs = dict[str, float](), found.costs
+    if costs is not None:
         error = {"nrms": costs.whole, "held_nrms": costs.held}
         error |= {} if costs.ignored is None else {"simulated_nrms": costs.ignored}
-    holds = []
-    for fitted in found.held.effects:
-        names, effect = [each.name for each in fitted.effect.parameters], fitted.effect
-        values = dict(zip(names, fitted.parameters, strict=True))
-        told = {"name": effect.name, "where": effect.where, "shape": effect.reported_shape}
-        holds.append({**told, "parameters": values})
-    return record(
-        "Export",
-        found.proof,
-        format=found.form.name,
-        files=list(found.exported.files),
-        holds=holds,
-        lacks=[
-            picked(lost, "effect", "where", "into", *([] if lost.nrms is None else ["nrms"]))
-            for lost in found.lacks
-        ],
-        error=error,
-        notes=found.notes,
-    )
+    lacks = [
+        picked(lost, "effect", "where", "into", *([] if lost.nrms is None else ["nrms"]))
+        for lost in found.lacks
+    ]
+    return {"lacks": lacks, "error": error}
 
 
-def _digests_dict(run: DigestRun) -> dict[str, Any]:
+def _digest_values(run: DigestRun) -> dict[str, Any]:
     """Return what became of logs."""
     settings = run.settings
-    return record(
-        "Digests",
-        folder=str(run.folder),
-        settings=settings and record("DigestSettings", settings, columns=len(settings.columns)),
-        counts={status: run.count(status) for status in (MADE, THERE, FAILED)},
-        logs=[_digest_row(row, settings) for row in run.rows],
-        notes=digest_notes(run),
-    )
+    return {
+        "settings": settings and record("DigestSettings", settings, columns=len(settings.columns)),
+        "counts": {status: run.count(status) for status in (MADE, THERE, FAILED)},
+        "logs": [_digest_row(row, settings) for row in run.rows],
+        "notes": digest_notes(run),
+    }
 
 
 def _digest_row(row: DigestRow, settings: DigestSettings | None) -> dict[str, Any]:
-    about, said = row.about, {"log": str(row.file), "status": row.status, "reason": row.reason}
+    about, said = row.about, {"log": row.file, "status": row.status, "reason": row.reason}
     if about is None or settings is None or row.samples is None or row.effective is None:
         return said
-    return record(
-        "DigestedLog",
+    values = (
+        *(row.samples, row.effective, about.noise_floor),
+        *(about.position.T, about.speed.T, about.temperature),
+    )
+    return {
         **said,
         **picked(about, "date_from", "seconds", "notes"),
-        digest=str(row.digest),
-        date=date_text(about.date),
-        joints={
-            joint: {
-                "samples": int(row.samples[j]),
-                "effective": row.effective[j],
-                "noise_floor": about.noise_floor[j],
-                "position": about.position[:, j],
-                "speed": about.speed[:, j],
-                "temperature": float(about.temperature[j]),
-            }
-            for j, joint in enumerate(settings.joints)
-        },
-    )
+        "digest": row.digest,
+        "date": date_text(about.date),
+        "joints": dict(zip(settings.joints, zip(*values, strict=True), strict=True)),
+    }
 
 
-def _logs_dict(found: InspectedLogs) -> dict[str, Any]:
-    logs = [_log_dict(each) for _, each in found.logs]
+def _log_values(found: InspectedLogs) -> dict[str, Any]:
+    logs = [record("InspectedLog", each, rows=len(each.log)) for _, each in found.logs]
     if found.repairs is None:
-        return record("InspectedLogs", logs=logs)
+        return {"logs": logs}
     notes = [*found.repairs, *found.beyond, *filter(None, [found.unchecked])]
-    return record("InspectedLogs", logs=logs, columns=found.columns, notes=notes)
+    return {"logs": logs, "columns": found.columns, "notes": notes}
 
 
-def _log_dict(found: LogInspection) -> dict[str, Any]:
-    """Return what was understood of a log."""
-    return record(
-        "InspectedLog",
-        found,
-        **picked(found.log, "name", "joints"),
-        rows=len(found.log),
-    )
-
-
-def _check_dict(found: DynamicsCheck) -> dict[str, Any]:
-    """Return a check."""
-    second = found.second
-    return record(
-        "Check",
-        found,
-        agrees=found.holds,
-        repaired=len(found.repairs) > len(found.left_out),
-        tolerance=TOLERANCE,
-        quantities={each.quantity: each for each in found.agreements},
-        second_opinion={"by": found.by, **(record("Agreement", second) if second else {})},
-        worst=found.worst.quantity,
-    )
+def _check_values(found: DynamicsCheck) -> dict[str, Any]:
+    second = {} if found.second is None else record("Agreement", found.second)
+    return {
+        "repaired": len(found.repairs) > len(found.left_out),
+        "tolerance": TOLERANCE,
+        "second_opinion": {"by": found.by, **second},
+    }
 
 
 VIEWS = {
-    ProvenExport: View(export_page, _export_dict),
-    DynamicsCheck: View(check_page, _check_dict),
-    DigestRun: View(digests_page, _digests_dict),
-    InspectedLogs: View(logs_page, _logs_dict),
+    ProvenExport: View(export_page, "Export", _export_values),
+    DynamicsCheck: View(check_page, "Check", _check_values),
+    DigestRun: View(digests_page, "Digests", _digest_values),
+    InspectedLogs: View(logs_page, "InspectedLogs", _log_values),
 }
 """How to see each of these results."""

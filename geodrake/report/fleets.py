@@ -367,16 +367,13 @@ def rounded(value: float, deviation: float = 0.0) -> float:
     return round(value, decimals) + 0.0
 
 
-def fleet_dict(result: FleetResult) -> dict[str, Any]:
-    """Return a result: robots worst first, with findings and parameters; logs left out."""
-    return record(
-        "Fleet",
-        result,
-        counts={state: result.count(state) for state in (CHANGED, STEADY, UNKNOWN)},
-        findings=map(finding_dict, result.findings),
-        robots=map(_robot, result.robots),
-        notes=result.repairs,
-    )
+def _fleet_values(result: FleetResult) -> dict[str, Any]:
+    """Return robots worst first, with findings and parameters."""
+    return {
+        "counts": {state: result.count(state) for state in (CHANGED, STEADY, UNKNOWN)},
+        "findings": map(finding_dict, result.findings),
+        "robots": map(_robot, result.robots),
+    }
 
 
 def finding_dict(finding: FleetFinding) -> dict[str, Any]:
@@ -537,6 +534,6 @@ def _parameter_rows(result: FleetResult) -> list[dict[str, Any]]:
 
 
 VIEWS = {
-    FleetResult: View(fleet_page, fleet_dict),
+    FleetResult: View(fleet_page, "Fleet", _fleet_values),
 }
 """How to see each of these results."""

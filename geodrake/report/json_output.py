@@ -9,11 +9,13 @@ from __future__ import annotations
 
 import json
 import math
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, fields, is_dataclass
 from functools import cache
 from importlib.resources import files
-from typing import Any
+from inspect import isroutine
+from pathlib import Path
+from typing import Any, NamedTuple
 
 import yaml  # type: ignore[import-untyped]
 
@@ -30,9 +32,12 @@ class NoNumber:
     reason: str
 
 
-def number_or(value: float, reason: str) -> float | NoNumber:
-    """Return a finite number, or the word for one that is not."""
-    return value if math.isfinite(value) else NoNumber(reason)
+class Key(NamedTuple):
+    """A key of an object."""
+
+    type: Any
+    is_optional: bool  # whether it may be absent
+    place: Any  # where its value is in what the object is of, as `schema.yaml` says it
 
 
 def picked(value: object, *names: str) -> dict[str, Any]:
@@ -49,11 +54,12 @@ def schema() -> Mapping[str, Any]:
 
 
 @cache
-def keys_of(kind: str) -> Mapping[str, tuple[Any, bool]]:
-    """Return key -> its type, and whether it may be absent; inherited keys come first."""
+def keys_of(kind: str) -> Mapping[str, Key]:
+    """Return the keys of a kind of object by name; inherited ones come first."""
     said = schema()["kinds"][kind]
-    base = keys_of(said["is"]) if "is" in said else {}
-    return {**base, **{k.rstrip("*"): (t, k.endswith("*")) for k, t in said["keys"].items()}}
+    base, places = keys_of(said["is"]) if "is" in said else {}, said.get("from", {})
+    own = {name.rstrip("*"): (type_, name.endswith("*")) for name, type_ in said["keys"].items()}
+    return {**base, **{name: Key(*each, places.get(name, name)) for name, each in own.items()}}
 
 
 def type_and_reason(said: str) -> tuple[str, str]:
@@ -63,7 +69,7 @@ def type_and_reason(said: str) -> tuple[str, str]:
 
 
 def record(kind: str, source: object = None, /, **given: Any) -> dict[str, Any]:
-    """Build an object of a kind from given values, and from attributes of the source for the rest.
+    """Build an object of a kind from given values, and from what the source has for the rest.
 
     Nested objects are built likewise, also from tuples of their values. An optional key is written
     only if it is given.
@@ -72,10 +78,38 @@ def record(kind: str, source: object = None, /, **given: Any) -> dict[str, Any]:
     if unknown := given.keys() - keys:
         raise KeyError(f"{kind} has no {', '.join(unknown)}")
     return {
-        key: _made(said, given[key] if key in given else getattr(source, key))
-        for key, (said, is_optional) in keys.items()
-        if key in given or not is_optional
+        name: _made(key.type, given[name] if name in given else _at(source, key.place))
+        for name, key in keys.items()
+        if name in given or not key.is_optional
     }
+
+
+def _at(source: Any, place: Any) -> Any:
+    """Return what is at a place of an object, or at several by name."""
+    if isinstance(place, Mapping):
+        return {name: _at(source, each) for name, each in place.items()}
+    values, by, names = place.partition(" for ")
+    if by:
+        return _by_name(_at(source, names), _at(source, values))
+    for part in values.split("."):
+        source = _part(source, part)
+    return source
+
+
+def _part(source: Any, name: str) -> Any:
+    """Return the object itself, an entry by its number, an attribute, or that of each entry."""
+    if name == "self":
+        return source
+    if name.lstrip("-").isdigit():
+        return source[int(name)]
+    if isinstance(source, list | tuple):
+        return [getattr(one, name) for one in source]
+    found = getattr(source, name)
+    return found() if isroutine(found) else found
+
+
+def _by_name(names: Sequence[str], values: Sequence[Any] | None) -> dict[str, Any]:
+    return dict.fromkeys(names) if values is None else dict(zip(names, values, strict=True))
 
 
 def _made(said: Any, value: Any) -> Any:
@@ -96,7 +130,7 @@ def _made(said: Any, value: Any) -> Any:
     if value is None or name not in schema()["kinds"]:
         return value
     if isinstance(value, tuple):
-        value = dict(zip(keys_of(name), value, strict=True))
+        value = _by_name([*keys_of(name)], value)
     return record(name, **value) if isinstance(value, Mapping) else record(name, value)
 
 
@@ -131,6 +165,8 @@ def _plain(value: Any, place: str, nulls: dict[str, str]) -> Any:
         }
     if hasattr(value, "tolist"):  # numpy arrays and scalars
         return _plain(value.tolist(), place, nulls)
+    if isinstance(value, Path):
+        return str(value)
     if isinstance(value, Iterable) and not isinstance(value, str):
         return [_plain(item, f"{place}/{k}", nulls) for k, item in enumerate(value)]
     return value

@@ -7,6 +7,7 @@ from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
 
 from geodrake.report.charts import Bars, Chart
+from geodrake.report.json_output import record
 from geodrake.report.numbers import Units, number
 
 if TYPE_CHECKING:
@@ -190,10 +191,15 @@ class View:
     """How to see one kind of result."""
 
     page: Callable[[Any, About], Page]
-    # The result as a dictionary, for JSON.
-    numbers: Callable[[Any], Mapping[str, Any]] = lambda found: {}
+    kind: str  # of object that it is in JSON, as `schema.yaml` calls it
+    # Keys of that whose values are no attributes of the result, by their names.
+    given: Callable[[Any], Mapping[str, Any]] = lambda found: {}
     records: Any = None  # function to rows of numbers, for a DataFrame; None if there are none
     samples: Any = None  # function to the samples behind it, by column; None if there are none
     figure: str = ""  # name of the chart or bars that say most
     # Title -> comparison by whose errors the page colours the robot.
     drawn: Callable[[Any], Mapping[str, Comparison]] = lambda found: {}
+
+    def numbers(self, found: object) -> dict[str, Any]:
+        """Return a result as a dictionary, for JSON."""
+        return record(self.kind, found, **self.given(found))

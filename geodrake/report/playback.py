@@ -415,32 +415,15 @@ def playback_page(playback: Playback, about: About) -> Page:
     return replace(page, sections=(Section("Worst moments", lists=tuple(lists)), *detailed, notes))
 
 
-def playback_dict(playback: Playback) -> dict[str, Any]:
-    """Return what is played, and where the models err most."""
+def _playback_values(playback: Playback) -> dict[str, Any]:
+    """Return where the models err most."""
     moments: list[list[Any]] = [[] for _ in playback.models]
     for moment in playback.moments:
         log, time = playback.own_time(moment.frame)
         joint = playback.joints[moment.joint]
         moments[moment.played].append(record("Moment", moment, joint=joint, log=log, time=time))
-    return record(
-        "Played",
-        playback,
-        models=[
-            {
-                "title": played.title,
-                "file": str(played.model.path),
-                "nrms": played.comparison.errors.nrms,
-                "trained": played.trained,
-                "worst_moments": own,
-            }
-            for played, own in zip(playback.models, moments, strict=True)
-        ],
-        excerpts=[
-            {"log": e.log, "start": float(e.time[0]), "end": float(e.time[-1])}
-            for e in playback.excerpts
-        ],
-        notes=playback.models[-1].comparison.notes,
-    )
+    played = zip(playback.models, moments, strict=True)
+    return {"models": [record("PlayedModel", one, worst_moments=own) for one, own in played]}
 
 
 def effect_words(fitted: FittedEffect, units: Units) -> str:
@@ -458,4 +441,4 @@ def effect_words(fitted: FittedEffect, units: Units) -> str:
     return f"{label} {shown} {units.parameter(effect.name, names[0], place)}".strip()
 
 
-VIEWS = {Playback: View(playback_page, playback_dict)}  # how to see this result
+VIEWS = {Playback: View(playback_page, "Played", _playback_values)}  # how to see this result

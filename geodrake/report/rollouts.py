@@ -233,33 +233,7 @@ def _joined(parts: Sequence[Array | Sequence[Array]]) -> Array:
     return np.concatenate([each for part in parts for each in (np.asarray(part), gap)], axis=1)
 
 
-def rollout_dict(rollout: Rollout, kind: str = "Rollout", **more: Any) -> dict[str, Any]:
-    """Return a rollout: departures of every joint from the measured motion; and what is given."""
-    return record(
-        kind,
-        rollout,
-        windows=[{"log": w.log, "start": float(w.time[0])} for w in rollout.windows],
-        joints={joint.joint: joint for joint in rollout.joints},
-        **more,
-    )
-
-
-def _simulated_dict(found: Simulated) -> dict[str, Any]:
-    before = {} if found.before is None else {"before": rollout_dict(found.before)}
-    return rollout_dict(found.after, "RolloutBeside", **before)
-
-
-def _stages(before: Rollout, after: Rollout) -> dict[str, Any]:
-    return {"before": rollout_dict(before), "after": rollout_dict(after)}
-
-
-def rollout_fit_dict(found: RolloutFit) -> dict[str, Any]:
-    """Return a fit of rollouts: values before and after, and departures in all windows."""
-    fitted, held_out = _stages(*found.fitted), _stages(*found.held_out)
-    return record("RolloutFit", found, fitted=fitted, held_out=held_out)
-
-
-def motions_dict(motions: Sequence[Rollout] | None) -> dict[str, Any]:
+def motion_values(motions: Sequence[Rollout] | None) -> dict[str, Any]:
     """Return rollouts under commands, by the key `motion`; nothing without commands.
 
     Those before and after the fit, and after each step but the last.
@@ -267,28 +241,36 @@ def motions_dict(motions: Sequence[Rollout] | None) -> dict[str, Any]:
     if motions is None:
         return {}
     before, *between, after = motions
-    return {"motion": {**_stages(before, after), "steps": [*map(rollout_dict, between)]}}
+    return {"motion": {"before": before, "after": after, "steps": between}}
+
+
+def _beside(found: Simulated) -> dict[str, Any]:
+    before = {} if found.before is None else {"before": found.before}
+    return {**record("Rollout", found.after), **before}
 
 
 VIEWS = {
     Rollout: View(
         rollout_page,
-        rollout_dict,
-        lambda found: [{**asdict(joint), "relative": joint.relative} for joint in found.joints],
-        rollout_series,
-        "rollout",
+        "Rollout",
+        records=lambda found: [
+            {**asdict(joint), "relative": joint.relative} for joint in found.joints
+        ],
+        samples=rollout_series,
+        figure="rollout",
     ),
     Simulated: View(
         rollout_page,
-        _simulated_dict,
+        "RolloutBeside",
+        _beside,
         samples=lambda found: rollout_series(found.after, found.before),
     ),
     RolloutFit: View(
         rollout_fit_page,
-        rollout_fit_dict,
-        lambda found: list(map(asdict, found.values)),
-        lambda found: rollout_series(found.after, found.before),
-        "rollout",
+        "RolloutFit",
+        records=lambda found: list(map(asdict, found.values)),
+        samples=lambda found: rollout_series(found.after, found.before),
+        figure="rollout",
     ),
 }
 """How to see each of these results."""

@@ -63,6 +63,11 @@ def page_of(result: object, about: About | None = None) -> Page:
     return view_of(result).page(result, about)
 
 
+def numbers_of(result: object) -> dict[str, Any]:
+    """Return a result as a dictionary, for JSON."""
+    return view_of(result).numbers(result)
+
+
 def html(result: object) -> str:
     """Return a sentence and the tables of a result."""
     from geodrake.report.html import notebook_html

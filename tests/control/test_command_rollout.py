@@ -27,8 +27,10 @@ from geodrake.logs.motion import JointLog
 from geodrake.model import EffortSignal
 from geodrake.model.saved_model import load_model
 from geodrake.report import page_of, render
+from geodrake.report.json_output import record
 from geodrake.report.page import About
-from geodrake.report.rollouts import motions_dict, rollout_dict
+from geodrake.report.rollouts import motion_values
+from geodrake.report.views import numbers_of
 from geodrake.robot import gears
 from geodrake.robot.transmission.statements import Drive
 
@@ -162,11 +164,11 @@ def test_reports_say_what_the_model_was_under(arm):
     late = replace(model, effects=(*model.effects, delay))
     found = roll_out(late, [log], most=1, horizon=0.2, commands=True)
     assert any("effort_delay of b does not count" in note for note in found.notes)
-    assert rollout_dict(found)["under"] == "commands"
+    assert numbers_of(found)["under"] == "commands"
     about = About("arm", ("log",))
     assert "arm under the commands of log" in render(page_of(found, about))
     opened = roll_out(model, [log], most=1, horizon=0.2)
-    assert rollout_dict(opened)["under"] == "efforts"
+    assert numbers_of(opened)["under"] == "efforts"
     assert "arm under the efforts of log" in render(page_of(opened, about))
 
 
@@ -178,7 +180,7 @@ def test_models_on_the_way_have_their_motions(arm):
     motions = commanded_motions(bare, model, logs, between=[viscous])
     shares = [motion.relative for motion in motions]
     assert shares[0] > shares[1] > 10 * shares[2]
-    told = motions_dict(motions)["motion"]
+    told = record("Motions", **motion_values(motions)["motion"])
     assert [told[key]["relative"] for key in ("before", "after")] == [shares[0], shares[2]]
     assert [step["relative"] for step in told["steps"]] == [shares[1]]
 

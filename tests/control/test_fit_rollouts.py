@@ -43,7 +43,7 @@ from geodrake.logs.files import write_log
 from geodrake.model import EffortSignal
 from geodrake.report import page_of, render
 from geodrake.report.page import About
-from geodrake.report.rollouts import rollout_fit_dict
+from geodrake.report.views import numbers_of
 from geodrake.report.words import rollout_fit_words
 
 
@@ -275,6 +275,6 @@ def test_results_say_what_they_are_under(pendulum):
     unsure = servoed(pendulum, 0.5, dataclasses.replace(PD, deviation=1.0))
     unfitted = dataclasses.replace(found, model=unsure, values=())
     assert "servos of hinge are not known exactly" in unfitted.notes[-1]
-    told = rollout_fit_dict(found)
+    told = numbers_of(found)
     for part in ("fitted", "held_out"):
         assert {stage["under"] for stage in told[part].values()} == {"commands"}

@@ -14,7 +14,7 @@ from geodrake.diagnosis.ambiguity import distinguishing_commands
 from geodrake.diagnosis.results import FittedRival
 from geodrake.model.saved_model import load_model
 from geodrake.report import page_of, render, show_page
-from geodrake.report.explaining_json import explanation_dict
+from geodrake.report.views import numbers_of
 
 MODEL = load_model(MODELS / "double_pendulum.urdf")
 
@@ -95,7 +95,7 @@ def test_terminal_report_and_numbers_tell_them(told):
     assert words.split(": ")[1] in render(page_of(told)).replace("\N{NO-BREAK SPACE}", " ").replace(
         "<wbr>", ""
     )
-    (step,) = explanation_dict(told)["steps"]
+    (step,) = numbers_of(told)["steps"]
     assert step["indistinguishable_from"] == ("effort_offset", "joint_spring")
     assert step["rivals"] == [
         {

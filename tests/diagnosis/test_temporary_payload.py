@@ -25,9 +25,9 @@ from geodrake.identification.logs.case import open_case
 from geodrake.inertia import from_mass_com_inertia
 from geodrake.model.export import export_model
 from geodrake.model.saved_model import save_model
-from geodrake.report.explaining_json import explanation_dict
 from geodrake.report.json_output import to_json
 from geodrake.report.numbers import Units
+from geodrake.report.views import numbers_of
 from geodrake.report.words import finding
 
 MASS, CENTRE = 0.4, np.array([0.02, 0.0, 0.05])
@@ -97,7 +97,7 @@ def test_found(pendulum, picked_up, tmp_path):
     assert place == effect.place == f"{BODY}, {effect.when}"
     assert place in finding(step, Units.of(found.model))
     np.testing.assert_allclose(found.model.phi[:, 0], pendulum.phi[:, 0], rtol=0.05)
-    told = json.loads(to_json(explanation_dict(found)))
+    told = json.loads(to_json(numbers_of(found)))
     (told,) = [each for each in told["steps"] if each["effect"] == "temporary_payload"]
     assert told["where"] == [BODY]
     assert place in told["parameters"]

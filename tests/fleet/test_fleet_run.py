@@ -48,8 +48,8 @@ from geodrake.fleet.log_places import (
 from geodrake.fleet.settings import read_settings
 from geodrake.logs.files import write_log
 from geodrake.model.saved_model import load_model, save_model
-from geodrake.report.fleets import fleet_dict
 from geodrake.report.json_output import to_json
+from geodrake.report.views import numbers_of
 
 HERE = FleetWork(workers=0)
 FEW = (ROBOTS[0], HEAVY)
@@ -88,7 +88,7 @@ def own(folder, tmp_path):
 
 
 def text_of(result):
-    return to_json(fleet_dict(result))
+    return to_json(numbers_of(result))
 
 
 def digests(folder):

@@ -10,8 +10,8 @@ import pytest
 import yaml
 from report_results import explanation, joint_names
 
-from geodrake.report.explaining_json import explanation_dict
-from geodrake.report.json_output import number_or, record, schema, to_json
+from geodrake.report.json_output import NoNumber, record, schema, to_json
+from geodrake.report.views import numbers_of
 
 SCHEMA = run_path(str(Path(__file__).parents[2] / "tools" / "result_schema.py"))
 
@@ -29,13 +29,13 @@ def test_a_number_that_is_none_is_null_with_a_reason():
 
 
 def test_a_reason_that_is_known_is_told_and_nothing_where_all_are_finite():
-    found = json.loads(to_json({"x": number_or(np.inf, "nobody looked"), "y": number_or(1.0, "")}))
+    found = json.loads(to_json({"x": NoNumber("nobody looked"), "y": 1.0}))
     assert found == {"x": None, "y": 1.0, "nulls": {"/x": "nobody looked"}}
     assert json.loads(to_json({"a": [np.float64(1.5), 2, True, "x"]})) == {"a": [1.5, 2, True, "x"]}
 
 
 def test_a_fit_that_there_was_not_has_no_certificate():
-    found = json.loads(to_json(explanation_dict(explanation(joint_names(2), ()))))
+    found = json.loads(to_json(numbers_of(explanation(joint_names(2), ()))))
     assert found["certificate"] is None and found["steps"] == []
     assert found["nulls"]["/certificate"] == "the model stays as it is"
 

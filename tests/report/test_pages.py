@@ -27,10 +27,10 @@ from geodrake.identification.logs.model_errors import (
 from geodrake.identification.models import BodyChange
 from geodrake.report import Units, page_of
 from geodrake.report.explaining import Explained, errors_table
-from geodrake.report.explaining_json import comparison_dict
 from geodrake.report.json_output import NoNumber
 from geodrake.report.numbers import chance, is_noticed, number, percent, shortened, with_deviation
 from geodrake.report.page import Cell
+from geodrake.report.views import numbers_of
 from geodrake.report.words import (
     effect_label,
     failing_list,
@@ -263,7 +263,7 @@ def test_where_no_noise_is_seen_nothing_is_called_removable():
     *_, noise, _, nrms, removable = errors_table({"RMS": found.errors}, Units()).rows[0]
     assert (noise.text, removable) == ("–", Cell("–"))
     assert nrms.text != "–"
-    written = comparison_dict(found)
+    written = numbers_of(found)
     assert written["joints"]["joint_0"]["removable"] == NoNumber("the logs show no sensor noise")
 
 
