@@ -32,11 +32,15 @@ _LEAST = 1e-6  # nrms, so that a perfect model has a place on a logarithmic axis
 class Stage:
     """What curves of one colour show: the measurement, or a model."""
 
-    key: str  # short name, the same in all charts of a page
-    label: str
+    label: str  # the same in all charts of a page that show it
     color: str  # name of the colour in the page's style sheet
-    shown: bool = True  # whether it is shown at first
     look: str = "line"  # "line", "wide", which is behind the others, or "dots"
+    shown: bool = field(default=True, compare=False)  # whether it is shown at first
+
+    @property
+    def key(self) -> str:
+        """Return what a page calls it."""
+        return f"{self.label} ({self.look})"
 
 
 @dataclass(frozen=True, eq=False)
@@ -53,7 +57,7 @@ class Plot:
     """One axis with curves."""
 
     label: str  # what is shown, with its unit
-    curves: Mapping[str, Array]  # stage -> (K,) values; NaN where a line breaks
+    curves: Mapping[Stage, Array]  # (K,) values of each stage; NaN where a line breaks
     limits: tuple[float, ...] = ()
     floor: float = 0.0  # half the width of a band about zero, the noise; 0 for none
     # Whether zero is in the middle, and what is far larger than the best is cut off.
@@ -65,14 +69,15 @@ class Plot:
     # (K,) increasing values that it is drawn over; None for the time of its panel.
     over: Array | None = None
     axis: str = ""  # what these are, with their unit
-    trends: Mapping[str, Trend] = field(default_factory=dict)  # stage -> mean and RMS of its curve
+    # Mean and RMS of the curve of a stage.
+    trends: Mapping[Stage, Trend] = field(default_factory=dict)
 
 
 @dataclass(frozen=True)
 class Shade:
     """A stretch of the axis, from start to end, in which a stage is worst, and why in words."""
 
-    stage: str
+    stage: Stage
     start: float
     end: float
     words: str
@@ -97,9 +102,9 @@ class Chart:
 
     name: str  # short name, different from those of other charts of a page
     caption: str
-    stages: tuple[Stage, ...]  # of which stages the curves are, measured first
     panels: tuple[Panel, ...]
-    # Name, first and last instant, and shift to the common axis, of every log, s.
+    # Name, first and last instant, and shift to the common axis, of every log, s; none if the
+    # curves are of one stretch.
     spans: tuple[tuple[str, float, float, float], ...] = ()
     axis: str = "time in the log, s"  # what the common axis is, with its unit
     parts: str = "Joints"  # what the panels are of
@@ -110,13 +115,23 @@ class Chart:
     @property
     def ends(self) -> tuple[float, float]:
         """First and last instant on the common axis."""
-        spans = self.spans or (("", 0.0, 1.0, 0.0),)
+        spans = self.stretches or (("", 0.0, 1.0, 0.0),)
         low, high = spans[0][1] + spans[0][3], spans[-1][2] + spans[-1][3]
         return low, (high if high > low else low + 1.0)
 
-    def color_of(self, key: str) -> str:
-        """Return the colour of a stage, by its key."""
-        return next(stage.color for stage in self.stages if stage.key == key)
+    @property
+    def stretches(self) -> tuple[tuple[str, float, float, float], ...]:
+        """Return the spans; of one stretch, from the first to the last instant of a panel."""
+        time = self.panels[0].time if self.panels else np.array([])
+        if self.spans or self.abreast or not len(time):
+            return self.spans
+        return (("", float(time[0]), float(time[-1]), 0.0),)
+
+    @property
+    def stages(self) -> tuple[Stage, ...]:
+        """Return of which stages the curves are, in their order."""
+        plots = (plot for panel in self.panels for plot in panel.plots)
+        return tuple(dict.fromkeys(stage for plot in plots for stage in plot.curves))
 
     @property
     def data(self) -> str:
@@ -126,7 +141,7 @@ class Chart:
             "axis": self.axis,
             "unit": self.unit,
             "abreast": self.abreast,
-            "spans": [(printable(name), *numbers) for name, *numbers in self.spans],
+            "spans": [(printable(name), *numbers) for name, *numbers in self.stretches],
             "stages": [
                 {"key": s.key, "label": printable(s.label), "color": s.color, "look": s.look}
                 for s in self.stages
@@ -139,7 +154,7 @@ class Chart:
 
 def _panel(panel: Panel) -> dict[str, Any]:
     on_time = [plot for plot in panel.plots if plot.over is None]
-    time, rows, derived = panel.time, iter(()), tuple[str, ...]()
+    time, rows, derived = panel.time, iter(()), tuple[Stage, ...]()
     if on_time:
         curves = np.array([values for plot in on_time for values in plot.curves.values()])
         time, thinned = decimated(time, curves, min(MOST_POINTS, _MOST_NUMBERS // len(curves)))
@@ -147,15 +162,16 @@ def _panel(panel: Panel) -> dict[str, Any]:
         derived = _derived(panel) if len(time) == len(panel.time) else ()
     packs = [
         {
-            key: packed(values if plot.over is not None else next(rows))
-            for key, values in plot.curves.items()
+            stage.key: packed(values if plot.over is not None else next(rows))
+            for stage, values in plot.curves.items()
         }
+        | (dict.fromkeys(stage.key for stage in derived) if plot is panel.plots[0] else {})
         for plot in panel.plots
     ]
     return {
         "title": printable(panel.title),
         "time": _encoded(time.astype("<f4")),
-        "shades": [[shade.stage, shade.start, shade.end] for shade in panel.shades],
+        "shades": [[shade.stage.key, shade.start, shade.end] for shade in panel.shades],
         "plots": [
             {
                 "label": printable(plot.label),
@@ -167,10 +183,10 @@ def _panel(panel: Panel) -> dict[str, Any]:
                 "log": plot.log,
                 "axis": printable(plot.axis),
                 "over": None if plot.over is None else packed(plot.over),
-                "curves": pack | (dict.fromkeys(derived) if plot is panel.plots[0] else {}),
+                "curves": pack,
                 "trends": {
-                    key: [packed(trend.middle), packed(trend.mean), packed(trend.rms)]
-                    for key, trend in plot.trends.items()
+                    stage.key: [packed(trend.middle), packed(trend.mean), packed(trend.rms)]
+                    for stage, trend in plot.trends.items()
                 },
             }
             for plot, pack in zip(panel.plots, packs, strict=True)
@@ -178,14 +194,14 @@ def _panel(panel: Panel) -> dict[str, Any]:
     }
 
 
-def _derived(panel: Panel) -> tuple[str, ...]:
+def _derived(panel: Panel) -> tuple[Stage, ...]:
     """Return the stages whose curve is the first one less what the panel's residuals are."""
     residuals = next((plot.curves for plot in panel.plots if plot.centred), {})
     first, *others = panel.plots[0].curves.items()
     return tuple(
-        key
-        for key, values in others
-        if key in residuals and np.allclose(first[1] - residuals[key], values, equal_nan=True)
+        stage
+        for stage, values in others
+        if stage in residuals and np.allclose(first[1] - residuals[stage], values, equal_nan=True)
     )
 
 

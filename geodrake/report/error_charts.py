@@ -36,9 +36,9 @@ from geodrake.report.words import effect_label, places_label, step_place, worst_
 
 Array = NDArray[np.float64]
 
-MEASURED = Stage("measured", "measured", "measured", look="wide")
-BEFORE = Stage("before", "as it stands", "before")
-AFTER = Stage("after", "final model", "after")
+MEASURED = Stage("measured", "measured", look="wide")
+BEFORE = Stage("as it stands", "before")
+AFTER = Stage("final model", "after")
 
 _GAP = 1.5  # samples farther apart than so many times the usual are not joined by a line
 _MOST_CANDIDATES, _MOST_LETTERS = 14, 80
@@ -132,14 +132,13 @@ def effort_chart(
         words, badge = f"RMS {rms} {unit}, nrms {nrms}", badges.get(joint, "")
         panels.append(Panel(joint, words, time, plots, shades, badge, joint in shown))
     spans = tuple((log, *ends, timeline.shifts[log]) for log, ends in timeline.spans.items())
-    return Chart("efforts", _EFFORTS, (MEASURED, *predicted), tuple(panels), spans)
+    return Chart("efforts", _EFFORTS, tuple(panels), spans)
 
 
 def step_stages(explanation: Explanation) -> dict[Stage, Sequence[Series]]:
     """Return the models after each step, with what they predict where that is known."""
     return {
         Stage(
-            f"step{count}",
             f"after {count}: + {effect_label(step.effect)}",
             f"step-{(count - 1) % 4 + 1}",
             shown=False,
@@ -159,11 +158,11 @@ def _plots(
     """Return instants of a joint, and its efforts and residuals at every stage on them."""
     *_, last = (series for series in own.values() if series)
     broken, measured = timeline.broken(last, "measured")
-    efforts: dict[str, Array] = {MEASURED.key: measured}
-    residuals: dict[str, Array] = {}
+    efforts: dict[Stage, Array] = {MEASURED: measured}
+    residuals: dict[Stage, Array] = {}
     for stage, series in own.items():
         for signal, curves in (("predicted", efforts), ("residual", residuals)):
-            curves[stage.key] = _on(broken, *timeline.broken(series, signal))
+            curves[stage] = _on(broken, *timeline.broken(series, signal))
     return gap_filled(broken), (
         Plot(f"effort, {unit}", efforts),
         Plot("residual", residuals, floor=floor, centred=True, tall=False),
@@ -193,7 +192,7 @@ def _shades(
                 f"{number(window.rms)} {unit}"
             )
             shift = timeline.shifts[log]
-            found.append(Shade(stage.key, window.start + shift, window.end + shift, words))
+            found.append(Shade(stage, window.start + shift, window.end + shift, words))
     return tuple(found)
 
 
@@ -218,48 +217,42 @@ def residual_chart(models: Mapping[Stage, Comparison], units: Units) -> Chart:
     shown = worst_joints(final.errors)
     panels = []
     for entry in final.errors.joints:
-        own = {_key(stage): _of(found.series, entry.joint) for stage, found in models.items()}
-        own = {key: series for key, series in own.items() if series}
+        own = {
+            replace(stage, look="dots", shown=found is final): _of(found.series, entry.joint)
+            for stage, found in models.items()
+        }
+        own = {stage: series for stage, series in own.items() if series}
         if own:
             detail = f"RMS {number(entry.rms)} {units.effort([entry.joint])}"
             plots = tuple(_over(own, entry, signal, units) for signal in _SIGNALS)
             seen = entry.joint in shown
             panels.append(Panel(entry.joint, detail, np.array([]), plots, shown=seen))
-    stages = tuple(
-        Stage(_key(stage), stage.label, stage.color, found is final, "dots")
-        for stage, found in models.items()
-    )
-    return Chart("residuals", _RESIDUALS, stages, tuple(panels), abreast=True)
-
-
-def _key(stage: Stage) -> str:
-    """Return the key of a model's residuals, which are shown apart from its efforts."""
-    return f"residual-{stage.key}"
+    return Chart("residuals", _RESIDUALS, tuple(panels), abreast=True)
 
 
 def _over(
-    own: Mapping[str, Sequence[Series]],
+    own: Mapping[Stage, Sequence[Series]],
     entry: JointError,
     signal: tuple[str, str, str],
     units: Units,
 ) -> Plot:
     """Return the residuals of a joint over one signal."""
     name, words, unit = signal
-    dots: dict[str, tuple[Array, Array]] = {}
+    dots: dict[Stage, tuple[Array, Array]] = {}
     trends = {}
-    for key, series in own.items():
+    for stage, series in own.items():
         values = np.concatenate([getattr(s, name) for s in series])
         residual = np.concatenate([s.residual for s in series])
         known = np.isfinite(values) & np.isfinite(residual)
         values, residual = values[known], residual[known]
         kept = np.linspace(0, len(values) - 1, min(_MOST_DOTS, len(values))).astype(int)
-        dots[key] = values[kept], residual[kept]
+        dots[stage] = values[kept], residual[kept]
         if len(values) >= 2:
-            trends[key] = _trend(values, residual)
+            trends[stage] = _trend(values, residual)
     over = np.unique(np.concatenate([values for values, _ in dots.values()]))
-    curves = {key: np.full(len(over), np.nan) for key in dots}
-    for key, (values, residual) in dots.items():
-        curves[key][np.searchsorted(over, values)] = residual
+    curves = {stage: np.full(len(over), np.nan) for stage in dots}
+    for stage, (values, residual) in dots.items():
+        curves[stage][np.searchsorted(over, values)] = residual
     return Plot(
         f"residual, {units.effort([entry.joint])}" if name == "velocity" else "",
         curves,

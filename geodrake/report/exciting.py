@@ -25,15 +25,12 @@ _STARTS = ("seed", "solver", "random motion", "designed", "evaluations", "second
 _FINE = 600  # instants that are drawn
 _COLUMNS = {"position": "rad", "velocity": "rad/s", "acceleration": "rad/s²", "effort": "N·m"}
 _REACH = 2.5  # times the largest value, up to which a limit is drawn
-_DESIGNED = Stage("designed", "designed", "after")
-_DOTS = Stage("designed", "designed", "after", look="dots")
-_EFFECT, _IMITATION = (
-    Stage("effect", "effect", "after"),
-    Stage("imitation", "best imitation", "before"),
-)
-_FOUND = Stage("found", "identifiable", "after", look="dots")
-_LOST = Stage("lost", "not identifiable", "before", look="dots")
-_IDEAL = Stage("ideal", "at sensor noise alone", "noise")
+_DESIGNED = Stage("designed", "after")
+_DOTS = Stage("designed", "after", look="dots")
+_EFFECT, _IMITATION = Stage("effect", "after"), Stage("best imitation", "before")
+_FOUND = Stage("identifiable", "after", look="dots")
+_LOST = Stage("not identifiable", "before", look="dots")
+_IDEAL = Stage("at sensor noise alone", "noise")
 _MOST_PAIRS, _MOST_DRAWN = 12, 4
 _MOST_COMBINATIONS, _MOST_DIRECTIONS = 12, 8
 _SMALL = 0.05  # share of a direction below which a body is not named
@@ -203,10 +200,9 @@ def _directions_chart(
     label: str, caption: str, curves: dict[Stage, Array], limits: tuple[float, ...]
 ) -> Chart:
     count = np.arange(1.0, 1.0 + len(next(iter(curves.values()))))
-    keyed = {stage.key: values for stage, values in curves.items()}
-    plot = Plot(label, keyed, limits, log=True, over=count, axis="principal direction")
+    plot = Plot(label, curves, limits, log=True, over=count, axis="principal direction")
     panels = (Panel("", "", np.array([]), (plot,)),)
-    return Chart("directions", caption, tuple(curves), panels, abreast=True)
+    return Chart("directions", caption, panels, abreast=True)
 
 
 def _pairs_section(result: ExcitationResult, units: Units) -> Section:
@@ -254,7 +250,7 @@ def _imitation_chart(result: ExcitationResult, units: Units) -> Chart:
         j = int(np.argmax(np.square(truth - imitated).sum(0)))
         joint = result.limits.joints[j]
         words = f"{joint}: {_shaped(entry.pair.truth).text} for {_shaped(entry.pair.rival).text}"
-        curves = {_EFFECT.key: truth[:, j], _IMITATION.key: imitated[:, j]}
+        curves = {_EFFECT: truth[:, j], _IMITATION: imitated[:, j]}
         plot = Plot(f"effort, {units.at(joint, 'N·m')}", curves)
         panels.append(Panel(words, "", at, (plot,)))
     caption = (
@@ -265,11 +261,9 @@ def _imitation_chart(result: ExcitationResult, units: Units) -> Chart:
     return Chart(
         "pairs",
         caption,
-        (_EFFECT, _IMITATION),
         tuple(panels),
-        (("", float(at[0]), float(at[-1]), 0.0),),
-        "time, s" if family.timed else "sample",
-        "Pairs",
+        axis="time, s" if family.timed else "sample",
+        parts="Pairs",
     )
 
 
@@ -312,16 +306,14 @@ def motion_chart(result: ExcitationResult, units: Units) -> Chart:
                 ends = -getattr(limits, name)[j], getattr(limits, name)[j]
             reach = _REACH * max(float(np.abs(values[:, j]).max()), 1e-9)
             near = tuple(float(end) for end in ends if abs(end) <= reach)
-            label, curves = f"{name}, {units.at(joint, unit)}", {stage.key: values[:, j]}
+            label, curves = f"{name}, {units.at(joint, unit)}", {stage: values[:, j]}
             plots.append(Plot(label, curves, near, tall=name == "position"))
         panels.append(Panel(joint, "", at, tuple(plots), shown=j < MOST_PANELS))
     caption = (
         "Position, velocity, acceleration and effort of every joint. Dotted lines are limits; an "
         "axis without them shows a motion that stays far inside."
     )
-    spans = (("", float(at[0]), float(at[-1]), 0.0),)
-    axis = "time, s" if timed else "sample"
-    return Chart("motion", caption, (stage,), tuple(panels), spans, axis)
+    return Chart("motion", caption, tuple(panels), axis="time, s" if timed else "sample")
 
 
 def identifiability_page(found: LogIdentifiability, about: About) -> Page:

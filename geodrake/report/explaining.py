@@ -61,10 +61,10 @@ if TYPE_CHECKING:
 
 REST = "What the remaining error varies with"
 _EVEN = "No joint has a much larger error in some circumstance than elsewhere."
-_IDENTIFIED = Stage("after", "identified", "after")
-_LEFT = Stage("left", "left without it", "measured", look="wide")
-_FORMULA = Stage("formula", "formula on held-out data", "after")
-_AGAINST = Stage("against", "one against the other", "after", look="dots")
+_IDENTIFIED = Stage("identified", "after")
+_LEFT = Stage("left without it", "measured", look="wide")
+_FORMULA = Stage("formula on held-out data", "after")
+_AGAINST = Stage("one against the other", "after", look="dots")
 _GAP = 1.5  # samples farther apart than so many times the usual are not joined by a line
 _MOST_DOTS = 400
 _MILLIMETRES = 1e3
@@ -446,14 +446,14 @@ def draft_chart(draft: Draft, units: Units) -> Chart:
         plots = (
             Plot(
                 f"effort, {unit}",
-                {_LEFT.key: left, _FORMULA.key: formula},
+                {_LEFT: left, _FORMULA: formula},
                 floor=effect.floor,
                 over=at,
                 axis="samples, block after block",
             ),
             Plot(
                 "left without it",
-                {_AGAINST.key: effect.residual[order]},
+                {_AGAINST: effect.residual[order]},
                 over=effect.effort[order],
                 axis=f"formula, {unit}",
             ),
@@ -464,8 +464,7 @@ def draft_chart(draft: Draft, units: Units) -> Chart:
         "What everything else leaves at a joint, and the effort of the formula: over time, and one "
         "against the other."
     )
-    stages = (_LEFT, _FORMULA, _AGAINST)
-    return Chart("draft", caption, stages, tuple(panels), abreast=True)
+    return Chart("draft", caption, tuple(panels), abreast=True)
 
 
 def _unit(errors: ErrorTable, units: Units) -> str:

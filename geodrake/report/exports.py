@@ -29,8 +29,8 @@ _FROM = {"stamps": "its time stamps", "option": "--date", "file": "when its file
 _DIGITS = 12  # of a hash, in words
 _MOST_NAMED = 3  # gaps or rests that are named
 _SI = {"current": "A", "voltage": "V", "pwm": "share"}  # which names of quantities do not say
-_POSITION, _COMMAND = Stage("position", "position", "after"), Stage("command", "command", "quiet")
-_EFFORT = Stage("effort", "effort", "before")
+_POSITION, _COMMAND = Stage("position", "after"), Stage("command", "quiet")
+_EFFORT = Stage("effort", "before")
 
 
 def export_page(found: ProvenExport, about: About) -> Page:
@@ -355,21 +355,16 @@ def log_chart(found: LogInspection) -> Chart:
     Commands are beside positions; without efforts, how far they are from there.
     """
     log, panels = found.log, []
-    rests = tuple(
-        Shade(_POSITION.key, first, last, "no joint moves") for first, last in found.rests
-    )
+    rests = tuple(Shade(_POSITION, first, last, "no joint moves") for first, last in found.rests)
     for row, joint in enumerate(log.joints):
-        positions = {_POSITION.key: log.position[:, row]}
+        positions = {_POSITION: log.position[:, row]}
         if log.command is not None and np.isfinite(log.command[:, row]).any():
-            positions[_COMMAND.key] = log.command[:, row]
+            positions[_COMMAND] = log.command[:, row]
         effort, words = _effort_curve(found, row)
-        plots = Plot("position, rad or m", positions), Plot(words, {_EFFORT.key: effort})
+        plots = Plot("position, rad or m", positions), Plot(words, {_EFFORT: effort})
         panels.append(Panel(joint, "", log.time, plots, rests))
-    used = {key for panel in panels for plot in panel.plots for key in plot.curves}
-    stages = tuple(stage for stage in (_POSITION, _COMMAND, _EFFORT) if stage.key in used)
-    spans = (("", float(log.time[0]), float(log.time[-1]), 0.0),)
     caption = "Shaded: no joint moves." if found.rests else ""
-    return Chart("log", caption, stages, tuple(panels), spans, "time, s")
+    return Chart("log", caption, tuple(panels), axis="time, s")
 
 
 def _effort_curve(found: LogInspection, row: int) -> tuple[NDArray[np.float64], str]:

@@ -93,17 +93,17 @@ def chart_figure(chart: Chart, most: int = MOST_PANELS) -> Figure:
 
 def _draw(ax: Axes, chart: Chart, panel: Panel, plot: Plot, stages: list[Stage]) -> None:
     over = panel.time if plot.over is None else plot.over
-    shown = [stage for stage in stages if stage.key in plot.curves]
+    shown = [stage for stage in stages if stage in plot.curves]
     for stage in shown:
         color, dots = style.COLORS[stage.color], stage.look == "dots"
         alpha = 0.4 if dots and plot.trends else 1.0
-        ax.plot(over, plot.curves[stage.key], color=color, alpha=alpha, **_LOOKS[stage.look])
-        if stage.key in plot.trends:
-            trend = plot.trends[stage.key]
+        ax.plot(over, plot.curves[stage], color=color, alpha=alpha, **_LOOKS[stage.look])
+        if stage in plot.trends:
+            trend = plot.trends[stage]
             ax.plot(trend.middle, trend.mean, color=style.INK, linewidth=1.6)
             ax.plot(trend.middle, trend.rms, color=style.INK, linewidth=0.9, linestyle="--")
     for shade in panel.shades:
-        color = style.COLORS[chart.color_of(shade.stage)]
+        color = style.COLORS[shade.stage.color]
         ax.axvspan(shade.start, shade.end, color=color, alpha=0.14, linewidth=0)
     for limit in plot.limits:
         ax.axhline(limit, color=style.INK, linestyle=":", linewidth=1.0)
@@ -115,7 +115,7 @@ def _draw(ax: Axes, chart: Chart, panel: Panel, plot: Plot, stages: list[Stage])
         ax.set_ylim(*plot.span)
     elif plot.centred:
         ax.axhline(0.0, color=style.QUIET, linewidth=0.6)
-        curves = [plot.curves[stage.key] for stage in shown]
+        curves = [plot.curves[stage] for stage in shown]
         peaks = [float(np.abs(c[np.isfinite(c)]).max(initial=0.0)) for c in curves]
         peaks = [peak for peak in peaks if peak > 0] or [1.0]
         most = 1.08 * min(max(peaks), CUT * min(peaks))
@@ -126,7 +126,7 @@ def _draw(ax: Axes, chart: Chart, panel: Panel, plot: Plot, stages: list[Stage])
     if chart.abreast:
         ax.xaxis.set_major_locator(MaxNLocator(5))
         ax.set_xlabel(plot.axis, labelpad=2, **style.plain(style.SMALL - 0.5, style.QUIET))
-    elif chart.spans:
+    else:
         _label_time(ax, chart)
 
 
@@ -134,7 +134,7 @@ def _label_time(ax: Axes, chart: Chart) -> None:
     """Label the axis with each log's own time, and draw lines where a log begins."""
     low, high = chart.ends
     places: dict[float, str] = {}
-    for _, first, last, shift in chart.spans:
+    for _, first, last, shift in chart.stretches:
         locator = MaxNLocator(
             int(np.clip(10 * (last - first) / (high - low), 1, 10)), steps=[1, 2, 5, 10]
         )

@@ -44,9 +44,9 @@ from geodrake.report.words import effect_label
 
 Array = NDArray[np.float64]
 
-_VALUE = Stage("value", "value of each log", "after")
-_INTERVAL = Stage("interval", "95 % interval", "measured")
-_LEVEL = Stage("level", "mean before and after a change", "before", look="wide")
+_VALUE = Stage("value of each log", "after")
+_INTERVAL = Stage("95 % interval", "measured")
+_LEVEL = Stage("mean before and after a change", "before", look="wide")
 
 _DIGITS = 6
 _LEAST_CHANCE = 1e-12  # what is less likely is told as this
@@ -283,12 +283,10 @@ def _chart(robot: RobotResult, at: int) -> Chart:
     return Chart(
         f"robot-{at}",
         "Parameters of each joint over time, log by log.",
-        (_VALUE, _INTERVAL, _LEVEL),
         tuple(
             _panel(robot, place, days)
             for place in sorted(places, key=lambda place: place not in changed)
         ),
-        (("", 0.0, float(max(days[-1], 1e-3)), 0.0),),
         axis=f"days since {np.datetime64(round(robot.dates[0]), 's').astype('datetime64[D]')}",
         unit="days",
     )
@@ -302,7 +300,7 @@ def _panel(robot: RobotResult, place: str, days: Array) -> Panel:
     seen = [each for each in robot.findings if each.where == place or each.where not in places]
     shades = tuple(
         Shade(
-            _LEVEL.key,
+            _LEVEL,
             *_begins(finding, robot.dates),
             f"{_change_label(finding)} of {finding.where} since {_since(finding)}",
         )
@@ -337,9 +335,9 @@ def _plot(history: ParameterHistory, changes: Sequence[FleetFinding], dates: Arr
     return Plot(
         f"{effect_label(parameter.effect)}: {parameter.name}{unit}",
         {
-            _LEVEL.key: np.repeat(_levels(history, of_it, dates), 3),
-            _INTERVAL.key: interval.ravel(),
-            _VALUE.key: np.repeat(values, 3),
+            _LEVEL: np.repeat(_levels(history, of_it, dates), 3),
+            _INTERVAL: interval.ravel(),
+            _VALUE: np.repeat(values, 3),
         },
         tall=len(of_it) > 0,
     )

@@ -28,9 +28,9 @@ from geodrake.report.words import (
 
 Array = NDArray[np.float64]
 
-_MEASURED = Stage("measured", "measured", "measured", look="wide")
-_SIMULATED = Stage("after", "simulated", "after")
-_BEFORE = Stage("before", "before", "before")
+_MEASURED = Stage("measured", "measured", look="wide")
+_SIMULATED = Stage("simulated", "after")
+_BEFORE = Stage("before", "before")
 _CAPTION = (
     "Positions, window after window. Each window starts at the measured state; from there on the "
     "simulated robot is alone with the logged {under}. Lines are cut off where they leave the axes."
@@ -197,7 +197,7 @@ def rollout_chart(after: Rollout, before: Rollout | None, units: Units) -> Chart
     time = gap_filled(_joined([[t] for t in times])[0])
     rollouts = {_SIMULATED: after} if before is None else {_BEFORE: before, _SIMULATED: after}
     measured = _joined([w.measured.T for w in after.windows])
-    simulated = {s.key: _joined([w.simulated.T for w in r.windows]) for s, r in rollouts.items()}
+    simulated = {s: _joined([w.simulated.T for w in r.windows]) for s, r in rollouts.items()}
     shares = np.nan_to_num([joint.relative for joint in after.joints], nan=0.0)
     order = np.argsort(-shares, kind="stable").tolist()
     badge = "departs most" if len(after.joints) > 1 else ""
@@ -207,8 +207,8 @@ def rollout_chart(after: Rollout, before: Rollout | None, units: Units) -> Chart
         known = measured[j][np.isfinite(measured[j])]
         margin = 0.25 * float(np.ptp(known)) + 1e-6
         span = float(known.min()) - margin, float(known.max()) + margin
-        curves = {_MEASURED.key: measured[j]}
-        curves |= {key: _within(span, q[j]) for key, q in simulated.items()}
+        curves = {_MEASURED: measured[j]}
+        curves |= {stage: _within(span, q[j]) for stage, q in simulated.items()}
         plot = Plot(f"position, {unit}", curves, span=span)
         panel = Panel(joint.joint, f"RMS {number(joint.rms)} {unit}", time, (plot,))
         worst = badge if j == order[0] else ""
@@ -218,7 +218,7 @@ def rollout_chart(after: Rollout, before: Rollout | None, units: Units) -> Chart
         for s, w in zip(starts, after.windows, strict=True)
     )
     caption = _CAPTION.format(under=after.under)
-    return Chart("rollout", caption, (_MEASURED, *rollouts), tuple(panels), spans)
+    return Chart("rollout", caption, tuple(panels), spans)
 
 
 def _within(span: tuple[float, float], values: Array) -> Array:

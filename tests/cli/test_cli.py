@@ -153,7 +153,10 @@ def test_demo_explains_the_log_that_ships(tmp_path):
     assert [path.name for path in tmp_path.iterdir()] == ["geodrake_demo.html"]
     page = (tmp_path / "geodrake_demo.html").read_text(encoding="utf-8")
     assert len(page) < 500_000
-    assert all(f'data-stage="{key}"' in page for key in ("before", "step1", "step2", "after"))
+    assert all(
+        f'data-stage="{words}' in page
+        for words in ("as it stands", "after 1: ", "after 2: ", "final model")
+    )
     assert "With --details: " in result.output
 
 

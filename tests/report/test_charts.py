@@ -33,6 +33,7 @@ from geodrake.report.charts import decimated, packed
 from geodrake.report.error_charts import (
     AFTER,
     BEFORE,
+    MEASURED,
     candidate_bars,
     effort_chart,
     joint_bars,
@@ -101,8 +102,8 @@ def test_a_chart_holds_what_was_measured_and_left():
     assert panel["title"] == joints[1]
     own = [s for s in before.series if s.joint == joints[1]]
     efforts, residuals = (plot["curves"] for plot in panel["plots"])
-    assert efforts["after"] is None  # the page has the measured effort and the residual
-    for values, name in ((efforts["measured"], "measured"), (residuals["before"], "residual")):
+    assert efforts[AFTER.key] is None  # the page has the measured effort and the residual
+    for values, name in ((efforts[MEASURED.key], "measured"), (residuals[BEFORE.key], "residual")):
         found = unpacked(values)
         expected = np.concatenate([getattr(s, name) for s in own])
         np.testing.assert_allclose(found[np.isfinite(found)], expected, atol=2e-4)
@@ -151,8 +152,9 @@ def test_steps_can_be_chosen_where_their_predictions_are_known():
     between = comparison(joints, 0.5).series
     steps = (step("payload", ("hand",), {}, {}, joints=joints, series=between), friction(joints))
     html = page(explanation(joints, steps))
-    assert re.findall(r'data-stage="(step\d)" aria-pressed="(\w+)"', html) == [("step1", "false")]
-    assert "after 1: + payload" in html
+    assert re.findall(r'data-stage="(after \d: .*) \(line\)" aria-pressed="(\w+)"', html) == [
+        ("after 1: + payload", "false")
+    ]
 
 
 def test_errors_that_are_none_have_bars_of_nothing():
@@ -219,7 +221,7 @@ def test_a_block_without_motion_is_left_out():
     empty = dataclasses.replace(first, **{f: getattr(first, f)[:0] for f in FIELDS})
     chart = effort_chart({BEFORE: dataclasses.replace(one, series=(empty, *others))}, UNITS)
     (panel,) = chart.panels
-    assert np.isfinite(panel.plots[0].curves["measured"]).sum() == 40 * len(others)
+    assert np.isfinite(panel.plots[0].curves[MEASURED]).sum() == 40 * len(others)
     png(chart_figure(chart))
 
 

@@ -124,8 +124,8 @@ def test_joints_share_their_time_and_show_values_under_the_cursor(opened):
 def test_models_are_shown_and_hidden(opened):
     page = opened()
     area = drawn(page).locator(".u-over").first
-    page.locator(".chip[data-stage=before]").click()
-    page.locator(".chip[data-stage=step1]").click()
+    page.locator(".chip[data-stage='as it stands (line)']").click()
+    page.locator(".chip[data-stage^='after 1: ']").click()
     area.hover(position={"x": 200, "y": 40})
     said = page.locator(".readout").first.inner_text()
     assert "as it stands" not in said
