@@ -7,6 +7,7 @@ from pydrake.multibody.parsing import PackageMap
 
 from geodrake import load_model
 from geodrake.errors import ModelError
+from geodrake.model import check_dynamics
 from geodrake.robot.files.includes import add_packages, named_packages
 
 PENDULUM = Path(__file__).parents[2] / "models" / "double_pendulum.urdf"
@@ -51,6 +52,63 @@ def test_sdf_includes(by, tmp_path):
     }[by]
     model = load_model(write(tmp_path / "robot.sdf", including(uri)))
     assert set(model.joints) == {"a_joint", "b_joint"}
+
+
+FINGER = """<sdf version="1.9"><model name="finger">
+<frame name="mount" attached_to="a"><pose>0 0 -.02 0 .3 0</pose></frame>
+<link name="a"><inertial><pose>0 0 .03 0 .2 0</pose><mass>.1</mass>
+<inertia><ixx>1e-4</ixx><iyy>2e-4</iyy><izz>1.5e-4</izz></inertia></inertial></link>
+<link name="b"><pose relative_to="a">0 0 .06 .2 0 0</pose><inertial><mass>.05</mass></inertial>
+</link><joint name="bend" type="revolute"><parent>a</parent><child>b</child>
+<axis><xyz expressed_in="__model__">1 0 0</xyz><dynamics><spring_stiffness>.2</spring_stiffness>
+</dynamics></axis></joint>MORE</model></sdf>"""
+NESTED = """<link name="c"><inertial><mass>.2</mass></inertial></link>
+<joint name="slide" type="prismatic"><pose relative_to="__model__"/><parent>__model__</parent>
+<child>c</child><axis><xyz expressed_in="mount">0 1 1</xyz></axis></joint>
+<include merge="true"><name>tip</name><uri>package://p/tip.sdf</uri><pose>.1 0 0 0 .3 0</pose>
+</include><joint name="tilt" type="revolute"><parent>c</parent><child>d</child>
+<axis><xyz>0 1 0</xyz></axis></joint>"""
+OLD = """<sdf version="1.4"><model name="old"><link name="a"><pose>0 0 .1 .5 0 0</pose></link>
+<link name="b"><pose>0 0 .3 .5 .4 0</pose><inertial><pose>.1 0 0 0 0 0</pose></inertial></link>
+<joint name="bend" type="revolute"><parent>a</parent><child>b</child><axis><xyz>1 0 0</xyz></axis>
+</joint></model></sdf>"""
+
+
+@pytest.mark.parametrize("merge", [False, True])
+@pytest.mark.parametrize("kind", ["placed", "nested", "old"])
+def test_included_sdf_models_are_what_drake_makes_of_them(tmp_path, kind, merge):
+    package(tmp_path, "p")
+    names = {"a": "d", "b": "e", "mount": "mount_2", "bend": "bend_2"}
+    tip = FINGER.replace("MORE", "")
+    for name, other in names.items():
+        tip = tip.replace(f'"{name}"', f'"{other}"').replace(f">{name}<", f">{other}<")
+    write(tmp_path / "tip.sdf", tip)
+    finger = OLD if kind == "old" else FINGER.replace("MORE", NESTED if kind == "nested" else "")
+    write(tmp_path / "finger.sdf", finger)
+    placed = "<placement_frame>mount</placement_frame>" if kind == "placed" else ""
+    scope = "" if merge else "more::"
+    include = including("package://p/finger.sdf").replace(
+        "</uri>",
+        f"""</uri>{placed}
+<pose relative_to="a0">0 0 .1 0 0 .2</pose>""",
+    )
+    text = include.replace('"a"', '"a0"').replace(">a<", ">a0<")
+    text = text.replace(
+        "</model>",
+        f"""<joint name="k" type="revolute"><parent>a0</parent>
+<child>{scope}a</child><axis><xyz>1 0 0</xyz></axis></joint></model>""",
+    )
+    robot = write(tmp_path / "robot.sdf", text.replace("<include>", f'<include merge="{merge}">'))
+    if kind == "placed" and merge:
+        with pytest.raises(
+            ModelError, match=r"robot\.sdf, line \d+: <include> merges a model that"
+        ):
+            load_model(robot)
+        return
+    check = check_dynamics(model := load_model(robot))
+    assert check.by.startswith("Drake") and check.second is not None and check.holds
+    springs = [f.effect.where for f in model.effects if f.effect.name == "joint_spring"]
+    assert len(springs) == {"placed": 1, "nested": 2, "old": 0}[kind]
 
 
 def test_mjcf_includes(tmp_path):

@@ -155,6 +155,16 @@ def test_an_sdf_states_springs_and_friction_of_a_universal_joint_at_its_first_ax
     assert len([f for f in model.effects if f.effect.name == "coulomb_friction"]) == 1
 
 
+def test_links_of_an_sdf_weigh_nothing_where_a_welded_one_has_their_inertia(load):
+    text = SDF.format(mass=1.0, ixx=0.1).replace("<ixx>0.1</ixx>", "<ixx>0.4</ixx>")  # a thin link
+    tool = """<link name="tool"><inertial><mass>0.5</mass><inertia><ixx>0.1</ixx><iyy>0.1</iyy>
+    <izz>0.1</izz></inertia></inertial></link><joint name="weld" type="fixed"><parent>l1</parent>
+    <child>tool</child></joint></model>"""
+    loaded = load(text.replace("</model>", tool), "m.sdf")
+    assert loaded.repairs == ()
+    assert inertial_parameters(loaded.plant)[0, [0, 5]] == pytest.approx([1.5, 0.4 + 0.1 + 0.01])
+
+
 MJCF = """<mujoco model="m"><compiler meshdir="absent"/><asset><mesh name="x" file="x.stl"/>
 <mesh file="y.obj"/></asset>
 <default><joint damping="0.3" armature="0.2"/><default class="stiff"><joint frictionloss="2"/>

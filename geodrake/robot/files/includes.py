@@ -11,15 +11,23 @@ from collections.abc import Iterable, Iterator, Mapping
 from contextlib import suppress
 from itertools import islice
 from pathlib import Path
-from xml.etree.ElementTree import Element
+from xml.etree.ElementTree import Element, SubElement
 
 from pydrake.multibody.parsing import PackageMap
 
 from geodrake.boundary.input_files import read_regular, regular_file
 from geodrake.errors import ModelError
-from geodrake.robot.files.xml_text import LARGEST_FILE, parse_xml, parse_xml_bytes, place_of
+from geodrake.robot.files.xml_text import (
+    LARGEST_FILE,
+    parse_xml,
+    parse_xml_bytes,
+    place_of,
+    wrong_at,
+)
 
 _SCENERY = re.compile(r"(?<![a-z])(sun|ground|light|plane)+s?(?![a-z])", re.I)
+_LIKE_LATER = (1, 7)  # version of SDF from which on poses and axes mean the same
+_MODEL = "__model__"  # the frame of a model in SDF
 _DEEPEST = 30  # files that include each other in a row
 
 
@@ -79,9 +87,10 @@ class Includes:
         return (*chain, file)
 
     def insert(self, root: Element, folder: Path, chain: tuple[Path, ...] = ()) -> None:
-        """Replace an SDF's includes by relative paths with the models that they name.
+        """Replace an SDF's includes with the models that they name.
 
-        Those that it includes by a URL are left to Drake, but followed too.
+        URDFs, and models of such an old version of SDF that they mean other things, are left to
+        Drake, but followed too.
         """
         chain = chain or (self.path.resolve(),)
         for parent in list(root.iter()):
@@ -93,13 +102,37 @@ class Includes:
                     said = self.absent if _SCENERY.search(_last_name(url)) else self.missing
                     said.append(f"{where}: {url} is not found, and is left out of the world.")
                     continue
+                found = dict[tuple[int, ...], Element]()  # by their versions
                 for file in _models_of(self.resolve(url, folder), "://" in url):
                     below = self.enter(chain, file)
                     included = parse_xml(file)
                     self.insert(included, file.parent, below)
-                    model = included.find("model")
-                    if "://" not in url and included.tag == "sdf" and model is not None:
-                        _replace(parent, include, model)
+                    model, version = included.find("model"), _version(included)
+                    if model is not None and _means_the_same(version, _version(root)):
+                        found[version] = model
+                    elif "://" not in url and model is not None:
+                        include.findall("uri")[0].text = file.resolve().as_uri()
+                if found:
+                    self._replace(parent, include, found[max(found)])
+
+    def _replace(self, parent: Element, include: Element, model: Element) -> None:
+        """Replace an include with its model, which the include may move, rename and merge."""
+        model.set("name", include.findtext("name", model.get("name", "")).strip())
+        for element in (e for tag in ("pose", "static") for e in include.findall(tag)):
+            for old in model.findall(element.tag):
+                model.remove(old)
+            model.append(element)
+        placed = include.findtext("placement_frame", "").strip()
+        if placed:
+            model.set("placement_frame", placed)
+        merges = include.get("merge", "").strip().lower() in ("true", "1")
+        if merges and model.get("placement_frame"):
+            what = (
+                "<include> merges a model that is placed by a frame, which geodrake does not read."
+            )
+            raise wrong_at(include, self.path, what)
+        at = list(parent).index(include)
+        parent[at : at + 1] = _merged(model) if merges else [model]
 
     def _leads_nowhere(self, url: str, folder: Path) -> bool:
         try:
@@ -149,16 +182,41 @@ def _models_of(place: Path, by_url: bool) -> list[Path]:
     return [file for file in stated if file.is_file()] or stated  # one for each version of SDF
 
 
-def _replace(parent: Element, include: Element, model: Element) -> None:
-    """Replace an include with its model, which the include may move and rename."""
-    model.set("name", include.findtext("name", model.get("name", "")).strip())
-    for element in (e for tag in ("pose", "static") for e in include.findall(tag)):
-        for old in model.findall(element.tag):
-            model.remove(old)
-        model.append(element)
-    if include.get("placement_frame"):
-        model.set("placement_frame", include.get("placement_frame", ""))
-    parent[list(parent).index(include)] = model
+def _version(root: Element) -> tuple[int, ...]:
+    """Return the version of SDF that a file has."""
+    return tuple(int(word) for word in re.findall(r"\d+", root.get("version", "")))
+
+
+def _means_the_same(one: tuple[int, ...], other: tuple[int, ...]) -> bool:
+    """Return whether models of two versions of SDF may stand in one file."""
+    return one == other or min(one, other) >= _LIKE_LATER
+
+
+def _merged(model: Element) -> list[Element]:
+    """Return what a model puts into the one that it is merged with: its parts, and its own frame.
+
+    Parts whose poses are relative to the model are relative to that frame.
+    """
+    name, pose = f"_merged__{model.get('name')}__model__", model.find("pose")
+    frame = Element("frame", name=name)
+    frame.append(Element("pose") if pose is None else pose)
+    frame[0].attrib.setdefault("relative_to", _MODEL)
+    links = [model.get("canonical_link"), *(link.get("name") for link in model.findall("link"))]
+    if canonical := next(filter(None, links), ""):
+        frame.set("attached_to", canonical)
+    parts = [part for part in model if part.tag in ("link", "joint", "frame", "model", "include")]
+    for part in parts:
+        if part.tag != "joint" and not part.get("attached_to"):
+            pose = part.find("pose")
+            pose = SubElement(part, "pose") if pose is None else pose
+            pose.attrib.setdefault("relative_to", name)
+        nested = part.tag in ("model", "include")
+        for element in part.findall("pose") if nested else part.iter():
+            for key in [key for key, word in element.attrib.items() if word == _MODEL]:
+                element.set(key, name)
+            if (element.text or "").strip() == _MODEL:  # an end of a joint
+                element.text = name
+    return [frame, *parts]
 
 
 _URL = re.compile(r"(?:package|model)://([^/\n\"'<>]+)")

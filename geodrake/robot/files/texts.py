@@ -17,7 +17,7 @@ from collections.abc import Collection, Iterator, Mapping, Sequence
 from copy import deepcopy
 from pathlib import Path
 from typing import ClassVar
-from xml.etree.ElementTree import Element
+from xml.etree.ElementTree import Element, SubElement
 
 import numpy as np
 from pydrake.math import RigidTransform
@@ -176,6 +176,12 @@ class ModelText(abc.ABC):
             element.remove(inertial)
         if phi is not None:
             put_inertia(self.root, element, phi)
+        elif self.kind == "sdf":  # where a link without an inertia has one of 1 kg
+            none = SubElement(element, "inertial")
+            SubElement(none, "mass").text = "0"
+            moments = SubElement(none, "inertia")
+            for key in TENSOR:
+                SubElement(moments, key).text = "0"
         return True
 
     def text(self) -> tuple[str, list[str]]:
