@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from itertools import combinations
 
@@ -26,6 +26,7 @@ LIMITS = 30.0
 """The same of a motor's limit, which is near the largest effort, and of its speed without load."""
 
 _TURNS = 12  # zeros that are tried at a joint, evenly over a turn
+DIGITS = 4  # of first looks that differ by more than rounding
 _TURNS_ROUND = 0.1  # of its samples, in which a joint needs efforts of the rarer sign
 _KNOWN = 0.5  # deviation of the logarithm of a gain that something is known of
 _LEAST_FACTOR = 1e-100  # of measured velocities: less is none, of which there is no reciprocal
@@ -100,13 +101,16 @@ _SEEN = ("effort_unit", "swapped", "position", "velocity", "time")
 class Mistakes:
     """Everything that may be wrong beside what a fit corrects already."""
 
-    def __init__(self, model: ColumnModel, base: ColumnFit, look: FirstLook) -> None:
-        self._model, self._base, self._look = model, base, look
+    def __init__(
+        self, model: ColumnModel, base: ColumnFit, look: FirstLook, zeros: Mapping[Joints, Array]
+    ) -> None:
+        """Take a fit, and by joint the steps (p,) to zeros that were the best beside another."""
+        self._model, self._base, self._look, self._near = model, base, look, zeros
         self._start, self._robot = base.assignment, model.samples.model
         self._n = len(self._start.gain)
-        # A gain that nobody knows, such as a servo's, cannot be wrong.
-        known = model.samples.gain_deviations[self._start.effort] < _KNOWN
-        self._measured = tuple(np.flatnonzero(known).tolist())
+        # A gain that nobody knows cannot be wrong, nor one that these logs say.
+        known = (model.samples.gain_deviations < _KNOWN) & ~model.samples.fitted
+        self._measured = tuple(np.flatnonzero(known[self._start.effort]).tolist())
         errors = (base.mse / np.maximum(model.noise, 1e-300) ** 2)[self._start.effort]
         self._suspects = tuple(np.sort(np.argsort(-errors)[:_MOST_SUSPECTS]).tolist())
 
@@ -145,8 +149,12 @@ class Mistakes:
                     yield Mistake(name, at, start.times(kind.changes, every, factor))
 
     def _swaps(self) -> Iterator[Mistake]:
+        """Yield pairs of joints swapped; efforts of commands belong to their positions."""
+        fitted = self._model.samples.fitted[self._start.effort]
+        apart = [j for j in self._suspects if not fitted[j]]
         for name in ("swapped_efforts", "swapped_joints", "swapped_positions"):
-            for i, j in combinations(self._suspects, 2):
+            joints = self._suspects if name == "swapped_joints" else apart
+            for i, j in combinations(joints, 2):
                 yield Mistake(name, (i, j), self._start.swapped(KINDS[name].changes, i, j))
 
     def _magnitudes(self) -> Iterator[Mistake]:
@@ -216,15 +224,23 @@ class Mistakes:
                     yield Mistake("effort_limit", (j,), start.limited(j, limit), sizes=sizes)
 
     def _zeros(self) -> Iterator[Mistake]:
-        """Yield other zeros, near ones and all over a turn."""
+        """Yield other zeros: near ones, and those over a turn that look better than either side."""
         for j in self._suspects:
             free = (int(self._model.zeros[j]),)
-            yield Mistake("position_zero", (j,), self._start, free)
-            turns = self._robot.joints[j] not in self._robot.sliding_joints
-            for k in range(1, _TURNS) if turns else ():
+            known = self._near.get((j,), np.zeros(0))
+            start = self._model.moved(self._start, known) if len(known) else self._start
+            near = Mistake("position_zero", (j,), start, free, known)
+            yield near
+            if len(known) or self._robot.joints[j] in self._robot.sliding_joints:
+                continue
+            ring = [near]
+            for k in range(1, _TURNS):
                 by = self._moved(free, float(np.angle(np.exp(2j * np.pi * k / _TURNS))))
                 own = self._model.moved(self._start, by)
-                yield Mistake("position_zero", (j,), own, free, by)
+                ring.append(Mistake("position_zero", (j,), own, free, by))
+            looks = np.round([self._look.score(each.assignment) for each in ring], DIGITS)
+            peaks = (looks >= np.roll(looks, 1)) & (looks >= np.roll(looks, -1))
+            yield from (ring[k] for k in np.flatnonzero(peaks) if k)
 
     def _velocities(self) -> Iterator[Mistake]:
         """Yield factors of measured velocities, and of the time."""

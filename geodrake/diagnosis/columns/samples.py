@@ -47,6 +47,7 @@ class ColumnSamples:
     trajectories: tuple[Trajectory, ...]  # the prepared logs
     width: Array  # (n,) speed below which the direction of motion is not known
     keeps_sign: NDArray[np.bool_]  # (n,) whether a column of efforts is never of one of the signs
+    fitted: NDArray[np.bool_]  # (n,) whether the gain of a column was fitted to these logs
 
     def __len__(self) -> int:
         return len(self.q)
@@ -76,9 +77,12 @@ class ColumnSamples:
 
 
 def column_samples(
-    model: RobotModel, trajectories: tuple[Trajectory, ...], folds: Sequence[Fold]
+    model: RobotModel,
+    trajectories: tuple[Trajectory, ...],
+    folds: Sequence[Fold],
+    fitted: frozenset[str] = frozenset(),
 ) -> ColumnSamples:
-    """Return the samples of prepared logs."""
+    """Return the samples of prepared logs, to which gains of efforts of some joints were fitted."""
     width = sign_widths(model, trajectories)
     blocks = [block for fold in folds for block in fold.blocks]
     blocks.sort(key=lambda block: block.trajectory)
@@ -108,6 +112,7 @@ def column_samples(
         trajectories,
         width,
         (lowest >= 0.0) | (highest <= 0.0),
+        np.array([joint in fitted for joint in model.joints]),
     )
 
 

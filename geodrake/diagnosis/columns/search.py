@@ -20,6 +20,7 @@ _MOST = 6  # mistakes of a log
 _SCREENED, _FINALISTS = 24, 8  # of motion and of efforts, that are fitted, and to the end
 _HOPELESS = -12.0  # score beside that of no mistake: less is not fitted to the end
 _HOPELESS_FOR_GOOD = -1.0  # the same for each sample: less is not tried again before a correction
+_FAR = -60.0  # score beside the best: less is not judged by other samples again
 _PROMISING = 4  # joints whose gains, zeros or unknown efforts are looked for
 _STEPS = 8  # of a fit of a mistake's sizes
 _LEAST_SHARE = 0.05  # of a step, that is tried where more of it is no better
@@ -58,7 +59,8 @@ class ColumnSearch:
 
     def __init__(self, model: ColumnModel) -> None:
         self.model, self._look = model, FirstLook(model)
-        self._hopeless = set[Place]()  # of mistakes, until one is corrected
+        # Until a mistake is corrected: those that are hopeless, and where other zeros were found.
+        self._hopeless, self._zeros = set[Place](), dict[tuple[int, ...], Array]()
 
     def found(self) -> list[MistakeFound]:
         """Return mistakes, one after the other; those without a kind are none of columns."""
@@ -72,6 +74,7 @@ class ColumnSearch:
             base, found = step.best.fit, step.best.fit.assignment
             if step.best.mistake.kind:
                 self._hopeless.clear()
+                self._zeros.clear()
             if step.best.mistake.kind and found.apart | found.unknown:
                 # What seemed unknown before may be another mistake beside this one.
                 known = replace(found, apart=frozenset(), unknown=frozenset())
@@ -101,6 +104,8 @@ class ColumnSearch:
         }
         mistaken = [each for each in places.values() if each.mistake.kind and each.score > least]
         last = [self._refined(each, worth) for each in mistaken[:_FINALISTS]]
+        zeros = [each.mistake for each in (*reversed(mistaken), *last)]
+        self._zeros |= {m.joints: m.moved for m in zeros if m.kind == "position_zero"}
         if not any(each.score > plain.score for each in last):
             return None
         # With few independent samples, what is no mistake may be likelier than it looks at first.
@@ -116,6 +121,7 @@ class ColumnSearch:
             plain = self._plain(base, worth, None, best.fit)
             if best.mistake.place == told:
                 break
+            last = [each for each in last if each.score > best.score + _FAR]
         if best.score <= plain.score + _TIE:
             return None
         weights = np.exp(0.5 * np.array([min(each.score - best.score, 0.0) for each in last]))
@@ -145,7 +151,7 @@ class ColumnSearch:
 
     def _mistakes(self, base: ColumnFit, *, others: bool = False) -> dict[Mistake, float]:
         """Return everything that may be wrong beside a fit, or but columns, with its price."""
-        return Mistakes(self.model, base, self._look).priced(others=others)
+        return Mistakes(self.model, base, self._look, self._zeros).priced(others=others)
 
     def _promising(self, mistakes: Mapping[Mistake, float], base: ColumnFit) -> list[Mistake]:
         """Return the mistakes that are worth a fit."""

@@ -40,8 +40,10 @@ from geodrake.logs.unit_hints import (
     position_unit_hint,
 )
 from geodrake.model.carried_payloads import joints_with_known_gain, payload_notes
+from geodrake.model.effort_signal import COMMAND, signal_of
 from geodrake.model.logged_joints import holding_resting, log_of_model, reading_for
 from geodrake.model.robot_model import RobotModel
+from geodrake.model.signal_efforts import kind_of
 
 Array = NDArray[np.float64]
 Logs = Sequence[JointLog | str | Path]
@@ -218,13 +220,17 @@ def prepared_as_measured(
     *,
     bandwidth: float | None = None,
     blocks: int | None = None,
-) -> tuple[tuple[Trajectory, ...], tuple[Fold, ...]]:
+) -> tuple[tuple[Trajectory, ...], tuple[Fold, ...], frozenset[str]]:
     """Return prepared logs and their folds, whatever the model says of efforts.
 
-    The `bandwidth` of the filter, Hz, is by default chosen from the motion.
+    The `bandwidth` of the filter, Hz, is by default chosen from the motion. Joints whose efforts
+    are those of commands, by gains that were fitted to these logs, come last.
     """
     logs = checked_logs(model, logs, (), bandwidth, blocks)
-    _, matched, _ = calibrate_efforts(model, _matched(model, logs), simulate=False)
+    measured = _matched(model, logs)
+    unknown = [joint for joint in model.joints if signal_of(model.effort_signals, joint) is None]
+    fitted = {j for log in measured for j in unknown if kind_of(log, j) == COMMAND}
+    _, matched, _ = calibrate_efforts(model, measured, simulate=False)
 
     def prepare(logs: Sequence[JointLog]) -> tuple[Trajectory, ...]:
         uniform = [make_uniform(log) for log in logs]
@@ -237,7 +243,7 @@ def prepared_as_measured(
         return prepare_logs(uniform, bandwidth=chosen, how="chosen from the data")
 
     trajectories, _, _ = _with_usable(matched, prepare)
-    return trajectories, validation_blocks(trajectories, blocks=blocks)
+    return trajectories, validation_blocks(trajectories, blocks=blocks), frozenset(fitted)
 
 
 def _with_usable(
