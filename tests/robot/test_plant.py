@@ -115,6 +115,17 @@ def test_rotor_inertia_is_read_out_and_removed(load, effort):
     assert mass[0, 0] == pytest.approx(0.1 + 0.1**2)
 
 
+def test_each_velocity_of_a_planar_joint_has_its_damping(load):
+    text = urdf(inertial()).replace(
+        '<joint name="j1" type="revolute">', '<drake:joint type="planar" name="j1">'
+    )
+    text = text.replace("<robot", '<robot xmlns:drake="http://drake.mit.edu"')
+    text = text.replace("</joint>", '<dynamics damping="1 2 3"/></drake:joint>')
+    model = from_loaded_plant(load(text), floating=False)
+    found = [(f.effect.where, *f.parameters) for f in model.effects]
+    assert found == [(("j1_vx",), 1.0), (("j1_vy",), 2.0), (("j1_wz",), 3.0)]
+
+
 SDF = """<sdf version="1.7"><model name="m"><link name="l1"><inertial>
 <pose>0 0 0.1 0 0 1.5707963267948966</pose><mass>{mass}</mass>
 <inertia><ixx>{ixx}</ixx><iyy>0.2</iyy><izz>0.2</izz></inertia></inertial>

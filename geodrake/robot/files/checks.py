@@ -140,7 +140,7 @@ URDF_NUMBERS: Numeric = {
         "velocity": _MAGNITUDE,
         "drake:acceleration": _MAGNITUDE,
     },
-    "dynamics": {"damping": _POSITIVE, "friction": _POSITIVE},
+    "dynamics": {"damping": Numbers(range(1, 4), least=0.0), "friction": _POSITIVE},
     "drake:gear_ratio": {"value": _ONE},
     "drake:rotor_inertia": {"value": _POSITIVE},
     "drake:screw_thread_pitch": {"value": _ONE},
