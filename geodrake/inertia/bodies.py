@@ -28,6 +28,7 @@ class Member:
 
     index: BodyIndex  # the link's index in the plant
     name: str
+    scoped_name: str  # with its model's name
     X_RB: RigidTransform  # pose of the link B in the frame R of the lumped body's representative
 
 
@@ -74,6 +75,7 @@ def lumped_bodies(plant: MultibodyPlant) -> tuple[LumpedBody, ...]:
             Member(
                 body.index(),
                 names[int(body.index())],
+                body.scoped_name().get_full(),
                 plant.CalcRelativeTransform(context, frame, body.body_frame()),
             )
             for body in sorted(group, key=lambda body: (body is not representative, body.index()))

@@ -9,7 +9,6 @@ from pathlib import Path
 
 import numpy as np
 from pydrake.multibody.plant import MultibodyPlant
-from pydrake.multibody.tree import BodyIndex
 
 from geodrake.boundary.arguments import file_path, instance
 from geodrake.boundary.whole_files import write_whole
@@ -117,7 +116,7 @@ def export_bodies(model: RobotModel) -> Export:
     written: dict[str, Array] = {}
     shared, absent = [], []
     for body, phi in zip(lumped_bodies(model.plant), model.total_phi, strict=True):
-        names = [_scoped(model.plant, member.index) for member in body.members]
+        names = [member.scoped_name for member in body.members]
         before = np.array([stated.get(name, np.zeros(10)) for name in names])
         after, how = distributed(body, before, phi)
         changed = {
@@ -262,7 +261,3 @@ def file_kind(model: RobotModel) -> str:
             path=model.path,
         )
     return read_description(model.path, model.given).texts[0].kind
-
-
-def _scoped(plant: MultibodyPlant, index: int | BodyIndex) -> str:
-    return plant.get_body(BodyIndex(index)).scoped_name().get_full()

@@ -30,6 +30,7 @@ from geodrake.model.robot_model import RobotModel
 from geodrake.robot.files.checks import numbers
 from geodrake.robot.files.xacro_file import read_expanded
 from geodrake.robot.files.xml_text import parse_xml_bytes
+from geodrake.robot.joints import joints_of
 
 _NORM = 0.02  # by which the length of a quaternion may differ from one
 _UPRIGHT = np.radians(80.0)  # of pitch, beyond which yaw and roll are nearly one
@@ -421,7 +422,7 @@ def _check_axes(sums: Array, model: RobotModel, name: str) -> None:
 def _last_links(model: RobotModel) -> tuple[str, ...]:
     """Return the last links of limbs, where a robot may touch the ground."""
     plant, lumps = model.plant, lumped_bodies(model.plant)
-    joints = [plant.get_joint(index) for index in plant.GetJointIndices()]
+    joints = joints_of(plant)
     inner = {int(joint.parent_body().index()) for joint in joints}
     moving = {int(j.parent_body().index()) for j in joints if j.num_velocities()}
     last = [lump for lump in lumps[1:] if not moving & {int(m.index) for m in lump.members}]

@@ -36,7 +36,7 @@ from geodrake.robot.files.mjcf_source import load_mujoco, quiet_mujoco
 from geodrake.robot.files.texts import ModelText
 from geodrake.robot.files.xacro_file import read_expanded
 from geodrake.robot.files.xml_text import parse_xml_bytes
-from geodrake.robot.joints import joints_of, scoped
+from geodrake.robot.joints import scoped, single_joints
 from geodrake.robot.plant import free_roots
 from geodrake.robot.transmission import times
 
@@ -209,12 +209,9 @@ def check_loops(text: MjcfText, plant: MultibodyPlant, held: Places, q: Array, v
 
 def _numbers(m: Any, plant: MultibodyPlant) -> list[tuple[Joint, int]]:
     """Return joints of one degree of freedom, and their numbers in MuJoCo's model."""
-    mujoco, found = load_mujoco(), []
-    for joint in joints_of(plant):
-        at = mujoco.mj_name2id(m, mujoco.mjtObj.mjOBJ_JOINT, joint.name())
-        if joint.num_velocities() == joint.num_positions() == 1 and at >= 0:
-            found.append((joint, at))
-    return found
+    kind, single = load_mujoco().mjtObj.mjOBJ_JOINT, single_joints(plant)
+    numbers = [load_mujoco().mj_name2id(m, kind, joint.name()) for joint in single]
+    return [(joint, at) for joint, at in zip(single, numbers, strict=True) if at >= 0]
 
 
 def pinocchio_or_none() -> ModuleType | None:

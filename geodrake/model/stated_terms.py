@@ -15,10 +15,10 @@ from itertools import chain, combinations
 
 import numpy as np
 from pydrake.math import RigidTransform
-from pydrake.multibody.tree import BodyIndex
 
 from geodrake.effects.base import Effect, FittedEffect
 from geodrake.inertia import Array
+from geodrake.inertia.bodies import lumped_bodies
 from geodrake.model.file_terms import (
     Carried,
     CoupledDry,
@@ -181,13 +181,11 @@ def _add_of_bodies(found: StatedEffects, loaded: LoadedPlant) -> None:
     terms, plant = loaded.terms, loaded.plant
     places, still = stated.places_of_links(plant), (stated.WORLD, RigidTransform())
     weights = defaultdict[str, Array](lambda: np.zeros(4))
-    for index in map(BodyIndex, range(plant.num_bodies())):
-        link = plant.get_body(index)
-        name = link.scoped_name().get_full()
-        body, X = places.get(name, still)
-        share = 0.0 if body == stated.WORLD else terms.carried.get(name, 0.0)
+    for member in chain.from_iterable(body.members for body in lumped_bodies(plant)):
+        share, link = terms.carried.get(member.scoped_name, 0.0), plant.get_body(member.index)
         if share and link.default_mass() > 0.0:
-            com = X @ link.default_spatial_inertia().get_com()
+            com = member.X_RB @ link.default_spatial_inertia().get_com()
+            body = places[member.scoped_name][0]
             weights[body] += share * link.default_mass() * np.append(1.0, com)
     for body, weight in weights.items():
         if weight[0]:

@@ -58,7 +58,7 @@ def add_base_joints(plant: MultibodyPlant, root: RigidBody) -> None:
     places = [*X_WB.translation(), *rpy[::-1]]
     name = root.scoped_name().get_full().replace("::", "_")
     instance = plant.AddModelInstance(f"{BASE_FRAMES}{name}")
-    joints = {joint.name() for joint in map(plant.get_joint, plant.GetJointIndices())}
+    joints = {joint.name() for joint in joints_of(plant)}
     short = root.name()
     if joints & {f"{short}_{each}" for each in COORDINATES}:
         short = f"{short}_base"
@@ -77,7 +77,7 @@ def add_base_joints(plant: MultibodyPlant, root: RigidBody) -> None:
 def base_joints(plant: MultibodyPlant) -> tuple[tuple[Joint, ...], ...]:
     """Return the six joints of every free base of a plant, from the world to the root."""
     found: dict[int, list[Joint]] = {}
-    for joint in map(plant.get_joint, plant.GetJointIndices()):
+    for joint in joints_of(plant):
         frames = [b for b in (joint.parent_body(), joint.child_body()) if is_base_frame(plant, b)]
         if frames:
             found.setdefault(int(frames[0].model_instance()), []).append(joint)

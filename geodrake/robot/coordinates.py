@@ -22,7 +22,7 @@ from pydrake.multibody.plant import MultibodyPlant
 from geodrake.compiling import contiguous
 from geodrake.errors import ModelError
 from geodrake.inertia import Array
-from geodrake.robot.joints import Follower, Indices, joint_names, joints_of, scoped
+from geodrake.robot.joints import Follower, Indices, joint_names, joints_of, scoped, single_joints
 from geodrake.robot.transmission import times
 from geodrake.robot.transmission.loop import LoopTransmission
 from geodrake.robot.transmission.statements import Drive
@@ -125,7 +125,7 @@ class RobotCoordinates:
     ) -> RobotCoordinates:
         """Find the places in a plant, of whose joints some follow others, and drives move some."""
         joints, num_positions = joint_names(plant), plant.num_positions()
-        single = [j for j in joints_of(plant) if j.num_velocities() == j.num_positions() == 1]
+        single = single_joints(plant)
         positions = {int(j.velocity_start()): int(j.position_start()) for j in single}
         led = Led.of(plant, followers)
         aside = led.velocities[0].tolist()

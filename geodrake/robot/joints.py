@@ -208,6 +208,12 @@ def joints_of(plant: MultibodyPlant) -> list[Joint]:
     return [plant.get_joint(index) for index in plant.GetJointIndices()]
 
 
+def single_joints(plant: MultibodyPlant) -> list[Joint]:
+    """Return joints of one degree of freedom, in the order of their velocities."""
+    single = [j for j in joints_of(plant) if j.num_velocities() == j.num_positions() == 1]
+    return sorted(single, key=lambda joint: int(joint.velocity_start()))
+
+
 @typed
 def joint_names(plant: MultibodyPlant) -> tuple[str, ...]:
     """Return names of the velocities (nv): the joint's, with a suffix where it has several.

@@ -17,7 +17,7 @@ from geodrake.errors import ModelError
 from geodrake.inertia import Array
 from geodrake.inertia.bodies import LumpedBody, is_base_frame, lumped_bodies
 from geodrake.robot.coordinates import RobotCoordinates
-from geodrake.robot.joints import FrameMotion, joint_motions
+from geodrake.robot.joints import FrameMotion, joint_motions, joints_of
 from geodrake.robot.recursion import MOBILIZER, Samples, TreeRecords
 
 _WORLD, _MASSLESS = -1, -2
@@ -223,10 +223,9 @@ def _edges(plant: MultibodyPlant, bodies: tuple[LumpedBody, ...]) -> Iterator[_E
         body, X_RB = places[frame.body().index()]
         return body, X_RB.multiply(frame.GetFixedPoseInBodyFrame())
 
-    joints = (plant.get_joint(index) for index in plant.GetJointIndices())
     waiting = [
         (joint, place(joint.frame_on_parent()), place(joint.frame_on_child()))
-        for joint in joints
+        for joint in joints_of(plant)
         if not isinstance(joint, WeldJoint)
     ]
     reached = {_WORLD}

@@ -26,9 +26,15 @@ from pydrake.multibody.plant import MultibodyPlant
 from geodrake.compiling import contiguous
 from geodrake.errors import ModelError
 from geodrake.inertia import Array
-from geodrake.robot.arrangement import moving_joints
 from geodrake.robot.coordinates import Led
-from geodrake.robot.joints import Features, Follower, axis_motion, joint_names, slide_motion
+from geodrake.robot.joints import (
+    Features,
+    Follower,
+    axis_motion,
+    joint_names,
+    single_joints,
+    slide_motion,
+)
 from geodrake.robot.kinematics import KinematicTree, Mobilizer
 from geodrake.robot.recursion import TreeRecords
 from geodrake.robot.stated import WORLD, Closure, places_of_links
@@ -204,9 +210,9 @@ class _LoopFinder:
         lower, upper = led.limited(*limits)
         self.leads = {to: (of, ratio, offset) for to, of, ratio, offset in led.each()}
         self.place, self.limits = dict[int, float](), dict[int, tuple[float, float]]()
-        for joint in moving_joints(plant):
+        for joint in single_joints(plant):
             at, v = int(joint.position_start()), int(joint.velocity_start())
-            if joint.num_velocities() == joint.num_positions() == 1 and v not in self.leads:
+            if v not in self.leads:
                 self.place[v] = how.start.get(self.names[v], float(q[at]))
                 self.limits[v] = float(lower[at]), float(upper[at])
         # Scoped name of a body -> its mobilizer, -1 for what stands still, and its pose there.

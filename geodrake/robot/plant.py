@@ -48,6 +48,7 @@ from geodrake.robot.joints import (
     joints_of,
     resolved,
     scoped,
+    single_joints,
 )
 from geodrake.robot.loops import ClosedLoop, LoopJoints, Loops, closed_loops
 from geodrake.robot.repairs import Repair, repair_inertias
@@ -298,9 +299,7 @@ def _loops(description: ModelDescription, built: BuiltPlant, how: LoopJoints) ->
 def _single_joints(plant: MultibodyPlant) -> dict[str, Joint]:
     """Return the joints of one degree of freedom by name, in the order of their velocities."""
     names = joint_names(plant)
-    single = [j for j in joints_of(plant) if j.num_velocities() == j.num_positions() == 1]
-    single.sort(key=lambda joint: int(joint.velocity_start()))
-    return {names[joint.velocity_start()]: joint for joint in single}
+    return {names[joint.velocity_start()]: joint for joint in single_joints(plant)}
 
 
 def _follower_notes(arrangement: Arrangement) -> list[str]:
@@ -385,7 +384,7 @@ def _write_inertias(description: ModelDescription, plant: MultibodyPlant, phi: A
     for body, parameters in zip(lumps, phi, strict=True):
         for member in body.members:
             own = parameters if member.index == body.body_index else None
-            description.set_inertia(plant.get_body(member.index).scoped_name().get_full(), own)
+            description.set_inertia(member.scoped_name, own)
 
 
 def _check_inertias(plant: MultibodyPlant, phi: ArrayLike, path: Path) -> None:

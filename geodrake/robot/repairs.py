@@ -22,6 +22,7 @@ from geodrake.inertia import (
 from geodrake.inertia.bodies import LumpedBody, lumped_bodies
 from geodrake.inertia.kernels import calc_change_frame
 from geodrake.robot.files import ModelDescription
+from geodrake.robot.joints import joints_of
 
 TOLERANCE = 1e-6  # of P's eigenvalues: a link of 1 m that is 1 mm thin
 LEAST_MASS = 1e-12  # kg, up to which a mass counts as none
@@ -65,10 +66,10 @@ def repair_inertias(
         The repairs, notes on welded links that were left out, and whether the text changed.
     """
     lumps, links = lumped_bodies(plant), stated_inertias(description, plant)
-    stated = [_stated_parameters(links, plant, body) for body in lumps]
+    stated = [_stated_parameters(links, body) for body in lumps]
     usable = [np.where(_counts(phi)[:, None], phi, 0.0).sum(0) for phi in stated]
     between = [
-        all(_scoped(plant, member.index) in description.terms.between for member in body.members)
+        all(member.scoped_name in description.terms.between for member in body.members)
         for body in lumps
     ]
     spare_mass = _spare_mass(
@@ -90,10 +91,10 @@ def repair_inertias(
             names = [m.name for m, x in own if x.any() and not _counts(x)]
             if names:
                 notes.append(f"{', '.join(names)}: no mass above zero, so it adds none.")
-        scoped = {_scoped(plant, member.index) for member in body.members}
+        scoped = {member.scoped_name for member in body.members}
         if after is not phi or scoped & description.terms.set_aside.keys():
             changed = True
-            _write(description, plant, body, after)
+            _write(description, body, after)
     return tuple(repairs), tuple(notes), changed
 
 
@@ -153,13 +154,11 @@ def stated_inertias(description: ModelDescription, plant: MultibodyPlant) -> dic
     return found | description.terms.set_aside
 
 
-def _stated_parameters(
-    links: Mapping[str, Array], plant: MultibodyPlant, body: LumpedBody
-) -> Array:
+def _stated_parameters(links: Mapping[str, Array], body: LumpedBody) -> Array:
     """Return what the file states for each member (k, 10), in the representative's frame."""
     rows = []
     for member in body.members:
-        phi = links[_scoped(plant, member.index)]
+        phi = links[member.scoped_name]
         R_RB, p_RoBo_R = member.X_RB.rotation().matrix(), member.X_RB.translation()
         usable = np.isfinite(phi).all()
         rows.append(calc_change_frame(phi, R_RB, p_RoBo_R) if usable else phi)
@@ -172,8 +171,7 @@ def _joint_points(plant: MultibodyPlant, body: LumpedBody) -> Array:
     indices = {int(member.index) for member in body.members}
     frame = plant.get_body(body.body_index).body_frame()
     points = [np.zeros(3)]
-    for joint_index in plant.GetJointIndices():
-        joint = plant.get_joint(joint_index)
+    for joint in joints_of(plant):
         if joint.num_velocities() and int(joint.parent_body().index()) in indices:
             X_RJ = plant.CalcRelativeTransform(context, frame, joint.frame_on_parent())
             points.append(X_RJ.translation())
@@ -199,19 +197,13 @@ def _problem(phi: Array) -> str:
     return f"has principal moments of inertia {stated} kg·m², which no body can have ({why})"
 
 
-def _write(
-    description: ModelDescription, plant: MultibodyPlant, body: LumpedBody, phi: Array
-) -> None:
+def _write(description: ModelDescription, body: LumpedBody, phi: Array) -> None:
     """Give the representative all of a body, and the links welded to it nothing."""
     for k, member in enumerate(body.members):
-        if not description.set_inertia(_scoped(plant, member.index), phi if k == 0 else None):
+        if not description.set_inertia(member.scoped_name, phi if k == 0 else None):
             raise ModelError(
                 f"{body.name} has an inertia that no body can have, in a file that "
                 f"{description.path} includes.",
                 advice="Correct the included file, or load it by itself.",
                 body=body.name,
             )
-
-
-def _scoped(plant: MultibodyPlant, index: int) -> str:
-    return plant.get_body(index).scoped_name().get_full()

@@ -267,7 +267,5 @@ def places_of_links(plant: MultibodyPlant) -> dict[str, tuple[str, RigidTransfor
         for body in plant.GetBodiesWeldedTo(plant.world_body())
     }
     for body in lumped_bodies(plant):
-        for member in body.members:
-            link = plant.get_body(member.index).scoped_name().get_full()
-            found[link] = body.name, member.X_RB
+        found |= {member.scoped_name: (body.name, member.X_RB) for member in body.members}
     return found

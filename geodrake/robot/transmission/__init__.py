@@ -156,7 +156,7 @@ def times(matrices: Array, vectors: Array) -> Array:
 
 
 @dataclass(frozen=True, eq=False)
-class LinearTransmission(Transmission, Short):
+class LinearTransmission(JointlyEvaluated, Short):
     """θ = J q + θ₀ with a constant J, of `of` or `from_ratios`: gears, belts, coupled wrists.
 
     Attributes:
@@ -219,19 +219,11 @@ class LinearTransmission(Transmission, Short):
         """J."""
         return self.matrix
 
-    def joint_positions(self, q: Array) -> Array:
-        """θ = J q + θ₀."""
-        return self._q(q) @ self.matrix.T + self.offset
-
-    def jacobian(self, q: Array) -> Array:
-        """J, the same for all samples."""
-        return np.broadcast_to(self.matrix, (len(self._q(q)), *self.shape))
-
-    def jacobian_rate(self, q: Array, v: Array) -> Array:
-        """Zero."""
-        sizes: Sizes = {}
-        real_array(v, "v", ("N", self.num_actuators), sizes)
-        return np.zeros((len(self._q(q, sizes)), *self.shape))
+    def along(self, q: Array, v: Array | None = None) -> tuple[Array, Array, Array]:
+        """θ = J q + θ₀, J, the same for all samples, and J̇ = 0."""
+        q = self._q(q)
+        J = np.broadcast_to(self.matrix, (len(q), *self.shape))
+        return q @ self.matrix.T + self.offset, J, np.zeros(J.shape)
 
 
 def gears(ratios: ArrayLike) -> LinearTransmission:
