@@ -6,46 +6,35 @@ efforts, one for each delay; n_tj rows; and the autocovariance of what a fit lea
 from day to day and hierarchies of robots are small problems on these, and nobody goes back to
 samples. Digests of several logs are one digest: their blocks side by side.
 
-A file is an NPZ archive of arrays, with a header and the settings in JSON. It ends in the SHA-256
-of all bytes before it, as the comment of the archive. In a folder, its name is the key that it
+A file holds all of a digest, and the text of its settings. In a folder, its name is the key that it
 holds, which is the hash of its log, of known payloads and of the settings.
 """
 
 from __future__ import annotations
 
-import hashlib
-import io
-import json
-import zipfile
-import zlib
 from collections import Counter
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from operator import methodcaller
 from pathlib import Path
 from typing import Any
 
-import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
 from geodrake.boundary.arguments import file_path, instance, instances
-from geodrake.boundary.escaping import one_line
-from geodrake.boundary.input_files import open_regular, regular_file
+from geodrake.boundary.input_files import read_regular
 from geodrake.boundary.showing import Short
 from geodrake.errors import ArgumentError, DigestError
 from geodrake.fleet.hashes import text_hash
-from geodrake.fleet.settings import FORMAT, DigestColumn, DigestSettings, array_of, settings_of
+from geodrake.fleet.sealed_file import LARGEST, DamagedFileError, sealed, unsealed
+from geodrake.fleet.settings import FORMAT, DigestColumn, DigestSettings, settings_of
 from geodrake.identification.logs.dataset import JointData
 from geodrake.identification.logs.evidence import effective_by_covariance
 from geodrake.inertia import Array
 from geodrake.logs.known_payload import KnownPayload
 
 Indices = NDArray[np.intp]
-
-_LARGEST_FILE = 500_000_000  # bytes, also of what an archive says it unpacks to
-_SEAL = hashlib.sha256().digest_size
 
 
 @dataclass(frozen=True, eq=False)
@@ -214,8 +203,10 @@ class Digest(Short):
         return found
 
 
-_PASSIVE = ("inertia", "scale")  # of each log; only in files of joints without a motor
-_OF_BLOCKS = ("factors", "samples", "seen", "effort_sums", "carried", "autocovariances")
+_JOINED = (  # arrays of blocks, and of logs
+    *("factors", "samples", "seen", "effort_sums", "carried", "autocovariances"),
+    *("inertia", "scale"),
+)
 
 
 def merge(digests: Sequence[Digest]) -> Digest:
@@ -294,55 +285,27 @@ def _renumbered(joint: JointDigest, columns: Indices) -> JointDigest:
 def _joined(parts: Sequence[JointDigest]) -> JointDigest:
     """Return what several digests say about one joint."""
     together: dict[str, Any] = {
-        name: np.concatenate([getattr(part, name) for part in parts])
-        for name in (*_OF_BLOCKS, *_PASSIVE)
+        name: np.concatenate([getattr(part, name) for part in parts]) for name in _JOINED
     }
     return replace(parts[0], peaks=np.max([part.peaks for part in parts], axis=0), **together)
 
 
-DAMAGED = (
-    *(OSError, EOFError, ValueError, TypeError, KeyError, IndexError, AttributeError),
-    *(zipfile.BadZipFile, zlib.error, NotImplementedError, RuntimeError, MemoryError),
-    *(OverflowError, msgspec.MsgspecError),
-)
-"""What reading an NPZ archive raises whose bytes are not those that were written."""
+@dataclass(frozen=True)
+class _DigestFile:
+    """What the file of a digest holds."""
+
+    settings: str  # what the settings file holds
+    logs: tuple[DigestedLog, ...]
+    blocks: tuple[str, ...]
+    block_logs: Indices
+    joints: tuple[JointDigest, ...]
 
 
 def digest_content(digest: Digest) -> bytes:
-    """Return what the file of a digest holds: the same for the same digest, wherever it is made.
-
-    An NPZ archive of `header` and `settings`, which are JSON in bytes, and of the arrays of every
-    joint k, such as `k.samples`. Of triangular factors, the upper triangles are there, row by row.
-    """
+    """Return what the file of a digest holds: the same for the same digest, wherever it is made."""
     instance(digest, "digest", Digest)
-    header = {
-        "format": FORMAT,
-        "settings": digest.settings.hash,
-        "logs": digest.logs,
-        "blocks": digest.blocks,
-        "block_logs": digest.block_logs,
-    }
-    arrays: dict[str, NDArray[Any]] = {
-        "header": _bytes(msgspec.json.encode(header, enc_hook=methodcaller("tolist"))),
-        "settings": _bytes(digest.settings.text().encode()),
-    }
-    for k, joint in enumerate(digest.joints):
-        passive = joint.joint in digest.settings.passive
-        for name in (*_ARRAYS, *(_PASSIVE if passive else ())):
-            arrays[f"{k}.{name}"] = getattr(joint, name)
-        upper = np.triu_indices(joint.factors.shape[1])
-        arrays[f"{k}.factors"] = joint.factors[:, upper[0], upper[1]]
-    return sealed(arrays)
-
-
-def sealed(arrays: Mapping[str, NDArray[Any]]) -> bytes:
-    """Return an NPZ archive that ends in the SHA-256 of all that is before it."""
-    file = io.BytesIO()
-    np.savez_compressed(file, **arrays)  # type: ignore[arg-type]
-    with zipfile.ZipFile(file, "a") as archive:
-        archive.comment = bytes(_SEAL)
-    content = file.getvalue()[:-_SEAL]
-    return content + hashlib.sha256(content).digest()
+    parts = digest.logs, digest.blocks, digest.block_logs, digest.joints
+    return sealed(_DigestFile(digest.settings.text(), *parts), FORMAT)
 
 
 def read_digest_of(path: Path, settings: DigestSettings) -> Digest:
@@ -364,77 +327,15 @@ def read_digest(path: str | Path) -> Digest:
     Raises:
         DigestError: It is no digest, damaged, or of another version of the format.
     """
-    path = regular_file(file_path(path), "digest", DigestError, largest=_LARGEST_FILE)
+    path = file_path(path)
+    data = read_regular(path, "digest", DigestError, largest=LARGEST)
     try:
-        with open_regular(path, "digest", DigestError) as file:
-            data = file.read()
-        with zipfile.ZipFile(io.BytesIO(data)) as archive:
-            if sum(entry.file_size for entry in archive.infolist()) > _LARGEST_FILE:
-                raise ValueError("it unpacks to more than any digest has")
-            arrays = {
-                entry.filename.removesuffix(".npy"): np.lib.format.read_array(
-                    io.BytesIO(archive.read(entry)), allow_pickle=False
-                )
-                for entry in archive.infolist()
-            }
-        header = json.loads(_text(arrays, "header"))
-        if isinstance(header, dict) and header.get("format") != FORMAT:
-            raise DigestError(
-                f"{path} is a digest of the format {header.get('format')!r}; this version of "
-                f"geodrake reads {FORMAT!r}.",
-                advice="Digest its log again.",
-                path=path,
-            )
-        if hashlib.sha256(data[:-_SEAL]).digest() != data[-_SEAL:]:
-            raise ValueError("its checksum is another one")
-        settings = settings_of(_text(arrays, "settings"), path)
-        if settings.hash != header["settings"]:
-            raise ValueError("its settings are not those of its header")
-        return _digest(header, settings, arrays)
-    except DigestError:
-        raise
-    except DAMAGED as error:
+        said = unsealed(data, FORMAT, _DigestFile)
+    except DamagedFileError as error:
         raise DigestError(
-            f"{path} is no digest, or damaged: {one_line(error)}.",
+            f"{path} is no digest, or damaged: {error}.",
             advice="Delete it, and digest its log again.",
             path=path,
         ) from error
-
-
-_ARRAYS = ("columns", "samples", "seen", "effort_sums", "carried", "peaks", "autocovariances")
-
-
-def _bytes(text: bytes) -> NDArray[np.uint8]:
-    return np.frombuffer(text, np.uint8)
-
-
-def _text(arrays: Mapping[str, NDArray[Any]], name: str) -> str:
-    return bytes(np.asarray(arrays[name], np.uint8)).decode()
-
-
-def _digest(
-    header: Mapping[str, Any], settings: DigestSettings, arrays: Mapping[str, NDArray[Any]]
-) -> Digest:
-    """Return what a file holds whose checksum says that it is as it was written."""
-    logs = tuple(msgspec.convert(said, DigestedLog, dec_hook=array_of) for said in header["logs"])
-    pairs = enumerate(settings.joints)
-    joints = tuple(_joint(name, f"{k}.", arrays, settings, len(logs)) for k, name in pairs)
-    block_logs = np.array(header["block_logs"], np.intp)
-    return Digest(settings, logs, tuple(header["blocks"]), block_logs, joints)
-
-
-def _joint(
-    name: str,
-    prefix: str,
-    arrays: Mapping[str, NDArray[Any]],
-    settings: DigestSettings,
-    logs: int,
-) -> JointDigest:
-    found = {each: arrays[prefix + each] for each in _ARRAYS}
-    p = len(found["columns"])
-    size = p + len(settings.delays)
-    for each, shape in zip(_PASSIVE, ((logs, p), (logs,)), strict=True):
-        found[each] = arrays.get(prefix + each, np.zeros(shape))
-    factors = np.zeros((len(found["samples"]), size, size))
-    factors[:, *np.triu_indices(size)] = arrays[f"{prefix}factors"]
-    return JointDigest(joint=name, factors=factors, rows=(), **found)
+    settings = settings_of(said.settings, path)
+    return Digest(settings, said.logs, said.blocks, said.block_logs, said.joints)

@@ -44,7 +44,7 @@ Told = Callable[[str, float | None], None]
 MADE, THERE, FAILED = "made", "there", "failed"
 """What became of a log: it was digested, its digest was there already, or there is none."""
 
-_SUFFIX = ".npz"
+_SUFFIX = ".digest"
 
 
 @dataclass(frozen=True, eq=False)

@@ -7,23 +7,21 @@ they are as sure as one.
 
 from __future__ import annotations
 
-import json
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
-from functools import partial
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from geodrake.boundary.input_files import open_regular
+from geodrake.boundary.input_files import read_regular
 from geodrake.boundary.showing import Short
 from geodrake.boundary.whole_files import made_folder, write_whole
 from geodrake.errors import DigestError, FleetError
-from geodrake.fleet.digest import DAMAGED, Digest, JointDigest, read_digest_of
+from geodrake.fleet.digest import Digest, JointDigest, read_digest_of
 from geodrake.fleet.fleet_logs import DIGESTS, LogRecord, robot_folder
 from geodrake.fleet.hashes import text_hash
+from geodrake.fleet.sealed_file import DamagedFileError, sealed, unsealed
 from geodrake.fleet.settings import DigestSettings
 from geodrake.inertia import Array
 
@@ -35,8 +33,8 @@ DAY = 86400.0
 MOST_TIMES = 100
 """Most times of a history: neighbouring logs of a robot with more of them count as one."""
 
-_FILE = "history.npz"  # beside the records of a robot's logs
-_FORMAT = "geodrake history 1"
+_FILE = "history.sums"  # beside the records of a robot's logs
+_FORMAT = "geodrake history 2"
 _NEGLIGIBLE = 1e-9  # share of the largest eigenvalue
 
 
@@ -324,34 +322,15 @@ def time_cells(dates: Array) -> NDArray[np.intp]:
 
 
 def _write_sums(task: HistoryTask, sums: _HistorySums) -> None:
-    header = json.dumps({"format": _FORMAT, "key": task.key, "logs": sums.stamps}).encode()
-    arrays: dict[str, Any] = {
-        "header": np.frombuffer(header, np.uint8),
-        "times": sums.times,
-        "efforts": sums.efforts,
-    }
-    for j, joint in enumerate(sums.joints):
-        arrays |= {f"{j}.columns": joint.columns, f"{j}.grams": joint.grams}
     with made_folder(task.file.parent):
-        write_whole(task.file, partial(np.savez, **arrays))
+        write_whole(task.file, sealed((task.key, sums), _FORMAT))
 
 
 def _read_sums(task: HistoryTask) -> _HistorySums | None:
     """Return the sums of a file; None if there is none, or it is damaged or of something else."""
     try:
-        with (
-            open_regular(task.file, "file of sums", FleetError) as file,
-            np.load(file, allow_pickle=False) as arrays,
-        ):
-            header = json.loads(bytes(arrays["header"]).decode())
-            if (header["format"], header["key"]) != (_FORMAT, task.key):
-                return None
-            joints = range(arrays["efforts"].shape[1])
-            return _HistorySums(
-                list(map(str, header["logs"])),
-                [JointGrams(arrays[f"{j}.columns"], arrays[f"{j}.grams"]) for j in joints],
-                arrays["times"],
-                arrays["efforts"],
-            )
-    except (FleetError, *DAMAGED):
+        data = read_regular(task.file, "file of sums", FleetError)
+        key, sums = unsealed(data, _FORMAT, tuple[str, _HistorySums])
+    except (FleetError, DamagedFileError):
         return None
+    return sums if key == task.key else None

@@ -35,10 +35,10 @@ Indices = NDArray[np.intp]
 SETTINGS_FILE = "digest_settings.json"
 """Name of the file in a folder of digests that holds their settings."""
 
-DIGEST_NAME = r"[0-9a-f]{32}\.npz"
+DIGEST_NAME = r"[0-9a-f]{32}\.digest"
 """What names of digests' files are like."""
 
-FORMAT = "geodrake digest 2"
+FORMAT = "geodrake digest 3"
 """Name and version of the format of settings and digests."""
 
 LAGS = 200
@@ -224,7 +224,7 @@ def settings_of(text: str, source: str | Path) -> DigestSettings:
     """Return settings from the text that `DigestSettings.text` makes."""
     try:
         return _settings_of(text)
-    except (ValueError, TypeError, AttributeError, RecursionError, msgspec.MsgspecError) as error:
+    except (ArithmeticError, ValueError, TypeError, AttributeError, RecursionError) as error:
         raise DigestError(
             f"{source} does not hold settings of digests: {one_line(error)}.",
             advice="Put back a copy of it, or digest the logs again into a new folder.",
@@ -281,7 +281,7 @@ def read_settings(folder: str | Path) -> DigestSettings | None:
     """
     path = file_path(folder) / SETTINGS_FILE
     if not path.exists() and not path.is_symlink():
-        if any(re.fullmatch(DIGEST_NAME, each.name) for each in path.parent.glob("*.npz")):
+        if any(re.fullmatch(DIGEST_NAME, each.name) for each in path.parent.glob("*.digest")):
             raise DigestError(
                 f"The settings file {path} is not there, and digests by it are.",
                 advice="Put back a copy of it, or digest the logs again into a new folder.",

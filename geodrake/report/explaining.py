@@ -352,6 +352,7 @@ def identification_page(found: ModelIdentification, about: About) -> Page:
             of="of the squared error left",
         ),
         footer=_footer(found.comparison),
+        first=(first_section(found.comparison.first),),
     )
 
 

@@ -65,8 +65,6 @@ CHECKED = {
 """Module -> what it hands to a library by its path, after the door has checked what is there."""
 
 HELD = {
-    "fleet/digest.py": {"ZipFile"},
-    "fleet/history.py": {"load"},
     "logs/files/text_file.py": {"loadtxt", "read_csv", "load_workbook", "ZipFile"},
 }
 """Module -> what it reads of a file that the door has opened, or of lines and entries of it."""

@@ -1,6 +1,5 @@
 """Digests of logs: they merge into what a reading of all logs gives, and mean what they say."""
 
-import io
 import json
 import os
 from dataclasses import replace
@@ -24,10 +23,11 @@ from geodrake.fleet import (
     merge,
     read_digest,
 )
-from geodrake.fleet.digest import sealed
 from geodrake.fleet.hashes import model_hash, text_hash
 from geodrake.fleet.history import weighted_grams
 from geodrake.fleet.log_places import date_of_log, date_seconds
+from geodrake.fleet.sealed_file import sealed, unsealed
+from geodrake.fleet.settings import FORMAT
 from geodrake.identification.logs.case import open_case, reduced
 from geodrake.identification.logs.hypothesis import first_hypothesis
 from geodrake.identification.logs.model_fit import model_unknowns
@@ -234,7 +234,7 @@ def test_known_payloads_are_taken_off(model, logs, settings, tmp_path):
 
 def read_back(digest, folder):
     """The digest through a file."""
-    path = folder / "x.npz"
+    path = folder / "x.digest"
     path.write_bytes(digest_content(digest))
     return read_digest(path)
 
@@ -328,31 +328,29 @@ def test_a_log_that_cannot_bear_the_settings_is_told_so(model, logs, settings):
         lambda data: data[: len(data) // 2],
         lambda data: data[:5000] + bytes(100) + data[5100:],
         lambda data: data[:60] + bytes([7]) + data[61:],  # a block of no kind that is compressed
-        lambda data: data[:10] + bytes([data[10] ^ 1]) + data[11:],  # a time stamp in the archive
+        lambda data: data[:-1] + bytes([data[-1] ^ 1]),
         lambda data: b"",
         lambda data: b"PK" + bytes(100),
-        lambda data: rewritten(data, header=lambda h: {**h, "format": "geodrake digest 9"}),
-        lambda data: rewritten(data, header=lambda h: {**h, "settings": "0" * 64}),
-        lambda data: rewritten(data, settings=lambda s: {**s, "base_matrix": [[1.0]]}),
-        lambda data: rewritten(data, settings=lambda s: {**s, "independent": [10**30]}),
+        lambda data: data.replace(b"digest", b"digger", 1),
+        lambda data: sealed({"settings": "{}"}, FORMAT),
+        lambda data: rewritten(data, lambda s: {**s, "format": "geodrake digest 9"}),
+        lambda data: rewritten(data, lambda s: {**s, "base_matrix": [[1.0]]}),
+        lambda data: rewritten(data, lambda s: {**s, "independent": [10**30]}),
     ],
 )
 def test_a_damaged_digest_is_refused(digests, tmp_path, spoil):
-    path = tmp_path / "x.npz"
+    path = tmp_path / "x.digest"
     path.write_bytes(spoil(digest_content(digests[0])))
-    with pytest.raises(DigestError, match=r"x\.npz") as caught:
+    with pytest.raises(DigestError, match=r"x\.digest") as caught:
         read_digest(path)
     assert "\n" not in str(caught.value)
 
 
-def rewritten(data, *, header=None, settings=None):
-    """The bytes of a digest some of which says something else."""
-    members = dict(np.load(io.BytesIO(data)))
-    for name, change in (("header", header), ("settings", settings)):
-        if change is not None:
-            said = change(json.loads(bytes(members[name]).decode()))
-            members[name] = np.frombuffer(json.dumps(said).encode(), np.uint8)
-    return sealed(members)
+def rewritten(data, change):
+    """The bytes of a digest whose settings say something else."""
+    said = unsealed(data, FORMAT, dict)
+    said["settings"] = json.dumps(change(json.loads(said["settings"])))
+    return sealed(said, FORMAT)
 
 
 def test_dates_are_those_of_stamps_or_said(logs, tmp_path):

@@ -20,7 +20,7 @@ from geodrake.fleet import (
     merge,
     read_digest,
 )
-from geodrake.fleet.settings import SETTINGS_FILE, read_settings
+from geodrake.fleet.settings import FORMAT, SETTINGS_FILE, read_settings
 from geodrake.logs.files import Reading, write_log
 from geodrake.logs.known_payload import KnownPayload
 from geodrake.model.saved_model import load_model
@@ -127,7 +127,7 @@ def test_settings_of_something_else_are_refused_by_name(model, made, folder):
     [
         (lambda text: text[: len(text) // 2], "does not hold settings"),
         (lambda text: "", "is empty"),
-        (lambda text: text.replace("geodrake digest 2", "geodrake digest 9"), "has the format"),
+        (lambda text: text.replace(FORMAT, "geodrake digest 9"), "has the format"),
         (lambda text: text.replace('"blocks": 4', '"blocks": "four"'), "does not hold settings"),
         (lambda text: text.replace('"lags": 200', '"lags": NaN'), "does not hold settings"),
         (lambda text: text.replace("viscous_friction", "nobody's"), "cannot be made"),

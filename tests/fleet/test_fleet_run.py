@@ -95,7 +95,7 @@ def digests(folder):
     """Digest -> what says that it was not made again."""
     return {
         path.name: (path.stat().st_ino, path.stat().st_mtime_ns)
-        for path in Path(folder).glob("**/digests/*.npz")
+        for path in Path(folder).glob("**/digests/*.digest")
     }
 
 
@@ -262,7 +262,7 @@ def test_a_damaged_digest_is_a_row_and_made_again(own, tmp_path):
     shutil.rmtree(tmp_path / HEAVY)  # what was digested stays when its logs are deleted
     result, seen = run_fleet(read_fleet(path), HERE)
     assert (seen.made, text_of(result)) == (0, text)
-    for each in (here / "digests").glob("*.npz"):
+    for each in (here / "digests").glob("*.digest"):
         each.write_bytes(b"")
     result, _ = run_fleet(read_fleet(path), HERE)
     assert [robot.state for robot in result.robots] == ["no logs"]
@@ -319,7 +319,7 @@ def test_fleets_that_cannot_be_are_refused(own, tmp_path, of, changed, says):
     path.write_text(text.replace(of, changed, 1), encoding="utf-8")
     with pytest.raises(FleetError, match=says):
         run_fleet(read_fleet(path), HERE)
-    assert not list((tmp_path / "results").glob("**/*.npz"))
+    assert not list((tmp_path / "results").glob("**/*.digest"))
 
 
 @pytest.mark.parametrize(
@@ -549,9 +549,6 @@ def test_a_history_that_another_run_replaced_is_summed_up_again(task):
         same_history(kept.read(), before)
     content = task.file.read_bytes()
     task.file.write_bytes(content[:-500] + bytes(500))
-    same_history(kept.read(), before)
-    method = content.index(b"PK\x01\x02") + 10  # by which the first array is packed
-    task.file.write_bytes(content[:method] + b"\xff" + content[method + 1 :])
     same_history(kept.read(), before)
 
 

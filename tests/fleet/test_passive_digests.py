@@ -59,8 +59,8 @@ def test_settings_say_which_joints_have_no_motor(made):
 def test_merged_digests_are_fitted_as_a_reading_of_the_logs(made, tmp_path):
     model, logs, settings, digests = made
     for k, digest in enumerate(digests):
-        (tmp_path / f"{k}.npz").write_bytes(digest_content(digest))
-    back = [read_digest(tmp_path / f"{k}.npz") for k in range(2)]
+        (tmp_path / f"{k}.digest").write_bytes(digest_content(digest))
+    back = [read_digest(tmp_path / f"{k}.digest") for k in range(2)]
     dataset = digest_dataset(merge(back), model)
     how = {"bandwidth": settings.bandwidth, "motion_bandwidth": settings.motion_bandwidth}
     case = open_case(model, logs, candidates=True, blocks=settings.blocks, **how)

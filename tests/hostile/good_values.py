@@ -106,7 +106,7 @@ def folder():
     savemat(path / "log.mat", arrays)
     (path / "motion.yaml").write_text(drake_trajectory(trajectory()), encoding="utf-8")
     digest = fleet.make_digest(model(), log(), settings(), facts())
-    (path / "digest.npz").write_bytes(fleet.digest_content(digest))
+    (path / "x.digest").write_bytes(fleet.digest_content(digest))
     return path
 
 
@@ -266,7 +266,7 @@ IN_FOLDER = {
     "read_mapping": "mapping.yaml", "save_export": "new.urdf",
     "save_model": "saved.yaml", "write_log": "written.csv", "write_trajectory": "new.csv",
     "read_drake_trajectory": "motion.yaml", "load_effect_file": "effect.py",
-    "read_fleet": "fleet.yaml", "read_digest": "digest.npz", "load_description": PENDULUM,
+    "read_fleet": "fleet.yaml", "read_digest": "x.digest", "load_description": PENDULUM,
     "read_description": PENDULUM,
 }  # fmt: skip
 """Name of a callable -> the file in the folder that is its path."""

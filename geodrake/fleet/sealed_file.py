@@ -1,0 +1,71 @@
+"""Files of fleets: dataclasses with arrays, compressed, under a checksum of all that they hold.
+
+A file is a line with its format, the SHA-256 of the rest, and that rest: the dataclass as
+MessagePack, compressed by zlib. An array is its type, its shape and its bytes. The same values give
+the same file wherever they are written.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import zlib
+from typing import Any, TypeVar
+
+import msgspec
+import numpy as np
+from numpy.typing import NDArray
+
+from geodrake.boundary.escaping import one_line
+
+T = TypeVar("T")
+
+LARGEST = 500_000_000
+"""Most bytes of a file, also of what it unpacks to."""
+
+_DIGEST = hashlib.sha256().digest_size
+_BEGINNING = "geodrake "  # of the names of all formats
+_DAMAGED = ValueError, TypeError, OverflowError, MemoryError, zlib.error, msgspec.MsgspecError
+
+
+class DamagedFileError(Exception):
+    """Bytes are not those that `sealed` made; in words."""
+
+
+def sealed(value: object, form: str) -> bytes:
+    """Return what a file of a format holds."""
+    packed = zlib.compress(msgspec.msgpack.encode(value, enc_hook=_plain))
+    return f"{form}\n".encode() + hashlib.sha256(packed).digest() + packed
+
+
+def unsealed(data: bytes, form: str, kind: type[T]) -> T:
+    """Return the dataclass that a file of a format holds, or raise `DamagedFileError`."""
+    head, _, rest = data.partition(b"\n")
+    name = head.decode("ascii", "replace")
+    if name != form:
+        if not name.startswith(_BEGINNING):
+            raise DamagedFileError(f"it does not begin with {form!r}")
+        raise DamagedFileError(
+            f"it has the format {name[:60]!r}, and this version of geodrake reads {form!r}"
+        )
+    if hashlib.sha256(rest[_DIGEST:]).digest() != rest[:_DIGEST]:
+        raise DamagedFileError("its checksum is another one")
+    try:
+        unpacked = zlib.decompressobj()
+        text = unpacked.decompress(rest[_DIGEST:], LARGEST)
+        if unpacked.unconsumed_tail:
+            raise DamagedFileError("it unpacks to more than any such file has")
+        return msgspec.msgpack.decode(text, type=kind, dec_hook=_array)
+    except _DAMAGED as error:
+        raise DamagedFileError(one_line(error)) from error
+
+
+def _plain(value: Any) -> Any:
+    if isinstance(value, np.ndarray):
+        return value.dtype.str, value.shape, value.tobytes()
+    return value.item()  # a number of NumPy
+
+
+def _array(kind: Any, said: Any) -> NDArray[Any]:
+    del kind
+    dtype, shape, content = said
+    return np.frombuffer(content, dtype).reshape(shape).copy()
