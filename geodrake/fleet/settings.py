@@ -10,7 +10,7 @@ from __future__ import annotations
 import json
 import re
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass, field, fields, replace
+from dataclasses import dataclass, field, replace
 from functools import cached_property, lru_cache
 from pathlib import Path
 from typing import Any, get_args
@@ -160,9 +160,8 @@ class DigestSettings(Short):
 
     @property
     def plain(self) -> dict[str, Any]:
-        """Settings as JSON has them; `passive` only if there are such joints."""
-        said = json.loads(json.dumps(asdict(self), default=np.ndarray.tolist))
-        return said if self.passive else {k: v for k, v in said.items() if k != "passive"}
+        """Return the settings as JSON has them."""
+        return dict(msgspec.to_builtins(self, enc_hook=np.ndarray.tolist))
 
     @property
     def base(self) -> BaseParameters:
@@ -189,7 +188,7 @@ class DigestSettings(Short):
 
     def differences(self, other: DigestSettings) -> list[str]:
         """Return in words how settings differ from others; nothing if digests of both add up."""
-        own, others = ({"passive": [], **each.plain} for each in (self, other))
+        own, others = self.plain, other.plain
         return [
             f"{_WORDS.get(name, name)} ({_shown(own[name])} and {_shown(others[name])})"
             for name in own
@@ -198,7 +197,8 @@ class DigestSettings(Short):
 
     def text(self) -> str:
         """Return what the settings file holds, and `settings_of` reads."""
-        lines = [f"{json.dumps(name)}: {json.dumps(value)}" for name, value in self.plain.items()]
+        said = self.plain | {"hash": self.hash}
+        lines = [f"{json.dumps(name)}: {json.dumps(value)}" for name, value in said.items()]
         return "{\n" + ",\n".join(lines) + "\n}\n"
 
 
@@ -239,31 +239,9 @@ def _settings_of(text: str) -> DigestSettings:
             f"it has the format {said.get('format')!r}, and this version of geodrake reads "
             f"{FORMAT!r}"
         )
-    odd = {f.name for f in fields(DigestSettings)}.symmetric_difference({*said, "passive"})
-    if odd:
-        raise ValueError(f"it has too many or too few of {', '.join(sorted(odd))}")
     found = msgspec.convert(said, DigestSettings, dec_hook=array_of)
-    nv, inertial = len(found.joints), PARAMETERS_PER_BODY * len(found.bodies)
-    independent = found.independent
-    found = replace(
-        found,
-        sign_width=found.sign_width.reshape(nv),
-        still_speed=found.still_speed.reshape(nv),
-        base_matrix=found.base_matrix.reshape(len(independent), inertial),
-    )
-    if not all(map(np.isfinite, (*found.delays, *found.held.values()))) or not all(
-        np.isfinite(each).all() for each in (found.sign_width, found.still_speed, found.base_matrix)
-    ):
-        raise ValueError("a number is not finite")
-    numbers = (found.bandwidth, found.motion_bandwidth, found.blocks, found.lags)
-    if not all(0 < x < np.inf for x in numbers):
-        raise ValueError("a bandwidth or a number of blocks or lags is none")
-    if independent.size and not 0 <= independent.min() <= independent.max() < inertial:
-        raise ValueError("base parameters are of no inertial ones")
-    if not found.delays or found.delays[0] != 0.0:
-        raise ValueError("the first delay is not 0")
-    if any(len(each.parameters) != len(each.units) for each in found.effects):
-        raise ValueError("an effect has not a unit for each parameter")
+    if found.hash != said.get("hash"):
+        raise ValueError("its hash is that of other settings")
     return found
 
 

@@ -130,7 +130,7 @@ def test_settings_of_something_else_are_refused_by_name(model, made, folder):
         (lambda text: text.replace(FORMAT, "geodrake digest 9"), "has the format"),
         (lambda text: text.replace('"blocks": 4', '"blocks": "four"'), "does not hold settings"),
         (lambda text: text.replace('"lags": 200', '"lags": NaN'), "does not hold settings"),
-        (lambda text: text.replace("viscous_friction", "nobody's"), "cannot be made"),
+        (lambda text: text.replace("viscous_friction", "nobody's"), "its hash is that of other"),
     ],
 )
 def test_damaged_settings_are_refused(model, made, folder, change, words):
