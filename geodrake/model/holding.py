@@ -56,7 +56,7 @@ def holding(
         plant=loaded.plant,
         held=loaded.held,
         followers=loaded.followers,
-        transmission=(*drives, *(loop.drive for loop in loaded.loops if loop.map.actuators)),
+        transmission=(*drives, *(Drive.of_loop(loop) for loop in loaded.loops if loop.actuators)),
     )
     matrix, carriers = _lumped(model, bare)
     kept, lost = _effects_after(model, bare, matrix, carriers)

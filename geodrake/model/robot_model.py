@@ -533,7 +533,7 @@ def from_loaded_plant(
 ) -> RobotModel:
     """Return the model of a plant; damping, friction and rotor inertia of its file are effects."""
     drives = tuple(d for d in instances(transmission, "transmission", Drive) if not d.is_loop)
-    loops = tuple(loop.drive for loop in loaded.loops if loop.map.actuators)
+    loops = tuple(Drive.of_loop(loop) for loop in loaded.loops if loop.actuators)
     for loop in loops:
         if both := {joint for drive in drives for joint in drive.joints}.intersection(loop.joints):
             raise ModelError(

@@ -23,7 +23,6 @@ from numpy.typing import NDArray
 from pydrake.math import RigidTransform
 from pydrake.multibody.plant import MultibodyPlant
 
-from geodrake.compiling import contiguous
 from geodrake.errors import ModelError
 from geodrake.inertia import Array
 from geodrake.robot.coordinates import Led
@@ -36,16 +35,15 @@ from geodrake.robot.joints import (
     slide_motion,
 )
 from geodrake.robot.kinematics import KinematicTree, Mobilizer
-from geodrake.robot.recursion import TreeRecords
 from geodrake.robot.stated import WORLD, Closure, places_of_links
 from geodrake.robot.transmission.loop import (
     CLOSURE,
-    Indices,
     LoopRecords,
     LoopTransmission,
-    calc_misses,
+    miss,
+    solved,
 )
-from geodrake.robot.transmission.statements import Drive, Followers
+from geodrake.robot.transmission.statements import Followers
 
 _FREE = 1e-5  # share of the largest column, at which one counts as no combination of others
 _WELL = 0.1, 0.01, 0.0  # shares of itself that others leave of a column, in the order of trials
@@ -56,7 +54,6 @@ _MOST_ITERATIONS, _LONGEST = 100, 0.3  # on the way to the posture of the file; 
 _NUDGE = 0.02  # rad or shares of the size, by which a posture is left to see whether it is singular
 _COEFFICIENTS = 5  # of polynomials by which joints follow others
 _FARTHEST = 1e6  # m, of a closure from its body
-_SAME = 1e-3  # rad or shares, by which a joint may be held beside where the loop has it
 
 
 @dataclass(frozen=True)
@@ -89,7 +86,7 @@ class Loops:
         held: Joint -> where it is held as loops and other constraints let it not move, rad or m.
     """
 
-    loops: tuple[ClosedLoop, ...] = ()
+    loops: tuple[LoopTransmission, ...] = ()
     left_out: tuple[str, ...] = ()
     taken: tuple[Followers, ...] = ()
     held: Mapping[str, float] = field(default_factory=dict)
@@ -109,73 +106,9 @@ class Loops:
         for loop in self.loops:
             posture = loop.posture(held, path)
             every |= posture
-            if held.keys() >= set(loop.map.actuators):
+            if held.keys() >= set(loop.actuators):
                 still |= {joint: at for joint, at in posture.items() if joint not in held}
         return every, still
-
-
-@dataclass(frozen=True, eq=False)
-class ClosedLoop:
-    """A closed loop, or several that share joints.
-
-    Attributes:
-        limits: Least and greatest positions of all its joints by their own limits, (2, k).
-        driven: Names of its joints that motors drive, as far as the file tells.
-        miss: By how much it misses at the posture of the file, m or rad.
-    """
-
-    map: LoopTransmission
-    limits: Array
-    driven: tuple[str, ...]
-    miss: float
-
-    @property
-    def notes(self) -> tuple[str, ...]:
-        """Return how its joints move, in words."""
-        free = self.map.actuators
-        shown = [*self.map.shown, *self.map.cut]
-        others = [self.map.joints[k] for k in shown if self.map.joints[k] not in free]
-        follow = f"{', '.join(others)} follow{'s' if len(others) == 1 else ''} {', '.join(free)}"
-        told = [f"In the closed loop of {self.map.name}, {follow if free else 'nothing moves'}."]
-        if passive := [name for name in free if self.driven and name not in self.driven]:
-            where = f"{passive[0]} of that loop is: it counts as a joint of its own."
-            if passive[1:]:
-                where = f"{', '.join(passive)} of that loop are: they count as joints of their own."
-            told.append(f"No motor of the file determines where {where}")
-        if further := self.map.driven:
-            told.append(
-                f"The loop has more motors than it moves freely: efforts of {', '.join(further)} "
-                f"count at {', '.join(free)}, so logs need them, too."
-            )
-        if self.miss:
-            told.append(f"That loop closes up to {self.miss:.2g} m in the posture of the file.")
-        return tuple(told)
-
-    @property
-    def drive(self) -> Drive:
-        """Return the loop as a drive; there is none where nothing moves."""
-        names = tuple(self.map.joints[at] for at in self.map.shown)
-        within = self.map.range_within(*self.limits[:, self.map.free])
-        return Drive(self.map.actuators, names, self.map, range=within)
-
-    def posture(self, held: Mapping[str, float], path: object) -> dict[str, float]:
-        """Joint -> where it is if some joints are held."""
-        free, names = self.map.free, self.map.joints
-        q = np.array([held.get(names[at], self.map.reference[at]) for at in free])
-        theta, _, reached = self.map.solved(q[None])
-        places = dict(zip(names, theta[0].tolist(), strict=True))
-        far = {n: x for n, x in held.items() if n in names and abs(places[n] - x) > _SAME}
-        if reached[0] < 1.0 or far:
-            where = ", ".join(f"{name} at {held[name]:g}" for name in names if name in held)
-            closes = {name: f"{places[name]:.6g}" for name in far}
-            raise ModelError(
-                f"{path}: the closed loop of {self.map.name} does not close with {where}.",
-                advice=f"Hold {', '.join(f'{n} at {x}' for n, x in closes.items())}."
-                if reached[0] == 1.0
-                else "Hold its joints elsewhere.",
-                joint=next(iter(far), ""),
-            )
-        return {names[at]: places[names[at]] for at in self.map.shown}
 
 
 def closed_loops(
@@ -252,7 +185,7 @@ class _LoopFinder:
             groups.append((set().union(*every), list(chain(*own)), list(chain(*ties))))
         loops = [self._loop(sorted(at), own, ties) for at, own, ties in groups if own]
         taken = [part for _, own, ties in groups if own for part in ties]
-        moving = tuple(loop for loop in loops if len(loop.map.shown))
+        moving = tuple(loop for loop in loops if len(loop.shown))
         return Loops(moving, tuple(left_out), tuple(taken))
 
     def _velocity(self, mobilizer: int) -> int:
@@ -283,11 +216,11 @@ class _LoopFinder:
 
     def _loop(
         self, velocities: list[int], links: Sequence[_Link], ties: Sequence[Followers]
-    ) -> ClosedLoop:
+    ) -> LoopTransmission:
         name = " and ".join(dict.fromkeys(link.closure.name for link in links))
         cuts = [link.closure.cut for link in links if link.closure.cut is not None]
         joints = (*(self.names[v] for v in velocities), *(cut.name for cut in cuts))
-        shape = self._shape(velocities, links, ties)
+        shape, slides = self._shape(velocities, links, ties)
         driven = tuple(n for n in joints if n in self.how.driven)
         first = [n for n in joints if n in self.how.first]
         sprung = [n for n in self.how.sprung if driven and n in joints]
@@ -295,13 +228,13 @@ class _LoopFinder:
         order = [[joints.index(n) for n in names] for names in ranks]
         x = np.array([*(self.place[v] for v in velocities), *(0.0 for _ in cuts)])
         own = f"{self.path}: the closed loop of {name}"
-        x, miss = shape.closed(x, _following(shape.misses(x)[1], order))
-        if not miss <= _NEARLY:
+        x, gap = _closed(shape, x, _following(miss(shape, x)[1], order))
+        if not gap <= _NEARLY:
             where = ", ".join(f"{n} = {at:.4g}" for n, at in zip(joints, x, strict=True))
-            or_turned = f" or {miss:.3g} rad" if any(x.closure.turns for x in links) else ""
+            or_turned = f" or {gap:.3g} rad" if any(x.closure.turns for x in links) else ""
             raise ModelError(
                 f"{own} cannot close at the posture of the file: it misses by "
-                f"{miss * shape.size:.3g} m{or_turned}, and comes no nearer than {where}.",
+                f"{gap * shape.units[-1]:.3g} m{or_turned}, and comes no nearer than {where}.",
                 advice="Correct where its bodies are joined, or the positions of joints there.",
             )
         free, following = _free_and_following(shape, x, order)
@@ -313,20 +246,22 @@ class _LoopFinder:
             )
         shown = [k for k in range(len(velocities)) if k in free or k in following]
         limits = [self.limits[v] for v in velocities] + [(-np.inf, np.inf)] * len(cuts)
-        found = LoopTransmission(
+        return LoopTransmission(
             name,
             joints,
-            shape.records(free, following, x),
-            shown=np.array(shown, np.int64),
-            driven=tuple(joints[k] for k in following if joints[k] in driven),
-            cut=tuple(range(len(velocities), len(joints))),
-            slides=shape.slides,
+            _chosen(shape, free, following, x),
+            np.array(shown, np.int64),
+            tuple(range(len(velocities), len(joints))),
+            slides,
+            np.array(limits).T,
+            driven,
+            float(gap * shape.units[-1] * (gap > _CLOSED)),
         )
-        return ClosedLoop(found, np.array(limits).T, driven, miss * shape.size * (miss > _CLOSED))
 
     def _shape(
         self, velocities: list[int], links: Sequence[_Link], ties: Sequence[Followers]
-    ) -> _Shape:
+    ) -> tuple[LoopRecords, tuple[bool, ...]]:
+        """Return the loop without a choice of free joints, and which of its joints slide."""
         own = sorted({i for link in links for i in link.sides})
         local = {-1: -1, **{i: at for at, i in enumerate(own)}}
         mobilizers = [self._alone(i, local, velocities.index(self._velocity(i))) for i in own]
@@ -360,9 +295,9 @@ class _LoopFinder:
             polynomial = part.joints[joint]
             row[velocities.index(self.names.index(part.leader)), : len(polynomial)] = polynomial
             row[velocities.index(self.names.index(joint)), 1] -= 1.0
-        rows = sum(6 if link.closure.turns else 3 for link in links) + len(couplings)
-        slide = tuple(k in slides for k in range(count))
-        return _Shape((tree, closures, table, couplings), units, rows, slide)
+        none = np.zeros(0, np.int64)
+        shape = LoopRecords(tree, closures, table, couplings, none, none, np.zeros(count), units)
+        return shape, tuple(k in slides for k in range(count))
 
     def _alone(self, index: int, local: Mapping[int, int], at: int) -> Mobilizer:
         """Return a mobilizer in the loop: its parent's number there, and that of its joint."""
@@ -376,67 +311,43 @@ class _LoopFinder:
         )
 
 
-@dataclass(frozen=True)
-class _Shape:
-    """A loop of k joints, without a choice of those that are free.
+def _chosen(
+    shape: LoopRecords, free: Collection[int], following: Collection[int], x: Array
+) -> LoopRecords:
+    """Return a loop with a choice of free joints, at a posture (k,)."""
+    one, other = (np.array(sorted(each), np.int64) for each in (free, following))
+    return shape._replace(free=one, following=other, reference=x)
 
-    Attributes:
-        parts: Its mobilizers, closures, sides and couplings for compiled code.
-        units: (k + 1,) how far joints go that move as far as a radian, m or rad, and the size.
-        rows: How many equations it has.
-    """
 
-    parts: tuple[TreeRecords, NDArray[np.void], Indices, Array]
-    units: Array
-    rows: int
-    slides: tuple[bool, ...]
-
-    @property
-    def size(self) -> float:
-        """Length of its longest part, m."""
-        return float(self.units[-1])
-
-    def records(self, free: Collection[int], following: Collection[int], x: Array) -> LoopRecords:
-        """Return the loop with a choice of free joints, at a posture (k,)."""
-        indices = (np.array(sorted(each), np.int64) for each in (free, following))
-        return (*self.parts, *indices, x, self.units)  # type: ignore[return-value]
-
-    def misses(self, x: Array) -> tuple[Array, Array]:
-        """Return the closures' gaps (m,) and their slopes (m, k) by the joints, in their units."""
-        out = np.zeros((self.rows, 1 + len(x)))
-        calc_misses(self.records((), (), x), contiguous(x[None]), out)
-        return out[:, 0], out[:, 1:] * self.units[:-1]
-
-    def closed(self, x: Array, following: Sequence[int]) -> tuple[Array, float]:
-        """Return the posture (k,) near another in which the loop closes, and the gap left."""
-        x = x.copy()
-        for _ in range(_MOST_ITERATIONS):
-            c, J = self.misses(x)
-            step = -np.linalg.lstsq(J[:, following], c)[0]
-            largest = float(np.abs(step).max(initial=0.0))
-            x[following] += self.units[following] * step * min(1.0, _LONGEST / max(largest, 1e-300))
-            if largest < _STILL:
-                break
-        return x, float(np.abs(self.misses(x)[0]).max(initial=0.0))
+def _closed(shape: LoopRecords, x: Array, following: Sequence[int]) -> tuple[Array, float]:
+    """Return the posture (k,) near another in which a loop closes, and the gap left."""
+    x = x.copy()
+    for _ in range(_MOST_ITERATIONS):
+        c, J = miss(shape, x)
+        step = -np.linalg.lstsq(J[:, following], c)[0]
+        largest = float(np.abs(step).max(initial=0.0))
+        x[following] += shape.units[following] * step * min(1.0, _LONGEST / max(largest, 1e-300))
+        if largest < _STILL:
+            break
+    return x, float(np.abs(miss(shape, x)[0]).max(initial=0.0))
 
 
 def _free_and_following(
-    shape: _Shape, x: Array, order: Sequence[Sequence[int]]
+    shape: LoopRecords, x: Array, order: Sequence[Sequence[int]]
 ) -> tuple[list[int] | None, list[int]]:
     """Return joints that are free at a posture (k,) and those that follow; None if singular.
 
     Joints that the loop does not see, as a rod that turns about itself, are neither.
     """
-    following = _following(shape.misses(x)[1], order)
+    following = _following(miss(shape, x)[1], order)
     others = [k for k in range(len(x)) if k not in following]
-    free, records = set[int](), shape.records(others, following, x)
-    nearby = LoopTransmission("", (), records, np.zeros(0, np.int64))
+    free, nearby = set[int](), _chosen(shape, others, following, x)
     units = shape.units[others]
-    moved = np.abs(nearby.solved(x[others][None])[1][0] @ units / shape.units[:-1])
+    moved = np.abs(solved(nearby, x[others][None])[1][0] @ units / shape.units[:-1])
     for sign in (0.0, 1.0, -1.0):  # whether it is the same there
         q = x[others] + sign * _NUDGE * units / max(1.0, moved.max(initial=0.0))
-        theta, _, (reached,) = nearby.solved(q[None])
-        J = shape.misses(theta[0])[1]
+        theta, _, (reached,) = solved(nearby, q[None])
+        J = miss(shape, theta[0])[1]
         free |= {k for k in others if np.abs(J[:, k]).max() > _IDLE * np.abs(J).max()}
         if reached < 1.0 or len(_following(J, order)) != len(following):
             return None, following

@@ -50,9 +50,10 @@ from geodrake.robot.joints import (
     scoped,
     single_joints,
 )
-from geodrake.robot.loops import ClosedLoop, LoopJoints, Loops, closed_loops
+from geodrake.robot.loops import LoopJoints, Loops, closed_loops
 from geodrake.robot.repairs import Repair, repair_inertias
 from geodrake.robot.stated import Closure, CutJoint, FileTerms, StatedLength
+from geodrake.robot.transmission.loop import LoopTransmission
 from geodrake.robot.transmission.statements import Followers, Gear
 
 _WORLD = 0
@@ -104,7 +105,7 @@ class LoadedPlant:
     notes: tuple[str, ...]
     terms: FileTerms
     left_out: tuple[str, ...]
-    loops: tuple[ClosedLoop, ...]
+    loops: tuple[LoopTransmission, ...]
     closing: tuple[CutJoint, ...]
     held: Mapping[str, float]
     places: Mapping[str, float]
@@ -170,7 +171,7 @@ def load_plant(
     notes = [*origin, *terms.notes, *built.notes, *_follower_notes(arrangement), *loops.notes]
     lines = [message.partition("\n")[0].rpartition("warning: ")[2] for message in messages]
     of_drake = [f"Drake: {line}" for line in lines if "inertia" in line or "mass" in line]
-    moving = {loop.map.joints[k] for loop in loops.loops for k in loop.map.cut}
+    moving = {loop.joints[k] for loop in loops.loops for k in loop.cut}
     cuts = (each.cut for each in built.opened)
     closing = tuple(cut for cut in cuts if cut is not None and cut.name in moving)
     return LoadedPlant(

@@ -7,17 +7,17 @@ needed: those of a flat linkage also hold it in its plane.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from itertools import product
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from geodrake.boundary.showing import Short
 from geodrake.compiling import compiled, contiguous, inlined
-from geodrake.errors import ArgumentError
+from geodrake.errors import ArgumentError, ModelError
 from geodrake.inertia import Array
 from geodrake.robot.recursion import MOTION, POSE, Record, TreeRecords, pose, put_pose
 from geodrake.robot.transmission import JointlyEvaluated
@@ -52,16 +52,29 @@ CLOSURE = np.dtype(
 )
 """A closure for compiled code: mobilizers of its bodies, and its frames in them."""
 
-LoopRecords = tuple[
-    TreeRecords, NDArray[np.void], Indices, NDArray[np.float64], Indices, Indices, Array, Array
-]
-"""A loop of k joints for compiled code.
 
-Its mobilizers; its closures; on which side of each closure each mobilizer is: −1 and 1, and 0 where
-it moves both or none; (·, k, ·) coefficients of polynomials in each joint whose sums are zero;
-numbers of the n free joints, and of those that follow; (k,) the posture of the file; and (k + 1,)
-how far joints go that move as far as a radian, with the size of the loop behind them, m.
-"""
+class LoopRecords(NamedTuple):
+    """A loop of k joints for compiled code.
+
+    Attributes:
+        tree: Its mobilizers.
+        sides: On which side of each closure each mobilizer is: −1 and 1, and 0 where it moves both
+            or none.
+        couplings: (·, k, ·) coefficients of polynomials in each joint whose sums are zero.
+        free: Numbers of the n joints that are free.
+        following: Numbers of those that follow.
+        reference: (k,) the posture of the file.
+        units: (k + 1,) how far joints go that move as far as a radian, and the size of the loop, m.
+    """
+
+    tree: TreeRecords
+    closures: NDArray[np.void]
+    sides: Indices
+    couplings: Array
+    free: Indices
+    following: Indices
+    reference: Array
+    units: Array
 
 
 @inlined
@@ -108,8 +121,8 @@ def _put(out: Array, first: int, at: int, factor: float, values: Vector) -> None
 @compiled
 def _find_misses(loop: Any, x: Array, room: Any, c: Array, J: Array) -> None:
     """Write by how much closures miss, (m,), and J (m, k), at x (1, k)."""
-    (mobilizers, _), closures, sides, couplings = loop[0], loop[1], loop[2], loop[3]
-    size = loop[7][-1]
+    (mobilizers, _), closures, sides = loop.tree, loop.closures, loop.sides
+    size = loop.units[-1]
     motions, world, features, R, p = room
     c[:], J[:] = 0.0, 0.0
     for i in range(len(mobilizers)):
@@ -139,7 +152,7 @@ def _find_misses(loop: Any, x: Array, room: Any, c: Array, J: Array) -> None:
                 if closure.turns:
                     _put(J, first + 3, at, float(side), z)
         first += 6 if closure.turns else 3
-    _add_couplings(couplings, x, first, c, J)
+    _add_couplings(loop.couplings, x, first, c, J)
 
 
 @inlined
@@ -160,7 +173,7 @@ def _find_rates(loop: Any, motion: Any, rooms: Any, rate: Array) -> None:
     (at, xd), (room, _, c, J, x), speed = motion, rooms, 0.0
     rate[:] = 0.0
     for j in range(len(xd)):
-        speed = max(speed, abs(xd[j]) / loop[7][j])
+        speed = max(speed, abs(xd[j]) / loop.units[j])
     for weight, steps in ((8.0, 1.0), (-8.0, -1.0), (-1.0, 2.0), (1.0, -2.0)):
         if speed > 0.0:
             for j in range(len(xd)):
@@ -207,7 +220,7 @@ def _solve_least(A: Array, B: Array, T: Array, X: Array) -> None:
 @compiled
 def _follow(loop: Any, J: Array, B: Array, rooms: Any, out: Array) -> None:
     """Write the followers' rows of the solution of J out = B from the other joints' rows."""
-    free, following = loop[4], loop[5]
+    free, following = loop.free, loop.following
     A, rest, T, X = rooms
     for i in range(len(J)):
         for k in range(len(following)):
@@ -226,8 +239,13 @@ def _follow(loop: Any, J: Array, B: Array, rooms: Any, out: Array) -> None:
 @inlined
 def _rooms(loop: Any) -> Any:
     """Room for poses, for what `_follow` solves with, for c (m,), J (m, k) and a posture (1, k)."""
-    (mobilizers, _), closures, m, k = loop[0], loop[1], len(loop[3]), len(loop[6])
-    width, d = max(len(loop[4]), 1), len(loop[5])
+    (mobilizers, _), closures, m, k = (
+        loop.tree,
+        loop.closures,
+        len(loop.couplings),
+        len(loop.reference),
+    )
+    width, d = max(len(loop.free), 1), len(loop.following)
     for e in range(len(closures)):
         m += 6 if closures[e].turns else 3
     motions, world = np.empty(len(mobilizers), MOTION), np.empty(len(mobilizers), POSE)
@@ -242,7 +260,7 @@ def _close(loop: Any, rooms: Any, most: float) -> bool:
 
     Its joints move by `most` at most, rad or shares of the size.
     """
-    units, (room, solving, c, J, x) = loop[7], rooms
+    units, (room, solving, c, J, x) = loop.units, rooms
     step, miss, moved = np.zeros((J.shape[1], 1)), np.empty((len(c), 1)), 0.0
     for _ in range(_MOST_ITERATIONS):
         _find_misses(loop, x, room, c, J)
@@ -267,7 +285,7 @@ def _go(loop: Any, wanted: Array, x: Array, rooms: Any) -> float:
     Each step goes along the tangent, and then to where the loop is closed; where that is far, the
     step is shorter.
     """
-    free, units, (room, solving, c, J, trial) = loop[4], loop[7], rooms
+    free, units, (room, solving, c, J, trial) = loop.free, loop.units, rooms
     none, move = np.zeros((len(c), 1)), np.zeros((len(x), 1))
     done, longest = 0.0, _LONGEST
     for _ in range(_MOST_STEPS):
@@ -315,14 +333,14 @@ def calc_loop(loop: LoopRecords, wanted: Array, theta: Array, G: Array, reached:
     `reached` (N,) gets the share of the way from the posture of the file that was possible: 1 where
     the loop closes at what is wanted.
     """
-    free, reference, rooms = loop[4], loop[6], _rooms(loop)
+    free, reference, rooms = loop.free, loop.reference, _rooms(loop)
     room, solving, c, J, x = rooms
     none = np.zeros((len(c), max(len(free), 1)))
     for i in range(len(wanted)):
         done, near, far = 0.0, 0.0, 0.0
         before = theta[i - 1] if i > 0 and reached[i - 1] == 1.0 else reference
         for f in range(len(free)):  # in rad or shares of the size
-            unit, at = loop[7][free[f]], free[f]
+            unit, at = loop.units[free[f]], free[f]
             near = max(near, abs(wanted[i, f] - before[at]) / unit)
             far = max(far, abs(wanted[i, f] - reference[at]) / unit)
         if near < far:
@@ -365,40 +383,63 @@ def calc_loop_rates(loop: LoopRecords, theta: Array, G: Array, v: Array, out: Ar
 
 _FAR = 10.0  # rad or sizes of the loop, up to where ends of its motion are looked for
 _OFF_THE_END = 1e-3  # of the way to an end, where the loop still moves
+_SAME = 1e-3  # rad or shares, by which a joint may be held beside where the loop has it
 _CORNERS = 4  # free joints, of whose ranges all corners are tried
 _SMALLER, _MOST_TRIALS = 0.8, 15  # ranges of several free joints
 
 
+def miss(loop: LoopRecords, x: Array) -> tuple[Array, Array]:
+    """Return by how much closures miss (m,) at x (k,), and their slopes (m, k) in joints' units."""
+    rows = len(loop.couplings) + sum(6 if turns else 3 for turns in loop.closures["turns"])
+    out = np.zeros((rows, 1 + len(x)))
+    calc_misses(loop, contiguous(x[None]), out)
+    return out[:, 0], out[:, 1:] * loop.units[:-1]
+
+
+def solved(loop: LoopRecords, q: Array) -> tuple[Array, Array, Array]:
+    """Positions (N, k) of all joints, G (N, k, n), and the share of the way there (N,)."""
+    q = contiguous(q)
+    theta = np.empty((len(q), len(loop.reference)))
+    G, reached = np.empty((*theta.shape, len(loop.free))), np.empty(len(q))
+    calc_loop(loop, q, theta, G, reached)
+    return theta, G, reached
+
+
 @dataclass(frozen=True, eq=False)
 class LoopTransmission(JointlyEvaluated, Short):
-    """How all joints of a closed loop follow from the free ones.
+    """How all joints of a closed loop, or of several that share joints, follow from the free ones.
 
     Attributes:
         name: What closes the loop, in words.
         joints: Names of its k joints; the last ones may be cut.
         records: The loop for compiled code.
         shown: Numbers of the joints that it moves in the tree.
-        driven: Names of joints that follow, though motors drive them, too.
         cut: Numbers of the joints that close the loop and are not in the tree.
+        slides: Of each joint, whether it slides.
+        limits: Least and greatest positions of all its joints by their own limits, (2, k).
+        motors: Names of its joints that motors drive, as far as the file tells.
+        gap: By how much it misses at the posture of the file, m or rad.
     """
 
     name: str
     joints: tuple[str, ...]
     records: LoopRecords
     shown: Indices
-    driven: tuple[str, ...] = ()
-    cut: tuple[int, ...] = ()
-    slides: tuple[bool, ...] = ()
+    cut: tuple[int, ...]
+    slides: tuple[bool, ...]
+    limits: Array
+    motors: tuple[str, ...]
+    gap: float
 
     @property
     def free(self) -> Indices:
         """Numbers of the free joints."""
-        return self.records[4]
+        return self.records.free
 
     @property
     def reference(self) -> Array:
         """(k,) the posture of the file, in which the loop is closed."""
-        return self.records[6]
+        return self.records.reference
 
     @property
     def actuators(self) -> tuple[str, ...]:
@@ -406,17 +447,55 @@ class LoopTransmission(JointlyEvaluated, Short):
         return tuple(self.joints[at] for at in self.free)
 
     @property
+    def driven(self) -> tuple[str, ...]:
+        """Names of joints that follow, though motors drive them, too."""
+        following = (self.joints[k] for k in self.records.following)
+        return tuple(name for name in following if name in self.motors)
+
+    @property
     def shape(self) -> tuple[int, int]:
         """Numbers of joints that it moves in the tree, and of free ones."""
         return len(self.shown), len(self.free)
 
-    def solved(self, q: Array) -> tuple[Array, Array, Array]:
-        """Positions (N, k) of all joints, G (N, k, n), and the share of the way there (N,)."""
-        q = contiguous(q)
-        theta = np.empty((len(q), len(self.reference)))
-        G, reached = np.empty((*theta.shape, self.num_actuators)), np.empty(len(q))
-        calc_loop(self.records, q, theta, G, reached)
-        return theta, G, reached
+    @property
+    def notes(self) -> tuple[str, ...]:
+        """Return how its joints move, in words."""
+        free = self.actuators
+        others = [self.joints[k] for k in (*self.shown, *self.cut) if self.joints[k] not in free]
+        follow = f"{', '.join(others)} follow{'s' if len(others) == 1 else ''} {', '.join(free)}"
+        told = [f"In the closed loop of {self.name}, {follow if free else 'nothing moves'}."]
+        if passive := [name for name in free if self.motors and name not in self.motors]:
+            where = f"{passive[0]} of that loop is: it counts as a joint of its own."
+            if passive[1:]:
+                where = f"{', '.join(passive)} of that loop are: they count as joints of their own."
+            told.append(f"No motor of the file determines where {where}")
+        if further := self.driven:
+            told.append(
+                f"The loop has more motors than it moves freely: efforts of {', '.join(further)} "
+                f"count at {', '.join(free)}, so logs need them, too."
+            )
+        if self.gap:
+            told.append(f"That loop closes up to {self.gap:.2g} m in the posture of the file.")
+        return tuple(told)
+
+    def posture(self, held: Mapping[str, float], path: object) -> dict[str, float]:
+        """Joint -> where it is if some joints are held."""
+        names = self.joints
+        q = np.array([held.get(names[at], self.reference[at]) for at in self.free])
+        theta, _, reached = solved(self.records, q[None])
+        places = dict(zip(names, theta[0].tolist(), strict=True))
+        far = {n: x for n, x in held.items() if n in names and abs(places[n] - x) > _SAME}
+        if reached[0] < 1.0 or far:
+            where = ", ".join(f"{name} at {held[name]:g}" for name in names if name in held)
+            closes = {name: f"{places[name]:.6g}" for name in far}
+            raise ModelError(
+                f"{path}: the closed loop of {self.name} does not close with {where}.",
+                advice=f"Hold {', '.join(f'{n} at {x}' for n, x in closes.items())}."
+                if reached[0] == 1.0
+                else "Hold its joints elsewhere.",
+                joint=next(iter(far), ""),
+            )
+        return {names[at]: places[names[at]] for at in self.shown}
 
     def along(self, q: Array, v: Array | None = None) -> tuple[Array, Array, Array]:
         """θ = T(q), J and J̇ along a motion, by one solution."""
@@ -438,31 +517,32 @@ class LoopTransmission(JointlyEvaluated, Short):
 
     def inside(self, q: Array) -> Array:
         """Return positions moved towards the posture of the file to where the loop closes."""
-        share, there = self.solved(q)[2], self.reference[self.free]
+        share, there = solved(self.records, q)[2], self.reference[self.free]
         moved = there + (1.0 - _OFF_THE_END) * share[:, None] * (q - there)
         return np.where((share < 1.0)[:, None], moved, q)
 
-    def range_within(self, lower: Array, upper: Array) -> tuple[Array, Array]:
+    def range(self) -> tuple[Array, Array]:
         """Least and greatest positions (n,) of the free joints between which the loop closes."""
-        there, units = self.reference[self.free], self.records[7][self.free]
+        (lower, upper), there = self.limits[:, self.free], self.reference[self.free]
+        units = self.records.units[self.free]
         ends = [np.maximum(lower, there - _FAR * units), np.minimum(upper, there + _FAR * units)]
         for k, (end, own) in enumerate(zip(ends, (lower, upper), strict=True)):
             q = there + np.diag(end - there)  # one joint at a time
-            share = self.solved(q)[2]
+            share = solved(self.records, q)[2]
             stops = there + (1.0 - _OFF_THE_END) * share * (end - there)
             ends[k] = np.where(share < 1.0, stops, own)
         if 1 < len(there) <= _CORNERS:
             for _ in range(_MOST_TRIALS):
                 near = [np.clip(end, there - _FAR * units, there + _FAR * units) for end in ends]
                 corners = np.array(list(product(*zip(*near, strict=True))))
-                if (self.solved(corners)[2] == 1.0).all():
+                if (solved(self.records, corners)[2] == 1.0).all():
                     break
                 ends = [there + _SMALLER * (end - there) for end in near]
         return ends[0], ends[1]
 
     def _closed(self, q: Array) -> tuple[Array, Array]:
         """Return positions and G."""
-        theta, G, reached = self.solved(q)
+        theta, G, reached = solved(self.records, q)
         if (open_ := reached < 1.0).any():
             at = int(np.argmax(open_))
             end = self.reference[self.free] + reached[at] * (q[at] - self.reference[self.free])

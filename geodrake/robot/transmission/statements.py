@@ -510,6 +510,12 @@ class Drive(Short):
         """Whether it is a closed loop of the model file, and nothing that a user states."""
         return isinstance(self.map, LoopTransmission)
 
+    @classmethod
+    def of_loop(cls, loop: LoopTransmission) -> Drive:
+        """Return a closed loop as a drive; there is none where nothing moves."""
+        names = tuple(loop.joints[at] for at in loop.shown)
+        return cls(loop.actuators, names, loop, range=loop.range())
+
     @property
     def limits(self) -> tuple[Array, Array]:
         """Least and greatest positions (n,) for which the map holds, rad or m."""
