@@ -68,8 +68,9 @@ def known_noise(
             rate = 1.0 / segment.period
             start = segment[:_SAMPLES]
             rows = None if robot is None else contact_rows(robot, trajectory, start)
+            density = _density_of_rows(start, rows, rate, bandwidth)
             start = replace(start, effort=_taken(rows, start.effort))
-            density, width = quiet_density(start.effort, rate, bandwidth), gain**2 * rate / 2.0
+            width = gain**2 * rate / 2.0
             noise = density * width
             if robot is not None:
                 residual = _residual(start, robot, sign_width, trajectory, rows)
@@ -114,6 +115,16 @@ def _shares(rows: Array | None) -> Array | float:
     Limbs that stand have none, and what is zero there is no noise.
     """
     return 1.0 if rows is None else rows.any(axis=2).mean(axis=0)
+
+
+def _density_of_rows(segment: Segment, rows: Array | None, rate: float, bandwidth: float) -> Array:
+    """Return the density (nv,) of noise in efforts without unknown contact forces, the mean.
+
+    It is that of the efforts as they were measured, by their shares in `rows` (N, nv, nv). These
+    begin and end where limbs lift and touch, and such jumps are no noise.
+    """
+    density = quiet_density(segment.effort, rate, bandwidth)
+    return density if rows is None else np.asarray(np.square(rows).mean(axis=0) @ density)
 
 
 def _taken(rows: Array | None, efforts: Array) -> Array:
@@ -233,8 +244,8 @@ def _is_precise(model: RobotModel, trajectories: Sequence[Trajectory]) -> bool:
             start, rate = segment[:_SAMPLES], 1.0 / segment.period
             size = np.maximum(size, start.acceleration.std(axis=0))  # a joint may rest in some
             rows = contact_rows(robot, trajectory, start)
+            density = _density_of_rows(start, rows, rate, low_pass.bandwidth)
             measured = replace(start, effort=_taken(rows, start.effort))
-            density = quiet_density(measured.effort, rate, low_pass.bandwidth)
             noise = density * low_pass.noise_gain**2 * rate / 2.0
             known = (noise > 0.0) & ~_is_silent(density, measured)
             carried = _carried(start, robot, trajectory, 0.0, rows)
