@@ -292,6 +292,9 @@ STEP = 5e-4  # s
 BALL = 2e-3  # m, radius of what touches the ground
 _SOFTNESS = (0.01, 1.0)  # time constant, s, and damping ratio of a contact
 _TOLERANCE = 1e-15  # of MuJoCo's solver of contacts
+# Time constant and impedance of dry friction: MuJoCo's own let it grow with the speed up to some
+# tenths of a radian per second.
+_DRY = (2.0 * STEP, 1.0), (0.9999, 0.9999, 0.001, 0.5, 2.0)
 _GROUND = "ground"
 
 
@@ -396,6 +399,7 @@ def compiled(name: str, secret: Secret) -> mujoco.MjModel:
         joints, secret.friction, secret.damping, secret.rotor, strict=bool(secret.rotor)
     ):
         joint.frictionloss, joint.damping[0], joint.armature = dry, viscous, rotor
+        joint.solref_friction, joint.solimp_friction = _DRY
     spec.option.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_LIMIT)
     return spec.compile()
 
