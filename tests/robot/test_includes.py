@@ -111,6 +111,23 @@ def test_included_sdf_models_are_what_drake_makes_of_them(tmp_path, kind, merge)
     assert len(springs) == {"placed": 1, "nested": 2, "old": 0}[kind]
 
 
+def test_joints_of_an_sdf_are_stated_where_their_nested_children_are(tmp_path):
+    dynamics = "<dynamics><friction>.4</friction><spring_stiffness>3</spring_stiffness></dynamics>"
+    joint = """<joint name="{}" type="revolute"><parent>{}</parent><child>{}</child>
+<axis><xyz>1 0 0</xyz>{}</axis></joint>"""
+    wrist = f"""<model name="wrist">{LINK.format("w", 1.0)}<model name="tip">
+{LINK.format("t", 1.0)}{LINK.format("u", 1.0)}{joint.format("lead", "t", "u", "")}</model>
+<frame name="inner" attached_to="tip::t"/>
+{joint.format("follow", "w", "inner", f'<mimic joint="tip::lead"/>{dynamics}')}</model>"""
+    outer = joint.format("base", "a", "wrist", dynamics)
+    model = load_model(write(tmp_path / "robot.sdf", sdf(body("a") + wrist + outer)))
+    assert set(model.joints) == {"a_joint", "base", "lead"}
+    assert [f.joint for f in model.followers] == ["robot::wrist::tip::follow"]
+    for name in ("coulomb_friction", "joint_spring"):
+        places = [f.effect.where for f in model.effects if f.effect.name == name]
+        assert sorted(places) == [("base",), ("lead",)]
+
+
 def test_mjcf_includes(tmp_path):
     inner = """<mujocoinclude><worldbody><body name="b"><joint name="j"/>
     <inertial pos="0 0 1" mass="2" diaginertia="1 1 1"/></body></worldbody></mujocoinclude>"""

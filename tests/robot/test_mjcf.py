@@ -96,6 +96,13 @@ TAKEN = {
             'damping=".3 .1 .2"><joint joint="t" coef="-1.5"/></fixed></tendon>',
         )
     ),
+    "a tendon of two joints": (
+        mjcf(
+            tip(),
+            tail='<tendon><fixed stiffness="4" springlength=".1" damping=".3" armature=".2">'
+            f"{PAIR}</fixed></tendon>",
+        )
+    ),
     "springs between two points": (
         mjcf(
             '<site name="w" pos=".1 .2 .9"/>'

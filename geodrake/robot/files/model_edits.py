@@ -258,6 +258,36 @@ def sdf_models(parent: Element, scope: str = "", first: str = "") -> Iterator[tu
         yield from sdf_models(model, name)
 
 
+def sdf_joints(root: Element, first: str = "") -> Iterator[tuple[str, str, Element]]:
+    """Yield joints, with the scoped names that an SDF has for them, and those that Drake has.
+
+    Drake counts a joint among those of the model whose link is its child.
+    """
+    for scope, model in sdf_models(root, first=first):
+        for joint in model.findall("joint"):
+            name, child = joint.get("name"), joint.findtext("child", "").strip()
+            yield f"{scope}::{name}", f"{_home(scope, model, child)}::{name}", joint
+
+
+def _home(scope: str, model: Element, frame: str) -> str:
+    """Return the scoped name of the model whose link a frame is, or is attached to."""
+    own, tried = {each.get("name", ""): each for each in model}, set[str]()
+    while frame not in tried:
+        tried.add(frame)
+        if frame in ("", "__model__"):
+            parts = (*model.findall("link"), *model.findall("model"))
+            frame = model.get("canonical_link") or next((x.get("name", "") for x in parts), "")
+        head, _, rest = frame.partition("::")
+        there = own.get(head)
+        kind = "" if there is None else there.tag
+        if there is not None and kind == "model":
+            return _home(f"{scope}::{head}", there, rest)
+        if there is not None and kind in ("frame", "joint"):
+            child = there.findtext("child", "").strip()
+            frame = there.get("attached_to", "") if kind == "frame" else child
+    return scope
+
+
 def sdf_pose(pose: Element) -> tuple[Array, Array]:
     """Return the position (3,) of a <pose>, and roll, pitch, yaw or a quaternion w, x, y, z."""
     quaternion = pose.get("rotation_format") == "quat_xyzw"
@@ -288,12 +318,13 @@ def _of_urdf(*tags: str) -> Callable[[Element, Path], _Named]:
     return named
 
 
-def _of_sdf(tag: str) -> Callable[[Element, Path], _Named]:
-    def named(root: Element, _: Path) -> _Named:
-        for name, model in sdf_models(root):
-            yield from ((f"{name}::{each.get('name')}", each) for each in model.findall(tag))
+def _sdf_links(root: Element, _: Path) -> _Named:
+    for name, model in sdf_models(root):
+        yield from ((f"{name}::{each.get('name')}", each) for each in model.findall("link"))
 
-    return named
+
+def _sdf_joints(root: Element, _: Path) -> _Named:
+    yield from ((name, joint) for _, name, joint in sdf_joints(root))
 
 
 def _mjcf_links(root: Element, path: Path) -> _Named:
@@ -429,7 +460,7 @@ _FORMATS: Mapping[str, _Format] = {
     "robot": _Format(
         _of_urdf("link"), _of_urdf("joint", "drake:joint"), _put_urdf_inertia, _put_urdf_numbers
     ),
-    "sdf": _Format(_of_sdf("link"), _of_sdf("joint"), _put_sdf_inertia, _put_sdf_numbers),
+    "sdf": _Format(_sdf_links, _sdf_joints, _put_sdf_inertia, _put_sdf_numbers),
     "mujoco": _Format(_mjcf_links, _mjcf_joints, _put_mjcf_inertia, _put_mjcf_numbers),
 }
 """Root element -> its format."""

@@ -15,6 +15,7 @@ import abc
 import re
 from collections.abc import Collection, Iterator, Mapping, Sequence
 from copy import deepcopy
+from dataclasses import replace
 from pathlib import Path
 from typing import ClassVar
 from xml.etree.ElementTree import Element, SubElement
@@ -41,7 +42,7 @@ from geodrake.robot.files.checks import (
     symmetric,
 )
 from geodrake.robot.files.includes import PACKAGE_ADVICE, Includes
-from geodrake.robot.files.model_edits import put_inertia, sdf_models, sdf_pose
+from geodrake.robot.files.model_edits import put_inertia, sdf_joints, sdf_models, sdf_pose
 from geodrake.robot.files.xml_text import numbered_text, place_of, wrong_at
 from geodrake.robot.joints import Follower
 from geodrake.robot.stated import Closure, FileTerms, Spring, StatedLength
@@ -232,15 +233,16 @@ class ModelText(abc.ABC):
                 raise wrong_at(element, self.path, what)
         self.terms.lengths.append(StatedLength({joint: 1.0}, Spring.linear(*values)))
 
-    def _take_mimic(self, scope: str, joint: Element) -> None:
+    def _take_mimic(self, name: str, scope: str, joint: Element) -> None:
+        """Take what a joint follows, by its scoped name and the scope of what it names."""
         for mimic in [e for e in joint.iter() if e.tag in ("mimic", "drake:mimic")]:
             ratio, offset = (
                 float(numbers(mimic.get(key) or mimic.findtext(key) or default, 1)[0])
                 for key, default in (("multiplier", "1"), ("offset", "0"))
             )
             start = float(numbers(mimic.findtext("reference", "0"), 1)[0])  # of SDF
-            own, leader = (f"{scope}::{name}" for name in (joint.get("name"), mimic.get("joint")))
-            self.terms.followers.append(Follower(own, leader, ratio, offset - ratio * start))
+            leader = f"{scope}::{mimic.get('joint')}"
+            self.terms.followers.append(Follower(name, leader, ratio, offset - ratio * start))
         drop(joint, "mimic", "drake:mimic")
 
     @abc.abstractmethod
@@ -279,9 +281,13 @@ class SdfText(ModelText):
         self._drop_loops()
         for name, model in models:
             self._links |= {f"{name}::{e.get('name')}": e for e in model.findall("link")}
-            for joint in model.findall("joint"):
-                self._take_mimic(name, joint)
-                self._read_joint(f"{name}::{joint.get('name')}", joint)
+        names = dict[str, str]()
+        for stated, name, joint in sdf_joints(self.root, first=self.scope or ""):
+            names[stated] = name
+            self._take_mimic(name, stated.rpartition("::")[0], joint)
+            self._read_joint(name, joint)
+        followers = (replace(f, leader=names.get(f.leader, f.leader)) for f in terms.followers)
+        terms.followers = list(followers)
         nowhere = [*includes.missing, *includes.absent]
         if nowhere and not self._links:
             raise ModelError(
@@ -359,7 +365,7 @@ class UrdfText(ModelText):
         self._take_gazebo(scope, gazebo, every)
         for joint in joints:
             name = f"{scope}::{joint.get('name')}"
-            self._take_mimic(scope, joint)
+            self._take_mimic(name, scope, joint)
             friction = number(joint, "dynamics", "friction")
             terms.lengths.append(StatedLength({name: 1.0}, friction=friction))
             terms.effort[name] = number(joint, "limit", "effort")
