@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -59,11 +60,11 @@ def limits_of(
             Each may hold several, with commas between them; later ones win.
         bounded: As for `motion_limits`.
     """
-    scale, said = 1.0, {quantity: dict[str, str]() for quantity in _QUANTITIES}
+    scale, said = 1.0, {quantity: dict[str, Any]() for quantity in _QUANTITIES}
     for text in filter(None, ",".join(given or ()).split(",")):
         key, equals, value = (part.strip() for part in text.partition("="))
         if not equals:
-            scale *= _share(text)
+            scale *= _amount(text)[0]
             continue
         joint, _, quantity = key.rpartition(".")
         if quantity not in _QUANTITIES:
@@ -73,46 +74,46 @@ def limits_of(
             )
         if joint:
             _check_joint(joint, model, "--limits")
-        if quantity in SIGNAL_KINDS and value.endswith("%"):
-            raise ArgumentError(
-                f"--limits has {text!r}; there is no limit of {quantity}s that it is a share of.",
-                advice=f"Write it as a number, such as {quantity}=8.",
-            )
         joints = model.joints
         if quantity in SIGNAL_KINDS:
             joints = tuple(each.joint for each in model.effort_signals if each.kind == quantity)
+            if value.endswith("%"):
+                raise ArgumentError(
+                    f"--limits has {text!r}; there is no limit of {quantity}s that it is a share "
+                    "of.",
+                    advice=f"Write it as a number, such as {quantity}=8.",
+                )
         if not joints or (joint and joint not in joints):
             raise ArgumentError(
                 f"--limits has a {quantity}{f' of {joint}' * bool(joint)}, and the model knows no "
                 "efforts by it.",
                 advice="Limit the effort, or start from a model that was fitted to such a log.",
             )
-        if quantity == "position":
-            _range(value)
-        elif value.endswith("%"):
-            _share(value)
-        else:
-            _number(value, "--limits")
-        said[quantity] |= dict.fromkeys([joint] if joint else joints, value)
-    position = {joint: _range(value) for joint, value in said.pop("position").items()}
-    signals = [each for kind in SIGNAL_KINDS for each in said.pop(kind).items()]
+        limit = _range(value) if quantity == "position" else _amount(value)
+        said[quantity] |= dict.fromkeys([joint] if joint else joints, limit)
+    position = said.pop("position")
+    signals = {j: most for kind in SIGNAL_KINDS for j, (most, _) in said.pop(kind).items()}
     absolute = {
-        quantity: {j: _number(v, "--limits") for j, v in own.items() if not v.endswith("%")}
+        quantity: {j: most for j, (most, is_share) in own.items() if not is_share}
         for quantity, own in said.items()
     }
     limits = motion_limits(model, position=position, bounded=bounded, **absolute)
     for quantity, own in said.items():
-        shares = [_share(v) if (v := own.get(j, "")).endswith("%") else 1.0 for j in model.joints]
+        shares = [
+            most if is_share else 1.0
+            for most, is_share in (own.get(j, (1.0, True)) for j in model.joints)
+        ]
         limits = replace(limits, **{quantity: np.array(shares) * getattr(limits, quantity)})
     # After the shares, which are of the model's limits: the lesser counts.
-    most = signal_limits(model, {joint: _number(value, "--limits") for joint, value in signals})
-    return replace(limits, effort=np.minimum(limits.effort, most)).scaled(scale)
+    most = np.minimum(limits.effort, signal_limits(model, signals))
+    return replace(limits, effort=most).scaled(scale)
 
 
-def _share(text: str) -> float:
+def _amount(text: str) -> tuple[float, bool]:
+    """Return a number, and whether it is a share of a limit, as of `50%`."""
     if text.strip().endswith("%"):
-        return 0.01 * _number(text.strip().rstrip("%"), "--limits")
-    return _number(text, "--limits")
+        return 0.01 * _number(text.strip().rstrip("%"), "--limits"), True
+    return _number(text, "--limits"), False
 
 
 def _range(text: str) -> tuple[float, float]:

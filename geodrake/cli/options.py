@@ -19,42 +19,29 @@ from geodrake.errors import ArgumentError
 if TYPE_CHECKING:
     from _typeshed import DataclassInstance
 
-_SHARED = {
-    "model": (
-        "MODEL",
-        "URDF, SDF, MJCF or Drake directives file, a model saved with --save, or the name of a "
-        "robot of robot_descriptions, such as ur5e.",
-    ),
-    "logs": (
-        "LOG...",
-        "Logs of time, positions and efforts: CSV, NPZ, ROS bag, MCAP, Parquet, LeRobot, JSON, "
-        "HDF5, LCM or .mat; a.csv+b.csv are joined by time.",
-    ),
-    "json": ("FILE", "Write the numbers; - is standard output."),
-    "report": ("FILE.html", "Write one page with the figures."),
-    "series": (
-        "FILE.csv|.parquet",
-        "Write the samples: time, log, and of every joint measured, predicted and residual.",
-    ),
-    "details": (
-        None,
-        "Show all: parameters, what is left, where the model fails, bodies; so does --report.",
-    ),
-    "quiet": (None, "Show results and errors only, no progress."),
-    "debug": (None, "Show tracebacks; GEODRAKE_DEBUG=1 does too."),
-    "effects": ("FILE.py", "Know the effects of this file too; repeatable."),
-    "known_payload": (
-        "LOG:BODY:MASS[:X,Y,Z]",
-        "What the robot carried throughout a log, of known mass, kg, and centre of mass in the "
-        "body's frame, m. With a log without it, gains of efforts are identifiable. Repeatable.",
-    ),
-}
-"""Options of many commands by name: their metavariable and help."""
-
 
 @dataclass(frozen=True, kw_only=True)
 class CommonOptions:
-    """Options of all commands."""
+    """Options of all commands, and the words for those that many commands have.
+
+    Attributes:
+        model (MODEL): URDF, SDF, MJCF or Drake directives file, a model saved with --save, or the
+            name of a robot of robot_descriptions, such as ur5e.
+        logs (LOG...): Logs of time, positions and efforts: CSV, NPZ, ROS bag, MCAP, Parquet,
+            LeRobot, JSON, HDF5, LCM or .mat; a.csv+b.csv are joined by time.
+        json (FILE): Write the numbers; - is standard output.
+        report (FILE.html): Write one page with the figures.
+        series (FILE.csv|.parquet): Write the samples: time, log, and of every joint measured,
+            predicted and residual.
+        details: Show all: parameters, what is left, where the model fails, bodies; so does
+            --report.
+        quiet: Show results and errors only, no progress.
+        debug: Show tracebacks; GEODRAKE_DEBUG=1 does too.
+        effects (FILE.py): Know the effects of this file too; repeatable.
+        known_payload (LOG:BODY:MASS[:X,Y,Z]): What the robot carried throughout a log, of known
+            mass, kg, and centre of mass in the body's frame, m. With a log without it, gains of
+            efforts are identifiable. Repeatable.
+    """
 
     json: Path | None = None
     quiet: bool = False
@@ -578,10 +565,12 @@ def taking(options: type[T]) -> Callable[[Callable[[T], None]], Callable[..., No
     brackets. Errors of the command become messages and exit codes. Help shows what is used most,
     then what says how models and logs are read, and what is rare.
     """
-    hints, told = get_type_hints(options), _SHARED | _documented(options)
+    hints, told = get_type_hints(options), _documented(options)
     kinds = {field.name: field for field in fields(options)}
     names = sorted(kinds, key=lambda name: _FIRST.index(name) if name in _FIRST else len(_FIRST))
-    rare = _RARE | ({"effects"} if told.get("effects") == _SHARED["effects"] else set())
+    rare = _RARE | (
+        {"effects"} if told["effects"] == _documented(CommonOptions)["effects"] else set()
+    )
     panels = dict.fromkeys(rare, "Advanced: rarely needed")
     for each in options.__mro__:
         if "PANEL" in vars(each):
