@@ -6,10 +6,10 @@ With z ~ N(0, s² 𝟙), what logs say for a change f(t) D z is the ratio of mar
 
     log E = ½ gᵀ (S + s⁻² 𝟙)⁻¹ g − ½ log det(𝟙 + s² S),   S = Dᵀ (Q − Cᵀ N⁻¹ C) D,
 
-with Q = Σ f² M_t, C = Σ f L_tᵀ M_t and N of the robot's own parameters, all of cumulative sums over
-days. A mean of such ratios over hypotheses, forms, days and scales s has the expectation 1 where
-nothing changed. By Markov's inequality it is above 1/α with a probability of at most α, whatever
-the number of hypotheses and however alike they are.
+with Q = Σ f² M_t, C = Σ f L_tᵀ M_t and N of the robot's own parameters. A mean of such ratios over
+hypotheses, forms, days and scales s has the expectation 1 where nothing changed. By Markov's
+inequality it is above 1/α with a probability of at most α, whatever the number of hypotheses and
+however alike they are.
 
 T times that mean is a sum of T ratios, each of which goes on with the expectation 1 as logs come:
 by Doob's inequality it is above T_max/α before T_max with a probability of at most α. A history
@@ -67,9 +67,9 @@ class Profiles(Short):
         starts = np.unique(days, return_index=True)[1]  # logs of one day are not told apart
         return cls(form, starts[:-1] if form == RAMP else starts[1:], days)
 
-    @property
+    @cached_property
     def values(self) -> Array:
-        """(K, T) values."""
+        """Return the (K, T) values."""
         after = np.arange(len(self.days)) >= self.first[:, None]
         if self.form == UNTIL:
             return np.logical_not(after).astype(float)
@@ -79,37 +79,12 @@ class Profiles(Short):
         return np.asarray(after * (self.days - begun) / (self.days[-1] - begun))
 
     def sums(self, per_log: Array) -> Array:
-        """Return (K, ...) sums Σ_t f_k(t) X_t, of cumulative sums."""
-        if self.form == UNTIL:
-            return np.asarray(np.cumsum(per_log, axis=0)[self.first - 1])
-        zeroth = _tail_sums(per_log)[self.first]
-        if self.form == STEP:
-            return zeroth
-        left, span = self._ramp(per_log)
-        return np.asarray(zeroth - _tail_sums(left * per_log)[self.first] / span)
+        """Return (K, ...) sums Σ_t f_k(t) X_t."""
+        return np.tensordot(self.values, per_log, 1)
 
     def squares(self, per_log: Array) -> Array:
-        """Return (K, ...) sums Σ_t f_k(t)² X_t, of cumulative sums."""
-        if self.form != RAMP:
-            return self.sums(per_log)
-        left, span = self._ramp(per_log)
-        zeroth, first, second = (
-            _tail_sums(each)[self.first] for each in (per_log, left * per_log, left**2 * per_log)
-        )
-        return np.asarray(zeroth - 2.0 * first / span + second / span**2)
-
-    def _ramp(self, per_log: Array) -> tuple[Array, Array]:
-        """Return days that are left after logs, and those of whole ramps, shaped to go with X.
-
-        A ramp is 1 − left / span. Counted from the last log, no sum is more than its parts.
-        """
-        left = (self.days[-1] - self.days).reshape(-1, *(1,) * (per_log.ndim - 1))
-        return left, left[self.first]
-
-
-def _tail_sums(per_log: Array) -> Array:
-    """Return (T, ...) sums over each log and all later ones."""
-    return np.cumsum(per_log[::-1], axis=0)[::-1]
+        """Return (K, ...) sums Σ_t f_k(t)² X_t."""
+        return np.tensordot(self.values**2, per_log, 1)
 
 
 SCALES = (0.1, 0.3, 1.0, 3.0, 10.0)

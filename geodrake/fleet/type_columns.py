@@ -75,12 +75,8 @@ class TypeColumns(Short):
 
     def parts(self, values: Array) -> Array:
         """Return (..., K + 1) sums of (..., n) over each spread's parameters and the response."""
-        ends = np.cumsum([0, *self.sizes])
-        sums = np.zeros((*values.shape[:-1], ends[-1] + 1))
-        kept = values[..., : ends[-1]]
-        np.cumsum(kept, axis=-1, out=sums[..., 1 : kept.shape[-1] + 1])
-        sums[..., kept.shape[-1] + 1 :] = sums[..., kept.shape[-1], None]
-        return np.diff(sums[..., ends])
+        parts = np.split(values, np.cumsum(self.sizes), axis=-1)[:-1]
+        return np.stack([part.sum(axis=-1) for part in parts], axis=-1)
 
 
 def distance_factor(phi: Array) -> Array:
