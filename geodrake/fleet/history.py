@@ -40,17 +40,17 @@ _NEGLIGIBLE = 1e-9  # share of the largest eigenvalue
 
 @dataclass(frozen=True, eq=False)
 class JointGrams(Short):
-    """Weighted normal matrices of a joint, over the columns that its rows may have."""
+    """Weighted normal matrices of a joint, over the columns that its rows may have.
+
+    These are the same in all logs of the same settings.
+    """
 
     columns: Indices  # (m,) which of a type's columns these are, ascending
     grams: Array  # (T, m + 1, m + 1) matrices [A | b]ᵀ W [A | b] of each log or time
 
-    def over(self, columns: Indices, times: int) -> JointGrams:
-        """Return the same over more columns (M,) and of more times."""
-        grams = np.zeros((times, len(columns) + 1, len(columns) + 1))
-        at = np.append(np.searchsorted(columns, self.columns), len(columns))
-        grams[np.arange(len(self.grams))[:, None, None], at[:, None], at] = self.grams
-        return JointGrams(columns, grams)
+    def longer(self, times: int) -> JointGrams:
+        """Return the same with so many times more, which say nothing."""
+        return JointGrams(self.columns, np.pad(self.grams, ((0, times), (0, 0), (0, 0))))
 
 
 @dataclass(frozen=True, eq=False)
@@ -165,15 +165,13 @@ class _HistorySums:
     def add(self, stamp: str, time: int, day: float, digest: Digest, kept: Indices) -> None:
         """Add a log that was recorded on a day, and is of one of the times."""
         self.stamps.append(stamp)
-        more = max(time + 1 - self.times.shape[1], 0)
-        self.times = np.pad(self.times, ((0, 0), (0, more)))
         joints, squares = weighted_grams(digest, kept)
-        for j, (sums, own) in enumerate(zip(self.joints, joints, strict=True)):
-            columns = np.union1d(sums.columns, own.columns)
-            if more or len(columns) > len(sums.columns):
-                self.joints[j] = sums.over(columns, self.times.shape[1])
-            at = np.append(np.searchsorted(columns, own.columns), len(columns))
-            self.joints[j].grams[time, at[:, None], at] += own.grams[0]
+        if more := max(time + 1 - self.times.shape[1], 0):
+            self.times = np.pad(self.times, ((0, 0), (0, more)))
+            before = self.joints or [JointGrams(j.columns, j.grams[:0]) for j in joints]
+            self.joints = [each.longer(more) for each in before]
+        for sums, own in zip(self.joints, joints, strict=True):
+            sums.grams[time] += own.grams[0]
         warm = np.concatenate([log.temperature for log in digest.logs])
         warm = warm[np.isfinite(warm)]
         mean = float(warm.mean()) if len(warm) else 0.0
@@ -205,14 +203,9 @@ class _HistorySums:
 
     def means(self) -> tuple[JointGrams, ...]:
         """Return what each time says of each joint, in the order of time; there must be a log."""
-        there, joints = self._there, []
-        for each in self.joints:
-            grams = each.grams[there] / self.times[2, there, None, None]
-            squares = np.diagonal(grams, axis1=1, axis2=2)[:, :-1]
-            seen = np.flatnonzero(squares.any(axis=0))
-            at = np.append(seen, len(each.columns))
-            joints.append(JointGrams(each.columns[seen], grams[:, at[:, None], at]))
-        return tuple(joints)
+        there = self._there
+        counts = self.times[2, there, None, None]
+        return tuple(JointGrams(each.columns, each.grams[there] / counts) for each in self.joints)
 
 
 def _summed(task: HistoryTask) -> tuple[_HistorySums, list[tuple[LogRecord, str]]]:
@@ -226,9 +219,7 @@ def _summed(task: HistoryTask) -> tuple[_HistorySums, list[tuple[LogRecord, str]
     wanted = [_stamp(*each) for each in zip(task.records, digests, times, strict=True)]
     sums, refused = _read_sums(task), list[tuple[LogRecord, str]]()
     if sums is None or sums.stamps != wanted[: len(sums.stamps)]:
-        n = len(task.settings.joints)
-        empty = JointGrams(np.zeros(0, np.intp), np.zeros((0, 1, 1)))
-        sums = _HistorySums([], [empty] * n, np.zeros((4, 0)), np.zeros((2, n)))
+        sums = _HistorySums([], [], np.zeros((4, 0)), np.zeros((2, len(task.settings.joints))))
     known = len(sums.stamps)
     for at in range(known, len(wanted)):
         record = task.records[at]
