@@ -26,7 +26,6 @@ from geodrake.boundary.arguments import file_path, instance, instances
 from geodrake.boundary.input_files import read_regular
 from geodrake.boundary.showing import Short
 from geodrake.errors import ArgumentError, DigestError
-from geodrake.fleet.hashes import text_hash
 from geodrake.fleet.sealed_file import LARGEST, DamagedFileError, sealed, unsealed
 from geodrake.fleet.settings import FORMAT, DigestColumn, DigestSettings, settings_of
 from geodrake.identification.logs.dataset import JointData
@@ -243,43 +242,14 @@ def merge(digests: Sequence[Digest]) -> Digest:
 
 
 def by_settings(digest: Digest, settings: DigestSettings, what: str) -> Digest:
-    """Return a digest over the columns of settings, whose effects may be in another order.
-
-    A DigestError says in what else settings differ.
-    """
-    own = digest.settings
-    if own.hash == settings.hash:
-        return digest
-    effects = sorted(own.effects, key=text_hash)
-    if (
-        effects != sorted(settings.effects, key=text_hash)
-        or replace(own, effects=settings.effects).hash != settings.hash
-    ):
-        words = ", ".join(own.differences(settings))
+    """Return a digest that is by some settings; a DigestError says in what its own differ."""
+    if digest.settings.hash != settings.hash:
+        words = ", ".join(digest.settings.differences(settings))
         raise DigestError(
             f"{what} is by other settings: they differ in {words}.",
             advice="Digest the logs again, all by one model into one folder.",
         )
-    places = {text_hash(column): at for at, column in enumerate(settings.columns)}
-    numbers = np.array([places[text_hash(column)] for column in own.columns], np.intp)
-    joints = tuple(_renumbered(joint, numbers[joint.columns]) for joint in digest.joints)
-    return replace(digest, settings=settings, joints=joints)
-
-
-def _renumbered(joint: JointDigest, columns: Indices) -> JointDigest:
-    """Return what blocks say of a joint where its columns have other numbers, these (p_j,)."""
-    order = np.argsort(columns)
-    efforts = np.arange(len(order), joint.factors.shape[2])
-    factors = np.linalg.qr(joint.factors[:, :, np.append(order, efforts)], mode="r")
-    signs = np.where(np.diagonal(factors, axis1=1, axis2=2) < 0.0, -1.0, 1.0)
-    return replace(
-        joint,
-        columns=columns[order],
-        factors=signs[:, :, None] * factors,
-        carried=joint.carried[:, order],
-        peaks=joint.peaks[order],
-        inertia=joint.inertia[:, order],
-    )
+    return digest
 
 
 def _joined(parts: Sequence[JointDigest]) -> JointDigest:

@@ -116,22 +116,6 @@ def test_merging_goes_in_any_order_and_in_steps(digests):
         assert np.all(np.abs(other - at_once) <= least)
 
 
-def test_effects_of_settings_may_be_in_another_order(model, logs, settings, digests):
-    other = replace(settings, effects=settings.effects[::-1])
-    turned = digested(model, logs[1], other)
-    assert other.hash != settings.hash
-    merged = merge([digests[0], turned, digests[2]])
-    for found, expected in zip(merged.joints, merge(digests).joints, strict=True):
-        assert np.array_equal(found.columns, expected.columns)
-        for name in ("carried", "peaks", "inertia", "autocovariances"):
-            size = np.abs(getattr(expected, name)).max(initial=1e-300)
-            assert np.allclose(getattr(found, name), getattr(expected, name), atol=1e-8 * size)
-    size = np.sqrt(np.einsum("jii->ji", merge(digests).normal_matrices()))
-    least = 1e-10 * size[:, :, None] * size[:, None, :]
-    change = merged.normal_matrices() - merge(digests).normal_matrices()
-    assert np.all(np.abs(change) <= least)
-
-
 def test_normal_matrices_are_those_of_the_named_columns(model, settings):
     """With the robot's own parameters by the names of columns, hardly any effort is left."""
     log = chain_log(model, 5, resisted, seconds=22.0, share=0.0)
