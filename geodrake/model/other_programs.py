@@ -20,7 +20,7 @@ from typing import Any
 from xml.etree.ElementTree import Element
 
 import numpy as np
-from pydrake.math import RigidTransform, RollPitchYaw, RotationMatrix
+from pydrake.math import RollPitchYaw, RotationMatrix
 from pydrake.multibody.plant import MultibodyPlant
 from pydrake.multibody.tree import Joint, MultibodyForces
 
@@ -234,7 +234,6 @@ def by_pinocchio(model: Model, text: ModelText, held: Places, units: Units) -> O
         raise
     except Exception as error:  # of any kind, by an extension module
         return f"Pinocchio does not read the file: {' '.join(str(error).split())[:200]}"
-    theirs.gravity.linear = np.array(model.tree.gravity)
     names = ["root_joint" if len(unit) > 1 else unit[-1].name() for unit in units]
     counts = [len(unit) - 1 + unit[-1].num_velocities() for unit in units]
     named = dict(zip(names, counts, strict=True))
@@ -325,19 +324,22 @@ def by_drake(model: Model, held: Places, units: Units) -> OtherProgram | str:
 
 
 def _read_by_pinocchio(pinocchio: ModuleType, model: Model, text: ModelText) -> Any:
-    """Return Pinocchio's model of a file, where the plant has it."""
+    """Return Pinocchio's model of a file, with gravity as its root feels it where the plant has it.
+
+    That is all that matters of where it stands, and links may have names of joints.
+    """
     plant, data = model.plant, read_expanded(text.path, model.given)
     scope, own = _root_of(parse_xml_bytes(data, text.path), text).rsplit("::", 1)
-    root, X = plant.world_body(), RigidTransform()
+    root, R = plant.world_body(), RotationMatrix()
     if own != "world":
         root = plant.GetBodyByName(own, plant.GetModelInstanceByName(scope))
     floats = any(base[-1].child_body().index() == root.index() for base in base_joints(plant))
     free = [pinocchio.JointModelFreeFlyer()] if floats else []
-    if not floats:  # as its root has no place of its own
-        X = root.body_frame().CalcPoseInWorld(plant.CreateDefaultContext())
-    part = pinocchio.buildModelFromXML(data.decode(errors="replace"), *free)
-    pose = pinocchio.SE3(X.rotation().matrix(), X.translation())
-    return pinocchio.appendModel(pinocchio.Model(), part, 0, pose)
+    if not floats:
+        R = root.body_frame().CalcPoseInWorld(plant.CreateDefaultContext()).rotation()
+    theirs = pinocchio.buildModelFromXML(data.decode(errors="replace"), *free)
+    theirs.gravity.linear = R.inverse() @ np.array(model.tree.gravity)
+    return theirs
 
 
 def _root_of(xml: Element, text: ModelText) -> str:

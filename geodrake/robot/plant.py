@@ -430,10 +430,14 @@ def arrange_as(plant: MultibodyPlant, other: MultibodyPlant) -> None:
     open_loops(plant)
     weld_joints(plant, welds_of(other))
     weld_joints(plant, welds_of(other, aside=True), aside=True)
-    standing = {
-        body.scoped_name().get_full() for body in other.GetBodiesWeldedTo(other.world_body())
-    }
-    weld_roots(plant, lambda body: body.scoped_name().get_full() not in standing)
+    context, standing = other.CreateDefaultContext(), set[int]()
+    for body in free_roots(plant):
+        instance = other.GetModelInstanceByName(plant.GetModelInstanceName(body.model_instance()))
+        same = other.GetBodyByName(body.name(), instance)
+        plant.SetDefaultFloatingBaseBodyPose(body, same.EvalPoseInWorld(context))
+        if other.IsAnchored(same):
+            standing.add(int(body.index()))
+    weld_roots(plant, lambda body: int(body.index()) not in standing)
 
 
 def weld_roots(

@@ -207,6 +207,7 @@ class FileTerms:
         set_aside: Link -> (10,) inertial parameters that no body can have; not in the plant.
         lengths: What joints, fixed tendons and motors have.
         start: Joint -> where the file has it by default, rad or m; otherwise at 0.
+        floating: Link -> where a joint of six degrees has it by default.
         fixed: Joint -> where a constraint holds it, rad or m.
         effort: Joint -> its largest effort, N or N·m.
         coupled_inertia: Two joints, or one twice, and what tendons over several joints are there in
@@ -223,6 +224,7 @@ class FileTerms:
     set_aside: dict[str, Array] = field(default_factory=dict)
     lengths: list[StatedLength] = field(default_factory=list)
     start: dict[str, float] = field(default_factory=dict)
+    floating: dict[str, RigidTransform] = field(default_factory=dict)
     fixed: dict[str, float] = field(default_factory=dict)
     effort: dict[str, float] = field(default_factory=dict)
     driven: set[str] = field(default_factory=set)

@@ -4,6 +4,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from pydrake.math import RollPitchYaw
 
 from geodrake.effects import CoulombFriction, ViscousFriction
 from geodrake.errors import ArgumentError, ModelError
@@ -14,6 +15,7 @@ from geodrake.inertia import (
     to_mass_com_inertia,
 )
 from geodrake.inertia.bodies import lumped_bodies
+from geodrake.model import check_dynamics
 from geodrake.model.robot_model import from_loaded_plant
 from geodrake.robot.plant import (
     effort_limits,
@@ -113,6 +115,25 @@ def test_rotor_inertia_is_read_out_and_removed(load, effort):
     assert stated(loaded, "r::j1") == pytest.approx([0.0, 0.1, 0.0])
     mass = loaded.plant.CalcMassMatrix(loaded.plant.CreateDefaultContext())
     assert mass[0, 0] == pytest.approx(0.1 + 0.1**2)
+
+
+@pytest.mark.parametrize("floating", [False, True])
+def test_floating_joints_of_a_urdf_have_their_links_where_they_say(load, floating):
+    above = """<link name="world"/><link name="plate"/><joint name="p" type="fixed">
+    <parent link="world"/><child link="plate"/><origin xyz="1 0 0" rpy="0 0 1.5707963267948966"/>
+    </joint><joint name="f" type="floating"><parent link="plate"/><child link="base"/>
+    <origin xyz="2 0 0.5" rpy="0.4 0 0"/></joint>"""
+    text = urdf(inertial(), extra=above).replace(
+        '<link name="base"/>', f'<link name="base">{inertial()}</link>'
+    )
+    loaded = load(text, floating=floating)
+    plant = loaded.plant
+    X_WB = plant.EvalBodyPoseInWorld(plant.CreateDefaultContext(), plant.GetBodyByName("base"))
+    np.testing.assert_allclose(X_WB.translation(), [1.0, 2.0, 0.5], atol=1e-12)
+    turn = RollPitchYaw(X_WB.rotation()).vector()
+    np.testing.assert_allclose(turn, [0.4, 0.0, np.pi / 2], atol=1e-12)
+    check = check_dynamics(from_loaded_plant(loaded, floating=floating))
+    assert check.by.startswith("Pinocchio") and check.holds
 
 
 def test_each_velocity_of_a_planar_joint_has_its_damping(load):

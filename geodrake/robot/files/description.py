@@ -117,6 +117,11 @@ class ModelDescription:
                     file.write_text(texts[k][0], encoding="utf-8")
                     model.file = file.as_uri()
                 ProcessModelDirectives(self.directives, parser)
+            for link, X_WB in self.terms.floating.items():
+                model, _, name = link.rpartition("::")
+                body = plant.GetBodyByName(name, plant.GetModelInstanceByName(model))
+                if plant.GetDefaultFloatingBaseBodyPose(body).IsExactlyIdentity():
+                    plant.SetDefaultFloatingBaseBodyPose(body, X_WB)
             if self.terms.gravity is not None:
                 plant.mutable_gravity_field().set_gravity_vector(self.terms.gravity)
 

@@ -360,7 +360,7 @@ class UrdfText(ModelText):
         root.set("name", root.get("name") or scope)
         self._links = {f"{scope}::{e.get('name')}": e for e in root.findall("link")}
         joints = [*root.findall("joint"), *root.findall("drake:joint")]
-        self._check_floating(joints)
+        self._take_floating(scope, joints)
         every = {e.get("name") for tag in ("joint", "drake:joint") for e in root.iter(tag)}
         self._take_gazebo(scope, gazebo, every)
         for joint in joints:
@@ -372,21 +372,28 @@ class UrdfText(ModelText):
             if (limit := joint.find("limit")) is not None and terms.effort[name] == 0.0:
                 limit.attrib.pop("effort", None)  # with 0, Drake ignores the rotor, too
 
-    def _check_floating(self, joints: list[Element]) -> None:
-        """Refuse links that float beside one that moves, whose joints Drake leaves out."""
+    def _take_floating(self, scope: str, joints: list[Element]) -> None:
+        """Take where links float, whose joints Drake leaves out; what moves may not hold them."""
         ends = {
             tag: {j: getattr(j.find(tag), "attrib", {}).get("link") for j in joints}
             for tag in ("parent", "child")
         }
         holding = {child: joint for joint, child in ends["child"].items()}
         for joint in (each for each in joints if each.get("type") == "floating"):
-            inner, seen = holding.get(ends["parent"][joint]), {joint}
-            while inner is not None and inner not in seen and inner.get("type") == "fixed":
-                seen.add(inner)
+            chain, inner = [joint], holding.get(ends["parent"][joint])
+            while inner is not None and inner not in chain:
+                if inner.get("type") not in ("fixed", "floating"):
+                    name = joint.get("name")
+                    what = f"the joint {name!r} is floating, and what it hangs on moves."
+                    raise wrong_at(joint, self.path, what)
+                chain.append(inner)
                 inner = holding.get(ends["parent"][inner])
-            if inner is not None and inner.get("type") != "floating":
-                what = f"the joint {joint.get('name')!r} is floating, and what it hangs on moves."
-                raise wrong_at(joint, self.path, what)
+            X = np.eye(4)
+            for each in reversed(chain):
+                place, turn = _origin(each)
+                X = X @ np.block([[rotation(turn), place[:, None]], [np.zeros((1, 3)), np.eye(1)]])
+            if np.isfinite(X).all():
+                self.terms.floating[f"{scope}::{ends['child'][joint]}"] = RigidTransform(X)
 
     def _take_gazebo(self, scope: str, elements: list[Element], joints: set[str | None]) -> None:
         """Take springs of joints, and links without gravity."""
@@ -415,14 +422,19 @@ class UrdfText(ModelText):
         return tuple(part for e in self._transmissions for part in _motors(e, self.path))
 
     def _inertia(self, inertial: Element) -> Array:
-        origin, tensor = inertial.find("origin"), inertial.find("inertia")
-        com, rpy = (
-            numbers("" if origin is None else origin.get(key, ""), 3) for key in ("xyz", "rpy")
-        )
+        (com, rpy), tensor = _origin(inertial), inertial.find("inertia")
         moments = {} if tensor is None else tensor.attrib
         inertia = symmetric(moments.get(key, "0") for key in TENSOR)
         mass = number(inertial, "mass", "value")
         return inertial_parameters_of(mass, com, rotation(rpy), inertia)
+
+
+def _origin(element: Element) -> tuple[Array, Array]:
+    """Return the position (3,), and roll, pitch and yaw of what an <origin> places."""
+    origin = element.find("origin")
+    stated = [] if origin is None else [origin.get(key, "") for key in ("xyz", "rpy")]
+    place, turn = (numbers(words, 3) for words in stated or ("", ""))
+    return place, turn
 
 
 def _motors(element: Element, path: Path) -> Iterator[Statement]:
