@@ -15,7 +15,7 @@ import json
 import math
 import subprocess
 import sys
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import asdict
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -71,6 +71,7 @@ def score_draw(draw: Draw) -> dict[str, Any]:
         "failed": None,
         "verdict": told["verdict"],
         "compare_notes": [] if compared is None else compared["notes"],
+        "compared": None if compared is None else _of_deviations(compared, recording.deviations),
         "notes": told["notes"],
         "steps": steps,
         "missing": _missing(draw, steps, truth),
@@ -145,6 +146,15 @@ def _share(errors: Mapping[str, float], deviations: Mapping[str, float]) -> floa
     return math.sqrt(sum(squares) / len(squares)) if squares else None
 
 
+def _of_deviations(compared: Mapping[str, Any], joints: Collection[str]) -> float | None:
+    """Return the root mean square over joints of errors over deviations in the same rows.
+
+    Where forces at feet are unknown, those are the rows of limbs in the air.
+    """
+    squares = [of["nrms"] ** 2 for joint, of in compared["joints"].items() if joint in joints]
+    return math.sqrt(sum(squares) / len(squares)) if squares else None
+
+
 def _payload_row(
     draw: Draw, steps: Sequence[Mapping[str, Any]], recording: Recording
 ) -> dict[str, Any]:
@@ -186,6 +196,7 @@ def lines_of(rows: Sequence[Row]) -> list[Line]:
     told = [row for row in rows if not row["failed"] and row["end_error"] is not None]
     measured = [row["end_error"] for row in told if row["wrenches"]]
     unknown = [row["end_error"] for row in told if not row["wrenches"]]
+    exact = [row["compared"] for row in quiet if not row["wrenches"] and row.get("compared")]
     return [
         share(
             "efforts agree with inverse dynamics", [r["inverse_error"] < _EXACT for r in rows], 1.0
@@ -199,6 +210,7 @@ def lines_of(rows: Sequence[Row]) -> list[Line]:
         share("nothing hidden: something named", [bool(r["steps"]) for r in quiet], 0.0, most=True),
         median("held-out joint error, unknown wrenches", unknown, 0.2),
         median("held-out joint error, measured wrenches", measured, 0.1),
+        median("exact models, over deviations of limbs in the air", exact),
         median("seconds of CPU of compare", [row["compare_seconds"] for row in told], 5.0),
         median("seconds of CPU of explain", [row["explain_seconds"] for row in told], 30.0),
         *calibration(rows),

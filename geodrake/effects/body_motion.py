@@ -29,8 +29,16 @@ class BodyMotion:
 
     def jacobian_at(self, p_BoP_B: Array) -> Array:
         """Return (N, 3, nv) Jacobian, in W, of the velocity of B's point P at p_BoP_B (3,), m."""
-        arm = self.rotation @ np.asarray(p_BoP_B, float)
-        return self.linear + np.cross(self.angular, arm[:, :, None], axis=1)
+        return self.jacobian_along(self.rotation @ np.asarray(p_BoP_B, float))
+
+    def jacobian_along(self, p_BoP_W: Array) -> Array:
+        """Return (N, 3, nv) Jacobian, in W, of the velocity of B's point P at p_BoP_W (N, 3), m."""
+        w, (x, y, z) = self.angular, p_BoP_W.T[:, :, None]
+        found = self.linear.copy()
+        found[:, 0] += w[:, 1] * z - w[:, 2] * y
+        found[:, 1] += w[:, 2] * x - w[:, 0] * z
+        found[:, 2] += w[:, 0] * y - w[:, 1] * x
+        return found
 
 
 @dataclass(frozen=True, eq=False)

@@ -267,7 +267,7 @@ class ContactFrame:
         """
         motion = bodies.motion(self.body)
         arm = motion.rotation @ self.center - self.radius * upwards(bodies.gravity)
-        point = motion.linear + np.cross(motion.angular, arm[:, :, None], axis=1)
+        point = motion.jacobian_along(arm)
         return np.concatenate([point, motion.angular], axis=1) if sole else point
 
     def height(self, bodies: RobotBodies) -> Array:

@@ -104,7 +104,7 @@ def share(
     return Line(figure, bar, most, value, *interval, len(rows), highest)
 
 
-def median(figure: str, values: Sequence[float], bar: float) -> Line:
+def median(figure: str, values: Sequence[float], bar: float | None = None) -> Line:
     """Return a line of a median, with the interval that ranks give."""
     if not values:
         return Line(figure, bar, True, None, None, None, 0)

@@ -18,7 +18,7 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from geodrake.compiling import compiled, contiguous
+from geodrake.compiling import compiled, contiguous, inlined
 from geodrake.effects.body_motion import RobotBodies
 from geodrake.logs.motion import Trajectory
 from geodrake.logs.smoothing import Segment
@@ -26,6 +26,7 @@ from geodrake.model.floating_logs import contact_frames, on_soles
 from geodrake.model.robot_model import RobotModel
 
 Array = NDArray[np.float64]
+Indices = NDArray[np.intp]
 
 _LEAST = 0.05  # share of a row that is independent of the rows before it
 _FORCE, _EFFORT = 0.01, 0.03  # noise of base rows over the weight, and of joints over their efforts
@@ -88,7 +89,7 @@ class MixedRows:
         self,
         blocks: Mapping[int, Array],
         coupling: NDArray[np.bool_],
-        of: Sequence[NDArray[np.intp]] | None = None,
+        of: Sequence[Indices] | None = None,
     ) -> dict[int, Array]:
         """Return columns of rows from those of velocities (N, k).
 
@@ -126,7 +127,7 @@ class MixedRows:
 
 
 @compiled
-def add_all(row: Array, joints: NDArray[np.intp], columns: Array, total: Array) -> None:
+def add_all(row: Array, joints: Indices, columns: Array, total: Array) -> None:
     """Add columns (N, j, k) of joints (j,), by their weights in a row (N, nv)."""
     for n in range(len(columns)):
         for j in range(len(joints)):
@@ -136,9 +137,7 @@ def add_all(row: Array, joints: NDArray[np.intp], columns: Array, total: Array) 
 
 
 @compiled
-def add_weighted(
-    row: Array, joint: int, columns: Array, at: NDArray[np.intp], total: Array
-) -> None:
+def add_weighted(row: Array, joint: int, columns: Array, at: Indices, total: Array) -> None:
     """Add columns (N, k) of a joint, by its weights in a row (N, nv), to those `at` (k,) places."""
     for n in range(len(columns)):
         weight = row[n, joint]
@@ -183,60 +182,74 @@ def rows_without(J: Array, flags: NDArray[np.bool_], scales: Array, base: Sequen
         base: Velocities of the base, which get rows first.
     """
     count, _, _, nv = J.shape
-    found = np.zeros((count, nv, nv))
+    found, reached = np.zeros((count, nv, nv)), np.asarray(J.any(axis=(0, 2)))
     modes, which = np.unique(flags, axis=0, return_inverse=True)
     for number, mode in enumerate(modes):
-        at = np.flatnonzero(which.ravel() == number)
-        K = J[at][:, mode].reshape(len(at), -1, nv)
-        moved = K.any(axis=(0, 1))  # velocities that move what touches; rows of others are theirs
+        at, feet = np.flatnonzero(which.ravel() == number), np.flatnonzero(mode)
+        moved = reached[feet].any(axis=0)  # velocities that move what touches; others' rows are own
         free, moving = np.flatnonzero(~moved), np.flatnonzero(moved)
         found[at[:, None], free, free] = 1.0
         if not len(moving):
             continue
-        K, size = contiguous(K[:, :, moving] / scales[moving]), scales[moving]
-        Q = np.linalg.qr(K[len(at) // 2].T)[0]
+        K = J[at[len(at) // 2]][mode][:, :, moving].reshape(-1, len(moving)) / scales[moving]
+        Q = np.linalg.qr(K.T)[0]
         first = np.flatnonzero(np.isin(moving, base)).tolist()
         own = _owners(np.eye(len(moving)) - Q @ Q.T, first, len(moving) - Q.shape[1])
-        N = np.zeros((len(at), len(moving), len(moving)))
-        calc_free_rows(K, np.array(own, np.intp), N)
-        found[np.ix_(at, moving, moving)] = size[:, None] * N / size
+        calc_free_rows(contiguous(J), (at, feet, moving, np.array(own, np.intp)), scales, found)
     return found
 
 
+@inlined
+def _orthogonalize(basis: Array, k: int) -> None:
+    """Make row k of a basis orthogonal to those before it, of length one, or zero."""
+    row, whole, size = basis[k], 0.0, 0.0
+    for i in range(len(row)):
+        whole += row[i] * row[i]
+    for _ in range(2):  # once leaves what rounding left of the first ones
+        for other in range(k):
+            along = 0.0
+            for i in range(len(row)):
+                along += basis[other, i] * row[i]
+            for i in range(len(row)):
+                row[i] -= along * basis[other, i]
+    for i in range(len(row)):
+        size += row[i] * row[i]
+    for i in range(len(row)):
+        row[i] = row[i] / np.sqrt(size) if size > _NONE**2 * whole else 0.0
+
+
 @compiled
-def calc_free_rows(K: Array, own: NDArray[np.intp], rows: Array) -> None:
-    """Write orthonormal rows that are orthogonal to those of K (N, m, nv), by Gram and Schmidt.
+def calc_free_rows(
+    J: Array,
+    which: tuple[Indices, Indices, Indices, Indices],
+    scales: Array,
+    rows: Array,
+) -> None:
+    """Write rows that are orthogonal to those of J (N, c, k, nv), by Gram and Schmidt.
 
     Args:
-        own: (r,) velocities from whose unit vectors they begin.
-        rows: (N, nv, nv) zeros; row i of `own` is written where i is.
+        which: Instants, frames that touch there, velocities (m,) that move them, and (r,) those of
+            the latter from whose unit vectors rows begin.
+        scales: (nv,) units of velocities' rows in which they are orthonormal.
+        rows: (N, nv, nv) zeros where rows are written, each at the velocity that it begins from.
     """
-    count, m, nv = K.shape
+    instants, frames, moving, own = which
+    axes, nv = J.shape[2], len(moving)
+    m = len(frames) * axes
     basis = np.empty((m + len(own), nv))
-    for n in range(count):
+    for n in instants:
         for k in range(m + len(own)):
             row = basis[k]
-            row[:] = 0.0
-            if k < m:
-                row[:] = K[n, k]
-            else:
-                row[own[k - m]] = 1.0
-            whole, size = 0.0, 0.0
             for i in range(nv):
-                whole += row[i] * row[i]
-            for _ in range(2):  # once leaves what rounding left of the first ones
-                for other in range(k):
-                    along = 0.0
-                    for i in range(nv):
-                        along += basis[other, i] * row[i]
-                    for i in range(nv):
-                        row[i] -= along * basis[other, i]
-            for i in range(nv):
-                size += row[i] * row[i]
-            for i in range(nv):
-                row[i] = row[i] / np.sqrt(size) if size > _NONE**2 * whole else 0.0
+                if k < m:
+                    row[i] = J[n, frames[k // axes], k % axes, moving[i]] / scales[moving[i]]
+                else:
+                    row[i] = 1.0 if i == own[k - m] else 0.0
+            _orthogonalize(basis, k)
             if k >= m:
-                rows[n, own[k - m]] = row
+                at = moving[own[k - m]]
+                for i in range(nv):
+                    rows[n, at, moving[i]] = scales[at] * row[i] / scales[moving[i]]
 
 
 def _owners(P: Array, first: Sequence[int], rank: int) -> list[int]:
