@@ -23,7 +23,6 @@ from geodrake.boundary.arguments import instances, number, real_array
 from geodrake.effects import Effect, FittedEffect, Role
 from geodrake.effects.column_checks import rows_of
 from geodrake.effects.deflection import DeflectionEffect, Give
-from geodrake.effects.effect_columns import dependencies
 from geodrake.errors import ArgumentError, ModelError
 from geodrake.inertia import Array
 from geodrake.model.admissible import check_effect
@@ -195,10 +194,6 @@ class Response(NamedTuple):
     acceleration: Array
 
 
-Side = tuple[Terms, Terms]
-"""Effects that see the same motion: those that do not depend on the load, and those that do."""
-
-
 class ForceLaw:
     """What effects need of a plant, and how motors move that are not where their links are.
 
@@ -237,8 +232,8 @@ class ForceLaw:
         places = _parts([effect.state_count for effect in self.effects])
         self.states = {e: at for e, at in zip(self.effects, places, strict=True) if e.state_count}
         soft = giving(self.effects, self.mu, self.parts)
-        self.motors = self._side(lambda effect: not soft or effect.at_motor)
-        self.links = self._side(lambda effect: bool(soft) and not effect.at_motor)
+        self.motors = self._terms(lambda effect: not soft or effect.at_motor)
+        self.links = self._terms(lambda effect: bool(soft) and not effect.at_motor)
         nv = len(plant.joints)
         at = np.array([plant.joints.index(joint) for joint in soft], int)
         self.soft_unit = np.eye(nv)[:, at]
@@ -272,16 +267,13 @@ class ForceLaw:
             else:
                 rows_of(effect, still)
 
-    def _side(self, belongs: Callable[[Effect], bool]) -> Side:
+    def _terms(self, belongs: Callable[[Effect], bool]) -> Terms:
         """Return those of some effects that are forces."""
-        chosen: tuple[list[int], list[int]] = ([], [])
-        for i, effect in enumerate(self.effects):
-            if effect.role not in (Role.SCALE, Role.DEFLECTION) and belongs(effect):
-                names = dependencies(effect, self.plant.trial, len(self.plant.joints))
-                chosen["load" in names].append(i)
-        return self._terms(chosen[0]), self._terms(chosen[1])
-
-    def _terms(self, chosen: list[int]) -> Terms:
+        chosen = [
+            i
+            for i, effect in enumerate(self.effects)
+            if effect.role not in (Role.SCALE, Role.DEFLECTION) and belongs(effect)
+        ]
         effects = tuple(self.effects[i] for i in chosen)
         places = [np.arange(self.parts[i].start, self.parts[i].stop) for i in chosen]
         hidden = {e: self.states[e] for e in effects if e.state_count}
@@ -301,7 +293,7 @@ class ForceLaw:
         links, loads = links_of(plant, self.phi)
         q = plant.plant.GetPositions(plant.plant.CreateDefaultContext())
         still = PlantState(q, np.zeros(len(links)), 0.0, np.zeros(self.state_count))
-        rotors = self.motors[0].added_mass(still, 0.0 * links, (self.mu, self.phi))
+        rotors = self.motors.added_mass(still, 0.0 * links, (self.mu, self.phi))
         own, least = np.diag(rotors)[at], LEAST_MOTOR * links[at]
         self.added_inertia = np.maximum(least - own, 0.0)
         self.notes = tuple(
@@ -322,21 +314,17 @@ class ForceLaw:
     @cached_property
     def timed(self) -> bool:
         """Return whether the time must be known."""
-        return any(terms.timed for side in self._sides for terms in side)
+        return self.motors.timed or self.links.timed
 
     @cached_property
     def implicit(self) -> bool:
         """Return whether accelerations must be known."""
-        turning = any(side[0].turning for side in self._sides)
+        turning = self.motors.turning or self.links.turning
         return self.plant.driven or bool(self.soft) or self._loaded or turning
 
     @cached_property
-    def _sides(self) -> tuple[Side, Side]:
-        return self.motors, self.links
-
-    @cached_property
     def _loaded(self) -> bool:
-        return any(bool(side[1].effects) for side in self._sides)
+        return self.motors.loaded or self.links.loaded
 
     @cached_property
     def coupled(self) -> bool:
@@ -373,31 +361,23 @@ class ForceLaw:
             u: (nv,) efforts that act on motors, N·m or N.
         """
         A, L, unit, nv = self.of_motors, self.of_links, self.soft_unit, len(u)
-        motions = self.at_motors(state), state
-
-        def needed(which: int, load: Array) -> list[Array]:
-            """Effort and inertia of motors, then of links, by what does or does not need a load."""
-            both = zip((side[which] for side in self._sides), motions, strict=True)
-            parts = ((terms.effort, terms.added_mass, at) for terms, at in both)
-            return [f(at, load, parameters) for *fs, at in parts for f in fs]
-
+        motor, load = self.at_motors(state), 0.0 * u
         if not self.implicit:
-            effort = self.motors[0].effort(motions[0], 0.0 * u, parameters)
+            effort = self.motors.effort(motor, load, parameters)
             return Response(effort, np.zeros(0), np.zeros(0))
         M, drift, rigid_drift = self.plant.dynamics(state.q, state.v, parameters[1])
+        B = self.motors.added_mass(motor, load, parameters)
+        M_l = self.links.added_mass(state, load, parameters)
+        K = A.T @ B @ A + L.T @ (M + M_l) @ L
+        K[nv:, nv:] += np.diag(self.added_inertia)
         at_soft = np.zeros(nv)
         if self.soft:
             rate = state.speed - state.v[self.soft.velocities]
             at_soft = unit @ self.soft.torques(parameters[0], state.lag, rate)
-        rest = needed(0, 0.0 * u)
-        f_m, B, f_l, M_l = rest
-        load = u - f_m
+        load = u
         for _ in range(_LOAD_ITERATIONS):
-            if self._loaded:
-                more = needed(1, load)
-                f_m, B, f_l, M_l = (a + b for a, b in zip(rest, more, strict=True))
-            K = A.T @ B @ A + L.T @ (M + M_l) @ L
-            K[nv:, nv:] += np.diag(self.added_inertia)
+            f_m = self.motors.effort(motor, load, parameters)
+            f_l = self.links.effort(state, load, parameters)
             x = np.linalg.solve(K, A.T @ (u - f_m) - L.T @ (drift + f_l) + (L - A).T @ at_soft)
             before, load = load, M @ x[:nv] + rigid_drift
             size = 1.0 + np.abs(load).max()
@@ -417,7 +397,7 @@ class ForceLaw:
         To all orders in the compliance, but as if the lags had no rates.
         """
         lag, couplings = np.zeros(len(self.soft)), self.soft.couplings(parameters[0])
-        hidden, zero, links = np.zeros(self.state_count), np.zeros(len(v)), self.links[0]
+        hidden, zero, links = np.zeros(self.state_count), np.zeros(len(v)), self.links
         for _ in range(_LAG_ITERATIONS):
             place = q.copy()
             place[self.soft.positions] -= lag
@@ -434,10 +414,9 @@ class ForceLaw:
 
     def state_rates(self, state: PlantState, parameters: Parameters) -> Array:
         """Return rates (h,) of the hidden states of effects."""
-        sides = (self.motors, self.at_motors(state)), (self.links, state)
-        each = [(terms, at) for side, at in sides for terms in side if terms.hidden]
-        first, *rest = [terms.state_rates(at, parameters) for terms, at in each]
-        return sum(rest, start=first)
+        both = (self.motors, self.at_motors(state)), (self.links, state)
+        each = [terms.state_rates(at, parameters) for terms, at in both if terms.hidden]
+        return sum(each[1:], start=each[0])
 
 
 def admissible(effect: Effect, values: ArrayLike) -> Array:

@@ -219,6 +219,11 @@ class Terms:
         return "vd" in self.columns.depends_on
 
     @cached_property
+    def loaded(self) -> bool:
+        """Return whether they depend on the load."""
+        return "load" in self.columns.depends_on
+
+    @cached_property
     def timed(self) -> bool:
         """Return whether the time must be known."""
         return "time" in self.columns.depends_on or self._warmth is not None
