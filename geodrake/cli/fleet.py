@@ -22,7 +22,7 @@ from geodrake.fleet.fleet_file import Fleet, read_fleet
 from geodrake.fleet.fleet_logs import FleetDigests
 from geodrake.fleet.fleet_result import FleetResult, keep_reported, new_findings
 from geodrake.fleet.fleet_run import FleetWork, look_at_fleet, run_fleet
-from geodrake.report.fleets import WatchedFleet, finding_line, parquet_contents
+from geodrake.report.fleets import finding_line, parquet_contents
 from geodrake.report.html import render
 from geodrake.report.json_output import to_json
 from geodrake.report.page import About
@@ -51,14 +51,12 @@ def run_fleet_command(options: FleetOptions) -> None:
         _watch(fleet, work, options)
         return
 
-    def looked(given: Input) -> WatchedFleet:
+    def looked(given: Input) -> FleetResult:
         result, digests = run_fleet(fleet, work, told=given.progress, said=given.progress.history)
         _tell_repairs(digests, given.progress)
-        known = sum(map(len, digests.records.values()))
-        words = f"{len(fleet.robots)} robots, {known} logs, {digests.made} of them new"
-        return WatchedFleet.of(result, str(fleet.folder), words)
+        return result
 
-    def write(found: WatchedFleet, contents: Mapping[Path, Content]) -> tuple[Path, ...]:
+    def write(found: FleetResult, contents: Mapping[Path, Content]) -> tuple[Path, ...]:
         write_together({**_own_contents(fleet, found), **contents})
         return ()
 
@@ -118,8 +116,7 @@ def _look(
         contents[options.json] = _numbers(result)
     if options.report is not None:
         about = About(fleet.path.name, (), "fleet")
-        page = page_of(WatchedFleet.of(result, str(fleet.folder)), about)
-        contents[options.report] = render(page)
+        contents[options.report] = render(page_of(result, about))
     write_together(contents)
     new = new_findings(fleet.folder, result.findings)
     with printing():

@@ -125,13 +125,11 @@ class Digest(Short):
 
     Attributes:
         logs: The logs, one unless it is merged.
-        block_logs: (B,) which log a block is of.
     """
 
     settings: DigestSettings
     logs: tuple[DigestedLog, ...]
     blocks: tuple[str, ...]
-    block_logs: Indices
     joints: tuple[JointDigest, ...]
 
     @property
@@ -231,12 +229,10 @@ def merge(digests: Sequence[Digest]) -> Digest:
             f"The same log is in several of the digests: {', '.join(names)}.",
             advice="Count each log once.",
         )
-    starts = np.cumsum([0, *(len(digest.logs) for digest in digests)])
     return Digest(
         first,
         logs,
         tuple(block for digest in digests for block in digest.blocks),
-        np.concatenate([d.block_logs + at for d, at in zip(digests, starts[:-1], strict=True)]),
         tuple(_joined(parts) for parts in zip(*(digest.joints for digest in digests), strict=True)),
     )
 
@@ -267,14 +263,13 @@ class _DigestFile:
     settings: str  # what the settings file holds
     logs: tuple[DigestedLog, ...]
     blocks: tuple[str, ...]
-    block_logs: Indices
     joints: tuple[JointDigest, ...]
 
 
 def digest_content(digest: Digest) -> bytes:
     """Return what the file of a digest holds: the same for the same digest, wherever it is made."""
     instance(digest, "digest", Digest)
-    parts = digest.logs, digest.blocks, digest.block_logs, digest.joints
+    parts = digest.logs, digest.blocks, digest.joints
     return sealed(_DigestFile(digest.settings.text(), *parts), FORMAT)
 
 
@@ -308,4 +303,4 @@ def read_digest(path: str | Path) -> Digest:
             path=path,
         ) from error
     settings = settings_of(said.settings, path)
-    return Digest(settings, said.logs, said.blocks, said.block_logs, said.joints)
+    return Digest(settings, said.logs, said.blocks, said.joints)

@@ -241,7 +241,6 @@ def make_digest(
         settings,
         (_about(log, trajectory, own, settings, facts),),
         tuple(fold.name for fold in folds),
-        np.zeros(len(folds), np.intp),
         tuple(_joint(*each, settings) for each in zip(own.joints, data, strict=True)),
     )
     if settings.passive:

@@ -166,6 +166,8 @@ class FleetResult(Short):
         unused: Logs that findings are not of.
         settings: Type -> hash of the settings of its digests.
         repairs: What of the model files is not believed.
+        folder: Where digests and results are.
+        made: Logs that were digested for it.
     """
 
     robots: tuple[RobotResult, ...]
@@ -173,6 +175,8 @@ class FleetResult(Short):
     false_alarms: float
     settings: dict[str, str]
     repairs: tuple[str, ...] = ()
+    folder: Path | None = None
+    made: int = 0
 
     @property
     def findings(self) -> tuple[FleetFinding, ...]:

@@ -141,7 +141,8 @@ def _result(
         robots += [RobotResult(name, kind.name, 0, np.zeros(0)) for name in lacking]
     hashes = {name: each.hash for name, each in digests.settings.items() if each is not None}
     worst_first = tuple(sorted(robots, key=_badness))
-    return FleetResult(worst_first, tuple(unused), false_alarms, hashes, digests.repairs)
+    known = hashes, digests.repairs, fleet.folder, digests.made
+    return FleetResult(worst_first, tuple(unused), false_alarms, *known)
 
 
 def _once(records: Sequence[LogRecord]) -> tuple[list[LogRecord], list[UnusedLog]]:

@@ -9,7 +9,6 @@ from __future__ import annotations
 import json
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, fields
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -58,28 +57,12 @@ _FAR = 5.0  # spreads at which a bar is full
 _CERTAIN = 3.0  # deviations from 0 from which on a part of a change is told in a line
 
 
-@dataclass(frozen=True, eq=False)
-class WatchedFleet(FleetResult):
-    """A fleet's result, its folder, and what was read of it in words."""
-
-    folder: str = ""
-    words: str = ""
-
-    @classmethod
-    def of(cls, result: FleetResult, folder: str = "", words: str = "") -> WatchedFleet:
-        """Return a result with its folder and words."""
-        own = {f.name: getattr(result, f.name) for f in fields(FleetResult)}
-        return cls(**own, folder=folder, words=words)
-
-
 def fleet_page(result: FleetResult, about: About) -> Page:
     """Say which robots of a fleet changed, at which joint, by what, since when."""
-    found = result if isinstance(result, WatchedFleet) else WatchedFleet.of(result)
-    folder = found.folder
     changed = [robot for robot in result.robots if robot.findings]
     steady = [robot for robot in result.robots if not robot.findings]
     shown = (changed or [robot for robot in steady if robot.logs][:1])[:_MOST_PAGES]
-    place = f" All of it is in {folder}." if folder else ""
+    place = [f"All of it is in {result.folder}."] if result.folder else []
     logs = sum(robot.logs for robot in result.robots)
     count = f"{_counted(len(result.robots), 'robot')}, {_counted(logs, 'log')}"
     surest = [
@@ -88,7 +71,7 @@ def fleet_page(result: FleetResult, about: About) -> Page:
         for each in result.findings[:1]
     ]
     unused = [f"{each.robot}: {each.log}: {each.reason}" for each in result.unused]
-    more = [f"and {len(unused) - _MOST_UNUSED} more, in {folder}"]
+    more = [f"and {len(unused) - _MOST_UNUSED} more, in {result.folder}"]
     return Page(
         about,
         CHANGED if changed else STEADY,
@@ -121,9 +104,9 @@ def fleet_page(result: FleetResult, about: About) -> Page:
                 items=(*unused[:_MOST_UNUSED], *(more if len(unused) > _MOST_UNUSED else [])),
             ),
         ),
-        of=f"{about.model}: {found.words or count}",
+        of=f"{about.model}: {count}, {result.made} of them new",
         verdict=CHANGED if changed else STEADY,
-        lead=(*surest, *([place.strip()] if place else [])),
+        lead=(*surest, *place),
         tiles=_tiles(result),
         footer="Made by geodrake: which robot changed, at which joint, by what, since when.",
     )
