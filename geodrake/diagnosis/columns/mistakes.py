@@ -25,8 +25,10 @@ SIZES = 300.0
 LIMITS = 30.0
 """The same of a motor's limit, which is near the largest effort, and of its speed without load."""
 
+DIGITS = 4
+"""Of scores that differ by more than rounding."""
+
 _TURNS = 12  # zeros that are tried at a joint, evenly over a turn
-DIGITS = 4  # of first looks that differ by more than rounding
 _TURNS_ROUND = 0.1  # of its samples, in which a joint needs efforts of the rarer sign
 _KNOWN = 0.5  # deviation of the logarithm of a gain that something is known of
 _LEAST_FACTOR = 1e-100  # of measured velocities: less is none, of which there is no reciprocal

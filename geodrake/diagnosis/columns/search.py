@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from geodrake.diagnosis.columns.assignment import Assignment
 from geodrake.diagnosis.columns.evidence import ColumnFit, ColumnModel
 from geodrake.diagnosis.columns.first_look import FirstLook
-from geodrake.diagnosis.columns.mistakes import Mistake, Mistakes
+from geodrake.diagnosis.columns.mistakes import DIGITS, Mistake, Mistakes
 
 Array = NDArray[np.float64]
 Place = tuple[object, ...]
@@ -25,7 +25,6 @@ _PROMISING = 4  # joints whose gains, zeros or unknown efforts are looked for
 _STEPS = 8  # of a fit of a mistake's sizes
 _LEAST_SHARE = 0.05  # of a step, that is tried where more of it is no better
 _TIE = 1e-6  # less is rounding
-_DIGITS = 4  # of scores that differ by more than rounding
 _LEVEL = 0.5  # a step that loses less is taken: scores are exact where no step is left
 
 
@@ -160,7 +159,7 @@ class ColumnSearch:
         seen.sort(key=lambda each: -self._look.score(each.assignment))
         moved = [m for m in seen if m.assignment.motion_key != motion][:_SCREENED]
         # Zeros on which nothing depends, such as an upright axis has, are one.
-        looks = [(m.place, round(self._look.score(m.assignment), _DIGITS)) for m in moved]
+        looks = [(m.place, round(self._look.score(m.assignment), DIGITS)) for m in moved]
         moved = list(dict(zip(reversed(looks), reversed(moved), strict=True)).values())[::-1]
         others = [m for m in seen if m.assignment.motion_key == motion and is_likely(m)]
         found = [m for m in mistakes if not m.is_seen and is_likely(m)]
