@@ -354,19 +354,23 @@ def score_servo(draw: ServoDraw) -> dict[str, Any]:
         "steps": [[step.effect, list(step.where)] for step in found.steps],
         "extra": sorted({s.effect for s in found.steps} - {*HIDDEN, "effort_delay"}),
         "nrms": [found.start.nrms, found.refitted.nrms, found.end.nrms],
-        **_in_set(made, model, found),
+        **_in_set(made, found),
         **_motion(made, model, found),
-        "values": [*_gains(made, found.model), *_effects(made, model, found)],
+        "values": [*_gains(made, found.model), *_effects(made, found)],
     }
 
 
-def _truths(made: ServoLog, model: RobotModel) -> Mapping[str, Mapping[str, float]]:
+def _truths(
+    made: ServoLog, signals: Sequence[EffortSignal] = ()
+) -> Mapping[str, Mapping[str, float]]:
     """Return effect -> joint -> true value, in the order of the model's joints.
 
-    A servo that damps the velocity alone is viscous friction to its joint.
+    A servo that damps the velocity alone is viscous friction to its joint, unless one was found
+    that makes its damping within a limit.
     """
     servos, names = made.servos, made.log.joints
-    viscous = servos.viscous + (0.0 if servos.knows_rate else servos.damping)
+    within = [servos.knows_rate or joint in _damping(signals) for joint in names]
+    viscous = servos.viscous + np.where(within, 0.0, servos.damping)
     values = {
         "coulomb_friction": servos.coulomb,
         "viscous_friction": viscous,
@@ -375,7 +379,12 @@ def _truths(made: ServoLog, model: RobotModel) -> Mapping[str, Mapping[str, floa
     return {e: dict(zip(names, v.tolist(), strict=True)) for e, v in values.items()}
 
 
-def _in_set(made: ServoLog, model: RobotModel, found: Explanation) -> dict[str, Any]:
+def _damping(signals: Sequence[EffortSignal]) -> list[str]:
+    """Return joints whose servos make their damping, within a limit."""
+    return [s.joint for s in signals if s.damping and np.isfinite(s.limit)]
+
+
+def _in_set(made: ServoLog, found: Explanation) -> dict[str, Any]:
     """Whether every notable effect is among what was found, or what cannot be told from it."""
     position = made.log.position
     velocity = np.gradient(position, made.log.time, axis=0)
@@ -387,7 +396,7 @@ def _in_set(made: ServoLog, model: RobotModel, found: Explanation) -> dict[str, 
     torque = made.torques.std(axis=0)
     named = {name for s in found.steps for name in (s.effect, *s.indistinguishable_from)}
     missing = []
-    for effect, values in _truths(made, model).items():
+    for effect, values in _truths(made, found.model.effort_signals).items():
         share = motions[effect].std(axis=0) * np.array([*values.values()]) / torque
         if effect == ARMATURE:
             share[0] = 0.0  # at the first joint it is as if its link were heavier
@@ -402,23 +411,23 @@ def _motion(made: ServoLog, model: RobotModel, found: Explanation) -> dict[str, 
     They are shares of what each joint moves; those on the way are before and after every step.
     """
     servos = made.servos
-    effects = [
-        FittedEffect(make_effect(name, (joint,)), np.array([value]))
-        for name, values in _truths(made, model).items()
-        for joint, value in values.items()
-    ]
     signals = [
         EffortSignal(
             joint,
             "command",
             float(servos.stiffness[j]),
-            damping=float(servos.damping[j]) if servos.knows_rate else 0.0,
+            damping=float(servos.damping[j]),
             delay=servos.delay,
             integral=float(servos.integral[j]),
-            # One that damps the velocity is at its limit for another error than one without.
-            limit=float(servos.limit[j]) if servos.knows_rate else np.inf,
+            limit=float(servos.limit[j]),
+            rate_share=float(servos.knows_rate),
         )
         for j, joint in enumerate(made.log.joints)
+    ]
+    effects = [
+        FittedEffect(make_effect(name, (joint,)), np.array([value]))
+        for name, values in _truths(made, signals).items()
+        for joint, value in values.items()
     ]
     truth = replace(model, effects=tuple(effects), effort_signals=tuple(signals))
     between = [step.model for step in found.steps if step.model is not None]
@@ -444,7 +453,7 @@ def _gains(made: ServoLog, model: RobotModel) -> list[dict[str, Any]]:
         at = made.log.joints.index(signal.joint)
         stiffness = float(made.servos.stiffness[at])
         rows.append(_row("kp", signal.joint, signal.gain, signal.deviation, stiffness))
-        if made.servos.knows_rate:
+        if made.servos.knows_rate or signal.joint in _damping(model.effort_signals):
             damping = float(made.servos.damping[at])
             spread = float(np.hypot(signal.damping_deviation, signal.uncertainty * signal.damping))
             rows.append(_row("kd", signal.joint, signal.damping, spread, damping))
@@ -456,10 +465,10 @@ def _gains(made: ServoLog, model: RobotModel) -> list[dict[str, Any]]:
     return rows
 
 
-def _effects(made: ServoLog, model: RobotModel, found: Explanation) -> list[dict[str, Any]]:
+def _effects(made: ServoLog, found: Explanation) -> list[dict[str, Any]]:
     """Return values of effects, beside the truth."""
     rows = []
-    truths = _truths(made, model)
+    truths = _truths(made, found.model.effort_signals)
     for step in found.steps:
         if step.effect not in truths:
             continue

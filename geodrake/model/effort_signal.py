@@ -71,7 +71,7 @@ class EffortSignal:
     The effort is gain·s of a signal s, a current, a voltage, or the effort that the motor is asked
     for. Of a servo it is
 
-        gain·e + damping·(dc/dt(t − delay) − v) + integral·∫e dt,    e = c(t − delay) − q
+        gain·e + damping·(ρ dc/dt(t − delay) − v) + integral·∫e dt,    e = c(t − delay) − q
 
     with the commanded position c. It is within ±limit (1 ∓ v / no_load_speed). What the integral
     was when a log began is not known: it begins so that the servo gives in the mean, beside
@@ -83,6 +83,7 @@ class EffortSignal:
         deviation: Standard deviation of the gain, in its unit; 0 if it is known exactly.
         damping: Of a servo, N·m·s/rad (N·s/m).
         damping_deviation: Its standard deviation, beside that of the gain.
+        rate_share: ρ, from 0 for damping of the motion alone to 1 for damping of its error.
         delay: How late the command acts, s.
         limit: Largest effort, N·m or N.
         integral: Of a servo, effort per integral of its error, N·m/(rad·s) (N/(m·s)).
@@ -104,6 +105,7 @@ class EffortSignal:
     integral: float = 0.0
     integral_deviation: float = 0.0
     no_load_speed: float = math.inf
+    rate_share: float = 1.0
 
     def __post_init__(self) -> None:
         instance(self.joint, "joint", str)
@@ -126,6 +128,7 @@ class EffortSignal:
             )
         for name in _NOT_NEGATIVE:
             number(getattr(self, name), f"{name} of {self.joint}", lower=0.0)
+        number(self.rate_share, f"rate_share of {self.joint}", lower=0.0, upper=1.0)
         for name in ("limit", "no_load_speed"):
             value = number(getattr(self, name), f"{name} of {self.joint}", finite=False)
             if not value > 0.0:

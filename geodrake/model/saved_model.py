@@ -92,6 +92,7 @@ class SavedEffortSignal(Schema):
     integral: float = 0.0
     integral_deviation: float = 0.0
     no_load_speed: float = float("inf")
+    rate_share: float = 1.0
 
 
 class SavedModel(Schema):

@@ -100,7 +100,9 @@ def _parts(
     """
     command, rate = delayed_command(log, at, signal.delay)
     error, velocity = command - log.position[:, at], _velocity(log, at)
-    plain = signal.gain * error + (signal.damping * (rate - velocity) if signal.damping else 0.0)
+    plain = signal.gain * error
+    if signal.damping:
+        plain = plain + signal.damping * (signal.rate_share * rate - velocity)
     if not signal.integral:
         return plain, np.zeros(len(plain))
     summed, began = signal.integral * error_integral(log.time, error), np.zeros(len(plain))
@@ -215,10 +217,10 @@ def servos_of(model: RobotModel) -> tuple[EffortSignal | None, ...]:
     return tuple(each if each and each.kind == COMMAND else None for each in signals)
 
 
-def servo_gains(model: RobotModel) -> tuple[Array, Array, Array, Array]:
-    """Return stiffness, damping, integral gain and largest effort (n,) of the servos.
+def servo_gains(model: RobotModel) -> tuple[Array, Array, Array, Array, Array]:
+    """Return stiffness, damping, integral gain, largest effort and `rate_share` (n,) of servos.
 
-    They are 0, 0, 0 and ∞ where there is none.
+    They are 0, 0, 0, ∞ and 1 where there is none.
     """
     servos = servos_of(model)
     if not any(servos):
@@ -231,10 +233,10 @@ def servo_gains(model: RobotModel) -> tuple[Array, Array, Array, Array]:
             "Servos need joints of one degree of freedom each; this robot has others.",
             advice="Weld the base, or leave such joints out of the model.",
         )
-    none = (0.0, 0.0, 0.0, np.inf)
-    rows = [(s.gain, s.damping, s.integral, s.limit) if s else none for s in servos]
-    kp, kd, ki, limit = np.array(rows).T
-    return kp, kd, ki, limit
+    none = (0.0, 0.0, 0.0, np.inf, 1.0)
+    rows = [(s.gain, s.damping, s.integral, s.limit, s.rate_share) if s else none for s in servos]
+    kp, kd, ki, limit, share = np.array(rows).T
+    return kp, kd, ki, limit, share
 
 
 def command_delays(model: RobotModel) -> Array:

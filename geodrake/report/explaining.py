@@ -663,7 +663,8 @@ def signals_table(signals: Sequence[EffortSignal], units: Units) -> Table:
         if served:
             damping = if_known(signal.damping, signal.damping_deviation)
             rate = units.at(joint, "N·m·s/rad")
-            row += [f"{damping} {rate}" if signal.damping else UNKNOWN]
+            of = f", of {signal.rate_share:.2g} dc/dt − v" if signal.rate_share < 1.0 else ""
+            row += [f"{damping} {rate}{of}" if signal.damping else UNKNOWN]
             row += [f"{1e3 * signal.delay:.2g} ms"]
         if summed:
             integral = if_known(signal.integral, signal.integral_deviation)

@@ -39,6 +39,7 @@ class ExportedJoint:
         effort: Largest effort, N·m; infinite where there is no limit, 0 without a motor.
         kp: Gain of a servo that is told positions, N·m/rad; 0 for a motor that is told efforts.
         kd: Damping of a servo, on its velocity, N·m·s/rad.
+        rate_share: How much of the command's rate that damping knows.
         delay: By how much what it is told acts late, s.
         measured_late: By how much measured efforts are late, s.
         damping: Viscous friction, N·m·s/rad.
@@ -56,6 +57,7 @@ class ExportedJoint:
     effort: float = 0.0
     kp: float = 0.0
     kd: float = 0.0
+    rate_share: float = 0.0
     delay: float = 0.0
     measured_late: float = 0.0
     damping: float = 0.0
@@ -111,6 +113,7 @@ def exported_joints(model: RobotModel) -> dict[str, ExportedJoint]:
                 effort=effort if driven else 0.0,
                 kp=servo.gain if servo else 0.0,
                 kd=servo.damping if servo else 0.0,
+                rate_share=servo.rate_share if servo else 0.0,
                 delay=max(-delay, 0.0) * driven + (servo.delay if servo else 0.0),
                 measured_late=max(delay, 0.0) * driven,
                 **values[joint],
@@ -209,11 +212,11 @@ def _notes(
     adds: Sequence[ExportedJoint], late: Sequence[ExportedJoint], step: float, timestep: float
 ) -> list[str]:
     notes = []
-    damped = [each.name for each in adds if each.is_servo and each.kd]
+    damped = [each.name for each in adds if each.is_servo and each.kd * each.rate_share]
     if damped:
         notes.append(
             f"kv of {', '.join(damped)} damps the motion itself, and that of the model its error: "
-            "told c + (kv / kp) dc/dt, they do the same"
+            "told c + rate_share (kv / kp) dc/dt, they do the same"
         )
     delays = {each.name: each.delay for each in adds if each.delay}
     delays |= {each.name: each.measured_late for each in late}

@@ -47,10 +47,10 @@ class Acting:
         self._log, self._servos, self._delays = log, servos_of(model), command_delays(model)
         self._told = told_joints(model, log) if commands else np.zeros(count, bool)
         self._servoed = bool(self._told.any())
-        gains = servo_gains(model) if self._servoed else np.zeros((4, count))
+        gains = servo_gains(model) if self._servoed else np.zeros((5, count))
         kp, kd, self._ki = (np.where(self._told, gain, 0.0) for gain in gains[:3])
         limits = np.where(self._told, gains[3], np.inf)
-        self.gains = ServoGains(kp, kd, self._ki, limits, np.zeros(count))
+        self.gains = ServoGains(kp, kd, self._ki, limits, np.zeros(count), np.asarray(gains[4]))
 
     def add(self, builder: DiagramBuilder, state: OutputPort) -> OutputPort:
         """Add the systems that make the efforts (n), N·m or N, and return their output.
@@ -134,21 +134,21 @@ class Acting:
         return time[np.append(np.diff(time) > _APART, True)]
 
     def _commands(self, passage: Passage, time: Array) -> tuple[Array, Array]:
-        """Return late commands and their rates (K, n) at instants (K,) of a passage."""
+        """Return late commands and what servos know of their rates (K, n) at instants (K,)."""
         commands, rates = np.zeros((2, len(time), len(self._told)))
         for j, (late, column, rate) in self._late(passage).items():
             commands[:, j], rates[:, j] = np.interp(time, late, column), np.interp(time, late, rate)
         return commands, rates
 
     def _late(self, passage: Passage) -> dict[int, tuple[Array, Array, Array]]:
-        """Joint that is told -> instants when commands act, commands, and their rates."""
+        """Joint that is told -> instants when commands act, commands, and their known rates."""
         whole, command, found = self._log.time - passage.began, self._log.command, {}
         for j in np.flatnonzero(self._told).tolist():
             column = np.empty(0) if command is None else command[:, j]
             known = np.isfinite(column) & np.isfinite(whole)
             late = whole[known] + self._delays[j]
             rate = np.gradient(column[known], late) if len(late) > 1 else np.zeros(len(late))
-            found[j] = late, column[known], rate
+            found[j] = late, column[known], self.gains.rate_share[j] * rate
         return found
 
 

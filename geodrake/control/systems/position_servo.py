@@ -33,13 +33,14 @@ class ServoGains(NamedTuple):
     ki: Array
     limit: Array
     dead_band: Array
+    rate_share: Array
 
 
 class ServoError(NamedTuple):
     """What servos act upon, all (..., n)."""
 
     position: Array  # commanded less measured position, rad or m
-    velocity: Array  # commanded less measured velocity
+    velocity: Array  # the known share of the commanded velocity less the measured one
     integral: Array  # integral of the error of position beyond the dead band, rad·s or m·s
     feedforward: Array  # effort that is added, N·m or N
 
@@ -47,7 +48,7 @@ class ServoError(NamedTuple):
 def servo_effort(gains: ServoGains, error: ServoError) -> Array:
     """Return the efforts (..., n) of servos, N·m or N.
 
-        τ = sat(kp e + kd ė + ki z + τ_ff),   e = dead(c − q),   ż = e,   ė = ċ − v
+        τ = sat(kp e + kd ė + ki z + τ_ff),   e = dead(c − q),   ż = e,   ė = ρ ċ − v
 
     where dead takes the dead band off an error, and sat keeps the limit.
     """
@@ -96,7 +97,7 @@ class PositionServo(LeafSystem):
 
     With the command c and the estimated state q, v,
 
-        actuation = sat(kp e + kd (ċ − v) + ki ∫e dt + feedforward),   e = dead(c − q)
+        actuation = sat(kp e + kd (ρ ċ − v) + ki ∫e dt + feedforward),   e = dead(c − q)
 
     where dead takes the dead band off the error, and sat keeps efforts within ±limit. An integral,
     a continuous state, stays where the effort is at its limit and would go beyond.
@@ -122,6 +123,7 @@ class PositionServo(LeafSystem):
         ki: Effort per integral of the error of position, N·m/(rad·s) or N/(m·s).
         limit: Largest effort, N·m or N.
         dead_band: Error of position up to which nothing is done about it, rad or m.
+        rate_share: ρ, how much of the command's rate the damping knows; 0 damps the motion alone.
 
     Raises:
         ArgumentError: A gain is negative, a limit is not positive, or they are not as many.
@@ -135,12 +137,13 @@ class PositionServo(LeafSystem):
         ki: ArrayLike = 0.0,
         limit: ArrayLike = np.inf,
         dead_band: ArrayLike = 0.0,
+        rate_share: ArrayLike = 1.0,
     ) -> None:
         """Construct the system."""
         LeafSystem.__init__(self, converter=self._converter)
         kp = real_array(kp, "kp")
         self._count = n = len(kp) if kp.ndim == 1 else len(real_array([kp], "kp", ("n",)))
-        named = zip(ServoGains._fields, (kp, kd, ki, limit, dead_band), strict=True)
+        named = zip(ServoGains._fields, (kp, kd, ki, limit, dead_band, rate_share), strict=True)
         gains = ServoGains(*(_checked(name, value, n) for name, value in named))
         self._integral = bool(gains.ki.any())
         for values in gains:
@@ -164,8 +167,8 @@ class PositionServo(LeafSystem):
         """Change gains in a Context.
 
         Args:
-            **gains: Those of kp, kd, ki, limit and dead_band that change; one for all joints or
-                (n,).
+            **gains: Those of kp, kd, ki, limit, dead_band and rate_share that change; one for all
+                joints or (n,).
         """
         check_context(self, context)
         names = ServoGains._fields
@@ -200,7 +203,8 @@ class PositionServo(LeafSystem):
         held = context.get_continuous_state_vector().CopyToVector()
         integral = held if self._integral else np.zeros(n)
         position = self._command_port.Eval(context) - state[:n]
-        return ServoError(position, rate - state[n:], integral, feedforward)
+        known = self.gains(context).rate_share * rate
+        return ServoError(position, known - state[n:], integral, feedforward)
 
     @staticmethod
     def of(model: RobotModel) -> PositionServo:
@@ -211,8 +215,8 @@ class PositionServo(LeafSystem):
         Raises:
             ModelError: It has no servos, or joints of several degrees of freedom.
         """
-        kp, kd, ki, limit = servo_gains(instance(model, "model", RobotModel))
-        return PositionServo(kp, kd=kd, ki=ki, limit=limit)
+        kp, kd, ki, limit, share = servo_gains(instance(model, "model", RobotModel))
+        return PositionServo(kp, kd=kd, ki=ki, limit=limit, rate_share=share)
 
     @staticmethod
     def AddToBuilder(

@@ -24,8 +24,10 @@ and if all of them then say that there is one.
 
 A servo saturates in the simulation, its integral held, where such windows are predicted better for
 it: at the limit of effort that the model states, or at one of its own, which is sought like another
-parameter, from what bodies need at most on. Damping d is the joint's, beyond the limit, or the
-servo's own, within: only a servo at its limit tells them apart.
+parameter, from what bodies need at most on. A share of the damping d is the servo's own, within the
+limit, and the rest the joint's: only a servo at its limit tells them apart.
+
+Friction by the weight is rarer than all else: it must predict such windows better, too.
 """
 
 from __future__ import annotations
@@ -70,14 +72,14 @@ PARAMETERS = (
 """kp, kr, d, F, I, δ, o, k and ki; of joints that turn in N·m/rad, N·m·s/rad (twice), N·m, kg·m²,
 s, N·m, 1/(N·m) and N·m/(rad·s).
 
-Numbers of a servo are these, its limit (infinite for none), the share of d within it (0 or 1), and
-the efforts w that an integral begins with, one for each stretch.
+Numbers of a servo are these, its limit (infinite for none), the share of d within it, and the
+efforts w that an integral begins with, one for each stretch.
 """
 
 LONGEST_DELAY, USUAL_DELAY = 0.06, 0.01
 """Commands are late by no more, and in the mean, s."""
 
-_RATE, _COULOMB, _DELAY, _OFFSET, _LOAD, _INTEGRAL = 1, 3, 5, 6, 7, 8
+_RATE, _DAMPING, _COULOMB, _DELAY, _OFFSET, _LOAD, _INTEGRAL = 1, 2, 3, 5, 6, 7, 8
 _LIMIT, _SHARE, _BEGUN = 9, 10, 11
 _PLACES = {name: at for at, name in enumerate((*PARAMETERS, "limit"))}
 _STEPS, _LONGEST_STEP = 4, 5e-3  # of simulations between two rows at least, and at most so long, s
@@ -101,14 +103,16 @@ _LINEAR_DELAYS = tuple(np.linspace(0.0, LONGEST_DELAY, 7).tolist())  # and linea
 class ServoFit:
     """A servo and what its joint has beside the bodies, by the joint's motion."""
 
-    parameters: Array  # (9,) values of `PARAMETERS`; the last is 0 for a servo without an integral
+    # (9,) values of `PARAMETERS`: the rate's with all damping that the servo makes, damping that of
+    # the joint alone; the last is 0 for a servo without an integral
+    parameters: Array
     # (9,) their standard deviations; of all but kp for bodies that are known exactly
     deviations: Array
     error: float  # RMS of simulated − measured positions, rad or m
     start: float  # the same where the search began
     moved: float  # deviation of the measured positions, rad or m
     limit: float  # effort at which the servo saturates; infinite where the motion shows none
-    own: bool  # whether the servo makes the viscous damping, within its limit
+    rate_share: float  # of the command's rate, that the servo's damping knows
 
 
 @dataclass(frozen=True, eq=False)
@@ -363,7 +367,8 @@ class _Servo:
     @classmethod
     def of(cls, numbers: Array, *, summed: bool = False) -> _Servo:
         """Return one with an integral, or a constant effort w in each stretch, or without."""
-        free = np.arange(len(numbers)) < _INTEGRAL + summed
+        free = np.arange(len(numbers)) < _LOAD
+        free[_INTEGRAL], free[_SHARE] = summed, np.isfinite(numbers[_LIMIT])
         free[_OFFSET], free[_BEGUN:] = not summed, summed  # w has it
         return cls(numbers, free)
 
@@ -371,6 +376,12 @@ class _Servo:
     def summed(self) -> bool:
         """Whether each stretch has an effort w."""
         return bool(self.free[_BEGUN])
+
+    def freed(self, which: int) -> _Servo:
+        """Return the servo with one more of its numbers free."""
+        free = self.free.copy()
+        free[which] = True
+        return _Servo(self.numbers, free)
 
     def without(self, which: int) -> _Servo:
         """Return the servo with one of its numbers zero for good."""
@@ -391,13 +402,15 @@ class _Servo:
         numbers = motions.servo(plain.tolist(), limit=float(plain[_LIMIT]))
         if self.summed:
             numbers = motions.with_integral(numbers, float(plain[_INTEGRAL]))
+        numbers[_SHARE] = plain[_SHARE]
         free = np.append(self.free[:_BEGUN], np.full(len(motions.rows), self.summed))
         return _Servo(numbers, free)
 
-    def limited(self, limit: float, own: float, *, sought: bool = False) -> _Servo:
-        """Return the servo with another limit, and share of its damping within it."""
+    def limited(self, limit: float, share: float, *, sought: bool = False) -> _Servo:
+        """Return the servo with another limit, and a share of its damping within it to be found."""
         numbers, free = self.numbers.copy(), self.free.copy()
-        numbers[[_LIMIT, _SHARE]], free[_LIMIT] = (limit, own), sought
+        numbers[[_LIMIT, _SHARE]] = limit, share
+        free[_LIMIT], free[_SHARE] = sought, np.isfinite(limit)
         return _Servo(numbers, free)
 
 
@@ -459,6 +472,9 @@ class _Search:
         tested, moved = motions.tested, float(np.std(motions.measured))
         if not motions.rms(half.numbers, tested) < min(motions.rms(began, tested), moved):
             return None
+        loaded = self.best([half.freed(_LOAD)], seen=True)
+        if motions.gain(half.numbers, loaded.numbers, tested) >= PENALTY:
+            half = loaded
         best = self.best([half])
         usual, spread = self.expected.get("limit", (np.inf, np.inf))
         if sought:
@@ -466,7 +482,7 @@ class _Search:
             odd = np.log(best.numbers[_LIMIT] / usual) / spread if np.isfinite(usual) else 0.0
             if motions.gain(never.numbers, best.numbers) < PENALTY + odd**2:
                 best = never
-        for which in (_OFFSET, _LOAD, _RATE, _DELAY):
+        for which in (_OFFSET, _LOAD, _RATE, _DELAY, _SHARE):
             bare = self.best([best.without(which)])
             if motions.gain(bare.numbers, best.numbers) < PENALTY:
                 best = bare
@@ -479,12 +495,12 @@ class _Search:
             held = best.limited(usual + dry, 0.0)
             if (motions.residual(held.numbers) == motions.residual(best.numbers)).all():
                 best = held
-        parameters, limit, own = np.split(best.numbers[:_BEGUN], [_LIMIT, _SHARE])
+        parameters, limit, rate_share = _with_own_damping(best.numbers)
         deviations = self._deviations(best)
         # Bodies that are heavier move as these do with a stiffness that is larger by as much.
         whole = np.hypot(deviations[0], bodies * parameters[0])
         deviations[0] = min(whole, self.expected["stiffness"][1] * parameters[0])
-        return ServoFit(parameters, deviations, error, first, moved, float(limit[0]), bool(own[0]))
+        return ServoFit(parameters, deviations, error, first, moved, limit, rate_share)
 
     def at_its_limit(self, start: Array, limit: float) -> _Servo:
         """Return the servo by half of the windows, saturating as the others ask for.
@@ -499,22 +515,20 @@ class _Search:
 
         tried = [(each.numbers, each.limited(limit, 0.0).numbers) for each in (begin, best)]
         if any((motions.simulated(free) != motions.simulated(held)).any() for free, held in tried):
-            for own in (0.0, 1.0):
-                other = self._by_half(begin.limited(limit, own).numbers)
-                best = other if is_better(other) else best
+            other = self._by_half(begin.limited(limit, 0.0).numbers)
+            best = other if is_better(other) else best
         starts = [best]
         for integral in (0.0, self.told or start[0]):
             starts.append(_Servo.of(motions.with_integral(start, integral), summed=True))
-        for own in (0.0, 1.0):
-            starts = [each.limited(self._most, own, sought=True) for each in starts]
-            found = self.best(starts, seen=True)
-            starts = [found]
-            if is_better(found):
-                told = float(found.numbers[_INTEGRAL]) or self.told
-                other = replace(self, told=told)._by_half(found.plain().numbers)
-                sought = other.limited(float(other.numbers[_LIMIT]), own, sought=True)
-                found = self.best([sought], seen=True)
-                best = found if is_better(found) else best
+        starts = [
+            each.limited(self._most, share, sought=True) for share in (0.0, 1.0) for each in starts
+        ]
+        found = self.best(starts, seen=True)
+        if is_better(found):
+            told = float(found.numbers[_INTEGRAL]) or self.told
+            other = replace(self, told=told)._by_half(found.plain().numbers)
+            found = self.best([other.freed(_LIMIT)], seen=True)
+            best = found if is_better(found) else best
         return best
 
     @cached_property
@@ -532,6 +546,8 @@ class _Search:
         for delay in _TRIED_DELAYS:
             starts.append(start.copy())
             starts[-1][[_RATE, _DELAY]] = 0.0 if delay else 0.5 * start[2], delay
+        if np.isfinite(start[_LIMIT]):
+            starts = [_with_share(each, share) for share in (0.0, 1.0) for each in starts]
         plain = self.best([_Servo.of(each) for each in starts], seen=True)
         constant = _Servo.of(plain.numbers, summed=True)
         if not self.told:
@@ -561,8 +577,8 @@ class _Search:
             weights, late = noise / spread, noise / USUAL_DELAY * np.sqrt(2.0 / np.pi)
         upper, lower = np.full((2, size), np.inf)
         upper[[_DELAY, _LOAD]] = LONGEST_DELAY, _MOST_LOAD / self._most
-        lower[:_LIMIT], lower[_LIMIT], lower[_SHARE:] = 0.0, _LEAST_LIMIT * self._most, -np.inf
-        lower[_OFFSET] = -np.inf
+        lower[:_BEGUN], lower[_LIMIT], lower[_BEGUN:] = 0.0, _LEAST_LIMIT * self._most, -np.inf
+        lower[_OFFSET], upper[_SHARE] = -np.inf, 1.0
         farthest = np.exp(_FARTHEST * spread)
         lower[places], upper[places] = usual / farthest, usual * farthest
 
@@ -601,7 +617,7 @@ class _Search:
         numbers, free, gain = best.numbers, best.free, best.numbers[0]
         least = np.full(len(numbers), float(np.std(self.motions.needed)) or 1.0)
         least[:_OFFSET] = 0.0, 0.02 * gain, 0.01 * gain, 1e-3, 1e-4, 0.01
-        least[_LOAD], least[_INTEGRAL] = _USUAL_LOAD / self._most, gain
+        least[_LOAD], least[_INTEGRAL], least[_SHARE] = _USUAL_LOAD / self._most, gain, 0.5
         size = np.maximum(np.abs(numbers), least)[free]
         residual, J = self.motions.residual(numbers), self.motions.slopes(numbers, free) * size
         noise = residual @ residual / WORTH
@@ -610,9 +626,31 @@ class _Search:
         for name, (_, spread) in self.expected.items():
             known[np.flatnonzero(free) == _PLACES[name]] = spread**-2.0
         covariance = np.linalg.inv(J.T @ J / noise + np.diag(known))
-        found = np.zeros(len(free))
-        found[free] = size * np.sqrt(np.diag(covariance))
-        return found[:_LIMIT]
+        moves = np.zeros((len(free), len(size)))
+        moves[free] = np.diag(size)
+        d, share = numbers[[_DAMPING, _SHARE]]
+        own = share * moves[_DAMPING] + d * moves[_SHARE]
+        moves[_RATE] += own
+        moves[_DAMPING] -= own
+        return np.sqrt(np.einsum("ij,jk,ik->i", moves, covariance, moves))[:_LIMIT]
+
+
+def _with_share(numbers: Array, share: float) -> Array:
+    """Return numbers of a servo that makes a share of the damping."""
+    found = numbers.copy()
+    found[_SHARE] = share
+    return found
+
+
+def _with_own_damping(numbers: Array) -> tuple[Array, float, float]:
+    """Return parameters (9,) of a servo that makes its share of the damping, and two numbers more.
+
+    These are its limit, and how much of the command's rate its damping knows.
+    """
+    parameters, share = numbers[:_LIMIT].copy(), float(numbers[_SHARE])
+    own, known = share * float(parameters[_DAMPING]), float(parameters[_RATE])
+    parameters[[_RATE, _DAMPING]] = known + own, parameters[_DAMPING] - own
+    return parameters, float(numbers[_LIMIT]), known / (known + own) if own else 1.0
 
 
 def _descend(
@@ -762,7 +800,7 @@ def calc_servo_motion(rows: Array, period: float, servo: Array, out: tuple[Array
                     -way * held**2,
                     gives * (z + ahead * error),
                     np.sign(bound),
-                    0.0,
+                    (1.0 - gives) * d * mean,
                     gives,
                 )
                 damps = free + gives * (kr + own * d)

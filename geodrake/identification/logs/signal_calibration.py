@@ -380,8 +380,8 @@ def signal_by_motion(signal: EffortSignal, fit: ServoFit) -> EffortSignal:
         delay=delay,
         integral=integral,
         integral_deviation=float(spread[-1]),
-        # A servo that damps the motion within its limit is at it for another error than this.
-        limit=np.inf if fit.own else fit.limit,
+        limit=fit.limit,
+        rate_share=fit.rate_share,
     )
 
 
