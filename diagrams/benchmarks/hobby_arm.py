@@ -30,7 +30,7 @@ from scipy.signal import cont2discrete, lfilter
 from diagrams.harness import script_parser, show, write
 from diagrams.public_data import add_folder_option, require
 from geodrake import load_model
-from geodrake.identification.logs.servo_fit import PARAMETERS
+from geodrake.identification.logs.servo_fit import PARAMETERS, ServoFit
 from geodrake.identification.logs.signal_calibration import (
     calibrate_efforts,
     servo_motions,
@@ -135,7 +135,7 @@ def by_mujoco(urdf: Path, values: Mapping[str, Mapping[str, float]]) -> Simulate
         for j, joint in enumerate(log.joints):
             own = values[joint]
             late = np.interp(times - own["delay"], since, log.command[:, j])
-            lead = own.get("rate", 0.0) / own["stiffness"]
+            lead = own.get("rate_share", 1.0) * own.get("rate", 0.0) / own["stiffness"]
             told[:, j] = late + lead * np.gradient(late, _STEP)
         data, found = mujoco.MjData(model), np.empty_like(told)
         data.qpos[:] = log.position[0]
@@ -155,11 +155,14 @@ def by_geodrake(urdf: Path, logs: Sequence[JointLog]) -> Fit:
     known = calibrate_efforts(load_model(urdf), logs)[0]
     model, fits = with_servo_motions(known, logs)
     seconds = time.process_time() - began
-    values = {
-        joint: dict(zip(PARAMETERS, fits[joint].parameters.tolist(), strict=True))
-        for joint in model.joints
-    }
+    values = {joint: _values(fits[joint]) for joint in model.joints}
     return Fit("geodrake", by_mujoco(urdf, values), seconds)
+
+
+def _values(fit: ServoFit) -> dict[str, float]:
+    return dict(zip(PARAMETERS, fit.parameters.tolist(), strict=True)) | {
+        "rate_share": fit.rate_share
+    }
 
 
 def by_sysid(urdf: Path, logs: Sequence[JointLog]) -> Fit | None:
@@ -291,18 +294,19 @@ def pendulum_row(folder: Path) -> dict[str, Any]:
     (fit,) = fits.values()
     motions = servo_motions(model, [fast], [0])[0]
 
-    def stiffer(share: float) -> Array:
+    def stiffer(share: float) -> ServoFit:
         found = fit.parameters.copy()
         found[PARAMETERS.index("stiffness")] *= 4.0 * share
-        return found
+        return replace(fit, parameters=found)
 
     def departs(share: float) -> float:
-        servo = motions.servo(stiffer(share).tolist(), limit=fit.limit)
+        found = stiffer(share).parameters.tolist()
+        servo = motions.servo(found, limit=fit.limit, rate_share=fit.rate_share)
         return float(np.rad2deg(motions.rms(servo)))
 
     best = minimize_scalar(departs, bounds=(0.5, 1.5), method="bounded")
-    values = dict(zip(PARAMETERS, stiffer(1.0).tolist(), strict=True))
-    whole = by_mujoco(folder / "data/xl330/pendulum.urdf", {"servo": values})(fast) - fast.position
+    found = {"servo": _values(stiffer(1.0))}
+    whole = by_mujoco(folder / "data/xl330/pendulum.urdf", found)(fast) - fast.position
     return {
         "fitted, °": float(np.rad2deg(fit.error)),
         "predicted at four times the gain, °": departs(1.0),

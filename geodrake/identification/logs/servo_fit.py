@@ -123,10 +123,20 @@ class JointMotions:
     positions: tuple[Array, ...]  # per stretch (N,) positions as logged, rad or m
     periods: tuple[float, ...]  # per stretch the time between rows, s
 
-    def servo(self, parameters: Sequence[float], *, limit: float = np.inf) -> Array:
-        """Return the numbers (11 + S,) of a servo with some first parameters, and zeros beyond."""
+    def servo(
+        self, parameters: Sequence[float], *, limit: float = np.inf, rate_share: float = 1.0
+    ) -> Array:
+        """Return the numbers (11 + S,) of a servo with some first parameters, and zeros beyond.
+
+        Limit and share of the rate are those of a `ServoFit`.
+        """
         numbers = np.zeros(_BEGUN + len(self.rows))
         numbers[: len(parameters)], numbers[_LIMIT] = parameters, limit
+        own = (1.0 - rate_share) * numbers[_RATE]
+        if own > 0.0:
+            numbers[_RATE] -= own
+            numbers[_DAMPING] += own
+            numbers[_SHARE] = own / numbers[_DAMPING]
         return numbers
 
     def simulated(self, servo: Array) -> Array:
