@@ -184,7 +184,7 @@ def _models_of(place: Path, by_url: bool) -> list[Path]:
 
 def _version(root: Element) -> tuple[int, ...]:
     """Return the version of SDF that a file has."""
-    return tuple(int(word) for word in re.findall(r"\d+", root.get("version", "")))
+    return tuple(int(word) for word in re.findall(r"\d{1,9}", root.get("version", "")))
 
 
 def _means_the_same(one: tuple[int, ...], other: tuple[int, ...]) -> bool:
