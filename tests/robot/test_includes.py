@@ -70,8 +70,8 @@ NESTED = """<link name="c"><inertial><mass>.2</mass></inertial></link>
 <axis><xyz>0 1 0</xyz></axis></joint>"""
 OLD = """<sdf version="1.4"><model name="old"><link name="a"><pose>0 0 .1 .5 0 0</pose></link>
 <link name="b"><pose>0 0 .3 .5 .4 0</pose><inertial><pose>.1 0 0 0 0 0</pose></inertial></link>
-<joint name="bend" type="revolute"><parent>a</parent><child>b</child><axis><xyz>1 0 0</xyz></axis>
-</joint></model></sdf>"""
+<joint name="bend" type="revolute"><parent>a</parent><child>b</child><axis><xyz>1 0 0</xyz>
+<dynamics><friction>0.30</friction></dynamics></axis></joint></model></sdf>"""
 
 
 @pytest.mark.parametrize("merge", [False, True])
@@ -106,7 +106,9 @@ def test_included_sdf_models_are_what_drake_makes_of_them(tmp_path, kind, merge)
             load_model(robot)
         return
     check = check_dynamics(model := load_model(robot))
-    assert check.by.startswith("Drake") and check.second is not None and check.holds
+    assert check.by.startswith("Drake") and check.second is not None and check.second.holds
+    told = [each for each in model.left_out if "dry friction and springs of package://p" in each]
+    assert len(told) == (kind == "old") and all("robot.sdf, line" in each for each in told)
     springs = [f.effect.where for f in model.effects if f.effect.name == "joint_spring"]
     assert len(springs) == {"placed": 1, "nested": 2, "old": 0}[kind]
 

@@ -41,12 +41,13 @@ class Includes:
         packages: The packages that were named on the way.
         absent: Sentences on suns and grounds that a world includes, and that lead nowhere.
         missing: Sentences on what else it includes, and leads nowhere: perhaps a part of a robot.
+        unread: Sentences on forces in joints of models that only Drake reads.
     """
 
     def __init__(self, path: Path, folders: Mapping[str, Path]) -> None:
         self.path, self.packages, self.names = path, PackageMap(), set[str]()
         self._folders = folders
-        self.absent, self.missing = list[str](), list[str]()
+        self.absent, self.missing, self.unread = list[str](), list[str](), list[str]()
 
     def resolve(self, url: str, folder: Path) -> Path:
         """Return where a URL, or a path relative to a folder, leads; a file need not be there.
@@ -112,6 +113,12 @@ class Includes:
                         found[version] = model
                     elif "://" not in url and model is not None:
                         include.findall("uri")[0].text = file.resolve().as_uri()
+                    if not found and _has_forces(included):
+                        where = place_of(include) or self.path
+                        what = "an included URDF, or SDF of an older version"
+                        self.unread.append(
+                            f"{where}: dry friction and springs of {url}, {what}, are left out."
+                        )
                 if found:
                     self._replace(parent, include, found[max(found)])
 
@@ -190,6 +197,14 @@ def _version(root: Element) -> tuple[int, ...]:
 def _means_the_same(one: tuple[int, ...], other: tuple[int, ...]) -> bool:
     """Return whether models of two versions of SDF may stand in one file."""
     return one == other or min(one, other) >= _LIKE_LATER
+
+
+def _has_forces(root: Element) -> bool:
+    """Return whether a URDF or SDF states dry friction or springs of joints."""
+    tags = ("friction", "spring_stiffness", "springStiffness")
+    words = [each.text for tag in tags for each in root.iter(tag)]
+    words += [each.get("friction") for each in root.iter("dynamics")]
+    return any((word or "").strip(" \n\t0.+-") for word in words)
 
 
 def _merged(model: Element) -> list[Element]:

@@ -268,7 +268,7 @@ class SdfText(ModelText):
         includes.insert(self.root, self.path.parent)
         self.packages = includes.names
         terms.notes += includes.absent
-        terms.left_out += includes.missing
+        terms.left_out += [*includes.missing, *includes.unread]
         terms.left_out += unread(self.root, SDF_UNREAD, self.path)
         for link in self.root.iter("link"):
             inertial = link.find("inertial")
