@@ -363,6 +363,19 @@ def test_gains_are_those_of_a_servo_at_its_limit(tmp_path):
     assert np.abs(log.effort).max() == limit and 0.05 < at_limit < 0.9
 
 
+@pytest.mark.parametrize("feedback", [False, True])
+def test_an_integral_is_found_beside_a_limit_that_hides_it(feedback, tmp_path):
+    """A linear fit of what a servo is behind says nothing of one that is at its limit."""
+    limit = 6.0
+    log = servo_log(integral=INTEGRAL, limit=limit, seconds=12.0, feedback=feedback)
+    known, (made,), _ = calibrate_efforts(pendulum(tmp_path, limit), [log])
+    (signal,) = known.effort_signals
+    assert 0.05 < np.mean(np.abs(made.effort) >= limit) < 0.9
+    assert signal.gain == pytest.approx(TRUTH[0], rel=0.05)
+    assert signal.integral == pytest.approx(INTEGRAL, rel=0.1)
+    assert signal.limit == limit
+
+
 def test_velocity_feedback_is_within_the_limit(tmp_path):
     """As in MuJoCo's position actuators."""
     motions = alone(pendulum(tmp_path, 5.0), servo_log(limit=5.0, seconds=30.0, feedback=True))

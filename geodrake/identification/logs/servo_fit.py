@@ -525,7 +525,8 @@ class _Search:
 
         tried = [(each.numbers, each.limited(limit, 0.0).numbers) for each in (begin, best)]
         if any((motions.simulated(free) != motions.simulated(held)).any() for free, held in tried):
-            other = self._by_half(begin.limited(limit, 0.0).numbers)
+            hidden = replace(self, told=self.told or float(start[0]))  # an integral by its limit
+            other = hidden._by_half(begin.limited(limit, 0.0).numbers)
             best = other if is_better(other) else best
         starts = [best]
         for integral in (0.0, self.told or start[0]):
