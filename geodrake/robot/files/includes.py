@@ -28,6 +28,7 @@ from geodrake.robot.files.xml_text import (
 _SCENERY = re.compile(r"(?<![a-z])(sun|ground|light|plane)+s?(?![a-z])", re.I)
 _LIKE_LATER = (1, 7)  # version of SDF from which on poses and axes mean the same
 _MODEL = "__model__"  # the frame of a model in SDF
+_OF_MODELS = ("pose", "static", "self_collide", "allow_auto_disable", "enable_wind", "plugin")
 _DEEPEST = 30  # files that include each other in a row
 
 
@@ -103,7 +104,7 @@ class Includes:
                     said = self.absent if _SCENERY.search(_last_name(url)) else self.missing
                     said.append(f"{where}: {url} is not found, and is left out of the world.")
                     continue
-                found = dict[tuple[int, ...], Element]()  # by their versions
+                found, others = dict[tuple[int, ...], Element](), list[Element]()
                 for file in _models_of(self.resolve(url, folder), "://" in url):
                     below = self.enter(chain, file)
                     included = parse_xml(file)
@@ -111,16 +112,17 @@ class Includes:
                     model, version = included.find("model"), _version(included)
                     if model is not None and _means_the_same(version, _version(root)):
                         found[version] = model
-                    elif "://" not in url and model is not None:
+                    else:
+                        others.append(included)
                         include.findall("uri")[0].text = file.resolve().as_uri()
-                    if not found and _has_forces(included):
-                        where = place_of(include) or self.path
-                        what = "an included URDF, or SDF of an older version"
-                        self.unread.append(
-                            f"{where}: dry friction and springs of {url}, {what}, are left out."
-                        )
                 if found:
                     self._replace(parent, include, found[max(found)])
+                elif any(map(_has_forces, others)):
+                    where, what = place_of(include) or self.path, "URDF, or SDF of an older version"
+                    self.unread.append(
+                        f"{where}: dry friction and springs of {url}, an included {what}, are left "
+                        "out."
+                    )
 
     def _replace(self, parent: Element, include: Element, model: Element) -> None:
         """Replace an include with its model, which the include may move, rename and merge."""
@@ -134,9 +136,7 @@ class Includes:
             model.set("placement_frame", placed)
         merges = include.get("merge", "").strip().lower() in ("true", "1")
         if merges and model.get("placement_frame"):
-            what = (
-                "<include> merges a model that is placed by a frame, which geodrake does not read."
-            )
+            what = "<include> merges a model that is placed by a frame, which is not supported."
             raise wrong_at(include, self.path, what)
         at = list(parent).index(include)
         parent[at : at + 1] = _merged(model) if merges else [model]
@@ -219,9 +219,9 @@ def _merged(model: Element) -> list[Element]:
     links = [model.get("canonical_link"), *(link.get("name") for link in model.findall("link"))]
     if canonical := next(filter(None, links), ""):
         frame.set("attached_to", canonical)
-    parts = [part for part in model if part.tag in ("link", "joint", "frame", "model", "include")]
+    parts = [part for part in model if part.tag not in _OF_MODELS]
     for part in parts:
-        if part.tag != "joint" and not part.get("attached_to"):
+        if part.tag in ("link", "frame", "model", "include") and not part.get("attached_to"):
             pose = part.find("pose")
             pose = SubElement(part, "pose") if pose is None else pose
             pose.attrib.setdefault("relative_to", name)
