@@ -271,8 +271,7 @@ def scene_of(
 
     drop(root, "inertial", "mimic", "transmission", "sensor", "plugin", "gazebo", "surface")
     prepare(root, where)
-    for uri in root.iterfind(".//include/uri"):
-        uri.text = url((uri.text or "").strip())
+    Includes(path, given.packages).name_by_urls(root)
     kind = "urdf" if root.tag == "robot" else "sdf"
     parser.AddModelsFromString(tostring(root, encoding="unicode"), kind)
     return plant, scene

@@ -8,7 +8,9 @@ from pydrake.multibody.parsing import PackageMap
 from geodrake import load_model
 from geodrake.errors import ModelError
 from geodrake.model import check_dynamics
+from geodrake.robot.files import Given
 from geodrake.robot.files.includes import add_packages, named_packages
+from geodrake.robot.shapes import robot_shapes
 
 PENDULUM = Path(__file__).parents[2] / "models" / "double_pendulum.urdf"
 LINK = """<link name="{}"><inertial><mass>{}</mass></inertial></link>"""
@@ -111,6 +113,25 @@ def test_included_sdf_models_are_what_drake_makes_of_them(tmp_path, kind, merge)
     assert len(told) == (kind == "old") and all("robot.sdf, line" in each for each in told)
     springs = [f.effect.where for f in model.effects if f.effect.name == "joint_spring"]
     assert len(springs) == {"placed": 1, "nested": 2, "old": 0}[kind]
+
+
+def test_worlds_without_their_sun_are_checked_and_shown(tmp_path):
+    folder = tmp_path / "my worlds"
+    write(folder / "more" / "model.sdf", sdf(body("b")))
+    visual = "<visual name='v'><geometry><sphere><radius>1</radius></sphere></geometry></visual>"
+    spring = "<dynamics><spring_stiffness>2</spring_stiffness></dynamics></axis>"
+    loop = """<joint name="{}" type="revolute"><parent>{}</parent><child>{}</child><axis>
+<xyz>0 0 1</xyz></axis></joint>"""
+    robot = body("a").replace("</link>", f"{visual}</link>").replace("</axis>", spring)
+    robot += LINK.format("c", 1.0) + loop.format("one", "a", "c") + loop.format("two", "world", "c")
+    world = f"""<sdf version="1.9"><world name="w"><include><uri>model://sun</uri></include>
+<include><uri>https://fuel.org/Ground Plane</uri></include><model name="robot">{robot}
+<include><name>more</name><uri>more</uri></include></model></world></sdf>"""
+    path = write(folder / "robot.sdf", world)
+    check = check_dynamics(load_model(path))
+    assert check.by.startswith("Drake") and check.second is not None and check.second.holds
+    found = robot_shapes(path, Given())
+    assert (list(found.links), found.notes) == (["robot::a"], ())
 
 
 def test_joints_of_an_sdf_are_stated_where_their_nested_children_are(tmp_path):

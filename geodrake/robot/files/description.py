@@ -16,6 +16,7 @@ from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
 from tempfile import TemporaryDirectory
+from xml.etree.ElementTree import tostring
 
 from pydrake.multibody.parsing import (
     FlattenModelDirectives,
@@ -33,6 +34,7 @@ from geodrake.boundary.input_files import regular_file
 from geodrake.boundary.yaml_text import yaml_text
 from geodrake.errors import GeodrakeError, ModelError
 from geodrake.inertia import Array
+from geodrake.robot.files.checks import drop
 from geodrake.robot.files.given import Given
 from geodrake.robot.files.includes import Includes, add_packages, named_packages
 from geodrake.robot.files.mjcf import MjcfText
@@ -106,7 +108,10 @@ class ModelDescription:
             TemporaryDirectory() as folder,
         ):
             if self.directives is None and not simplified:
-                parser.AddModels(str(self.path))  # as it may include others beside it
+                root = parse_xml_bytes(texts[0][0].encode(), self.path)
+                Includes(self.path, self.given.packages).name_by_urls(root)
+                drop(root, "spring_stiffness")  # beside which Drake lets no joint be taken out
+                parser.AddModelsFromString(tostring(root, encoding="unicode"), self.texts[0].kind)
             elif self.directives is None:
                 for own, (text, _) in zip(self.texts, texts, strict=True):
                     parser.AddModelsFromString(text, own.kind)

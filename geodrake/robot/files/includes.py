@@ -95,15 +95,10 @@ class Includes:
         Drake, but followed too.
         """
         chain = chain or (self.path.resolve(),)
+        self._drop_absent(root, folder)
         for parent in list(root.iter()):
             for include in parent.findall("include"):
                 url = include.findtext("uri", "").strip()
-                if parent.tag == "world" and self._leads_nowhere(url, folder):
-                    parent.remove(include)
-                    where = place_of(include) or self.path
-                    said = self.absent if _SCENERY.search(_last_name(url)) else self.missing
-                    said.append(f"{where}: {url} is not found, and is left out of the world.")
-                    continue
                 found, others = dict[tuple[int, ...], Element](), list[Element]()
                 for file in _models_of(self.resolve(url, folder), "://" in url):
                     below = self.enter(chain, file)
@@ -114,7 +109,7 @@ class Includes:
                         found[version] = model
                     else:
                         others.append(included)
-                        include.findall("uri")[0].text = file.resolve().as_uri()
+                        include.findall("uri")[0].text = f"file://{file.resolve()}"
                 if found:
                     self._replace(parent, include, found[max(found)])
                 elif any(map(_has_forces, others)):
@@ -123,6 +118,27 @@ class Includes:
                         f"{where}: dry friction and springs of {url}, an included {what}, are left "
                         "out."
                     )
+
+    def name_by_urls(self, root: Element) -> None:
+        """Have an SDF mean the same wherever its text stands, without what leads nowhere."""
+        self._drop_absent(root, self.path.parent)
+        for uri in root.iterfind(".//include/uri"):
+            place = (uri.text or "").strip()
+            if "://" not in place:
+                (file,) = _models_of(self.path.resolve().parent / place, by_url=False)
+                place = f"file://{file}"
+            uri.text = place
+
+    def _drop_absent(self, root: Element, folder: Path) -> None:
+        """Take out what worlds include that is not there."""
+        for world in root.iter("world"):
+            for include in world.findall("include"):
+                url = include.findtext("uri", "").strip()
+                if self._leads_nowhere(url, folder):
+                    world.remove(include)
+                    where = place_of(include) or self.path
+                    said = self.absent if _SCENERY.search(_last_name(url)) else self.missing
+                    said.append(f"{where}: {url} is not found, and is left out of the world.")
 
     def _replace(self, parent: Element, include: Element, model: Element) -> None:
         """Replace an include with its model, which the include may move, rename and merge."""
