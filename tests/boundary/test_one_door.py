@@ -59,7 +59,7 @@ CHECKED = {
     "logs/files/lcm_log.py": {"EventLog"},
     "logs/files/lerobot_dataset.py": {"read_table"},
     "logs/files/ros_bag.py": {"Reader"},
-    "robot/files/description.py": {"AddModels", "ProcessModelDirectives"},
+    "robot/files/description.py": {"ProcessModelDirectives"},
     "robot/shapes.py": {"AddModels", "MemoryFile"},  # the latter of text
 }
 """Module -> what it hands to a library by its path, after the door has checked what is there."""
