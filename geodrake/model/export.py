@@ -245,8 +245,8 @@ def _body_notes(model: RobotModel, absent: Sequence[str]) -> list[str]:
         notes.append(f"the payload is part of {', '.join(carried)} in the exported file")
     if absent:
         notes.append(
-            f"{', '.join(absent)} is between several joints of one body, or of a copy or a model "
-            "that MuJoCo puts there, so the exported file has no place for its inertia"
+            f"the exported file has no place for inertias of {', '.join(absent)}: between several "
+            "joints of one body, or of copies or models that MuJoCo puts there"
         )
     return notes
 
