@@ -165,8 +165,9 @@ class JointMotions:
     def linear_servo(self, signal: EffortSignal) -> EffortSignal:
         """Return gain, delay and integral of a servo by a linear fit of what it is behind.
 
-        That is what bodies, friction and inertia need, over the gain. The signal itself where no
-        servo pulls to where it is told to go; without an integral unless one explains much more.
+        That is what bodies, friction and inertia need, over the gain. Where no servo pulls to where
+        it is told to go, it is the signal itself, if anything is known of its gain. There is no
+        integral unless one explains much more.
         """
         parts = list(zip(self.rows, self.periods, strict=True))
         ones = np.repeat(np.eye(len(parts)), [len(rows) for rows, _ in parts], axis=0)
@@ -189,8 +190,11 @@ class JointMotions:
                 other = min(some, key=lambda each: float(each.left @ each.left))
                 if best is None or self.gain_of(best.left, other.left) >= PENALTY:
                     best = other
-        if best is None:
+        if best is None and signal.uncertainty < 1.0:
             return signal
+        if best is None:  # about what bodies need, over how far it is behind
+            behind = np.concatenate([_late_error(rows, period, 0.0)[0] for rows, period in parts])
+            return replace(signal, gain=float(np.std(b) / max(np.std(behind), _NOTHING)))
         return replace(signal, gain=best.gain, delay=best.delay, integral=best.integral)
 
     def residual(self, servo: Array) -> Array:
