@@ -62,7 +62,7 @@ def measure(
     digest = digested(first)
     content = digest_content(digest)
     with tempfile.TemporaryDirectory() as folder:
-        path = Path(folder) / "digest.npz"
+        path = Path(folder) / "x.digest"
         path.write_bytes(content)
         works = {
             "made": lambda: digested(first),

@@ -25,6 +25,7 @@ import psutil
 
 from diagrams.benchmarks.fleets.logs import TYPES, FleetDraw, write_fleet_file, write_logs
 from diagrams.harness import positive_number, script_parser, show_values, write
+from geodrake.fleet import digest_files
 
 _POLL = 0.01  # s
 WORKER, RUN = "a worker", "the run"
@@ -51,7 +52,8 @@ class Digests:
 
     def look(self) -> int:
         """Return how many there are now."""
-        for path in self.folder.glob("*/digests/*.npz"):
+        folders = self.folder.glob("*/digests")
+        for path in (file for folder in folders for file in digest_files(folder)):
             stat = path.stat()
             now = stat.st_ino, stat.st_mtime_ns
             self.again += self.seen.setdefault(path.name, now) != now
