@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -217,11 +218,23 @@ def servos_of(model: RobotModel) -> tuple[EffortSignal | None, ...]:
     return tuple(each if each and each.kind == COMMAND else None for each in signals)
 
 
-def servo_gains(model: RobotModel) -> tuple[Array, Array, Array, Array, Array]:
-    """Return stiffness, damping, integral gain, largest effort and `rate_share` (n,) of servos.
+class ServoGains(NamedTuple):
+    """Gains of servos, all (n,); an infinite limit is none. See `PositionServo`."""
 
-    They are 0, 0, 0, ∞ and 1 where there is none.
-    """
+    kp: Array
+    kd: Array
+    ki: Array
+    limit: Array
+    dead_band: Array
+    rate_share: Array
+
+
+NO_SERVO = ServoGains(*np.array([0.0, 0.0, 0.0, np.inf, 0.0, 1.0]))
+"""Gains of a joint without a servo."""
+
+
+def servo_gains(model: RobotModel) -> ServoGains:
+    """Return the gains of the servos of a model's joints."""
     servos = servos_of(model)
     if not any(servos):
         raise ModelError(
@@ -233,10 +246,11 @@ def servo_gains(model: RobotModel) -> tuple[Array, Array, Array, Array, Array]:
             "Servos need joints of one degree of freedom each; this robot has others.",
             advice="Weld the base, or leave such joints out of the model.",
         )
-    none = (0.0, 0.0, 0.0, np.inf, 1.0)
-    rows = [(s.gain, s.damping, s.integral, s.limit, s.rate_share) if s else none for s in servos]
-    kp, kd, ki, limit, share = np.array(rows).T
-    return kp, kd, ki, limit, share
+    rows = [
+        (s.gain, s.damping, s.integral, s.limit, 0.0, s.rate_share) if s else NO_SERVO
+        for s in servos
+    ]
+    return ServoGains(*np.array(rows).T)
 
 
 def command_delays(model: RobotModel) -> Array:

@@ -268,7 +268,7 @@ def test_results_say_what_they_are_under(pendulum):
         ((), ("arm under the commands of log", "under the logged commands")),
         ((late,), ("Soft joints, play, their servos and motors", "delay, ms", "5.10", "13.000")),
     ):
-        found = RolloutFit(model, values, rollout, rollout, (False, True), 0.2, False)
+        found = RolloutFit(model, values, rollout, rollout, (False, True), 0.2)
         page = render(page_of(found, About("arm", ("log",))))
         assert all(word in page for word in words) and "logged efforts" not in page
     assert "(probability 0.20, 1 windows): further logs or more" in rollout_fit_words(found)

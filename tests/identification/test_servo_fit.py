@@ -12,7 +12,6 @@ from geodrake.control import PositionServo, roll_out
 from geodrake.control.export_proof import export_to
 from geodrake.control.systems.position_servo import (
     ServoError,
-    ServoGains,
     integral_rate,
 )
 from geodrake.control.systems.position_servo import servo_effort as effort_of
@@ -34,6 +33,7 @@ from geodrake.model.carried_payloads import carrying
 from geodrake.model.saved_model import load_model as load_saved
 from geodrake.model.saved_model import save_model
 from geodrake.model.signal_efforts import (
+    ServoGains,
     error_integral,
     in_efforts,
     limited_integral,

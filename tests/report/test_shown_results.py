@@ -61,7 +61,7 @@ def soft():
     model = replace(model, effects=(*model.effects, spring))
     motion = roll_out(model, [recorded()], horizon=0.1, most=4)
     value = FittedValue("joint_elasticity", "elbow", "compliance", 1e-3, 1e-4, 1e-5)
-    return RolloutFit(model, (value,), motion, motion, (False, True) * 2, 1.0, False)
+    return RolloutFit(model, (value,), motion, motion, (False, True) * 2, 1.0)
 
 
 MAKERS = {

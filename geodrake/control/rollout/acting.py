@@ -15,13 +15,19 @@ from geodrake.control.rollout.passages import Passage
 from geodrake.control.systems.position_servo import (
     PositionServo,
     ServoError,
-    ServoGains,
     servo_effort,
 )
 from geodrake.inertia import Array
 from geodrake.logs.motion import JointLog
 from geodrake.model.robot_model import RobotModel
-from geodrake.model.signal_efforts import command_delays, integral_effort, servo_gains, servos_of
+from geodrake.model.signal_efforts import (
+    NO_SERVO,
+    ServoGains,
+    command_delays,
+    integral_effort,
+    servo_gains,
+    servos_of,
+)
 
 _APART = 1e-9  # s, between instants of a trajectory
 _COMMANDS = ("commanded_position", "commanded_velocity")
@@ -47,10 +53,9 @@ class Acting:
         self._log, self._servos, self._delays = log, servos_of(model), command_delays(model)
         self._told = told_joints(model, log) if commands else np.zeros(count, bool)
         self._servoed = bool(self._told.any())
-        gains = servo_gains(model) if self._servoed else np.zeros((5, count))
-        kp, kd, self._ki = (np.where(self._told, gain, 0.0) for gain in gains[:3])
-        limits = np.where(self._told, gains[3], np.inf)
-        self.gains = ServoGains(kp, kd, self._ki, limits, np.zeros(count), np.asarray(gains[4]))
+        pairs = zip(servo_gains(model) if self._servoed else NO_SERVO, NO_SERVO, strict=True)
+        self.gains = ServoGains(*(np.where(self._told, own, none) for own, none in pairs))
+        self._ki = self.gains.ki
 
     def add(self, builder: DiagramBuilder, state: OutputPort) -> OutputPort:
         """Add the systems that make the efforts (n), N·m or N, and return their output.
@@ -58,12 +63,13 @@ class Acting:
         Args:
             state: Positions and velocities (2n) as they are measured, in the model's order.
         """
-        zero, gains = PiecewisePolynomial(np.zeros(len(self._told))), self.gains
+        zero = PiecewisePolynomial(np.zeros(len(self._told)))
         names = ("feedforward", *(_COMMANDS if self._servoed else ()))
         self._sources = {name: builder.AddSystem(TrajectorySource(zero)) for name in names}
         if not self._servoed:
             return self._sources["feedforward"].get_output_port()
-        servo = PositionServo(gains.kp, kd=gains.kd, ki=gains.ki, limit=gains.limit)
+        known = self.gains._replace(rate_share=np.ones(len(self._told)))  # as of `_late`
+        servo = PositionServo(**known._asdict())
         self._servo = builder.AddSystem(servo)
         builder.Connect(state, servo.GetInputPort("estimated_state"))
         for name, source in self._sources.items():

@@ -21,13 +21,13 @@ from geodrake.control.rollout.fit_servos import fit_servos, held_out
 from geodrake.control.rollout.linearized_motion import LinearizedMotion
 from geodrake.control.rollout.motion_search import MotionSearch, SearchWindow, blind_to, blinds
 from geodrake.control.rollout.passages import Passage, chosen_passages
-from geodrake.control.rollout.results import FittedValue, Rollout, RolloutFit
+from geodrake.control.rollout.results import BROKEN, FittedValue, Rollout, RolloutFit
 from geodrake.control.rollout.roll_out import (
     HORIZON,
     MOST_WINDOWS,
     Progress,
-    case_rollout,
     check_windows,
+    named_rollout,
 )
 from geodrake.control.rollout.rollout_values import (
     RolloutValue,
@@ -40,7 +40,6 @@ from geodrake.control.rollout.rollout_values import (
 from geodrake.control.rollout.simulation import simulations
 from geodrake.errors import LogError
 from geodrake.identification.logs.case import Case, checked_logs, open_case
-from geodrake.identification.logs.criteria import TIE
 from geodrake.identification.logs.evidence import tie_probability
 from geodrake.inertia import Array
 from geodrake.logs.motion import JointLog
@@ -48,7 +47,6 @@ from geodrake.model.robot_model import RobotModel
 
 Mask = NDArray[np.bool_]
 
-_BROKEN = 1e3  # rad or m, by which a simulation departs that broke off
 _FEWEST = 2  # windows to fit, and to test
 
 
@@ -104,12 +102,9 @@ def fit_rollouts(
     case = open_case(model, logs, candidates=False, bandwidth=bandwidth)
     passages = chosen_passages(case, horizon, most)
     tested = held_out([passage.log for passage in passages])
-
-    def simulated(model: RobotModel, name: str) -> Rollout:
-        of = replace(case, model=model)
-        told = progress and (lambda words, share: progress(f"{name}: {words}", share))
-        return case_rollout(of, horizon=horizon, most=most, commands=commands, progress=told)
-
+    simulated = partial(
+        named_rollout, case, horizon=horizon, most=most, commands=commands, progress=progress
+    )
     before = simulated(case.model, "before")
     usable = np.array([bool(np.isfinite(window.simulated).all()) for window in before.windows])
     fitted, seen = np.flatnonzero(usable & ~tested), np.flatnonzero(usable & tested)
@@ -129,15 +124,12 @@ def fit_rollouts(
     after = simulated(better, "after")
     departures = [after.windows[k].simulated - passages[k].logged for k in seen]
     chance = _chance(MotionSearch(case.model, values, [windows[k] for k in seen]), x, departures)
-    held = [rollout.part(tested.tolist()) for rollout in (before, after)]
-    departs_more = held[1].relative > held[0].relative or held[1].broken > held[0].broken
-    taken = chance <= TIE and not departs_more
     told = tuple(
         FittedValue(v.effect, v.joint, v.name, v.value, *now)
         for v, *now in zip(values, found.tolist(), deviations.tolist(), strict=True)
     )
-    model = better if taken else case.model
-    return RolloutFit(model, told, before, after, tuple(tested.tolist()), chance, taken)
+    fit = RolloutFit(better, told, before, after, tuple(tested.tolist()), chance)
+    return fit if fit.taken else replace(fit, model=case.model)
 
 
 def _windows(
@@ -206,7 +198,7 @@ def _chance(search: MotionSearch, x: Array, after: Sequence[Array]) -> float:
         np.array([np.sum(np.square(blind(d).reshape(d.shape)[:, own])) for blind, d in pairs])
         for pairs in (
             zip(earlier, departures, strict=True),
-            zip(later, [np.nan_to_num(d, nan=_BROKEN) for d in after], strict=True),
+            zip(later, [np.nan_to_num(d, nan=BROKEN) for d in after], strict=True),
         )
     ]
     if not losses[1].sum() < losses[0].sum():

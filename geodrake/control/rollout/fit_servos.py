@@ -4,15 +4,15 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
 
-from geodrake.control.rollout.results import FittedValue, Rollout, RolloutFit, Window
-from geodrake.control.rollout.roll_out import Progress, case_rollout
+from geodrake.control.rollout.results import BROKEN, FittedValue, Rollout, RolloutFit, Window
+from geodrake.control.rollout.roll_out import Progress, named_rollout
 from geodrake.errors import LogError
 from geodrake.identification.logs.case import Case
-from geodrake.identification.logs.criteria import TIE
 from geodrake.identification.logs.evidence import tie_probability
 from geodrake.identification.logs.servo_fit import PARAMETERS, ServoFit
 from geodrake.identification.logs.signal_calibration import BESIDE, with_servo_motions
@@ -23,7 +23,6 @@ from geodrake.model.robot_model import RobotModel
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 
-_BROKEN = 1e3  # rad or m, by which a simulation departs that broke off
 _BLOCKS = 4  # of the windows of one log, every other of which is held out
 _SERVO = {"stiffness": "gain", "rate": "damping", "delay": "delay", "integral": "integral"}
 
@@ -41,12 +40,9 @@ def fit_servos(
     Raises:
         LogError: No joint moves under its commands in simulation as it was measured to.
     """
-
-    def simulated(model: RobotModel, name: str) -> Rollout:
-        of = replace(case, model=model)
-        told = progress and (lambda words, share: progress(f"{name}: {words}", share))
-        return case_rollout(of, horizon=horizon, most=most, commands=True, progress=told)
-
+    simulated = partial(
+        named_rollout, case, horizon=horizon, most=most, commands=True, progress=progress
+    )
     before = simulated(case.model, "before")
     tested = held_out([window.log for window in before.windows])
     seen = _seen(case.asked.logs, before, tested)
@@ -59,17 +55,16 @@ def fit_servos(
             advice="Are commands and positions in the same unit? geodrake log LOG --model MODEL.",
         )
     after = simulated(half, "after")
-    held = [rollout.part(tested.tolist()) for rollout in (before, after)]
-    losses = [np.concatenate([_losses(window) for window in part.windows]) for part in held]
-    chance = tie_probability(losses[1], losses[0])
-    better = held[1].relative < held[0].relative and held[1].broken <= held[0].broken
-    taken = bool(better and chance <= TIE)
-    found = case.model
-    if taken:
-        found, fits = with_servo_motions(case.model, case.asked.logs)
-    return RolloutFit(
-        found, _values(case.model, fits), before, after, tuple(tested.tolist()), chance, taken
-    )
+    losses = [
+        np.concatenate([_losses(w) for w, held in zip(each.windows, tested, strict=True) if held])
+        for each in (before, after)
+    ]
+    chance, values = tie_probability(losses[1], losses[0]), _values(case.model, fits)
+    fit = RolloutFit(case.model, values, before, after, tuple(tested.tolist()), chance)
+    if not fit.taken:
+        return fit
+    found, fits = with_servo_motions(case.model, case.asked.logs)
+    return replace(fit, model=found, values=_values(case.model, fits))
 
 
 def held_out(logs: Sequence[str]) -> Mask:
@@ -103,7 +98,7 @@ def _seen(logs: Sequence[JointLog], rollout: Rollout, tested: Mask) -> list[Join
 
 def _losses(window: Window) -> Array:
     """Return the sums of squares (nv,) by which the joints of a window depart."""
-    departure = np.nan_to_num(window.simulated - window.measured, nan=_BROKEN)
+    departure = np.nan_to_num(window.simulated - window.measured, nan=BROKEN)
     return np.asarray(np.sum(np.square(departure), axis=0))
 
 

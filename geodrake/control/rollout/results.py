@@ -8,11 +8,15 @@ from dataclasses import dataclass
 import numpy as np
 
 from geodrake.boundary.showing import Short, Shown
+from geodrake.identification.logs.criteria import TIE
 from geodrake.inertia import Array
 from geodrake.model.effort_signal import COMMAND, SERVO
 from geodrake.model.robot_model import RobotModel
 
 _AT_REST = 1e-9  # rad or m: rounding of a smoothed position
+
+BROKEN = 1e3
+"""By so much a simulation departs that broke off, rad or m."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -135,7 +139,6 @@ class RolloutFit(Shown):
         after: That with what was fitted, taken or not.
         tested: Which windows the fit did not see.
         chance: Chance that it is truly no better in those.
-        taken: Whether it predicts those better, by more than chance.
     """
 
     model: RobotModel
@@ -144,7 +147,13 @@ class RolloutFit(Shown):
     after: Rollout
     tested: tuple[bool, ...]
     chance: float
-    taken: bool
+
+    @property
+    def taken(self) -> bool:
+        """Whether it predicts those better, by more than chance."""
+        before, after = self.held_out
+        worse = after.relative > before.relative or after.broken > before.broken
+        return self.chance <= TIE and not worse
 
     @property
     def held_out(self) -> tuple[Rollout, Rollout]:

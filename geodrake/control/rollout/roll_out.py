@@ -161,6 +161,22 @@ def case_rollout(
     return Rollout.of(model.joints, windows, horizon, (*case.notes, *notes), commands)
 
 
+def named_rollout(
+    case: Case,
+    model: RobotModel,
+    name: str,
+    *,
+    horizon: float,
+    most: int,
+    commands: bool,
+    progress: Progress | None,
+) -> Rollout:
+    """Return the rollout of another model of a case, whose progress is told with a name."""
+    told = progress and (lambda words, share: progress(f"{name}: {words}", share))
+    of = replace(case, model=model)
+    return case_rollout(of, horizon=horizon, most=most, commands=commands, progress=told)
+
+
 def _alike(case: Case, log: str) -> str:
     """Return the name of a log whose passages are simulated by themselves, or no name."""
     episodes = any(fitted.effect.role is Role.EPISODE for fitted in case.model.effects)

@@ -26,7 +26,6 @@ from geodrake.control.rollout.passages import Passage
 from geodrake.control.rollout.simulation import FASTEST, LEAST_SPEED, SIGN_WIDTH, hidden_states
 from geodrake.control.systems.position_servo import (
     ServoError,
-    ServoGains,
     integral_rate,
     servo_effort,
 )
@@ -39,6 +38,7 @@ from geodrake.logs.motion import Motion
 from geodrake.logs.temperatures import Temperatures
 from geodrake.model.carried_payloads import carrying
 from geodrake.model.robot_model import RobotModel
+from geodrake.model.signal_efforts import ServoGains
 from geodrake.robot.effort_slopes import effort_slopes
 from geodrake.robot.regressor import inverse_dynamics
 

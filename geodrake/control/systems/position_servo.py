@@ -20,20 +20,9 @@ from geodrake.errors import ArgumentError
 from geodrake.inertia import Array
 from geodrake.inertia.bodies import check_context
 from geodrake.model.robot_model import RobotModel
-from geodrake.model.signal_efforts import command_delays, servo_gains
+from geodrake.model.signal_efforts import ServoGains, command_delays, servo_gains
 from geodrake.model.simulation.robot_in_diagram import RobotInDiagram, late
 from geodrake.model.simulation.scalar_system import differenced
-
-
-class ServoGains(NamedTuple):
-    """Gains of servos, all (n,), as `PositionServo` has them; an infinite limit is none."""
-
-    kp: Array
-    kd: Array
-    ki: Array
-    limit: Array
-    dead_band: Array
-    rate_share: Array
 
 
 class ServoError(NamedTuple):
@@ -215,8 +204,7 @@ class PositionServo(LeafSystem):
         Raises:
             ModelError: It has no servos, or joints of several degrees of freedom.
         """
-        kp, kd, ki, limit, share = servo_gains(instance(model, "model", RobotModel))
-        return PositionServo(kp, kd=kd, ki=ki, limit=limit, rate_share=share)
+        return PositionServo(**servo_gains(instance(model, "model", RobotModel))._asdict())
 
     @staticmethod
     def AddToBuilder(
