@@ -202,20 +202,26 @@ def rows_without(J: Array, flags: NDArray[np.bool_], scales: Array, base: Sequen
 @inlined
 def _orthogonalize(basis: Array, k: int) -> None:
     """Make row k of a basis orthogonal to those before it, of length one, or zero."""
-    row, whole, size = basis[k], 0.0, 0.0
+    row, whole = basis[k], 0.0
     for i in range(len(row)):
         whole += row[i] * row[i]
-    for _ in range(2):  # once leaves what rounding left of the first ones
+    size, before = whole, np.inf
+    while size < 0.5 * before:  # once leaves what rounding left of the first ones
+        before = size
         for other in range(k):
             along = 0.0
             for i in range(len(row)):
                 along += basis[other, i] * row[i]
             for i in range(len(row)):
                 row[i] -= along * basis[other, i]
+        size = 0.0
+        for i in range(len(row)):
+            size += row[i] * row[i]
+        if size <= _NONE**2 * whole:
+            row[:] = 0.0
+            return
     for i in range(len(row)):
-        size += row[i] * row[i]
-    for i in range(len(row)):
-        row[i] = row[i] / np.sqrt(size) if size > _NONE**2 * whole else 0.0
+        row[i] /= np.sqrt(size)
 
 
 @compiled
