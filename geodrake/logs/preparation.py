@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from geodrake.errors import ArgumentError, LogError
 from geodrake.logs.filtering import (
     HIGHEST_BANDWIDTH,
+    LEAST_SPECTRUM,
     ZeroPhaseFilter,
     choose_bandwidth,
     design_filter,
@@ -84,10 +85,20 @@ def prepare_logs(
 
 
 def motion_bandwidth_of(uniform: Sequence[UniformLog], *, time_scale: float = 1.0) -> float:
-    """Return the bandwidth of the motion in logs, Hz; their time may be on another scale."""
+    """Return the bandwidth of the motion in logs, Hz; their time may be on another scale.
+
+    It is no lower than that of each log alone: where one is slow and another quick, the spectrum of
+    both may seem to end between them.
+    """
     moving = np.any([each.moving for each in uniform], axis=0)
-    parts = [(each.period * time_scale, part) for each in uniform for part in each.sample_parts()]
-    chosen = choose_bandwidth([(part.position[:, moving], period) for period, part in parts])
+    parts = [
+        [(part.position[:, moving], each.period * time_scale) for part in each.sample_parts()]
+        for each in uniform
+    ]
+    chosen = choose_bandwidth([piece for own in parts for piece in own])
+    long = [own for own in parts if any(len(piece) >= LEAST_SPECTRUM for piece, _ in own)]
+    if len(long) > 1:
+        chosen = max(chosen, min(map(choose_bandwidth, long)))
     return chosen * time_scale
 
 

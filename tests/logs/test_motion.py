@@ -14,8 +14,9 @@ from geodrake.logs.files import read_log
 from geodrake.logs.filtering import design_filter
 from geodrake.logs.folds import validation_blocks
 from geodrake.logs.motion import JointLog, Motion, Trajectory, check_joints
-from geodrake.logs.preparation import prepare_logs
+from geodrake.logs.preparation import motion_bandwidth_of, prepare_logs
 from geodrake.logs.smoothing import Piece, Stretch
+from geodrake.logs.uniform_log import make_uniform
 
 JOINTS = ("shoulder", "elbow")
 RATES = 2 * np.pi * np.array([0.3, 0.5])
@@ -199,6 +200,27 @@ def test_velocities_are_used_joint_by_joint():
     truth = RATES * np.cos(RATES * segment.time[:, None])
     np.testing.assert_allclose(segment.velocity, truth, atol=2e-3)
     assert trajectory.acceleration_noise[0] < 1e-3
+
+
+def test_a_gait_beside_a_slow_sway_lowers_no_bandwidth():
+    """Accelerations by the impacts of a gait have no valley, so that all seems to be noise."""
+    time, rng = _uniform(40.0, 0.005), np.random.default_rng(0)
+    frequency = np.fft.rfftfreq(len(time), 0.005)
+    slow = (frequency > 0.2) & (frequency < 1.8)
+    sway = np.where(slow, np.maximum(frequency / 0.3, 1.0), 0.0)
+    gait = np.where(frequency >= 1.8, 60.0, 0.0)
+
+    def made(power):
+        """Return positions whose accelerations have a spectrum."""
+        phases = rng.uniform(0.0, 2.0 * np.pi, (len(frequency), 2))
+        size = np.sqrt(power) / np.maximum(frequency, 0.1) ** 2
+        return np.fft.irfft(size[:, None] * np.exp(1j * phases), len(time), axis=0)
+
+    noise = 1e-4 * made(sway).std() * rng.normal(size=(2, len(time), 2))
+    positions = made(sway) + noise[0], 0.5 * made(sway) + made(gait) + noise[1]
+    logs = [make_uniform(replace(_make_log(time), position=each)) for each in positions]
+    alone = [motion_bandwidth_of([log]) for log in logs]
+    assert motion_bandwidth_of(logs) >= min(alone) > 5.0
 
 
 def test_shapes_and_time_are_checked():
