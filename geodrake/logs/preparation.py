@@ -30,6 +30,7 @@ Array = NDArray[np.float64]
 LEAST_OUTPUTS = 10  # filtered samples that a log must give to be of use
 _STILL_SPEED, _SPEED_NOISE = 0.01, 4.0  # of the peak speed, and deviations of the speed's noise
 _SHARPER = 3.0  # bandwidth of the smoothed motion over that of efforts and regressors
+_CLEARLY = 2.0  # bandwidth of each log alone over that of all: less is chance
 _SPEED_AGREEMENT = 0.05  # relative RMS of measured velocity − derivative of position
 _FREQUENCIES = 257  # at which the noise of accelerations is added up
 _NOTED_LOSS, _MUCH = 1e-3, 0.01  # of a log's time, that is said, and said before all else
@@ -87,8 +88,8 @@ def prepare_logs(
 def motion_bandwidth_of(uniform: Sequence[UniformLog], *, time_scale: float = 1.0) -> float:
     """Return the bandwidth of the motion in logs, Hz; their time may be on another scale.
 
-    It is no lower than that of each log alone: where one is slow and another quick, the spectrum of
-    both may seem to end between them.
+    It is not clearly lower than that of each log alone: where one is slow and another quick, the
+    spectrum of both may seem to end between them.
     """
     moving = np.any([each.moving for each in uniform], axis=0)
     parts = [
@@ -97,9 +98,8 @@ def motion_bandwidth_of(uniform: Sequence[UniformLog], *, time_scale: float = 1.
     ]
     chosen = choose_bandwidth([piece for own in parts for piece in own])
     long = [own for own in parts if any(len(piece) >= LEAST_SPECTRUM for piece, _ in own)]
-    if len(long) > 1:
-        chosen = max(chosen, min(map(choose_bandwidth, long)))
-    return chosen * time_scale
+    alone = min(map(choose_bandwidth, long)) if len(long) > 1 else chosen
+    return (alone if alone > _CLEARLY * chosen else chosen) * time_scale
 
 
 def _prepare(
