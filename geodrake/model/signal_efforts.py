@@ -121,15 +121,24 @@ def _parts(
 
 def delayed_command(log: JointLog, at: int, delay: float) -> tuple[Array, Array]:
     """Return the command of a joint as it was some seconds before, and its rate."""
-    column = np.full(len(log), np.nan) if log.command is None else log.command[:, at]
-    known = np.isfinite(column) & np.isfinite(log.time)
-    if np.count_nonzero(known) < 2:
+    late, told, rates = late_commands(log, at, delay)
+    if len(late) < 2 or log.command is None:
         nothing = np.full(len(log), np.nan)
         return nothing, nothing
-    late, told = log.time[known] + delay, column[known]
-    there = np.where(np.isfinite(column), 0.0, np.nan)
-    rate = np.interp(log.time, late, np.gradient(told, late))
+    there = np.where(np.isfinite(log.command[:, at]), 0.0, np.nan)
+    rate = np.interp(log.time, late, rates)
     return np.interp(log.time, late, told) + there, rate + there
+
+
+def late_commands(log: JointLog, at: int, delay: float) -> tuple[Array, Array, Array]:
+    """Return the instants (K,) at which commands of a joint act, s, the commands, and their rates.
+
+    They are those of the log that are known.
+    """
+    column = np.full(len(log), np.nan) if log.command is None else log.command[:, at]
+    known = np.isfinite(column) & np.isfinite(log.time)
+    late, told = log.time[known] + delay, column[known]
+    return late, told, np.gradient(told, late) if len(late) > 1 else np.zeros(len(late))
 
 
 def _velocity(log: JointLog, at: int) -> Array:

@@ -25,6 +25,7 @@ from geodrake.model.signal_efforts import (
     ServoGains,
     command_delays,
     integral_effort,
+    late_commands,
     servo_gains,
     servos_of,
 )
@@ -148,13 +149,10 @@ class Acting:
 
     def _late(self, passage: Passage) -> dict[int, tuple[Array, Array, Array]]:
         """Joint that is told -> instants when commands act, commands, and their known rates."""
-        whole, command, found = self._log.time - passage.began, self._log.command, {}
+        found = {}
         for j in np.flatnonzero(self._told).tolist():
-            column = np.empty(0) if command is None else command[:, j]
-            known = np.isfinite(column) & np.isfinite(whole)
-            late = whole[known] + self._delays[j]
-            rate = np.gradient(column[known], late) if len(late) > 1 else np.zeros(len(late))
-            found[j] = late, column[known], self.gains.rate_share[j] * rate
+            late, told, rate = late_commands(self._log, j, self._delays[j])
+            found[j] = late - passage.began, told, self.gains.rate_share[j] * rate
         return found
 
 
