@@ -12,13 +12,10 @@ from geodrake.diagnosis.search import Found
 from geodrake.effects import FittedEffect
 from geodrake.identification.logs.case import Case, reopen
 from geodrake.identification.logs.dataset import Dataset
-from geodrake.identification.logs.hypothesis import Hypothesis, most_likely, reweight
+from geodrake.identification.logs.hypothesis import Hypothesis
 from geodrake.identification.logs.model_fit import ModelFit, fit_model, model_unknowns
 from geodrake.identification.logs.unknowns import Unknowns, effect_prior
 from geodrake.model.robot_model import RobotModel
-
-_MOST_ITERATIONS = 10
-"""Refits until the weights stay: a prior from another fit gives way step by step."""
 
 
 def final_fit(case: Case, found: Found) -> tuple[Case, ModelFit]:
@@ -37,26 +34,26 @@ def final_fit(case: Case, found: Found) -> tuple[Case, ModelFit]:
     more = _with_companions(known, found.case.dataset).effects[len(known.effects) :]
     beside = [FittedEffect(effect, np.zeros(1)) for effect in more]
     reopened = reopen(found.case, replace(model, effects=(*model.effects, *beside, *lags)))
-    settled = end.moved(reopened.dataset, delay=0, iterations=_MOST_ITERATIONS)
-    unknowns = _with_companions(settled.unknowns, reopened.dataset)
+    dataset = reopened.dataset
+    unknowns = _with_companions(known.on(dataset), dataset)
     if case.model.information is None:  # what no log shows to be another may be off all the same
-        stated, others = model_unknowns(reopened.dataset, case.model), found.fit.terms
+        stated, others = model_unknowns(dataset, case.model), found.fit.terms
         for effect in {*stated.effects} - {term.effect for term in others}:
             span = stated.span(effect)
             unknowns = unknowns.released(effect, stated.information[span, span], stated.mean[span])
     for effect, mean, information in search.likely_loads(was, width):
         unknowns = unknowns.released(effect, information, mean)
-    settled = reweight(replace(settled, unknowns=unknowns), iterations=_MOST_ITERATIONS)
+    # Noise is that of the search: what gains of efforts leave is none, and no joint is given up.
+    settled = Hypothesis.of(dataset, unknowns, search.joint_weights(near), end.effective)
     seen = tuple(dict.fromkeys((*case.model.fitted_to, *case.fingerprints)))
     base = replace(reopened.model, effects=case.model.effects, information=case.model.information)
     base = replace(base, phi=case.model.phi, fitted_to=seen, bandwidths=case.bandwidths)
-    # With maximum likelihood the information is that of the parameters.
-    unknowns, weights = most_likely(settled)
     fit = fit_model(
         base,
-        reopened.dataset,
-        unknowns,
-        weights,
+        dataset,
+        settled.unknowns,
+        settled.weights,
+        held_out=settled.held_out,
         effective=settled.effective,
         of_motion=share_of_motion(reopened, settled),
         delays=lags,

@@ -317,7 +317,7 @@ def holds(found: Found, finding: Finding, before: HeldOut, after: HeldOut) -> bo
 
     The squared error of the joints that feel it must fall, in the mean over the folds, by more than
     the standard error of that mean: what shows in one fold alone just does. That of all joints, as
-    nrms counts them, must not rise by as much. Bodies that are far from the file predict as a
+    nrms counts them, must not rise. Bodies that are far from the file predict as a
     payload does that they take in, so that it is judged with bodies that stay; not one that is
     there for a while.
     """
@@ -326,12 +326,11 @@ def holds(found: Found, finding: Finding, before: HeldOut, after: HeldOut) -> bo
         before, after = (found.model.validated(fit).held_out for fit in fits)
     scale = np.maximum(found.model.dataset.effort_std, np.finfo(float).tiny)
     own = felt(found, finding) / np.maximum(before.mse, np.finfo(float).tiny)
-    falls = (before.sse - after.sse) @ np.stack([own, scale**-2.0], 1)
-    errors = np.zeros(2)
+    falls, total = ((before.sse - after.sse) @ np.stack([own, scale**-2.0], 1)).T
+    error = 0.0
     if len(falls) > 1:
-        errors = (1.0 - _ROUNDING) * falls.std(axis=0, ddof=1) / np.sqrt(len(falls))
-    mean = falls.mean(axis=0)
-    return bool(mean[0] > errors[0] and mean[1] > -errors[1])
+        error = (1.0 - _ROUNDING) * float(falls.std(ddof=1)) / np.sqrt(len(falls))
+    return bool(falls.mean() > error and total.mean() > -_ROUNDING * np.abs(total).mean())
 
 
 def largest_residual(found: Found) -> float:

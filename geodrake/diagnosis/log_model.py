@@ -124,7 +124,9 @@ class LogModel:
     """The Gaussian model of reduced logs.
 
     `effects` are those that the model may lack, and `on_time` (nv,) is the index of the dataset's
-    delay that the model itself has.
+    delay that the model itself has. `loads` (nb, 10) are the bodies and what they carry, whose
+    efforts gains scale, and `file_delays` (nv,) are delays that the file states, s; those of the
+    model by default.
     """
 
     def __init__(
@@ -134,8 +136,14 @@ class LogModel:
         effects: Sequence[Effect],
         beliefs: Beliefs,
         on_time: Delay,
+        *,
+        loads: Array | None = None,
+        file_delays: Array | None = None,
     ) -> None:
         self.model, self.dataset, self.beliefs, self.on_time = model, dataset, beliefs, on_time
+        self.loads, self.file_delays = loads, file_delays
+        found = np.zeros(len(model.joints)) if file_delays is None else model.delays - file_delays
+        self._found_delays = found
         self.unknowns = model_unknowns(dataset, model, stated=_STATED)
         keys = frozenset(
             key_of(effect, kind)
@@ -149,6 +157,7 @@ class LogModel:
         self._other_odds = dict[tuple[float, Delay], float]()
         self.widths = beliefs.widths if model.information is None else (1.0, 3.0)
         self.rows = dataset.rows.astype(float)
+        self.floor = np.square(LEAST_NOISE * np.maximum(dataset.effort_std, 1e-12))
         self._bodies = len(dataset.bodies) * PARAMETERS_PER_BODY
         self._assemble()
         self._shares = dict[object, Array]()
@@ -178,16 +187,7 @@ class LogModel:
             self.prior_scores[at[0]] = term.log_information - term.prior_distance
             self.owner[at], self.positive[at[term.positive]] = k, True
         rates, unsure_delay = self._rates()
-        places, self._mixed = np.full((nv, len(columns)), -1), list[Array]()
-        for j, joint in enumerate(data.data):
-            own, n = joint.local(self.unknowns.columns), joint.factors.shape[2]
-            mixed = np.zeros((n, 2))
-            mixed[own[own >= 0], 0] = self.unknowns.mean[own >= 0]
-            mixed[len(joint.columns) :, 1] = rates[:, j]
-            self._mixed.append(mixed)
-            known = columns >= 0
-            places[j, known] = joint.local(columns[known])
-            places[j, len(self.unknowns.columns) + np.array([j, nv])] = n, n + 1
+        places = self._places(columns, rates)
         # Of each block the normal matrix of the columns of its joint, efforts, load and rate of its
         # efforts, and zeros for what it is not; and where in it every column of the model stands.
         self._unsure = {effect.joint: self._unsure_column(effect) for effect in self._reversals}
@@ -216,7 +216,26 @@ class LogModel:
             for _ in effect.parameters
         ]
         self._nuisances = np.concatenate([gains, [unsure_delay**-2.0], unsure])
-        self.floor = np.square(LEAST_NOISE * np.maximum(data.effort_std, 1e-12))
+
+    def _places(self, columns: Indices, rates: Array) -> Indices:
+        """Return where all columns (n,) stand in those of each joint (nv, n), −1 where nowhere.
+
+        What gains and errors of the delay do, by the loads and `rates` (K, nv), comes after a
+        joint's own columns and efforts.
+        """
+        p, nv, first = len(self.unknowns.columns), len(self.dataset.joints), self._bodies
+        loads = self.unknowns.mean[:first] if self.loads is None else self.loads.ravel()
+        known = np.concatenate([loads, self.unknowns.mean[first:]])
+        places, self._mixed, real = np.full((nv, len(columns)), -1), list[Array](), columns >= 0
+        for j, joint in enumerate(self.dataset.data):
+            own, n = joint.local(self.unknowns.columns), joint.factors.shape[2]
+            mixed = np.zeros((n, 2))
+            mixed[own[own >= 0], 0] = known[own >= 0]
+            mixed[len(joint.columns) :, 1] = rates[:, j]
+            self._mixed.append(mixed)
+            places[j, real] = joint.local(columns[real])
+            places[j, p + np.array([j, nv])] = n, n + 1
+        return places
 
     def _blocks(self) -> list[tuple[int, int, Array]]:
         """Return joint, number of rows and normal matrix of each block, those of all joints first.
@@ -259,6 +278,11 @@ class LogModel:
     def of_joints(self, values: Array) -> Array:
         """Return sums (nv,) over the blocks of each joint of values (B,)."""
         return np.bincount(self.joint_of, values, len(self.rows)).astype(float)
+
+    def joint_weights(self, fit: Fit) -> Array:
+        """Return weights (nv,) of squared residuals of a fit, reversals like other rows."""
+        noise = self.of_joints(fit.noise * self.block_rows) / self.of_joints(self.block_rows)
+        return fit.weights[: len(noise)] * fit.variance / noise
 
     def _rates(self) -> tuple[Array, float]:
         """Return weights (K, nv) that make rates of efforts of those at all delays, in 1/s.
@@ -314,11 +338,12 @@ class LogModel:
 
     def _odds_of_coordinates(self, choice: Choice) -> float:
         """Return twice the logarithm of the odds against its width and delays alone."""
-        beliefs, total, late = self.beliefs, 0.0, np.not_equal(choice.delay, self.on_time)
+        beliefs, total = self.beliefs, 0.0
+        delays = self._found_delays + self.lateness(choice)
+        late = np.abs(delays) > _ON_TIME
         if late.any():
-            alike = late.all() and len(np.unique(np.round(self.lateness(choice), 9))) == 1
             total += 2.0 * np.log(beliefs.delays)
-            if not alike:
+            if np.ptp(delays) > _ON_TIME:
                 total += 2.0 * int(late.sum()) * np.log(beliefs.again * beliefs.shape)
         # Of widths that explain the same, the narrower one is the simpler one.
         total += 2.0 * np.log1p(_SIMPLER * np.searchsorted(self.widths, choice.width))

@@ -233,9 +233,11 @@ class _Finder:
         ]
         if len(here) > 2:
             packages += [tuple(t for t in here if t is not one) for one in here]
-        # One takes the place of one or of two, or two that of one.
+        # One takes the place of one or of two, or simple ones that of one.
         trades: list[tuple[Terms, Terms]] = [((one,), (t,)) for one in here for t in pool]
-        trades += [((one,), pair) for one in here for pair in combinations(plain, 2)]
+        for one in here:
+            for count in range(2, len(one.columns)):
+                trades += [((one,), simpler) for simpler in combinations(plain, count)]
         trades += [(pair, (t,)) for pair in combinations(here, 2) for t in pool]
         packages += [
             (*(t for t in here if t not in gone), *come)

@@ -237,7 +237,7 @@ def fading_speeds(case: Case, model: LogModel, fit: Fit) -> Array | None:
         other = replace(robot, fading_speed=speeds)
         there = replace(case, model=other, shared=case.shared.read_only())
         dataset = reduced(there, list(dict.fromkeys(effects)))
-        bare = LogModel(other, dataset, effects, model.beliefs, model.on_time)
+        bare = LogModel(other, dataset, effects, model.beliefs, model.on_time, loads=case.loads)
         return bare.refitted(fit).variance
 
     before = errors(known)

@@ -279,7 +279,9 @@ class Search:
             return True
         if expansions(self.case, self.model, fit):
             return True
-        return bool(finer_shapes(fit.terms, self._grid, self._zooms))
+        if finer_shapes(fit.terms, self._grid, self._zooms):
+            return True
+        return self._other_loads(fit) is not None
 
     def _made(self) -> LogModel:
         """Return the Gaussian model of the case with columns for all that is tried."""
@@ -292,7 +294,15 @@ class Search:
         dataset = reduced(self.case, columns, delays=self._delays, same_noise=known)
         self._measured = self.case
         self.case = replace(self.case, dataset=dataset)
-        return LogModel(model, dataset, self._effects, self._beliefs, self._on_time)
+        return LogModel(
+            model,
+            dataset,
+            self._effects,
+            self._beliefs,
+            self._on_time,
+            loads=self.case.loads,
+            file_delays=self._origin,
+        )
 
     def _anew(self, moved: dict[Effect, Effect] | None = None, *, retimed: bool = False) -> None:
         """Make columns for what is tried now, and carry the explanation over.
@@ -392,15 +402,22 @@ class Search:
         moved |= instants(self.case, self.model, self.fit)
         if moved:
             self._effects = [moved.get(effect, effect) for effect in self._effects]
-        loads = fitted_loads(self.case, self.model, self.fit)
-        effects = [term.effect for term in self.fit.terms if not term.is_body]
-        if loads is not None and any(e and "load" in e.depends_on for e in effects):
+        loads = self._other_loads(self.fit)
+        if loads is not None:
             self.case = replace(self.case, loads=loads)
             changed = True
         if changed or near or moved:
             self._anew(moved, retimed=retimed)
             return True
         return False
+
+    def _other_loads(self, fit: Fit) -> Array | None:
+        """Return the loads (nb, 10) of a fit if what scales with them is to be made anew."""
+        effects = [term.effect for term in fit.terms if not term.is_body]
+        loaded = any(e and "load" in e.depends_on for e in effects)
+        if not loaded and not self.case.dataset.gain_uncertainty.any():
+            return None
+        return fitted_loads(self.case, self.model, fit)
 
     def _simplified(self) -> bool:
         """Offer finer shapes of one effect for crowded joints; return whether any was new."""
@@ -455,9 +472,10 @@ class Search:
         half = 0.25 * self._step if self._is_timed else 0.5 * self._step
         grid = np.unique(np.concatenate([self._step * np.arange(-3, 4), [half, -half]]))
         others = [x for x in grid.tolist() if abs(x) > 1e-12]
-        known = [delays - self.case.model.delays for delays in self._tried]
+        found = self.case.model.delays
+        known = [delays - found for delays in self._tried]
         self._delays = [0.0, *known, *others]
-        self._tried.append(self.case.model.delays)
+        self._tried.append(found)
         self._on_time = (1,) * len(delay)
         self._is_timed = True
         return True

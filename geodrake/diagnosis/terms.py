@@ -128,17 +128,18 @@ def terms_of(
         odds, is_own = float(len(places[type(effect)])), effect in own
         if body := is_body(effect):
             held_by = places[type(effect)]
-            usual = sum(where[0] in model.load_bodies for where in held_by)
+            tips = sum(where[0] in model.load_bodies for where in held_by)
             last = effect.where[0] in model.load_bodies
             priors = (
                 changed if is_own else carried if last else [carried[max(len(carried) + _USUAL, 0)]]
             )
-            odds = len(priors) * (usual + (len(held_by) - usual) / beliefs.inner)
+            odds = len(priors) * (tips + (len(held_by) - tips) / beliefs.inner)
             odds *= 1.0 if last else beliefs.inner
         else:
             slabs = _slabs(effect, sizes[columns], beliefs)
             odds *= len(slabs)
-            priors = [(np.zeros(len(columns)), slab) for slab in slabs]
+            usual = np.array([parameter.usual for parameter in effect.parameters])
+            priors = [(usual, slab) for slab in slabs]
             if is_own:  # what a file states is as likely wrong as right
                 odds = 1.0 if model.information is None else odds * beliefs.fitted
         bounded = [0] if body else [k for k, p in enumerate(effect.parameters) if p.lower == 0.0]
@@ -178,7 +179,9 @@ def _prices(effect: Effect, odds: float, beliefs: Beliefs, *, body: bool) -> tup
     shape = beliefs.order if effect.proposer in _IN_MANY else beliefs.shape
     price = 2.0 * np.log(shape) * effect.free_shapes + _ODD_SHAPE * odd
     first = price + 2.0 * (np.log(odds) + effect.complexity * np.log(beliefs.rarer))
-    again = first if body else min(first, price + 2.0 * np.log(beliefs.again))
+    # What is at one joint is likely at others; what is at one pair or body tells little of more.
+    usual = effect.places == "joint" and not body
+    again = min(first, price + 2.0 * np.log(beliefs.again)) if usual else first
     return float(first), float(again)
 
 
@@ -202,14 +205,18 @@ def _wrong_bodies(model: RobotModel, dataset: Dataset, beliefs: Beliefs) -> list
 
 
 def _column_sizes(dataset: Dataset) -> Array:
-    """Return (p,) largest RMS of every column, over the deviation of the joint's effort."""
+    """Return (p,) largest RMS of every column, over that of the joint's effort.
+
+    Where nothing drives a joint, its effort is what its motion needs.
+    """
     width = 1 + max(int(data.columns.max(initial=0)) for data in dataset.data)
     sizes = np.zeros(width)
     for data, deviation in zip(dataset.data, dataset.effort_std, strict=True):
-        rows = int(data.samples.sum())
+        rows, at = int(data.samples.sum()), data.columns
         if rows and deviation > 0.0:
-            power = np.square(data.factors[:, :, : len(data.columns)]).sum(axis=(0, 1)) / rows
-            sizes[data.columns] = np.maximum(sizes[data.columns], np.sqrt(power) / deviation)
+            powers = np.square(data.factors[:, :, : len(at) + 1]).sum(axis=(0, 1)) / rows
+            scale = max(float(np.sqrt(powers[-1])), float(deviation))
+            sizes[at] = np.maximum(sizes[at], np.sqrt(powers[:-1]) / scale)
     return sizes
 
 

@@ -83,7 +83,8 @@ class Parameter:
     Units are those of a revolute joint; at a prismatic joint read N for N·m and m for rad.
 
     Attributes:
-        spread: How large it may be, as far as anybody knows; a fit holds what the data do not tell.
+        usual: What it is if anybody knows, as 1 for a share of what a shape says.
+        spread: How far from that it may be; a fit holds what the data do not tell.
 
     Raises:
         ArgumentError: Name or unit are no printable words, or no value lies between the bounds.
@@ -94,6 +95,7 @@ class Parameter:
     lower: float = -np.inf
     upper: float = np.inf
     spread: float = np.inf
+    usual: float = 0.0
 
     def __post_init__(self) -> None:
         named: Any = (("name", self.name), ("unit", self.unit))

@@ -269,7 +269,7 @@ class Backlash(DeflectionEffect):
     law = "a dead band between the measured motor and its link"
     proposer = Proposer.PLAY
     shapes = (Shape("half_width", "rad", grid=(1e-5, 3e-5, 1e-4, 3e-4, 1e-3, 3e-3, 1e-2)),)
-    parameters = (Parameter("gap_share", "1", lower=0.0),)
+    parameters = (Parameter("gap_share", "1", lower=0.0, spread=0.2, usual=1.0),)
     signature = "no load for a moment where the load changes its sign, and then a blow"
     positive = ("half_width",)
 

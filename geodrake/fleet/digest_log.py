@@ -178,7 +178,7 @@ def make_settings(
         float(motion_bandwidth),
         widths,
         layout.still_speed,
-        candidate_delays(trajectory.filter.period, trajectory.filter.bandwidth),
+        candidate_delays(trajectory.filter),
         tuple(map(DigestEffect.of, effects)),
         base.independent,
         base.matrix,

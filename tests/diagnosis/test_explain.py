@@ -372,7 +372,10 @@ def test_uncertain_gains_of_efforts_are_a_second_deviation(model, logs):
         ]
         assert by_gains[0] > 0.0
         assert by_gains[0] < by_gains[1] < 2.001 * by_gains[0]
-        assert none.deviations["elbow"][name] == pytest.approx(once.deviations["elbow"][name])
+        assert none.deviations["elbow"][name] == pytest.approx(
+            once.deviations["elbow"][name],
+            rel=1e-3,  # noise is what is left beside gains
+        )
 
 
 def test_add_to_all_joints_by_default(model, logs):

@@ -57,8 +57,9 @@ def test_it_holds_on_another_log(faded, tmp_path):
     assert again < 0.5 * jumping
 
 
-def test_another_log_needs_nothing_more(faded):
-    found = explain(faded.model, [rubbing(3, 0.02).log])
+@pytest.mark.parametrize("seed", [3, 4, 5])
+def test_another_log_needs_nothing_more(faded, seed):
+    found = explain(faded.model, [rubbing(seed, 0.02).log])
     assert found.steps == ()
     np.testing.assert_array_equal(found.model.fading_speed, faded.model.fading_speed)
     assert found.end.nrms < 0.02

@@ -307,6 +307,18 @@ def test_bodies_are_as_far_from_the_file_as_they_are(distance):
     assert np.exp(np.mean(np.log(found))) == pytest.approx(distance, rel=0.5)
 
 
+def test_gains_scale_what_bodies_carry(problem):
+    model, bodies, _, _ = problem
+    loads = PENDULUM.phi * np.array([[1.0], [2.5]])
+    loaded = LogModel(PENDULUM, model.dataset, EFFECTS, BELIEFS, (0, 0), loads=loads)
+    fit = settled(loaded)
+    for j in range(2):
+        (rows,) = model.dataset.data[j].factors
+        columns, _ = loaded.row_columns(fit, j, rows[:, :-1], rows[:, -1:])
+        gain = columns[:, PENDULUM.phi.size + j]
+        np.testing.assert_allclose(gain, bodies[j] @ loads.ravel(), rtol=1e-9, atol=1e-12)
+
+
 def test_gains_of_efforts_that_are_wrong_make_no_sample_dependent():
     """What they leave varies with the motion, and is known to."""
     log = effort_log("double_pendulum", 2, lambda seen: 0.03 * seen.load, share=0.01).log

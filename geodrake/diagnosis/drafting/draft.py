@@ -190,7 +190,7 @@ def _offered(found: Found, more: Sequence[Effect]) -> Found:
     columns = [*effects, *reversals(case.model, case.trajectories)]
     case = replace(case, dataset=reduced(case, columns))
     was = found.model
-    model = LogModel(case.model, case.dataset, effects, was.beliefs, was.on_time)
+    model = LogModel(case.model, case.dataset, effects, was.beliefs, was.on_time, loads=case.loads)
     return replace(found, case=case, model=model, fit=model.refitted(found.fit))
 
 

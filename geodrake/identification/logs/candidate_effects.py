@@ -13,6 +13,7 @@ from geodrake.effects.column_checks import of_geodrake
 from geodrake.effects.declarations import Proposer, Role
 from geodrake.effects.user_effects import candidates_of
 from geodrake.identification.logs.reduce import peak_speeds
+from geodrake.logs.filtering import ZeroPhaseFilter
 from geodrake.logs.motion import Trajectory
 from geodrake.logs.smoothing import Segment
 from geodrake.model.floating_logs import contact_frames
@@ -148,11 +149,16 @@ def mean_temperatures(trajectories: Sequence[Trajectory]) -> dict[str, float]:
     return found
 
 
-def candidate_delays(period: float, bandwidth: float) -> tuple[float, ...]:
-    """Return delays to try, s: 0 and multiples of a step the data can resolve, to either side.
+_SHORT = 0.25  # of a step, by which efforts may be late in robots with heavy rotors
 
-    That depends on the time between samples, s, and the bandwidth of efforts and regressors, Hz.
+
+def candidate_delays(low_pass: ZeroPhaseFilter) -> tuple[float, ...]:
+    """Return delays to try, s: 0, multiples of a step the data can resolve, and a part of it.
+
+    The step depends on the time between samples and the bandwidth of efforts and regressors.
     """
+    period, bandwidth = low_pass.period, low_pass.bandwidth
     step = max(period, LONGEST_DELAY / 10, min(0.02 / bandwidth, LONGEST_DELAY / 2))
     steps = np.arange(1, max(2, int(LONGEST_DELAY / step + 1e-9) + 1)) * step
-    return (0.0, *steps.tolist(), *(-steps[: (len(steps) + 1) // 2]).tolist())
+    late, early = steps.tolist(), (-steps[: (len(steps) + 1) // 2]).tolist()
+    return (0.0, *late, *early, _SHORT * step, -_SHORT * step)

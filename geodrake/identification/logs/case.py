@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
+from functools import partial
 from pathlib import Path
 from typing import TypeVar
 
@@ -27,7 +28,7 @@ from geodrake.identification.logs.reduce import reduce_logs
 from geodrake.identification.logs.signal_calibration import calibrate_efforts
 from geodrake.identification.logs.unknowns import Unknowns
 from geodrake.logs.files import read_log
-from geodrake.logs.folds import Fold, validation_blocks
+from geodrake.logs.folds import Fold, assign_folds, validation_blocks
 from geodrake.logs.log_checks import check_commands, check_repeated, check_saturation
 from geodrake.logs.motion import GROUND, PASSIVE, JointLog, Trajectory
 from geodrake.logs.preparation import motion_bandwidth_of, prepare_logs
@@ -166,19 +167,19 @@ def open_case(
     if candidates:
         gains = joints_with_known_gain(model, [log.payloads for log in matched])
         effects += candidate_effects(model, trajectories, extra, known_gains=gains)
-        low_pass = trajectories[0].filter
-        delays = candidate_delays(low_pass.period, low_pass.bandwidth)
+        delays = candidate_delays(trajectories[0].filter)
     room = ROOM if all(t.contacts is None for t in trajectories) else MIXED_ROOM
     shared = RowCache(room) if candidates else RowCache(room, signals=0)  # few follow
-    dataset = reduce_logs(
+    reduce = partial(
+        reduce_logs,
         model,
         trajectories,
-        folds,
         effects=effects,
         delays=delays,
         fitted=fitted and not candidates,
         shared=shared,
     )
+    folds, dataset = _dealt(folds, trajectories, reduce)
     changed += [_filtered_note(t, fitted=fitted or candidates) for t in trajectories]
     left_out = [f"{t.name}: {t.left_out}" for t in trajectories if t.left_out]
     first = tuple(dict.fromkeys([*hints, *unused, *left_out]))
@@ -194,6 +195,33 @@ def open_case(
     opened = Asked(tuple(matched), tuple(extra), bandwidth, blocks)
     found = model, trajectories, folds, dataset, fingerprints, said, first, opened
     return Case(*found, shared=shared)
+
+
+_MOST_MOTION, _PIECES = 0.6, 4
+
+
+def _dealt(
+    folds: tuple[Fold, ...],
+    trajectories: tuple[Trajectory, ...],
+    reduce: Callable[[tuple[Fold, ...]], Dataset],
+) -> tuple[tuple[Fold, ...], Dataset]:
+    """Return folds, none of which has most of a joint's motion if that can be, and their dataset.
+
+    Joints may move one after the other, in one log or in one each. A fold with all of a joint's
+    motion would leave nothing to fit what rubs in it.
+    """
+    dataset, windows = reduce(folds), list[tuple[int, float, float]]()
+    for data in dataset.data:
+        most = int(np.argmax(data.samples))
+        if data.samples[most] > _MOST_MOTION * data.samples.sum():
+            for block, rows in zip(folds[most].blocks, data.rows[most], strict=True):
+                if len(rows.time):
+                    ends = rows.time[[0, -1]] - trajectories[block.trajectory].began
+                    windows.append((block.trajectory, *ends.tolist()))
+    if not windows:
+        return folds, dataset
+    folds = assign_folds(folds, trajectories, windows, pieces=_PIECES)
+    return folds, reduce(folds)
 
 
 def checked_logs(

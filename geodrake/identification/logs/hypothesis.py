@@ -210,14 +210,18 @@ class Hypothesis(Short):
         inertias = self.dataset.inertias(self.unknowns.columns, self.held_out.x.mean(0))
         return np.asarray(self.weights * self.held_out.sse.sum(0) * inertias**2)
 
-    def moved(self, dataset: Dataset, *, delay: Delay, iterations: int = 2) -> Hypothesis:
-        """Return this hypothesis on another dataset of the same bodies and effects, refitted."""
-        bodies = np.arange(len(dataset.bodies) * PARAMETERS_PER_BODY)
-        effects = [dataset.effect_columns(effect) for effect in self.unknowns.effects]
-        unknowns = replace(self.unknowns, columns=np.concatenate([bodies, *effects]))
-        delays = dataset.delay_of_each(delay)
-        moved = replace(self, dataset=dataset, unknowns=unknowns, delay=delays)
-        return reweight(moved, iterations=iterations)
+    @classmethod
+    def of(
+        cls, dataset: Dataset, unknowns: Unknowns, weights: Array, effective: Array
+    ) -> Hypothesis:
+        """Return unknowns with weights (nv,) and effective samples (nv,), efforts not delayed."""
+        cv = CrossValidation(dataset, unknowns, weights)
+        if dataset.passive_inertia is not None:
+            x = cv.held_out.x.mean(0)
+            power = effective * dataset.inertias(unknowns.columns, x) ** 2
+            unknowns = unknowns.pulled(dataset, x, power)
+            cv = CrossValidation(dataset, unknowns, weights)
+        return cls(dataset, unknowns, weights, cv.delay, 1.0, cv, effective)
 
 
 def residual_blocks(
@@ -284,30 +288,6 @@ def reweight(hypothesis: Hypothesis, *, iterations: int = 2) -> Hypothesis:
         effective = counted(cv)
         weights = deserved(cv)
     return replace(hypothesis, unknowns=unknowns, weights=weights, cv=cv, effective=effective)
-
-
-def most_likely(settled: Hypothesis) -> tuple[Unknowns, Array]:
-    """Return unknowns and weights (nv,) of maximum likelihood, for fits with their information.
-
-    Weights are those of the residuals of a settled hypothesis, each joint by its own; the pull of
-    joints without motors is what varies with them.
-    """
-    dataset, unknowns, held_out = settled.dataset, settled.unknowns, settled.held_out
-
-    def likely(held_out: HeldOut) -> Array:
-        mse = np.where(dataset.has_rows, held_out.mse, dataset.effort_std**2)
-        return np.asarray(settled.effective / dataset.rows / mse)
-
-    for _ in range(_MOST_REFITS if dataset.passive_inertia is not None else 0):
-        x = held_out.x.mean(0)
-        weights = likely(held_out)
-        power = settled.effective * dataset.inertias(unknowns.columns, x) ** 2
-        unknowns = unknowns.pulled(dataset, x, power)
-        cv = CrossValidation(dataset, unknowns, weights, delay=settled.delay, physical=False)
-        before, held_out = held_out, cv.held_out
-        if _alike(held_out.mse, before.mse):
-            break
-    return unknowns, likely(held_out)
 
 
 def _alike(weights: Array, before: Array) -> bool:

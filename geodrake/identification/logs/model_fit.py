@@ -69,6 +69,7 @@ def fit_model(
     unknowns: Unknowns,
     weights: Array,
     *,
+    held_out: HeldOut | None = None,
     effective: Array | None = None,
     of_motion: Array | None = None,
     delays: Sequence[FittedEffect] = (),
@@ -80,7 +81,8 @@ def fit_model(
     """
     problem = fit_problem(dataset, unknowns, weights)
     result = certified(problem, solve_with_fallback(problem))
-    held_out = CrossValidation(dataset, unknowns, weights).held_out
+    if held_out is None:
+        held_out = CrossValidation(dataset, unknowns, weights).held_out
     fitted = model_with(model, unknowns, result, noise=held_out.rms, delays=delays)
     known = model.information is not None
     shifts = _gain_shifts(dataset, unknowns, weights, result, known=known)

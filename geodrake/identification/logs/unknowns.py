@@ -37,6 +37,12 @@ class Unknowns:
     starts: tuple[int, ...] = ()  # first unknown of every effect
     pull: Array | float = 0.0  # (p,) added to the right side, as in `Dataset.passive_pull`
 
+    def on(self, dataset: Dataset) -> Unknowns:
+        """Return these unknowns in the columns of another dataset of the same bodies."""
+        bodies = np.arange(len(dataset.bodies) * PARAMETERS_PER_BODY)
+        effects = [dataset.effect_columns(effect) for effect in self.effects]
+        return replace(self, columns=np.concatenate([bodies, *effects]))
+
     def pulled(self, dataset: Dataset, x: Array, power: Array) -> Unknowns:
         """Return these unknowns with the pull at parameters (p,); see `Dataset.passive_pull`."""
         return replace(self, pull=dataset.passive_pull(self.columns, x, power))

@@ -1,0 +1,93 @@
+"""Logs as robots are driven every day: joints in turn, efforts a little late, large offsets."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+pytest.importorskip("pinocchio")
+
+from pendulum_logs import JOINTS, PENDULUM, body_effort, pendulum_log
+from pinocchio_logs import MODELS, effort_log
+
+from geodrake import load_model
+from geodrake.diagnosis import explain
+from geodrake.identification.logs.case import open_case
+from geodrake.logs.motion import JointLog
+
+DRY, WET = np.array([0.3, 0.15]), np.array([0.2, 0.1])
+
+
+@pytest.fixture(scope="module")
+def model():
+    return load_model(PENDULUM)
+
+
+def places(explanation):
+    return {step.effect: set(step.where) for step in explanation.steps}
+
+
+def in_turn(seconds=30.0, rate=100.0, noise=0.003):
+    """A log in which the shoulder moves for a while, and then the elbow, both with friction."""
+    rng, time = np.random.default_rng(5), np.arange(0.0, seconds, 1.0 / rate)
+    half = seconds / 2.0
+    q = np.zeros((len(time), 2))
+    for joint in range(2):
+        since = time - joint * half
+        moves = (since >= 0.0) & (since < half)
+        swing = 1.2 * np.sin(2.0 * since[moves]) * np.sin(np.pi * since[moves] / half) ** 2
+        q[moves, joint] = swing
+    v = np.gradient(q, time, axis=0)
+    effort = body_effort(q, v, np.gradient(v, time, axis=0)) + DRY * np.tanh(v / 0.003) + WET * v
+    measured = q + 1e-5 * rng.normal(size=q.shape)
+    return JointLog("in turn", JOINTS, time, measured, effort + noise * rng.normal(size=q.shape))
+
+
+@pytest.fixture(scope="module")
+def log():
+    return in_turn()
+
+
+class TestJointsInTurn:
+    def test_no_fold_has_most_of_the_motion_of_a_joint(self, model, log):
+        case = open_case(model, [log], candidates=False)
+        for data in case.dataset.data:
+            assert data.samples.max() < 0.75 * data.samples.sum()
+
+    def test_their_friction_is_found_and_predicted(self, model, log):
+        """Whether the elbow rubs alone or against the shoulder, such a log cannot tell."""
+        found = explain(model, [log])
+        assert {*places(found)} <= {"coulomb_friction", "viscous_friction", "coupled_friction"}
+        assert places(found)["coulomb_friction"] >= {"shoulder"}
+        assert found.end.nrms < 0.03
+
+
+def test_an_offset_may_be_many_times_the_deviation_of_an_effort(model):
+    usual = pendulum_log(3).effort.std(axis=0)[1]
+    log = pendulum_log(3, lambda q, v, vd, load: np.full_like(q, 40 * usual) * [0.0, 1.0])
+    (step,) = explain(model, [log]).steps
+    assert (step.effect, step.where) == ("effort_offset", ("elbow",))
+    assert step.parameters["elbow"]["offset"] == pytest.approx(40 * usual, rel=0.01)
+
+
+def test_offset_and_symmetric_friction_are_simpler_than_asymmetric_friction(model):
+    def hidden(q, v, vd, load):
+        return DRY * np.tanh(v / 0.003) + WET * v + np.array([0.0, 0.08])
+
+    found = explain(model, [pendulum_log(4, hidden)])
+    assert places(found) == {
+        "coulomb_friction": {*JOINTS},
+        "viscous_friction": {*JOINTS},
+        "effort_offset": {"elbow"},
+    }
+
+
+def test_efforts_that_are_late_by_a_part_of_a_sample_are_late():
+    """With heavy rotors this would look like viscous friction."""
+    log = effort_log("double_pendulum", 6, lambda seen: 0.4 * seen.a, rate=500.0, share=0.003).log
+    late = replace(log, effort=np.vstack([log.effort[:1], log.effort[:-1]]))
+    sampled = JointLog("late", late.joints, late.time[::5], late.position[::5], late.effort[::5])
+    found = explain(load_model(MODELS / "double_pendulum.urdf"), [sampled])
+    assert {step.effect for step in found.steps} >= {"rotor_inertia", "effort_delay"}
+    (delay,) = (step for step in found.steps if step.effect == "effort_delay")
+    assert delay.parameters["all joints"]["delay"] == pytest.approx(2e-3, abs=5e-4)
