@@ -111,6 +111,7 @@ class Parameter:
             )
         if not self.spread > 0.0:
             raise ArgumentError(f"{self.name} has spread = {self.spread:g}; it must be above 0.")
+        number(self.usual, f"usual of {self.name}")
 
 
 @dataclass(frozen=True)

@@ -66,7 +66,10 @@ def _beyond(e: Array, band: Array) -> Array:
 
 def _checked(name: str, value: ArrayLike, count: int) -> Array:
     """Return gains (count,) of one name, which are at least 0; a limit is above, or infinite."""
-    return one_or_each(value, name, count, strict=name == "limit", finite=name != "limit")
+    found = one_or_each(value, name, count, strict=name == "limit", finite=name != "limit")
+    if name == "rate_share" and (found > 1.0).any():
+        raise ArgumentError(f"{name} must be at most 1; it is {found.max():g}.", name=name)
+    return found
 
 
 @differenced
@@ -115,7 +118,8 @@ class PositionServo(LeafSystem):
         rate_share: ρ, how much of the command's rate the damping knows; 0 damps the motion alone.
 
     Raises:
-        ArgumentError: A gain is negative, a limit is not positive, or they are not as many.
+        ArgumentError: A gain is negative, a limit is not positive, a share is above 1, or they are
+            not as many.
     """
 
     def __init__(

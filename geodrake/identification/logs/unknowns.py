@@ -152,12 +152,12 @@ def effect_prior(dataset: Dataset, effect: Effect) -> tuple[Array, Array]:
     distance; of everything else, no parameter is thought to need more than `LARGEST` times the
     deviation of its joint's effort at any instant, or more than it says itself.
     """
-    k = len(effect.parameters)
     if is_body(effect):
-        return np.zeros(k), pullback_information(dataset.payload[None], 10.0)
+        return np.zeros(PARAMETERS_PER_BODY), pullback_information(dataset.payload[None], 10.0)
     peak = dataset.column_peak[dataset.effect_columns(effect)] / LARGEST
+    usual = np.array([parameter.usual for parameter in effect.parameters])
     spread = np.array([parameter.spread for parameter in effect.parameters])
-    return np.zeros(k), np.diag(np.maximum(peak**2, np.maximum(spread**-2.0, 1e-300)))
+    return usual, np.diag(np.maximum(peak**2, np.maximum(spread**-2.0, 1e-300)))
 
 
 def fold_factors(
