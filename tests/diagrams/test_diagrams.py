@@ -100,6 +100,14 @@ def names_friction_and_tool_of_an_arm(table):
     assert lines["nothing hidden, white noise: something named"] == 0.0
 
 
+def names_what_an_arm_hides(table):
+    lines = {line["figure"]: line["value"] for line in table["lines"]}
+    assert lines["everyday: nothing else named"] == 1.0
+    (row,) = table["rows"]
+    assert row["failed"] is None
+    assert row["end_nrms"] < 0.3
+
+
 def logs_of_feet_agree_with_inverse_dynamics(table):
     """What MuJoCo's inverse dynamics need, less the wrenches of the feet, is what motors give."""
     assert len(table["rows"]) == 2
@@ -296,6 +304,7 @@ SHOWS = {
     "fleet_kills": goes_on_where_it_was_killed,
     "fleet_study": finds_changes_of_a_fleet,
     "hidden_effects": reaches_its_bars,
+    "everyday_robots": names_what_an_arm_hides,
     "ordinary_robots": names_friction_and_tool_of_an_arm,
     "servo_gains": finds_servos,
     "digest_speed": digests_are_small_and_merge,

@@ -33,6 +33,11 @@ FURTHER: Mapping[str, str] = {
     "xarm7": "xarm_description/urdf/xarm7.urdf",
     "z1": "z1_description/urdf/z1.urdf",
     "kinova": "kinova_description/robots/kinova.urdf",
+    "ur3": "ur_description/urdf/ur3_robot.urdf",
+    "ur10": "ur_description/urdf/ur10_robot.urdf",
+    "so101": "so_arm_description/urdf/so101.urdf",
+    "baxter": "baxter_description/urdf/baxter.urdf",
+    "tiago": "tiago_description/robots/tiago_no_hand.urdf",
 }
 """Public arms of other studies, which are not drawn here."""
 _FINGERS = ("jointGripper",)
