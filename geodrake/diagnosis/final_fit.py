@@ -44,7 +44,7 @@ def final_fit(case: Case, found: Found) -> tuple[Case, ModelFit]:
     for effect, mean, information in search.likely_loads(was, width):
         unknowns = unknowns.released(effect, information, mean)
     # Noise is that of the search: what gains of efforts leave is none, and no joint is given up.
-    settled = Hypothesis.of(dataset, unknowns, search.joint_weights(near), end.effective)
+    settled = Hypothesis.of(dataset, unknowns, search.seen_noise(near))
     seen = tuple(dict.fromkeys((*case.model.fitted_to, *case.fingerprints)))
     base = replace(reopened.model, effects=case.model.effects, information=case.model.information)
     base = replace(base, phi=case.model.phi, fitted_to=seen, bandwidths=case.bandwidths)

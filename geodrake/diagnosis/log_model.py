@@ -279,10 +279,12 @@ class LogModel:
         """Return sums (nv,) over the blocks of each joint of values (B,)."""
         return np.bincount(self.joint_of, values, len(self.rows)).astype(float)
 
-    def joint_weights(self, fit: Fit) -> Array:
-        """Return weights (nv,) of squared residuals of a fit, reversals like other rows."""
-        noise = self.of_joints(fit.noise * self.block_rows) / self.of_joints(self.block_rows)
-        return fit.weights[: len(noise)] * fit.variance / noise
+    def seen_noise(self, fit: Fit) -> Array:
+        """Return (nv,) mean squared residuals of a fit, what reversals leave unknown among them."""
+        x = fit.x.copy()
+        x[len(self.unknowns.columns) + len(self.rows) + 1 : self.first_term] = 0.0
+        squares = calc_squares(self.normal(fit.columns, fit.choice.delay), x)
+        return self.of_joints(squares) / np.maximum(self.of_joints(self.block_rows), 1.0)
 
     def _rates(self) -> tuple[Array, float]:
         """Return weights (K, nv) that make rates of efforts of those at all delays, in 1/s.

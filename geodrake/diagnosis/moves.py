@@ -236,7 +236,7 @@ class _Finder:
         # One takes the place of one or of two, or simple ones that of one.
         trades: list[tuple[Terms, Terms]] = [((one,), (t,)) for one in here for t in pool]
         for one in here:
-            for count in range(2, len(one.columns)):
+            for count in range(2, max(3, len(one.columns))):
                 trades += [((one,), simpler) for simpler in combinations(plain, count)]
         trades += [(pair, (t,)) for pair in combinations(here, 2) for t in pool]
         packages += [

@@ -161,8 +161,10 @@ def _slabs(effect: Effect, sizes: Array, beliefs: Beliefs) -> list[Array]:
     if isinstance(effect, CURVES):
         smooth = 1.0 / (1.0 + np.arange(len(sizes)))
         shares = [share * smooth / np.linalg.norm(smooth) for share in beliefs.curves]
+    known = np.array([parameter.usual != 0.0 for parameter in effect.parameters])
     return [
-        np.diag(np.minimum(share / np.maximum(sizes, 1e-12), spread) ** -2.0) for share in shares
+        np.diag(np.where(known, spread, np.minimum(share / np.maximum(sizes, 1e-12), spread)) ** -2)
+        for share in shares
     ]
 
 
@@ -180,8 +182,8 @@ def _prices(effect: Effect, odds: float, beliefs: Beliefs, *, body: bool) -> tup
     price = 2.0 * np.log(shape) * effect.free_shapes + _ODD_SHAPE * odd
     first = price + 2.0 * (np.log(odds) + effect.complexity * np.log(beliefs.rarer))
     # What is at one joint is likely at others; what is at one pair or body tells little of more.
-    usual = effect.places == "joint" and not body
-    again = min(first, price + 2.0 * np.log(beliefs.again)) if usual else first
+    likely = effect.places == "joint" and not body
+    again = min(first, price + 2.0 * np.log(beliefs.again)) if likely else first
     return float(first), float(again)
 
 

@@ -218,7 +218,7 @@ def _dealt(
                 if len(rows.time):
                     ends = rows.time[[0, -1]] - trajectories[block.trajectory].began
                     windows.append((block.trajectory, *ends.tolist()))
-    if not windows:
+    if not windows or len(folds) < 2:
         return folds, dataset
     folds = assign_folds(folds, trajectories, windows, pieces=_PIECES)
     return folds, reduce(folds)

@@ -211,16 +211,21 @@ class Hypothesis(Short):
         return np.asarray(self.weights * self.held_out.sse.sum(0) * inertias**2)
 
     @classmethod
-    def of(
-        cls, dataset: Dataset, unknowns: Unknowns, weights: Array, effective: Array
-    ) -> Hypothesis:
-        """Return unknowns with weights (nv,) and effective samples (nv,), efforts not delayed."""
+    def of(cls, dataset: Dataset, unknowns: Unknowns, noise: Array) -> Hypothesis:
+        """Return unknowns with known noise (nv,), mean squares, efforts not delayed."""
+        effective = np.asarray(_FIRST_SHARE * dataset.rows, float)
+        noise = np.maximum(noise, 1e-12 * dataset.effort_std**2)
+        for _ in range(2):
+            weights = effective / np.maximum(dataset.rows, 1) / noise
+            cv = CrossValidation(dataset, unknowns, weights, physical=False)
+            x = cv.held_out.x
+            effective = effective_of_rows(
+                residual_blocks(dataset, unknowns.columns, x, delay=cv.delay), dataset.rows
+            )
+            power = effective * dataset.inertias(unknowns.columns, x.mean(0)) ** 2
+            unknowns = unknowns.pulled(dataset, x.mean(0), power)
+        weights = effective / np.maximum(dataset.rows, 1) / noise
         cv = CrossValidation(dataset, unknowns, weights)
-        if dataset.passive_inertia is not None:
-            x = cv.held_out.x.mean(0)
-            power = effective * dataset.inertias(unknowns.columns, x) ** 2
-            unknowns = unknowns.pulled(dataset, x, power)
-            cv = CrossValidation(dataset, unknowns, weights)
         return cls(dataset, unknowns, weights, cv.delay, 1.0, cv, effective)
 
 
