@@ -34,6 +34,7 @@ MOST_TIMES = 100
 """Most times of a history: neighbouring logs of a robot with more of them count as one."""
 
 _FILE = "history.sums"  # beside the records of a robot's logs
+_LARGEST = 8 * 10**9  # bytes that sums of many logs of a robot of many joints unpack to at most
 _FORMAT = "geodrake history 2"
 _NEGLIGIBLE = 1e-9  # share of the largest eigenvalue
 
@@ -321,7 +322,7 @@ def _read_sums(task: HistoryTask) -> _HistorySums | None:
     """Return the sums of a file; None if there is none, or it is damaged or of something else."""
     try:
         data = read_regular(task.file, "file of sums", FleetError)
-        key, sums = unsealed(data, _FORMAT, tuple[str, _HistorySums])
+        key, sums = unsealed(data, _FORMAT, tuple[str, _HistorySums], largest=_LARGEST)
     except (FleetError, DamagedFileError):
         return None
     return sums if key == task.key else None

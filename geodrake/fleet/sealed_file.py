@@ -37,7 +37,7 @@ def sealed(value: object, form: str) -> bytes:
     return f"{form}\n".encode() + hashlib.sha256(packed).digest() + packed
 
 
-def unsealed(data: bytes, form: str, kind: type[T]) -> T:
+def unsealed(data: bytes, form: str, kind: type[T], *, largest: int = LARGEST) -> T:
     """Return the dataclass that a file of a format holds, or raise `DamagedFileError`."""
     head, _, rest = data.partition(b"\n")
     name = head.decode("ascii", "replace")
@@ -51,7 +51,7 @@ def unsealed(data: bytes, form: str, kind: type[T]) -> T:
         raise DamagedFileError("its checksum is another one")
     try:
         unpacked = zlib.decompressobj()
-        text = unpacked.decompress(rest[_DIGEST:], LARGEST)
+        text = unpacked.decompress(rest[_DIGEST:], largest)
         if unpacked.unconsumed_tail:
             raise DamagedFileError("it unpacks to more than any such file has")
         return msgspec.msgpack.decode(text, type=kind, dec_hook=_array)

@@ -71,7 +71,7 @@ def fleet_page(result: FleetResult, about: About) -> Page:
         for each in result.findings[:1]
     ]
     unused = [f"{each.robot}: {each.log}: {each.reason}" for each in result.unused]
-    more = [f"and {len(unused) - _MOST_UNUSED} more, in {result.folder}"]
+    more = [f"and {len(unused) - _MOST_UNUSED} more{f', in {result.folder}' if place else ''}"]
     return Page(
         about,
         CHANGED if changed else STEADY,
@@ -104,7 +104,7 @@ def fleet_page(result: FleetResult, about: About) -> Page:
                 items=(*unused[:_MOST_UNUSED], *(more if len(unused) > _MOST_UNUSED else [])),
             ),
         ),
-        of=f"{about.model}: {count}, {result.made} of them new",
+        of=f"{about.model}: {count}, {result.made} digested now",
         verdict=CHANGED if changed else STEADY,
         lead=(*surest, *place),
         tiles=_tiles(result),
