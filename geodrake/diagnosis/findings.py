@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from geodrake.diagnosis.log_model import Choice, Fit
-from geodrake.diagnosis.posterior import Certainty, Posterior, nrms_of
+from geodrake.diagnosis.posterior import Certainty, Posterior
 from geodrake.diagnosis.results import Correlate, Verdict
 from geodrake.diagnosis.search import Found
 from geodrake.diagnosis.terms import Term, names_and_places
@@ -187,7 +187,9 @@ def staged(found: Found, findings: Sequence[Finding]) -> tuple[Hypothesis, list[
     start, stages, left = model.validated(at), list[StagedFinding](), [*findings]
     while left:
         tried = [(each, _with(found, at.choice, each)) for each in left]
-        finding, at = min(tried, key=lambda pair: nrms_of(model, pair[1]))
+        # Held out, as gains of what is carried would take in a payload that is not there yet.
+        errors = [model.validated(fit, physical=False).nrms for _, fit in tried]
+        finding, at = tried[int(np.argmin(errors))]
         left.remove(finding)
         stages.append(StagedFinding(finding, at, model.validated(at)))
     return start, stages
