@@ -13,7 +13,7 @@ from __future__ import annotations
 
 import time
 import xml.etree.ElementTree as ET
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass
 from functools import cache
 from typing import Any
@@ -27,16 +27,17 @@ from diagrams.benchmarks.hidden.robots import (
     ENGINES,
     POINTS,
     Engine,
+    Motion,
     RobotFile,
     coloured,
     congruent,
     make_engine,
     make_motion,
     motion_range,
-    pseudo,
     robot_file,
 )
-from diagrams.benchmarks.ordinary_robots import calibration, judged_words, mass_row, not_found
+from diagrams.benchmarks.ordinary.logs import DRY, ROTOR, WET, Recording, between, random_tool
+from diagrams.benchmarks.ordinary_robots import calibration, judged, judged_words
 from diagrams.harness import positive_number, run_draws, script_parser, write
 from geodrake.diagnosis import explain
 from geodrake.errors import GeodrakeError
@@ -142,27 +143,21 @@ def _motion(
     return _derived(center + MOTIONS[kind](t, reach, pace * speed, rng))
 
 
-def _between(low: float, high: float, rng: np.random.Generator, n: int | None = None) -> Any:
-    return np.exp(rng.uniform(np.log(low), np.log(high), n))
-
-
 def _with_tool(bodies: Array, rng: np.random.Generator) -> float:
     """Put a tool on the last of bodies (n, 4, 4) in every other case; return its mass or 0, kg."""
     if rng.random() < 0.5:
         return 0.0
     mass = rng.uniform(0.04, 0.15) * float(bodies[:, 3, 3].sum())
-    center = np.array([*rng.uniform(-0.04, 0.04, 2), rng.uniform(0.03, 0.12)])
-    radii = rng.uniform(0.02, 0.06, 3)
-    bodies[-1] += pseudo(mass, center, mass * np.diag(radii @ radii - radii**2))
+    bodies[-1] += random_tool(mass, 0.12, 0.06, rng)
     return mass
 
 
-def make_logs(draw: Draw) -> tuple[list[JointLog], dict[str, Any]]:
-    """Return the logs of a draw, and what is true of them."""
+def make_recording(draw: Draw) -> tuple[Recording, dict[str, Any]]:
+    """Return the logs of a draw with their truth, and the conditions that were drawn."""
     rng, file = np.random.default_rng([draw.seed, draw.number]), arm(draw.robot)
     kind = str(rng.choice(ENGINES)) if draw.robot not in _THIN else "pinocchio"
     engine, model = make_engine(kind, file), file.model
-    joints, n = engine.joints, len(engine.joints)
+    joints = engine.joints
     known = np.asarray(model.effort_limits)
     limits = np.where(np.isfinite(known) & (known > 0.0), known, 50.0)
     off, rate = float(rng.choice((0.0, 0.0, 0.15, 0.3))), float(rng.choice(_RATES))
@@ -174,68 +169,84 @@ def make_logs(draw: Draw) -> tuple[list[JointLog], dict[str, Any]]:
     time_, pace = np.arange(0.0, duration, 1.0 / _FINE), float(rng.choice((0.3, 0.6, 1.0)))
     motions = [_motion(kind, engine, time_, pace, rng) for kind in kinds]
     loads = [engine.efforts(*motion) for motion in motions]
+    sizes = _sizes(motions, loads, limits, rng)
+    hidden = {
+        name: tuple(joint for joint, each in zip(joints, own, strict=True) if each)
+        for name, own in sizes.items()
+        if np.any(own)
+    }
+    if mass:
+        hidden["payload"] = (model.bodies[-1],)
+    breakaway, late = float(between((0.003, 0.02), rng)), int(rng.choice((0, 0, 0, 1, 2)))
+    efforts = []
+    for (_, v, a), load in zip(motions, loads, strict=True):
+        dry, wet, rotors, offsets = sizes.values()
+        effort = load + dry * np.tanh(v / breakaway) + wet * v + rotors * a + offsets
+        efforts.append(np.concatenate([effort[:1]] * late + [effort[: len(effort) - late]]))
+    logs, noise = _measured(kinds, motions, efforts, (joints, rate, limits), rng)
+    recording = Recording(logs, hidden, {"effort_delay": joints} if late else {}, mass, (), {})
+    drawn = {"off": off, "rate": rate, "kinds": kinds, "noise": noise, "late": late / _FINE}
+    return recording, drawn
+
+
+def _sizes(
+    motions: Sequence[Motion], loads: Sequence[Array], limits: Array, rng: np.random.Generator
+) -> dict[str, Array]:
+    """Return sizes (n,) of dry and viscous friction, rotors and offsets; 0 where there is none.
+
+    They are shares of the largest effort of a joint, or of a tenth of its limit (n,) if that is
+    more.
+    """
     largest, fastest, hardest = (
         np.max([np.abs(each).max(axis=0) for each in values], axis=0)
         for values in (loads, [v for _, v, _ in motions], [a for _, _, a in motions])
     )
-    ranges, hidden = np.maximum(largest, 0.1 * limits), dict[str, tuple[str, ...]]()
+    ranges, n = np.maximum(largest, 0.1 * limits), len(limits)
     rubs = rng.random(n) < float(rng.choice((0.0, 0.4, 1.0), p=(0.15, 0.25, 0.6)))
-    dry = rubs * _between(0.02, 0.15, rng, n) * ranges
+    dry = rubs * between((0.02, 0.15), rng, n) * ranges
     wet = dry * rng.uniform(0.3, 1.5, n) / fastest
-    rotors = (rng.random() < 0.4) * _between(0.03, 0.2, rng, n) * ranges / hardest
+    rotors = (rng.random() < 0.4) * between((0.03, 0.2), rng, n) * ranges / hardest
     shifted = (rng.random() < 0.3) & (rng.random(n) < 0.4)
     offsets = shifted * rng.choice((-1.0, 1.0), n) * rng.uniform(0.02, 0.1, n) * ranges
-    names = ("coulomb_friction", "viscous_friction", "rotor_inertia", "effort_offset")
-    for name, sizes in zip(names, (dry, wet, rotors, offsets), strict=True):
-        if np.any(sizes):
-            hidden[name] = tuple(j for j, size in zip(joints, sizes, strict=True) if size)
-    if mass:
-        hidden["payload"] = (model.bodies[-1],)
-    breakaway, late = float(_between(0.003, 0.02, rng)), int(rng.choice((0, 0, 0, 1, 2)))
-    gains = 1.0 + float(rng.choice((0.0, 0.01, 0.02))) * rng.normal(size=n)
-    noise, memory = float(_between(0.004, 0.03, rng)), float(rng.uniform(0.005, 0.03))
-    encoder, has_velocities = float(_between(1e-5, 2e-4, rng)), bool(rng.random() < 0.6)
+    return {DRY: dry, WET: wet, ROTOR: rotors, "effort_offset": offsets}
+
+
+def _measured(
+    kinds: Sequence[str],
+    motions: Sequence[Motion],
+    efforts: Sequence[Array],
+    drive: tuple[tuple[str, ...], float, Array],  # joints, samples a second, limits of efforts (n,)
+    rng: np.random.Generator,
+) -> tuple[tuple[JointLog, ...], float]:
+    """Return what sensors make of motions and efforts, and their noise as a share of efforts."""
+    joints, rate, limits = drive
+    gains = 1.0 + float(rng.choice((0.0, 0.01, 0.02))) * rng.normal(size=len(joints))
+    noise, memory = float(between((0.004, 0.03), rng)), float(rng.uniform(0.005, 0.03))
+    encoder, has_velocities = float(between((1e-5, 2e-4), rng)), bool(rng.random() < 0.6)
     is_coloured, step, logs = bool(rng.random() < 0.3), int(_FINE / rate), list[JointLog]()
-    for k, ((q, v, a), load) in enumerate(zip(motions, loads, strict=True)):
-        effort = load + dry * np.tanh(v / breakaway) + wet * v + rotors * a + offsets
-        effort = np.concatenate([effort[:1]] * late + [effort[: len(effort) - late]])[::step]
+    for k, ((q, v, _), whole) in enumerate(zip(motions, efforts, strict=True)):
+        effort, time_ = whole[::step], np.arange(len(q))[::step] / _FINE
         errors = rng.normal(size=effort.shape)
         errors = coloured(errors, float(np.exp(-1.0 / (rate * memory)))) if is_coloured else errors
         size = noise * np.maximum(effort.std(axis=0), 0.005 * limits)
         position = q[::step] + encoder * rng.normal(size=effort.shape)
         velocity = v[::step] + 1e-3 * rng.normal(size=effort.shape) if has_velocities else None
-        named, at = f"{kinds[k]} {k + 1}", time_[::step]
-        logs.append(JointLog(named, joints, at, position, gains * effort + size * errors, velocity))
-    beside = {"effort_delay": joints} if late else {}
-    beside |= {"wrong_inertia": model.bodies} if off else {}
-    truth = {"hidden": hidden, "beside": beside, "mass": mass, "off": off, "rate": rate}
-    return logs, truth | {"kinds": kinds, "noise": noise, "late": late / _FINE}
+        u = gains * effort + size * errors
+        logs.append(JointLog(f"{kinds[k]} {k + 1}", joints, time_, position, u, velocity))
+    return tuple(logs), noise
 
 
 def score_draw(draw: Draw) -> dict[str, Any]:
     """Return a row of the table: the draw, what it hid, what was named, and what of it is right."""
-    logs, truth = make_logs(draw)
-    row, right = {**asdict(draw), **truth}, {**truth["beside"], **truth["hidden"]}
+    recording, drawn = make_recording(draw)
+    row = {**asdict(draw), **drawn, "hidden": recording.hidden, "mass": recording.mass}
     began = time.process_time()
     try:
-        found = explain(arm(draw.robot).model, logs)
+        found = explain(arm(draw.robot).model, list(recording.logs))
     except GeodrakeError as error:
         return {**row, "failed": str(error), "steps": [], "missing": ["everything"], "wrong": []}
-    steps, tool = list[dict[str, Any]](), dict[str, Any]()
-    for step in found.steps:
-        is_right = set(step.where) <= set(right.get(step.effect, ("", *step.where)[:1]))
-        own = {"effect": step.effect, "where": list(step.where), "right": is_right}
-        steps.append({**own, "probability": float(step.probability)})
-        body = truth["hidden"].get("payload", ("",))[0]
-        if step.effect == "payload" and body in step.where:
-            systematic = step.systematic.get(body, {}).get("mass", 0.0)
-            deviations = step.deviations[body]["mass"], systematic
-            tool = mass_row(step.parameters[body]["mass"], deviations, truth["mass"])
-    names = {(step.effect, place) for step in found.steps for place in step.where}
-    wrong = [f"{s['effect']} at {', '.join(s['where'])}" for s in steps if not s["right"]]
-    measured = {"seconds": time.process_time() - began, "end_nrms": found.end.nrms, "failed": None}
-    missing = not_found(names, truth["hidden"])
-    return {**row, **measured, **tool, "steps": steps, "missing": missing, "wrong": wrong}
+    row |= {"seconds": time.process_time() - began, "end_nrms": found.end.nrms, "failed": None}
+    return {**row, **judged(found.steps, recording, is_off=drawn["off"] > 0.0)}
 
 
 def lines_of(rows: list[dict[str, Any]]) -> list[Line]:

@@ -52,7 +52,6 @@ def score_draw(draw: Draw) -> dict[str, Any]:
     except GeodrakeError as error:
         return {**row, "failed": str(error), "steps": [], "missing": ["everything"], "wrong": []}
     seconds = time.process_time() - began
-    steps = [_step_row(step, draw, recording) for step in explanation.steps]
     return {
         **row,
         "failed": None,
@@ -61,14 +60,25 @@ def score_draw(draw: Draw) -> dict[str, Any]:
         "start_nrms": explanation.start.nrms,
         "end_nrms": explanation.end.nrms,
         "notes": list(explanation.notes),
-        "steps": steps,
-        "missing": _missing(explanation.steps, recording.hidden),
-        "wrong": [step_words(step) for step in steps if not step["right"]],
-        **_tool_row(explanation.steps, recording),
+        **judged(explanation.steps, recording, is_off=draw.off > 0.0),
     }
 
 
-def _step_row(step: Step, draw: Draw, recording: Recording) -> dict[str, Any]:
+def judged(steps: Sequence[Step], recording: Recording, *, is_off: bool) -> dict[str, Any]:
+    """Return rows of steps, what is missing and wrong among them, and the tool's mass.
+
+    Where bodies of the file are off (`is_off`), wrong inertias are right.
+    """
+    rows = [_step_row(step, recording, is_off=is_off) for step in steps]
+    return {
+        "steps": rows,
+        "missing": _missing(steps, recording.hidden),
+        "wrong": [step_words(row) for row in rows if not row["right"]],
+        **_tool_row(steps, recording),
+    }
+
+
+def _step_row(step: Step, recording: Recording, *, is_off: bool) -> dict[str, Any]:
     truth: Mapping[str, Sequence[str]] = {**recording.beside, **recording.hidden}
     right = step.effect in truth and set(step.where) <= set(truth[step.effect])
     return {
@@ -77,7 +87,7 @@ def _step_row(step: Step, draw: Draw, recording: Recording) -> dict[str, Any]:
         "probability": float(step.probability),
         "rivals": list(step.indistinguishable_from),
         "parameters": {place: dict(values) for place, values in step.parameters.items()},
-        "right": right or (step.effect == WRONG_INERTIA and draw.off > 0.0),
+        "right": right or (step.effect == WRONG_INERTIA and is_off),
     }
 
 

@@ -43,7 +43,7 @@ def final_fit(case: Case, found: Found) -> tuple[Case, ModelFit]:
             unknowns = unknowns.released(effect, stated.information[span, span], stated.mean[span])
     for effect, mean, information in search.likely_loads(was, width):
         unknowns = unknowns.released(effect, information, mean)
-    # Noise is that of the search: what gains of efforts leave is none, and no joint is given up.
+    # The search's noise has no errors of gains, so that a joint whose gain is off keeps its weight.
     settled = Hypothesis.of(dataset, unknowns, search.seen_noise(near))
     seen = tuple(dict.fromkeys((*case.model.fitted_to, *case.fingerprints)))
     base = replace(reopened.model, effects=case.model.effects, information=case.model.information)

@@ -187,7 +187,7 @@ def staged(found: Found, findings: Sequence[Finding]) -> tuple[Hypothesis, list[
     start, stages, left = model.validated(at), list[StagedFinding](), [*findings]
     while left:
         tried = [(each, _with(found, at.choice, each)) for each in left]
-        # Held out, as gains of what is carried would take in a payload that is not there yet.
+        # By held-out errors: gains of what is carried would absorb a payload that is not added yet.
         errors = [model.validated(fit, physical=False).nrms for _, fit in tried]
         finding, at = tried[int(np.argmin(errors))]
         left.remove(finding)

@@ -141,9 +141,8 @@ class LogModel:
         file_delays: Array | None = None,
     ) -> None:
         self.model, self.dataset, self.beliefs, self.on_time = model, dataset, beliefs, on_time
-        self.loads, self.file_delays = loads, file_delays
-        found = np.zeros(len(model.joints)) if file_delays is None else model.delays - file_delays
-        self._found_delays = found
+        self.loads = loads
+        self._found_delays = model.delays - (model.delays if file_delays is None else file_delays)
         self.unknowns = model_unknowns(dataset, model, stated=_STATED)
         keys = frozenset(
             key_of(effect, kind)
@@ -280,7 +279,10 @@ class LogModel:
         return np.bincount(self.joint_of, values, len(self.rows)).astype(float)
 
     def seen_noise(self, fit: Fit) -> Array:
-        """Return (nv,) mean squared residuals of a fit, what reversals leave unknown among them."""
+        """Return (nv,) mean squared residuals of a fit without its terms of unresolved reversals.
+
+        In (N·m)² or N². Errors of gains of efforts are left out.
+        """
         x = fit.x.copy()
         x[len(self.unknowns.columns) + len(self.rows) + 1 : self.first_term] = 0.0
         squares = calc_squares(self.normal(fit.columns, fit.choice.delay), x)

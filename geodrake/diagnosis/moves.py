@@ -233,7 +233,7 @@ class _Finder:
         ]
         if len(here) > 2:
             packages += [tuple(t for t in here if t is not one) for one in here]
-        # One takes the place of one or of two, or simple ones that of one.
+        # One takes the place of one or of two, or two and more simple ones that of one.
         trades: list[tuple[Terms, Terms]] = [((one,), (t,)) for one in here for t in pool]
         for one in here:
             for count in range(2, max(3, len(one.columns))):

@@ -181,7 +181,7 @@ def _prices(effect: Effect, odds: float, beliefs: Beliefs, *, body: bool) -> tup
     shape = beliefs.order if effect.proposer in _IN_MANY else beliefs.shape
     price = 2.0 * np.log(shape) * effect.free_shapes + _ODD_SHAPE * odd
     first = price + 2.0 * (np.log(odds) + effect.complexity * np.log(beliefs.rarer))
-    # What is at one joint is likely at others; what is at one pair or body tells little of more.
+    # An effect at one joint is likely at others; one at a pair or a body says little about others.
     likely = effect.places == "joint" and not body
     again = min(first, price + 2.0 * np.log(beliefs.again)) if likely else first
     return float(first), float(again)

@@ -83,8 +83,8 @@ class Parameter:
     Units are those of a revolute joint; at a prismatic joint read N for N·m and m for rad.
 
     Attributes:
-        usual: What it is if anybody knows, as 1 for a share of what a shape says.
-        spread: How far from that it may be; a fit holds what the data do not tell.
+        usual: Its value before any data, such as 1 for a share of what a shape says.
+        spread: How far from that it may be; a fit keeps to it where the data say nothing.
 
     Raises:
         ArgumentError: Name or unit are no printable words, or no value lies between the bounds.

@@ -71,7 +71,7 @@ def fleet_page(result: FleetResult, about: About) -> Page:
         for each in result.findings[:1]
     ]
     unused = [f"{each.robot}: {each.log}: {each.reason}" for each in result.unused]
-    more = [f"and {len(unused) - _MOST_UNUSED} more{f', in {result.folder}' if place else ''}"]
+    more = [f"and {len(unused) - _MOST_UNUSED} more" + (f", in {result.folder}" if place else "")]
     return Page(
         about,
         CHANGED if changed else STEADY,

@@ -50,13 +50,13 @@ def log():
 
 class TestJointsInTurn:
     def test_no_fold_has_most_of_the_motion_of_a_joint(self, model, log):
-        case = open_case(model, [log], candidates=False)
+        case = open_case(model, [log], candidates=False, blocks=2)
         for data in case.dataset.data:
             assert data.samples.max() < 0.75 * data.samples.sum()
 
     def test_their_friction_is_found_and_predicted(self, model, log):
         """Whether the elbow rubs alone or against the shoulder, such a log cannot tell."""
-        found = explain(model, [log])
+        found = explain(model, [log], blocks=2)
         assert {*places(found)} <= {"coulomb_friction", "viscous_friction", "coupled_friction"}
         assert places(found)["coulomb_friction"] >= {"shoulder"}
         assert found.end.nrms < 0.03
@@ -71,13 +71,17 @@ def test_an_offset_may_be_many_times_the_deviation_of_an_effort(model):
 
 
 def test_offset_and_symmetric_friction_are_simpler_than_asymmetric_friction(model):
-    def hidden(q, v, vd, load):
-        return DRY * np.tanh(v / 0.003) + WET * v + np.array([0.0, 0.08])
+    """Also beside a rotor, where three effects take the place of one of two."""
 
-    found = explain(model, [pendulum_log(4, hidden)])
+    def hidden(q, v, vd, load):
+        friction = DRY * np.tanh(v / 0.003) + WET * v + np.array([0.0, 0.08])
+        return friction + np.array([0.3, 0.1]) * vd
+
+    found = explain(model, [pendulum_log(4, hidden, noise=(0.003, 0.002))])
     assert places(found) == {
         "coulomb_friction": {*JOINTS},
         "viscous_friction": {*JOINTS},
+        "rotor_inertia": {*JOINTS},
         "effort_offset": {"elbow"},
     }
 

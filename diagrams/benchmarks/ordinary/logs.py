@@ -348,10 +348,7 @@ def make_recording(draw: Draw) -> Recording:
     bodies, mass = engine.bodies(), 0.0
     if draw.tool:
         mass = draw.tool * float(bodies[:, 3, 3].sum())
-        center = np.array([*rng.uniform(-0.04, 0.04, 2), rng.uniform(0.03, 0.15)])
-        radii = rng.uniform(0.02, 0.07, 3)
-        inertia = mass * np.diag(radii @ radii - radii**2)
-        bodies[-1] += pseudo(mass, center, inertia)
+        bodies[-1] += random_tool(mass, 0.15, 0.07, rng)
         engine.set_bodies(bodies)
     motions = [_moved(draw, engine, kind) for kind in (FAST, POINTS)]
     largest = np.max([np.abs(seen.load).max(0) for seen in motions], 0)
@@ -366,7 +363,7 @@ def make_recording(draw: Draw) -> Recording:
         hidden |= dict.fromkeys((DRY, WET), model.joints)
     if draw.rotors:
         fastest = np.max([np.abs(seen.a).max(0) for seen in motions], 0)
-        inertias = _between(_ROTOR, rng, len(ranges)) * ranges / fastest
+        inertias = between(_ROTOR, rng, len(ranges)) * ranges / fastest
         efforts.append(lambda seen, size: size * inertias * seen.a)
         hidden[ROTOR], values[ROTOR] = model.joints, inertias.tolist()
     if draw.tool:
@@ -396,7 +393,17 @@ def _moved(draw: Draw, engine: Engine, kind: str) -> Seen:
     return Seen.of(engine, kind, time, draw.rng(kind))
 
 
-def _between(bounds: tuple[float, float], rng: np.random.Generator, n: int | None = None) -> Array:
+def random_tool(mass: float, farthest: float, largest: float, rng: np.random.Generator) -> Array:
+    """Return the pseudo-inertia (4, 4) of a random tool of a mass, kg, in the link's frame.
+
+    Its centre is at most `farthest` along z, m, and its radii of gyration are at most `largest`, m.
+    """
+    center = np.array([*rng.uniform(-0.04, 0.04, 2), rng.uniform(0.03, farthest)])
+    radii = rng.uniform(0.02, largest, 3)
+    return pseudo(mass, center, mass * np.diag(radii @ radii - radii**2))
+
+
+def between(bounds: tuple[float, float], rng: np.random.Generator, n: int | None = None) -> Array:
     """Return numbers between bounds, alike for all magnitudes."""
     return np.exp(rng.uniform(*np.log(bounds), n))
 
@@ -405,10 +412,10 @@ def _friction(
     motions: list[Seen], ranges: Array, rng: np.random.Generator
 ) -> tuple[Effort, dict[str, list[float]]]:
     """Return dry and viscous friction of all joints, by a draw's own smooth sign; its sizes."""
-    dry = _between(_FRICTION, rng, len(ranges)) * ranges
+    dry = between(_FRICTION, rng, len(ranges)) * ranges
     fastest = np.max([np.abs(seen.v).max(0) for seen in motions], 0)
     wet = dry * rng.uniform(*_WET, len(ranges)) / fastest
-    width, is_tanh = float(_between(_BREAKAWAY, rng)), rng.random() < 0.5
+    width, is_tanh = float(between(_BREAKAWAY, rng)), rng.random() < 0.5
 
     def effort(seen: Seen, size: float) -> Array:
         sign = np.tanh(seen.v / width) if is_tanh else seen.v / np.hypot(seen.v, width)
@@ -428,7 +435,7 @@ def _site(draw: Draw, motions: list[Seen], largest: Array) -> Site:
 
 def _sized(draw: Draw, site: Site, motions: list[Seen]) -> Effort:
     """An effect of no catalogue whose RMS in all motions is a drawn share of its joint's effort."""
-    kind, wanted = KINDS[draw.kind], float(_between(_SHARE, draw.rng("size")))
+    kind, wanted = KINDS[draw.kind], float(between(_SHARE, draw.rng("size")))
     effort, size = kind.make(site), min(1.0, kind.largest)
     usual = np.maximum(np.concatenate([seen.load for seen in motions]).std(0), _LEAST_USUAL)
     for _ in range(6):
@@ -447,7 +454,7 @@ class _Sensors:
     def __init__(self, draw: Draw) -> None:
         self._draw, self._rng = draw, draw.rng("sensors")
         self._encoder, self._tacho = (
-            float(_between(each, self._rng)) for each in (_ENCODER, _TACHO)
+            float(between(each, self._rng)) for each in (_ENCODER, _TACHO)
         )
 
     def measured(self, name: str, seen: Seen, effort: Array) -> JointLog:
@@ -468,6 +475,6 @@ class _Sensors:
         """Return noise of deviation one, white or coloured."""
         noise = self._rng.normal(size=shape)
         if self._draw.colour == COLOURED:
-            constant = _between(_COLOURS, self._rng)
+            constant = between(_COLOURS, self._rng)
             return coloured(noise, np.exp(-1.0 / (self._draw.rate * constant)))
         return noise

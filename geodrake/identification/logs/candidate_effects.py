@@ -149,7 +149,7 @@ def mean_temperatures(trajectories: Sequence[Trajectory]) -> dict[str, float]:
     return found
 
 
-_SHORT = 0.25  # of a step, by which efforts may be late in robots with heavy rotors
+_SHORT = 0.25  # share of a step: robots with heavy rotors show shorter delays
 
 
 def candidate_delays(low_pass: ZeroPhaseFilter) -> tuple[float, ...]:

@@ -205,10 +205,10 @@ def _dealt(
     trajectories: tuple[Trajectory, ...],
     reduce: Callable[[tuple[Fold, ...]], Dataset],
 ) -> tuple[tuple[Fold, ...], Dataset]:
-    """Return folds, none of which has most of a joint's motion if that can be, and their dataset.
+    """Return folds of which none has most of a joint's motion, where possible, and their dataset.
 
-    Joints may move one after the other, in one log or in one each. A fold with all of a joint's
-    motion would leave nothing to fit what rubs in it.
+    Joints may move one after the other, in one log or in one log each. Without the fold that has
+    all of a joint's motion, nothing would be left to fit its friction.
     """
     dataset, windows = reduce(folds), list[tuple[int, float, float]]()
     for data in dataset.data:
