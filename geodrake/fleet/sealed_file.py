@@ -28,11 +28,11 @@ _DAMAGED = ValueError, TypeError, OverflowError, MemoryError, zlib.error, msgspe
 
 
 class DamagedFileError(Exception):
-    """Bytes are not those that `sealed` made; in words."""
+    """Raised where bytes are not those that `sealed` made; its text says why."""
 
 
 def sealed(value: object, form: str) -> bytes:
-    """Return what a file of a format holds."""
+    """Return a value as bytes of a file: the format's name, a checksum, compressed MessagePack."""
     packed = zlib.compress(msgspec.msgpack.encode(value, enc_hook=_plain))
     return f"{form}\n".encode() + hashlib.sha256(packed).digest() + packed
 

@@ -228,7 +228,7 @@ def servos_of(model: RobotModel) -> tuple[EffortSignal | None, ...]:
 
 
 class ServoGains(NamedTuple):
-    """Gains of servos, all (n,); an infinite limit is none. See `PositionServo`."""
+    """Gains of servos, all (n,), as in `PositionServo`; `limit` is infinite without a limit."""
 
     kp: Array
     kd: Array

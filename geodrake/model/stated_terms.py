@@ -70,12 +70,12 @@ class StatedEffects:
         self._sums, self._springs = dict[Effect, Array](), dict[str, stated.Spring]()
 
     def add(self, effect: Effect, *values: float) -> None:
-        """Add an effect with its parameters to what there is of it."""
+        """Add the parameters of an effect to those that it has so far."""
         if any(values):
             self._sums[effect] = self._sums.get(effect, 0.0) + np.array(values, float)
 
     def add_inertia(self, first: str, second: str, value: float) -> None:
-        """Add what is in the mass matrix at two coordinates, or at one."""
+        """Add an entry of the mass matrix, at one coordinate or between two."""
         pair = min(first, second), max(first, second)
         self.add(Rotor(first) if first == second else CoupledRotor(pair), value)
 

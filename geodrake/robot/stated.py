@@ -75,7 +75,7 @@ _NO_SPRING = Spring.linear(0.0)
 
 @dataclass(frozen=True)
 class StatedLength:
-    """What is stated along a length L = Σ cᵢ qᵢ over joints: of one, of a fixed tendon, of a motor.
+    """Forces along a length L = Σ cᵢ qᵢ over joints, as of one joint, a fixed tendon or a motor.
 
     effort of joint i = cᵢ (spring(L) + d₁ L̇ + d₂ |L̇| L̇ + d₃ L̇³ + F sgn L̇ + I L̈).
 
@@ -115,7 +115,7 @@ class StatedLength:
 
 
 class Followed(NamedTuple):
-    """Where a joint is: it follows ratio q + offset of a coordinate; 0 of none if it is held."""
+    """Position of a joint, ratio q + offset of a coordinate; a held joint has ratio 0."""
 
     name: str
     ratio: float = 1.0

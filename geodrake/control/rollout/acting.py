@@ -148,7 +148,7 @@ class Acting:
         return commands, rates
 
     def _late(self, passage: Passage) -> dict[int, tuple[Array, Array, Array]]:
-        """Joint that is told -> instants when commands act, commands, and their known rates."""
+        """Return instants, s, commands and known rates by the index of each commanded joint."""
         found = {}
         for j in np.flatnonzero(self._told).tolist():
             late, told, rate = late_commands(self._log, j, self._delays[j])

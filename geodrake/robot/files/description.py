@@ -93,7 +93,7 @@ class ModelDescription:
         return any(text.set_inertia(link, phi) for text in self.texts)
 
     def add_to(self, plant: MultibodyPlant, *, simplified: bool = True) -> None:
-        """Add the models to a plant; if not simplified, as their files have them."""
+        """Add the models to a plant; if not simplified, as in their files but for geometry."""
         parser = Parser(plant)
         if simplified:
             names = {name for text in self.texts for name in text.packages}

@@ -120,17 +120,17 @@ class Includes:
                     )
 
     def name_by_urls(self, root: Element) -> None:
-        """Have an SDF mean the same wherever its text stands, without what leads nowhere."""
+        """Make the paths of an SDF's includes absolute, and remove includes that do not exist."""
         self._drop_absent(root, self.path.parent)
         for uri in root.iterfind(".//include/uri"):
             place = (uri.text or "").strip()
             if "://" not in place:
-                (file,) = _models_of(self.path.resolve().parent / place, by_url=False)
+                (file,) = _models_of(self.path.parent.resolve() / place, by_url=False)
                 place = f"file://{file}"
             uri.text = place
 
     def _drop_absent(self, root: Element, folder: Path) -> None:
-        """Take out what worlds include that is not there."""
+        """Remove the includes of worlds whose models do not exist."""
         for world in root.iter("world"):
             for include in world.findall("include"):
                 url = include.findtext("uri", "").strip()

@@ -512,7 +512,7 @@ class Drive(Short):
 
     @classmethod
     def of_loop(cls, loop: LoopTransmission) -> Drive:
-        """Return a closed loop as a drive; there is none where nothing moves."""
+        """Return a closed loop as a drive."""
         names = tuple(loop.joints[at] for at in loop.shown)
         return cls(loop.actuators, names, loop, range=loop.range())
 
