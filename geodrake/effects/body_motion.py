@@ -68,10 +68,12 @@ class RobotBodies:
     def motion(self, body: str) -> BodyMotion:
         """Return the pose and Jacobian of a body."""
         if body not in self._motions:
-            raise ArgumentError(
-                f"There is no moving body {body!r}.",
-                advice=f"Bodies are: {', '.join(self.tree.bodies)}.",
-            )
+            if body not in self.tree.bodies:
+                raise ArgumentError(
+                    f"There is no moving body {body!r}.",
+                    advice=f"Bodies are: {', '.join(self.tree.bodies)}.",
+                )
+            self._motions[body] = self._motion(self.tree.bodies.index(body))
         return self._motions[body]
 
     def mass_center(self, body: str) -> Array:
@@ -89,26 +91,24 @@ class RobotBodies:
             calc_inverse_dynamics(replace(tree, gravity=gravity).records, samples, phi, effort)
         return actuator_rows(J, np.moveaxis(held, 0, -1))
 
-    def kinematics(self) -> tuple[Array, Array, Array]:
-        """Poses X_WB (N, nb, 4, 4) of all bodies, and Jacobians (N, nb, 3, ·) with the joints."""
-        tree, n = self.tree.joints, len(self.q)
-        poses = np.zeros((n, len(tree.bodies), 4, 4))
-        angular, linear = np.zeros((2, n, len(tree.bodies), 3, tree.num_velocities))
-        q = contiguous(self.tree.joint_positions(self.q))
-        calc_kinematics(tree.records, q, poses, angular, linear)
-        return poses, angular, linear
-
     @cached_property
     def _motions(self) -> dict[str, BodyMotion]:
-        tree, (poses, angular, linear) = self.tree.joints, self.kinematics()
-        return {
-            tree.bodies[mobilizer.body]: BodyMotion(
-                poses[:, mobilizer.body, :3, :3],
-                poses[:, mobilizer.body, :3, 3],
-                self.tree.through(self.q, angular[:, mobilizer.body]),
-                self.tree.through(self.q, linear[:, mobilizer.body]),
-                self.tree.moving_velocities(mobilizer.dofs),
-            )
-            for mobilizer in tree.mobilizers
-            if mobilizer.body >= 0
-        }
+        return {}
+
+    def _motion(self, body: int) -> BodyMotion:
+        """Return the motion of a body, by the mobilizers between the world and it."""
+        tree = self.tree.joints.branch(body)
+        *inboard, last = tree.mobilizers
+        alone = (*(replace(mobilizer, body=-1) for mobilizer in inboard), replace(last, body=0))
+        tree = replace(tree, mobilizers=alone)
+        poses = np.zeros((len(self.q), 1, 4, 4))
+        angular, linear = np.zeros((2, len(self.q), 1, 3, tree.num_velocities))
+        q = contiguous(self.tree.joint_positions(self.q))
+        calc_kinematics(tree.records, q, poses, angular, linear)
+        return BodyMotion(
+            poses[:, 0, :3, :3],
+            poses[:, 0, :3, 3],
+            self.tree.through(self.q, angular[:, 0]),
+            self.tree.through(self.q, linear[:, 0]),
+            self.tree.moving_velocities(last.dofs),
+        )

@@ -34,11 +34,8 @@ _NONE = 1e-9  # of a row, what is rounding
 _ARM = 0.15  # m, by which forces make moments of the base
 
 
-def contact_rows(model: RobotModel, trajectory: Trajectory, segment: Segment) -> Array | None:
-    """Return N (N, nv, nv) at the instants of a segment; None if no contact force is unknown.
-
-    Rows of velocities that have none are zero.
-    """
+def contact_rows(model: RobotModel, trajectory: Trajectory, segment: Segment) -> MixedRows | None:
+    """Return rows N at the instants of a segment; None if no contact force is unknown."""
     if (contacts := trajectory.contacts) is None:
         return None
     bodies = RobotBodies(model.tree, model.positions(segment.position), model.total_phi)
@@ -61,15 +58,6 @@ class MixedRows:
     own: Array
     mixed: Mapping[int, Array]
 
-    @classmethod
-    def of(cls, N: Array) -> MixedRows:
-        """Return rows (N, nv, nv) as few numbers."""
-        others = N - N.diagonal(axis1=1, axis2=2)[:, :, None] * np.eye(N.shape[1])
-        mixed = np.flatnonzero((np.abs(others) > _NONE).any(axis=(0, 2)))
-        own = N.diagonal(axis1=1, axis2=2).copy()
-        own[:, mixed] = 0.0
-        return cls(own, {int(i): N[:, i].copy() for i in mixed})
-
     @property
     def coupling(self) -> NDArray[np.bool_]:
         """(nv, nv) whether the row of the first velocity ever has the second in it."""
@@ -78,6 +66,18 @@ class MixedRows:
             found[i] |= (np.abs(row) > _NONE).any(axis=0)
         return found
 
+    @property
+    def shares(self) -> Array:
+        """(nv,) share of the instants in which a velocity has a row."""
+        found = self.own.any(axis=0) * self.own.mean(axis=0)
+        for i, row in self.mixed.items():
+            found[i] = row.any(axis=1).mean()
+        return np.asarray(found)
+
+    def __getitem__(self, at: slice) -> MixedRows:
+        """Return the rows at some of the instants."""
+        return MixedRows(self.own[at], {i: row[at] for i, row in self.mixed.items()})
+
     def efforts(self, efforts: Array) -> Array:
         """Return efforts (N, nv) of rows from those of velocities."""
         found = self.own * efforts
@@ -85,39 +85,29 @@ class MixedRows:
             found[:, i] = np.einsum("nj,nj->n", row, efforts)
         return found
 
-    def columns(
-        self,
-        blocks: Mapping[int, Array],
-        coupling: NDArray[np.bool_],
-        of: Sequence[Indices] | None = None,
-    ) -> dict[int, Array]:
-        """Return columns of rows from those of velocities (N, k).
+    def powers(self, powers: Array) -> Array:
+        """Return the mean power (nv,) of rows of noise that has a power (nv,) in velocities."""
+        found = np.square(self.own).mean(axis=0) * powers
+        for i, row in self.mixed.items():
+            found[i] = np.square(row).mean(axis=0) @ powers
+        return np.asarray(found)
+
+    def columns(self, row: int, columns: Array, sources: Indices, at: Indices, width: int) -> Array:
+        """Return columns (N, width) of the row of a velocity.
 
         Args:
-            blocks: Velocity -> its columns.
-            coupling: (nv, nv) of all slices, by which rows have columns.
-            of: Which columns each velocity has, ascending, if they differ.
+            columns: (N, k) columns of velocities.
+            sources: (k,) whose column each is.
+            at: (k,) to which of the row's columns each is added; −1 where to none.
         """
-        found, several = dict[int, Array](), len(blocks) > 1
-        together = np.stack([*blocks.values()], 1) if several and of is None else None
-        sources = np.array([*blocks], np.intp)
-        for i in np.flatnonzero(coupling[:, sources].any(axis=1)).tolist():
-            width = len(of[i]) if of is not None else next(iter(blocks.values())).shape[1]
-            if i not in self.mixed:
-                if i in blocks and self._is_whole[i]:
-                    found[i] = blocks[i]
-                else:
-                    found[i] = self.own[:, i, None] * blocks.get(i, np.zeros((1, width)))
-            elif of is None and not several:
-                found[i] = self.mixed[i][:, sources] * blocks[int(sources[0])]
-            elif together is not None:
-                found[i] = np.zeros((len(self.own), width))
-                add_all(self.mixed[i], sources, together, found[i])
-            else:
-                found[i] = np.zeros((len(self.own), width))
-                for j in sources[coupling[i, sources]].tolist():
-                    at = np.arange(width) if of is None else np.searchsorted(of[i], of[j])
-                    add_weighted(self.mixed[i], j, contiguous(blocks[j]), at, found[i])
+        found, used = np.zeros((len(columns), width)), np.flatnonzero(at >= 0)
+        if row in self.mixed:
+            add_weighted(self.mixed[row], columns, (used, sources[used], at[used]), found)
+        else:
+            own = used[sources[used] == row]
+            found[:, at[own]] = columns.take(own, axis=1)
+            if not self._is_whole[row]:
+                found *= self.own[:, row, None]
         return found
 
     @cached_property
@@ -127,35 +117,18 @@ class MixedRows:
 
 
 @compiled
-def add_all(row: Array, joints: Indices, columns: Array, total: Array) -> None:
-    """Add columns (N, j, k) of joints (j,), by their weights in a row (N, nv)."""
+def add_weighted(
+    row: Array, columns: Array, which: tuple[Indices, Indices, Indices], total: Array
+) -> None:
+    """Add some columns (N, ·) of velocities, by their weights in a row (N, nv), to others.
+
+    Args:
+        which: (k,) the columns, the velocities that they are of, and which others they go to.
+    """
+    used, sources, at = which
     for n in range(len(columns)):
-        for j in range(len(joints)):
-            weight = row[n, joints[j]]
-            for k in range(columns.shape[2]):
-                total[n, k] += weight * columns[n, j, k]
-
-
-@compiled
-def add_weighted(row: Array, joint: int, columns: Array, at: Indices, total: Array) -> None:
-    """Add columns (N, k) of a joint, by its weights in a row (N, nv), to those `at` (k,) places."""
-    for n in range(len(columns)):
-        weight = row[n, joint]
-        for k in range(len(at)):
-            total[n, at[k]] += weight * columns[n, k]
-
-
-def couplings(model: RobotModel, trajectories: Sequence[Trajectory]) -> NDArray[np.bool_] | None:
-    """Return (nv, nv) which velocities rows of any log have in them; None without contacts."""
-    if all(trajectory.contacts is None for trajectory in trajectories):
-        return None
-    found = np.eye(len(model.joints), dtype=bool)
-    for trajectory in trajectories:
-        for segment in trajectory.segments:
-            for _, chunk in segment.chunks():
-                if (rows := contact_rows(model, trajectory, chunk)) is not None:
-                    found |= MixedRows.of(rows).coupling
-    return found
+        for k in range(len(used)):
+            total[n, at[k]] += row[n, sources[k]] * columns[n, used[k]]
 
 
 def row_scales(model: RobotModel, trajectory: Trajectory) -> Array:
@@ -174,29 +147,43 @@ def row_scales(model: RobotModel, trajectory: Trajectory) -> Array:
     return scales
 
 
-def rows_without(J: Array, flags: NDArray[np.bool_], scales: Array, base: Sequence[int]) -> Array:
-    """Return N (N, nv, nv) for the Jacobians (N, c, k, nv) of frames; (N, c) says which touch.
+def rows_without(
+    J: Array, flags: NDArray[np.bool_], scales: Array, base: Sequence[int]
+) -> MixedRows:
+    """Return rows N for the Jacobians (N, c, k, nv) of frames; (N, c) says which touch.
 
     Args:
         scales: (nv,) noise of the rows of velocities, N·m or N.
         base: Velocities of the base, which get rows first.
     """
     count, _, _, nv = J.shape
-    found, reached = np.zeros((count, nv, nv)), np.asarray(J.any(axis=(0, 2)))
-    modes, which = np.unique(flags, axis=0, return_inverse=True)
-    for number, mode in enumerate(modes):
-        at, feet = np.flatnonzero(which.ravel() == number), np.flatnonzero(mode)
-        moved = reached[feet].any(axis=0)  # velocities that move what touches; others' rows are own
-        free, moving = np.flatnonzero(~moved), np.flatnonzero(moved)
-        found[at[:, None], free, free] = 1.0
+    reached, J = np.asarray(J.any(axis=(0, 2))), contiguous(J)
+    states, which = np.unique(flags, axis=0, return_inverse=True)
+    own, modes = np.ones((count, nv)), list[tuple[Indices, Indices, Indices, Indices]]()
+    for number, state in enumerate(states):
+        at, feet = np.flatnonzero(which.ravel() == number), np.flatnonzero(state)
+        moving = np.flatnonzero(reached[feet].any(axis=0))  # others' rows are their own
         if not len(moving):
             continue
-        K = J[at[len(at) // 2]][mode][:, :, moving].reshape(-1, len(moving)) / scales[moving]
+        own[at[:, None], moving] = 0.0
+        K = J[at[len(at) // 2]][state][:, :, moving].reshape(-1, len(moving)) / scales[moving]
         Q = np.linalg.qr(K.T)[0]
         first = np.flatnonzero(np.isin(moving, base)).tolist()
-        own = _owners(np.eye(len(moving)) - Q @ Q.T, first, len(moving) - Q.shape[1])
-        calc_free_rows(contiguous(J), (at, feet, moving, np.array(own, np.intp)), scales, found)
-    return found
+        rank = len(moving) - Q.shape[1]
+        owners = np.array(_owners(np.eye(len(moving)) - Q @ Q.T, first, rank), np.intp)
+        modes.append((at, feet, moving, owners))
+    mixed = {
+        int(i): np.zeros((count, nv)) for _, _, moving, owners in modes for i in moving[owners]
+    }
+    for i, row in mixed.items():
+        row[:, i], own[:, i] = own[:, i], 0.0
+    for at, feet, moving, owners in modes:
+        if len(owners):
+            rows = np.zeros((len(at), len(owners), len(moving)))
+            calc_free_rows(J, (at, feet, moving, owners), scales, rows)
+            for k, i in enumerate(moving[owners].tolist()):
+                mixed[i][at[:, None], moving] = rows[:, k]
+    return MixedRows(own, mixed)
 
 
 @inlined
@@ -237,13 +224,13 @@ def calc_free_rows(
         which: Instants, frames that touch there, velocities (m,) that move them, and (r,) those of
             the latter from whose unit vectors rows begin.
         scales: (nv,) units of velocities' rows in which they are orthonormal.
-        rows: (N, nv, nv) zeros where rows are written, each at the velocity that it begins from.
+        rows: (N', r, m) rows at these instants, to be written.
     """
     instants, frames, moving, own = which
     axes, nv = J.shape[2], len(moving)
     m = len(frames) * axes
     basis = np.empty((m + len(own), nv))
-    for n in instants:
+    for at, n in enumerate(instants):
         for k in range(m + len(own)):
             row = basis[k]
             for i in range(nv):
@@ -253,9 +240,9 @@ def calc_free_rows(
                     row[i] = 1.0 if i == own[k - m] else 0.0
             _orthogonalize(basis, k)
             if k >= m:
-                at = moving[own[k - m]]
+                scale = scales[moving[own[k - m]]]
                 for i in range(nv):
-                    rows[n, at, moving[i]] = scales[at] * row[i] / scales[moving[i]]
+                    rows[at, k - m, i] = scale * row[i] / scales[moving[i]]
 
 
 def _owners(P: Array, first: Sequence[int], rank: int) -> list[int]:

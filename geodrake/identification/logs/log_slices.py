@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Hashable, Mapping, Sequence
+from collections.abc import Callable, Collection, Hashable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property, partial
 
@@ -182,10 +182,22 @@ class Layout:
         """What has columns of its own, in their order."""
         return (INERTIA, *(effect for effect in self.effects if not is_payload(effect)))
 
-    def bodies_of(self, part: Effect | str) -> list[Indices] | None:
-        """Return which columns of bodies each joint has; None of effects, whose are all alike."""
-        width = self.model.phi.size
-        return None if isinstance(part, Effect) else [c[c < width] for c in self.columns]
+    def places(self, part: Effect | str, joint: int, row: int) -> Indices:
+        """Return where columns of a part at a joint are in those of a row; −1 where nowhere."""
+        if isinstance(part, Effect):
+            return np.arange(len(part.parameters))
+        own, of_row = self._bodies[joint], self._bodies[row]
+        places = np.searchsorted(of_row, own)
+        return np.where(np.isin(own, of_row), places, -1)
+
+    def width(self, part: Effect | str, row: int) -> int:
+        """Return how many columns a part has in a row."""
+        return len(part.parameters) if isinstance(part, Effect) else len(self._bodies[row])
+
+    @cached_property
+    def _bodies(self) -> list[Indices]:
+        """Which columns of bodies each joint has."""
+        return [c[c < self.model.phi.size] for c in self.columns]
 
     @property
     def tree(self) -> KinematicTree:
@@ -247,7 +259,7 @@ class Layout:
     def _inertial(self) -> tuple[Indices, Indices]:
         """Places of the joints' inertial columns in a flat regressor, and where each joint ends."""
         width = self.model.phi.size
-        own = [width * j + c[c < width] for j, c in enumerate(self.columns)]
+        own = [width * j + c for j, c in enumerate(self._bodies)]
         return np.concatenate(own), np.cumsum([len(c) for c in own])
 
     def _inertial_at(self, motion: Motion, phi: Array) -> tuple[dict[int, Array], Array]:
@@ -303,7 +315,7 @@ class LogSlice:
     @cached_property
     def _near(self) -> tuple[Segment, slice]:
         """The samples and some around them, and where in these they are."""
-        late = float(np.abs(self.advance).max()) / self.stretch.period
+        late = float(np.abs(self.advance).max(initial=0.0)) / self.stretch.period
         margin = SPLINE_REACH + round(late)
         low = max(0, self.samples.start - margin)
         inner = slice(self.samples.start - low, self.samples.stop - low)
@@ -314,14 +326,13 @@ class LogSlice:
         near, inner = self._near
         return near[inner]
 
-    def _contact_rows(self, shared: RowCache) -> MixedRows | None:
+    def contact_rows(self, shared: RowCache) -> MixedRows | None:
         """See `contact_rows.contact_rows`."""
         key = "contact rows", self.place
         if (found := shared.get(key)) is None:
-            N = contact_rows(self.layout.model, self.trajectory, self._here)
-            if N is None:
+            rows = contact_rows(self.layout.model, self.trajectory, self._here)
+            if rows is None:
                 return None
-            rows = MixedRows.of(N)
             found = {_OWN: rows.own, **rows.mixed}
             shared.keep(key, found)
         return MixedRows(found[_OWN], {i: row for i, row in found.items() if i != _OWN})
@@ -348,7 +359,7 @@ class LogSlice:
             at = low_pass.output_indices(len(here))
             states = np.stack([here.position, here.velocity, here.acceleration], 2)[at]
             rests = np.asarray(np.abs(here.velocity) < self.layout.still_speed)
-            if (rows := self._contact_rows(shared)) is not None:
+            if (rows := self.contact_rows(shared)) is not None:
                 felt = rests | (rows.own == 0.0)
                 for j, row in rows.mixed.items():
                     shares = np.abs(row) * self._row_ratios[j]
@@ -367,7 +378,7 @@ class LogSlice:
             (near, inner), period = self._near, self.stretch.period
             moved = delayed_by(-seconds, near.motor_effort, period, spline=self._effort_spline)
             moved = moved[inner]
-            if (rows := self._contact_rows(shared)) is not None:
+            if (rows := self.contact_rows(shared)) is not None:
                 moved = rows.efforts(moved)
             return {0: self.trajectory.filter.apply(moved)}
 
@@ -403,17 +414,12 @@ class LogSlice:
             key = ("load", self.place, layout.model.total_phi.tobytes(), gravity)
             known = shared.get(key)
             motion, load = self._motion(shared), None if known is None else known[0]
-            rows = self._contact_rows(shared)
+            rows = self.contact_rows(shared)
             if self.trajectory.is_grounded and load is None:
                 load = self._load(motion, rows)
             new, load = layout.evaluate(motion, self.trajectory, missing, load)
-            if rows is not None and layout.coupling is not None:
-                new = [
-                    rows.columns(blocks, layout.coupling, layout.bodies_of(part))
-                    for part, blocks in zip(missing, new, strict=True)
-                ]
             shared.keep(key, {0: load}, signals=True)
-            for part, blocks in zip(missing, self._filtered(new, shared), strict=True):
+            for part, blocks in zip(missing, self._filtered(missing, new, shared), strict=True):
                 found[part] = blocks
                 shared.keep(keys[part], blocks)
         return [blocks for blocks in found.values() if blocks is not None]
@@ -431,10 +437,48 @@ class LogSlice:
         needed = inverse_dynamics(self.layout.tree, motion.q, motion.v, motion.vd, phi)
         return np.where(rows.own == 1.0, needed, efforts)
 
-    def _filtered(self, parts: Sequence[Blocks], shared: RowCache) -> list[Blocks]:
-        """Return columns of some parts in the rows that joints have."""
-        moving, apply = self._moving(shared), self.trajectory.filter.apply
-        return [{j: apply(block, moving[j]) for j, block in blocks.items()} for blocks in parts]
+    def _filtered(
+        self, parts: Sequence[Effect | str], blocks: Sequence[Blocks], shared: RowCache
+    ) -> list[dict[int, Array]]:
+        """Return columns of some parts in the rows that joints have, of those of velocities."""
+        moving, found = self._moving(shared), [dict[int, Array]() for _ in parts]
+        for row, widths, columns in self._unfiltered(parts, blocks, shared):
+            filtered = self.trajectory.filter.apply(columns, moving[row])
+            ends = np.cumsum([*widths.values()])[:-1]
+            for part, own in zip(widths, np.split(filtered, ends, axis=1), strict=True):
+                found[part][row] = own
+        return found
+
+    def _unfiltered(
+        self, parts: Sequence[Effect | str], blocks: Sequence[Blocks], shared: RowCache
+    ) -> Iterator[tuple[int, dict[int, int], Array]]:
+        """Yield rows, how many columns each part has there, and these at the full rate (N, ·)."""
+        coupling, rows = self.layout.coupling, self.contact_rows(shared)
+        if coupling is None:
+            for row in range(len(self.layout.columns)):
+                own = {k: each[row] for k, each in enumerate(blocks) if row in each}
+                if own:
+                    widths = {k: each.shape[1] for k, each in own.items()}
+                    yield row, widths, np.hstack([*own.values()])
+            return
+        if rows is None:
+            rows = MixedRows(np.ones((self.samples.stop - self.samples.start, len(coupling))), {})
+        every = [(k, j, block) for k, each in enumerate(blocks) for j, block in each.items()]
+        columns = np.hstack([block for _, _, block in every])
+        sources = np.concatenate([np.full(block.shape[1], j) for _, j, block in every])
+        for row, felt in enumerate(coupling):
+            widths, at = dict[int, int](), list[Indices]()
+            for k, j, block in every:
+                if felt[j] and k not in widths:
+                    widths[k] = self.layout.width(parts[k], row)
+                places = np.full(block.shape[1], -1)
+                if felt[j]:
+                    places = self.layout.places(parts[k], j, row)
+                    places[places >= 0] += sum(widths.values()) - widths[k]
+                at.append(places)
+            if widths:
+                width = sum(widths.values())
+                yield row, widths, rows.columns(row, columns, sources, np.concatenate(at), width)
 
     def _motion(self, shared: RowCache) -> Motion:
 

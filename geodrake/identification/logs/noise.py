@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from geodrake.effects.sensors import delayed_by
-from geodrake.identification.logs.contact_rows import contact_rows
+from geodrake.identification.logs.contact_rows import MixedRows, contact_rows
 from geodrake.identification.logs.criteria import JOINT_NOISE_MARGIN, LEAST_NOISE
 from geodrake.logs.filtering import (
     HIGHEST_BANDWIDTH,
@@ -86,7 +86,8 @@ def known_noise(
                     moving += len(segment) * share * noise
             silent |= _is_silent(density, start)
             power += len(segment) * noise
-            weight += len(segment) * _shares(rows)
+            # Limbs that stand have no rows, and what is zero there is no noise.
+            weight += len(segment) * (1.0 if rows is None else rows.shares)
     known, weight = ~silent & (claimed <= JOINT_NOISE_MARGIN**2 * power), np.maximum(weight, 1.0)
     return np.sqrt(power / weight), known, np.sqrt(moving / weight)
 
@@ -109,27 +110,21 @@ def _is_silent(density: Array, segment: Segment) -> NDArray[np.bool_]:
     return np.asarray(rms < LEAST_NOISE * segment.effort.std(axis=0))
 
 
-def _shares(rows: Array | None) -> Array | float:
-    """Return (nv,) the share of samples in which velocities have rows (N, nv, nv).
-
-    Limbs that stand have none, and what is zero there is no noise.
-    """
-    return 1.0 if rows is None else rows.any(axis=2).mean(axis=0)
-
-
-def _density_of_rows(segment: Segment, rows: Array | None, rate: float, bandwidth: float) -> Array:
+def _density_of_rows(
+    segment: Segment, rows: MixedRows | None, rate: float, bandwidth: float
+) -> Array:
     """Return the density (nv,) of noise in efforts without unknown contact forces, the mean.
 
-    It is that of the efforts as they were measured, by their shares in `rows` (N, nv, nv). These
-    begin and end where limbs lift and touch, and such jumps are no noise.
+    It is that of the efforts as they were measured, by their shares in the rows. These begin and
+    end where limbs lift and touch, and such jumps are no noise.
     """
     density = quiet_density(segment.effort, rate, bandwidth)
-    return density if rows is None else np.asarray(np.square(rows).mean(axis=0) @ density)
+    return density if rows is None else rows.powers(density)
 
 
-def _taken(rows: Array | None, efforts: Array) -> Array:
-    """Return efforts (N, nv) without unknown contact forces, by `contact_rows` (N, nv, nv)."""
-    return efforts if rows is None else np.einsum("nij,nj->ni", rows, efforts)
+def _taken(rows: MixedRows | None, efforts: Array) -> Array:
+    """Return efforts (N, nv) without unknown contact forces."""
+    return efforts if rows is None else rows.efforts(efforts)
 
 
 def _carried(
@@ -137,7 +132,7 @@ def _carried(
     model: RobotModel,
     trajectory: Trajectory,
     sign_width: ArrayLike,
-    rows: Array | None,
+    rows: MixedRows | None,
 ) -> Array:
     """Return (n,) mean square of a segment's predicted efforts due to acceleration noise."""
     some = slice(None, None, max(1, len(segment) // _POSES))
@@ -168,7 +163,7 @@ def _residual(
     model: RobotModel,
     sign_width: ArrayLike,
     trajectory: Trajectory,
-    rows: Array | None,
+    rows: MixedRows | None,
 ) -> Array:
     """Return (K, n) measured − predicted effort at the full rate."""
     needed = model.effort(motion_of(segment, model, trajectory), sign_width=sign_width)

@@ -11,7 +11,6 @@ from numpy.typing import ArrayLike, NDArray
 
 from geodrake.effects.base import Effect
 from geodrake.errors import LogError
-from geodrake.identification.logs.contact_rows import couplings
 from geodrake.identification.logs.dataset import Dataset, Indices, JointData, JointRows
 from geodrake.identification.logs.log_slices import Layout, LogSlice, RowCache
 from geodrake.identification.logs.noise import known_noise
@@ -69,7 +68,8 @@ def reduce_logs(
     widths = sign_widths(model, trajectories)
     shared = RowCache(0) if shared is None else shared
     shared.begin()
-    coupling = coupling_of(model, trajectories, shared)
+    empty = Layout(model, (), widths, still, (np.zeros(0, np.intp),) * len(model.joints))
+    coupling = coupling_of(empty, trajectories, shared)
     layout = Layout.of(model, effects, widths, still, coupling=coupling)
     further = np.array([np.broadcast_to(delay, len(model.joints)) for delay in delays])
     data = reduced_joints(layout, trajectories, folds, list(further + model.delays), shared)
@@ -110,14 +110,23 @@ def reduce_logs(
 
 
 def coupling_of(
-    model: RobotModel, trajectories: Sequence[Trajectory], shared: RowCache
+    layout: Layout, trajectories: Sequence[Trajectory], shared: RowCache
 ) -> NDArray[np.bool_] | None:
-    """Return `couplings` of logs, looked at once."""
+    """Return (nv, nv) which velocities rows have in them in any slice of any log, looked at once.
+
+    There is none where no contact force is unknown.
+    """
     if all(trajectory.contacts is None for trajectory in trajectories):
         return None
 
     def make() -> dict[int, Array]:
-        return {0: np.asarray(couplings(model, trajectories), float)}
+        found = np.eye(len(layout.columns), dtype=bool)
+        places = [(k, i) for k, each in enumerate(trajectories) for i in range(len(each.segments))]
+        for at in places:
+            for _, part in _slices(layout, trajectories, at, ()):
+                if (rows := part.contact_rows(shared)) is not None:
+                    found |= rows.coupling
+        return {0: found.astype(float)}
 
     return np.asarray(shared.once(("coupling",), make)[0] > 0.0)
 
@@ -247,7 +256,8 @@ def _slices(
 ) -> Iterator[tuple[int, LogSlice]]:
     """Yield the first output of every slice of a segment, and the slice."""
     trajectory, stretch = trajectories[at[0]], trajectories[at[0]].segments[at[1]]
-    width = len(layout.model.joints) * PARAMETERS_PER_BODY * len(layout.model.bodies)
+    felt = sum(len(mobilizer.dofs) for mobilizer in layout.model.tree.mobilizers)
+    width = PARAMETERS_PER_BODY * felt  # of what a regressor has beside zeros
     size, first = min(CHUNK, LARGEST_REGRESSOR // width), 0
     for samples, outputs in trajectory.filter.chunks(len(stretch), size):
         place = (*at, samples.start, samples.stop)
