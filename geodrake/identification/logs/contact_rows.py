@@ -13,7 +13,6 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -93,7 +92,7 @@ class MixedRows:
         return np.asarray(found)
 
     def columns(self, row: int, columns: Array, sources: Indices, at: Indices, width: int) -> Array:
-        """Return columns (N, width) of the row of a velocity.
+        """Return columns (N, width) of a mixed row.
 
         Args:
             columns: (N, k) columns of velocities.
@@ -101,19 +100,8 @@ class MixedRows:
             at: (k,) to which of the row's columns each is added; −1 where to none.
         """
         found, used = np.zeros((len(columns), width)), np.flatnonzero(at >= 0)
-        if row in self.mixed:
-            add_weighted(self.mixed[row], columns, (used, sources[used], at[used]), found)
-        else:
-            own = used[sources[used] == row]
-            found[:, at[own]] = columns.take(own, axis=1)
-            if not self._is_whole[row]:
-                found *= self.own[:, row, None]
+        add_weighted(self.mixed[row], columns, (used, sources[used], at[used]), found)
         return found
-
-    @cached_property
-    def _is_whole(self) -> NDArray[np.bool_]:
-        """(nv,) whether a row is that of its velocity alone throughout."""
-        return np.asarray((self.own == 1.0).all(axis=0))
 
 
 @compiled

@@ -26,6 +26,9 @@ from geodrake.robot.kinematics import KinematicTree
 from geodrake.robot.regressor import inverse_dynamics, inverse_dynamics_regressor, regressor_pieces
 
 Array = NDArray[np.float64]
+Part = Effect | str
+"""What has columns of its own: an effect, or `INERTIA`."""
+
 Blocks = Mapping[int, Array]
 """Columns (K, k) by the index of the joint."""
 
@@ -178,19 +181,15 @@ class Layout:
         return parameters
 
     @cached_property
-    def parts(self) -> tuple[Effect | str, ...]:
+    def parts(self) -> tuple[Part, ...]:
         """What has columns of its own, in their order."""
         return (INERTIA, *(effect for effect in self.effects if not is_payload(effect)))
 
-    def places(self, part: Effect | str, joint: int, row: int) -> Indices:
-        """Return where columns of a part at a joint are in those of a row; −1 where nowhere."""
-        if isinstance(part, Effect):
-            return np.arange(len(part.parameters))
-        own, of_row = self._bodies[joint], self._bodies[row]
-        places = np.searchsorted(of_row, own)
-        return np.where(np.isin(own, of_row), places, -1)
+    def places(self, part: Part, joint: int) -> Indices:
+        """Return which of all columns of a part are those that it has at a joint."""
+        return np.arange(len(part.parameters)) if isinstance(part, Effect) else self._bodies[joint]
 
-    def width(self, part: Effect | str, row: int) -> int:
+    def width(self, part: Part, row: int) -> int:
         """Return how many columns a part has in a row."""
         return len(part.parameters) if isinstance(part, Effect) else len(self._bodies[row])
 
@@ -215,7 +214,7 @@ class Layout:
             return 0.0
         return np.asarray(blocks[effect][joint] @ effect.in_bodies)
 
-    def origin_of(self, part: Effect | str) -> Hashable:
+    def origin_of(self, part: Part) -> Hashable:
         """Return what the columns of a part depend on beside the motion."""
         if not isinstance(part, Effect):
             return self.tree.gravity.tobytes()
@@ -236,7 +235,7 @@ class Layout:
         self,
         motion: Motion,
         trajectory: Trajectory,
-        parts: Collection[Effect | str],
+        parts: Collection[Part],
         load: Array | None = None,
     ) -> tuple[list[Blocks], Array]:
         """Return unfiltered columns of some parts at a motion of a log, and the load (N, nv).
@@ -271,6 +270,62 @@ class Layout:
             flat = Y.reshape(len(Y), -1)
             np.take(flat, places, axis=1, out=rows[part], mode="clip")  # (checked modes copy)
         return dict(enumerate(np.split(rows, ends[:-1], axis=1))), load
+
+
+@dataclass(frozen=True, eq=False)
+class Mixture:
+    """Columns of velocities that are in rows of several, side by side."""
+
+    layout: Layout
+    rows: MixedRows
+    parts: Sequence[Part]
+    held: Array  # (N, k) the columns
+    sources: Indices  # (k,) whose column each is
+    part: Indices  # (k,) number of the part that it is of
+    place: Indices  # (k,) which of the part's columns it is
+
+    @classmethod
+    def of(
+        cls,
+        layout: Layout,
+        rows: MixedRows,
+        parts: Sequence[Part],
+        blocks: Sequence[Blocks],
+    ) -> Mixture | None:
+        """Return the columns of blocks of parts; None where each row is of one velocity."""
+        if layout.coupling is None or not rows.mixed:
+            return None
+        felt = np.asarray(layout.coupling[[*rows.mixed]].any(axis=0))
+        used = [
+            (k, j, block) for k, each in enumerate(blocks) for j, block in each.items() if felt[j]
+        ]
+        if not used:
+            return None
+        widths = [block.shape[1] for _, _, block in used]
+        return cls(
+            layout,
+            rows,
+            parts,
+            np.hstack([block for _, _, block in used]),
+            np.repeat([j for _, j, _ in used], widths),
+            np.repeat([k for k, _, _ in used], widths),
+            np.concatenate([layout.places(parts[k], j) for k, j, _ in used]),
+        )
+
+    def columns(self, row: int, felt: NDArray[np.bool_], widths: Mapping[int, int]) -> Array:
+        """Return columns (N, ·) of a mixed row that feels velocities, of parts of some widths."""
+        ends = np.cumsum([0, *widths.values()])
+        first = np.full(len(self.parts), -1)
+        first[[*widths]] = ends[:-1]
+        at = np.where(felt[self.sources], first[self.part] + self.place, -1)
+        for k in widths:
+            if not isinstance(self.parts[k], Effect):
+                own = self.layout.places(self.parts[k], row)
+                known = np.full(self.layout.model.phi.size, -1)
+                known[own] = first[k] + np.arange(len(own))
+                of_bodies = self.part == k
+                at[of_bodies & (at >= 0)] = known[self.place[of_bodies & (at >= 0)]]
+        return self.rows.columns(row, self.held, self.sources, at, int(ends[-1]))
 
 
 @dataclass(frozen=True, eq=False)
@@ -438,7 +493,7 @@ class LogSlice:
         return np.where(rows.own == 1.0, needed, efforts)
 
     def _filtered(
-        self, parts: Sequence[Effect | str], blocks: Sequence[Blocks], shared: RowCache
+        self, parts: Sequence[Part], blocks: Sequence[Blocks], shared: RowCache
     ) -> list[dict[int, Array]]:
         """Return columns of some parts in the rows that joints have, of those of velocities."""
         moving, found = self._moving(shared), [dict[int, Array]() for _ in parts]
@@ -450,35 +505,25 @@ class LogSlice:
         return found
 
     def _unfiltered(
-        self, parts: Sequence[Effect | str], blocks: Sequence[Blocks], shared: RowCache
+        self, parts: Sequence[Part], blocks: Sequence[Blocks], shared: RowCache
     ) -> Iterator[tuple[int, dict[int, int], Array]]:
         """Yield rows, how many columns each part has there, and these at the full rate (N, ·)."""
-        coupling, rows = self.layout.coupling, self.contact_rows(shared)
-        if coupling is None:
-            for row in range(len(self.layout.columns)):
-                own = {k: each[row] for k, each in enumerate(blocks) if row in each}
-                if own:
-                    widths = {k: each.shape[1] for k, each in own.items()}
-                    yield row, widths, np.hstack([*own.values()])
-            return
-        if rows is None:
-            rows = MixedRows(np.ones((self.samples.stop - self.samples.start, len(coupling))), {})
-        every = [(k, j, block) for k, each in enumerate(blocks) for j, block in each.items()]
-        columns = np.hstack([block for _, _, block in every])
-        sources = np.concatenate([np.full(block.shape[1], j) for _, j, block in every])
+        layout, rows = self.layout, self.contact_rows(shared)
+        count, nv = self.samples.stop - self.samples.start, len(layout.columns)
+        coupling = np.eye(nv, dtype=bool) if layout.coupling is None else layout.coupling
+        acts = np.array([[j in each for j in range(nv)] for each in blocks])
+        mixture = None if rows is None else Mixture.of(layout, rows, parts, blocks)
         for row, felt in enumerate(coupling):
-            widths, at = dict[int, int](), list[Indices]()
-            for k, j, block in every:
-                if felt[j] and k not in widths:
-                    widths[k] = self.layout.width(parts[k], row)
-                places = np.full(block.shape[1], -1)
-                if felt[j]:
-                    places = self.layout.places(parts[k], j, row)
-                    places[places >= 0] += sum(widths.values()) - widths[k]
-                at.append(places)
-            if widths:
-                width = sum(widths.values())
-                yield row, widths, rows.columns(row, columns, sources, np.concatenate(at), width)
+            widths = {k: layout.width(parts[k], row) for k in np.flatnonzero(acts @ felt).tolist()}
+            if not widths:
+                continue
+            if mixture is not None and row in mixture.rows.mixed:
+                yield row, widths, mixture.columns(row, felt, widths)
+                continue
+            own = np.hstack([blocks[k].get(row, np.zeros((count, w))) for k, w in widths.items()])
+            if rows is not None and (rows.own[:, row] != 1.0).any():
+                own *= rows.own[:, row, None]
+            yield row, widths, own
 
     def _motion(self, shared: RowCache) -> Motion:
 
