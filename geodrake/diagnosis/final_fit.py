@@ -9,7 +9,7 @@ import numpy as np
 from geodrake.diagnosis.refinements import delays_of, fitted_delays
 from geodrake.diagnosis.rest import share_of_motion
 from geodrake.diagnosis.search import Found
-from geodrake.effects import FittedEffect
+from geodrake.effects import FittedEffect, Role
 from geodrake.identification.logs.case import Case, reopen
 from geodrake.identification.logs.dataset import Dataset
 from geodrake.identification.logs.hypothesis import Hypothesis
@@ -31,6 +31,8 @@ def final_fit(case: Case, found: Found) -> tuple[Case, ModelFit]:
     lags = fitted_delays(delays, case.model.joints)
     # With load-dependent columns by the fitted inertias.
     model, known = searched_model(found.case.model, end), end.unknowns
+    if all(trajectory.is_grounded for trajectory in found.case.trajectories):
+        model = _with_gains_of_loads(model)
     more = _with_companions(known, found.case.dataset).effects[len(known.effects) :]
     beside = [FittedEffect(effect, np.zeros(1)) for effect in more]
     reopened = reopen(found.case, replace(model, effects=(*model.effects, *beside, *lags)))
@@ -67,6 +69,20 @@ def searched_model(model: RobotModel, found: Hypothesis) -> RobotModel:
     fitted = [FittedEffect(effect, x[unknowns.span(effect)]) for effect in unknowns.effects]
     phi = x[: model.phi.size].reshape(model.phi.shape)
     return replace(model, phi=phi, effects=tuple(fitted))
+
+
+def _with_gains_of_loads(model: RobotModel) -> RobotModel:
+    """Return a model whose gains are of loads, not of the logged efforts that stood for these.
+
+    Of an effort (1 + ε) τ the part x = ε / (1 + ε) is too much.
+    """
+    effects = [
+        replace(f, parameters=f.parameters / (1.0 - f.parameters))
+        if f.effect.role is Role.SCALE
+        else f
+        for f in model.effects
+    ]
+    return replace(model, effects=tuple(effects))
 
 
 def _with_companions(unknowns: Unknowns, dataset: Dataset) -> Unknowns:

@@ -247,8 +247,8 @@ class GearEfficiency(JointEffect):
     taken_out_as = "friction"
     label = "efficiency of a gear"
     law = (
-        "k |τ_model| sgn v, with a k for driving and one for braking; where the inertia is trusted "
-        "or a known payload is carried in one log"
+        "k |τ_model| sgn v, with a k for driving and one for braking; where the inertia is "
+        "trusted, a known payload is carried in one log, or the ground's forces are borne"
     )
     contains = (LoadDependentFriction,)
     jumps = True

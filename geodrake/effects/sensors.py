@@ -133,15 +133,16 @@ class EffortScale(JointEffect):
     A joint that reads 10 % too much and bodies that are 10 % heavier look alike. The gain can be
     told only by inertias that are known from elsewhere: those of a model fitted to other logs, or
     a payload of known mass that the robot held in some of the logs and not in all, at the joints
-    that bear it. A diagnosis tries it only then. A mass that is stated too large by a factor looks
+    that bear it; or by forces of the ground, at the joints of a free base's limbs that bear them. A
+    diagnosis tries it only then. A mass that is stated too large by a factor looks
     like gains of all these joints that are too small by the same factor.
     """
 
     name = "effort_scale"
     of_motor = True
     law = (
-        "the logged effort is (1 + ε) that of the joint, where the inertia is trusted or a known "
-        "payload is carried in one log"
+        "the logged effort is (1 + ε) that of the joint, where the inertia is trusted, a known "
+        "payload is carried in one log, or the ground's forces are borne"
     )
     complexity = 1
     role = Role.SCALE

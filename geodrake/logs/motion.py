@@ -335,6 +335,11 @@ class Trajectory:
         """Return whether the ground pushes, so that only motors tell the loads of joints."""
         return self.contacts is not None or any(s[:1].ground is not None for s in self.segments)
 
+    @property
+    def ground_frames(self) -> tuple[str, ...]:
+        """Return frames at which the ground may push."""
+        return self.force_sensors if self.contacts is None else tuple(self.contacts.frames)
+
     def temperature(self, time: Array) -> Array | None:
         """Return (N, n) temperatures at time stamps (N,), s, NaN at joints without; None of all."""
         courses = self.temperatures

@@ -15,6 +15,7 @@ from geodrake.inertia import Array, change_frame
 from geodrake.inertia.bodies import LumpedBody, lumped_bodies
 from geodrake.logs.known_payload import KnownPayload
 from geodrake.logs.motion import JointLog
+from geodrake.model.floating_logs import contact_frames
 from geodrake.model.robot_model import RobotModel
 
 Payloads = tuple[KnownPayload, ...]
@@ -41,15 +42,21 @@ def carrying(model: RobotModel, payloads: Payloads) -> RobotModel:
     return replace(model, effects=(*model.effects, *carried)) if carried else model
 
 
-def joints_with_known_gain(model: RobotModel, logs: Sequence[Payloads]) -> tuple[str, ...]:
-    """Return joints whose gain known payloads identify: those that bear what not all logs have.
+def joints_with_known_gain(
+    model: RobotModel, logs: Sequence[Payloads], frames: Sequence[str] = ()
+) -> tuple[str, ...]:
+    """Return joints whose gain known payloads, or the ground, identify.
 
-    What the robot holds in all of them its bodies can take in, with any gain.
+    Those are joints that bear what not all logs have: what the robot holds in all of them its
+    bodies can take in, with any gain. Where `frames` may touch the ground, forces there load the
+    joints between them and the base. They are measured, or follow from the motion of the base and
+    the other joints, whatever the bodies of a limb are.
     """
     phi = np.array([carried_phi(model, payloads) for payloads in logs])
     changes = np.any(phi != phi[0], axis=(0, 2))
     bodies = RobotBodies(model.tree, np.zeros((1, model.tree.num_positions)), model.total_phi)
     names = [body for body, changed in zip(model.bodies, changes, strict=True) if changed]
+    names += [frame.body for frame in contact_frames(model, frames)]
     bearing = {dof for name in names for dof in bodies.motion(name).dofs}
     return tuple(joint for at, joint in enumerate(model.joints) if at in bearing)
 

@@ -608,3 +608,13 @@ def test_commands_read_the_columns_of_a_free_base(tmp_path, monkeypatch, maker, 
     assert found.exit_code == 0, found.output
     assert "nothing is measured" not in found.output
     assert command == "log" or (tmp_path / "page.html").stat().st_size > 10_000
+
+
+@pytest.mark.parametrize("wrenches", [True, False])
+def test_a_gain_of_a_leg_is_told_by_forces_of_the_ground(model, maker, wrenches):
+    log = maker.log(wrenches=wrenches, noise=1.0)
+    wrong, effort = log.joints.index("hl_knee"), log.effort.copy()
+    effort[:, wrong] *= 1.2
+    (step,) = explain(model, replace(log, effort=effort)).steps
+    assert (step.effect, step.where) == ("effort_scale", ("hl_knee",)) and step.probability > 0.9
+    assert abs(step.parameters["hl_knee"]["gain_error"] - 0.2) < 0.02

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,6 +16,7 @@ from geodrake.identification.logs.reduce import peak_speeds
 from geodrake.logs.filtering import ZeroPhaseFilter
 from geodrake.logs.motion import Trajectory
 from geodrake.logs.smoothing import Segment
+from geodrake.model.carried_payloads import joints_with_known_gain
 from geodrake.model.floating_logs import contact_frames
 from geodrake.model.robot_model import RobotModel
 
@@ -33,21 +34,22 @@ def candidate_effects(
     trajectories: Sequence[Trajectory],
     extra: Sequence[type[Effect]] = (),
     *,
-    known_gains: Collection[str] = (),
     speeds: Array | None = None,
 ) -> tuple[Effect, ...]:
     """Return all instances of the catalogue's effects, and of a user's own, that a robot can have.
 
     Effects whose shape is found in a residual are not among them (see `proposals`), nor those of
     pairs of joints that do not follow each other (see `coupled`), nor those that only inertias
-    known from other logs, or known payloads, identify; at `known_gains` these take their place (see
-    `joints_with_known_gain`). Shape grids scale with temperatures of the prepared logs, and with
-    peak speeds (nv,), rad/s or m/s, by default those of the logs.
+    known from other logs identify. Where known payloads or the ground do, these take their place
+    (see `joints_with_known_gain`). Shape grids scale with temperatures of the prepared logs, and
+    with peak speeds (nv,), rad/s or m/s, by default those of the logs.
     """
     peaks = peak_speeds(trajectories) if speeds is None else speeds
     single = [joint for joint in model.joints if joint in model.single_joints]
     single = [joint for joint in single if joint not in model.base_joints]
-    known = [joint for joint in single if joint in known_gains]
+    grounded = [frame for t in trajectories for frame in t.ground_frames]
+    told = joints_with_known_gain(model, [t.payloads for t in trajectories], grounded)
+    known = [joint for joint in single if joint in told]
     speed = dict(zip(model.joints, peaks.tolist(), strict=True))
     temperatures = mean_temperatures(trajectories)
     found: list[Effect] = []

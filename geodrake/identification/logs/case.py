@@ -40,7 +40,7 @@ from geodrake.logs.unit_hints import (
     position_limit_hint,
     position_unit_hint,
 )
-from geodrake.model.carried_payloads import joints_with_known_gain, payload_notes
+from geodrake.model.carried_payloads import payload_notes
 from geodrake.model.effort_signal import COMMAND, signal_of
 from geodrake.model.logged_joints import holding_resting, log_of_model, reading_for
 from geodrake.model.robot_model import RobotModel
@@ -165,8 +165,7 @@ def open_case(
     effects = effects_of(model)
     delays: tuple[float, ...] = (0.0,)
     if candidates:
-        gains = joints_with_known_gain(model, [log.payloads for log in matched])
-        effects += candidate_effects(model, trajectories, extra, known_gains=gains)
+        effects += candidate_effects(model, trajectories, extra)
         delays = candidate_delays(trajectories[0].filter)
     room = ROOM if all(t.contacts is None for t in trajectories) else MIXED_ROOM
     shared = RowCache(room) if candidates else RowCache(room, signals=0)  # few follow

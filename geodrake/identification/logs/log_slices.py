@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from scipy.interpolate import BSpline
 
 from geodrake.effects.base import Effect
+from geodrake.effects.declarations import Role
 from geodrake.effects.effect_columns import EffectColumns, declares_signals
 from geodrake.effects.robot_motion import log_number
 from geodrake.effects.sensors import delayed_by
@@ -466,7 +467,8 @@ class LogSlice:
         found = {part: shared.get(key) for part, key in keys.items()}
         missing = [part for part, blocks in found.items() if blocks is None]
         if missing:
-            key = ("load", self.place, layout.model.total_phi.tobytes(), gravity)
+            gains = gains_of(layout.model)
+            key = ("load", self.place, layout.model.total_phi.tobytes(), gains.tobytes(), gravity)
             known = shared.get(key)
             motion, load = self._motion(shared), None if known is None else known[0]
             rows = self.contact_rows(shared)
@@ -482,10 +484,11 @@ class LogSlice:
     def _load(self, motion: Motion, rows: MixedRows | None) -> Array:
         """Return loads (N, nv) of joints beside the ground's forces, which no model tells.
 
-        They are the efforts of motors; in limbs in the air they are what the model needs. Columns
-        that follow measured efforts there would explain the noise of these.
+        They are the efforts of motors, by the gains that the model has; in limbs in the air they
+        are what the model needs. Columns that follow measured efforts there would explain the noise
+        of these.
         """
-        efforts = self._here.motor_effort
+        efforts = self._here.motor_effort / gains_of(self.layout.model)
         if rows is None:
             return efforts
         phi = carrying(self.layout.model, self.trajectory.payloads).total_phi
@@ -549,6 +552,15 @@ class LogSlice:
         if start == 0 or not any(effect.state_count for effect in self.layout.effects):
             return np.zeros((0, len(self.layout.model.joints)))
         return self.stretch[max(0, start - MEMORY) : start].position
+
+
+def gains_of(model: RobotModel) -> Array:
+    """Return (nv,) logged efforts over those of joints, by the gains that a model has."""
+    gains = np.ones(len(model.joints))
+    for fitted in model.effects:
+        if fitted.effect.role is Role.SCALE:
+            gains[model.joints.index(fitted.effect.where[0])] += fitted.parameters[0]
+    return gains
 
 
 def _probe(model: RobotModel, samples: int) -> Motion:

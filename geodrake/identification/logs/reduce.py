@@ -100,7 +100,10 @@ def reduce_logs(
         np.array([joint.still for joint in data]),
         payload_reference(model.phi),
         gain_uncertainty(
-            model, [t.payloads for t in trajectories], [t.gain_deviations for t in trajectories]
+            model,
+            [t.payloads for t in trajectories],
+            [t.gain_deviations for t in trajectories],
+            [frame for t in trajectories for frame in t.ground_frames],
         ),
         known,
         of_motion,
@@ -182,12 +185,13 @@ def gain_uncertainty(
     model: RobotModel,
     payloads: Sequence[tuple[KnownPayload, ...]],
     deviations: Sequence[Array | float],
+    frames: Sequence[str] = (),
 ) -> Array:
     """Return (nv,) how well gains of efforts are known, by payloads and deviations (nv,) of logs.
 
-    It is 0 where known payloads say them.
+    It is 0 where known payloads, or forces of the ground at `frames`, say them.
     """
-    known = joints_with_known_gain(model, payloads) if any(payloads) else ()
+    known = joints_with_known_gain(model, payloads, frames) if any(payloads) or frames else ()
     largest = np.max([np.broadcast_to(each, len(model.joints)) for each in deviations], axis=0)
     return np.where(np.isin(model.joints, known), 0.0, largest)
 
