@@ -176,13 +176,19 @@ class LogModel:
         columns = np.concatenate([*sources, *(term.columns for term in self.terms)])
         self.mean = np.zeros(len(columns))
         self._inertias = data.passive_shares(columns)
-        # Of the terms alone; a term's log |Λ| − mᵀΛm stands at its first column.
-        self.information = np.zeros((len(columns),) * 2)
+        # Several terms have the same columns with other priors, as the payloads of a body.
+        distinct = np.where(columns >= 0, columns, -1 - np.arange(len(columns)))
+        _, first, which = np.unique(distinct, return_index=True, return_inverse=True)
+        self.distinct, self.same_as = np.sort(first), np.argsort(np.argsort(first))[which]
+        # Of the terms alone: rows of Λ from a term's first column on, and of Λm; a term's
+        # log |Λ| − mᵀΛm stands at its first column.
+        widest = max((len(at) for at in self.at.values()), default=0)
+        self.information, self.pull = np.zeros((len(columns), widest)), np.zeros(len(columns))
         self.prior_scores = np.zeros(len(columns))
         self.owner, self.positive = np.full(len(columns), -1), np.zeros(len(columns), bool)
         for k, (term, at) in enumerate(self.at.items()):
-            self.information[at[:, None], at] = term.information
-            self.mean[at] = term.mean
+            self.information[at, : len(at)] = term.information
+            self.mean[at], self.pull[at] = term.mean, term.information @ term.mean
             self.prior_scores[at[0]] = term.log_information - term.prior_distance
             self.owner[at], self.positive[at[term.positive]] = k, True
         rates, unsure_delay = self._rates()

@@ -36,25 +36,23 @@ class Dropped:
     """What leaving terms out of a fit changes, at its noise."""
 
     loss: float  # what is lost of the score, prior odds left aside
-    rows: Array  # (i, P) rows of the dropped parameters in H⁻¹AᵀA
+    rows: Array  # (i, D) rows of the dropped parameters in H⁻¹AᵀA, of distinct columns
     inverse: Array  # (i, i) inverse of their covariance
     x: Array  # (i,) their values
 
 
 class Neighbourhood:
-    """Schur complements of all columns beside a fit, at its noise."""
+    """Schur complements of all distinct columns beside a fit, at its noise."""
 
     def __init__(self, model: LogModel, fit: Fit) -> None:
         self._model, self.fit = model, fit
-        every = np.arange(len(model.mean))
-        packed, moments, _ = model.normal(every, fit.choice.delay)
-        gram, right = np.zeros((len(every),) * 2), fit.weights @ moments
+        packed, moments, _ = model.normal(model.distinct, fit.choice.delay)
+        gram, right = np.zeros((len(model.distinct),) * 2), fit.weights @ moments
         add_normal(packed, fit.weights, gram)
-        self._inverse, self._cross = np.linalg.inv(fit.hessian), gram[fit.columns]
-        self._pull = right - fit.x @ self._cross + model.information @ model.mean
+        self._inverse, self._cross = np.linalg.inv(fit.hessian), gram[model.same_as[fit.columns]]
+        self._pull = (right - fit.x @ self._cross)[model.same_as] + model.pull
         factor, scale = scaled_cholesky(fit.hessian, ridge=0.0)
         root, _ = dtrtrs(factor.T, scale[:, None] * self._cross, lower=0, trans=1)
-        gram += model.information
         # Of the transpose, which is in Fortran's order, the lower triangle is written.
         self._schur = dsyrk(-1.0, root, 1.0, gram.T, trans=1, lower=1, overwrite_c=1).T
         spans = model.spans(fit.terms).items()
@@ -143,6 +141,7 @@ class Neighbourhood:
         found: tuple[Array, Array] = calc_gains(
             (self._schur, self._pull, model.prior_scores),
             (model.owner, model.positive),
+            (model.same_as, model.information),
             gone,
             (columns, np.cumsum([0, *counts])),
         )

@@ -201,10 +201,13 @@ def _has_nothing(x: Array, owner: Indices, positive: NDArray[np.bool_]) -> bool:
 
 @compiled
 def calc_gains(
-    # (P, P) Schur complement, of which the upper triangle is read, its pull (P,), prior scores (P,)
+    # (D, D) Schur complement of distinct columns, of which the upper triangle is read, the pull
+    # (P,) of all, and prior scores (P,)
     around: tuple[Array, Array, Array],
     owners: tuple[Indices, NDArray[np.bool_]],  # (P,) term of each column; what must be positive
-    dropped: tuple[Array, Array, Array],  # (i, P) rows, (i, i) inverse, (i,) values; i may be 0
+    # (P,) which distinct column each is; (P, w) its information, from its term's first column on
+    priors: tuple[Indices, Array],
+    dropped: tuple[Array, Array, Array],  # (i, D) rows, (i, i) inverse, (i,) values; i may be 0
     packages: tuple[Indices, Indices],  # columns of all packages, and where those of each end
 ) -> tuple[Array, Array]:
     """Return what each package of columns adds to the score of a fit, without prior odds.
@@ -213,20 +216,25 @@ def calc_gains(
     how much weighted squared errors fall.
     """
     (schur, pull, scores), (owner, positive), (rows, inverse, values) = around, owners, dropped
-    (columns, ends), gone = packages, len(values)
+    (columns, ends), gone, (same_as, information) = packages, len(values), priors
     turned, shift = inverse @ rows, inverse @ values
     gains, squares = np.full(len(ends) - 1, -np.inf), np.zeros(len(ends) - 1)
     for p in range(len(gains)):
         at = columns[ends[p] : ends[p + 1]]
         gram, x, prior = np.empty((len(at), len(at))), pull[at], 0.0
+        same, first = same_as[at], 0
         for a in range(len(at)):
             prior += scores[at[a]]
+            if owner[at[a]] != owner[at[first]]:
+                first = a
             for i in range(gone):
-                x[a] += rows[i, at[a]] * shift[i]
+                x[a] += rows[i, same[a]] * shift[i]
             for b in range(a + 1):
-                gram[a, b] = schur[min(at[a], at[b]), max(at[a], at[b])]
+                gram[a, b] = schur[min(same[a], same[b]), max(same[a], same[b])]
+                if b >= first:
+                    gram[a, b] += information[at[a], b - first]
                 for i in range(gone):
-                    gram[a, b] += rows[i, at[a]] * turned[i, at[b]]
+                    gram[a, b] += rows[i, same[a]] * turned[i, same[b]]
         square, logarithm = _solve_positive(gram, x)
         if not np.isnan(logarithm) and not _has_nothing(x, owner[at], positive[at]):
             gains[p], squares[p] = square - logarithm + prior, square
