@@ -151,14 +151,15 @@ def _robust_residuals(
     An ordinary fit bends towards a contact and spreads its error over the whole log. So may a
     delay: efforts that are on time are tried, too. Bounds of parameters are left aside.
     """
-    dataset, unknowns, columns = hypothesis.dataset, hypothesis.unknowns, list[Array]()
+    dataset, unknowns = hypothesis.dataset, hypothesis.unknowns
+    columns = list[tuple[Array, NDArray[np.intp]]]()  # of each joint, and which unknowns' they are
     joints, efforts = joint_residuals(case, hypothesis), list[Array]()
     moving = np.flatnonzero([data.samples.any() for data in dataset.data])
     for j in moving:
         data = dataset.data[j]
         parts, local = [part for kept in data.rows for part in kept], data.local(unknowns.columns)
-        A = np.concatenate([part.A for part in parts])
-        columns.append(np.where(local >= 0, A[:, local], 0.0))
+        A, felt = np.concatenate([part.A for part in parts]), np.flatnonzero(local >= 0)
+        columns.append((A[:, local[felt]], felt))
         efforts.append(np.concatenate([part.b for part in parts]))
     grids = _Grids(joints, [trajectory.filter.output_period for trajectory in case.trajectories])
     least = np.maximum(dataset.noise_floor, LEAST_NOISE * np.maximum(dataset.effort_std, 1e-12))
@@ -168,8 +169,8 @@ def _robust_residuals(
 
     def settled(x: Array, delay: tuple[int, ...]) -> list[Array]:
         """Return what is left (K,) of each joint after fits that begin with parameters (p,)."""
-        rows = [(A, b[:, delay[j]]) for j, A, b in zip(moving, columns, efforts, strict=True)]
-        left = [b - A @ x for A, b in rows]
+        rows = [(*own, b[:, delay[j]]) for j, own, b in zip(moving, columns, efforts, strict=True)]
+        left = [b - A @ x[felt] for A, felt, b in rows]
         for _ in range(_ROBUST_FITS):
             size, H = sizes(left), unknowns.information.copy()
             right = H @ unknowns.mean + unknowns.pull
@@ -177,14 +178,15 @@ def _robust_residuals(
                 _averaged(grid, period).mean(axis=1)
                 for grid, period in zip(grids.of(left, size), grids.periods, strict=True)
             ]
-            for k, (A, b) in enumerate(rows):
+            for k, (A, felt, b) in enumerate(rows):
                 share = hypothesis.power[moving[k]] / (len(b) * size[k] ** 2)
                 weight = share / (1.0 + grids.at_rows(means, k, len(b)) / _LOW)
                 weighted = weight[:, None] * A
-                H, right = H + weighted.T @ A, right + weighted.T @ b
+                H[np.ix_(felt, felt)] += weighted.T @ A
+                right[felt] += weighted.T @ b
             factor, scale = scaled_cholesky(H)
             x = scale * solved(factor, scale * right)
-            left = [b - A @ x for A, b in rows]
+            left = [b - A @ x[felt] for A, felt, b in rows]
         return left
 
     tried = [settled(hypothesis.held_out.x.mean(axis=0), hypothesis.delay)]

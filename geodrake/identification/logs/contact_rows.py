@@ -91,18 +91,6 @@ class MixedRows:
             found[i] = np.square(row).mean(axis=0) @ powers
         return np.asarray(found)
 
-    def columns(self, row: int, columns: Array, sources: Indices, at: Indices, width: int) -> Array:
-        """Return columns (N, width) of a mixed row.
-
-        Args:
-            columns: (N, k) columns of velocities.
-            sources: (k,) whose column each is.
-            at: (k,) to which of the row's columns each is added; −1 where to none.
-        """
-        found, used = np.zeros((len(columns), width)), np.flatnonzero(at >= 0)
-        add_weighted(self.mixed[row], columns, (used, sources[used], at[used]), found)
-        return found
-
 
 @compiled
 def add_weighted(

@@ -15,7 +15,12 @@ from geodrake.effects.declarations import Role
 from geodrake.effects.effect_columns import EffectColumns, declares_signals
 from geodrake.effects.robot_motion import log_number
 from geodrake.effects.sensors import delayed_by
-from geodrake.identification.logs.contact_rows import MixedRows, contact_rows, row_scales
+from geodrake.identification.logs.contact_rows import (
+    MixedRows,
+    add_weighted,
+    contact_rows,
+    row_scales,
+)
 from geodrake.identification.logs.dataset import Indices, JointRows, column_starts, is_payload
 from geodrake.logs.filtering import spline_through
 from geodrake.logs.motion import MEMORY, Motion, Trajectory
@@ -186,16 +191,19 @@ class Layout:
         """What has columns of its own, in their order."""
         return (INERTIA, *(effect for effect in self.effects if not is_payload(effect)))
 
-    def places(self, part: Part, joint: int) -> Indices:
-        """Return which of all columns of a part are those that it has at a joint."""
-        return np.arange(len(part.parameters)) if isinstance(part, Effect) else self._bodies[joint]
+    def places(self, part: Part, columns: Indices, row: int) -> Indices:
+        """Return where columns of a part are among those that it has in a row; −1 where nowhere."""
+        if isinstance(part, Effect):
+            return columns
+        own = self.bodies[row]
+        return np.where(np.isin(columns, own), np.searchsorted(own, columns), -1)
 
     def width(self, part: Part, row: int) -> int:
         """Return how many columns a part has in a row."""
-        return len(part.parameters) if isinstance(part, Effect) else len(self._bodies[row])
+        return len(part.parameters) if isinstance(part, Effect) else len(self.bodies[row])
 
     @cached_property
-    def _bodies(self) -> list[Indices]:
+    def bodies(self) -> list[Indices]:
         """Which columns of bodies each joint has."""
         return [c[c < self.model.phi.size] for c in self.columns]
 
@@ -255,78 +263,15 @@ class Layout:
         found = dict(zip(effects, EffectColumns(robot.joints, effects).rows(seen), strict=True))
         return [inertial if isinstance(part, str) else found[part] for part in parts], seen.load
 
-    @cached_property
-    def _inertial(self) -> tuple[Indices, Indices]:
-        """Places of the joints' inertial columns in a flat regressor, and where each joint ends."""
-        width = self.model.phi.size
-        own = [width * j + c for j, c in enumerate(self._bodies)]
-        return np.concatenate(own), np.cumsum([len(c) for c in own])
-
     def _inertial_at(self, motion: Motion, phi: Array) -> tuple[dict[int, Array], Array]:
         """Return inertial columns of every joint, and the efforts (N, nv) for φ (10 nb,)."""
-        places, ends = self._inertial
-        rows, load = np.empty((len(motion), len(places))), np.empty(motion.v.shape)
+        rows = {j: np.empty((len(motion), len(own))) for j, own in enumerate(self.bodies)}
+        load = np.empty(motion.v.shape)
         for part, Y in regressor_pieces(self.tree, motion.q, motion.v, motion.vd):
             np.matmul(Y, phi, out=load[part])
-            flat = Y.reshape(len(Y), -1)
-            np.take(flat, places, axis=1, out=rows[part], mode="clip")  # (checked modes copy)
-        return dict(enumerate(np.split(rows, ends[:-1], axis=1))), load
-
-
-@dataclass(frozen=True, eq=False)
-class Mixture:
-    """Columns of velocities that are in rows of several, side by side."""
-
-    layout: Layout
-    rows: MixedRows
-    parts: Sequence[Part]
-    held: Array  # (N, k) the columns
-    sources: Indices  # (k,) whose column each is
-    part: Indices  # (k,) number of the part that it is of
-    place: Indices  # (k,) which of the part's columns it is
-
-    @classmethod
-    def of(
-        cls,
-        layout: Layout,
-        rows: MixedRows,
-        parts: Sequence[Part],
-        blocks: Sequence[Blocks],
-    ) -> Mixture | None:
-        """Return the columns of blocks of parts; None where each row is of one velocity."""
-        if layout.coupling is None or not rows.mixed:
-            return None
-        felt = np.asarray(layout.coupling[[*rows.mixed]].any(axis=0))
-        used = [
-            (k, j, block) for k, each in enumerate(blocks) for j, block in each.items() if felt[j]
-        ]
-        if not used:
-            return None
-        widths = [block.shape[1] for _, _, block in used]
-        return cls(
-            layout,
-            rows,
-            parts,
-            np.hstack([block for _, _, block in used]),
-            np.repeat([j for _, j, _ in used], widths),
-            np.repeat([k for k, _, _ in used], widths),
-            np.concatenate([layout.places(parts[k], j) for k, j, _ in used]),
-        )
-
-    def columns(self, row: int, felt: NDArray[np.bool_], widths: Mapping[int, int]) -> Array:
-        """Return columns (N, ·) of a mixed row that feels velocities, of parts of some widths."""
-        ends = np.cumsum([0, *widths.values()])
-        first = np.full(len(self.parts), -1)
-        first[[*widths]] = ends[:-1]
-        at = np.where(felt[self.sources], first[self.part] + self.place, -1)
-        for k in widths:
-            if not isinstance(self.parts[k], Effect):
-                own = self.layout.places(self.parts[k], row)
-                known = np.full(self.layout.model.phi.size, -1)
-                known[own] = first[k] + np.arange(len(own))
-                of_bodies = self.part == k
-                at[of_bodies & (at >= 0)] = known[self.place[of_bodies & (at >= 0)]]
-        return self.rows.columns(row, self.held, self.sources, at, int(ends[-1]))
+            for j, own in enumerate(self.bodies):  # (checked modes copy)
+                np.take(Y[:, j], own, axis=1, out=rows[j][part], mode="clip")
+        return rows, load
 
 
 @dataclass(frozen=True, eq=False)
@@ -515,18 +460,49 @@ class LogSlice:
         count, nv = self.samples.stop - self.samples.start, len(layout.columns)
         coupling = np.eye(nv, dtype=bool) if layout.coupling is None else layout.coupling
         acts = np.array([[j in each for j in range(nv)] for each in blocks])
-        mixture = None if rows is None else Mixture.of(layout, rows, parts, blocks)
+        mixed = {} if rows is None else rows.mixed
+        together = self._mixed(parts, blocks, coupling[np.array([*mixed], int)].any(axis=0))
         for row, felt in enumerate(coupling):
             widths = {k: layout.width(parts[k], row) for k in np.flatnonzero(acts @ felt).tolist()}
             if not widths:
                 continue
-            if mixture is not None and row in mixture.rows.mixed:
-                yield row, widths, mixture.columns(row, felt, widths)
-                continue
-            own = np.hstack([blocks[k].get(row, np.zeros((count, w))) for k, w in widths.items()])
-            if rows is not None and (rows.own[:, row] != 1.0).any():
-                own *= rows.own[:, row, None]
-            yield row, widths, own
+            if row not in mixed:
+                own = [blocks[k].get(row, np.zeros((count, w))) for k, w in widths.items()]
+                columns = np.hstack(own)
+                if rows is not None and (rows.own[:, row] != 1.0).any():
+                    columns *= rows.own[:, row, None]
+            else:
+                first, columns = (
+                    np.zeros(len(parts), np.intp),
+                    np.zeros((count, sum(widths.values()))),
+                )
+                first[[*widths]] = np.cumsum([0, *widths.values()])[:-1]
+                for of, places, sources, block in together:
+                    at = layout.places(parts[int(of[0])], places, row)
+                    used = np.flatnonzero(felt[sources] & (at >= 0))
+                    which = used, sources[used], first[of[used]] + at[used]
+                    add_weighted(mixed[row], block, which, columns)
+            yield row, widths, columns
+
+    def _mixed(
+        self, parts: Sequence[Part], blocks: Sequence[Blocks], felt: NDArray[np.bool_]
+    ) -> list[tuple[Indices, Indices, Indices, Array]]:
+        """Return columns of velocities that are felt by mixed rows, those of all effects together.
+
+        They are numbers of parts (k,), which of their columns each is, whose it is, and (N, k).
+        """
+        found, few = (list[tuple[Indices, Indices, Indices, Array]]() for _ in range(2))
+        for k, each in enumerate(blocks):
+            part = parts[k]
+            for j in (j for j in each if felt[j]):
+                own = np.arange(each[j].shape[1])
+                places = own if isinstance(part, Effect) else self.layout.bodies[j]
+                one = np.full_like(own, k), places, np.full_like(own, j), each[j]
+                (few if isinstance(part, Effect) else found).append(one)
+        if few:
+            numbers, places, sources, columns = (np.hstack(each) for each in zip(*few, strict=True))
+            found.append((numbers, places, sources, columns))
+        return found
 
     def _motion(self, shared: RowCache) -> Motion:
 
