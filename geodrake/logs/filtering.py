@@ -129,6 +129,7 @@ def steepest_fall(signal: ArrayLike, rate: float, bandwidth: float) -> Array:
 
 LEAST_SPECTRUM = 32  # samples that a spectrum needs
 HIGHEST_BANDWIDTH = 0.25  # of the sampling rate: above it, splines and jitter spoil derivatives
+HIGHEST_MOTION = 0.5  # of the sampling rate, of motion that is filtered with the efforts later
 _LARGEST_DECIMATION = 10_000  # the kernel then has 120,000 samples
 _KAISER_SHAPE = 6.76  # 70 dB: the passband is flat to 3e-4
 _RESPONSE_POINTS = 257
@@ -247,7 +248,9 @@ def calc_outputs(half: Array, columns: Array, at: NDArray[np.intp], outputs: Arr
                 output[k] += half[i] * (before[k] + after[k])
 
 
-def design_filter(period: float, bandwidth: float) -> ZeroPhaseFilter:
+def design_filter(
+    period: float, bandwidth: float, *, highest: float = HIGHEST_BANDWIDTH
+) -> ZeroPhaseFilter:
     """Return a low-pass filter that decimates to about twice its bandwidth.
 
     Args:
@@ -260,7 +263,7 @@ def design_filter(period: float, bandwidth: float) -> ZeroPhaseFilter:
     """
     if not 0.0 < period < np.inf:
         raise ArgumentError(f"A sampling period is above zero; got {period:g} s.", period=period)
-    lowest, highest = 0.5 / (_LARGEST_DECIMATION * period), HIGHEST_BANDWIDTH / period
+    lowest, highest = 0.5 / (_LARGEST_DECIMATION * period), highest / period
     if not lowest <= bandwidth <= highest * (1 + 1e-9):
         raise ArgumentError(
             f"A bandwidth of {bandwidth:g} Hz does not fit a sampling rate of {1 / period:g} Hz.",

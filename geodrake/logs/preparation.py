@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from geodrake.errors import ArgumentError, LogError
 from geodrake.logs.filtering import (
     HIGHEST_BANDWIDTH,
+    HIGHEST_MOTION,
     LEAST_SPECTRUM,
     ZeroPhaseFilter,
     choose_bandwidth,
@@ -107,7 +108,9 @@ def _prepare(
 ) -> Trajectory:
     log, period = uniform.log, uniform.period
     low_pass = design_filter(period, bandwidth)
-    smoother = design_filter(period, min(motion_bandwidth, HIGHEST_BANDWIDTH / period))
+    smoother = design_filter(
+        period, min(motion_bandwidth, HIGHEST_MOTION / period), highest=HIGHEST_MOTION
+    )
     notes = list(uniform.notes)
     notes.append(
         f"bandwidth {low_pass.bandwidth:.3g} Hz {how}; efforts decimated {1 / period:.4g} → "
@@ -265,7 +268,7 @@ def _measured_lag(
 
 def _speed_noise(uniform: UniformLog, smoother: ZeroPhaseFilter) -> Array:
     """Return (n,) deviation of white noise of the positions, low-passed and differentiated."""
-    cutoff = smoother.bandwidth
+    cutoff = min(smoother.bandwidth, HIGHEST_BANDWIDTH / uniform.period)
     return uniform.noise * 2 * np.pi * cutoff * np.sqrt(2 * cutoff * uniform.period / 3)
 
 

@@ -95,7 +95,7 @@ def test_degrees_are_named_where_a_log_is_too_short(model):
         velocity=None,
     )
     with pytest.raises(LogError, match=r"too short.* Positions seem to be in degrees"):
-        compare(model, degrees)
+        compare(model, degrees, bandwidth=2.0)
 
 
 @pytest.mark.parametrize("name", get_command(app).commands)

@@ -63,6 +63,22 @@ def test_jittered_stamps_give_smooth_uniform_signals(measured):
     assert np.allclose(segment.effort, segment.time[:, None])
 
 
+@pytest.mark.parametrize("measured", [True, False])
+def test_a_slow_log_keeps_accelerations_up_to_the_bandwidth_of_efforts(measured):
+    """At 50 Hz efforts pass up to 12.5 Hz: the motion is not to be smoothed there once more."""
+    time, rate = np.arange(0.0, 30.0, 0.02), 2.0 * np.pi * 10.0
+    ripple = 1e-3 * np.sin(rate * time)[:, None]
+    log = _make_log(time)
+    velocity = log.velocity + rate * 1e-3 * np.cos(rate * time)[:, None]
+    log = replace(log, position=log.position + ripple, velocity=velocity if measured else None)
+    (trajectory,) = prepare_logs([log], bandwidth=12.5)
+    segment = trajectory.segments[0][:]
+    phase = RATES * segment.time[:, None]
+    fast = segment.acceleration + RATES**2 * np.sin(phase)
+    wave = -(rate**2) * 1e-3 * np.sin(rate * segment.time)
+    assert (wave @ fast) / (wave @ wave) == pytest.approx(1.0, abs=0.05)
+
+
 def test_joints_in_any_order():
     log = _make_log(_uniform())
     turned = log.select(("elbow", "shoulder"))
