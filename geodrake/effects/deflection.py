@@ -19,14 +19,12 @@ from geodrake.effects.base import (
     Values,
 )
 from geodrake.errors import ArgumentError
-from geodrake.logs.filtering import LEAST_SPECTRUM, choose_bandwidth, design_filter
 from geodrake.robot.effort_slopes import EffortSlopes
 
 SPRING_DAMPING = 0.05
 """Usual damping of springs, as a share of the critical one."""
 
 _DEGREE = 5
-_LEAST_SECONDS = 8.0  # of a lag that says what is noise in it
 
 
 @dataclass(frozen=True, eq=False)
@@ -45,7 +43,6 @@ class Deflection:
         """
         if time is None or len(lag) <= _DEGREE:
             return cls(lag, np.zeros_like(lag), np.zeros_like(lag))
-        lag = _smooth(lag, time)
         spline = make_interp_spline(time, lag, k=_DEGREE)
         return cls(lag, np.asarray(spline(time, 1)), np.asarray(spline(time, 2)))
 
@@ -78,19 +75,6 @@ class Give:
     def __bool__(self) -> bool:
         """Return whether it gives way at all."""
         return bool(self.compliance > 0.0 or self.play > 0.0)
-
-
-def _smooth(lag: Array, time: Array) -> Array:
-    """Return a lag (N,) without the motion's noise, which ṡ and s̈ would amplify.
-
-    A short series, as a slice of a log sampled at kilohertz is, stays as it is: it does not say
-    what is noise, and would be wrong near its ends.
-    """
-    period = float(np.median(np.diff(time)))
-    short = len(lag) < LEAST_SPECTRUM or time[-1] - time[0] < _LEAST_SECONDS
-    if short or not np.allclose(np.diff(time), period, rtol=0.01):
-        return lag
-    return design_filter(period, choose_bandwidth([(lag[:, None], period)])).smooth(lag)
 
 
 @dataclass(frozen=True)

@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
+from numpy.typing import ArrayLike, NDArray
 
 from geodrake.compiling import compiled, contiguous
 from geodrake.effects.base import (
@@ -24,6 +25,7 @@ from geodrake.effects.deflection import SPRING_DAMPING, Deflection, DeflectionEf
 from geodrake.effects.friction import Direction, SharedActuatorEffect
 from geodrake.effects.gradient import RobotGradient
 from geodrake.errors import ArgumentError
+from geodrake.logs.filtering import HIGHEST_BANDWIDTH, design_filter
 
 
 @dataclass(frozen=True)
@@ -242,6 +244,7 @@ class JointElasticity(DeflectionEffect):
 
 
 _SUBSTEPS = 4
+_UNSURE = 2.0  # deviations of the noise of a load, below which its sign is not known
 
 
 @dataclass(frozen=True)
@@ -279,10 +282,14 @@ class Backlash(DeflectionEffect):
         load = motion.load[:, at]
         if time is None or len(time) < 3:
             return Deflection.along(self.half_width * np.sign(load), time)
-        inertia = motion.effort_slopes.acceleration[:, at, at]
-        lag = self.lag(load / np.maximum(inertia, 1e-9), time)
-        bend = np.diff(lag, 2, prepend=lag[:1], append=lag[-1:])
+        inertias = motion.effort_slopes.acceleration[:, at]  # (N, nv)
+        noise = np.linalg.norm(inertias * motion.acceleration_noise, axis=1)
         period = float(np.median(np.diff(time)))
+        if motion.bandwidth * period < HIGHEST_BANDWIDTH:
+            load = design_filter(period, motion.bandwidth).smooth(load)
+        inertia = np.maximum(inertias[:, at], 1e-9)
+        lag = self.lag(load / inertia, time, _UNSURE * noise / inertia)
+        bend = np.diff(lag, 2, prepend=lag[:1], append=lag[-1:])
         return Deflection(lag, np.gradient(lag, time), bend / period**2)
 
     def give(self, parameters: Array) -> Give:
@@ -300,25 +307,29 @@ class Backlash(DeflectionEffect):
         share = np.array([deviations["half_width"] / width])
         return FittedEffect(replace(self, half_width=width), np.ones(1), share)
 
-    def lag(self, acceleration: Array, time: Array) -> Array:
+    def lag(self, acceleration: Array, time: Array, unsure: ArrayLike = 0.0) -> Array:
         """Return the lag s (N,) of a link at instants (N,), s.
 
-        When it is loose, it falls behind with accelerations (N,) τ_j / M_jj, rad/s².
+        When it is loose, it falls behind with accelerations (N,) τ_j / M_jj, rad/s². It comes loose
+        where these exceed what is `unsure` of them, one for all or (N,).
         """
         steps = np.diff(time, append=time[-1:]) / _SUBSTEPS
         following = np.append(acceleration[1:], acceleration[-1:])
-        return np.asarray(_lag(self.half_width, contiguous(acceleration), following, steps))
+        sure = np.abs(acceleration) >= unsure
+        return np.asarray(_lag(self.half_width, contiguous(acceleration), following, steps, sure))
 
 
 @compiled
-def _lag(h: float, acceleration: Array, following: Array, steps: Array) -> Array:
+def _lag(
+    h: float, acceleration: Array, following: Array, steps: Array, sure: NDArray[np.bool_]
+) -> Array:
     """Return the lag (N,) within ±h of a link that falls behind by accelerations, rad/s²."""
     lags = np.empty(len(acceleration))
     s, speed = np.copysign(h, acceleration[0]), 0.0
     for i in range(len(acceleration)):
         a, b, dt = acceleration[i], following[i], steps[i]
         lags[i] = s
-        if a * s > 0.0 and b * s > 0.0 and abs(s) == h:
+        if abs(s) == h and (not sure[i] or (a * s > 0.0 and b * s > 0.0)):
             continue  # it lies at its side
         for k in range(_SUBSTEPS):
             speed += dt * (a + (b - a) * (k + 0.5) / _SUBSTEPS)

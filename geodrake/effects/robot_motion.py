@@ -60,6 +60,8 @@ class RobotMotion(Short):
             aside; None where nobody computes it.
         temperature: (N, nv) temperatures of motors or gears, °C; NaN where one is not known, None
             where none is.
+        bandwidth: Up to which efforts show the motion, Hz; infinite for a motion without noise.
+        acceleration_noise: (nv,) deviation of the noise that accelerations have below it.
     """
 
     joints: tuple[str, ...]
@@ -76,6 +78,8 @@ class RobotMotion(Short):
     before: Array | None = None
     states: Mapping[Any, Array] = field(default_factory=dict)
     temperature: Array | None = None
+    bandwidth: float = np.inf
+    acceleration_noise: Array | float = 0.0
 
     def joint(self, name: str) -> JointMotion:
         """Return the motion of one joint, which may be one behind a transmission or in a loop.

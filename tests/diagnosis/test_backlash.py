@@ -4,6 +4,7 @@ The motor of the elbow moves as planned, whatever the link does, and the shoulde
 play is found is in the benchmark of hidden effects.
 """
 
+from dataclasses import replace
 from functools import cache
 from math import cos, sin
 
@@ -101,3 +102,26 @@ def test_lag_falls_freely():
     np.testing.assert_allclose(lag[time < 0.0], -1e-3)
     np.testing.assert_allclose(lag[apart], 30.0 * time[apart] ** 3 / 6 - 1e-3, atol=2e-5)
     assert time[apart][-1] == pytest.approx((12.0 * 1e-3 / 30.0) ** (1 / 3), abs=2e-3)
+
+
+def test_noise_of_a_load_loosens_no_link():
+    time, rng = np.arange(0.0, 2.0, 1e-3), np.random.default_rng(0)
+    noise = rng.normal(size=len(time))
+    backlash = Backlash("elbow", 1e-5)
+    assert np.ptp(backlash.lag(noise, time)) == pytest.approx(2e-5)
+    assert np.ptp(backlash.lag(noise, time, 5.0)) == 0.0
+    pushed = noise - np.where(time > 1.0, 30.0 * np.sign(noise[0]), 0.0)
+    assert np.ptp(backlash.lag(pushed, time, 5.0)) == pytest.approx(2e-5)
+
+
+def test_a_column_follows_no_noise_of_the_motion():
+    """A link that hangs still lies at one side, whatever the noise of its acceleration."""
+    time, rng = np.arange(0.0, 4.0, 1e-3), np.random.default_rng(1)
+    still = np.zeros((len(time), 2))
+    noise = np.stack([0.0 * time, rng.normal(size=len(time))], 1)
+    seen = MODEL.motion(Motion(still, still, noise, time))
+    backlash = Backlash("elbow", 1e-5)
+    assert np.ptp(backlash.regressor(seen)) > 0.1
+    kept = 20.0 * np.sqrt(2.0 * 1e-3)  # of white noise, below 20 Hz
+    known = replace(seen, bandwidth=20.0, acceleration_noise=np.array([0.0, 2.0 * kept]))
+    assert np.ptp(backlash.regressor(known)) < 1e-12

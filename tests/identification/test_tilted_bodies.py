@@ -33,7 +33,8 @@ def parameters(model):
 def columns(effects, motion):
     """Per joint, columns (N, p) of bodies and effects, and what the former have of the latter."""
     layout = Layout.of(ARM, effects, np.ones(NV), np.zeros(NV))
-    log = SimpleNamespace(payloads=(), name="a")
+    known = SimpleNamespace(bandwidth=10.0)
+    log = SimpleNamespace(payloads=(), name="a", filter=known, acceleration_noise=0.0)
     found, load = layout.evaluate(motion, log, layout.parts)
     parts = dict(zip(layout.parts, found, strict=True))
     inertial = parts.pop(INERTIA)

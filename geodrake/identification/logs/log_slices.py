@@ -258,7 +258,12 @@ class Layout:
         elif load is None:
             load = inverse_dynamics(self.tree, motion.q, motion.v, motion.vd, robot.total_phi)
         seen = robot.motion(motion, sign_width=self.sign_width, load=load)
-        seen = replace(seen, log=log_number(trajectory.name))
+        seen = replace(
+            seen,
+            log=log_number(trajectory.name),
+            bandwidth=trajectory.filter.bandwidth,
+            acceleration_noise=trajectory.acceleration_noise,
+        )
         effects = tuple(part for part in parts if isinstance(part, Effect))
         found = dict(zip(effects, EffectColumns(robot.joints, effects).rows(seen), strict=True))
         return [inertial if isinstance(part, str) else found[part] for part in parts], seen.load
