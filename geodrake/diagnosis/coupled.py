@@ -13,6 +13,7 @@ from geodrake.diagnosis.residuals import JointResidual, Proposal, filtered_colum
 from geodrake.effects.friction import SharedActuatorEffect
 from geodrake.identification.logs.case import Case
 from geodrake.identification.logs.evidence import chi2_tail
+from geodrake.identification.logs.reduce import moving_together
 from geodrake.logs.smoothing import Segment
 from geodrake.model.robot_model import RobotModel
 
@@ -48,9 +49,12 @@ def coupled_joints(
     """Yield friction and rotors that pairs of joints share which `RobotModel.joint_pairs` has not.
 
     Both joints must show them, with the same parameters and beyond friction and a rotor of their
-    own: the evidence is that of the joint that shows them less.
+    own: the evidence is that of the joint that shows them less. Of joints that never move at once
+    nobody can tell.
     """
     pairs = other_pairs(case.model, [j.joint for j in joints if np.ptp(j.q) > 0.0])
+    at_once, index = moving_together(case.trajectories), case.model.joints.index
+    pairs = [(one, other) for one, other in pairs if at_once[index(one), index(other)]]
     partners = {
         joint.joint: [a if b == joint.joint else b for a, b in pairs if joint.joint in (a, b)]
         for joint in joints

@@ -181,10 +181,16 @@ def _prices(effect: Effect, odds: float, beliefs: Beliefs, *, body: bool) -> tup
     shape = beliefs.order if effect.proposer in _IN_MANY else beliefs.shape
     price = 2.0 * np.log(shape) * effect.free_shapes + _ODD_SHAPE * odd
     first = price + 2.0 * (np.log(odds) + effect.complexity * np.log(beliefs.rarer))
-    # An effect at one joint is likely at others; one at a pair or a body says little about others.
-    likely = effect.places == "joint" and not body
+    # What motors and gears do at one joint is likely at others; a spring, or an effect at a pair or
+    # a body, says little about others.
+    likely = effect.places == "joint" and not body and not _is_spring(effect)
     again = min(first, price + 2.0 * np.log(beliefs.again)) if likely else first
     return float(first), float(again)
+
+
+def _is_spring(effect: Effect) -> bool:
+    """Return whether an effect is one of the position alone that is put on a joint, as springs."""
+    return effect.depends_on == {"q"} and effect.proposer is not Proposer.WAVES
 
 
 def _wrong_bodies(model: RobotModel, dataset: Dataset, beliefs: Beliefs) -> list[Term]:

@@ -13,7 +13,9 @@ from pinocchio_logs import MODELS, effort_log
 from geodrake import load_model
 from geodrake.diagnosis import explain
 from geodrake.identification.logs.case import open_case
+from geodrake.identification.logs.reduce import moving_together
 from geodrake.logs.motion import JointLog
+from geodrake.logs.preparation import prepare_logs
 
 DRY, WET = np.array([0.3, 0.15]), np.array([0.2, 0.1])
 
@@ -55,11 +57,16 @@ class TestJointsInTurn:
             assert data.samples.max() < 0.75 * data.samples.sum()
 
     def test_their_friction_is_found_and_predicted(self, model, log):
-        """Whether the elbow rubs alone or against the shoulder, such a log cannot tell."""
+        """That the elbow rubs against the shoulder, no log of joints in turn can tell."""
         found = explain(model, [log], blocks=2)
-        assert {*places(found)} <= {"coulomb_friction", "viscous_friction", "coupled_friction"}
-        assert places(found)["coulomb_friction"] >= {"shoulder"}
+        assert places(found) == {"coulomb_friction": {*JOINTS}, "viscous_friction": {*JOINTS}}
         assert found.end.nrms < 0.03
+
+
+def test_joints_share_what_they_show_when_both_move(log):
+    (trajectory,) = prepare_logs([log])
+    assert moving_together([trajectory]).tolist() == [[True, False], [False, True]]
+    assert moving_together([*prepare_logs([pendulum_log(3)])]).all()
 
 
 def test_an_offset_may_be_many_times_the_deviation_of_an_effort(model):

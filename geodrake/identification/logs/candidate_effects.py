@@ -11,8 +11,9 @@ from geodrake.effects import catalogue
 from geodrake.effects.base import Effect, JointEffect
 from geodrake.effects.column_checks import of_geodrake
 from geodrake.effects.declarations import Proposer, Role
+from geodrake.effects.friction import SharedActuatorEffect
 from geodrake.effects.user_effects import candidates_of
-from geodrake.identification.logs.reduce import peak_speeds
+from geodrake.identification.logs.reduce import moving_together, peak_speeds
 from geodrake.logs.filtering import ZeroPhaseFilter
 from geodrake.logs.motion import Trajectory
 from geodrake.logs.smoothing import Segment
@@ -39,7 +40,8 @@ def candidate_effects(
     """Return all instances of the catalogue's effects, and of a user's own, that a robot can have.
 
     Effects whose shape is found in a residual are not among them (see `proposals`), nor those of
-    pairs of joints that do not follow each other (see `coupled`), nor those that only inertias
+    pairs of joints that do not follow each other (see `coupled`), nor what two joints share that
+    never move at once, unless the speeds are those of other logs, nor those that only inertias
     known from other logs identify. Where known payloads or the ground do, these take their place
     (see `joints_with_known_gain`). Shape grids scale with temperatures of the prepared logs, and
     with peak speeds (nv,), rad/s or m/s, by default those of the logs.
@@ -60,6 +62,9 @@ def candidate_effects(
     ]
     spans = np.max([np.ptp(segment.position, axis=0) for segment in segments], axis=0)
     reach = dict(zip(model.joints, spans.tolist(), strict=True))
+    followers = [p for p in model.joint_pairs if not {*p}.intersection(model.base_joints)]
+    at_once = moving_together(trajectories) if speeds is None else np.ones((len(peaks),) * 2)
+    together = [p for p in followers if at_once[*map(model.joints.index, p)]]
     duration = max(float(t.segments[-1][-1:].time[0] - t.began) for t in trajectories)
     passive = {joint for trajectory in trajectories for joint in trajectory.passive}
     frames = dict.fromkeys(frame for t in trajectories for frame in t.force_sensors)
@@ -82,7 +87,7 @@ def candidate_effects(
                 elif speed[joint] > 0.0:
                     found.extend(_at_joint(effect, joint, speed[joint], temperatures.get(joint)))
         elif effect.places == "joint_pair":
-            pairs = (p for p in model.joint_pairs if not {*p}.intersection(model.base_joints))
+            pairs = together if issubclass(effect, SharedActuatorEffect) else followers
             for pair in (p for p in pairs if not any(has_none(effect, j) for j in p)):
                 found.extend(candidates_of(effect, pair))
         elif effect.places == "body":
@@ -151,7 +156,7 @@ def mean_temperatures(trajectories: Sequence[Trajectory]) -> dict[str, float]:
     return found
 
 
-_SHORT = 0.25  # share of a step: robots with heavy rotors show shorter delays
+_SHORT = 0.25, 0.1  # shares of a step: robots with heavy rotors show shorter delays
 
 
 def candidate_delays(low_pass: ZeroPhaseFilter) -> tuple[float, ...]:
@@ -163,4 +168,4 @@ def candidate_delays(low_pass: ZeroPhaseFilter) -> tuple[float, ...]:
     step = max(period, LONGEST_DELAY / 10, min(0.02 / bandwidth, LONGEST_DELAY / 2))
     steps = np.arange(1, max(2, int(LONGEST_DELAY / step + 1e-9) + 1)) * step
     late, early = steps.tolist(), (-steps[: (len(steps) + 1) // 2]).tolist()
-    return (0.0, *late, *early, _SHORT * step, -_SHORT * step)
+    return (0.0, *late, *early, *(sign * share * step for share in _SHORT for sign in (1.0, -1.0)))

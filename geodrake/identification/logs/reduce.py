@@ -35,6 +35,7 @@ SIGN_NOISE = 1.2  # deviations σ of a speed's noise; the mean sign is erf(v/√
 AT_REST = 8.0  # deviations of a speed's noise, below which a joint never moves
 LEAST_SPEED = 1e-4  # of the fastest joint's speed, below which a joint never moves
 STILL_SPEED = 0.01  # of a joint's peak speed, below which it is at rest
+_AT_ONCE = 0.1  # of the time in which that of two joints moves that moves less
 WORTHWHILE = 20  # times more rows than columns are folded into a triangular factor
 LEAST_DEVIATION = 1e-7  # of an effort's RMS: what is less is rounding of a constant
 ROWS_KEPT = 4_000  # filtered rows of each fold and joint, for autocorrelations and figures
@@ -203,6 +204,20 @@ def peak_speeds(trajectories: Sequence[Trajectory]) -> Array:
     noise = np.max([trajectory.speed_noise for trajectory in trajectories], axis=0)
     moving = (peak > AT_REST * noise) & (peak > LEAST_SPEED * peak.max())
     return np.where(moving, peak, 0.0)
+
+
+def moving_together(trajectories: Sequence[Trajectory]) -> NDArray[np.bool_]:
+    """Return (nv, nv) whether two joints move at once for some of the time in which both move."""
+    peaks = peak_speeds(trajectories)
+    noise = np.max([trajectory.speed_noise for trajectory in trajectories], axis=0)
+    still, count = np.maximum(STILL_SPEED * peaks, AT_REST * noise), np.zeros((len(peaks),) * 2)
+    for trajectory in trajectories:
+        for segment in trajectory.segments:
+            for _, chunk in segment.chunks():
+                moves = (np.abs(chunk.velocity) > still).astype(float)
+                count += moves.T @ moves
+    alone = np.diag(count)
+    return np.asarray(count >= _AT_ONCE * np.maximum(np.minimum.outer(alone, alone), 1.0))
 
 
 def sign_widths(model: RobotModel, trajectories: Sequence[Trajectory]) -> Array:
