@@ -161,7 +161,7 @@ def findings_of(found: Found, posterior: Posterior | None = None) -> list[Findin
             continue
         groups.setdefault(term.key if term.is_whole else term.name, []).append(term)
     findings = [Finding(t[0].name, tuple(t), posterior.of_terms(t)) for t in groups.values()]
-    if found.fit.choice.delay != found.model.on_time:
+    if found.model.are_apart(found.fit.choice.delay, found.model.on_time):
         findings.append(Finding(DELAY, (), posterior.of_delay()))
     width, least, wrong = found.fit.choice.width, found.model.widths[0], found.model.beliefs.wrong
     far = found.model.model.information is not None or width > wrong or not findings

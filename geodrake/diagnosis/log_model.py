@@ -349,7 +349,7 @@ class LogModel:
     def _odds_of_coordinates(self, choice: Choice) -> float:
         """Return twice the logarithm of the odds against its width and delays alone."""
         beliefs, total = self.beliefs, 0.0
-        delays = self._found_delays + self.lateness(choice)
+        delays = self._found_delays + self._seconds(choice.delay)
         late = np.abs(delays) > _ON_TIME
         if late.any():
             total += 2.0 * np.log(beliefs.delays)
@@ -368,8 +368,15 @@ class LogModel:
 
     def lateness(self, choice: Choice) -> Array:
         """Return (nv,) delays of an explanation beyond those of the model, s."""
-        grid, joints = self.dataset.delays, np.arange(len(self.on_time))
-        return np.asarray(grid[list(choice.delay), joints] - grid[list(self.on_time), joints])
+        return self._seconds(choice.delay) - self._seconds(self.on_time)
+
+    def are_apart(self, delay: Delay, other: Delay) -> bool:
+        """Return whether two delays differ, as those at two indices need not."""
+        return bool(np.any(np.abs(self._seconds(delay) - self._seconds(other)) > _ON_TIME))
+
+    def _seconds(self, delay: Delay) -> Array:
+        """(nv,) delays beyond those of the dataset's model, s, by their indices."""
+        return np.asarray(self.dataset.delays[list(delay), np.arange(len(delay))])
 
     def are_compatible(self, terms: Terms) -> bool:
         """Return whether terms may stand together, beside what the model has."""

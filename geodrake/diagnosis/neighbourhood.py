@@ -59,8 +59,9 @@ class Neighbourhood:
         self._at = {term: np.arange(span.start, span.stop) for term, span in spans}
 
     def delays(self) -> list[tuple[Delay, float]]:
-        """Return the best other delay of all joints, and of each joint alone, with their gains.
+        """Return other delays of all joints, and of each joint alone, with their gains.
 
+        They are the best one, and none at all where there is one.
         Joints of a free base have no motor that could be late alone, and rows that have efforts of
         several joints tell of none alone. A servo has a delay of its own, found with it: its effort
         is not late once more.
@@ -89,7 +90,10 @@ class Neighbourhood:
                 ratio = np.maximum(left, 1e-12 * now[at]) / now[at]
                 delay = tuple(k if j in moved else was[j] for j in joints)
                 tried.append((delay, float(-samples[at] @ np.log(ratio))))
-            found.append(max((each for each in tried if each[0] != was), key=lambda each: each[1]))
+            tried = [each for each in tried if model.are_apart(each[0], was)]
+            found.append(max(tried, key=lambda each: each[1]))
+            on_time = tuple(model.on_time[j] if j in moved else was[j] for j in joints)
+            found += [each for each in tried if each[0] == on_time and each != found[-1]]
         return found
 
     def _samples(self) -> Array:

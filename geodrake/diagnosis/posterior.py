@@ -67,11 +67,8 @@ class Posterior:
 
     def of_delay(self) -> Certainty:
         """Return how probable it is that efforts are late as they are found to be."""
-        late = self._model.on_time
-        has = [fit.choice.delay != late for fit in self._fits]
-        if not any(has):  # the model has the delays by now
-            own = self._fit.choice.delay
-            has = [fit.choice.delay == own for fit in self._fits]
+        model = self._model
+        has = [model.are_apart(fit.choice.delay, model.on_time) for fit in self._fits]
         return self._certainty(has, set())
 
     def of_bodies(self) -> Certainty:

@@ -20,7 +20,9 @@ from geodrake.diagnosis.log_model import Choice, LogModel
 from geodrake.diagnosis.moves import neighbours
 from geodrake.diagnosis.neighbourhood import Neighbourhood
 from geodrake.diagnosis.normal_kernels import calc_noise_changes
+from geodrake.diagnosis.refinements import fitted_delays
 from geodrake.diagnosis.search import Search, searched
+from geodrake.diagnosis.terms import odds_against
 from geodrake.effects import CoulombFriction, EffortOffset, GravityCompensator, Payload
 from geodrake.identification.logs.case import open_case
 from geodrake.identification.logs.dataset import Dataset, JointData
@@ -317,6 +319,33 @@ def test_gains_scale_what_bodies_carry(problem):
         columns, _ = loaded.row_columns(fit, j, rows[:, :-1], rows[:, -1:])
         gain = columns[:, PENDULUM.phi.size + j]
         np.testing.assert_allclose(gain, bodies[j] @ loads.ravel(), rtol=1e-9, atol=1e-12)
+
+
+def test_a_delay_costs_its_odds_only_where_it_is_one(problem):
+    """Columns at a delay of 10 ms that was found, and at none, as the file says."""
+    model, found = problem[0], np.array([0.0, 0.01])
+    data = [
+        replace(each, factors=each.factors[:, :, [*range(each.factors.shape[2]), -1]])
+        for each in model.dataset.data
+    ]
+    dataset = replace(model.dataset, delays=np.array([[0.0, 0.0], [0.0, -0.01]]), data=tuple(data))
+    late = replace(PENDULUM, effects=tuple(fitted_delays(found, JOINTS)))
+    timed = LogModel(late, dataset, EFFECTS, BELIEFS, (1, 1), file_delays=np.zeros(2))
+    odds = [
+        timed.odds_against(Choice((), WIDTH, delay)) for delay in [(1, 1), (0, 1), (0, 0), (1, 0)]
+    ]
+    assert odds[0] == odds[1] == model.odds_against(Choice((), WIDTH, (0, 0)))
+    assert odds[2] == odds[3] > odds[0] + 2.0 * np.log(BELIEFS.delays)
+    assert not timed.are_apart((1, 1), (0, 1))
+    assert timed.are_apart((1, 1), (0, 0))
+
+
+def test_springs_are_not_everywhere(problem):
+    """A gravity compensator at a second joint is as rare as at the first."""
+    first, second = (
+        next(t for t in problem[0].terms if t.effect == effect) for effect in COMPENSATORS
+    )
+    assert odds_against((first, second)) == pytest.approx(2.0 * odds_against((first,)))
 
 
 def test_gains_of_efforts_that_are_wrong_make_no_sample_dependent():
