@@ -54,11 +54,21 @@ def joints_with_known_gain(
     """
     phi = np.array([carried_phi(model, payloads) for payloads in logs])
     changes = np.any(phi != phi[0], axis=(0, 2))
-    bodies = RobotBodies(model.tree, np.zeros((1, model.tree.num_positions)), model.total_phi)
     names = [body for body, changed in zip(model.bodies, changes, strict=True) if changed]
-    names += [frame.body for frame in contact_frames(model, frames)]
-    bearing = {dof for name in names for dof in bodies.motion(name).dofs}
-    return tuple(joint for at, joint in enumerate(model.joints) if at in bearing)
+    known = {*_joints_of(model, names), *joints_on_ground(model, frames)}
+    return tuple(joint for joint in model.joints if joint in known)
+
+
+def joints_on_ground(model: RobotModel, frames: Sequence[str]) -> tuple[str, ...]:
+    """Return joints that bear forces of the ground at frames, those of a free base among them."""
+    return _joints_of(model, [frame.body for frame in contact_frames(model, frames)])
+
+
+def _joints_of(model: RobotModel, bodies: Sequence[str]) -> tuple[str, ...]:
+    """Return the joints that move some bodies."""
+    motions = RobotBodies(model.tree, np.zeros((1, model.tree.num_positions)), model.total_phi)
+    moving = {dof for body in bodies for dof in motions.motion(body).dofs}
+    return tuple(joint for at, joint in enumerate(model.joints) if at in moving)
 
 
 def payload_notes(model: RobotModel, logs: Sequence[JointLog]) -> list[str]:

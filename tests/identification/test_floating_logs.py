@@ -23,11 +23,13 @@ from typer.testing import CliRunner
 from geodrake.cli.app import app
 from geodrake.control.rollout import roll_out
 from geodrake.diagnosis import explain
+from geodrake.effects import Role
 from geodrake.effects.body_motion import RobotBodies
 from geodrake.effects.motor_and_transmission import JointElasticity
 from geodrake.effects.sensors import WrenchOffset
 from geodrake.errors import LogError
 from geodrake.identification.logs.candidate_effects import candidate_effects
+from geodrake.identification.logs.case import open_case
 from geodrake.identification.logs.compare import compare
 from geodrake.identification.logs.contact_rows import rows_without
 from geodrake.identification.logs.noise import known_noise
@@ -618,3 +620,11 @@ def test_a_gain_of_a_leg_is_told_by_forces_of_the_ground(model, maker, wrenches)
     (step,) = explain(model, replace(log, effort=effort)).steps
     assert (step.effect, step.where) == ("effort_scale", ("hl_knee",)) and step.probability > 0.9
     assert abs(step.parameters["hl_knee"]["gain_error"] - 0.2) < 0.02
+
+
+@pytest.mark.parametrize("wrenches", [True, False])
+def test_joints_that_bear_forces_of_the_ground_do_not_give_way(model, maker, wrenches):
+    """Columns of what gives way have no forces of the ground in them."""
+    case = open_case(model, [maker.log(wrenches=wrenches)], candidates=True)
+    tried = {effect.role for effect in case.dataset.effects if effect.where[0] in JOINTS}
+    assert Role.SCALE in tried and Role.DEFLECTION not in tried

@@ -17,7 +17,7 @@ from geodrake.identification.logs.reduce import moving_together, peak_speeds
 from geodrake.logs.filtering import ZeroPhaseFilter
 from geodrake.logs.motion import Trajectory
 from geodrake.logs.smoothing import Segment
-from geodrake.model.carried_payloads import joints_with_known_gain
+from geodrake.model.carried_payloads import joints_on_ground, joints_with_known_gain
 from geodrake.model.floating_logs import contact_frames
 from geodrake.model.robot_model import RobotModel
 
@@ -43,14 +43,16 @@ def candidate_effects(
     pairs of joints that do not follow each other (see `coupled`), nor what two joints share that
     never move at once, unless the speeds are those of other logs, nor those that only inertias
     known from other logs identify. Where known payloads or the ground do, these take their place
-    (see `joints_with_known_gain`). Shape grids scale with temperatures of the prepared logs, and
-    with peak speeds (nv,), rad/s or m/s, by default those of the logs.
+    (see `joints_with_known_gain`). Joints that bear forces of the ground do not give way: what
+    these forces then do is in no column. Shape grids scale with temperatures of the prepared logs,
+    and with peak speeds (nv,), rad/s or m/s, by default those of the logs.
     """
     peaks = peak_speeds(trajectories) if speeds is None else speeds
     single = [joint for joint in model.joints if joint in model.single_joints]
     single = [joint for joint in single if joint not in model.base_joints]
     grounded = [frame for t in trajectories for frame in t.ground_frames]
     told = joints_with_known_gain(model, [t.payloads for t in trajectories], grounded)
+    standing = joints_on_ground(model, grounded)
     known = [joint for joint in single if joint in told]
     speed = dict(zip(model.joints, peaks.tolist(), strict=True))
     temperatures = mean_temperatures(trajectories)
@@ -73,7 +75,8 @@ def candidate_effects(
 
     def has_none(effect: type[Effect], joint: str) -> bool:
         slides = effect.turning_only and joint in model.sliding_joints
-        return slides or (effect.of_motor and joint in passive)
+        gives_way = effect.role is Role.DEFLECTION and joint in standing
+        return slides or gives_way or (effect.of_motor and joint in passive)
 
     for effect in (*catalogue(), *extra):
         unknown = effect.needs_known_inertia and model.information is None
