@@ -155,9 +155,14 @@ class _Rows:
         kept = {name: getattr(self, name)[rows] for name in ("time", "body", "known", "left")}
         return replace(self, **kept)
 
+    @property
+    def columns(self) -> Array:
+        """(K, n + 11) columns of all there is: known ones, what is left, and the body."""
+        return np.hstack([self.known, self.left[:, None], self.body])
+
     def products(self, body: Array) -> Array:
         """Return (10, n + 11) weighted products of columns (K, 10) of the body with all."""
-        return np.asarray(self.weight * body.T @ np.hstack([self.known, self.left[:, None], body]))
+        return np.asarray(self.weight * body.T @ replace(self, body=body).columns)
 
 
 @dataclass(frozen=True, eq=False)
@@ -260,21 +265,18 @@ class _Sums:
             return None
         step = max(1, len(every) // (16 * _INSTANTS))
         first = every[::step]  # outputs at which bins begin
-        sums = np.zeros((len(first), *rows[0].products(rows[0].body).shape))
-        counts = np.zeros(len(first))
-        for each in rows:
-            output = np.rint(each.time / period)
-            at = np.searchsorted(first, output, side="right") - 1
-            own = np.bincount(at, minlength=len(first))
-            wide = np.hstack([each.known, each.left[:, None], each.body])
-            binned = np.zeros((len(first), own.max(), wide.shape[1]))
-            binned[at, np.arange(len(at)) - np.repeat(np.cumsum(own) - own, own)] = wide
-            of_body = binned[:, :, -PARAMETERS_PER_BODY:]
-            sums += each.weight * np.swapaxes(of_body, 1, 2) @ binned
-            counts += own
+        size = np.sqrt(np.concatenate([np.full(len(each.time), each.weight) for each in rows]))
+        wide = np.concatenate([each.columns for each in rows]) * size[:, None]
+        output = np.rint(np.concatenate([each.time for each in rows]) / period)
+        at = np.searchsorted(first, output, side="right") - 1
+        order, counts = np.argsort(at, kind="stable"), np.bincount(at, minlength=len(first))
+        number = np.arange(len(at)) - np.repeat(np.cumsum(counts) - counts, counts)
+        binned = np.zeros((len(first), counts.max(), wide.shape[1]))
+        binned[at[order], number] = wide[order]
+        sums = np.swapaxes(binned[:, :, -PARAMETERS_PER_BODY:], 1, 2) @ binned
         edges = np.append((first - 0.5) * period, (every[-1] + 0.5) * period)
         total = np.concatenate([np.zeros((1, *sums.shape[1:])), np.cumsum(sums, axis=0)])
-        counts = np.concatenate([[0.0], np.cumsum(counts)])
+        counts = np.append(0, np.cumsum(counts))
         price = 2.0 * float(np.log(around.model.beliefs.order))  # it is one of many
         is_only = len(around.case.trajectories) == 1
         return cls(edges, total, counts / counts[-1], around.prior, price, is_only)

@@ -209,7 +209,8 @@ class LogModel:
             block[n : n + 2, n : n + 2] = mixed.T @ gram @ mixed
         self.places, self._inertias = places[self.joint_of], self._inertias[self.joint_of]
         self._ends = np.array([len(joint.columns) for joint in data.data])
-        self._powers = [block.diagonal().copy() for block in self.grams]
+        late = self._ends[self.joint_of, None] + np.arange(len(data.delays))
+        self._powers = self.grams[np.arange(len(blocks))[:, None], late, late]  # bᵀb by delay
         # What all fits share: the columns before those of terms.
         first = self.places[:, : self.first_term].copy()
         self._common = calc_packed(self.grams, first, nothing_packed(len(blocks)))
@@ -593,7 +594,7 @@ class LogModel:
             change = calc_noise_changes(signals, own, late - late[own])
             at = self._ends[j] + np.arange(len(change))
             scale = self.block_rows[block] / counted.sum()
-            self.grams[block, at, at] = self._powers[block][at] - change * scale
+            self.grams[block, at, at] = self._powers[block] - change * scale
 
     def _residuals(self, fit: Fit, joint: int) -> list[Array]:
         """Return the residuals (K_i,) of a joint in each stretch of its rows."""
