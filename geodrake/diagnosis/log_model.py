@@ -206,7 +206,7 @@ class LogModel:
             block[:n, :n] = gram
             block[:n, n : n + 2] = gram @ mixed
             block[n : n + 2, :n] = block[:n, n : n + 2].T
-            block[n : n + 2, n : n + 2] = mixed.T @ gram @ mixed
+            block[n : n + 2, n : n + 2] = mixed.T @ block[:n, n : n + 2]
         self.places, self._inertias = places[self.joint_of], self._inertias[self.joint_of]
         self._ends = np.array([len(joint.columns) for joint in data.data])
         late = self._ends[self.joint_of, None] + np.arange(len(data.delays))
