@@ -118,21 +118,30 @@ def controller_state(
 
 
 def motor_states(folder, log, *, spare=0):
-    """States of motors, a message each in one of the robot, as Unitree's robots publish them."""
+    """States of motors, a message each in one of the robot, as Unitree's robots publish them.
+
+    A motor has two temperatures, the first of which rises from 30 °C.
+    """
     from rosbags.typesys import get_types_from_msg
 
     store, kinds = ros2_store(), ("unitree_go/msg/MotorState", "unitree_go/msg/LowState")
     count = len(log.joints) + spare
     text = f"unitree_go/MotorState[{count}] motor_state\nuint32 tick\n"
-    store.register(get_types_from_msg("uint8 mode\nfloat32 q\nfloat32 tau_est\n", kinds[0]))
+    store.register(
+        get_types_from_msg(
+            "uint8 mode\nfloat32 q\nfloat32 tau_est\nint16[2] temperature\n", kinds[0]
+        )
+    )
     store.register(get_types_from_msg(text, kinds[1]))
     Motor, State = (store.types[kind] for kind in kinds)
 
     def messages():
         for k, since in enumerate(nanoseconds(log)):
             both = zip(log.position[k].tolist(), log.effort[k].tolist(), strict=True)
-            motors = [Motor(1, q, effort) for q, effort in both]
-            yield since + EPOCH, State([*motors, *[Motor(0, 0.0, 0.0)] * spare], since // 10**6)
+            heat = np.array([30 + k // 100, 90], np.int16)
+            motors = [Motor(1, q, effort, heat + n) for n, (q, effort) in enumerate(both)]
+            others = [Motor(0, 0.0, 0.0, 0 * heat)] * spare
+            yield since + EPOCH, State([*motors, *others], since // 10**6)
 
     return write_rosbag2(folder / "motors", {"/lowstate": messages()}, store)
 

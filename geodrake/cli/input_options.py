@@ -69,7 +69,8 @@ class ReadingOptions:
             Repeatable.
         topic (NAME): Topic of a bag, or channel of an LCM log, where several have joints; an
             unknown one such as x lists them. Repeatable: topics of a bag are joined by time.
-        episode (N): Episode of a LeRobot dataset, from 0 on; all if absent.
+        episode (N): Episode of a LeRobot dataset, or of demonstrations in one file; all if
+            absent.
         skip_bad_rows: Leave out rows that no recorder meant, up to 1 %, and say how many.
     """
 

@@ -36,12 +36,17 @@ def test_every_format_keeps_every_number(tmp_path, log, write):
 
 
 def test_messages_with_one_for_each_motor(tmp_path, log):
-    """Behind the last motor there are others, which no robot of that kind has."""
+    """Behind the last motor there are others, which no robot of that kind has.
+
+    Of two temperatures of each motor the first is taken.
+    """
     spare = foreign_logs.motor_states(tmp_path, log, spare=3)
     read = read_log(spare, joints=JOINTS)
     assert np.allclose(read.position, log.position, atol=1e-6)
     assert np.allclose(read.effort, log.effort, atol=1e-6)
     assert "and so of no motor: position[2] …" in " ".join(read.notes)
+    heat = 30.0 + np.arange(len(log)) // 100
+    assert np.array_equal(read.temperature, np.column_stack([heat, heat + 1.0]))
 
 
 @pytest.mark.parametrize("version", ["v2.1", "v3.0"])

@@ -120,6 +120,21 @@ SHAPES = {
         double_precision=15),
     "object.json": text(json.dumps({**listed(LISTS), "robot": "x", "remarks": []})),
     "episode.hdf5": in_hdf5({**OBSERVED, "images/top": np.zeros((ROWS, 2, 2, 3), np.uint8)}),
+    "one_demonstration.hdf5": in_hdf5({"data/demo_7/obs/joint_pos": POSITION,
+        "data/demo_7/obs/joint_torque": EFFORT, "data/demo_7/obs/t": TIME}),
+    "own_time.json": text(json.dumps({"robot": "x", "joints": {
+        joint: listed({"t": TIME, "position": POSITION[:, k], "effort": EFFORT[:, k]})
+        for k, joint in enumerate(JOINTS)}})),
+    "own_records.json": text(json.dumps({
+        joint: [{"t": t, "position": q, "effort": e}
+            for t, q, e in zip(TIME, POSITION[:, k], EFFORT[:, k], strict=True)]
+        for k, joint in enumerate(JOINTS)})),
+    "named_parts.json": text(json.dumps([{"name": joint,
+        **listed({"t": TIME, "position": POSITION[:, k], "effort": EFFORT[:, k]})}
+        for k, joint in enumerate(JOINTS)])),
+    "motors.jsonl": text("\n".join(json.dumps({"time": t, "motor_state":
+        [{"q": p, "tau_est": e, "temperature": [30, 90]} for p, e in zip(q, tau, strict=True)]})
+        for t, q, tau in zip(TIME, POSITION.tolist(), EFFORT.tolist(), strict=True))),
     "names.csv": table(NAMED.rename(columns={"q": "position", "tau": "effort"})),
     "names.parquet": NAMED.to_parquet,
     "names_once.json": text(json.dumps({**listed(TURNED), "joint_names": JOINTS[::-1]})),
@@ -427,6 +442,7 @@ def test_many_lines_are_read_by_arrow_as_without_it(tmp_path, monkeypatch, odd):
         ("a.json", '{"a": 1', "no JSON file that can be read"),
         ("a.json", "3", "neither an object nor records"),
         ("a.jsonl", "[1]\n[2]", "neither an object nor records"),
+        ("deep.json", '{"a":' * 900 + "1" + "}" * 900, "maximum recursion depth exceeded"),
         ("a.h5", "no archive", "no HDF5 file that can be read"),
     ],
 )
@@ -825,3 +841,81 @@ def test_what_columns_of_words_hold_is_said_where_nothing_else_is_of_joints(tmp_
     with pytest.raises(LogError, match=r"efforts: none; 'msg' holds '.\"position\": ") as error:
         read_log(tmp_path / "log.csv", joints=JOINTS)
     assert "as lines of a .jsonl file" in error.value.advice
+
+
+def demonstrations(path, numbers=(0, 1, 10, 2), *, time=False, rate=True):
+    """Write demonstrations of 40 + number rows, as robomimic does; positions say which."""
+    with h5py.File(path, "w") as file:
+        for number in numbers:
+            rows = 40 + number
+            position = number + 0.1 * np.sin(np.arange(2 * rows).reshape(rows, 2))
+            group = file.create_group(f"data/demo_{number}")
+            group["actions"] = np.zeros((rows, 7))
+            group["obs/robot0_joint_pos"] = position
+            group["obs/robot0_joint_torque"] = 2.0 * position
+            group["obs/agentview_image"] = np.zeros((rows, 4, 4, 3), np.uint8)
+            group["next_obs/robot0_joint_pos"] = np.roll(position, -1, axis=0)
+            group["next_obs/robot0_joint_torque"] = np.roll(position, -1, axis=0)
+            if time:
+                group["obs/t"] = 0.05 * np.arange(rows)
+        settings = {"env_name": "Lift", "env_kwargs": {"control_freq": 20}}
+        if rate:
+            file["data"].attrs["env_args"] = json.dumps(settings)
+    return path
+
+
+@pytest.mark.parametrize("time", [False, True])
+def test_demonstrations_are_one_log_with_gaps_or_one_of_them(tmp_path, time):
+    path = demonstrations(tmp_path / "demos.hdf5", time=time)
+    log = read_log(path, joints=JOINTS)
+    known = np.isfinite(log.position).all(axis=1)
+    assert np.count_nonzero(known) == 4 * 40 + 13
+    assert "4 episodes" in log.notes[0]
+    steps = np.diff(log.time[known])
+    assert np.flatnonzero(steps > 0.25).tolist() == [39, 80, 122]
+    np.testing.assert_allclose(np.delete(steps, [39, 80, 122]), 0.05, atol=1e-9)
+    means = [part.mean() for part in np.split(log.position[known], [40, 81, 123])]
+    np.testing.assert_allclose(means, [0, 1, 2, 10], atol=0.05)
+    np.testing.assert_allclose(log.effort, 2.0 * log.position)
+    second = read_log(path, joints=JOINTS, reading=Reading(episode=10))
+    assert len(second) == 50
+    assert second.position.mean() == pytest.approx(10.0, abs=0.05)
+    with pytest.raises(LogError, match="no episode 3; it has 0, 1, 2, 10"):
+        read_log(path, reading=Reading(episode=3))
+
+
+def test_demonstrations_without_time_need_a_rate(tmp_path):
+    path = demonstrations(tmp_path / "demos.hdf5", rate=False)
+    with pytest.raises(LogError, match="no column 'time'") as caught:
+        read_log(path, joints=JOINTS)
+    assert "--rate" in caught.value.advice
+    assert len(read_log(path, joints=JOINTS, reading=Reading(rate=20.0))) > 4 * 40 + 13
+
+
+def test_a_file_without_episodes_has_none_to_choose(tmp_path):
+    with pytest.raises(LogError, match="has no episodes"):
+        read_log(written(tmp_path, "object.json"), reading=Reading(episode=0))
+
+
+@pytest.mark.parametrize("kind", ["json", "hdf5"])
+def test_joints_with_time_of_their_own_are_joined_by_it(tmp_path, kind):
+    """Their stamps and numbers of rows differ."""
+    late = TIME[:-7] + 0.003
+    own = {"base": (TIME, 3.0 * TIME, TIME), "elbow": (late, 1.0 + late, 2.0 - late)}
+    fields = {n: dict(zip(("t", "position", "effort"), x, strict=True)) for n, x in own.items()}
+    path = tmp_path / f"own.{kind}"
+    if kind == "json":
+        path.write_text(json.dumps({name: listed(each) for name, each in fields.items()}))
+    else:
+        in_hdf5({f"{name}/{n}": x for name, each in fields.items() for n, x in each.items()})(path)
+    log = read_log(path, joints=JOINTS)
+    known = np.isfinite(log.position).all(axis=1)
+    assert np.count_nonzero(known) == ROWS - 8  # between the first and the last stamp of both
+    np.testing.assert_allclose(log.position[known, 0], 3.0 * log.time[known], atol=1e-9)
+    np.testing.assert_allclose(log.position[known, 1], 1.0 + log.time[known], atol=1e-9)
+    np.testing.assert_allclose(log.effort[known, 1], 2.0 - log.time[known], atol=1e-9)
+
+
+def test_the_first_of_several_temperatures_of_a_motor_is_taken(tmp_path):
+    log = read_log(written(tmp_path, "motors.jsonl"), joints=JOINTS)
+    assert np.all(log.temperature == 30.0)

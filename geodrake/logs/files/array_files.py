@@ -7,6 +7,7 @@ import math
 import re
 import zipfile
 from collections.abc import Iterator, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -23,6 +24,13 @@ from geodrake.boundary.memory import machine_memory
 from geodrake.boundary.optional_packages import optional_package
 from geodrake.errors import LogError
 from geodrake.logs.files.column_mapping import check_once, is_used
+from geodrake.logs.files.grouped_arrays import (
+    are_records,
+    arrays_of,
+    fields_of,
+    grouped_table,
+    records_table,
+)
 from geodrake.logs.files.name_rules import numbers_joints
 from geodrake.logs.files.packed_files import open_log, unpacked
 from geodrake.logs.files.reading import Reading
@@ -54,16 +62,21 @@ def read_json(path: Path, reading: Reading) -> LogTable:
             content: Any = [json.loads(line) for line in text.splitlines() if line.strip()]
         else:
             content = json.loads(text)
+        return _json_table(path, content, reading)
+
+
+def _json_table(path: Path, content: Any, reading: Reading) -> LogTable:
     content = _of_pandas(content)
+    if (grouped := grouped_table(path, content, reading)) is not None:
+        return grouped
     if isinstance(content, Mapping):
-        content = next((x for x in content.values() if _are_records(x)), content)
+        content = next((x for x in content.values() if are_records(x)), content)
     if isinstance(content, Mapping):
-        fields = [(n, x) for n, x in _fields(content) if isinstance(x, list | int | float)]
-        lists = {n: x for n, x in fields if not isinstance(x, list) or len(x) > 1}
+        lists = arrays_of(content)
         return numeric_table(path, lists, rows_of(lists))
-    if not _are_records(content):
+    if not are_records(content):
         raise LogError(f"Log {str(path)!r} is neither an object nor records.", advice=_JSON_ADVICE)
-    return _records(path, content)
+    return records_table(path, content)
 
 
 def read_echo(path: Path, reading: Reading) -> LogTable:
@@ -73,14 +86,14 @@ def read_echo(path: Path, reading: Reading) -> LogTable:
         text = _whole(path, "YAML")
         whole = text.rpartition(b"\n---")[0] or text  # the last may be cut off
         documents = list(yaml.load_all(whole, yaml.CSafeLoader))
-    return _records(path, [each for each in documents if isinstance(each, Mapping)])
+    return records_table(path, [each for each in documents if isinstance(each, Mapping)])
 
 
 def read_rsi(path: Path, reading: Reading) -> LogTable:
     """Return the columns of what a KUKA sent by its interface for sensors, elements of XML."""
     with readable(path, "XML of a robot", "Leave out a last element that was cut off."):
         root = ElementTree.fromstring(b"<log>" + _whole(path, "XML") + b"</log>")
-    return _records(path, [_of_element(element) for element in root])
+    return records_table(path, [_of_element(element) for element in root])
 
 
 def _of_element(element: ElementTree.Element) -> dict[str, Any]:
@@ -97,23 +110,6 @@ def _whole(path: Path, kind: str) -> bytes:
     return text
 
 
-def _records(path: Path, content: Sequence[Mapping[str, Any]]) -> LogTable:
-    """Return the columns of records, which need not have the same fields."""
-    columns = dict[str, list[Any]]()
-    for k, record in enumerate(content):
-        for name, value in _fields(record, lists=True):
-            columns.setdefault(name, [None] * k).append(value)
-            check_room(path, len(content) * len(columns), f"{len(columns)} fields")
-        for values in columns.values():
-            values.extend([None] * (k + 1 - len(values)))
-    arrays = {name: np.array(values, object) for name, values in columns.items()}
-    return numeric_table(path, arrays, len(content))
-
-
-def _are_records(content: Any) -> bool:
-    return isinstance(content, list) and {isinstance(row, Mapping) for row in content} == {True}
-
-
 def _of_pandas(content: Any) -> Any:
     """Return what a data frame that was written as JSON holds, as columns."""
     if not isinstance(content, Mapping):
@@ -126,20 +122,6 @@ def _of_pandas(content: Any) -> Any:
     return content
 
 
-def _fields(
-    record: Mapping[str, Any], prefix: str = "", *, lists: bool = False
-) -> Iterator[tuple[str, Any]]:
-    """Yield what is in nested tables by its path; of lists each item, if these are fields, too."""
-    for name, value in record.items():
-        if lists and isinstance(value, list):
-            items = {f"[{k}]": each for k, each in enumerate(value)}
-            yield from _fields(items, f"{prefix}{name}", lists=lists)
-        elif isinstance(value, Mapping):
-            yield from _fields(value, f"{prefix}{name}.", lists=lists)
-        else:
-            yield f"{prefix}{name}", value
-
-
 _MOST_VARIABLES, _DEEPEST = 10_000, 30
 _HDF5 = b"\x89HDF\r\n\x1a\n"
 _HDF5_STARTS = (0, 512)  # MATLAB puts a header of its own before
@@ -150,10 +132,12 @@ def read_mat(path: Path, reading: Reading) -> LogTable:
     """Return the columns of a MATLAB file; see `read_bag` for arguments."""
     with readable(path, "MATLAB file", _MAT_ADVICE):
         variables = _of_hdf5(path) if _is_hdf5(path) else loadmat(path, simplify_cells=True)
-    own = {name: value for name, value in variables.items() if not name.startswith(("__", "#"))}
-    arrays = _arrays(own)
-    rows = max((max(np.shape(array), default=0) for array in arrays.values()), default=0)
-    table = numeric_table(path, {name: np.squeeze(x) for name, x in arrays.items()}, rows)
+        own = {name: value for name, value in variables.items() if not name.startswith(("__", "#"))}
+        if (grouped := grouped_table(path, own, reading)) is not None:
+            return grouped
+        arrays = _arrays(own)
+        rows = max((max(np.shape(array), default=0) for array in arrays.values()), default=0)
+        table = numeric_table(path, {name: np.squeeze(x) for name, x in arrays.items()}, rows)
     if not table.columns:
         raise LogError(
             f"Log {str(path)!r} has no arrays of numbers; its variables are "
@@ -166,7 +150,10 @@ def read_mat(path: Path, reading: Reading) -> LogTable:
 def read_hdf5(path: Path, reading: Reading) -> LogTable:
     """Return the arrays of an HDF5 file by their paths; images and the like are left out."""
     with readable(path, "HDF5 file"):
-        arrays = _arrays(_of_hdf5(path, matlab=False))
+        variables = _of_hdf5(path, matlab=False)
+        if (grouped := grouped_table(path, variables, reading)) is not None:
+            return grouped
+        arrays = _arrays(variables)
     return numeric_table(path, arrays, rows_of(arrays))
 
 
@@ -199,9 +186,9 @@ def _of_hdf5(path: Path, *, matlab: bool = True) -> dict[str, Any]:
                 advice=_MAT_ADVICE,
             )
         found = {name: file[name] for name in names}
-        told = [(f"{k}/{n}", x) for k, v in found.items() for n, x in v.attrs.items()]
+        told = [(f"{k}/{n}", x) for k, v in found.items() for n, x in _attributes(v)]
         datasets = {n: v for n, v in found.items() if isinstance(v, h5py.Dataset)}
-        told += [*file.attrs.items()]
+        told += _attributes(file)
         told += [(n, np.ravel(v[()])[0]) for n, v in datasets.items() if v.size == 1]
         arrays = {n: v for n, v in datasets.items() if v.shape and (matlab or len(v.shape) <= 2)}
         size = sum(value.size for value in arrays.values())
@@ -217,6 +204,16 @@ def _of_hdf5(path: Path, *, matlab: bool = True) -> dict[str, Any]:
     return variables | {name: float(x) for name, x in told if rate_in(name, x) is not None}
 
 
+def _attributes(group: Any) -> list[tuple[str, Any]]:
+    """Return attributes of a group, and what texts of JSON among them say, as robomimic's."""
+    found = [*group.attrs.items()]
+    for _, text in [*found]:
+        if isinstance(text, str) and text.startswith("{"):
+            with suppress(ValueError):
+                found += fields_of(json.loads(text))
+    return found
+
+
 def _arrays(variables: dict[str, Any]) -> dict[str, Any]:
     """Return arrays, and numbers alone; a struct around all else says nothing.
 
@@ -229,8 +226,7 @@ def _arrays(variables: dict[str, Any]) -> dict[str, Any]:
         variables |= {
             str(each["label"] or f"signal{k}"): each["values"] for k, each in enumerate(signals)
         }
-    fields = [(n, x) for n, x in _fields(variables) if isinstance(x, np.ndarray | float | int)]
-    return {n: x for n, x in fields if not isinstance(x, np.ndarray) or x.size > 1}
+    return arrays_of(variables)
 
 
 def read_parquet(path: Path, reading: Reading) -> LogTable:

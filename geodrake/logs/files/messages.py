@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from geodrake.errors import LogError
-from geodrake.logs.files.name_rules import MEASURED, OTHER, meaning_of
+from geodrake.logs.files.name_rules import MEASURED, OTHER, meaning_of, quantity_of
 from geodrake.logs.files.table import LogTable
 from geodrake.logs.floating import IS_BASE, floating_name
 from geodrake.logs.motion import EFFORT_KINDS
@@ -55,6 +55,7 @@ NUMBERS = "data"
 
 _NAMES = ("name", "names", "joint_name", "joint_names")
 _OUTPUT = ("output", "effort")  # of a controller, where nobody measures
+_FIRST = "[0]"  # behind a field with several numbers for each motor
 _POINTS = "points"  # of a trajectory, which joints are told
 
 
@@ -299,7 +300,8 @@ def stamp_of(message: Any) -> int:
 def _leaves(message: Any, path: tuple[str, ...] = ()) -> Iterator[tuple[tuple[str, ...], Any]]:
     """Yield what is in a message of ROS or LCM, and in messages in it, and where it is.
 
-    Of a list of messages, one for each motor, numbers of each field together.
+    Of a list of messages, one for each motor, numbers of each field together; of several
+    temperatures of a motor, the first.
     """
     first, *others = message if isinstance(message, list) and message else [message]
     fields: Iterable[str] = getattr(first, "__dict__", ()) or getattr(first, "__slots__", ())
@@ -308,8 +310,10 @@ def _leaves(message: Any, path: tuple[str, ...] = ()) -> Iterator[tuple[tuple[st
     for name in fields:
         if not others:
             yield from _leaves(getattr(first, name), (*path, name))
-        elif np.isscalar(getattr(first, name)):
+        elif np.isscalar(value := getattr(first, name)):
             yield (*path, name), _at(message, [name])
+        elif np.ndim(value) == 1 and quantity_of(name) == "temperature":
+            yield (*path, name + _FIRST), _at(message, [name + _FIRST])
 
 
 @lru_cache(1024)
@@ -320,7 +324,7 @@ def _quantity_at(path: tuple[str, ...]) -> tuple[str, int]:
     """
     if path == (NUMBERS,):
         return NUMBERS, MEASURED
-    meaning = meaning_of(f"{'/'.join(path)}[0]")
+    meaning = meaning_of(f"{'/'.join(path).removesuffix(_FIRST)}[0]")
     if meaning is None or meaning.role >= OTHER:
         return "", OTHER
     if meaning.is_wanted or path[0] == _POINTS:
@@ -335,11 +339,19 @@ def _at(message: Any, path: Sequence[str]) -> Any:
     """Return what a message has at a place, None for nothing; of several, numbers of each."""
     for name in path:
         first, *others = message if isinstance(message, list) and message else [message]
-        message = getattr(first, name, None)
+        message = _field(first, name)
         if others:
             is_number = np.isscalar(message)
-            message = [message, *(getattr(x, name) for x in others)] if is_number else None
+            message = [message, *(_field(x, name) for x in others)] if is_number else None
     return message
+
+
+def _field(message: Any, name: str) -> Any:
+    """Return a field of a message, None if it has none; of `name[0]` the first of its numbers."""
+    value = getattr(message, name.removesuffix(_FIRST), None)
+    if name.endswith(_FIRST) and value is not None:
+        return value[0] if len(value) else np.nan
+    return value
 
 
 def _by_interface(message: Any) -> dict[str, Array]:

@@ -65,6 +65,8 @@ _INCREMENTAL = ("inc", "cnt", "qc")  # a kind of encoder, where they stand in no
 _OBSERVED = ("observation.state", "observation.position")  # of LeRobot
 _BRACKETS = re.compile(r"\s*[\[(<{]\s*([^\])>}]*?)\s*[\])>}]\s*$")
 _INDEX = re.compile(r"\[(\d+)\]")
+_FIRST_SENSOR = re.compile(r"(?<=\][./]temperature)\[0\]$")  # of several in the same motor
+_FURTHER_SENSOR = re.compile(r"\][./]temperature\[[1-9]\d*\]$")
 _LONGEST_NAME = 200  # letters of a name of words
 
 
@@ -260,6 +262,7 @@ def _time(name: str) -> Meaning | None:
 def _joint(column: str) -> Meaning | None:
     """Read a name of a quantity of a joint, its words in whatever order."""
     name = _TYPED.sub("", _SECOND.sub("qdd", column))
+    name = _FIRST_SENSOR.sub("", name)
     name = _INDEX.sub(r"_\1", name).replace(*_OBSERVED)
     name = name.replace("qfrc_actuator", "qfrc")  # of MuJoCo: of motors, at joints
     brackets = _BRACKETS.search(name)
@@ -297,7 +300,7 @@ def _joint(column: str) -> Meaning | None:
     named = _has_name(joint)
     words = words_of(joint) if named else tuple(numbers[-1:])
     roles = [ROLE_WORDS[w] for w in _split(name) if isinstance(w, str) and w in ROLE_WORDS]
-    role = max(roles, default=PLAIN)
+    role = OTHER if _FURTHER_SENSOR.search(column) else max(roles, default=PLAIN)
     style = (quantity, *sorted(used), *parts[:place])
     called = joint if named else ""
     return Meaning(column, quantity, called, words, role, unit, style, DESIRED in roles)

@@ -113,7 +113,7 @@ class Reading:
         skip_bad_rows: Leave out rows that no recorder meant, if they are at most 1 %.
         topic: Topic of a bag or channel of an LCM log, or several of a bag, which are joined by
             time; None for what fits.
-        episode: Episode of a dataset; None for all of them, one after the other.
+        episode: Episode of a dataset, or of demonstrations; None for all, one after the other.
         ignored: Columns that are not used.
         motorless: Joints that are passive where a log has no effort of them, or zeros alone.
         motors: Joint -> its motor; by the name "", that of all others.

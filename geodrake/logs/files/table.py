@@ -483,7 +483,17 @@ def numeric_table(path: Path, arrays: Mapping[str, Any], rows: int) -> LogTable:
 
 _HIGHEST_RATE = 1e5
 _PERIODS = ("dt", "ts", "period", "timestep", "sampletime", "sampleperiod", "samplingtime")
-_RATES = ("fs", "rate", "hz", "fps", "freq", "frequency", "samplerate", "samplingrate")
+_RATES = (
+    "fs",
+    "rate",
+    "hz",
+    "fps",
+    "freq",
+    "frequency",
+    "samplerate",
+    "samplingrate",
+    "controlfreq",
+)
 
 
 def rate_in(name: str, value: Any) -> float | None:

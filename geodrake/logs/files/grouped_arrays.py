@@ -1,0 +1,198 @@
+"""Groups in one file: demonstrations, one after the other, and parts with time of their own."""
+
+from __future__ import annotations
+
+import math
+import re
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from geodrake.errors import LogError
+from geodrake.logs.files.column_mapping import listed
+from geodrake.logs.files.joined_tables import joined_tables
+from geodrake.logs.files.name_rules import OF_JOINTS, is_time, meanings_of, names_joints
+from geodrake.logs.files.reading import Reading
+from geodrake.logs.files.table import LogTable, check_room, numeric_table, rows_of
+from geodrake.logs.time_stamps import longest_step
+
+Array = NDArray[np.float64]
+
+_MOST_PARTS = 200  # more records are samples, and no joints
+_STEPS_BETWEEN = 30.0  # steps of time between episodes, which are a gap
+_EPISODE = re.compile(
+    r"(?:demo|demonstration|episode|ep|traj|trajectory|rollout|trial|run)s?[_ -]?(\d+)", re.I
+)
+
+
+def fields_of(
+    record: Mapping[str, Any], prefix: str = "", *, lists: bool = False
+) -> Iterator[tuple[str, Any]]:
+    """Yield what is in nested tables by its path; of lists each item, if these are fields, too."""
+    for name, value in record.items():
+        if lists and isinstance(value, list):
+            items = {f"[{k}]": each for k, each in enumerate(value)}
+            yield from fields_of(items, f"{prefix}{name}", lists=lists)
+        elif isinstance(value, Mapping):
+            yield from fields_of(value, f"{prefix}{name}.", lists=lists)
+        else:
+            yield f"{prefix}{name}", value
+
+
+def arrays_of(variables: Mapping[str, Any]) -> dict[str, Any]:
+    """Return arrays, lists and numbers by their paths; arrays of one number say nothing."""
+    found = {}
+    for name, value in fields_of(variables):
+        size = value.size if isinstance(value, np.ndarray) else 2
+        size = len(value) if isinstance(value, list) else size
+        if isinstance(value, np.ndarray | list | float | int) and size > 1:
+            found[name] = value
+    return found
+
+
+def are_records(content: Any) -> bool:
+    """Return whether something is a list of tables, a record for each sample."""
+    return isinstance(content, list) and {isinstance(row, Mapping) for row in content} == {True}
+
+
+def records_table(path: Path, content: Sequence[Mapping[str, Any]]) -> LogTable:
+    """Return the columns of records, which need not have the same fields."""
+    columns = dict[str, list[Any]]()
+    for k, record in enumerate(content):
+        for name, value in fields_of(record, lists=True):
+            columns.setdefault(name, [None] * k).append(value)
+            check_room(path, len(content) * len(columns), f"{len(columns)} fields")
+        for values in columns.values():
+            values.extend([None] * (k + 1 - len(values)))
+    arrays = {name: np.array(values, object) for name, values in columns.items()}
+    return numeric_table(path, arrays, len(content))
+
+
+def grouped_table(path: Path, content: Any, reading: Reading) -> LogTable | None:
+    """Return the columns of demonstrations, or of parts with time of their own; None of others."""
+    found = _episodes_in(content, least=1 if reading.episode is not None else 2)
+    if found:
+        return _in_turn(path, found, content, reading)
+    if reading.episode is not None:
+        raise LogError(
+            f"Log {str(path)!r} has no episodes, such as groups demo_0, demo_1.",
+            advice="Leave --episode out.",
+        )
+    parts = [part for part in _parts_in(content) if _has_joints(*part)]
+    if len(parts) < 2:
+        return None
+    short = [name[-1:] for name, _ in parts]
+    is_told = len({*short}) == len(parts)
+    named = [
+        (".".join(own if is_told else name), each)
+        for own, (name, each) in zip(short, parts, strict=True)
+    ]
+    return joined_tables(path, [_part(name, each) for name, each in named], reading)
+
+
+def _episodes_in(content: Any, *, least: int) -> dict[int, Mapping[str, Any]]:
+    """Return the demonstrations of a file by their numbers, in the order of these."""
+    if not isinstance(content, Mapping):
+        return {}
+    told = ((_EPISODE.fullmatch(name), x) for name, x in content.items())
+    found = {int(n[1]): x for n, x in told if n is not None and isinstance(x, Mapping)}
+    if len(found) >= least:
+        return dict(sorted(found.items()))
+    inside = (_episodes_in(each, least=least) for each in content.values())
+    return next(filter(None, inside), {})
+
+
+def _in_turn(
+    path: Path,
+    episodes: Mapping[int, Mapping[str, Any]],
+    content: Mapping[str, Any],
+    reading: Reading,
+) -> LogTable:
+    """Return the columns that all demonstrations have, one after the other, with gaps between.
+
+    Where there is no time, rows of nothing are between two; where it begins anew, it goes on.
+    """
+    if reading.episode is not None and reading.episode not in episodes:
+        raise LogError(
+            f"Log {str(path)!r} has no episode {reading.episode}; it has "
+            f"{listed([str(number) for number in episodes])}.",
+            advice="Name one of these by --episode, or none to read all of them.",
+        )
+    chosen = [reading.episode] if reading.episode is not None else [*episodes]
+    said = {name: x for name, x in content.items() if np.isscalar(x)}
+    tables = []
+    for number in chosen:
+        arrays = arrays_of(episodes[number])
+        tables.append(numeric_table(path, {**said, **arrays}, rows_of(arrays)))
+    first = tables[0]
+    names = [n for n in first.columns if all(n in table.columns for table in tables)]
+    has_time = any(map(is_time, names))
+    rate = reading.rate or (first.rate[0] if first.rate else 1.0)
+    empty = np.full(0 if has_time else 1 + math.ceil(rate * longest_step(1.0 / rate)), np.nan)
+    columns = {}
+    for name in names:
+        values = first.columns[name]
+        for table in tables[1:]:
+            following = table.columns[name]
+            if is_time(name):
+                following = _going_on(values, following)
+            values = np.concatenate([values, empty, following])
+        columns[name] = values
+    notes = [f"{len(tables)} episodes, one after the other"] if len(tables) > 1 else []
+    lost = dict.fromkeys(n for table in tables for n in table.columns if n not in columns)
+    notes += [f"columns that some episodes lack: {listed([*lost])}"] if lost else []
+    return replace(first, columns=columns, notes=(*notes, *first.notes))
+
+
+def _going_on(before: Array, time: Array) -> Array:
+    """Return time (N,) of an episode after that of others, behind which it is to be."""
+    known, own = (each[np.isfinite(each)] for each in (before, time))
+    if len(own) < 2 or not len(known) or own[0] > known[-1]:
+        return time
+    period = (own[-1] - own[0]) / (len(own) - 1)
+    return time + (known[-1] - own[0] + _STEPS_BETWEEN * period)
+
+
+def _parts_in(content: Any, name: tuple[str, ...] = ()) -> Iterator[tuple[tuple[str, ...], Any]]:
+    """Yield tables of columns or lists of records that have time of their own, and their names."""
+    if are_records(content):
+        if any(map(is_time, content[0])) and not any(isinstance(x, list) for x in _times(content)):
+            yield name, content
+            return
+        for k, record in enumerate(content if len(content) <= _MOST_PARTS else ()):
+            called = next((str(x) for n, x in record.items() if names_joints(n)), str(k))
+            yield from _parts_in(record, (*name, called))
+    elif isinstance(content, Mapping):
+        for own, each in content.items():
+            if isinstance(each, Mapping | list) and (
+                isinstance(each, Mapping) or are_records(each)
+            ):
+                yield from _parts_in(each, (*name, own))
+        fields = {n: x for n, x in content.items() if isinstance(x, list | np.ndarray)}
+        fields = {n: x for n, x in fields.items() if not are_records(x)}
+        if any(map(is_time, fields)):
+            yield name, fields
+
+
+def _times(records: Sequence[Mapping[str, Any]]) -> Iterator[Any]:
+    return (x for n, x in records[0].items() if is_time(n))
+
+
+def _has_joints(name: tuple[str, ...], part: Any) -> bool:
+    """Return whether a part has columns of joints."""
+    columns = part if isinstance(part, Mapping) else part[0]
+    return any(m.quantity in OF_JOINTS for m in meanings_of(".".join((*name, n)) for n in columns))
+
+
+def _part(name: str, part: Any) -> LogTable:
+    """Return the columns of a part, but for time with its name before their own."""
+    if isinstance(part, Mapping):
+        table = numeric_table(Path(name), part, rows_of(part))
+    else:
+        table = records_table(Path(name), part)
+    columns = {n if is_time(n) else f"{name}.{n}": x for n, x in table.columns.items()}
+    return replace(table, columns=columns)
