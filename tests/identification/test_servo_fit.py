@@ -18,6 +18,7 @@ from geodrake.control.systems.position_servo import servo_effort as effort_of
 from geodrake.effects import CoulombFriction, FittedEffect, RotorInertia, ViscousFriction
 from geodrake.effects.of_files import SquaredLoadFriction
 from geodrake.errors import LogError
+from geodrake.identification.logs import signal_calibration
 from geodrake.identification.logs.case import open_case
 from geodrake.identification.logs.servo_fit import JointMotions, fit_servo, motions_of
 from geodrake.identification.logs.signal_calibration import (
@@ -203,6 +204,20 @@ def test_a_linear_fit_of_the_motion_is_where_searches_begin(model, log, summed, 
     found = motions.linear_servo(EffortSignal("hinge", "command", 0.5))
     assert found.gain == pytest.approx(TRUTH[0], rel=0.1)
     assert found.integral == pytest.approx(integral, rel=0.1)
+
+
+def test_logs_whose_columns_were_looked_at_are_fitted_once(model, log, monkeypatch):
+    """Whatever was noticed of them since; other values are another fit."""
+    made = []
+    linear = signal_calibration._linear
+    monkeypatch.setattr(
+        signal_calibration, "_linear", lambda *given: made.append(1) or linear(*given)
+    )
+    calibrate_efforts(model, [log], simulate=False)
+    calibrate_efforts(model, [replace(log, notes=("of rows",))], simulate=False)
+    assert len(made) == 1
+    calibrate_efforts(model, [replace(log, position=log.position.copy())], simulate=False)
+    assert len(made) == 2
 
 
 def test_it_finds_the_integral_that_mujoco_has(fitted):

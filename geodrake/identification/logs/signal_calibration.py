@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field, fields, replace
 from weakref import WeakKeyDictionary
 
 import numpy as np
@@ -205,7 +205,7 @@ def calibrated(
         LogError: A servo pushes away from where it is told to go.
     """
     of, linear = _LINEAR.pop(model, ((), None))
-    if linear is None or of != tuple(logs):
+    if linear is None or len(of) != len(logs) or not all(map(_is_same, of, logs)):
         linear = _linear(model, logs, kinds)
     trajectories, gains = linear
     found, deviations = dict[int, EffortSignal](), gains.deviations * np.abs(gains.gains)
@@ -242,6 +242,12 @@ _Linear = tuple[Sequence[Trajectory], SignalGains]
 
 _LINEAR = WeakKeyDictionary[RobotModel, tuple[tuple[JointLog, ...], _Linear]]()
 """Linear fits of logs whose columns were looked at, until the logs are compared with the model."""
+
+
+def _is_same(log: JointLog, other: JointLog) -> bool:
+    """Return whether logs have the very same values, whatever was noticed while they were read."""
+    names = [field.name for field in fields(log) if field.name != "notes"]
+    return all(getattr(log, name) is getattr(other, name) for name in names)
 
 
 def _linear(model: RobotModel, logs: Sequence[JointLog], kinds: Sequence[str]) -> _Linear:
