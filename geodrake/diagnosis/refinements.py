@@ -247,17 +247,28 @@ def fading_speeds(case: Case, model: LogModel, fit: Fit) -> Array | None:
         return None
     speeds, left = [known], [before]
     for power in range(1, _DOUBLINGS + 1):
-        speed = np.where(tried, np.minimum(least * 2.0**power, most), known)
-        speeds.append(speed)
-        left.append(errors(speed))
-        if np.all(speed[tried] >= most[tried]):
+        speeds.append(np.where(tried, np.minimum(least * 2.0**power, most), known))
+        left.append(errors(speeds[-1]))
+        if np.all(speeds[-1][tried] >= most[tried]):
             break
-    best = np.argmin(left, axis=0)
-    joints = np.arange(len(best))
-    clear = tried & (np.array(left)[best, joints] <= _MOST * before) & (best > 0)
-    return np.where(clear, np.array(speeds)[best, joints], known) if clear.any() else None
+    best, joints = np.argmin(left, axis=0), np.arange(len(known))
+    hopeful = tried & (np.min(left, axis=0) <= _HOPEFUL * before) & (best > 0)
+    if not hopeful.any():
+        return None
+    found, least_left = np.where(hopeful, np.array(speeds)[best, joints], known), before
+    for ratio in _NEARER:
+        factors = np.array([1.0 / ratio, 1.0, ratio])
+        left = [errors(np.where(hopeful, found * each, known)) for each in factors]
+        least_left = np.min([least_left, *left], axis=0)
+        for j in np.flatnonzero(hopeful).tolist():
+            near = np.log([each[j] for each in left])
+            found[j] *= np.exp(least_between(np.log(factors), near)[0])
+    clear = hopeful & (least_left <= _MOST * before)
+    return np.where(clear, found, known) if clear.any() else None
 
 
 _FASTEST = 0.1
 """Dry friction fades below this share of a joint's peak speed at most."""
 _DOUBLINGS = 7
+_HOPEFUL, _NEARER = 0.75, (1.7, 1.2)
+"""Where no more than this share of the squared error is left, speeds of these ratios are tried."""
