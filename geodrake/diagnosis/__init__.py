@@ -11,9 +11,7 @@ from geodrake.identification.logs.compare import compare
 from geodrake.identification.logs.model_errors import (
     Comparison,
     ErrorTable,
-    Failing,
     JointError,
-    Series,
 )
 from geodrake.identification.models.results import BodyChange
 
@@ -26,9 +24,7 @@ __all__ = [
     "Diagnosis",
     "ErrorTable",
     "Explanation",
-    "Failing",
     "JointError",
-    "Series",
     "Step",
     "add",
     "check_columns",

@@ -21,7 +21,8 @@ from geodrake.effects.base import (
 from geodrake.effects.episode import Episode
 from geodrake.effects.gradient import RobotGradient
 from geodrake.errors import ArgumentError
-from geodrake.inertia import PARAMETER_NAMES, PARAMETER_UNITS, to_mass_com_inertia
+from geodrake.inertia import to_mass_com_inertia
+from geodrake.inertia.parameters import PARAMETER_NAMES, PARAMETER_UNITS
 from geodrake.manifolds import Manifold, PhysicalInertia
 
 _NEVER_NEGATIVE = ("m", "Ixx", "Iyy", "Izz")

@@ -5,17 +5,10 @@ robots of a type share, `changes` finds what changed in one; both take arrays an
 `run_fleet` leads from a fleet's file to its findings.
 """
 
-from geodrake.fleet.digest import (
-    Digest,
-    DigestedLog,
-    JointDigest,
-    digest_content,
-    merge,
-    read_digest,
-)
-from geodrake.fleet.digest_folder import DigestRow, DigestRun, digest_files, digest_logs
-from geodrake.fleet.digest_log import LogFacts, Wanted, digest_dataset, make_digest, make_settings
-from geodrake.fleet.fleet_file import Fleet, FleetRobot, FleetType, read_fleet
+from geodrake.fleet.digest import Digest, digest_content, merge, read_digest
+from geodrake.fleet.digest_folder import DigestRun, digest_files, digest_logs
+from geodrake.fleet.digest_log import LogFacts, digest_dataset, make_digest, make_settings
+from geodrake.fleet.fleet_file import Fleet, read_fleet
 from geodrake.fleet.fleet_result import (
     ChangedParameter,
     FleetFinding,
@@ -31,23 +24,17 @@ from geodrake.fleet.settings import DigestSettings
 __all__ = [
     "ChangedParameter",
     "Digest",
-    "DigestRow",
     "DigestRun",
     "DigestSettings",
-    "DigestedLog",
     "Fleet",
     "FleetFinding",
     "FleetResult",
-    "FleetRobot",
-    "FleetType",
     "FleetWork",
-    "JointDigest",
     "LogFacts",
     "OwnParameter",
     "ParameterHistory",
     "RobotResult",
     "UnusedLog",
-    "Wanted",
     "digest_content",
     "digest_dataset",
     "digest_files",

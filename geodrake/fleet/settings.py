@@ -27,7 +27,8 @@ from geodrake.effects import Effect, make_effect
 from geodrake.errors import ArgumentError, DigestError
 from geodrake.fleet.hashes import source_hash, text_hash
 from geodrake.identification.logs.dataset import is_payload
-from geodrake.inertia import PARAMETER_NAMES, PARAMETER_UNITS, PARAMETERS_PER_BODY, Array
+from geodrake.inertia import PARAMETERS_PER_BODY, Array
+from geodrake.inertia.parameters import PARAMETER_NAMES, PARAMETER_UNITS
 from geodrake.robot.base_parameters import BaseParameters
 
 Indices = NDArray[np.intp]

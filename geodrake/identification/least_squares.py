@@ -14,7 +14,8 @@ from geodrake.identification.conic_fit import solve_fit
 from geodrake.identification.fit import FitResult
 from geodrake.identification.identify import build_problem, physical_prior
 from geodrake.identification.problem import BodyConstraints, whitened_factor
-from geodrake.inertia import PARAMETER_NAMES, Array
+from geodrake.inertia import Array
+from geodrake.inertia.parameters import PARAMETER_NAMES
 
 _RANK = 1e-10
 _NAMED, _MOST_PARTS = 4, 3

@@ -19,8 +19,6 @@ from geodrake.inertia.body_distances import (
 from geodrake.inertia.ellipsoids import Ellipsoid, equivalent_ellipsoid, is_realizable
 from geodrake.inertia.kernels import PARAMETERS_PER_BODY, Array
 from geodrake.inertia.parameters import (
-    PARAMETER_NAMES,
-    PARAMETER_UNITS,
     change_frame,
     change_units,
     from_mass_com_inertia,
@@ -36,8 +34,6 @@ from geodrake.inertia.spatial import from_spatial_inertia, inertial_parameters, 
 
 __all__ = [
     "PARAMETERS_PER_BODY",
-    "PARAMETER_NAMES",
-    "PARAMETER_UNITS",
     "Array",
     "Ellipsoid",
     "change_frame",

@@ -13,7 +13,8 @@ import numpy as np
 from geodrake.boundary.arguments import LARGEST
 from geodrake.effects import FittedEffect
 from geodrake.errors import ModelError
-from geodrake.inertia import PARAMETER_NAMES, Array, is_physical, pseudo_inertia
+from geodrake.inertia import Array, is_physical, pseudo_inertia
+from geodrake.inertia.parameters import PARAMETER_NAMES
 from geodrake.manifolds import Interval, PhysicalInertia
 
 ROUNDING = 1e-6

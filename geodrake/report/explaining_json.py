@@ -8,7 +8,7 @@ from geodrake.diagnosis.drafting import Draft
 from geodrake.diagnosis.results import Explanation, Step
 from geodrake.identification.logs.model_errors import Comparison
 from geodrake.identification.models.results import ModelIdentification
-from geodrake.inertia import PARAMETER_NAMES
+from geodrake.inertia.parameters import PARAMETER_NAMES
 from geodrake.report.json_output import picked, record
 from geodrake.report.page import Records
 

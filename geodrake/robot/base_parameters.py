@@ -21,7 +21,8 @@ from scipy.linalg import qr, solve_triangular
 from geodrake.boundary.arguments import instances, integer, number, real_array
 from geodrake.boundary.showing import Short
 from geodrake.errors import ArgumentError
-from geodrake.inertia import PARAMETER_NAMES, PARAMETERS_PER_BODY, Array
+from geodrake.inertia import PARAMETERS_PER_BODY, Array
+from geodrake.inertia.parameters import PARAMETER_NAMES
 from geodrake.manifolds import PhysicalInertia
 from geodrake.robot.kinematics import KinematicTree
 from geodrake.robot.reduction import triangular_factor

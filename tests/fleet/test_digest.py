@@ -15,7 +15,6 @@ from geodrake.errors import DigestError, LogError
 from geodrake.fleet import (
     Digest,
     LogFacts,
-    Wanted,
     digest_content,
     digest_dataset,
     make_digest,
@@ -23,6 +22,7 @@ from geodrake.fleet import (
     merge,
     read_digest,
 )
+from geodrake.fleet.digest_log import Wanted
 from geodrake.fleet.hashes import model_hash, text_hash
 from geodrake.fleet.history import weighted_grams
 from geodrake.fleet.log_places import date_of_log, date_seconds

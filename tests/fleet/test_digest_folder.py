@@ -12,7 +12,6 @@ from geodrake.boundary.whole_files import write_new
 from geodrake.effects import JointEffect, Parameter
 from geodrake.errors import ArgumentError, DigestError, OutputError
 from geodrake.fleet import (
-    Wanted,
     digest_dataset,
     digest_files,
     digest_folder,
@@ -20,6 +19,7 @@ from geodrake.fleet import (
     merge,
     read_digest,
 )
+from geodrake.fleet.digest_log import Wanted
 from geodrake.fleet.settings import FORMAT, SETTINGS_FILE, read_settings
 from geodrake.logs.files import Reading, write_log
 from geodrake.logs.known_payload import KnownPayload
