@@ -125,6 +125,11 @@ SHAPES = {
     "own_time.json": text(json.dumps({"robot": "x", "joints": {
         joint: listed({"t": TIME, "position": POSITION[:, k], "effort": EFFORT[:, k]})
         for k, joint in enumerate(JOINTS)}})),
+    "own_time.mat": lambda path: savemat(path, {joint: {"t": TIME, "position": POSITION[:, k],
+        "effort": EFFORT[:, k]} for k, joint in enumerate(JOINTS)}),
+    "own_time73.mat": in_hdf5({f"{joint}/{name}": values[:, np.newaxis]
+        for k, joint in enumerate(JOINTS)
+        for name, values in (("t", TIME), ("position", POSITION[:, k]), ("effort", EFFORT[:, k]))}),
     "own_records.json": text(json.dumps({
         joint: [{"t": t, "position": q, "effort": e}
             for t, q, e in zip(TIME, POSITION[:, k], EFFORT[:, k], strict=True)]

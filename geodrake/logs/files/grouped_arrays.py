@@ -50,7 +50,7 @@ def arrays_of(variables: Mapping[str, Any]) -> dict[str, Any]:
         size = value.size if isinstance(value, np.ndarray) else 2
         size = len(value) if isinstance(value, list) else size
         if isinstance(value, np.ndarray | list | float | int) and size > 1:
-            found[name] = value
+            found[name] = np.squeeze(value) if isinstance(value, np.ndarray) else value
     return found
 
 
@@ -191,7 +191,8 @@ def _has_joints(name: tuple[str, ...], part: Any) -> bool:
 def _part(name: str, part: Any) -> LogTable:
     """Return the columns of a part, but for time with its name before their own."""
     if isinstance(part, Mapping):
-        table = numeric_table(Path(name), part, rows_of(part))
+        arrays = arrays_of(part)
+        table = numeric_table(Path(name), arrays, rows_of(arrays))
     else:
         table = records_table(Path(name), part)
     columns = {n if is_time(n) else f"{name}.{n}": x for n, x in table.columns.items()}
