@@ -225,6 +225,13 @@ class LinearTransmission(JointlyEvaluated, Short):
         J = np.broadcast_to(self.matrix, (len(q), *self.shape))
         return q @ self.matrix.T + self.offset, J, np.zeros(J.shape)
 
+    def jacobian_rate(self, q: Array, v: Array) -> Array:
+        """J̇ = 0, at velocities that are checked all the same."""
+        sizes: Sizes = {}
+        q = self._q(q, sizes)
+        real_array(v, "v", ("N", self.num_actuators), sizes)
+        return np.zeros((len(q), *self.shape))
+
 
 def gears(ratios: ArrayLike) -> LinearTransmission:
     """Joints θ_i = q_i / N_i of motors that turn N_i times as fast; a negative N_i reverses."""
