@@ -132,16 +132,15 @@ def _in_turn(
     names = [n for n in first.columns if all(n in table.columns for table in tables)]
     has_time = any(map(is_time, names))
     rate = reading.rate or (first.rate[0] if first.rate else 1.0)
-    empty = np.full(0 if has_time else 1 + math.ceil(rate * longest_step(1.0 / rate)), np.nan)
+    empty = np.full(1 + math.ceil(rate * longest_step(1.0 / rate)), np.nan)
     columns = {}
     for name in names:
-        values = first.columns[name]
+        parts = [first.columns[name]]
         for table in tables[1:]:
-            following = table.columns[name]
-            if is_time(name):
-                following = _going_on(values, following)
-            values = np.concatenate([values, empty, following])
-        columns[name] = values
+            own = table.columns[name]
+            following = _going_on(parts[-1], own) if is_time(name) else own
+            parts += [following] if has_time else [empty, following]
+        columns[name] = np.concatenate(parts)
     notes = [f"{len(tables)} episodes, one after the other"] if len(tables) > 1 else []
     lost = dict.fromkeys(n for table in tables for n in table.columns if n not in columns)
     notes += [f"columns that some episodes lack: {listed([*lost])}"] if lost else []
@@ -168,9 +167,7 @@ def _parts_in(content: Any, name: tuple[str, ...] = ()) -> Iterator[tuple[tuple[
             yield from _parts_in(record, (*name, called))
     elif isinstance(content, Mapping):
         for own, each in content.items():
-            if isinstance(each, Mapping | list) and (
-                isinstance(each, Mapping) or are_records(each)
-            ):
+            if isinstance(each, Mapping) or are_records(each):
                 yield from _parts_in(each, (*name, own))
         fields = {n: x for n, x in content.items() if isinstance(x, list | np.ndarray)}
         fields = {n: x for n, x in fields.items() if not are_records(x)}
