@@ -108,9 +108,10 @@ def _prepare(
 ) -> Trajectory:
     log, period = uniform.log, uniform.period
     low_pass = design_filter(period, bandwidth)
-    smoother = design_filter(
-        period, min(motion_bandwidth, HIGHEST_MOTION / period), highest=HIGHEST_MOTION
-    )
+    # Feet that touch the ground shake a robot at frequencies that no log holds.
+    on_feet = log.ground is not None or log.contacts is not None
+    highest = HIGHEST_BANDWIDTH if on_feet else HIGHEST_MOTION
+    smoother = design_filter(period, min(motion_bandwidth, highest / period), highest=highest)
     notes = list(uniform.notes)
     notes.append(
         f"bandwidth {low_pass.bandwidth:.3g} Hz {how}; efforts decimated {1 / period:.4g} → "
