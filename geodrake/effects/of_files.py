@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import ClassVar
 
 import numpy as np
@@ -61,28 +61,40 @@ class PolynomialSpring(_Stated, JointEffect):
 
 
 @dataclass(frozen=True)
-class SquaredLoadFriction(_Stated, JointEffect):
-    """Dry friction that grows with the square of the load of a gear, as of hobby servos.
+class WeightFriction(_Stated, JointEffect):
+    """Dry friction that grows with the square of the weight that a gear holds, as of hobby servos.
 
-    effort = k τ_model² sgn v, with the effort τ_model that the bodies need, and k ≥ 0 in 1/(N·m).
+    effort = k τ_g² sgn v, with the effort τ_g that holds the bodies still, and k ≥ 0 in 1/(N·m).
     M. Duclusaud et al., Extended Friction Models for the Physics Simulation of Servo Actuators
     (2024), model M6, have such a term.
     """
 
-    name = "squared_load_friction"
+    name = "weight_friction"
     of_motor = True
     taken_out_as = "friction"
-    label = "friction by the square of the load"
-    law = "k τ_model² sgn v"
+    label = "friction by the weight held"
+    law = "k τ_g² sgn v"
     complexity = 1
     jumps = True
-    parameters = (Parameter("squared_load_factor", "1/(N·m)", lower=0.0),)
-    signature = "a step at reversals whose height grows with the square of the load on the joint"
-    depends_on = frozenset({"v", "load"})
+    parameters = (Parameter("weight_factor", "1/(N·m)", lower=0.0),)
+    signature = "a step at reversals whose height grows with the square of the weight held"
+    depends_on = frozenset({"q", "v", "bodies"})
 
     def columns(self, joint: JointMotion) -> Sequence[Array]:
-        """[τ_model² sgn v]."""
+        """[τ_g² sgn v], the weight being the load."""
         return [np.square(joint.load) * joint.sign_v]
+
+    def rows(self, motion: RobotMotion) -> Rows:
+        """[τ_g² sgn v] at the joint."""
+        bodies, at = motion.body_motions(self.name), motion.index(self.joint)
+        weight = np.zeros_like(motion.v[:, at])
+        for name, mass in zip(bodies.tree.bodies, bodies.phi[:, 0].tolist(), strict=True):
+            body = bodies.motion(name)
+            if at in body.dofs and mass > 0.0:
+                J = body.jacobian_at(bodies.mass_center(name))
+                weight = weight - mass * (np.moveaxis(J, 1, 2) @ bodies.gravity)[:, at]
+        (column,) = self.columns(replace(motion.joint(self.joint), load=weight))
+        return {self.joint: column[:, None]}
 
 
 @dataclass(frozen=True)
