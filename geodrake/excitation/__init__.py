@@ -10,6 +10,7 @@ nor units nor the choice of base parameters matter ([Lee2019] Proposition 4.1); 
 two effects are on it (`geodrake.excitation.tell_apart`).
 """
 
+from geodrake.excitation.collision_geometry import Solid
 from geodrake.excitation.collisions import CollisionWorld
 from geodrake.excitation.design import ExcitationResult, design_excitation
 from geodrake.excitation.families import FourierMotion, FreeSamples, SplineMotion
@@ -47,6 +48,7 @@ __all__ = [
     "Objective",
     "ReducedIdentification",
     "Separation",
+    "Solid",
     "SplineMotion",
     "Target",
     "design_excitation",

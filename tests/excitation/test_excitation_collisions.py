@@ -15,11 +15,12 @@ from geodrake.excitation import (
     DesignOptions,
     ExcitationTrajectory,
     FourierMotion,
+    Solid,
     design_excitation,
     make_target,
     motion_limits,
 )
-from geodrake.excitation.collision_geometry import Solid, read_obstacles
+from geodrake.excitation.collision_geometry import read_obstacles
 from geodrake.excitation.starts import RampPlanner
 from geodrake.model.robot_model import load_description
 from geodrake.robot import joint_names

@@ -21,12 +21,12 @@ from geodrake.excitation import (
     FreeSamples,
     MotionLimits,
     Objective,
+    Solid,
     SplineMotion,
     design_excitation,
     make_target,
     motion_limits,
 )
-from geodrake.excitation.collision_geometry import Solid
 from geodrake.excitation.problem import make_problem
 from geodrake.model.effort_signal import EffortSignal
 from geodrake.model.robot_model import load_description
