@@ -212,6 +212,7 @@ def make_digest(
     """
     instance(log, "log", JointLog)
     instance(facts, "facts", LogFacts)
+    instance(settings, "settings", DigestSettings)
     if differing := sorted(set(log.passive) ^ set(settings.passive)):
         where = "in the logs before" if differing[0] in settings.passive else f"in {log.name!r}"
         raise LogError(
