@@ -100,11 +100,7 @@ class RobotBodies:
         tree = self.tree.joints.branch(body)
         *inboard, last = tree.mobilizers
         alone = (*(replace(mobilizer, body=-1) for mobilizer in inboard), replace(last, body=0))
-        tree = replace(tree, mobilizers=alone)
-        poses = np.zeros((len(self.q), 1, 4, 4))
-        angular, linear = np.zeros((2, len(self.q), 1, 3, tree.num_velocities))
-        q = contiguous(self.tree.joint_positions(self.q))
-        calc_kinematics(tree.records, q, poses, angular, linear)
+        poses, angular, linear = self.kinematics(replace(tree, mobilizers=alone))
         return BodyMotion(
             poses[:, 0, :3, :3],
             poses[:, 0, :3, 3],
@@ -112,3 +108,11 @@ class RobotBodies:
             self.tree.through(self.q, linear[:, 0]),
             self.tree.moving_velocities(last.dofs),
         )
+
+    def kinematics(self, tree: KinematicTree) -> tuple[Array, Array, Array]:
+        """Return the pose (N, 1, 4, 4) of the one body of a tree, and Jacobians (N, 1, 3, ·)."""
+        poses = np.zeros((len(self.q), 1, 4, 4))
+        angular, linear = np.zeros((2, len(self.q), 1, 3, tree.num_velocities))
+        q = contiguous(self.tree.joint_positions(self.q))
+        calc_kinematics(tree.records, q, poses, angular, linear)
+        return poses, angular, linear

@@ -354,12 +354,10 @@ class BodyFormulas(RobotBodies):
         rates, accelerations = (Symbols.of([J @ x[0]]) for x in (v, vd))
         return theta[None], rates, accelerations, J[None]
 
-    def kinematics(self) -> tuple[Array, Array, Array]:
-        """Return poses and Jacobians of all bodies, with the velocities of the joints."""
-        tree = self.tree.joints
+    def kinematics(self, tree: KinematicTree) -> tuple[Array, Array, Array]:
+        """Return the pose and Jacobians of the one body of a tree, with velocities of joints."""
         q = np.array([joint_formulas(self.tree, Symbols.of(self.q)[0])], object)
-        poses = np.zeros((1, len(tree.bodies), 4, 4), object)
-        jacobians = np.zeros((2, 1, len(tree.bodies), 3, tree.num_velocities), object)
-        _kinematics(_records(tree), q, poses, *jacobians)
-        angular, linear = jacobians
+        poses = np.zeros((1, 1, 4, 4), object)
+        angular, linear = np.zeros((2, 1, 1, 3, tree.num_velocities), object)
+        _kinematics(_records(tree), q, poses, angular, linear)
         return Symbols.of(poses), Symbols.of(angular), Symbols.of(linear)
