@@ -15,7 +15,8 @@ from geodrake.cli.command import (
     run,
 )
 from geodrake.cli.options import DigestOptions, LogCommandOptions
-from geodrake.diagnosis.columns import ColumnFinding, corrected_columns
+from geodrake.diagnosis.columns import ColumnFinding
+from geodrake.diagnosis.columns.corrections import corrected_columns
 from geodrake.errors import ArgumentError, GeodrakeError
 from geodrake.fleet.digest_folder import FAILED, DigestRun, digest_logs
 from geodrake.fleet.digest_log import Wanted

@@ -288,7 +288,7 @@ class Backlash(DeflectionEffect):
         if motion.bandwidth * period < HIGHEST_BANDWIDTH:
             load = design_filter(period, motion.bandwidth).smooth(load)
         inertia = np.maximum(inertias[:, at], 1e-9)
-        lag = self.lag(load / inertia, time, _UNSURE * noise / inertia)
+        lag = link_lag(self.half_width, load / inertia, time, _UNSURE * noise / inertia)
         bend = np.diff(lag, 2, prepend=lag[:1], append=lag[-1:])
         return Deflection(lag, np.gradient(lag, time), bend / period**2)
 
@@ -307,16 +307,17 @@ class Backlash(DeflectionEffect):
         share = np.array([deviations["half_width"] / width])
         return FittedEffect(replace(self, half_width=width), np.ones(1), share)
 
-    def lag(self, acceleration: Array, time: Array, unsure: ArrayLike = 0.0) -> Array:
-        """Return the lag s (N,) of a link at instants (N,), s.
 
-        When it is loose, it falls behind with accelerations (N,) τ_j / M_jj, rad/s². It comes loose
-        where these exceed what is `unsure` of them, one for all or (N,).
-        """
-        steps = np.diff(time, append=time[-1:]) / _SUBSTEPS
-        following = np.append(acceleration[1:], acceleration[-1:])
-        sure = np.abs(acceleration) >= unsure
-        return np.asarray(_lag(self.half_width, contiguous(acceleration), following, steps, sure))
+def link_lag(h: float, acceleration: Array, time: Array, unsure: ArrayLike = 0.0) -> Array:
+    """Return the lag (N,) within ±h of a link at instants (N,), s.
+
+    When it is loose, it falls behind with accelerations (N,) τ_j / M_jj, rad/s². It comes loose
+    where these exceed what is `unsure` of them, one for all or (N,).
+    """
+    steps = np.diff(time, append=time[-1:]) / _SUBSTEPS
+    following = np.append(acceleration[1:], acceleration[-1:])
+    sure = np.abs(acceleration) >= unsure
+    return np.asarray(_lag(h, contiguous(acceleration), following, steps, sure))
 
 
 @compiled

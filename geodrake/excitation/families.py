@@ -260,7 +260,7 @@ class FreeSamples(MotionFamily):
     def basis(self, times: ArrayLike, *, orders: int = 3) -> Array:
         """Return (3, samples, count): each picks its third of the coefficients, at every time."""
         real_array(times, "times")
-        if orders > 3:
+        if integer(orders, "orders", lower=1) > 3:
             raise ArgumentError("Samples that do not follow each other have no jerk.")
         return np.eye(self.count).reshape(3, self.samples, self.count)
 

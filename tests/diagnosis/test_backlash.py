@@ -15,6 +15,7 @@ from scipy.integrate import solve_ivp
 
 from geodrake import load_model
 from geodrake.effects import Backlash
+from geodrake.effects.motor_and_transmission import link_lag
 from geodrake.logs.motion import Motion
 
 MODEL = load_model(PENDULUM)
@@ -97,7 +98,7 @@ def test_effort(half_width=2e-3):
 def test_lag_falls_freely():
     """Under a load that changes its sign steadily: 2 h = r t³ / 6 after it did."""
     time = np.arange(-0.5, 0.5, 1e-3)
-    lag = Backlash("elbow", 1e-3).lag(30.0 * time, time)
+    lag = link_lag(1e-3, 30.0 * time, time)
     apart = (time > 0.0) & (lag < 1e-3)
     np.testing.assert_allclose(lag[time < 0.0], -1e-3)
     np.testing.assert_allclose(lag[apart], 30.0 * time[apart] ** 3 / 6 - 1e-3, atol=2e-5)
@@ -107,11 +108,10 @@ def test_lag_falls_freely():
 def test_noise_of_a_load_loosens_no_link():
     time, rng = np.arange(0.0, 2.0, 1e-3), np.random.default_rng(0)
     noise = rng.normal(size=len(time))
-    backlash = Backlash("elbow", 1e-5)
-    assert np.ptp(backlash.lag(noise, time)) == pytest.approx(2e-5)
-    assert np.ptp(backlash.lag(noise, time, 5.0)) == 0.0
+    assert np.ptp(link_lag(1e-5, noise, time)) == pytest.approx(2e-5)
+    assert np.ptp(link_lag(1e-5, noise, time, 5.0)) == 0.0
     pushed = noise - np.where(time > 1.0, 30.0 * np.sign(noise[0]), 0.0)
-    assert np.ptp(backlash.lag(pushed, time, 5.0)) == pytest.approx(2e-5)
+    assert np.ptp(link_lag(1e-5, pushed, time, 5.0)) == pytest.approx(2e-5)
 
 
 def test_a_column_follows_no_noise_of_the_motion():

@@ -302,6 +302,7 @@ BY_CALL = {
     "digest_logs": {"to": in_folder("digests"),
         "payloads": Fresh(lambda: {folder() / "log.csv": (KnownPayload("lower_link", 0.3),)})},
     "LogFacts": {"episode": 0},
+    "Ellipsoid.contains": {"points": np.ones((9, 2, 3))},
     "Ellipsoid.random_points": {"size": (4, 2)},
     "Product": {"manifolds": (PhysicalInertia(), Positive(2)), "weights": (1.0, 2.0)},
     "Interval": {"lower": (0.0, -1.0), "upper": (1.0, 2.0)},

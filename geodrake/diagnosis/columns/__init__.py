@@ -1,11 +1,7 @@
 """What a log's columns are: mistakes in them are tried before anything is missed in a model."""
 
 from geodrake.diagnosis.columns.check import MOST_JOINTS, check_columns
-from geodrake.diagnosis.columns.corrections import (
-    corrected,
-    corrected_columns,
-    with_motor_limits,
-)
+from geodrake.diagnosis.columns.corrections import corrected, with_motor_limits
 from geodrake.diagnosis.columns.finding import ColumnFinding
 
 __all__ = [
@@ -13,6 +9,5 @@ __all__ = [
     "ColumnFinding",
     "check_columns",
     "corrected",
-    "corrected_columns",
     "with_motor_limits",
 ]
