@@ -180,19 +180,29 @@ class StagedFinding:
 
 
 def staged(found: Found, findings: Sequence[Finding]) -> tuple[Hypothesis, list[StagedFinding]]:
-    """Return the model before the first step, and findings in the order of their gains."""
+    """Return the model before the first step, and findings in the order of their gains.
+
+    What refines others, as a Stribeck curve does dry friction, comes after these.
+    """
     model, moved = found.model, any(f.name == INERTIA and not f.terms for f in findings)
     width = model.widths[0] if moved else found.fit.choice.width
     at = _fitted(found, Choice((), width, model.on_time))
     start, stages, left = model.validated(at), list[StagedFinding](), [*findings]
     while left:
-        tried = [(each, _with(found, at.choice, each)) for each in left]
+        ready = [each for each in left if not _refines(each, left)] or left
+        tried = [(each, _with(found, at.choice, each)) for each in ready]
         # By held-out errors: gains of what is carried would absorb a payload that is not added yet.
         errors = [model.validated(fit, physical=False).nrms for _, fit in tried]
         finding, at = tried[int(np.argmin(errors))]
         left.remove(finding)
         stages.append(StagedFinding(finding, at, model.validated(at)))
     return start, stages
+
+
+def _refines(finding: Finding, others: Sequence[Finding]) -> bool:
+    """Return whether a finding refines one of others at its place."""
+    bases = {key for term in finding.terms for keys in term.needs for key in keys}
+    return any(term.key in bases for other in others for term in other.terms)
 
 
 def _with(found: Found, was: Choice, finding: Finding) -> Fit:

@@ -146,6 +146,12 @@ class TestShapes:
         assert steps["stribeck_friction"]["excess"] == pytest.approx(0.3, rel=0.1)
         assert found.verdict == "explained"
 
+    def test_a_curve_comes_after_the_friction_that_it_refines(self):
+        """Though alone it would take more of the error away."""
+        law = at_elbow(lambda q, v, vd: np.tanh(v / 0.02) * (0.1 + 0.5 * np.exp(-(v**2))))
+        found = explained(pendulum_log(4, law))
+        assert [step.effect for step in found.steps] == ["coulomb_friction", "stribeck_friction"]
+
     def test_a_power_that_is_nearly_viscous_friction_is_told_beside_it(self):
         found = explained(pendulum_log(9, at_elbow(power(1.1))))
         steps = {step.effect: step for step in found.steps}
