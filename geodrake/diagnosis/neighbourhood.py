@@ -61,7 +61,8 @@ class Neighbourhood:
     def delays(self) -> list[tuple[Delay, float]]:
         """Return other delays of all joints, and of each joint alone, with their gains.
 
-        They are the best one, and none at all where there is one.
+        Of each, they are the best one, and being on time where efforts are late now.
+
         Joints of a free base have no motor that could be late alone, and rows that have efforts of
         several joints tell of none alone. A servo has a delay of its own, found with it: its effort
         is not late once more.

@@ -134,8 +134,8 @@ class EffortScale(JointEffect):
     told only by inertias that are known from elsewhere: those of a model fitted to other logs, or
     a payload of known mass that the robot held in some of the logs and not in all, at the joints
     that bear it; or by forces of the ground, at the joints of a free base's limbs that bear them. A
-    diagnosis tries it only then. A mass that is stated too large by a factor looks
-    like gains of all these joints that are too small by the same factor.
+    diagnosis tries it only then. A mass that is stated too large by a factor looks like gains of
+    all these joints that are too small by the same factor.
     """
 
     name = "effort_scale"

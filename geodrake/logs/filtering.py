@@ -254,9 +254,9 @@ def design_filter(
     """Return a low-pass filter that decimates to about twice its bandwidth.
 
     Args:
-        bandwidth: Wanted bandwidth, at most a quarter of the sampling rate. The result's is the
-            nearest that whole-number decimation leaves white: 20 % off at worst, decimating by 2
-            or 3, and 5 % by 10.
+        bandwidth: Wanted bandwidth, Hz. The result's is the nearest that whole-number decimation
+            leaves white: 20 % off at worst, decimating by 2 or 3, and 5 % by 10.
+        highest: The highest bandwidth that is let through, as a share of the sampling rate.
 
     Raises:
         ArgumentError: The bandwidth does not fit the period.

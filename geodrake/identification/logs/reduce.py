@@ -207,7 +207,10 @@ def peak_speeds(trajectories: Sequence[Trajectory]) -> Array:
 
 
 def moving_together(trajectories: Sequence[Trajectory]) -> NDArray[np.bool_]:
-    """Return (nv, nv) whether two joints move at once for some of the time in which both move."""
+    """Return (nv, nv) whether two joints move at once for a tenth of the time in which one moves.
+
+    That one is the joint that moves less.
+    """
     peaks = peak_speeds(trajectories)
     noise = np.max([trajectory.speed_noise for trajectory in trajectories], axis=0)
     still, count = np.maximum(STILL_SPEED * peaks, AT_REST * noise), np.zeros((len(peaks),) * 2)
