@@ -68,7 +68,7 @@ class MixedRows:
     @property
     def shares(self) -> Array:
         """(nv,) share of the instants in which a velocity has a row."""
-        found = self.own.any(axis=0) * self.own.mean(axis=0)
+        found = self.own.mean(axis=0)
         for i, row in self.mixed.items():
             found[i] = row.any(axis=1).mean()
         return np.asarray(found)

@@ -477,10 +477,8 @@ class LogSlice:
                 if rows is not None and (rows.own[:, row] != 1.0).any():
                     columns *= rows.own[:, row, None]
             else:
-                first, columns = (
-                    np.zeros(len(parts), np.intp),
-                    np.zeros((count, sum(widths.values()))),
-                )
+                columns = np.zeros((count, sum(widths.values())))
+                first = np.zeros(len(parts), np.intp)  # columns of parts in these
                 first[[*widths]] = np.cumsum([0, *widths.values()])[:-1]
                 for of, places, sources, block in together:
                     at = layout.places(parts[int(of[0])], places, row)
