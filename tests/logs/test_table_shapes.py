@@ -447,7 +447,7 @@ def test_many_lines_are_read_by_arrow_as_without_it(tmp_path, monkeypatch, odd):
         ("a.json", '{"a": 1', "no JSON file that can be read"),
         ("a.json", "3", "neither an object nor records"),
         ("a.jsonl", "[1]\n[2]", "neither an object nor records"),
-        ("deep.json", '{"a":' * 900 + "1" + "}" * 900, "maximum recursion depth exceeded"),
+        ("deep.json", '{"a":' * 5000 + "1" + "}" * 5000, "maximum recursion depth exceeded"),
         ("a.h5", "no archive", "no HDF5 file that can be read"),
     ],
 )
