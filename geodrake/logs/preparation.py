@@ -59,7 +59,8 @@ def prepare_logs(
     Args:
         logs: The logs, all of the same joints; uniform ones if they are prepared more than once.
         bandwidth: Common bandwidth of efforts and regressors, Hz; by default chosen from the data.
-        motion_bandwidth: Bandwidth of the smoothed motion, Hz; by default three times the other.
+        motion_bandwidth: Bandwidth of the smoothed motion, Hz; by default three times the other. It
+            is at most half the sampling rate, and a quarter where the ground pushes.
         how: Where a given bandwidth comes from, for the notes.
 
     Raises:
