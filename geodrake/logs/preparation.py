@@ -33,6 +33,7 @@ _STILL_SPEED, _SPEED_NOISE = 0.01, 4.0  # of the peak speed, and deviations of t
 _SHARPER = 3.0  # bandwidth of the smoothed motion over that of efforts and regressors
 _CLEARLY = 2.0  # bandwidth of each log alone over that of all: less is chance
 _SPEED_AGREEMENT = 0.05  # relative RMS of measured velocity − derivative of position
+_LEAST_LEAN = 12  # samples near an end, where derivatives of splines are less exact
 _FREQUENCIES = 257  # at which the noise of accelerations is added up
 _NOTED_LOSS, _MUCH = 1e-3, 0.01  # of a log's time, that is said, and said before all else
 _ENDS, _MANY_ENDS = "where pieces begin and end", 0.1  # and how much of these is
@@ -319,7 +320,7 @@ def _of_use(
     threshold = np.where(uniform.moving, threshold, np.inf)
     moving = [_first_and_last_moving(stretch, threshold) for stretch in whole]
     busy = [k for k, ends in enumerate(moving) if ends is not None]
-    lean, reach = smoother.halfwidth, low_pass.halfwidth
+    lean, reach = max(smoother.halfwidth, _LEAST_LEAN), low_pass.halfwidth
     kept, standstill = list[Stretch](), np.zeros(2)
     for k in range(busy[0], busy[-1] + 1) if busy else ():
         stretch, ends = whole[k], moving[k]
