@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Collection, Hashable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property, partial
+from functools import cache, cached_property, partial
 
 import numpy as np
 from numpy.typing import NDArray
@@ -264,6 +264,8 @@ class Layout:
             bandwidth=trajectory.filter.bandwidth,
             acceleration_noise=trajectory.acceleration_noise,
         )
+        of_log = seen  # also by what gains scale: contacts in this log, and play
+        seen = replace(seen, effort=cache(lambda: robot.unscaled_effort(of_log)))
         effects = tuple(part for part in parts if isinstance(part, Effect))
         found = dict(zip(effects, EffectColumns(robot.joints, effects).rows(seen), strict=True))
         return [inertial if isinstance(part, str) else found[part] for part in parts], seen.load
