@@ -49,8 +49,8 @@ def coupled_joints(
     """Yield friction and rotors that pairs of joints share which `RobotModel.joint_pairs` has not.
 
     Both joints must show them, with the same parameters and beyond friction and a rotor of their
-    own: the evidence is that of the joint that shows them less. Of joints that never move at once
-    nobody can tell.
+    own: the evidence is that of the joint that shows them less. Pairs that
+    never move at the same time are left out: a log cannot tell what they share.
     """
     pairs = other_pairs(case.model, [j.joint for j in joints if np.ptp(j.q) > 0.0])
     at_once, index = moving_together(case.trajectories), case.model.joints.index

@@ -157,7 +157,7 @@ class _Rows:
 
     @property
     def columns(self) -> Array:
-        """(K, n + 11) columns of all there is: known ones, what is left, and the body."""
+        """(K, n + 11) known columns, what they leave of the effort, and columns of the body."""
         return np.hstack([self.known, self.left[:, None], self.body])
 
     def products(self, body: Array) -> Array:

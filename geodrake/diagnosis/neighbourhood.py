@@ -61,11 +61,11 @@ class Neighbourhood:
     def delays(self) -> list[tuple[Delay, float]]:
         """Return other delays of all joints, and of each joint alone, with their gains.
 
-        Of each, they are the best one, and being on time where efforts are late now.
+        Each time that is the best delay, and none where efforts are late now.
 
         Joints of a free base have no motor that could be late alone, and rows that have efforts of
-        several joints tell of none alone. A servo has a delay of its own, found with it: its effort
-        is not late once more.
+        several joints do not show one alone. A servo has a delay of its own, found with it: its
+        effort is not late once more.
         """
         model, was = self._model, self.fit.choice.delay
         columns, fit, joints = self.fit.columns, self.fit, [*range(len(was))]

@@ -257,8 +257,8 @@ class Backlash(DeflectionEffect):
     The link lies at the side of the gap to which its load pushes it, s = ±h. When the load τ_j
     changes its sign the link comes loose, is carried by nothing, M_jj s̈ = τ_j, and strikes the
     other side, where it stays. The motor thus feels no load for a while, and then a blow. A load
-    no larger than what noise of accelerations makes of it loosens no link. Where samples are no
-    series in time, there is only the posture s = h sgn τ_j.
+    within the noise of the accelerations does not loosen the link. Where samples are no series in
+    time, there is only the posture s = h sgn τ_j.
 
     A simulation has motor and link as two bodies, between stiff and damped sides.
 
@@ -313,7 +313,7 @@ def link_lag(h: float, acceleration: Array, time: Array, unsure: ArrayLike = 0.0
     """Return the lag (N,) within ±h of a link at instants (N,), s.
 
     When it is loose, it falls behind with accelerations (N,) τ_j / M_jj, rad/s². It comes loose
-    only where these exceed what is `unsure` of them, rad/s², one for all or (N,).
+    only where their magnitude reaches `unsure`, rad/s², one for all or (N,).
     """
     steps = np.diff(time, append=time[-1:]) / _SUBSTEPS
     following = np.append(acceleration[1:], acceleration[-1:])

@@ -308,6 +308,10 @@ class RobotModel(Short):
             seen = replace(seen, before=self._by_velocity(motion.before))
         if motion.temperature is not None:
             seen = replace(seen, temperature=motion.temperature)
+        return self.with_effort(seen)
+
+    def with_effort(self, seen: RobotMotion) -> RobotMotion:
+        """Return a motion that gives the effort (N, nv) that the model needs there, N·m or N."""
         return replace(seen, effort=cache(lambda: self.unscaled_effort(seen)))
 
     def _by_velocity(self, q: Array) -> Array:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Collection, Hashable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
-from functools import cache, cached_property, partial
+from functools import cached_property, partial
 
 import numpy as np
 from numpy.typing import NDArray
@@ -258,14 +258,13 @@ class Layout:
         elif load is None:
             load = inverse_dynamics(self.tree, motion.q, motion.v, motion.vd, robot.total_phi)
         seen = robot.motion(motion, sign_width=self.sign_width, load=load)
-        seen = replace(
+        of_log = replace(
             seen,
             log=log_number(trajectory.name),
             bandwidth=trajectory.filter.bandwidth,
             acceleration_noise=trajectory.acceleration_noise,
         )
-        of_log = seen  # also by what gains scale: contacts in this log, and play
-        seen = replace(seen, effort=cache(lambda: robot.unscaled_effort(of_log)))
+        seen = robot.with_effort(of_log)  # gains scale contacts of this log, and play
         effects = tuple(part for part in parts if isinstance(part, Effect))
         found = dict(zip(effects, EffectColumns(robot.joints, effects).rows(seen), strict=True))
         return [inertial if isinstance(part, str) else found[part] for part in parts], seen.load

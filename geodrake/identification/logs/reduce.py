@@ -35,7 +35,7 @@ SIGN_NOISE = 1.2  # deviations σ of a speed's noise; the mean sign is erf(v/√
 AT_REST = 8.0  # deviations of a speed's noise, below which a joint never moves
 LEAST_SPEED = 1e-4  # of the fastest joint's speed, below which a joint never moves
 STILL_SPEED = 0.01  # of a joint's peak speed, below which it is at rest
-_AT_ONCE = 0.1  # of the time in which that of two joints moves that moves less
+_AT_ONCE = 0.1  # of the time for which the joint that moves less is in motion
 WORTHWHILE = 20  # times more rows than columns are folded into a triangular factor
 LEAST_DEVIATION = 1e-7  # of an effort's RMS: what is less is rounding of a constant
 ROWS_KEPT = 4_000  # filtered rows of each fold and joint, for autocorrelations and figures
@@ -116,9 +116,9 @@ def reduce_logs(
 def coupling_of(
     layout: Layout, trajectories: Sequence[Trajectory], shared: RowCache
 ) -> NDArray[np.bool_] | None:
-    """Return (nv, nv) which velocities rows have in them in any slice of any log, looked at once.
+    """Return (nv, nv) which velocities are in the row of which, in any slice of any log.
 
-    There is none where no contact force is unknown.
+    None if no contact force is unknown.
     """
     if all(trajectory.contacts is None for trajectory in trajectories):
         return None
@@ -207,9 +207,9 @@ def peak_speeds(trajectories: Sequence[Trajectory]) -> Array:
 
 
 def moving_together(trajectories: Sequence[Trajectory]) -> NDArray[np.bool_]:
-    """Return (nv, nv) whether two joints move at once for a tenth of the time in which one moves.
+    """Return (nv, nv) whether two joints move at the same time.
 
-    That one is the joint that moves less.
+    They must do so for a tenth of the time for which the joint that moves less is in motion.
     """
     peaks = peak_speeds(trajectories)
     noise = np.max([trajectory.speed_noise for trajectory in trajectories], axis=0)

@@ -114,7 +114,7 @@ def _in_turn(
 ) -> LogTable:
     """Return the columns that all demonstrations have, one after the other, with gaps between.
 
-    Where there is no time, rows of nothing are between two; where it begins anew, it goes on.
+    Without time stamps, empty rows separate two of them; time that begins anew is continued.
     """
     if reading.episode is not None and reading.episode not in episodes:
         raise LogError(
