@@ -16,6 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from geodrake.boundary.escaping import one_line
+from geodrake.errors import ArgumentError
 
 T = TypeVar("T")
 
@@ -32,8 +33,19 @@ class DamagedFileError(Exception):
 
 
 def sealed(value: object, form: str) -> bytes:
-    """Return a value as bytes of a file: the format's name, a checksum, compressed MessagePack."""
-    packed = zlib.compress(msgspec.msgpack.encode(value, enc_hook=_plain))
+    """Return a value as bytes of a file: the format's name, a checksum, compressed MessagePack.
+
+    Raises:
+        ArgumentError: It holds a text, such as the name of a file, that is not UTF-8.
+    """
+    try:
+        encoded = msgspec.msgpack.encode(value, enc_hook=_plain)
+    except UnicodeEncodeError as error:
+        raise ArgumentError(
+            f"{error.object!a} is not UTF-8, and files of fleets hold no other texts.",
+            advice="Rename the file or folder.",
+        ) from error
+    packed = zlib.compress(encoded)
     return f"{form}\n".encode() + hashlib.sha256(packed).digest() + packed
 
 
