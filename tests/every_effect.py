@@ -6,8 +6,8 @@ from geodrake.effects.of_files import (
     JointCoupling,
     MediumDrag,
     PolynomialSpring,
+    SquaredLoadFriction,
     Strut,
-    WeightFriction,
 )
 
 EFFECTS = [
@@ -36,7 +36,7 @@ EFFECTS = [
     (MediumDrag("wrist", 0.3, 0.2, 0.1, 0.1, 0.0, 0.2, 0.5, 0.5, -0.5, 0.5, 1.0, 2.0), [900, 3]),
     (Strut(("column", "wrist"), 0.1, 0.2, 0.3, 0.1, 0.0, 0.2), [30.0, -5.0, 2.0]),
     (Strut(("world", "wrist"), 0.5, 0.2, 1.3, 0.1, 0.0, 0.2), [30.0, -5.0, 2.0]),
-    (WeightFriction("elbow_pitch"), [0.1]),
+    (SquaredLoadFriction("elbow_pitch", 4.0), [0.1]),
     (effects.Payload("flange"), [1.0, 0.1, 0.0, 0.05, 0.05, 0.06, 0.07, 0.0, 0.0, 0.001]),
 ]
 LEFT_OUT = [  # of source code

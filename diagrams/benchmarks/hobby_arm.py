@@ -30,6 +30,7 @@ from scipy.signal import cont2discrete, lfilter
 from diagrams.harness import script_parser, show, write
 from diagrams.public_data import add_folder_option, require
 from geodrake import load_model
+from geodrake.effects.of_files import BRAKING_SHARE
 from geodrake.identification.logs.servo_fit import PARAMETERS, ServoFit
 from geodrake.identification.logs.signal_calibration import (
     calibrate_efforts,
@@ -48,6 +49,7 @@ TESTED = ("reaching_points", "step_response", "backlash_detection")
 _STEP = 2e-3  # s, of MuJoCo's simulation
 _SYSID_STEP, _SYSID_SHARE, _SYSID_ITERATIONS = 5e-3, 0.25, 12  # of the logs, in the middle
 _LATEST = 0.06  # s
+_FOLLOWED = 0.2  # of what loads change by in a step: friction by the whole of it goes to and fro
 _STIFF = [0.9999, 0.9999, 0.001, 0.5, 2.0]  # solimp of dry friction
 # What is free at a joint, where sysid begins, and its bounds.
 _FREE: Mapping[str, tuple[float, float, float]] = {
@@ -127,6 +129,7 @@ def by_mujoco(urdf: Path, values: Mapping[str, Mapping[str, float]]) -> Simulate
     dry, load = (
         np.array([own.get(name, 0.0) for own in values.values()]) for name in ("coulomb", "load")
     )
+    braking = BRAKING_SHARE / np.maximum(load, 1e-6)
 
     def simulate(log: JointLog) -> Array:
         since = log.time - log.time[0]
@@ -139,11 +142,16 @@ def by_mujoco(urdf: Path, values: Mapping[str, Mapping[str, float]]) -> Simulate
             told[:, j] = late + lead * np.gradient(late, _STEP)
         data, found = mujoco.MjData(model), np.empty_like(told)
         data.qpos[:] = log.position[0]
+        needed, now = np.zeros((2, model.nv))  # by the bodies, up to the step before
         for k, command in enumerate(told):
             found[k] = data.qpos
             data.ctrl[:] = command
-            model.dof_frictionloss[:] = dry + load * np.square(data.qfrc_bias)
+            along = np.maximum(needed * np.sign(data.qvel), -braking)
+            model.dof_frictionloss[:] = dry + load * np.square(along)
             mujoco.mj_step(model, data)
+            mujoco.mj_mulM(model, data, now, data.qacc)
+            now += data.qfrc_bias - model.dof_armature * data.qacc
+            needed += _FOLLOWED * (now - needed)
         return np.column_stack([np.interp(since, times, q) for q in found.T])
 
     return simulate

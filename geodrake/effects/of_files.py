@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import ClassVar
 
 import numpy as np
@@ -12,6 +12,7 @@ from geodrake.effects.base import (
     Array,
     BodyEffect,
     Effect,
+    FittedEffect,
     JointEffect,
     JointMotion,
     JointPairEffect,
@@ -23,6 +24,7 @@ from geodrake.effects.base import (
 from geodrake.effects.body_motion import RobotBodies
 from geodrake.effects.gradient import RobotGradient
 from geodrake.errors import ArgumentError
+from geodrake.manifolds import Interval
 from geodrake.robot.files.checks import rotation
 
 
@@ -60,41 +62,53 @@ class PolynomialSpring(_Stated, JointEffect):
         return [np.ones_like(x), x, x**2, x**3]
 
 
-@dataclass(frozen=True)
-class WeightFriction(_Stated, JointEffect):
-    """Dry friction that grows with the square of the weight that a gear holds, as of hobby servos.
+BRAKING_SHARE = 0.45
+"""The braking load of a gear over 1/k: friction grows by at most 0.9 of what the load grows by."""
 
-    effort = k τ_g² sgn v, with the effort τ_g that holds the bodies still, and k ≥ 0 in 1/(N·m).
+
+@dataclass(frozen=True)
+class SquaredLoadFriction(_Stated, JointEffect):
+    """Dry friction that grows with the square of the load of a gear, as of hobby servos.
+
+    effort = k l² sgn v, with k ≥ 0 in 1/(N·m), and the effort l = τ_model that the bodies need;
+    where these drive the gear, which brakes them (τ_model v < 0), |l| is at most `braking_load`.
+
     M. Duclusaud et al., Extended Friction Models for the Physics Simulation of Servo Actuators
-    (2024), model M6, have such a term.
+    (2024), model M6, have such a term. Without the bound a gear that brakes would lock: friction
+    slows the bodies down, their deceleration loads the gear, and that makes more friction. With
+    k · braking_load < 1/2 it grows by less than the load, and there is one acceleration always.
     """
 
-    name = "weight_friction"
+    braking_load: float  # N·m or N
+
+    name = "squared_load_friction"
     of_motor = True
     taken_out_as = "friction"
-    label = "friction by the weight held"
-    law = "k τ_g² sgn v"
+    label = "friction by the square of the load"
+    law = "k τ_model² sgn v; where the bodies drive the gear, |τ_model| counts up to a bound"
     complexity = 1
     jumps = True
-    parameters = (Parameter("weight_factor", "1/(N·m)", lower=0.0),)
-    signature = "a step at reversals whose height grows with the square of the weight held"
-    depends_on = frozenset({"q", "v", "bodies"})
+    shapes = (Shape("braking_load", "N·m"),)
+    parameters = (Parameter("squared_load_factor", "1/(N·m)", lower=0.0),)
+    signature = "a step at reversals whose height grows with the square of the load on the joint"
+    depends_on = frozenset({"v", "load"})
+    positive = ("braking_load",)
+
+    @classmethod
+    def fitted(cls, joint: str, factor: float, deviation: float) -> FittedEffect:
+        """Return the friction of a gear with a factor k and its standard deviation, 1/(N·m)."""
+        effect = cls(joint, BRAKING_SHARE / factor)
+        return FittedEffect(effect, np.array([factor]), np.array([deviation]))
+
+    @property
+    def manifold(self) -> Interval:
+        """Return the interval of k: of a gear that its load drives, and does not lock."""
+        return Interval((0.0,), (0.5 / self.braking_load,))
 
     def columns(self, joint: JointMotion) -> Sequence[Array]:
-        """[τ_g² sgn v], the weight being the load."""
-        return [np.square(joint.load) * joint.sign_v]
-
-    def rows(self, motion: RobotMotion) -> Rows:
-        """[τ_g² sgn v] at the joint."""
-        bodies, at = motion.body_motions(self.name), motion.index(self.joint)
-        weight = np.zeros_like(motion.v[:, at])
-        for name, mass in zip(bodies.tree.bodies, bodies.phi[:, 0].tolist(), strict=True):
-            body = bodies.motion(name)
-            if at in body.dofs and mass > 0.0:
-                J = body.jacobian_at(bodies.mass_center(name))
-                weight = weight - mass * (np.moveaxis(J, 1, 2) @ bodies.gravity)[:, at]
-        (column,) = self.columns(replace(motion.joint(self.joint), load=weight))
-        return {self.joint: column[:, None]}
+        """[l² sgn v]."""
+        along = np.maximum(joint.load * np.sign(joint.sign_v), -self.braking_load)
+        return [np.square(along) * joint.sign_v]
 
 
 @dataclass(frozen=True)

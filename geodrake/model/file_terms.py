@@ -15,8 +15,8 @@ from geodrake.effects.of_files import CarriedWeight as Carried
 from geodrake.effects.of_files import JointCoupling as Coupling
 from geodrake.effects.of_files import MediumDrag as Medium
 from geodrake.effects.of_files import PolynomialSpring as Polynomial
+from geodrake.effects.of_files import SquaredLoadFriction as LoadFriction
 from geodrake.effects.of_files import Strut as StrutEffect
-from geodrake.effects.of_files import WeightFriction as LoadFriction
 
 __all__ = [
     "Carried",

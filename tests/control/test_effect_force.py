@@ -192,7 +192,8 @@ class TestSystem:
         q, v, u = STATES[1]
         terms = [(effects.LoadDependentFriction("joint1"), [5.0])]
         with pytest.raises(ModelError, match="does not settle"):
-            acceleration(arm(), q, v, u, terms)
+            acceleration(arm(), q, v, -u, terms)
+        acceleration(arm(), q, v, u, terms)  # it drives
 
 
 def test_every_effort_has_its_delay():

@@ -16,7 +16,7 @@ from geodrake.control.systems.position_servo import (
 )
 from geodrake.control.systems.position_servo import servo_effort as effort_of
 from geodrake.effects import CoulombFriction, FittedEffect, RotorInertia, ViscousFriction
-from geodrake.effects.of_files import WeightFriction
+from geodrake.effects.of_files import SquaredLoadFriction
 from geodrake.errors import LogError
 from geodrake.identification.logs import signal_calibration
 from geodrake.identification.logs.case import open_case
@@ -87,17 +87,48 @@ def test_it_finds_what_mujoco_has(model, log):
     assert np.isinf(fit.limit)
 
 
-def test_it_finds_friction_by_the_weight(model, log):
-    """Which is neither dry friction nor in proportion to the weight."""
+def test_it_finds_friction_by_the_square_of_the_load(model, log):
+    """Which is neither dry friction nor in proportion to the load."""
     motions = alone(model, log)
     moved = motions.simulated(motions.servo([60.0, 0.0, 4.0, 0.2, 0.08, 0.0, 0.0, 0.03]))
     told = replace(motions, positions=(moved,))
     fit = fit_servo(told, EffortSignal("hinge", "command", 50.0))
     assert fit.parameters[[0, 3, 7]] == pytest.approx([60.0, 0.2, 0.03], rel=0.03)
-    motion = Motion(np.array([[0.7], [-0.4]]), np.array([[0.3], [-0.2]]), np.array([[2.0], [5.0]]))
-    held = 2.0 * 9.81 * 0.4 * np.sin([0.7, -0.4])
-    row = WeightFriction("hinge").effort(model.motion(motion), np.array([0.03]))
-    np.testing.assert_allclose(row[:, 0], 0.03 * held**2 * [1.0, -1.0], rtol=1e-6)
+    motion = Motion(*(np.array([x]).T for x in ([0.7, -0.4, 0.9], [0.3, -0.2, -0.3], [2, 5, 1])))
+    load = model.effort(motion)
+    row = SquaredLoadFriction("hinge", 3.0).effort(model.motion(motion), np.array([0.03]))
+    assert load[0, 0] > 3.0 and load[2, 0] > 3.0  # it drives, and brakes by as much as counts
+    counts = np.array([[load[0, 0]], [load[1, 0]], [3.0]])
+    np.testing.assert_allclose(row, 0.03 * counts**2 * np.sign(motion.v), rtol=1e-6)
+
+
+def test_friction_by_the_load_is_that_of_bodies_that_speed_up():
+    """Without weight: what a step of the command accelerates is all that the gear rubs by."""
+    period, count = 0.002, 1000
+    kp, d, F, armature, k, M = 20.0, 1.0, 0.3, 0.05, 0.02, 0.4
+
+    def rates(t, state):
+        x, v = state
+        push = kp * (1.0 - x) - d * v
+        if v <= 0.0 and push <= F:
+            return [0.0, 0.0]
+        # push = (M + I) a + F + k (M a)², while it moves forwards
+        square, linear, rest = k * M**2, M + armature, F - push
+        return [v, 2.0 * -rest / (linear + np.sqrt(linear**2 - 4.0 * square * rest))]
+
+    time = period * np.arange(count)
+    stop = lambda t, state: state[1] if t > 0.01 else 1.0  # noqa: E731
+    stop.terminal, stop.direction = True, -1.0
+    exact = solve_ivp(rates, (0.0, time[-1]), np.zeros(2), t_eval=time, events=stop, rtol=1e-9)
+    rows = np.zeros((count, 8))
+    rows[:, 1], rows[:, 7] = M, 1.0
+    motions = JointMotions((rows,), (np.zeros(count),), (period,))
+    servo = [kp, 0.0, d, F, armature, 0.0, 0.0]
+    seen = slice(len(exact.t))
+    moved = motions.simulated(motions.servo([*servo, k]))[seen]
+    assert len(exact.t) > 50
+    np.testing.assert_allclose(moved, exact.y[0], atol=3e-3)
+    assert np.abs(motions.simulated(motions.servo(servo))[seen] - exact.y[0]).max() > 0.02
 
 
 @pytest.mark.parametrize("published, kept", [(1e3, True), (0.5, False)])
@@ -113,7 +144,7 @@ def test_a_data_sheet_limits_what_the_motion_does_not(tmp_path, published, kept)
 def test_a_joint_that_falls_over_is_far_off_and_no_servo():
     """It stands on its head, and the servo that the search begins with is too weak to hold it."""
     period, count = 0.02, 1000
-    rows = np.zeros((count, 9))
+    rows = np.zeros((count, 8))
     rows[:, 1], rows[:, 2], rows[:, 4] = 0.5, -800.0, np.sin(3.0 * period * np.arange(count))
     rows[:, 0], rows[:, 7] = 5.0 * rows[:, 4], rows[:, 4]
     motions = JointMotions((rows,), (rows[:, 4],), (period,))
@@ -122,7 +153,7 @@ def test_a_joint_that_falls_over_is_far_off_and_no_servo():
     slopes = motions.slopes(at, np.arange(len(at)) < 6)
     assert np.isfinite(found @ found) and np.isfinite(slopes.T @ slopes).all()
     assert np.abs(found - rows[:, 4]).max() == pytest.approx(1e3)
-    few = rows[:200] * np.where(np.arange(9) == 2, 125.0, 1.0)
+    few = rows[:200] * np.where(np.arange(8) == 2, 125.0, 1.0)
     alone = JointMotions((few,), (few[:, 4],), (period,))
     assert fit_servo(alone, EffortSignal("hinge", "command", 0.5)) is None
 
@@ -208,7 +239,7 @@ def test_a_servo_without_integral_and_limit_gets_none(model):
     assert fit.parameters[-1] == 0.0 and fit.deviations[-1] == 0.0
     assert fit.parameters[0] == pytest.approx(TRUTH[0], rel=0.03)
     assert fit.limit == np.inf  # which it does not keep
-    rows = [each + 0.3 * np.eye(9)[0] for each in motions.rows]
+    rows = [each + 0.3 * np.eye(8)[0] for each in motions.rows]
     fit = fit_servo(replace(motions, rows=tuple(rows)), EffortSignal("hinge", "command", 50.0))
     assert fit is None or fit.parameters[-1] == 0.0
 
@@ -325,7 +356,7 @@ def test_simulation_is_that_of_position_servo():
     exact = solve_ivp(rates, (0.0, time[-1]), np.zeros(3), t_eval=time, max_step=4e-3, rtol=1e-6)
     efforts = [effort_of(servo, error(*each))[0] for each in zip(time, exact.y.T, strict=True)]
     assert 0.1 < np.mean(np.abs(efforts) >= limit) < 0.6
-    rows = np.zeros((count, 9))
+    rows = np.zeros((count, 8))
     rows[:, :4], rows[:, 7] = (b, M, K, D), np.sin(3.0 * time)
     motions = JointMotions((rows,), (exact.y[0],), (period,))
     parameters = [kp, kr, d, 0.0, armature, late, 0.0, 0.0, ki]
@@ -407,7 +438,7 @@ def test_velocity_feedback_is_within_the_limit(tmp_path):
 
 def test_a_joint_that_stands_exactly_still_has_no_servo():
     """Of no effort, too: no number is divided by what is not there."""
-    rows = np.zeros((400, 9))
+    rows = np.zeros((400, 8))
     rows[:, 1] = 0.5
     motions = JointMotions((rows,), (rows[:, 4],), (0.004,))
     for integral in (0.0, 3.0):
@@ -435,7 +466,7 @@ def test_an_integral_in_a_log_is_held_as_that_of_position_servo():
 
 def test_an_integral_that_makes_a_joint_swing_up_ends_its_search():
     """Its slopes grow beyond numbers."""
-    rows, time = np.zeros((6000, 9)), 0.005 * np.arange(6000)
+    rows, time = np.zeros((6000, 8)), 0.005 * np.arange(6000)
     rows[:, 7], rows[:, 4] = np.sin(2.0 * time), 0.9 * np.sin(2.0 * time - 0.2)
     rows[:, 5] = np.gradient(rows[:, 4], time)
     rows[:, 6] = np.gradient(rows[:, 5], time)

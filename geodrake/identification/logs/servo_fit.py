@@ -9,8 +9,11 @@ move as they were measured to. Near the measured motion the bodies' effort is li
 
 with slopes of the recursion, and the joint's motion x follows from
 
-    … + o + I ẍ + d ẋ + (F + k g²) sgn ẋ
-        = kp (c(t − δ) − x) + kr (dc/dt(t − δ) − ẋ) + w + ki ∫(c(t − δ) − x) dt.
+    … + o + I ẍ + d ẋ + (F + k l²) sgn ẋ
+        = kp (c(t − δ) − x) + kr (dc/dt(t − δ) − ẋ) + w + ki ∫(c(t − δ) − x) dt,
+
+with the load l of the bodies, which is the first line: a gear rubs by all that goes through it, or
+where it brakes by so much of that that it does not lock (`SquaredLoadFriction`).
 
 Its parameters are those of least squares of x − q by Levenberg and Marquardt's method, from a
 linear fit on; what a data sheet says of them, and a usual delay, count like further samples. They
@@ -27,7 +30,7 @@ it: at the limit of effort that the model states, or at one of its own, which is
 parameter, from what bodies need at most on. A share of the damping d is the servo's own, within the
 limit, and the rest the joint's: only a servo at its limit tells them apart.
 
-Friction by the weight is rarer than all else: it must predict such windows better, too.
+Friction by the load is rarer than all else: it must predict such windows better, too.
 """
 
 from __future__ import annotations
@@ -42,6 +45,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from geodrake.compiling import compiled, contiguous, inlined
+from geodrake.effects.of_files import BRAKING_SHARE
 from geodrake.identification.logs.criteria import PENALTY, WORTH
 from geodrake.identification.logs.effort_gains import ALIKE
 from geodrake.identification.logs.evidence import effective_samples
@@ -119,7 +123,7 @@ class ServoFit:
 class JointMotions:
     """One joint along S stretches of logs: what a simulation of it alone needs."""
 
-    rows: tuple[Array, ...]  # per stretch (N, 9) b, M, K, D, and smooth q, q̇, q̈, command, weight
+    rows: tuple[Array, ...]  # per stretch (N, 8) b, M, K, D, and smooth q, q̇, q̈, command
     positions: tuple[Array, ...]  # per stretch (N,) positions as logged, rad or m
     periods: tuple[float, ...]  # per stretch the time between rows, s
 
@@ -218,7 +222,7 @@ class JointMotions:
 
     @cached_property
     def _whole(self) -> tuple[Array, Indices, Array]:
-        """(N, 9) rows of all stretches, where each ends, and periods, s."""
+        """(N, 8) rows of all stretches, where each ends, and periods, s."""
         return (
             np.concatenate(self.rows),
             np.cumsum(list(map(len, self.rows))),
@@ -344,25 +348,23 @@ def motions_of(
         for stretch in trajectory.segments:
             chunks = [(part.time, _about(robot, part)) for _, part in stretch.chunks()]
             time = np.concatenate([instants for instants, _ in chunks])
-            columns = np.concatenate([values for _, values in chunks])  # (N, 8, n)
+            columns = np.concatenate([values for _, values in chunks])  # (N, 7, n)
             for j in joints:
                 told = _read(log.time, command[:, j], time)
-                rows[j].append(contiguous(np.insert(columns[:, :, j], 7, told, axis=1)))
+                rows[j].append(contiguous(np.column_stack([columns[:, :, j], told])))
                 positions[j].append(_read(log.time, log.position[:, j], time))
             periods.append(stretch.period)
     return {j: JointMotions(tuple(rows[j]), tuple(positions[j]), tuple(periods)) for j in joints}
 
 
 def _about(model: RobotModel, part: Segment) -> Array:
-    """Return (N, 8, n) b, M, K, D, q, q̇, q̈ and weight of every joint alone."""
+    """Return (N, 7, n) b, M, K, D, q, q̇ and q̈ of every joint alone."""
     motion = (model.positions(part.position), part.velocity, part.acceleration)
     slopes = effort_slopes(model.tree, *motion, model.total_phi)
     kinds = (slopes.acceleration, slopes.position, slopes.velocity)
     own = (np.diagonal(slope, axis1=1, axis2=2) for slope in kinds)
     b = inverse_dynamics(model.tree, *motion, model.total_phi)
-    still = np.zeros_like(part.velocity)
-    weight = inverse_dynamics(model.tree, motion[0], still, still, model.total_phi)
-    return np.stack([b, *own, part.position, part.velocity, part.acceleration, weight], 1)
+    return np.stack([b, *own, part.position, part.velocity, part.acceleration], 1)
 
 
 def _read(time: Array, values: Array, instants: Array) -> Array:
@@ -730,7 +732,7 @@ def calc_servo_motions(
     """Write the positions of a joint along stretches, one after the other; see the next.
 
     Args:
-        rows: (N, 9) of all stretches.
+        rows: (N, 8) of all stretches.
         ends: (S,) where each ends.
         periods: (S,) s.
         servo: (11 + S,) numbers of a servo, an effort w for each stretch.
@@ -753,13 +755,13 @@ def calc_servo_motion(rows: Array, period: float, servo: Array, out: tuple[Array
     """Write the positions (N,) of a joint under its commands, by steps of the theta method.
 
     Forces are those between both ends of a step, where the error is of second order but for what
-    damps stiff joints. Dry friction is that of the velocity afterwards, and a set at rest: a joint
-    sticks until more than F + k g² pulls at it, with the weight g that it holds. Slopes are those
-    of the steps themselves, while a joint that sticks goes on doing so. One that a weak servo lets
+    damps stiff joints. Dry friction is that of the velocity and of the load afterwards, and a set
+    at rest: a joint sticks until more than F + k l² pulls at it. Slopes are those of the steps
+    themselves, while a joint that sticks goes on doing so. One that a weak servo lets
     run away is held where it is far from the measured motion.
 
     Args:
-        rows: (N, 9) b, M, K, D, q, q̇, q̈, the command, and what holds the bodies still.
+        rows: (N, 8) b, M, K, D, q, q̇, q̈ and the command.
         period: Time between rows, s.
         servo: (12,) kp, kr, d, F, I, δ, o, k, ki, the largest effort, the share of d within it,
             and w.
@@ -777,13 +779,12 @@ def calc_servo_motion(rows: Array, period: float, servo: Array, out: tuple[Array
     ahead = _THETA * dt
     reach = kp + ki * ahead
     soft = reach * ahead * _THETA + (kr + own * d) * _THETA
+    least = -BRAKING_SHARE / load if load > 0.0 else -np.inf
     positions[0] = x
     slopes[:1, :count] = 0.0
     for k in range(len(rows) - 1):
         for s in range(steps):
-            b, M, K, D, q, qd, qdd, weight = calc_between(
-                rows[k], rows[k + 1], (s + _THETA) / steps
-            )
+            b, M, K, D, q, qd, qdd = calc_between(rows[k], rows[k + 1], (s + _THETA) / steps)
             before, rise_before = c, rise
             c, rise = calc_command_before(rows, k + (s + 1.0) / steps - late, period)
             told = (1.0 - _THETA) * before + _THETA * c
@@ -791,19 +792,18 @@ def calc_servo_motion(rows: Array, period: float, servo: Array, out: tuple[Array
             at = x + ahead * old
             pulled = kp * (told - at) + ki * (z + ahead * (told - at)) + w
             drive = pulled + kr * ((c - before) / dt - old) - own * d * old
-            rest = inertia * v - b - offset - K * (at - q) + D * qd - free * old + M * qdd
-            heavy, gives, bound = inertia + K * ahead * _THETA + free * _THETA, 1.0, 0.0
-            held = weight + K * (at - q)
-            now, way = calc_velocity_after(drive + rest, heavy + soft, F + load * held**2)
-            effort = drive - soft * now
-            if effort > limit or effort < -limit:
-                gives, bound = 0.0, limit if effort > 0.0 else -limit
-                now, way = calc_velocity_after(bound + rest, heavy, F + load * held**2)
+            held = b + K * (at - q) + D * (old - qd) - M * qdd
+            rest = inertia * v - held - offset - (free - D) * old
+            heavy = inertia + K * ahead * _THETA + free * _THETA
+            gear = F, load, least, held - M / dt * v, M / dt + D * _THETA
+            now, way, stiff, bound = calc_within(limit, (drive, soft), (rest, heavy), gear)
+            gives = 1.0 if bound == 0.0 else 0.0
             mean = old + _THETA * now
             error = told - x - ahead * mean
-            grows = gives > 0.0 or effort * error < 0.0
+            grows = gives > 0.0 or bound * error < 0.0
             if count > 0:
                 later = (1.0 - _THETA) * rise_before + _THETA * rise
+                through, rubs = calc_rubbing(gear, now, way)
                 direct = (
                     gives * error,
                     gives * ((c - before) / dt - mean),
@@ -812,16 +812,16 @@ def calc_servo_motion(rows: Array, period: float, servo: Array, out: tuple[Array
                     (v - now) / dt,
                     -gives * (reach * later + kr * (rise - rise_before) / dt),
                     -1.0,
-                    -way * held**2,
+                    -way * through**2,
                     gives * (z + ahead * error),
                     np.sign(bound),
                     (1.0 - gives) * d * mean,
                     gives,
                 )
-                damps = free + gives * (kr + own * d)
-                moves = 1.0 / (heavy + gives * soft) if way != 0.0 else 0.0
-                pulls = K * (1.0 + 2.0 * way * load * held) + gives * reach
-                step = inertia, damps, pulls, gives * ki, moves, dt if grows else 0.0, dt
+                pushes, damps = inertia + rubs * M / dt, free + rubs * D + gives * (kr + own * d)
+                moves = 1.0 / stiff if way != 0.0 else 0.0
+                pulls = K * (1.0 + rubs) + gives * reach
+                step = pushes, damps, pulls, gives * ki, moves, dt if grows else 0.0, dt
                 move_slopes(at_numbers, direct, step)
                 at_numbers[2, 5] -= dt * later if grows else 0.0
             z += dt * error if grows else 0.0
@@ -862,8 +862,8 @@ def move_slopes(
 @inlined
 def calc_between(
     a: Array, b: Array, share: float
-) -> tuple[float, float, float, float, float, float, float, float]:
-    """Return b, M, K, D, q, q̇, q̈ and the weight between two rows."""
+) -> tuple[float, float, float, float, float, float, float]:
+    """Return b, M, K, D, q, q̇ and q̈ between two rows."""
     left = 1.0 - share
     return (
         left * a[0] + share * b[0],
@@ -873,18 +873,72 @@ def calc_between(
         left * a[4] + share * b[4],
         left * a[5] + share * b[5],
         left * a[6] + share * b[6],
-        left * a[8] + share * b[8],
     )
 
 
-@compiled
-def calc_velocity_after(pull: float, stiff: float, F: float) -> tuple[float, float]:
-    """Return the velocity after an implicit step, and its direction; both 0 if the joint sticks.
+@inlined
+def calc_within(
+    limit: float,
+    servo: tuple[float, float],
+    joint: tuple[float, float],
+    gear: tuple[float, float, float, float, float],
+) -> tuple[float, float, float, float]:
+    """Return the next three with a servo, and its effort where that is at its limit, or 0.
 
-    `pull` moves the joint at rest, N·m or N; `stiff` says how much of it a velocity takes away.
+    Args:
+        limit: The largest effort of the servo, N·m or N.
+        servo: What it gives at rest, and how much of that a velocity takes away.
+        joint: What else moves the joint at rest, and how much of that a velocity takes away.
+        gear: See `calc_velocity_after`.
     """
-    way = 1.0 if pull > F else -1.0 if pull < -F else 0.0
-    return ((pull - way * F) / stiff if way != 0.0 else 0.0), way
+    (drive, soft), (rest, heavy) = servo, joint
+    now, way, stiff = calc_velocity_after(drive + rest, heavy + soft, gear)
+    effort, bound = drive - soft * now, 0.0
+    if effort > limit or effort < -limit:
+        bound = limit if effort > 0.0 else -limit
+        now, way, stiff = calc_velocity_after(bound + rest, heavy, gear)
+    return now, way, stiff, bound
+
+
+@inlined
+def calc_rubbing(
+    gear: tuple[float, float, float, float, float], v: float, way: float
+) -> tuple[float, float]:
+    """Return the load that counts for friction, along the velocity, and how much that grows."""
+    _, load, least, held, grows = gear
+    through = max(way * (held + grows * v), least)
+    return through, 2.0 * load * through if through > least else 0.0
+
+
+@compiled
+def calc_velocity_after(
+    pull: float, stiff: float, gear: tuple[float, float, float, float, float]
+) -> tuple[float, float, float]:
+    """Return the velocity after an implicit step, its direction, and how it resists more force.
+
+    Velocity and direction are 0 if the joint sticks. There is one such velocity: where the load
+    brakes, friction grows by less than the load does.
+
+    Args:
+        pull: What moves the joint at rest, N·m or N.
+        stiff: How much of that a velocity takes away.
+        gear: F and k of friction F + k l²; the least load l, along the velocity, that it grows
+            with; the load of bodies that stop, and how it grows with the velocity.
+    """
+    F, load, least, held, grows = gear
+    way = 1.0 if pull > 0.0 else -1.0
+    still = way * held
+    most = way * pull - F - load * max(still, least) ** 2
+    if most <= 0.0:
+        return 0.0, 0.0, stiff
+    speed, resists = most / stiff, stiff
+    if load * grows > 0.0 and still + grows * speed > least:
+        begins = (least - still) / grows if still < least else 0.0
+        left = most - stiff * begins
+        linear = stiff + 2.0 * load * max(still, least) * grows
+        resists = np.sqrt(linear**2 + 4.0 * load * grows**2 * left)
+        speed = begins + 2.0 * left / (linear + resists)
+    return way * speed, way, resists
 
 
 @compiled

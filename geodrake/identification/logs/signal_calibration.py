@@ -438,7 +438,9 @@ def with_servo_motions(
             value, unsure = (
                 each[[PARAMETERS.index(name)]] for each in (fit.parameters, fit.deviations)
             )
-            if value.any():
+            if value.any() and kind is LoadFriction:
+                effects.append(LoadFriction.fitted(joint, value.item(), unsure.item()))
+            elif value.any():
                 effects.append(FittedEffect(kind.shaped(joint)[0], value, unsure))
     return replace(model, effects=tuple(effects), effort_signals=tuple(signals.values())), fits
 

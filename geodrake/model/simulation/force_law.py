@@ -172,7 +172,8 @@ def links_of(motion: PlantMotion, phi: Array) -> tuple[Array, Array]:
     return inertia, np.max(weights, axis=0) + _USUAL_ACCELERATION * inertia
 
 
-_LOAD_ITERATIONS, _LOAD_TOLERANCE = 200, 1e-10
+_LOAD_ITERATIONS, _WHOLE_STEPS, _LOAD_TOLERANCE = 200, 20, 1e-10
+_LOAD_CHANGE = 1e-7  # of loads, N·m or N, and of 1, for slopes
 _LAG_ITERATIONS = 100
 _LAG_TOLERANCE = 1e-12
 
@@ -374,21 +375,29 @@ class ForceLaw:
         if self.soft:
             rate = state.speed - state.v[self.soft.velocities]
             at_soft = unit @ self.soft.torques(parameters[0], state.lag, rate)
-        load = u
-        for _ in range(_LOAD_ITERATIONS):
+        load, inverse, moved = u, np.linalg.inv(K), np.inf
+        for round_ in range(_LOAD_ITERATIONS):
             f_m = self.motors.effort(motor, load, parameters)
             f_l = self.links.effort(state, load, parameters)
-            x = np.linalg.solve(K, A.T @ (u - f_m) - L.T @ (drift + f_l) + (L - A).T @ at_soft)
-            before, load = load, M @ x[:nv] + rigid_drift
+            x = inverse @ (A.T @ (u - f_m) - L.T @ (drift + f_l) + (L - A).T @ at_soft)
             size = 1.0 + np.abs(load).max()
-            if not self._loaded or np.abs(load - before).max() <= _LOAD_TOLERANCE * size:
+            if not self._loaded or moved <= _LOAD_TOLERANCE * size:
                 rigid = (1.0 - unit.sum(1)) * (f_m + B @ (A @ x))
                 effort = f_l + M_l @ x[:nv] + rigid + unit.sum(1) * u - at_soft
                 return Response(effort, x[nv:], x[:nv])
+            # Newton's step, as friction of a joint depends on the load there; shorter ones at last,
+            # where whole ones go to and fro between loads of either sign.
+            change = _LOAD_CHANGE * (1.0 + np.abs(load))
+            by_m = (self.motors.effort(motor, load + change, parameters) - f_m) / change
+            by_l = (self.links.effort(state, load + change, parameters) - f_l) / change
+            J = np.eye(nv) + M @ inverse[:nv] @ (A.T * by_m + L.T * by_l)
+            step = np.linalg.lstsq(J, M @ x[:nv] + rigid_drift - load)[0]
+            load = load + (step if round_ < _WHOLE_STEPS else 0.5 * step)
+            moved = np.abs(step).max()
         raise ModelError(
             f"Load-dependent friction does not settle; the load is {load} N·m after "
             f"{_LOAD_ITERATIONS} iterations.",
-            advice="Give it a load factor well below 1; above, a gear locks itself.",
+            advice="Give it a load factor well below 1; above, a gear that brakes locks itself.",
         )
 
     def lags(self, q: Array, v: Array, vd: Array, parameters: Parameters) -> Array:
