@@ -499,7 +499,9 @@ class _Search:
             if motions.gain(never.numbers, best.numbers) < PENALTY + odd**2:
                 best = never
         for which in (_OFFSET, _LOAD, _RATE, _DELAY, _SHARE):
-            bare = self.best([best.without(which)])
+            bare = best.without(which)
+            if best.numbers[which]:
+                bare = self.best([bare])
             if motions.gain(bare.numbers, best.numbers) < PENALTY:
                 best = bare
         error, first = motions.rms(best.numbers), motions.rms(began)
