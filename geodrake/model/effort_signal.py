@@ -32,6 +32,8 @@ _NOT_NEGATIVE = (
     "delay",
     "integral",
     "integral_deviation",
+    "dead_band",
+    "dead_band_deviation",
 )
 
 
@@ -71,11 +73,11 @@ class EffortSignal:
     The effort is gain·s of a signal s, a current, a voltage, or the effort that the motor is asked
     for. Of a servo it is
 
-        gain·e + damping·(ρ dc/dt(t − delay) − v) + integral·∫e dt,    e = c(t − delay) − q
+        gain·e + damping·(ρ dc/dt(t − delay) − v) + integral·∫e dt,    e = dead(c(t − delay) − q)
 
-    with the commanded position c. It is within ±limit (1 ∓ v / no_load_speed). What the integral
-    was when a log began is not known: it begins so that the servo gives in the mean, beside
-    friction, what the model needs.
+    with the commanded position c, where dead takes the dead band off an error. It is within
+    ±limit (1 ∓ v / no_load_speed). What the integral was when a log began is not known: it begins
+    so that the servo gives in the mean, beside friction, what the model needs.
 
     Attributes:
         kind: "effort", "current", "voltage", "pwm" or "command".
@@ -89,6 +91,8 @@ class EffortSignal:
         integral: Of a servo, effort per integral of its error, N·m/(rad·s) (N/(m·s)).
         integral_deviation: Its standard deviation, beside that of the gain.
         no_load_speed: At which the motor gives no effort, rad/s or m/s; of no servo.
+        dead_band: Error of position up to which a servo does nothing about it, rad or m.
+        dead_band_deviation: Its standard deviation.
 
     Raises:
         ArgumentError: There is no such kind, or a number is out of its range.
@@ -106,6 +110,8 @@ class EffortSignal:
     integral_deviation: float = 0.0
     no_load_speed: float = math.inf
     rate_share: float = 1.0
+    dead_band: float = 0.0
+    dead_band_deviation: float = 0.0
 
     def __post_init__(self) -> None:
         instance(self.joint, "joint", str)

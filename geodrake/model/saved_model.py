@@ -93,6 +93,8 @@ class SavedEffortSignal(Schema):
     integral_deviation: float = 0.0
     no_load_speed: float = float("inf")
     rate_share: float = 1.0
+    dead_band: float = 0.0
+    dead_band_deviation: float = 0.0
 
 
 class SavedModel(Schema):

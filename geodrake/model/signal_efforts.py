@@ -100,7 +100,8 @@ def _parts(
     what it begins with.
     """
     command, rate = delayed_command(log, at, signal.delay)
-    error, velocity = command - log.position[:, at], _velocity(log, at)
+    error = beyond(command - log.position[:, at], signal.dead_band)
+    velocity = _velocity(log, at)
     plain = signal.gain * error
     if signal.damping:
         plain = plain + signal.damping * (signal.rate_share * rate - velocity)
@@ -242,6 +243,11 @@ NO_SERVO = ServoGains(*np.array([0.0, 0.0, 0.0, np.inf, 0.0, 1.0]))
 """Gains of a joint without a servo."""
 
 
+def beyond(error: Array, band: Array | float) -> Array:
+    """Return errors less a dead band: e − b above b, e + b below −b, 0 between."""
+    return np.asarray(np.maximum(error - band, 0.0) + np.minimum(error + band, 0.0))
+
+
 def servo_gains(model: RobotModel) -> ServoGains:
     """Return the gains of the servos of a model's joints."""
     servos = servos_of(model)
@@ -256,7 +262,7 @@ def servo_gains(model: RobotModel) -> ServoGains:
             advice="Weld the base, or leave such joints out of the model.",
         )
     rows = [
-        (s.gain, s.damping, s.integral, s.limit, 0.0, s.rate_share) if s else NO_SERVO
+        (s.gain, s.damping, s.integral, s.limit, s.dead_band, s.rate_share) if s else NO_SERVO
         for s in servos
     ]
     return ServoGains(*np.array(rows).T)

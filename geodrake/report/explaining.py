@@ -656,6 +656,7 @@ def signals_table(signals: Sequence[EffortSignal], units: Units) -> Table:
     served = any(signal.kind == COMMAND for signal in signals)
     summed = any(signal.integral for signal in signals)
     limited = any(signal.limit < math.inf for signal in signals)
+    idle = any(signal.dead_band for signal in signals)
     rows = []
     for signal in signals:
         joint, gain = signal.joint, if_known(signal.gain, signal.deviation)
@@ -672,12 +673,16 @@ def signals_table(signals: Sequence[EffortSignal], units: Units) -> Table:
             row += [f"{integral} {unit}" if signal.integral else UNKNOWN]
         if limited:
             row += [_limit(signal, units)]
+        if idle:
+            band = if_known(signal.dead_band, signal.dead_band_deviation)
+            row += [f"{band} {units.at(joint, 'rad')}" if signal.dead_band else UNKNOWN]
         rows.append(cells(*row))
     head = (
         *("joint", "in place of efforts", "gain", "unit"),
         *(("damping", "late by") if served else ()),
         *(("integral",) if summed else ()),
         *(("limit",) if limited else ()),
+        *(("dead band",) if idle else ()),
     )
     return Table(head, rows, words=2)
 

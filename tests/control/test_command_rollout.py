@@ -196,7 +196,7 @@ def test_logs_without_commands_are_refused(arm):
 
 
 def test_steps_move_a_rigid_robot_as_drake_does(arm):
-    """With dry friction that grows with the load, bristles, a wrong gain, integrals and a limit."""
+    """With load-dependent friction, bristles, a wrong gain, integrals, a limit and a dead band."""
     log, model = arm
     kinds = (
         (LoadDependentFriction("a"), 0.2),
@@ -205,7 +205,7 @@ def test_steps_move_a_rigid_robot_as_drake_does(arm):
         (EffortScale("b"), 0.1),
     )
     more = tuple(FittedEffect(effect, np.array([value])) for effect, value in kinds)
-    servos = tuple(replace(servo, integral=60.0) for servo in model.effort_signals)
+    servos = tuple(replace(s, integral=60.0, dead_band=0.01) for s in model.effort_signals)
     robot = replace(model, effects=(*model.effects, *more), effort_signals=servos)
     case = open_case(robot, [log], candidates=False)
     passages = chosen_passages(case, 0.5, 2)

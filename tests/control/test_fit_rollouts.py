@@ -170,6 +170,7 @@ PD = EffortSignal("hinge", "command", 100.0, damping=6.0, delay=0.013)
 SERVOS = {
     "pid": dataclasses.replace(PD, integral=200.0),
     "limited": dataclasses.replace(PD, limit=6.5),
+    "idle": dataclasses.replace(PD, dead_band=0.01),
 }
 
 

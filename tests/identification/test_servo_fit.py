@@ -75,7 +75,7 @@ def log():
 
 def test_it_finds_what_mujoco_has(model, log):
     fit = fit_servo(alone(model, log), EffortSignal("hinge", "command", 50.0))
-    kp, rate, damping, coulomb, armature, late, offset, load, _ = fit.parameters
+    kp, rate, damping, coulomb, armature, late, offset, load, _, _ = fit.parameters
     assert kp == pytest.approx(TRUTH[0], rel=0.01)
     assert damping + rate == pytest.approx(TRUTH[2], rel=0.05)
     assert coulomb == pytest.approx(TRUTH[3], rel=0.05)
@@ -236,12 +236,12 @@ def test_a_servo_without_integral_and_limit_gets_none(model):
     """And bodies that are wrong by a constant effort, which an integral would hide, give none."""
     motions = alone(model, servo_log(seconds=9.0))
     fit = fit_servo(motions, EffortSignal("hinge", "command", 50.0, integral=40.0), 5.0)
-    assert fit.parameters[-1] == 0.0 and fit.deviations[-1] == 0.0
+    assert fit.parameters[8] == 0.0 and fit.deviations[8] == 0.0
     assert fit.parameters[0] == pytest.approx(TRUTH[0], rel=0.03)
     assert fit.limit == np.inf  # which it does not keep
     rows = [each + 0.3 * np.eye(8)[0] for each in motions.rows]
     fit = fit_servo(replace(motions, rows=tuple(rows)), EffortSignal("hinge", "command", 50.0))
-    assert fit is None or fit.parameters[-1] == 0.0
+    assert fit is None or fit.parameters[8] == 0.0
 
 
 def test_an_integral_has_grown_to_what_a_payload_needs(model):
@@ -331,17 +331,18 @@ def test_damping_of_the_motion_alone_is_within_the_limit_of_mujoco_s_actuator(mo
         assert ("damps the motion itself" in " ".join(exported.notes)) == told
 
 
-def gains(kp, kd, ki, limit):
-    return ServoGains(*(np.array([each]) for each in (kp, kd, ki, limit, 0.0, 1.0)))
+def gains(kp, kd, ki, limit, band=0.0):
+    return ServoGains(*(np.array([each]) for each in (kp, kd, ki, limit, band, 1.0)))
 
 
-def test_simulation_is_that_of_position_servo():
+@pytest.mark.parametrize("band", [0.0, 0.03])
+def test_simulation_is_that_of_position_servo(band):
     """Its law in SciPy's integration, with bodies' b, M, D and K, part of the time at the limit."""
     period, count = 0.002, 2500
     time = period * np.arange(count)
     b, M, K, D, d, armature, late = 0.7, 0.4, 3.0, 0.2, 3.0, 0.1, 0.007
     kp, kr, ki, limit = 40.0, 2.0, 30.0, 9.0
-    servo = gains(kp, kr, ki, limit)
+    servo = gains(kp, kr, ki, limit, band)
 
     def error(t, state):
         x, v, z = state
@@ -359,15 +360,43 @@ def test_simulation_is_that_of_position_servo():
     rows = np.zeros((count, 8))
     rows[:, :4], rows[:, 7] = (b, M, K, D), np.sin(3.0 * time)
     motions = JointMotions((rows,), (exact.y[0],), (period,))
-    parameters = [kp, kr, d, 0.0, armature, late, 0.0, 0.0, ki]
+    parameters = [kp, kr, d, 0.0, armature, late, 0.0, 0.0, ki, band]
     after, size = time > 2.0, np.abs(exact.y[0]).max()  # before the log there was no command
     off = motions.residual(motions.servo(parameters, limit=limit))[after]
     assert np.abs(off).max() < 5e-3 * size
     assert np.abs(motions.residual(motions.servo(parameters))).max() > 0.05 * size
+    without = motions.residual(motions.servo(parameters[:9], limit=limit))[after]
+    assert not band or np.abs(without).max() > 0.01 * size
 
 
-@pytest.mark.parametrize(("limit", "own"), [(np.inf, 0.0), (7.0, 0.2), (7.0, 0.9)])
-def test_slopes_are_finite_differences(limit, own, tmp_path):
+def test_it_finds_a_dead_band(model, log, tmp_path):
+    """Beside dry friction, which it is not where weight pulls; and what has it moves like that."""
+    motions = alone(model, log)
+    servo = [60.0, 0.0, 4.0, 0.2, 0.08, 0.0, 0.0, 0.0, 0.0, 0.02]
+    told = replace(motions, positions=(motions.simulated(motions.servo(servo)),))
+    signal = EffortSignal("hinge", "command", 50.0)
+    fit = fit_servo(told, signal)
+    assert fit.parameters[[0, 3, 9]] == pytest.approx([60.0, 0.2, 0.02], rel=0.03)
+    assert fit.deviations[9] < 0.01
+    found = signal_calibration.signal_by_motion(signal, fit)
+    known = replace(model, effort_signals=(found,))
+    save_model(known, tmp_path / "known.yaml")
+    assert load_saved(tmp_path / "known.yaml").effort_signals == (found,)
+    assert "0.02" in str(signals_table((found,), Units()))
+    (exported,) = (export_to("mjcf", known, tmp_path / "mjcf", []),)
+    assert "dead band" in " ".join(exported.notes)
+    moved = replace(log, position=log.position[:, :1])
+    effort = servo_effort(moved, 0, replace(found, delay=0.0, damping=0.0))
+    e = log.command[:, 0] - log.position[:, 0]
+    expected = found.gain * np.sign(e) * np.maximum(np.abs(e) - found.dead_band, 0.0)
+    np.testing.assert_allclose(effort, expected, atol=1e-9)
+
+
+@pytest.mark.parametrize(
+    ("limit", "own", "band"),
+    [(np.inf, 0.0, 0.0), (7.0, 0.2, 0.0), (7.0, 0.9, 0.0), (np.inf, 0.0, 0.01)],
+)
+def test_slopes_are_finite_differences(limit, own, band, tmp_path):
     """Of two stretches, each with an effort of its own that the integral begins with."""
     log = servo_log(integral=60.0, limit=limit, seconds=7.0)
     whole = alone(pendulum(tmp_path, 100 if np.isinf(limit) else limit), log)
@@ -376,9 +405,11 @@ def test_slopes_are_finite_differences(limit, own, tmp_path):
         (whole.positions[0][:600], whole.positions[0][900:1400]),
         whole.periods * 2,
     )
-    at = motions.servo([55.0, 1.0, 3.0, 0.8, 0.1, 0.0123, 0.3, 0.02, 50.0], limit=limit)
-    at[10:] = own, 1.5, -0.7
-    free = np.array([0, 1, 2, 3, 4, 5, 6, 7, 8, 11, 12, *([9, 10] if np.isfinite(limit) else [])])
+    at = motions.servo([55.0, 1.0, 3.0, 0.8, 0.1, 0.0123, 0.3, 0.02, 50.0, band], limit=limit)
+    at[11:] = own, 1.5, -0.7
+    free = np.array(
+        [*range(9), 12, 13, *np.flatnonzero([*[False] * 9, band, limit < 9, limit < 9])]
+    )
     every = motions.slopes(at, np.ones(len(at), bool))
     slopes = every[:, free]
     expected = np.empty_like(slopes)
@@ -388,11 +419,12 @@ def test_slopes_are_finite_differences(limit, own, tmp_path):
         expected[:, k] = both / (2.0 * step[number])
     assert not slopes[600:, 9].any() and not slopes[:600, 10].any()
     error, most = np.abs(slopes - expected), np.abs(slopes).max(0)
-    if np.isinf(limit):
+    if np.isinf(limit) and not band:
         assert (error <= 2e-5 * most).all()
     else:  # where it begins to act within a step, there is no slope: few rows
-        unlimited = np.where(np.arange(len(at)) == 9, np.inf, at)
-        assert np.abs(motions.simulated(at) - motions.simulated(unlimited)).max() > 0.01
+        plain = at.copy()
+        plain[9:11] = 0.0, np.inf
+        assert np.abs(motions.simulated(at) - motions.simulated(plain)).max() > 0.009
         assert (np.median(error, axis=0) < 1e-3 * most).all()
         assert (error.max(0) < 0.05 * most).all()
 

@@ -189,6 +189,11 @@ def export_with_proof(
             "mjcf and isaac do, and PositionServo in a Drake diagram"
         )
     notes += lost_integrals(model, form, case)
+    if idle := [servo.joint for servo in servos_of(model) if servo and servo.dead_band]:
+        notes.append(
+            f"{form.name} has no dead band of servos, such as that of {', '.join(idle)}; "
+            "PositionServo in a Drake diagram has it"
+        )
     gone = {lost.effect for lost in held.lost}
     notes += reasons([fitted for fitted in model.effects if fitted.effect.name in gone])
     if "drake" in form.engines and (proof.ignored or held.lost):

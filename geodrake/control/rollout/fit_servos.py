@@ -24,7 +24,7 @@ Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 
 _BLOCKS = 4  # of the windows of one log, every other of which is held out
-_SERVO = {"stiffness": "gain", "rate": "damping", "delay": "delay", "integral": "integral"}
+_SERVO = {"stiffness": "gain", "rate": "damping"}  # else they have the names of `EffortSignal`
 
 
 def fit_servos(
@@ -120,7 +120,8 @@ def _values(model: RobotModel, fits: dict[str, ServoFit]) -> tuple[FittedValue, 
                 )
                 told = kind.name, kind.parameters[0].name
             else:
-                before, told = float(getattr(servo, _SERVO[name])), (SERVO, _SERVO[name])
+                of_signal = _SERVO.get(name, name)
+                before, told = float(getattr(servo, of_signal)), (SERVO, of_signal)
             if value or before:
                 found.append(
                     FittedValue(told[0], joint, told[1], before, float(value), float(unsure))

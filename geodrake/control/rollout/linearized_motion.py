@@ -21,7 +21,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from geodrake.compiling import compiled, contiguous
+from geodrake.compiling import compiled, contiguous, inlined
 from geodrake.control.rollout.acting import EffortAlong
 from geodrake.control.rollout.passages import Passage
 from geodrake.control.rollout.simulation import (
@@ -53,7 +53,7 @@ class LinearizedServos:
     effort: Array  # (N, p) what they give along it without integrals and limits, N·m or N
     behind: Array  # (N, p) commanded less measured position, rad or m
     motors: NDArray[np.intp]  # (p,) where in y their motors are
-    gains: Array  # (p, 4) stiffness, damping, integral gain, and largest effort
+    gains: Array  # (p, 5) stiffness, damping, integral gain, largest effort, and dead band
     begun: Array  # (p,) integrals at first, rad·s or m·s
 
     @classmethod
@@ -61,9 +61,10 @@ class LinearizedServos:
         cls, law: ForceLaw, along: EffortAlong, motors: NDArray[np.intp]
     ) -> tuple[LinearizedServos, Array]:
         """Return the servos, and efforts (N, nv) at joints without any."""
-        kp, kd, ki, limit = along.gains.kp, along.gains.kd, along.gains.ki, along.gains.limit
+        kp, kd, ki, limit, band, _ = along.gains
         effort = law.applied(along.effort.T, law.mu).T
-        gains = np.stack([law.applied(gain, law.mu) for gain in (kp, kd, ki, limit)], axis=1)
+        columns = [law.applied(gain, law.mu) for gain in (kp, kd, ki, limit)]
+        gains = np.stack([*columns, band], axis=1)
         some = gains[:, :3].any(axis=1)
         servos = cls(
             contiguous(effort[:, some]),
@@ -302,7 +303,8 @@ def calc_linearized_motion(
         steps: Time between rows, s, and steps between two.
         held: Of soft joints (m,) places of links and of motors in y, and (m, 4) stiffness, play,
             damping and ramp; of servos (N, p) efforts and what they are behind, along the motion,
-            (p,) places of their motors, and (p, 4) stiffness, damping, integral gain and limit.
+            (p,) places of their motors, and (p, 5) stiffness, damping, integral gain, limit and
+            dead band.
         start: (2 s + p, 1 + k) y, ẏ and the integrals of servos, and k changes of them.
         out: (N, s, 1 + k) y, and its changes.
     """
@@ -340,15 +342,15 @@ def calc_linearized_motion(
                 S[link, motor] -= slope
                 S[motor, link] -= slope
             for i in range(len(driven)):
-                kp, kd, ki, limit = gains[i]
+                kp, kd, ki, limit, band = gains[i]
                 motor = driven[i]
-                error = -middle[motor]
-                error[0] += (1.0 - f) * behind[k, i] + f * behind[k + 1, i]
-                effort = ki * (z[i] + 0.5 * h * error) - kp * middle[motor] - kd * v[motor]
-                effort[0] += (1.0 - f) * along[k, i] + f * along[k + 1, i]
+                error, there = calc_error((behind[k, i], behind[k + 1, i]), f, band, middle[motor])
+                acts = 1.0 if band == 0.0 or error[0] != 0.0 else 0.0
+                effort = ki * (z[i] + 0.5 * h * error) + kp * error - kd * v[motor]
+                effort[0] += (1.0 - f) * along[k, i] + f * along[k + 1, i] - kp * there
                 if abs(effort[0]) < limit:
                     b[motor] += effort
-                    S[motor, motor] += 0.5 * h * kd + 0.25 * h * h * kp
+                    S[motor, motor] += 0.5 * h * kd + 0.25 * h * h * kp * acts
                 else:
                     b[motor, 0] += limit if effort[0] > 0.0 else -limit
                     if effort[0] * error[0] > 0.0:
@@ -358,3 +360,29 @@ def calc_linearized_motion(
             y = middle + 0.5 * h * v + 0.5 * h * h * a
             v = v + h * a
         out[k + 1] = y
+
+
+@compiled
+def calc_error(
+    behind: tuple[float, float], share: float, band: float, y: Array
+) -> tuple[Array, float]:
+    """Return the error of a servo with its changes (1 + k,), and that along the measured motion.
+
+    Args:
+        behind: Commanded less measured position at the rows before and after.
+        share: How far it is from the first to the second.
+        band: What is taken off errors.
+        y: (1 + k,) how far the motor is from the measured motion, and changes of that.
+    """
+    error, (first, second) = -y, behind
+    along = (1.0 - share) * calc_beyond(first, band) + share * calc_beyond(second, band)
+    error[0] = calc_beyond((1.0 - share) * first + share * second - y[0], band)
+    if band > 0.0 and error[0] == 0.0:
+        error[:] = 0.0
+    return error, along
+
+
+@inlined
+def calc_beyond(error: float, band: float) -> float:
+    """Return an error less a dead band."""
+    return max(error - band, 0.0) + min(error + band, 0.0)

@@ -262,7 +262,8 @@ class Stepping:
         integral = base.integral + now.step * integral_rate(gains, error)
         effort = servo_effort(gains, error._replace(integral=integral))
         free = np.abs(effort) < gains.limit
-        slopes = free * (gains.kp + now.step * gains.ki), free * gains.kd
+        acts = free & (np.abs(behind) > gains.dead_band)
+        slopes = acts * (gains.kp + now.step * gains.ki), free * gains.kd
         share = np.ones(len(self.fastest))
         for fitted in self.model.effects:
             if fitted.effect.role is Role.SCALE:

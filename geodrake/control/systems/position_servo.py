@@ -20,7 +20,7 @@ from geodrake.errors import ArgumentError
 from geodrake.inertia import Array
 from geodrake.inertia.bodies import check_context
 from geodrake.model.robot_model import RobotModel
-from geodrake.model.signal_efforts import ServoGains, command_delays, servo_gains
+from geodrake.model.signal_efforts import ServoGains, beyond, command_delays, servo_gains
 from geodrake.model.simulation.robot_in_diagram import RobotInDiagram, late
 from geodrake.model.simulation.scalar_system import differenced
 
@@ -46,7 +46,7 @@ def servo_effort(gains: ServoGains, error: ServoError) -> Array:
 
 def integral_rate(gains: ServoGains, error: ServoError) -> Array:
     """Return the rates ż (..., n); 0 where the effort is at its limit and would go beyond."""
-    effort, e = _unlimited(gains, error), _beyond(error.position, gains.dead_band)
+    effort, e = _unlimited(gains, error), beyond(error.position, gains.dead_band)
     wound_up = np.logical_or(
         np.logical_and(effort > gains.limit, e > 0.0),
         np.logical_and(effort < -gains.limit, e < 0.0),
@@ -55,13 +55,8 @@ def integral_rate(gains: ServoGains, error: ServoError) -> Array:
 
 
 def _unlimited(gains: ServoGains, error: ServoError) -> Array:
-    e = _beyond(error.position, gains.dead_band)
+    e = beyond(error.position, gains.dead_band)
     return gains.kp * e + gains.kd * error.velocity + gains.ki * error.integral + error.feedforward
-
-
-def _beyond(e: Array, band: Array) -> Array:
-    """Return errors less a dead band: e − b above b, e + b below −b, 0 between."""
-    return np.maximum(e - band, 0.0) + np.minimum(e + band, 0.0)
 
 
 def _checked(name: str, value: ArrayLike, count: int) -> Array:

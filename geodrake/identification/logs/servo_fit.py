@@ -10,10 +10,11 @@ move as they were measured to. Near the measured motion the bodies' effort is li
 with slopes of the recursion, and the joint's motion x follows from
 
     … + o + I ẍ + d ẋ + (F + k l²) sgn ẋ
-        = kp (c(t − δ) − x) + kr (dc/dt(t − δ) − ẋ) + w + ki ∫(c(t − δ) − x) dt,
+        = kp e + kr (dc/dt(t − δ) − ẋ) + w + ki ∫e dt,    e = dead(c(t − δ) − x),
 
-with the load l of the bodies, which is the first line: a gear rubs by all that goes through it, or
-where it brakes by so much of that that it does not lock (`SquaredLoadFriction`).
+where dead takes a dead band b off an error, and the load l of the bodies is the first line: a gear
+rubs by all that goes through it, or where it brakes by so much of that that it does not lock
+(`SquaredLoadFriction`).
 
 Its parameters are those of least squares of x − q by Levenberg and Marquardt's method, from a
 linear fit on; what a data sheet says of them, and a usual delay, count like further samples. They
@@ -30,7 +31,8 @@ it: at the limit of effort that the model states, or at one of its own, which is
 parameter, from what bodies need at most on. A share of the damping d is the servo's own, within the
 limit, and the rest the joint's: only a servo at its limit tells them apart.
 
-Friction by the load is rarer than all else: it must predict such windows better, too.
+Friction by the load and a dead band are rarer than all else: they must predict such windows better,
+too.
 """
 
 from __future__ import annotations
@@ -72,9 +74,10 @@ PARAMETERS = (
     "offset",
     "load",
     "integral",
+    "dead_band",
 )
-"""kp, kr, d, F, I, δ, o, k and ki; of joints that turn in N·m/rad, N·m·s/rad (twice), N·m, kg·m²,
-s, N·m, 1/(N·m) and N·m/(rad·s).
+"""kp, kr, d, F, I, δ, o, k, ki and b; of joints that turn in N·m/rad, N·m·s/rad (twice), N·m,
+kg·m², s, N·m, 1/(N·m), N·m/(rad·s) and rad.
 
 Numbers of a servo are these, its limit (infinite for none), the share of d within it, and the
 efforts w that an integral begins with, one for each stretch.
@@ -84,7 +87,7 @@ LONGEST_DELAY, USUAL_DELAY = 0.06, 0.01
 """Commands are late by no more, and in the mean, s."""
 
 _RATE, _DAMPING, _COULOMB, _DELAY, _OFFSET, _LOAD, _INTEGRAL = 1, 2, 3, 5, 6, 7, 8
-_LIMIT, _SHARE, _BEGUN = 9, 10, 11
+_BAND, _LIMIT, _SHARE, _BEGUN = 9, 10, 11, 12
 _PLACES = {name: at for at, name in enumerate((*PARAMETERS, "limit"))}
 _STEPS, _LONGEST_STEP = 4, 5e-3  # of simulations between two rows at least, and at most so long, s
 _THETA = 0.55  # how far within a step forces are as they are there
@@ -97,6 +100,7 @@ _FARTHEST = 3.0  # deviations of a number from what is expected
 _LEAST_LIMIT = 0.01  # of its size
 LOWERED = 0.7  # deviation of the logarithm of a limit from a stall torque: servos are set to less
 _USUAL_LOAD, _MOST_LOAD = 0.2, 2.0  # of the largest load, that friction by its square is there
+_USUAL_BAND = 0.01  # rad or m
 _NOTHING = float(np.finfo(float).tiny)  # rad² or m², of a joint that stands exactly still
 _FAR = 1e3  # rad or m, from the measured motion, and no farther: squares stay numbers
 _TRIED_DELAYS = (0.0, 0.01, 0.03)  # s, that searches begin from
@@ -107,10 +111,10 @@ _LINEAR_DELAYS = tuple(np.linspace(0.0, LONGEST_DELAY, 7).tolist())  # and linea
 class ServoFit:
     """A servo and what its joint has beside the bodies, by the joint's motion."""
 
-    # (9,) values of `PARAMETERS`: the rate's with all damping that the servo makes, damping that of
-    # the joint alone; the last is 0 for a servo without an integral
+    # (10,) values of `PARAMETERS`: the rate's with all damping that the servo makes, damping that
+    # of the joint alone; the last two are 0 for a servo without an integral, and a dead band
     parameters: Array
-    # (9,) their standard deviations; of all but kp for bodies that are known exactly
+    # (10,) their standard deviations; of all but kp for bodies that are known exactly
     deviations: Array
     error: float  # RMS of simulated − measured positions, rad or m
     start: float  # the same where the search began
@@ -130,7 +134,7 @@ class JointMotions:
     def servo(
         self, parameters: Sequence[float], *, limit: float = np.inf, rate_share: float = 1.0
     ) -> Array:
-        """Return the numbers (11 + S,) of a servo with some first parameters, and zeros beyond.
+        """Return the numbers (12 + S,) of a servo with some first parameters, and zeros beyond.
 
         Limit and share of the rate are those of a `ServoFit`.
         """
@@ -150,7 +154,7 @@ class JointMotions:
         return x
 
     def slopes(self, servo: Array, free: Mask) -> Array:
-        """Return slopes (N, f) of positions with those numbers (11 + S,) that are free."""
+        """Return slopes (N, f) of positions with those numbers (12 + S,) that are free."""
         count = len(free) if free[_INTEGRAL:].any() else _INTEGRAL
         J = np.zeros((len(self.measured), count))
         calc_servo_motions(*self._whole, servo, (np.empty(len(J)), J))
@@ -375,7 +379,7 @@ def _read(time: Array, values: Array, instants: Array) -> Array:
 
 @dataclass(frozen=True, eq=False)
 class _Servo:
-    """A servo in a search: its numbers (11 + S,), and which of them (11 + S,) move."""
+    """A servo in a search: its numbers (12 + S,), and which of them (12 + S,) move."""
 
     numbers: Array
     free: Mask
@@ -459,22 +463,29 @@ def fit_servo(
         0.1 * float(np.std(motions.needed)),
         0.2 * float(np.mean(inertia)),
         signal.delay,
+        *np.zeros(_BAND - _OFFSET),
+        signal.dead_band,
     ]
     expected = {"stiffness": (signal.gain, ALIKE), **(expected or {})}
     told = signal.integral or some.linear_servo(signal).integral
     first = _Search(some, told, expected)
     found = first.at_its_limit(some.servo(begin), limit)
+    idle = first.best([found.freed(_BAND)], seen=True)
+    found = idle if some.gain(found.numbers, idle.numbers, some.tested) >= PENALTY else found
     found = found if some is motions else found.along(motions)
     search, start = replace(first, motions=motions), motions.servo(begin)
     fit = search.fitted(found, start, bodies)
-    if fit is not None and fit.parameters[_INTEGRAL] ** 2 < PENALTY * fit.deviations[-1] ** 2:
+    if (
+        fit is not None
+        and fit.parameters[_INTEGRAL] ** 2 < PENALTY * fit.deviations[_INTEGRAL] ** 2
+    ):
         return search.fitted(search.best([found.plain()], seen=True), start, bodies)
     return fit
 
 
 @dataclass(frozen=True, eq=False)
 class _Search:
-    """Searches for the servo of a joint, from servos (11 + S,) on."""
+    """Searches for the servo of a joint, from servos (12 + S,) on."""
 
     motions: JointMotions
     told: float  # the integral gain by a linear fit; 0 if it has none
@@ -498,7 +509,7 @@ class _Search:
             odd = np.log(best.numbers[_LIMIT] / usual) / spread if np.isfinite(usual) else 0.0
             if motions.gain(never.numbers, best.numbers) < PENALTY + odd**2:
                 best = never
-        for which in (_OFFSET, _LOAD, _RATE, _DELAY, _SHARE):
+        for which in (_OFFSET, _LOAD, _BAND, _RATE, _DELAY, _SHARE):
             bare = best.without(which)
             if best.numbers[which]:
                 bare = self.best([bare])
@@ -629,7 +640,7 @@ class _Search:
         return best if len(starts) == 1 else self.best([best], seen=seen)
 
     def _deviations(self, best: _Servo) -> Array:
-        """Return (9,) standard deviations of parameters that are free.
+        """Return (10,) standard deviations of parameters that are free.
 
         What is left varies with the motion: it is worth few samples, however long logs are.
         """
@@ -637,6 +648,7 @@ class _Search:
         least = np.full(len(numbers), float(np.std(self.motions.needed)) or 1.0)
         least[:_OFFSET] = 0.0, 0.02 * gain, 0.01 * gain, 1e-3, 1e-4, 0.01
         least[_LOAD], least[_INTEGRAL], least[_SHARE] = _USUAL_LOAD / self._most, gain, 0.5
+        least[_BAND] = _USUAL_BAND
         size = np.maximum(np.abs(numbers), least)[free]
         residual, J = self.motions.residual(numbers), self.motions.slopes(numbers, free) * size
         noise = residual @ residual / WORTH
@@ -662,7 +674,7 @@ def _with_share(numbers: Array, share: float) -> Array:
 
 
 def _with_own_damping(numbers: Array) -> tuple[Array, float, float]:
-    """Return parameters (9,) of a servo that makes its share of the damping, and two numbers more.
+    """Return parameters (10,) of a servo that makes its share of the damping, and two numbers more.
 
     These are its limit, and how much of the command's rate its damping knows.
     """
@@ -737,7 +749,7 @@ def calc_servo_motions(
         rows: (N, 8) of all stretches.
         ends: (S,) where each ends.
         periods: (S,) s.
-        servo: (11 + S,) numbers of a servo, an effort w for each stretch.
+        servo: (12 + S,) numbers of a servo, an effort w for each stretch.
         out: (N,) positions, and (N, 8 or 11 + S) their slopes with these numbers; or none.
     """
     positions, slopes = out
@@ -765,14 +777,14 @@ def calc_servo_motion(rows: Array, period: float, servo: Array, out: tuple[Array
     Args:
         rows: (N, 8) b, M, K, D, q, q̇, q̈ and the command.
         period: Time between rows, s.
-        servo: (12,) kp, kr, d, F, I, δ, o, k, ki, the largest effort, the share of d within it,
+        servo: (13,) kp, kr, d, F, I, δ, o, k, ki, b, the largest effort, the share of d within it,
             and w.
         out: (N,) positions, and (N, p) their slopes with the first 8 of these numbers, or with all
             but the share; (0, p) if those are not asked for.
     """
     positions, slopes = out
     steps = max(_STEPS, int(np.ceil(period / _LONGEST_STEP)))
-    kp, kr, d, F, armature, delay, offset, load, ki, limit, own, w = servo
+    kp, kr, d, F, armature, delay, offset, load, ki, band, limit, own, w = servo
     dt, late = period / steps, delay / period
     x, v, z = rows[0, 4], rows[0, 5], 0.0
     c, rise = calc_command_before(rows, -late, period)
@@ -780,10 +792,8 @@ def calc_servo_motion(rows: Array, period: float, servo: Array, out: tuple[Array
     at_numbers = np.zeros((3, count))
     ahead = _THETA * dt
     reach = kp + ki * ahead
-    soft = reach * ahead * _THETA + (kr + own * d) * _THETA
     least = -BRAKING_SHARE / load if load > 0.0 else -np.inf
-    positions[0] = x
-    slopes[:1, :count] = 0.0
+    positions[0], slopes[:1, :count] = x, 0.0
     for k in range(len(rows) - 1):
         for s in range(steps):
             b, M, K, D, q, qd, qdd = calc_between(rows[k], rows[k + 1], (s + _THETA) / steps)
@@ -792,8 +802,10 @@ def calc_servo_motion(rows: Array, period: float, servo: Array, out: tuple[Array
             told = (1.0 - _THETA) * before + _THETA * c
             inertia, free, old = (M + armature) / dt, D + (1.0 - own) * d, (1.0 - _THETA) * v
             at = x + ahead * old
-            pulled = kp * (told - at) + ki * (z + ahead * (told - at)) + w
-            drive = pulled + kr * ((c - before) / dt - old) - own * d * old
+            acts, side = calc_acting(told - x - ahead * v, band)
+            soft = (acts * reach * ahead + kr + own * d) * _THETA
+            drive = acts * reach * (told - at - side * band) + ki * z + w
+            drive += kr * ((c - before) / dt - old) - own * d * old
             held = b + K * (at - q) + D * (old - qd) - M * qdd
             rest = inertia * v - held - offset - (free - D) * old
             heavy = inertia + K * ahead * _THETA + free * _THETA
@@ -801,7 +813,7 @@ def calc_servo_motion(rows: Array, period: float, servo: Array, out: tuple[Array
             now, way, stiff, bound = calc_within(limit, (drive, soft), (rest, heavy), gear)
             gives = 1.0 if bound == 0.0 else 0.0
             mean = old + _THETA * now
-            error = told - x - ahead * mean
+            error = acts * (told - x - ahead * mean - side * band)
             grows = gives > 0.0 or bound * error < 0.0
             if count > 0:
                 later = (1.0 - _THETA) * rise_before + _THETA * rise
@@ -812,22 +824,23 @@ def calc_servo_motion(rows: Array, period: float, servo: Array, out: tuple[Array
                     -(1.0 - own + own * gives) * mean,
                     -way,
                     (v - now) / dt,
-                    -gives * (reach * later + kr * (rise - rise_before) / dt),
+                    -gives * (acts * reach * later + kr * (rise - rise_before) / dt),
                     -1.0,
                     -way * through**2,
                     gives * (z + ahead * error),
+                    -gives * acts * reach * side,
                     np.sign(bound),
                     (1.0 - gives) * d * mean,
                     gives,
                 )
                 pushes, damps = inertia + rubs * M / dt, free + rubs * D + gives * (kr + own * d)
-                moves = 1.0 / stiff if way != 0.0 else 0.0
-                pulls = K * (1.0 + rubs) + gives * reach
-                step = pushes, damps, pulls, gives * ki, moves, dt if grows else 0.0, dt
+                pulls, moves = K * (1.0 + rubs) + gives * acts * reach, abs(way) / stiff
+                growing = dt * acts if grows else 0.0
+                step = pushes, damps, pulls, gives * ki, moves, growing, dt
                 move_slopes(at_numbers, direct, step)
-                at_numbers[2, 5] -= dt * later if grows else 0.0
-            z += dt * error if grows else 0.0
-            v, x = now, x + dt * mean
+                at_numbers[2, 5] -= growing * later
+                at_numbers[2, 9:10] -= growing * side
+            v, x, z = now, x + dt * mean, z + (dt * error if grows else 0.0)
         if abs(x - rows[k + 1, 4]) > _FAR:
             x, v = rows[k + 1, 4] + np.copysign(_FAR, x - rows[k + 1, 4]), 0.0
             at_numbers[:2] = 0.0
@@ -859,6 +872,13 @@ def move_slopes(
         mean = old + _THETA * slopes[1, i]
         slopes[2, i] -= grows * (x + _THETA * dt * mean)
         slopes[0, i] += dt * mean
+
+
+@inlined
+def calc_acting(error: float, band: float) -> tuple[float, float]:
+    """Return whether a servo acts upon an error, and to which side of its dead band that is."""
+    side = 1.0 if error > band else -1.0 if error < -band else 0.0
+    return (1.0 if band == 0.0 else abs(side)), side
 
 
 @inlined

@@ -375,7 +375,7 @@ def servo_by_motion(
 
 def signal_by_motion(signal: EffortSignal, fit: ServoFit) -> EffortSignal:
     """Return the signal of a servo with the numbers of a fit to its motion."""
-    gain, rate, *_, delay, _, _, integral = fit.parameters.tolist()
+    gain, rate, *_, delay, _, _, integral, band = fit.parameters.tolist()
     spread = fit.deviations
     return replace(
         signal,
@@ -385,7 +385,9 @@ def signal_by_motion(signal: EffortSignal, fit: ServoFit) -> EffortSignal:
         damping_deviation=float(spread[1]) if rate else 0.0,
         delay=delay,
         integral=integral,
-        integral_deviation=float(spread[-1]),
+        integral_deviation=float(spread[-2]),
+        dead_band=band,
+        dead_band_deviation=float(spread[-1]),
         limit=fit.limit,
         rate_share=fit.rate_share,
     )
