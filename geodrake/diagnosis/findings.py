@@ -327,18 +327,19 @@ def felt(found: Found, finding: Finding) -> NDArray[np.bool_]:
 def holds(found: Found, finding: Finding, before: HeldOut, after: HeldOut) -> bool:
     """Return whether data that took no part in a fit agree with a finding.
 
-    The squared error of the joints that feel it must fall, in the mean over the folds, by more than
-    the standard error of that mean: what shows in one fold alone just does. That of all joints, as
-    nrms counts them, must not rise. Bodies that are far from the file predict as a
-    payload does that they take in, so that it is judged with bodies that stay; not one that is
-    there for a while.
+    The logarithms of the squared errors of the joints that feel it must fall, in the mean over the
+    folds, by more than the standard error of that mean: what shows in one fold alone just does. The
+    squared error of all joints, as nrms counts them, must not rise. Bodies that are far from the
+    file predict as a payload does that they take in, so that it is judged with bodies that stay;
+    not one that is there for a while.
     """
     if any(t.is_whole and not isinstance(t.effect, Episode) for t in finding.terms):
         fits = _with_bodies_that_stay(found, finding)
-        before, after = (found.model.validated(fit).held_out for fit in fits)
+        before, after = (found.model.held_out(fit) for fit in fits)
     scale = np.maximum(found.model.dataset.effort_std, np.finfo(float).tiny)
-    own = felt(found, finding) / np.maximum(before.mse, np.finfo(float).tiny)
-    falls, total = ((before.sse - after.sse) @ np.stack([own, scale**-2.0], 1)).T
+    least = np.finfo(float).tiny
+    ratios = np.log(np.maximum(before.sse, least) / np.maximum(after.sse, least))
+    falls, total = ratios @ felt(found, finding), (before.sse - after.sse) @ scale**-2.0
     error = 0.0
     if len(falls) > 1:
         error = (1.0 - _ROUNDING) * float(falls.std(ddof=1)) / np.sqrt(len(falls))

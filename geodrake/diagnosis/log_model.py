@@ -48,8 +48,14 @@ from geodrake.diagnosis.terms import (
 from geodrake.diagnosis.unknown_efforts import UnresolvedReversal
 from geodrake.effects.base import Effect
 from geodrake.effects.episode import Episode
-from geodrake.identification.logs.criteria import LEAST_NOISE, NOISE_MARGIN, SPREAD
-from geodrake.identification.logs.dataset import Dataset, JointData, JointRows, is_payload
+from geodrake.identification.logs.criteria import LEAST_NOISE, SPREAD
+from geodrake.identification.logs.dataset import (
+    Dataset,
+    JointData,
+    JointRows,
+    inertias_of,
+    is_payload,
+)
 from geodrake.identification.logs.hypothesis import (
     CrossValidation,
     HeldOut,
@@ -475,13 +481,12 @@ class LogModel:
         return Fit(choice, columns, x, noise, weights, hessian, score)
 
     def likely_width(self, fit: Fit) -> float:
-        """Return the most probable width of the prior of all bodies, from 0.01 to the widest.
+        """Return the most probable width of the prior of all bodies, up to the widest.
 
-        A model that was fitted before is known as well as that fit says.
+        It is at least 0.01, or as far as an earlier fit of the model says.
         """
-        if self.model.information is not None:
-            return fit.choice.width
-        shares, widths = self.shares(fit), np.geomspace(_FREE, self.widths[-1], _WIDTHS)
+        least = _FREE if self.model.information is None else self.widths[0]
+        shares, widths = self.shares(fit), np.geomspace(least, self.widths[-1], _WIDTHS)
         choices = [replace(fit.choice, width=float(width)) for width in widths]
         fits = [self.unbounded(choice, shares, fit.noise) for choice in choices]
         scores = [each.score + self.odds_against(each.choice) for each in fits]
@@ -567,7 +572,7 @@ class LogModel:
             # does the noise of a base's accelerations, which is in the columns, too.
             moving = np.square(self.dataset.motion_noise)
             noise = np.square(self.dataset.noise_floor) - moving
-            more = np.maximum(1.0 - NOISE_MARGIN**2 * noise / fit.variance, moving / fit.variance)
+            more = np.maximum(1.0 - noise / fit.variance, moving / fit.variance)
             more = np.clip(more, 0.0, 1.0)
             samples = 1.0 / ((1.0 - more) / found + more / worth)
             self._shares[key] = np.clip(samples / self.rows, _LEAST_SHARE, 1.0)
@@ -633,14 +638,15 @@ class LogModel:
         return fit.x[self.spans(fit.terms)[term]]
 
     def row_columns(self, fit: Fit, joint: int, A: Array, b: Array) -> tuple[Array, Array]:
-        """Return the columns (K, n) of a fit, and the efforts (K,), in rows of a joint.
+        """Return the columns (…, n) of a fit, and the efforts (…), in rows of a joint.
 
-        A (K, p) are columns of the rows in the order of the joint's, and b (K, d) their efforts for
+        A (…, p) are columns of the rows in the order of the joint's, and b (…, d) their efforts for
         each delay.
         """
-        own = np.hstack([A, b])
-        wide = np.hstack([own, own @ self._mixed[joint], np.zeros((len(A), 1))])
-        return wide[:, self.places[joint][fit.columns]], b[:, fit.choice.delay[joint]]
+        own = np.concatenate([A, b], axis=-1)
+        zeros = np.zeros((*own.shape[:-1], 1))
+        wide = np.concatenate([own, own @ self._mixed[joint], zeros], axis=-1)
+        return wide[..., self.places[joint][fit.columns]], b[..., fit.choice.delay[joint]]
 
     def bodies(self, fit: Fit) -> Array:
         """Return the bodies (nb, 10) of a fit, wrong ones as they were found, without payloads."""
@@ -689,6 +695,27 @@ class LogModel:
             data, unknowns.columns, np.tile(x, (len(data.folds), 1)), delay=choice.delay
         )
         return self._hypothesis(choice, unknowns, fit, held_out)
+
+    def held_out(self, fit: Fit) -> HeldOut:
+        """Predict each fold by a fit to the others, of all that the fit has, gains among it."""
+        data, weights = self.dataset, fit.weights[: len(self.rows), None, None]
+        systems = [
+            self.row_columns(fit, j, *np.split(own.factors, [len(own.columns)], axis=2))
+            for j, own in enumerate(data.data)
+        ]
+        left = [w * np.swapaxes(A, 1, 2) for w, (A, _) in zip(weights, systems, strict=True)]
+        gram = np.sum([own @ A for own, (A, _) in zip(left, systems, strict=True)], axis=0)
+        rhs = np.sum(
+            [(own @ b[..., None])[..., 0] for own, (_, b) in zip(left, systems, strict=True)],
+            axis=0,
+        )
+        known = fit.hessian @ fit.x - fit.weights @ self.moments(fit.columns, fit.choice.delay)[0]
+        factor, scale = scaled_cholesky(self.even_hessian(fit) - gram)
+        rhs = known + rhs.sum(axis=0) - rhs
+        x = np.array([s * solved(L, s * b) for L, s, b in zip(factor, scale, rhs, strict=True)])
+        sse = [np.square(b - (A @ x[..., None])[..., 0]).sum(axis=1) for A, b in systems]
+        inertias = inertias_of(self._inertias[: len(systems)].take(fit.columns, axis=1), x)
+        return HeldOut(np.transpose(sse / inertias**2), data.samples, x)
 
     def validated(self, fit: Fit, *, physical: bool = True) -> Hypothesis:
         """Validate a fit fold by fold, with the noise that it has, and bodies that can exist."""

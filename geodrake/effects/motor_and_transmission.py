@@ -244,6 +244,7 @@ class JointElasticity(DeflectionEffect):
 
 
 _SUBSTEPS = 4
+_SLOWER = 0.5  # share of the bandwidth at which a load changes its sign by motion, not by noise
 _UNSURE = 2.0  # deviations of the noise of a load, below which its sign is not known
 
 
@@ -272,7 +273,7 @@ class Backlash(DeflectionEffect):
     of_motor = True
     law = "a dead band between the measured motor and its link"
     proposer = Proposer.PLAY
-    shapes = (Shape("half_width", "rad", grid=(1e-5, 3e-5, 1e-4, 3e-4, 1e-3, 3e-3, 1e-2)),)
+    shapes = (Shape("half_width", "rad", grid=(1e-4, 3e-4, 1e-3, 3e-3, 1e-2)),)
     parameters = (Parameter("gap_share", "1", lower=0.0, spread=0.2, usual=1.0),)
     signature = "no load for a moment where the load changes its sign, and then a blow"
     positive = ("half_width",)
@@ -286,8 +287,9 @@ class Backlash(DeflectionEffect):
         inertias = motion.effort_slopes.acceleration[:, at]  # (N, nv)
         noise = np.linalg.norm(inertias * motion.acceleration_noise, axis=1)
         period = float(np.median(np.diff(time)))
-        if motion.bandwidth * period < HIGHEST_BANDWIDTH:
-            load = design_filter(period, motion.bandwidth).smooth(load)
+        bandwidth = _SLOWER * motion.bandwidth
+        if bandwidth * period < HIGHEST_BANDWIDTH:
+            load = design_filter(period, bandwidth).smooth(load)
         inertia = np.maximum(inertias[:, at], 1e-9)
         lag = link_lag(self.half_width, load / inertia, time, _UNSURE * noise / inertia)
         bend = np.diff(lag, 2, prepend=lag[:1], append=lag[-1:])

@@ -163,10 +163,7 @@ class Dataset(Short):
 
         They are those of parameters (…, p) of global columns (p,).
         """
-        shares = self.passive_shares(columns)
-        inertias = np.maximum(shares @ np.asarray(x).T, LEAST_INERTIA)
-        inertias[~shares.any(axis=1)] = 1.0
-        return inertias
+        return inertias_of(self.passive_shares(columns), x)
 
     def passive_pull(self, columns: Indices, x: Array, power: Array) -> Array | float:
         """Return the slope (p,) of the log likelihood by the inertias at joints without motors.
@@ -256,6 +253,16 @@ def column_starts(effects: tuple[Effect, ...], bodies: tuple[str, ...]) -> dict[
             starts[effect] = free
             free += len(effect.parameters)
     return starts
+
+
+def inertias_of(shares: Array, x: Array) -> Array:
+    """Return the inertias (nv, …) that parameters (…, p) with shares (nv, p) in them make.
+
+    Joints without shares, whose efforts were measured, have ones.
+    """
+    inertias = np.maximum(shares @ np.asarray(x).T, LEAST_INERTIA)
+    inertias[~shares.any(axis=1)] = 1.0
+    return np.asarray(inertias)
 
 
 def is_payload(effect: Effect) -> bool:
