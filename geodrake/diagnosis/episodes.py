@@ -58,7 +58,10 @@ _ROBUST_FITS = 12
 
 @dataclass(frozen=True, eq=False)
 class _Scale:
-    """Residuals of all joints on one grid of time for each log, over their typical size."""
+    """Residuals of all joints on one grid of time for each log, over their typical size.
+
+    They are NaN, and the size is one, at joints without rows.
+    """
 
     size: Array
     grids: list[Array]
@@ -101,9 +104,14 @@ def _new_windows(case: Case, hypothesis: Hypothesis, scale: _Scale) -> list[Wind
 def _scaled(case: Case, hypothesis: Hypothesis, on_time: tuple[int, ...]) -> _Scale:
     joints = _robust_residuals(case, hypothesis, on_time)
     periods = [trajectory.filter.output_period for trajectory in case.trajectories]
-    size = np.array([_typical(joint.residual, np.finfo(float).tiny) for joint in joints])
-    grids = _Grids(joints, periods)
-    return _Scale(size, grids.of([j.residual for j in joints], size), periods)
+    known = np.array([_typical(joint.residual, np.finfo(float).tiny) for joint in joints])
+    names = hypothesis.dataset.joints
+    at, size = [names.index(joint.joint) for joint in joints], np.ones(len(names))
+    size[at], grids = known, list[Array]()
+    for grid in _Grids(joints, periods).of([joint.residual for joint in joints], known):
+        grids.append(np.full((len(grid), len(names)), np.nan))
+        grids[-1][:, at] = grid
+    return _Scale(size, grids, periods)
 
 
 def _typical(residual: Array, least: float) -> float:

@@ -225,8 +225,10 @@ UNKNOWN = UnknownFunction, *CURVES
 def reversals(
     model: RobotModel, trajectories: Sequence[Trajectory]
 ) -> tuple[UnresolvedReversal, ...]:
-    """Return an unresolved reversal for every joint that moves, but for those of a free base."""
+    """Return an unresolved reversal for every joint that moves and that a motor was measured at."""
     peaks, steps = peak_speeds(trajectories), np.zeros(len(model.joints))
+    aside = {joint for trajectory in trajectories for joint in trajectory.unmeasured}
+    aside.update(model.base_joints)
     for trajectory in trajectories:
         for segment in trajectory.segments:
             seen = segment[:_SAMPLES]
@@ -239,7 +241,7 @@ def reversals(
     return tuple(
         UnresolvedReversal(joint, float(speeds[j]), float(slips[j]))
         for j, joint in enumerate(model.joints)
-        if peaks[j] > 0.0 and joint in model.single_joints and joint not in model.base_joints
+        if peaks[j] > 0.0 and joint in model.single_joints and joint not in aside
     )
 
 

@@ -43,6 +43,9 @@ PASSIVE = "passive"
 GROUND = "ground"
 """The kind of the efforts of a free base: what its surroundings do to it, as far as measured."""
 
+UNMEASURED = "unmeasured"
+"""The kind of the efforts of a joint with a motor that nobody measured, of a free base's limbs."""
+
 EFFORT_KINDS = ("effort", *SIGNAL_KINDS, PASSIVE)
 """What efforts may be: N·m or N, A, V, a share of the supply's voltage, or none of a motor."""
 
@@ -155,7 +158,7 @@ class JointLog(Short):
                 f"shape {np.shape(self.effort_uncertainty)}."
             )
         for joint, kind in instance(self.effort_kinds, "effort_kinds", Mapping).items():
-            if joint not in self.joints or kind not in (*EFFORT_KINDS, GROUND):
+            if joint not in self.joints or kind not in (*EFFORT_KINDS, GROUND, UNMEASURED):
                 raise ArgumentError(
                     f"Log {self.name!r} has {kind!r} as the kind of efforts of {joint!r}.",
                     advice=f"Joints are {', '.join(self.joints)}; kinds {', '.join(EFFORT_KINDS)}.",
@@ -165,6 +168,11 @@ class JointLog(Short):
     def passive(self) -> tuple[str, ...]:
         """Joints without a motor, whose bodies and friction need no effort together."""
         return tuple(j for j in self.joints if self.effort_kinds.get(j) == PASSIVE)
+
+    @property
+    def unmeasured(self) -> tuple[str, ...]:
+        """Joints of a free base's limbs whose efforts nobody measured: their rows say nothing."""
+        return tuple(j for j in self.joints if self.effort_kinds.get(j) == UNMEASURED)
 
     @property
     def gain_deviations(self) -> Array:
@@ -177,8 +185,8 @@ class JointLog(Short):
     def columns(self) -> dict[str, Array]:
         """Return what was measured, (N,) each, by the names that log files have for it.
 
-        Efforts of joints that have commands in their place are left out, as are commands and
-        temperatures where there are none.
+        Efforts of joints that have commands in their place, or that nobody measured, are left out,
+        as are commands and temperatures where there are none.
         """
         columns = {"time": self.time}
         for quantity in QUANTITIES:
@@ -188,7 +196,8 @@ class JointLog(Short):
                 kinds = self.effort_kinds if quantity == "effort" else {}
                 told = self.command is not None and not np.isnan(self.command[:, at]).all()
                 may_lack = quantity in PARTIAL or (quantity == "effort" and told)
-                if not (may_lack and np.isnan(column).all()):
+                lacks = kinds.get(joint) == UNMEASURED
+                if not (lacks or (may_lack and np.isnan(column).all())):
                     columns[f"{joint}.{kinds.get(joint, quantity)}"] = column
         return {**columns, **self.floating}
 
@@ -306,6 +315,7 @@ class Trajectory:
         contacts: Where a free base may be in contact, unless its wrenches were measured.
         left_out: What of the log is not used, in one line; "" if it is next to nothing.
         force_sensors: Frames at which forces were measured that count as efforts.
+        unmeasured: Joints of a free base's limbs whose efforts nobody measured.
     """
 
     name: str
@@ -324,11 +334,17 @@ class Trajectory:
     contacts: ContactFlags | None = None
     left_out: str = ""
     force_sensors: tuple[str, ...] = ()
+    unmeasured: tuple[str, ...] = ()
 
     @property
     def output_counts(self) -> tuple[int, ...]:
         """Return how many filtered and decimated samples each segment gives."""
         return tuple(self.filter.output_count(len(segment)) for segment in self.segments)
+
+    @property
+    def has_unknown_forces(self) -> bool:
+        """Return whether forces of the ground or motors are unknown, which rows must do without."""
+        return self.contacts is not None or bool(self.unmeasured)
 
     @property
     def is_grounded(self) -> bool:

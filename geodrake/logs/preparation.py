@@ -148,6 +148,7 @@ def _prepare(
         log.contacts,
         left_out if is_much else "",
         () if log.ground is None else frames_of(log.floating, FORCE),
+        log.unmeasured,
     )
     _check_outputs(uniform, low_pass, sum(trajectory.output_counts))
     return trajectory

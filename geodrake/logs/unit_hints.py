@@ -105,7 +105,11 @@ def effort_sign_hint(log: JointLog) -> str | None:
     found = []
     for name, q, tau in zip(log.joints, position.T, effort.T, strict=True):
         largest = float(tau.max())
-        if log.effort_kinds.get(name) in ("passive", "ground") or tau.min() < 0.0 or not largest:
+        if (
+            log.effort_kinds.get(name) in ("passive", "ground", "unmeasured")
+            or tau.min() < 0.0
+            or not largest
+        ):
             continue
         low, turns = (
             tau < _NEAR_ZERO * largest,

@@ -25,7 +25,7 @@ from geodrake.errors import LogError
 from geodrake.inertia import Array
 from geodrake.inertia.bodies import lumped_bodies
 from geodrake.logs.floating import FLAG, FORCE, ContactFlags, frames_of, vectors, widened
-from geodrake.logs.motion import GROUND, JointLog
+from geodrake.logs.motion import GROUND, UNMEASURED, JointLog
 from geodrake.model.robot_model import RobotModel
 from geodrake.robot.files.checks import numbers
 from geodrake.robot.files.xacro_file import read_expanded
@@ -70,15 +70,26 @@ def with_base(log: JointLog, model: RobotModel) -> JointLog:
         if (values := getattr(log, name)) is not None
     }
     uncertainty = np.append(log.gain_deviations, np.zeros(6))
+    effort, kinds = log.effort.copy(), dict(log.effort_kinds)
+    silent = np.asarray(np.isnan(effort).all(axis=0))
+    if log.command is not None:
+        silent &= np.isnan(log.command).all(axis=0)
+    if unmeasured := [joint for joint, s in zip(log.joints, silent, strict=True) if s]:
+        effort[:, silent] = 0.0
+        kinds |= dict.fromkeys(unmeasured, UNMEASURED)
+        notes.append(
+            f"no efforts of {', '.join(unmeasured)}: their bodies are told by the base's rows, and "
+            "their friction, rotors and gains by nothing"
+        )
     found = replace(
         log,
         joints=(*log.joints, *joints),
         position=np.hstack([log.position, position]),
-        effort=np.hstack([log.effort, np.zeros((count, 6))]),
+        effort=np.hstack([effort, np.zeros((count, 6))]),
         velocity=own_velocity,
         acceleration=None if acceleration is None else np.hstack([empty, acceleration]),
         measured=measured,
-        effort_kinds={**log.effort_kinds, **dict.fromkeys(joints, GROUND)},
+        effort_kinds={**kinds, **dict.fromkeys(joints, GROUND)},
         effort_uncertainty=uncertainty,
         notes=tuple(notes),
         **padded,
@@ -337,6 +348,12 @@ def with_ground(log: JointLog, model: RobotModel) -> JointLog:
             effort=log.effort + ground,
             ground=np.where(base, 0.0, ground),  # of the base it is all that is measured
             notes=(*log.notes, words),
+        )
+    if set(model.joints) <= {*log.unmeasured, *model.base_joints}:
+        raise LogError(
+            f"Log {log.name!r} has neither efforts of joints nor forces at feet: nothing says how "
+            "heavy the robot is.",
+            advice="Log <joint>.effort …, or <frame>.force.x, .y and .z at each foot.",
         )
     names = flagged or _last_links(model)
     frames = contact_frames(model, names)

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from geodrake.compiling import compiled, contiguous
 from geodrake.errors import ModelError
 from geodrake.inertia import Array
-from geodrake.logs.motion import GROUND, PASSIVE, JointLog
+from geodrake.logs.motion import GROUND, PASSIVE, UNMEASURED, JointLog
 from geodrake.model.effort_signal import COMMAND, EFFORT, EffortSignal, MotorLimit, signal_of
 from geodrake.model.robot_model import RobotModel
 
@@ -64,7 +64,7 @@ def kind_of(log: JointLog, joint: str) -> str:
     if told and joint not in log.effort_kinds and not np.isfinite(log.effort[:, at]).any():
         return COMMAND
     kind = log.effort_kinds.get(joint, EFFORT)
-    return EFFORT if kind in (PASSIVE, GROUND) else kind
+    return EFFORT if kind in (PASSIVE, GROUND, UNMEASURED) else kind
 
 
 def limited_effort(log: JointLog, at: int, motor: MotorLimit, asked: Array) -> Array:

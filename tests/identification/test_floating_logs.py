@@ -3,6 +3,7 @@
 from dataclasses import replace
 from types import SimpleNamespace
 
+import mujoco
 import numpy as np
 import pinocchio as pin
 import pytest
@@ -299,11 +300,45 @@ class PinocchioDog:
         return pin.getFrameJacobian(self.model, self.data, frame, world)[:, self.order]
 
 
+class MujocoDog:
+    """Dynamics of the quadruped by MuJoCo, its base by the same six joints as geodrake's."""
+
+    def __init__(self, path) -> None:
+        spec = mujoco.MjSpec.from_file(str(path))
+        spec.compiler.fusestatic = False
+        trunk = spec.worldbody.first_body()
+        for k, axis in enumerate((0, 1, 2, 2, 1, 0)):
+            kind = mujoco.mjtJoint.mjJNT_SLIDE if k < 3 else mujoco.mjtJoint.mjJNT_HINGE
+            trunk.add_joint(name=f"base{k}", type=kind, axis=np.eye(3)[axis])
+        self.model = spec.compile()
+        self.data = mujoco.MjData(self.model)
+        names = [*(f"base{k}" for k in range(6)), *JOINTS]
+        self.order = [int(self.model.joint(name).dofadr[0]) for name in names]
+
+    def efforts(self, q, v, a):
+        """Return what `mj_inverse` says that the motion needs, without contacts."""
+        data = self.data
+        data.qpos[self.order], data.qvel[self.order], data.qacc[self.order] = q, v, a
+        mujoco.mj_inverse(self.model, data)
+        return data.qfrc_inverse[self.order]
+
+    def jacobian(self, foot):
+        """Return the Jacobian (6, 18) of a foot's place and turning, in the last state."""
+        along, about = np.zeros((2, 3, self.model.nv))
+        mujoco.mj_jacBody(self.model, self.data, along, about, self.model.body(foot).id)
+        return np.vstack([along, about])[:, self.order]
+
+
+@pytest.mark.parametrize("theirs", [PinocchioDog, MujocoDog])
+@pytest.mark.parametrize("unmeasured", [(), ("fl_pitch", "hr_knee")], ids=["all", "some"])
 @pytest.mark.parametrize(("feet", "axes"), [(FEET, 3), (FEET[:2], 6)], ids=["points", "soles"])
-def test_rows_without_contact_forces_are_those_of_pinocchio(model, feet, axes):
-    """N (Y φ) = N (τ + Jᵀ w) for any forces, and moments at soles, of the feet that touch."""
+def test_rows_without_contact_forces_are_those_of_others(model, feet, axes, unmeasured, theirs):
+    """N (Y φ) = N (τ + Jᵀ w) for any forces, and moments at soles, of the feet that touch.
+
+    What motors do of which nobody measured it is not in them.
+    """
     assert model.joints == (*model.base_joints, *JOINTS)
-    dog, rng = PinocchioDog(model.path), np.random.default_rng(3)
+    dog, rng = theirs(model.path), np.random.default_rng(3)
     q, v, a = rng.uniform(-0.7, 0.7, (3, 20, 18))
     bodies = RobotBodies(model.tree, model.positions(q), model.total_phi)
     frames = contact_frames(model, feet)
@@ -312,19 +347,22 @@ def test_rows_without_contact_forces_are_those_of_pinocchio(model, feet, axes):
     assert on_soles(touching, frames) == sole
     J = np.stack([frame.jacobian(bodies, sole=sole) for frame in frames], 1)
     scales = rng.uniform(0.5, 2.0, 18)
-    rows = rows_without(J, touching.flags, scales, range(6))
+    measured = ~np.isin(model.joints, unmeasured)
+    rows = rows_without(J, touching.flags, scales, range(6), measured=measured)
     N = np.stack([rows.efforts(np.tile(unit, (20, 1))) for unit in np.eye(18)], 2)
     Y = inverse_dynamics_regressor(model.tree, model.positions(q), v, a)
     for k, flags in enumerate(touching.flags):
         needed = dog.efforts(q[k], v[k], a[k])
-        theirs = np.stack([dog.jacobian(foot)[:axes] for foot in feet])
+        jacobians = np.stack([dog.jacobian(foot)[:axes] for foot in feet])
         forces = 50.0 * rng.normal(size=(len(feet), axes)) * flags[:, None]
-        effort = needed - np.einsum("fan,fa->n", theirs, forces)  # zero at a free base
+        effort = needed - np.einsum("fan,fa->n", jacobians, forces)  # zero at a free base
+        effort[~measured] = rng.normal()
         np.testing.assert_allclose(
             N[k] @ Y[k] @ model.total_phi.ravel(), N[k] @ effort, rtol=0.0, atol=1e-9
         )
         used = np.abs(N[k]).any(axis=1)
-        assert used.sum() == 18 - axes * flags.sum()
+        taken = jacobians[flags].reshape(-1, 18)[:, measured]
+        assert used.sum() == measured.sum() - np.linalg.matrix_rank(taken)
         whitened = N[k][used] * scales / scales[used, None]
         np.testing.assert_allclose(whitened @ whitened.T, np.eye(used.sum()), atol=1e-6)
 
@@ -362,6 +400,31 @@ def test_a_payload_and_an_offset_of_a_foot_sensor_are_named_and_placed(model, he
     values = [foot.parameters["hl_calf"][f"force_{axis}"] for axis in "xyz"]
     deviations = [foot.deviations["hl_calf"][f"force_{axis}"] for axis in "xyz"]
     assert np.all(np.abs(values - offset) < 3.0 * np.array(deviations) + 0.02 * np.abs(offset))
+
+
+def test_base_rows_alone_tell_a_payload(tmp_path, monkeypatch, model, heavy):
+    log = heavy.log(wrenches=True, noise=1.0)
+    log = replace(log, effort=np.full_like(log.effort, np.nan))
+    case = open_case(model, [log], candidates=True)
+    assert not {joint for effect in case.dataset.effects for joint in effect.where} & {*JOINTS}
+    found = explain(model, log)
+    (step,) = found.steps
+    assert (step.effect, step.where) == ("payload", ("trunk",)) and step.probability > 0.9
+    assert step.parameters["trunk"]["mass"] == pytest.approx(0.9, rel=0.05)
+    assert not any("at rest" in note for note in found.notes)
+    columns = {name: x for name, x in log.columns().items() if not name.endswith(".effort")}
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "quadruped.urdf").write_text(quadruped(), encoding="utf-8")
+    for log, bare, words in (
+        ("feet.csv", False, "no efforts of fl_roll"),
+        ("neither.csv", True, "neither efforts of joints nor forces at feet"),
+    ):
+        kept = {n: x for n, x in columns.items() if not (bare and "force" in n)}
+        table, header = np.stack(list(kept.values()), 1), ",".join(kept)
+        np.savetxt(log, table, delimiter=",", header=header, comments="")
+        said = CliRunner().invoke(app, ["compare", "quadruped.urdf", log, "--floating"])
+        assert words in said.output.replace("\n", " ")
+        assert said.exit_code == (2 if bare else 0)
 
 
 def test_force_sensors_of_one_body_have_one_offset(model, maker):

@@ -49,7 +49,9 @@ def candidate_effects(
     """
     peaks = peak_speeds(trajectories) if speeds is None else speeds
     single = [joint for joint in model.joints if joint in model.single_joints]
-    single = [joint for joint in single if joint not in model.base_joints]
+    unmeasured = {joint for trajectory in trajectories for joint in trajectory.unmeasured}
+    unseen = unmeasured.union(model.base_joints)  # where nobody measures what motors do
+    single = [joint for joint in single if joint not in unseen]
     grounded = [frame for t in trajectories for frame in t.ground_frames]
     told = joints_with_known_gain(model, [t.payloads for t in trajectories], grounded)
     standing = joints_on_ground(model, grounded)
@@ -64,7 +66,7 @@ def candidate_effects(
     ]
     spans = np.max([np.ptp(segment.position, axis=0) for segment in segments], axis=0)
     reach = dict(zip(model.joints, spans.tolist(), strict=True))
-    followers = [p for p in model.joint_pairs if not {*p}.intersection(model.base_joints)]
+    followers = [p for p in model.joint_pairs if not {*p}.intersection(unseen)]
     at_once = moving_together(trajectories) if speeds is None else np.ones((len(peaks),) * 2)
     together = [p for p in followers if at_once[*map(model.joints.index, p)]]
     duration = max(float(t.segments[-1][-1:].time[0] - t.began) for t in trajectories)

@@ -30,7 +30,7 @@ from geodrake.identification.logs.unknowns import Unknowns
 from geodrake.logs.files import read_log
 from geodrake.logs.folds import Fold, assign_folds, validation_blocks
 from geodrake.logs.log_checks import check_commands, check_repeated, check_saturation
-from geodrake.logs.motion import GROUND, PASSIVE, JointLog, Trajectory
+from geodrake.logs.motion import GROUND, PASSIVE, UNMEASURED, JointLog, Trajectory
 from geodrake.logs.preparation import motion_bandwidth_of, prepare_logs
 from geodrake.logs.smoothing import Segment
 from geodrake.logs.uniform_log import make_uniform
@@ -167,7 +167,7 @@ def open_case(
     if candidates:
         effects += candidate_effects(model, trajectories, extra)
         delays = candidate_delays(trajectories[0].filter)
-    room = ROOM if all(t.contacts is None for t in trajectories) else MIXED_ROOM
+    room = MIXED_ROOM if any(t.has_unknown_forces for t in trajectories) else ROOM
     shared = RowCache(room) if candidates else RowCache(room, signals=0)  # few follow
     reduce = partial(
         reduce_logs,
@@ -387,12 +387,14 @@ def _matched(model: RobotModel, logs: Sequence[JointLog | str | Path]) -> list[J
 
 def _still_notes(dataset: Dataset) -> list[str]:
     """Return a note that samples at rest are left out, if any joint ever rests."""
-    most = int(dataset.still.argmax())
-    if dataset.still[most] == 0.0:
+    still = np.where(dataset.has_rows, dataset.still, 0.0)
+    most = int(still.argmax())
+    if still[most] == 0.0:
         return []
+    also = ", or of a limb on the ground," if dataset.is_mixed else ""
     return [
-        "samples of a joint at rest are left out of fit and errors, as its dry friction is unknown "
-        f"there: {100 * dataset.still[most]:.0f} % at {dataset.joints[most]}, the most of any joint"
+        f"samples of a joint at rest{also} are left out of fit and errors, as its dry friction is "
+        f"unknown there: {100 * still[most]:.0f} % at {dataset.joints[most]}, the most of any joint"
     ]
 
 
@@ -431,7 +433,8 @@ def _check_efforts(logs: Sequence[JointLog]) -> None:
         lowest = log.effort.min(axis=0, initial=np.inf, where=known)
         largest = np.maximum(np.abs(highest), np.abs(lowest))
         constant = highest - np.maximum(1e-9 * largest, _LEAST_EFFORT) <= lowest
-        silent = [joint for joint, kind in log.effort_kinds.items() if kind in (PASSIVE, GROUND)]
+        kinds = PASSIVE, GROUND, UNMEASURED
+        silent = [joint for joint, kind in log.effort_kinds.items() if kind in kinds]
         constant &= known.any(axis=0) & ~np.isin(log.joints, silent)
         joints = [joint for joint, c in zip(log.joints, constant, strict=True) if c]
         if joints:

@@ -1,4 +1,4 @@
-"""Rows of a robot in contact that unknown contact forces do not reach.
+"""Rows of a robot in contact that unknown contact forces and unmeasured efforts do not reach.
 
     Y φ + Σ Y_e μ_e = τ + Jᵀ w,      N J̃ᵀ = 0,      N (Y φ + Σ Y_e μ_e) = N τ
 
@@ -6,7 +6,8 @@ J are the Jacobians of the frames that may touch, over all nv velocities. Rows o
 force w changes, and are orthonormal in the units of the noise (J̃). Each row belongs to a velocity:
 those of the base first, then joints of limbs in the air; joints of standing limbs have none. The
 equation holds at each instant, and so does any filter of it, also across touches and lifts. A frame
-in doubt counts as touching, which is valid and costs some rows.
+in doubt counts as touching, which is valid and costs some rows. Joints whose efforts nobody
+measured have no rows, and are in none.
 """
 
 from __future__ import annotations
@@ -34,15 +35,18 @@ _ARM = 0.15  # m, by which forces make moments of the base
 
 
 def contact_rows(model: RobotModel, trajectory: Trajectory, segment: Segment) -> MixedRows | None:
-    """Return rows N at the instants of a segment; None if no contact force is unknown."""
+    """Return rows N at the instants of a segment; None if no force and no effort is unknown."""
+    measured = ~np.isin(model.joints, trajectory.unmeasured)
     if (contacts := trajectory.contacts) is None:
-        return None
+        own = np.tile(measured.astype(float), (len(segment), 1))
+        return None if measured.all() else MixedRows(own, {})
     bodies = RobotBodies(model.tree, model.positions(segment.position), model.total_phi)
     frames = contact_frames(model, contacts.frames)
     sole = on_soles(contacts, frames)
     J = np.stack([frame.jacobian(bodies, sole=sole) for frame in frames], 1)  # (N, c, 3 or 6, nv)
     base = [model.joints.index(joint) for joint in model.base_joints]
-    return rows_without(J, contacts.at(segment.time), row_scales(model, trajectory), base)
+    flags, scales = contacts.at(segment.time), row_scales(model, trajectory)
+    return rows_without(J, flags, scales, base, measured=measured)
 
 
 @dataclass(frozen=True, eq=False)
@@ -124,21 +128,31 @@ def row_scales(model: RobotModel, trajectory: Trajectory) -> Array:
 
 
 def rows_without(
-    J: Array, flags: NDArray[np.bool_], scales: Array, base: Sequence[int]
+    J: Array,
+    flags: NDArray[np.bool_],
+    scales: Array,
+    base: Sequence[int],
+    *,
+    measured: NDArray[np.bool_] | None = None,
 ) -> MixedRows:
     """Return rows N for the Jacobians (N, c, k, nv) of frames; (N, c) says which touch.
 
     Args:
         scales: (nv,) noise of the rows of velocities, N·m or N.
         base: Velocities of the base, which get rows first.
+        measured: (nv,) whether efforts of velocities are known; by default of all.
     """
     count, _, _, nv = J.shape
     reached, J = np.asarray(J.any(axis=(0, 2))), contiguous(J)
     states, which = np.unique(flags, axis=0, return_inverse=True)
-    own, modes = np.ones((count, nv)), list[tuple[Indices, Indices, Indices, Indices]]()
+    known = np.ones(nv, bool) if measured is None else measured
+    own, modes = (
+        np.tile(known.astype(float), (count, 1)),
+        list[tuple[Indices, Indices, Indices, Indices]](),
+    )
     for number, state in enumerate(states):
         at, feet = np.flatnonzero(which.ravel() == number), np.flatnonzero(state)
-        moving = np.flatnonzero(reached[feet].any(axis=0))  # others' rows are their own
+        moving = np.flatnonzero(reached[feet].any(axis=0) & known)  # others' rows are their own
         if not len(moving):
             continue
         own[at[:, None], moving] = 0.0

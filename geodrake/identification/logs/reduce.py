@@ -118,9 +118,9 @@ def coupling_of(
 ) -> NDArray[np.bool_] | None:
     """Return (nv, nv) which velocities are in the row of which, in any slice of any log.
 
-    None if no contact force is unknown.
+    None if neither a contact force nor a motor's effort is unknown.
     """
-    if all(trajectory.contacts is None for trajectory in trajectories):
+    if not any(trajectory.has_unknown_forces for trajectory in trajectories):
         return None
 
     def make() -> dict[int, Array]:

@@ -521,6 +521,8 @@ class Columns:
         path, moved = table.path, self._of_model(self.having("position"), wanted)
         efforts = self.having("effort", "command")
         heard = {*efforts, *self._without_motor(moved)}
+        if self.reading.of_base and self._has_base(table.names):
+            heard |= {*moved}  # forces at feet say more than efforts
         silent = [joint for joint in moved if joint not in heard]
         if len(silent) == len(moved):
             told = {} if moved or efforts else table.first_words
@@ -620,6 +622,11 @@ class Columns:
             or self.reading.kinds.get(joint) == PASSIVE
             or (joint in self.reading.motorless and joint not in heard)
         )
+
+    def _has_base(self, names: Sequence[str]) -> bool:
+        """Return whether there are columns of a free base or its IMU."""
+        known = [*self.floating, *filter(None, map(floating_name, names))]
+        return any(name.startswith(("base.", "imu.")) for name in known)
 
     def having(self, *quantities: str) -> list[str]:
         """Return joints with one of some quantities, in the order of the file."""
