@@ -31,8 +31,8 @@ it: at the limit of effort that the model states, or at one of its own, which is
 parameter, from what bodies need at most on. A share of the damping d is the servo's own, within the
 limit, and the rest the joint's: only a servo at its limit tells them apart.
 
-Friction by the load and a dead band are rarer than all else: they must predict such windows better,
-too.
+Friction by the load is rarer than all else: it must predict such windows better, too, and a dead
+band by far.
 """
 
 from __future__ import annotations
@@ -101,6 +101,7 @@ _LEAST_LIMIT = 0.01  # of its size
 LOWERED = 0.7  # deviation of the logarithm of a limit from a stall torque: servos are set to less
 _USUAL_LOAD, _MOST_LOAD = 0.2, 2.0  # of the largest load, that friction by its square is there
 _USUAL_BAND = 0.01  # rad or m
+_IDLE_LEAVES = 0.5  # share of what is left of positions, that a dead band leaves at most
 _NOTHING = float(np.finfo(float).tiny)  # rad² or m², of a joint that stands exactly still
 _FAR = 1e3  # rad or m, from the measured motion, and no farther: squares stay numbers
 _TRIED_DELAYS = (0.0, 0.01, 0.03)  # s, that searches begin from
@@ -469,9 +470,7 @@ def fit_servo(
     expected = {"stiffness": (signal.gain, ALIKE), **(expected or {})}
     told = signal.integral or some.linear_servo(signal).integral
     first = _Search(some, told, expected)
-    found = first.at_its_limit(some.servo(begin), limit)
-    idle = first.best([found.freed(_BAND)], seen=True)
-    found = idle if some.gain(found.numbers, idle.numbers, some.tested) >= PENALTY else found
+    found = first.with_dead_band(first.at_its_limit(some.servo(begin), limit))
     found = found if some is motions else found.along(motions)
     search, start = replace(first, motions=motions), motions.servo(begin)
     fit = search.fitted(found, start, bodies)
@@ -560,6 +559,23 @@ class _Search:
             found = self.best([other.freed(_LIMIT)], seen=True)
             best = found if is_better(found) else best
         return best
+
+    def with_dead_band(self, servo: _Servo) -> _Servo:
+        """Return the servo with a dead band, if that predicts the other windows far better.
+
+        One that takes away little of what is left of positions is not told from what else is
+        lacking, such as the steps of a servo's clock. It is sought where slopes promise enough.
+        """
+        motions, tried = self.motions, servo.freed(_BAND)
+        seen, rows = motions.seen
+        left, J = seen.residual(servo.numbers)[rows], seen.slopes(servo.numbers, tried.free)[rows]
+        unexplained = left - J @ np.linalg.lstsq(J, left)[0]
+        if np.std(unexplained) > np.sqrt(_IDLE_LEAVES) * np.std(left):
+            return servo
+        idle, tested = self.best([tried], seen=True), motions.tested
+        far = motions.rms(idle.numbers, tested) <= _IDLE_LEAVES * motions.rms(servo.numbers, tested)
+        worth = motions.gain(servo.numbers, idle.numbers, tested) >= PENALTY
+        return idle if far and worth else servo
 
     @cached_property
     def _most(self) -> float:
@@ -656,7 +672,9 @@ class _Search:
         known = np.ones(J.shape[1])
         for name, (_, spread) in self.expected.items():
             known[np.flatnonzero(free) == _PLACES[name]] = spread**-2.0
-        covariance = np.linalg.inv(J.T @ J / noise + np.diag(known))
+        values, vectors = np.linalg.eigh(J.T @ J / noise + np.diag(known))
+        # (Rounding may leave less than what is known.)
+        covariance = vectors / np.maximum(values, known.min()) @ vectors.T
         moves = np.zeros((len(free), len(size)))
         moves[free] = np.diag(size)
         d, share = numbers[[_DAMPING, _SHARE]]
