@@ -803,14 +803,13 @@ def calc_servo_motion(rows: Array, period: float, servo: Array, out: tuple[Array
     positions, slopes = out
     steps = max(_STEPS, int(np.ceil(period / _LONGEST_STEP)))
     kp, kr, d, F, armature, delay, offset, load, ki, band, limit, own, w = servo
-    dt, late = period / steps, delay / period
+    dt, per, late = period / steps, steps / period, delay / period
     x, v, z = rows[0, 4], rows[0, 5], 0.0
     c, rise = calc_command_before(rows, -late, period)
     count = min(slopes.shape[1], _BEGUN + 1) if len(slopes) > 0 else 0
     at_numbers = np.zeros((3, count))
     ahead = _THETA * dt
-    reach = kp + ki * ahead
-    least = -BRAKING_SHARE / load if load > 0.0 else -np.inf
+    reach, least = kp + ki * ahead, -BRAKING_SHARE / load  # (minus infinity without any)
     positions[0], slopes[:1, :count] = x, 0.0
     for k in range(len(rows) - 1):
         for s in range(steps):
@@ -818,16 +817,16 @@ def calc_servo_motion(rows: Array, period: float, servo: Array, out: tuple[Array
             before, rise_before = c, rise
             c, rise = calc_command_before(rows, k + (s + 1.0) / steps - late, period)
             told = (1.0 - _THETA) * before + _THETA * c
-            inertia, free, old = (M + armature) / dt, D + (1.0 - own) * d, (1.0 - _THETA) * v
+            inertia, free, old = (M + armature) * per, D + (1.0 - own) * d, (1.0 - _THETA) * v
             at = x + ahead * old
             acts, side = calc_acting(told - x - ahead * v, band)
             soft = (acts * reach * ahead + kr + own * d) * _THETA
             drive = acts * reach * (told - at - side * band) + ki * z + w
-            drive += kr * ((c - before) / dt - old) - own * d * old
+            drive += kr * ((c - before) * per - old) - own * d * old
             held = b + K * (at - q) + D * (old - qd) - M * qdd
             rest = inertia * v - held - offset - (free - D) * old
             heavy = inertia + K * ahead * _THETA + free * _THETA
-            gear = F, load, least, held - M / dt * v, M / dt + D * _THETA
+            gear = F, load, least, held - M * per * v, M * per + D * _THETA
             now, way, stiff, bound = calc_within(limit, (drive, soft), (rest, heavy), gear)
             gives = 1.0 if bound == 0.0 else 0.0
             mean = old + _THETA * now
@@ -838,11 +837,11 @@ def calc_servo_motion(rows: Array, period: float, servo: Array, out: tuple[Array
                 through, rubs = calc_rubbing(gear, now, way)
                 direct = (
                     gives * error,
-                    gives * ((c - before) / dt - mean),
+                    gives * ((c - before) * per - mean),
                     -(1.0 - own + own * gives) * mean,
                     -way,
-                    (v - now) / dt,
-                    -gives * (acts * reach * later + kr * (rise - rise_before) / dt),
+                    (v - now) * per,
+                    -gives * (acts * reach * later + kr * (rise - rise_before) * per),
                     -1.0,
                     -way * through**2,
                     gives * (z + ahead * error),
@@ -851,13 +850,14 @@ def calc_servo_motion(rows: Array, period: float, servo: Array, out: tuple[Array
                     (1.0 - gives) * d * mean,
                     gives,
                 )
-                pushes, damps = inertia + rubs * M / dt, free + rubs * D + gives * (kr + own * d)
+                pushes, damps = inertia + rubs * M * per, free + rubs * D + gives * (kr + own * d)
                 pulls, moves = K * (1.0 + rubs) + gives * acts * reach, abs(way) / stiff
                 growing = dt * acts if grows else 0.0
                 step = pushes, damps, pulls, gives * ki, moves, growing, dt
                 move_slopes(at_numbers, direct, step)
                 at_numbers[2, 5] -= growing * later
-                at_numbers[2, 9:10] -= growing * side
+                if count > 9:
+                    at_numbers[2, 9] -= growing * side
             v, x, z = now, x + dt * mean, z + (dt * error if grows else 0.0)
         if abs(x - rows[k + 1, 4]) > _FAR:
             x, v = rows[k + 1, 4] + np.copysign(_FAR, x - rows[k + 1, 4]), 0.0
@@ -950,7 +950,7 @@ def calc_rubbing(
     return through, 2.0 * load * through if through > least else 0.0
 
 
-@compiled
+@inlined
 def calc_velocity_after(
     pull: float, stiff: float, gear: tuple[float, float, float, float, float]
 ) -> tuple[float, float, float]:
@@ -967,6 +967,9 @@ def calc_velocity_after(
     """
     F, load, least, held, grows = gear
     way = 1.0 if pull > 0.0 else -1.0
+    if load == 0.0:
+        most = way * pull - F
+        return (way * most / stiff, way, stiff) if most > 0.0 else (0.0, 0.0, stiff)
     still = way * held
     most = way * pull - F - load * max(still, least) ** 2
     if most <= 0.0:
