@@ -35,7 +35,7 @@ except ImportError as error:
     ) from error
 if config.DISABLE_JIT:  # type: ignore[attr-defined]
     raise GeodrakeError(
-        "geodrake needs Numba, which is told not to compile.",
+        "geodrake needs Numba, but its compilation is disabled.",
         advice="Unset the environment variable NUMBA_DISABLE_JIT.",
     )
 

@@ -65,7 +65,7 @@ def test_packages_are_there_after_one_import():
 
 def test_options_of_files_are_those_of_the_page_of_commands():
     """Which command takes which of --json, --report and --save."""
-    words = COMMANDS.split("All take `--json`")[1].split("`--help` tells the rest")[0]
+    words = COMMANDS.split("All commands take `--json`")[1].split("hides progress")[0]
     saving, none = words.split("`--save` writes")[1].split(";")
     commands = {
         command.callback.__name__: {p.name for p in get_command(app).commands[name].params}

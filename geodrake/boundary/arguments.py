@@ -128,11 +128,11 @@ def real_array(
     """
     array = _numbers(value, name, shape)
     if shape is not None and not _fits(array.shape, shape, sizes):
-        raise _wrong(name, shape, sizes, f"it has the shape {array.shape}", got=array.shape)
+        raise _wrong(name, shape, sizes, f"its shape is {array.shape}", got=array.shape)
     if finite and not _within(array):
         place = tuple(int(i) for i in np.argwhere(~(np.abs(array) <= LARGEST))[0])
         at = f" at {list(place)}" if place else ""
-        raise _wrong(name, shape, sizes, f"it holds {array[place]}{at}", place=place)
+        raise _wrong(name, shape, sizes, f"it has {array[place]}{at}", place=place)
     return array
 
 
@@ -153,7 +153,7 @@ def one_or_each(
     array = real_array(value, name, finite=finite)
     if array.shape not in ((), (count,)):
         raise ArgumentError(
-            f"{name} must be one number or {count}; it has the shape {array.shape}.", name=name
+            f"{name} must be one number or {count}; its shape is {array.shape}.", name=name
         )
     if not (array > 0.0 if strict else array >= 0.0).all():
         wanted = "above" if strict else "at least"
@@ -185,8 +185,8 @@ def positive_definite(value: Any, name: str, shape: Shape, sizes: Sizes | None =
     asymmetry = np.abs(scaled - scaled.T).max(initial=0.0)
     if not asymmetry <= _ASYMMETRY:
         raise ArgumentError(
-            f"{name} must be symmetric; it is off by {asymmetry:.2g} of its diagonal.",
-            advice="Pass 0.5 * (M + M.T) if the difference is meant to be rounding.",
+            f"{name} must be symmetric; its asymmetry is {asymmetry:.2g} of its diagonal.",
+            advice="Pass 0.5 * (M + M.T) if the difference is due to rounding.",
             name=name,
         )
     if len(scaled) and not (least := np.linalg.eigvalsh(scaled)[0]) > 0:
@@ -309,7 +309,7 @@ def integer(
         limits = [
             x if abs(x) < sys.maxsize or not unlimited else x * np.inf for x in (lower, upper)
         ]
-        wanted = _range_words("a whole number", *limits, strict=False)
+        wanted = _range_words("an integer", *limits, strict=False)
         raise ArgumentError(f"{name} must be {wanted}; it is {shown(value)}.", name=name)
     return found
 

@@ -22,7 +22,7 @@ def optional_package(module: str, extra: str, what: str, error: type[GeodrakeErr
         if missing.name is not None and missing.name.split(".")[0] != package:
             package = f"{package} ({missing.name})"
         raise error(
-            f"The package {package} is needed for {what}, and is not installed.",
+            f"The package {package}, needed for {what}, is not installed.",
             advice=f'Install it: pip install "geodrake[{extra}]".',
             extra=extra,
         ) from missing

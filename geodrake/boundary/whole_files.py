@@ -77,7 +77,8 @@ def made_folder(path: Path) -> Iterator[None]:
             path.mkdir(parents=True, exist_ok=True)
         except (OSError, ValueError) as error:
             raise OutputError(
-                f"The folder {path} cannot be made: {getattr(error, 'strerror', None) or error}.",
+                f"The folder {path} cannot be created: "
+                f"{getattr(error, 'strerror', None) or error}.",
                 advice="Choose another place.",
                 path=path,
             ) from error
@@ -230,11 +231,11 @@ def _status(target: Path) -> os.stat_result | None:
     except FileNotFoundError:
         return None
     if stat.S_ISDIR(status.st_mode):
-        raise IsADirectoryError(errno.EISDIR, "it is there and is a folder, no file")
+        raise IsADirectoryError(errno.EISDIR, "it is a folder")
     if not stat.S_ISREG(status.st_mode):
-        raise OSError(errno.EINVAL, "it is there and is no file")
+        raise OSError(errno.EINVAL, "it is not a regular file")
     if os.geteuid() and _is_of_another_user(target):
-        raise PermissionError(errno.EPERM, "it is another user's, who alone may replace it there")
+        raise PermissionError(errno.EPERM, "it belongs to another user, who must replace it")
     return status
 
 

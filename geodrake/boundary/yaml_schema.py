@@ -15,7 +15,7 @@ T = TypeVar("T")
 
 _WORDS = {
     "float": "a number",
-    "int": "a whole number",
+    "int": "an integer",
     "str": "text",
     "bool": "true or false",
     "object": "a table of fields",
@@ -80,7 +80,7 @@ def _fields(schema: Any) -> tuple[str, ...]:
 
 def _refusal(place: str, value: object, schema: Any) -> ArgumentError:
     what, fields, reason = place or "it", _fields(schema), _misfit(value, schema)
-    advice = f"Its fields are: {', '.join(fields)}." if fields else ""
+    advice = f"Its fields are {', '.join(fields)}." if fields else ""
     odd = [key for key in value if key not in fields] if isinstance(value, dict) else []
     if fields and odd:
         near = difflib.get_close_matches(str(odd[0]), fields, 1)
@@ -88,7 +88,7 @@ def _refusal(place: str, value: object, schema: Any) -> ArgumentError:
         return ArgumentError(f"{what} has the unknown field {odd[0]!r:.60}{meant}.", advice=advice)
     if any(not isinstance(key, str) for key in odd):
         name = next(key for key in odd if not isinstance(key, str))
-        return ArgumentError(f"{what} has {name!r:.60} for a name.", advice="Put it in quotes.")
+        return ArgumentError(f"{what} has {name!r:.60} as a name.", advice="Put it in quotes.")
     if reason.startswith("Object missing"):
         return ArgumentError(f"{what} lacks its {reason.rpartition(' ')[2]}.", advice=advice)
     words = " ".join(_WORDS.get(word, word) for word in reason.lower().replace(",", " but").split())

@@ -35,8 +35,8 @@ def yaml_text(path: Path, what: str = "model file", error: type[GeodrakeError] =
         ) from problem
     if nodes > _MOST_NODES:
         raise error(
-            f"{path} has aliases that unfold to more than {_MOST_NODES} nodes.",
-            advice="Write out what it needs.",
+            f"{path} has aliases that expand to more than {_MOST_NODES} nodes.",
+            advice="Write them out.",
             path=path,
         )
     return text
@@ -61,8 +61,7 @@ def _refuse_repeated(node: yaml.Node | None) -> None:
         for key, value in node.value:
             if isinstance(key, yaml.ScalarNode) and key.value in seen:
                 raise yaml.YAMLError(
-                    f"it has {key.value!r} twice in one place, again in line "
-                    f"{key.start_mark.line + 1}"
+                    f"it has {key.value!r} twice, again in line {key.start_mark.line + 1}"
                 )
             seen.add(str(key.value))
             _refuse_repeated(value)

@@ -1,4 +1,4 @@
-"""The commands of `geodrake`. What they need is imported when they run, so that help is quick."""
+"""The commands of `geodrake`. Modules are imported when a command runs, so that help is quick."""
 
 from __future__ import annotations
 
@@ -15,16 +15,16 @@ from typer.core import TyperArgument, TyperCommand, TyperGroup
 from geodrake.boundary.escaping import printable
 from geodrake.boundary.version import versions
 from geodrake.cli import options
-from geodrake.cli.options import Options, taking
+from geodrake.cli.options import ALL_OPTIONS, Options, is_advanced, taking
 from geodrake.cli.streams import settled_surroundings
 
 DEMO_MODEL, DEMO_LOG = "demo.urdf", "demo.csv"
-DEMO_TIME = "Done within about 15 seconds; the first time within a minute, as loops are compiled."
-_GARBAGE = 100_000  # objects between two looks for cycles, of which a command leaves few
+DEMO_TIME = "This takes about 15 seconds; a minute the first time, as code is compiled."
+_GARBAGE = 100_000  # allocations between two runs of the garbage collector
 
 
 class _Command(TyperCommand):
-    """A command whose help names arguments and flags without their Python types."""
+    """A command whose help has no Python types, and advanced options only with --help-all."""
 
     def get_params(self, ctx: Any) -> list[Any]:
         found: list[Any] = super().get_params(ctx)
@@ -33,9 +33,21 @@ class _Command(TyperCommand):
                 each.display_type_rich = lambda ctx: None
         return found
 
+    def format_help(self, ctx: Any, formatter: Any) -> None:
+        hidden = [
+            each for each in self.params if not ctx.meta.get(ALL_OPTIONS) and is_advanced(each)
+        ]
+        for each in hidden:
+            each.hidden = True  # type: ignore[attr-defined]
+        try:
+            super().format_help(ctx, formatter)
+        finally:
+            for each in hidden:
+                each.hidden = False  # type: ignore[attr-defined]
+
 
 class _Commands(TyperGroup):
-    """The commands; what was typed wrongly is quoted as a line that is safe to print."""
+    """The commands; errors of usage quote what was typed in printable characters."""
 
     def make_context(self, *args: Any, **more: Any) -> Any:
         with _printable_words():
@@ -62,7 +74,7 @@ app = typer.Typer(
     no_args_is_help=True,
     add_completion=False,
     pretty_exceptions_enable=False,
-    help="Tells you what your robot's model is missing, and then fixes it.",
+    help="Find what your robot's model is missing, and add it.",
     epilog="Start with: geodrake demo. Then: geodrake explain robot.urdf log.csv",
 )
 
@@ -70,42 +82,42 @@ _COMMANDS: dict[str, tuple[Any, ...]] = {
     "compare": (
         "explaining.run_compare",
         Options,
-        "How far the model is from the logs, at which joints, and in which circumstances.",
+        "Show the error of a model on logs, by joint, and where it is largest.",
         "robot.urdf log.csv --report page.html",
         "robot.yaml log.mcap",
     ),
     "diagnose": (
         "explaining.run_diagnose",
         Options,
-        "Which effect the model lacks most, with the evidence.",
+        "Rank the effects that the model may lack, with the evidence.",
         "robot.urdf log_1.csv log_2.csv",
         "robot.yaml new_log.csv --report page.html",
     ),
     "add": (
         "explaining.run_add",
         options.AddOptions,
-        "Add an effect to the model, refit, and show what it changes.",
+        "Add an effect to the model, refit, and show the errors before and after.",
         "payload@flange robot.urdf log.csv --save robot.yaml",
         "viscous_friction robot.urdf log.csv",
     ),
     "explain": (
         "explaining.run_explain",
         options.ExplainOptions,
-        "Compare, diagnose and add, until only noise is left or nothing explains the rest.",
+        "Find and add missing effects until only noise is left, or nothing explains the rest.",
         "robot.urdf log_1.csv log_2.csv --save robot.yaml --report page.html",
         "robot.yaml log_with_something_new.csv",
     ),
     "rollout": (
         "rollout.run_rollout",
         options.RolloutOptions,
-        "Simulate the model under logged efforts or commands; show where its motion departs.",
+        "Simulate the model under logged efforts or commands, and compare its motion.",
         "robot.yaml log.csv --before robot.urdf",
         "robot.yaml log.csv --fit --save soft.yaml",
     ),
     "play": (
         "play.run_play",
         options.PlayOptions,
-        "Play the logs over the robot, coloured where the model fails: a page, video or recording.",
+        "Replay logs on the robot, coloured by error, as a page, a video or a recording.",
         "robot.yaml log.csv --out play.html",
         "robot.yaml log.csv --video play.mp4",
         "robot.yaml log.csv --to rerun play.rrd",
@@ -113,60 +125,60 @@ _COMMANDS: dict[str, tuple[Any, ...]] = {
     "identify": (
         "identify.run_identify",
         options.IdentifyOptions,
-        "Fit the model's inertias, near what it says of them, and its effects; write them back.",
+        "Fit inertias, regularized towards the model's, and effects that you name.",
         "robot.urdf log.csv --effects coulomb_friction,viscous_friction",
         "robot.urdf log.csv --export identified.urdf",
     ),
     "excite": (
         "excite.run_excite",
         options.ExciteOptions,
-        "Design the motion from which most is identifiable, within limits of the robot.",
+        "Design the most informative motion within the limits of the robot.",
         "robot.urdf --save motion.csv",
         "robot.yaml --tell-apart payload,wrong_inertia --save motion.csv",
     ),
     "identifiable": (
         "excite.run_identifiable",
         options.IdentifiableOptions,
-        "Which parameters are identifiable from the logs, to within a threshold, and which not.",
+        "Show which parameters the logs can identify.",
         "robot.urdf log.csv",
         "robot.urdf log_1.csv log_2.csv --report page.html",
     ),
     "digest": (
         "logs.run_digest",
         options.DigestOptions,
-        "Digest each log into a small file; exit code 1 if a log could not be, the others are.",
+        "Reduce each log to a small file for fleet. Exit code 1 if any log fails.",
         "robot.urdf monday.csv tuesday.csv --to digests",
     ),
     "fleet": (
         "fleet.run_fleet_command",
         options.FleetOptions,
-        "Which robots of a fleet changed, at which joint, by which effect, since when.",
+        "Show which robots of a fleet changed, at which joint, by which effect, and since when.",
         "fleet.yaml --report fleet.html",
         "fleet.yaml --watch",
     ),
     "export": (
         "export.run_export",
         options.ExportOptions,
-        "Write the model for a simulator, and prove it: loaded again, and compared with the model.",
+        "Write the model for a simulator or controller, and verify what was written.",
         "robot.yaml --to mjcf exported",
         "robot.yaml --to ros2 src/robot_feedforward",
     ),
     "check": (
         "export.run_check",
         options.CheckOptions,
-        "Compare the model's dynamics with MultibodyPlant's; exit code 1 if they are not the same.",
+        "Compare the model's dynamics with MultibodyPlant. Exit code 1 if they differ.",
         "robot.urdf",
         "scene.xml --robot arm",
     ),
     "log": (
         "logs.run_log",
         options.LogCommandOptions,
-        "What is understood of logs: joints, columns, units, rates, gaps, rest; no model needed.",
+        "Show how logs are read: joints, columns, units, rates, gaps. Needs no model.",
         "recording.mcap --model robot.urdf",
         "wrong.csv --model robot.urdf --write-mapping right.yaml",
     ),
 }
-"""Command -> the function that runs it, its options, what it does, and what may follow it."""
+"""Command -> the function that runs it, its options, its help, and example arguments."""
 
 EXAMPLES = {name: examples for name, (_, _, _, *examples) in _COMMANDS.items()}
 
@@ -179,7 +191,7 @@ def main() -> None:
 
 
 def _added(name: str, place: str, kind: type[Any], help_text: str) -> Callable[..., None]:
-    """Return a command that imports what runs it when it is called."""
+    """Return a command that imports its function when it is called."""
     module, _, function = place.partition(".")
 
     def command(given: Any) -> None:
@@ -197,7 +209,7 @@ for _name, (_place, _kind, _help, *_examples) in _COMMANDS.items():
 @app.command(cls=_Command)
 @taking(options.DemoOptions)
 def demo(given: options.DemoOptions) -> None:
-    """Explain a log that comes with the package, made with an effect that its model lacks."""
+    """Run explain on a log that comes with the package."""
     from geodrake.cli.explaining import run_explain
 
     folder = files("geodrake") / "demo"
@@ -227,7 +239,7 @@ def _command(
             "--version",
             callback=_print_version,
             is_eager=True,
-            help="Print the version, and those of the packages that it is used with.",
+            help="Print the version, and those of the packages it uses.",
         ),
     ] = False,
 ) -> None:

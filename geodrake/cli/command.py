@@ -1,4 +1,4 @@
-"""One run of a command: read, refuse what cannot end well, work, write, print."""
+"""One run of a command: read and check the inputs, compute, write, print."""
 
 from __future__ import annotations
 
@@ -48,14 +48,12 @@ from geodrake.report.views import check_series, samples, series_content, view_of
 
 R = TypeVar("R")
 
-_UNCORRECTED = (
-    "The rest goes on with the columns as they are; --correct-columns corrects them first."
-)
-_CORRECTED = "The rest goes on with these columns corrected."
+_UNCORRECTED = "The results use the columns as logged; --correct-columns corrects them."
+_CORRECTED = "The results use the corrected columns."
 _PAYLOAD = (
     "Write LOG:BODY:MASS or LOG:BODY:MASS:X,Y,Z in kg and m, such as log_2.csv:flange:3:0,0,0.1."
 )
-_PIPE_WIDTH = 160  # room for long names; tables are as wide as what is in them
+_PIPE_WIDTH = 160  # columns; tables are as wide as their content
 
 STDOUT = Path("-")
 PAGE = (".html", ".htm")
@@ -65,24 +63,23 @@ PAGE = (".html", ".htm")
 class Output:
     """A file that a command writes if an option names it."""
 
-    path: Path | None  # where it goes; None if nobody asked for it, `-` for standard output
-    words: str  # what it is
-    suffixes: tuple[str, ...] = PAGE  # how its name may end
-    # What goes into it, of the result; None if there is nothing to write.
+    path: Path | None  # None if not requested, `-` for standard output
+    words: str  # description
+    suffixes: tuple[str, ...] = PAGE  # allowed endings of its name
+    # Returns the content for a result; None if there is nothing to write.
     make: Callable[[Any], Content | None] = lambda found: None
 
 
 @dataclass(frozen=True)
 class Input:
-    """What a command works on."""
+    """The inputs of a command."""
 
-    # The model as it stands; None, which only commands without MODEL see, for none.
-    model: RobotModel
-    logs: tuple[JointLog, ...]  # what was read of the logs
+    model: RobotModel  # None only for commands without MODEL
+    logs: tuple[JointLog, ...]
     extra: tuple[type[Effect], ...]  # effects of the user's own
     # How logs are prepared: bandwidth and, with folds, blocks, as keyword arguments.
     settings: Mapping[str, Any]
-    progress: Activity  # called with what is going on, in words and as a share
+    progress: Activity  # called with the current activity, and its share that is done
 
 
 def _write(result: object, contents: Mapping[Path, Content]) -> Sequence[Path]:
@@ -95,25 +92,25 @@ def _write(result: object, contents: Mapping[Path, Content]) -> Sequence[Path]:
 class Command(Generic[R]):
     """The parts in which commands differ."""
 
-    name: str  # what the command is called
-    working: str  # what it does, for the progress bar
+    name: str
+    working: str  # description of the work, for the progress bar
     work: Callable[[Input], R]
-    inputs: Sequence[Path] = ()  # files that are read beside those of the options
-    # Whether the logs are read before the work; else the command does so itself.
+    inputs: Sequence[Path] = ()  # files that are read in addition to those of the options
+    # Whether the logs are read before the work; else the command reads them itself.
     reads_logs: bool = True
-    # Whether it says itself what is wrong with logs that are not there.
+    # Whether it reports missing logs itself.
     takes_bad_logs: bool = False
-    # Option -> what the command writes beside numbers, page, model and samples.
+    # Option -> outputs in addition to numbers, page, model and samples.
     outputs: Mapping[str, Output] = field(default_factory=dict)
-    # Refuses effects that do not exist, before anything is read.
+    # Raises if an effect does not exist, before anything is read.
     check_effects: Callable[[Sequence[type[Effect]]], object] = lambda extra: None
-    # Refuses a model that the command cannot work on, before the logs are looked at.
+    # Raises if the command cannot use the model, before the logs are checked.
     check: Callable[[RobotModel], None] = lambda model: None
     # Writes the files, and returns those that no option names.
     write: Callable[[R, Mapping[Path, Content]], Sequence[Path]] = _write
-    code: Callable[[R], int] = lambda result: 0  # the exit code, 0 if all is well
-    promise: str = ""  # what is said at the start
-    last: str = ""  # what is said at the end, such as the command that comes next
+    code: Callable[[R], int] = lambda result: 0  # exit code, 0 for success
+    promise: str = ""  # printed at the start
+    last: str = ""  # printed at the end, such as the next command
 
 
 def run(command: Command[R], options: Any) -> R:
@@ -186,7 +183,7 @@ def _html(page: Page, model: RobotModel, drawn: Mapping[str, Comparison]) -> str
 def _about(
     command: Command[R], options: Any, model: RobotModel, extra: Sequence[type[Effect]]
 ) -> About:
-    """Return the names of what a page is of, and its links to the other pages that are written."""
+    """Return the names of a page's inputs, and its links to the other pages that are written."""
     save, models = getattr(options, "save", None), _models(options)
     folder = (getattr(options, "report", None) or Path()).resolve().parent
     links = {}
@@ -205,13 +202,13 @@ def _about(
 
 
 def _models(options: Any) -> list[Path]:
-    """Return the file of the model, or of the fleet, where one is given."""
+    """Return the file of the model or of the fleet, if one is given."""
     named = (getattr(options, name, None) for name in ("model", "fleet"))
     return [path for path in named if path is not None]
 
 
 def inputs_of(options: Any) -> list[Path]:
-    """Return the files that a command reads, none of which it overwrites."""
+    """Return the files that a command reads, which it must not overwrite."""
     logs = [part for log in getattr(options, "logs", None) or () for part in parts_of(log)]
     mapping = getattr(options, "mapping", None)
     return [
@@ -229,16 +226,16 @@ _USUAL = {
     "report": ("report", PAGE),
     "series": ("samples", (".csv", ".parquet")),
 }
-"""Option -> what its file is in most commands, and how it may end."""
+"""Option -> description and allowed endings of its file, in most commands."""
 
 
 def usual_outputs(options: Any) -> dict[str, Output]:
-    """Return what options ask for that most commands write."""
+    """Return the outputs that most commands have."""
     return {name: Output(getattr(options, name, None), *how) for name, how in _USUAL.items()}
 
 
 def _checked_outputs(command: Command[R], options: Any) -> dict[str, Output]:
-    """Return where the results go, all of which can be written."""
+    """Return the outputs, after checking that all can be written."""
     outputs = {**usual_outputs(options), **command.outputs}
     if not command.takes_bad_logs:
         check_logs([part for log in getattr(options, "logs", None) or () for part in parts_of(log)])
@@ -249,15 +246,15 @@ def _checked_outputs(command: Command[R], options: Any) -> dict[str, Output]:
 
 
 def files_of(outputs: Mapping[str, Output]) -> dict[str, Path]:
-    """Return option -> file, those asked for."""
+    """Return option -> file of the requested outputs."""
     return {name: one.path for name, one in outputs.items() if one.path not in (None, STDOUT)}
 
 
 def check_outputs(outputs: Mapping[str, Output], inputs: Iterable[Path]) -> None:
-    """Refuse files that cannot be written or that would overwrite something else."""
+    """Raise if a file cannot be written or would overwrite an input or another output."""
     for name, output in outputs.items():
         if output.path == STDOUT and name != "json":
-            reason = "is standard output, which takes --json alone"
+            reason = "is standard output, which is for --json only"
             raise _refusal(name, STDOUT, reason, "Name a file.")
     taken = {_place(path): "is an input of this command" for path in inputs}
     for name, path in files_of(outputs).items():
@@ -272,7 +269,7 @@ def check_outputs(outputs: Mapping[str, Output], inputs: Iterable[Path]) -> None
 
 
 def _place(path: Path) -> str:
-    """Return where a path leads, also one whose links lead nowhere."""
+    """Return the path with symbolic links resolved, also broken ones."""
     return os.path.realpath(path)
 
 
@@ -292,7 +289,7 @@ def _refusal(name: str, path: Path, reason: str, advice: str) -> OutputError:
 def _read(
     command: Command[R], options: Any, outputs: Mapping[str, Output], update: Activity
 ) -> Input:
-    """Return the model, the logs and what is known of them."""
+    """Return the inputs of a command."""
     extra = own_effects(getattr(options, "effects", None) or ())
     command.check_effects(extra)
     settings = getattr(options, "settings", {})
@@ -321,7 +318,7 @@ def _read(
 def _readable(
     paths: Sequence[Path], joints: Sequence[str], reading: Reading
 ) -> tuple[list[Path], list[JointLog], list[str]]:
-    """Return the logs that can be read, with their paths, and why others cannot."""
+    """Return the logs that can be read, with their paths, and notes on the others."""
     kept, logs, errors = list[Path](), list[JointLog](), list[tuple[Path, LogError]]()
     for path in paths:
         try:
@@ -331,13 +328,13 @@ def _readable(
             errors.append((path, error))
     if not logs:
         raise errors[0][1]
-    return kept, logs, [f"{path.name} is left out: {error.problem}" for path, error in errors]
+    return kept, logs, [f"{path.name} is not used: {error.problem}" for path, error in errors]
 
 
 def _with_columns(
     options: Any, given: Input, update: Activity
 ) -> tuple[Input, tuple[ColumnFinding, ...] | None, bool]:
-    """Return the input, mistakes in columns (None if not looked for), and if they are corrected."""
+    """Return the input, mistakes in columns (None if not checked), and whether they were fixed."""
     if not isinstance(options, Options):
         return given, None, False
     update("Checking the columns")
@@ -354,34 +351,34 @@ def _with_columns(
 
 
 def own_effects(paths: Iterable[Path]) -> tuple[type[Effect], ...]:
-    """Return effects of all files, each name once."""
+    """Return the effects of all files; names must be unique."""
     found: dict[str, type[Effect]] = {}
     for path in paths:
         for effect in load_effect_file(path):
             if effect.name in found:
                 raise ArgumentError(
-                    f"{path} defines the effect {effect.name!r}, as another --effects file does.",
-                    advice="Give one of them another name, or leave it out.",
+                    f"Two --effects files define {effect.name!r}; the second is {path}.",
+                    advice="Rename or remove one of them.",
                 )
             found[effect.name] = effect
     return tuple(found.values())
 
 
 def check_logs(logs: Sequence[Path]) -> None:
-    """Refuse what is no file, and a file that is there twice, by whatever path or link."""
+    """Raise if a log is not a file, or is given twice, even through a link."""
     seen: set[tuple[int, int]] = set()
     for log in logs:
         status = check_log(log).stat()
         if (status.st_dev, status.st_ino) in seen:
             raise ArgumentError(
                 f"Log {log} is given twice, so it would be validated against itself.",
-                advice="Name each log once.",
+                advice="Give each log once.",
             )
         seen.add((status.st_dev, status.st_ino))
 
 
 def make_console(*, stderr: bool = False) -> Console:
-    """Return a console that prints names and numbers as they are, without markup."""
+    """Return a console that prints text literally, without markup."""
     file = sys.stderr if stderr else results()
     console = ResultsConsole(file=file, markup=False, emoji=False, highlight=False)
     if not console.is_terminal:
@@ -392,7 +389,7 @@ def make_console(*, stderr: bool = False) -> Console:
 def found_columns(
     model: RobotModel, logs: Sequence[JointLog], settings: Mapping[str, Any]
 ) -> tuple[ColumnFinding, ...]:
-    """Return mistakes in columns; none of logs of which the command itself says what is wrong."""
+    """Return mistakes in columns; none for logs that the command itself refuses."""
     if model.base_joints:
         return ()
     try:
@@ -402,7 +399,7 @@ def found_columns(
 
 
 def column_words(columns: Sequence[ColumnFinding], *, corrected: bool) -> list[str]:
-    """Return findings, and what is done about them, in sentences."""
+    """Return findings, and whether they are corrected, in sentences."""
     if not columns:
         return []
     able = any(finding.is_correctable for finding in columns)
@@ -411,39 +408,39 @@ def column_words(columns: Sequence[ColumnFinding], *, corrected: bool) -> list[s
 
 
 def unchecked_words(model: RobotModel) -> list[str]:
-    """Return that the columns of a robot were not checked, as it floats or has many joints."""
+    """Return why the columns were not checked: a floating base, or too many joints."""
     count = len(model.joints)
     if model.base_joints:
-        return ["Columns are not checked: forces at the feet change the efforts of all joints."]
+        return ["Columns were not checked: the robot has a floating base."]
     if count <= MOST_JOINTS:
         return []
     return [
-        f"Columns are not checked, which would take minutes for {count} joints (the limit is "
-        f"{MOST_JOINTS}); hold joints with --lock to check those of the others."
+        f"Columns were not checked: that takes minutes for {count} joints (limit {MOST_JOINTS}). "
+        "Fix some with --lock to check the others."
     ]
 
 
 def known_payloads(
     files: Sequence[Path], given: Sequence[str], model: RobotModel
 ) -> dict[Path, tuple[KnownPayload, ...]]:
-    """Return log -> its known payloads, of logs that have some.
+    """Return log -> its known payloads, from options of the form `LOG:BODY:MASS[:X,Y,Z]`.
 
-    They are given as `LOG:BODY:MASS[:X,Y,Z]`: path or name of a log, link of the robot, kg, and the
-    centre of mass in the link's frame, m.
+    LOG is the path or name of a log, BODY a link of the robot, MASS in kg, and X,Y,Z the centre of
+    mass in the link's frame, m.
     """
     carried: dict[Path, list[KnownPayload]] = defaultdict(list)
     for text in given:
         log, payload = _parsed(text, files)
         carried[log].append(payload)
     for payloads in carried.values():
-        carried_phi(model, tuple(payloads))  # bodies that there are not are refused before the work
+        carried_phi(model, tuple(payloads))  # raises for unknown bodies, before the work
     return {log: tuple(payloads) for log, payloads in carried.items()}
 
 
 def with_facts(
     logs: Sequence[JointLog], facts: Mapping[str, Any], reading: Reading
 ) -> tuple[JointLog, ...]:
-    """Return logs with fields that all share; of gains with stated deviations, these count."""
+    """Return logs with common fields set; gains with stated deviations keep these."""
     found = []
     for log in logs:
         own = dict(facts)
@@ -460,13 +457,13 @@ def _parsed(text: str, logs: Sequence[Path]) -> tuple[Path, KnownPayload]:
     name = max((n for n in names if text.startswith(f"{n}:")), key=len, default=None)
     if name is None:
         raise ArgumentError(
-            f"--known-payload has {text!r}, and there is no such log.",
+            f"--known-payload {text!r} begins with none of the logs.",
             advice=f"Logs are: {', '.join(map(str, logs))}. {_PAYLOAD}",
         )
     if len(names[name]) > 1:
         raise ArgumentError(
-            f"--known-payload has {text!r}, and several logs are called {name!r}.",
-            advice=f"Give the whole path: {' or '.join(map(str, names[name]))}.",
+            f"--known-payload {text!r} is ambiguous: several logs are named {name!r}.",
+            advice=f"Give the full path: {' or '.join(map(str, names[name]))}.",
         )
     fields = text[len(name) + 1 :].split(":")
     place = _floats(text, fields.pop()) if "," in fields[-1] else [0.0, 0.0, 0.0]
@@ -477,7 +474,7 @@ def _parsed(text: str, logs: Sequence[Path]) -> tuple[Path, KnownPayload]:
 
 
 def _named(name: str, logs: Sequence[Path]) -> list[Path]:
-    """Return the logs that a path, a file's name or that without its ending stands for."""
+    """Return the logs with a path, a file name or a file name without ending."""
     exact = [log for log in logs if str(log) == name]
     return exact or [log for log in logs if name in (log.name, log.stem)]
 
@@ -490,4 +487,4 @@ def _floats(text: str, field: str) -> list[float]:
 
 
 def _malformed(text: str) -> ArgumentError:
-    return ArgumentError(f"--known-payload has {text!r}, which cannot be read.", advice=_PAYLOAD)
+    return ArgumentError(f"--known-payload {text!r} cannot be parsed.", advice=_PAYLOAD)

@@ -1,4 +1,4 @@
-"""The commands `excite` and `identifiable`: what motions and logs can tell of a model."""
+"""The commands `excite` and `identifiable`: the information in motions and logs."""
 
 from __future__ import annotations
 
@@ -43,8 +43,8 @@ from geodrake.robot.shapes import robot_shapes
 Array = NDArray[np.float64]
 
 _FAMILIES = {"fourier": ("harmonics", "frequency"), "spline": ("points",), "free": ()}
-_MARGIN = 0.9  # of the limits of speed, where nobody says others
-_LEAST_SECONDS = 1e-3  # when collision geometry took all
+_MARGIN = 0.9  # of the velocity limits, by default
+_LEAST_SECONDS = 1e-3  # if collision geometry took all the time
 _UPDATED_EVERY = 5  # evaluations
 _SAMPLES = 300
 _RANGES = {
@@ -56,9 +56,9 @@ _RANGES = {
     "clearance": (0.0, 100.0),
     "seed": (0, 2**32 - 1),
 }
-"""Option -> its least and largest value."""
-_FORM = "Write EFFECT,EFFECT; a place may follow either: EFFECT@elbow."
-_REPEATS = 3  # of a motion that distinguishes effects: a diagnosis holds out blocks of its log
+"""Option -> its smallest and largest value."""
+_FORM = "Write EFFECT,EFFECT; either may have a place: EFFECT@elbow."
+_REPEATS = 3  # periods of a motion that distinguishes effects, as a diagnosis holds out blocks
 
 
 def run_excite(options: ExciteOptions) -> None:
@@ -90,7 +90,7 @@ def run_excite(options: ExciteOptions) -> None:
 
 
 def run_identifiable(options: IdentifiableOptions) -> None:
-    """Say what is identifiable from logs."""
+    """Show what is identifiable from logs."""
     positive(options.threshold, "--threshold")
     files, names = split_effects(options.effects)
 
@@ -111,19 +111,18 @@ def run_identifiable(options: IdentifiableOptions) -> None:
 
 
 def family_of(options: ExciteOptions) -> MotionFamily:
-    """Return the family of motions that options ask for."""
+    """Return the family of motions."""
     name = options.trajectory
     one_of(name, "--trajectory", _FAMILIES)
     for other, keys in _FAMILIES.items():
         for key in keys:
             if other != name and getattr(options, key) is not None:
-                raise ArgumentError(f"--{key} is for --trajectory {other}, not {name}.")
+                raise ArgumentError(f"--{key} needs --trajectory {other}, not {name}.")
     if name == "free":
         wanted = [o for o in ("save", "meshcat", "stand") if getattr(options, o) is not None]
         if wanted:
             raise ArgumentError(
-                f"Free samples do not follow each other in time: there is nothing for "
-                f"--{wanted[0]} to write or to lead to.",
+                f"--{wanted[0]} does not apply to --trajectory free, whose samples are no motion.",
                 advice="Use --trajectory fourier or spline.",
             )
         return FreeSamples(50 if options.samples is None else options.samples)
@@ -138,7 +137,7 @@ def family_of(options: ExciteOptions) -> MotionFamily:
 
 
 def _check(options: ExciteOptions) -> None:
-    """Refuse what can be refused before the model is read."""
+    """Raise for invalid options, before the model is read."""
     one_of(options.criterion, "--criterion", CRITERIA)
     one_of(options.normalization, "--normalization", NORMALIZATIONS)
     for name, (least, most) in _RANGES.items():
@@ -149,7 +148,7 @@ def _check(options: ExciteOptions) -> None:
 def _designed(
     options: ExciteOptions, given: Input, names: Sequence[str], family: MotionFamily
 ) -> ExcitationResult:
-    """Return the design that options ask for."""
+    """Return the designed motion."""
     model, update = given.model, given.progress
     budget = Budget.of(options.seconds)
     limits, margins = _limits(options, model)
@@ -181,27 +180,27 @@ def _designed(
 
 
 def _limits(options: ExciteOptions, model: RobotModel) -> tuple[MotionLimits, tuple[str, ...]]:
-    """Return the limits that options ask for, those that nobody stated, and what to say of them."""
+    """Return the limits of the motion, and notes on those that were not stated."""
     limits = limits_of(options.limits, model, bounded=True)
     said = [part for text in options.limits or () for part in text.split(",") if part]
     notes = []
     if all("=" in part and "velocity" not in part for part in said):
         limits = replace(limits, velocity=_MARGIN * limits.velocity)
         share = f"{100 * _MARGIN:.0f} %"
-        notes.append(f"speeds are kept to {share} of their limits (--limits velocity=100%)")
+        notes.append(f"speeds are limited to {share} of their limits (--limits velocity=100%)")
     if not any("acceleration" in part for part in said) and np.any(
         ~np.isfinite(model.acceleration_limits)
     ):
         notes.append(
-            "accelerations, which the file does not limit, are what the motor's effort gives to "
-            f"the joint's greatest inertia, and no more than full speed in {FULL_SPEED:g} s; jerks "
-            f"reach them in {FULL_EFFORT:g} s (--limits acceleration=5,jerk=50)"
+            "the file has no acceleration limits: accelerations are limited to effort limit over "
+            f"largest joint inertia, and to full speed in {FULL_SPEED:g} s; jerks to full "
+            f"acceleration in {FULL_EFFORT:g} s (--limits acceleration=5,jerk=50)"
         )
     blind = [j for j, e in zip(limits.joints, limits.effort, strict=True) if not np.isfinite(e)]
     if blind:
         notes.append(
-            f"WARNING: no effort of {', '.join(blind)} is limited, so that nothing keeps the "
-            "motion to what the motors can do (--limits effort=40)"
+            f"WARNING: {', '.join(blind)} have no effort limits, so the motion may exceed what the "
+            "motors can do (--limits effort=40)"
         )
     return limits, tuple(notes)
 
@@ -209,7 +208,7 @@ def _limits(options: ExciteOptions, model: RobotModel) -> tuple[MotionLimits, tu
 def _objective(
     options: ExciteOptions, given: Input, limits: MotionLimits, names: Sequence[str]
 ) -> tuple[Objective, tuple[str, ...]]:
-    """Return what the motion is for, and what to say of that."""
+    """Return the objective of the motion, and notes."""
     model, (noise, notes) = given.model, noise_of(options.noise, given.model)
     if options.tell_apart is not None:
         rivals = rivals_in(options.tell_apart)
@@ -217,13 +216,13 @@ def _objective(
         return separation, (*notes, *more)
     effects = named_effects(names, model, given.extra)
     if effects:
-        notes = (*notes, f"effects of unknown size are thought to take {SIZE_WORDS}")
+        notes = (*notes, f"effects of unknown size are assumed to take {SIZE_WORDS}")
     target = usual_target(model, noise=noise, effects=effects)
     return Objective(target, Criterion(options.criterion), options.normalization), notes
 
 
 def noise_of(text: str | None, model: RobotModel) -> tuple[np.ndarray, tuple[str, ...]]:
-    """Return (nv,) noise of the measured efforts, and where it comes from if nobody said so."""
+    """Return (nv,) noise of the measured efforts, and a note on its source if it was not given."""
     if text is not None:
         return joint_values(text, model, "--noise"), ()
     noise, source = usual_noise(model)
@@ -236,36 +235,36 @@ def _collisions(
     limits: MotionLimits,
     start: NDArray[np.float64] | None,
 ) -> tuple[CollisionWorld | None, tuple[str, ...]]:
-    """Return what the robot may not hit, and what to say where that is nothing."""
+    """Return the obstacles and the robot's collision geometry, and notes."""
     obstacles = read_obstacles(options.obstacle or ())
     if not options.collisions:
         if obstacles:
             raise ArgumentError(
-                "--obstacle needs the robot's collision geometry.", advice="Leave --no-collisions."
+                "--obstacle needs the robot's collision geometry.", advice="Omit --no-collisions."
             )
-        return None, ("collisions of the robot with itself were not looked at, as asked for",)
+        return None, ("self-collisions were not checked (--no-collisions)",)
     try:
         alone = CollisionWorld(model, clearance=options.clearance)
     except ArgumentError:
         if obstacles:
             raise
         return None, (
-            f"WARNING: {model.path.name} has no collision geometry: nothing keeps the robot from "
-            "hitting itself, or what it stands on, but the limits of its joints",
+            f"WARNING: {model.path.name} has no collision geometry: only joint limits keep the "
+            "robot from hitting itself or the ground",
         )
     except ModelError as error:
         raise ModelError(
-            error.problem, advice="Correct the file, or leave collisions out: --no-collisions."
+            error.problem, advice="Correct the file, or use --no-collisions."
         ) from error
     notes: tuple[str, ...] = ()
     if options.floor and not any(solid.name.startswith(FLOOR) for solid in obstacles):
         floor = floor_of(model)
         below = below_floor(alone.among((floor,)), model, limits, start)
         if below:
-            notes = (f"there is no floor, as {below}",)
+            notes = (f"no floor is assumed, as {below}",)
         else:
             obstacles = (floor, *obstacles)
-            notes = ("nothing goes below the base (--no-floor allows it)",)
+            notes = ("the robot stays above its base (--no-floor to allow less)",)
     return alone.among(obstacles) if obstacles else alone, notes
 
 
@@ -275,7 +274,7 @@ def _updating(update: Activity, budget: Budget, seconds: float) -> Callable[[Des
             update.history(STOPPING)
         elif now.evaluations % _UPDATED_EVERY == 0:
             update(
-                f"Start {now.seed + 1} of {now.seeds}, log criterion {now.value:.3f}",
+                f"Initial motion {now.seed + 1} of {now.seeds}, log criterion {now.value:.3f}",
                 1.0 - budget.left / seconds,
             )
 
@@ -292,27 +291,27 @@ def _replay(result: ExcitationResult) -> str:
 
 
 def check_alone(options: ExciteOptions, names: Sequence[str]) -> None:
-    """Refuse what says otherwise than --tell-apart what a motion is for."""
+    """Raise for options that contradict --tell-apart."""
     if options.tell_apart is None:
         return
     usual = {name: getattr(ExciteOptions, name) for name in ("criterion", "normalization")}
     wrong = [name for name, value in usual.items() if getattr(options, name) != value]
     if wrong:
         raise ArgumentError(
-            f"--{wrong[0]} is a measure of all parameters, and --tell-apart has its own.",
-            advice=f"Leave --{wrong[0]} out.",
+            f"--{wrong[0]} does not apply to --tell-apart, which has its own criterion.",
+            advice=f"Omit --{wrong[0]}.",
         )
     if names:
         raise ArgumentError(
-            f"With --tell-apart, --effects brings a FILE.py alone; got {', '.join(names)}.",
-            advice="Add effects that the robot has to its model first: geodrake add EFFECT MODEL "
-            "LOG --save model.yaml.",
+            f"With --tell-apart, --effects takes only FILE.py; got {', '.join(names)}.",
+            advice="Add the robot's effects to its model first: geodrake add EFFECT MODEL LOG "
+            "--save model.yaml.",
         )
     rivals_in(options.tell_apart)
 
 
 def rivals_in(text: str) -> tuple[Placed, Placed]:
-    """Return names and places of two effects, `a@elbow,b@j1+j2`; an unsaid place is empty."""
+    """Return names and places of two effects, `a@elbow,b@j1+j2`; places may be empty."""
     parts = [part.strip().partition("@") for part in text.split(",")]
     if len(parts) != 2 or not all(name for name, _, _ in parts):
         raise ArgumentError(f"--tell-apart takes two effects; got {text!r}.", advice=_FORM)

@@ -1,4 +1,4 @@
-"""The commands `export` and `check`: the model as other programs have it, with proof."""
+"""The commands `export` and `check`: write and verify models for other programs."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The command `geodrake fleet`: which robot changed, at which joint, by what, since when."""
+"""The command `geodrake fleet`: which robots changed, at which joint, by which effect, when."""
 
 from __future__ import annotations
 
@@ -28,23 +28,23 @@ from geodrake.report.json_output import to_json
 from geodrake.report.page import About
 from geodrake.report.views import numbers_of, page_of
 
-NEW_FINDING = 3  # exit code of `--once` where there is a finding that was not told before
+NEW_FINDING = 3  # exit code of `--once` if there is a new finding
 
 _RESULT = "fleet.json"
 _SHORTEST, _LONGEST = 0.1, 1e6  # s between two looks
 
 
 def run_fleet_command(options: FleetOptions) -> None:
-    """Look at a fleet once, or again and again."""
+    """Evaluate a fleet once, or repeatedly."""
     fleet = read_fleet(options.fleet)
     work = FleetWork(options.workers, options.scheduler, options.false_alarms)
     number(options.every, "--every", lower=_SHORTEST, upper=_LONGEST)
     if options.watch and options.once:
-        raise ArgumentError("--watch goes on and --once does not.", advice="Leave one of them out.")
+        raise ArgumentError("--watch and --once exclude each other.", advice="Omit one of them.")
     if options.watch or options.once:
         if options.json == STDOUT:
             raise ArgumentError(
-                "--json - and the lines of findings would both go to standard output.",
+                "--json - and findings would both be written to standard output.",
                 advice="Name a file.",
             )
         check_outputs(usual_outputs(options), fleet.files)
@@ -60,14 +60,14 @@ def run_fleet_command(options: FleetOptions) -> None:
         write_together({**_own_contents(fleet, found), **contents})
         return ()
 
-    command = Command("fleet", "Looking at the fleet", looked, inputs=fleet.files, write=write)
+    command = Command("fleet", "Evaluating the fleet", looked, inputs=fleet.files, write=write)
     run(command, options)
 
 
 def _tell_repairs(digests: FleetDigests, told: Activity) -> None:
-    """Say what of the model files is not believed."""
+    """Report what was repaired in the model files."""
     for repair in repairs_in_short(digests.repairs):
-        told.warning(f"Warning: a model file is not used as it stands. {repair}")
+        told.warning(f"Warning: a model file was repaired. {repair}")
 
 
 def _numbers(result: FleetResult) -> str:
@@ -75,16 +75,16 @@ def _numbers(result: FleetResult) -> str:
 
 
 def _own_contents(fleet: Fleet, result: FleetResult) -> dict[Path, Content]:
-    """Return what goes into the fleet's own folder."""
+    """Return the files in the fleet's own folder."""
     tables = parquet_contents(result, fleet.folder) if find_spec("pyarrow") else {}
     return {fleet.folder / _RESULT: _numbers(result), **tables}
 
 
 def _watch(fleet: Fleet, work: FleetWork, options: FleetOptions) -> None:
-    """Look for new logs once, or again and again until the command is ended.
+    """Process new logs once, or repeatedly until the command is stopped.
 
-    What fails at the first look is a mistake of the fleet file. Later, places of logs and
-    schedulers that do not answer may do so again.
+    An error in the first pass is a mistake in the fleet file. Later errors, such as folders or
+    schedulers that do not respond, may be temporary.
     """
     seen: FleetDigests | None = None
     while True:
@@ -97,14 +97,14 @@ def _watch(fleet: Fleet, work: FleetWork, options: FleetOptions) -> None:
         except FleetError as error:
             if seen is None:
                 raise
-            warn(f"{error} It is tried again in {options.every:g} s.")
+            warn(f"{error} Retrying in {options.every:g} s.")
         time.sleep(options.every)
 
 
 def _look(
     fleet: Fleet, work: FleetWork, options: FleetOptions, seen: FleetDigests | None
 ) -> tuple[FleetDigests, bool]:
-    """Take in new logs, and tell new findings; statistics only if something is not as before."""
+    """Process new logs and print new findings; statistics are updated only if something changed."""
     with progress(f"Reading {fleet.path.name}", quiet=options.quiet) as update:
         result, digests = look_at_fleet(fleet, work, seen, told=update, said=update.history)
         if result is None:

@@ -1,4 +1,4 @@
-"""The command `geodrake identify`: what it is given, what it writes."""
+"""The command `geodrake identify`."""
 
 from __future__ import annotations
 
@@ -78,8 +78,8 @@ def named_effects(
 ) -> tuple[Effect, ...]:
     """Return effects by name, at a place (`payload@hand`, `coupled_friction@a+b`) or everywhere.
 
-    That is at all places that do not have it yet: joints of one degree of freedom, or pairs that
-    follow each other.
+    Everywhere means all joints with one degree of freedom, or all pairs of neighbouring joints,
+    that do not have the effect yet.
     """
     taken = {(fitted.effect.name, fitted.effect.where) for fitted in model.effects}
     found: dict[Effect, None] = {}
@@ -95,8 +95,8 @@ def named_effects(
             made = [make_effect(kind, where, extra=extra) for where in places]
         except ArgumentError as error:
             raise ArgumentError(
-                f"{kind} has a shape that must be found first.",
-                advice=f"Do so with geodrake add {kind} MODEL LOG --save model.yaml, and identify "
+                f"{kind} has a shape parameter that must be fitted first.",
+                advice=f"Run geodrake add {kind} MODEL LOG --save model.yaml, and identify "
                 "model.yaml.",
             ) from error
         found |= dict.fromkeys(e for e in made if place or (e.name, e.where) not in taken)
@@ -108,8 +108,8 @@ def _check_places(places: Sequence[str], model: RobotModel, *, on_bodies: bool) 
     for place in places:
         if place not in known:
             raise ArgumentError(
-                f"There is no {'body' if on_bodies else 'joint'} {place!r}.",
-                advice=f"{why_no_place(model, place)}There are: {', '.join(known)}.",
+                f"The model has no {'body' if on_bodies else 'joint'} {place!r}.",
+                advice=f"{why_no_place(model, place)}It has {', '.join(known)}.",
             )
 
 

@@ -1,6 +1,6 @@
-"""How MODEL and LOG are to be read: options of all commands that take them, and the reading.
+"""Options that control how MODEL and LOG are read.
 
-What reads is imported when a command runs, so that help is quick.
+Readers are imported when a command runs, so that help is quick.
 """
 
 from __future__ import annotations
@@ -23,9 +23,9 @@ if TYPE_CHECKING:
     from geodrake.logs.motors import Motor
     from geodrake.model import Given, RobotModel
 
-_MOST_REPAIRS = 5  # that are said one by one; notes have all
+_MOST_REPAIRS = 5  # repairs that are printed one by one; notes have all
 _KINDS = ("prismatic", "revolute")
-_RADIUS = 0.1  # m, of gyration of what turns: a guess, as is the mass
+_RADIUS = 0.1  # m, radius of gyration of a revolute axis: a guess, as is the mass
 _URDF = """<?xml version="1.0"?>
 <!-- One horizontal {kind} axis, written by geodrake: nothing is known of it but its mass. -->
 <robot name="axis">
@@ -47,31 +47,27 @@ _URDF = """<?xml version="1.0"?>
 
 @dataclass(frozen=True, kw_only=True)
 class ReadingOptions:
-    """How logs are to be read, where names of columns do not say it.
+    """How logs are read where their column names do not tell.
 
     Attributes:
-        mapping (FILE.yaml): Which column is what. Where names are not understood, a proposal to
-            edit is written into the working folder.
-        columns (NAME,…): Names of the columns, for logs without a header: time,q1,q2,tau1,tau2; _
-            for one that is not used.
-        rate (HZ): Rows a second, for logs without time.
-        units (QUANTITY=UNIT,…): Units other than SI that names of columns do not say, such as
-            position=deg,current=mA.
-        gain (JOINT=VALUE[±DEVIATION]): What makes efforts of a joint's currents, voltages or duty
-            cycles, such as torque constant × gear ratio; found from the model's inertias if absent.
-            Repeatable.
-        kind ([JOINT=]KIND): What columns of efforts are: effort, current, voltage, pwm; or command,
-            for what a servo was told in their place. Repeatable.
-        motor ([JOINT=]MOTOR): Which servo or actuator a joint has, such as sts3215: what its data
-            sheet says of gains is expected of the logs. Repeatable.
-        motors (FILE.yaml): Motors beside those of geodrake's table, in its form.
-        passive (JOINT): A joint without a motor: its bodies and friction need no effort together.
-            Repeatable.
-        topic (NAME): Topic of a bag, or channel of an LCM log, where several have joints; an
-            unknown one such as x lists them. Repeatable: topics of a bag are joined by time.
-        episode (N): Episode of a LeRobot dataset, or of demonstrations in one file; all if
-            absent.
-        skip_bad_rows: Leave out rows that no recorder meant, up to 1 %, and say how many.
+        mapping (FILE.yaml): Mapping of columns to joints and quantities. For unknown column names,
+            a draft is written into the working folder.
+        columns (NAME,…): Column names of logs without a header: time,q1,q2,tau1,tau2; _ skips one.
+        rate (HZ): Sampling rate of logs without time.
+        units (QUANTITY=UNIT,…): Units of columns that are not SI, such as position=deg,current=mA.
+        gain (JOINT=VALUE[±DEVIATION]): Gain from a joint's current, voltage or duty cycle to
+            effort, such as torque constant × gear ratio. By default estimated with the model's
+            inertias. Repeatable.
+        kind ([JOINT=]KIND): Quantity of the effort columns: effort, current, voltage or pwm; or
+            command, to use servo commands instead. Repeatable.
+        motor ([JOINT=]MOTOR): Motor or servo of a joint, such as sts3215, whose data sheet gives a
+            prior for its gains. Repeatable.
+        motors (FILE.yaml): Further motors, in the format of geodrake's table.
+        passive (JOINT): Joint without a motor, whose effort is zero. Repeatable.
+        topic (NAME): Topic of a bag, or channel of an LCM log (x lists them). Several topics of a
+            bag are joined by time. Repeatable.
+        episode (N): Episode of a LeRobot dataset or of a file of demonstrations; default all.
+        skip_bad_rows: Skip corrupt rows, up to 1 %, and report their number.
     """
 
     PANEL: ClassVar = "logs"
@@ -91,12 +87,13 @@ class ReadingOptions:
 
     @property
     def reading(self) -> Reading:
-        """How logs are to be read."""
+        """How logs are read."""
         from geodrake.logs.files import Reading, read_mapping
 
         if self.columns is not None and self.mapping is not None:
             raise ArgumentError(
-                "--columns and --mapping are given.", advice="A mapping has numbers of columns."
+                "--columns and --mapping exclude each other.",
+                advice="In a mapping, give column numbers instead of names.",
             )
         gains = self._gains
         return Reading(
@@ -150,34 +147,37 @@ class ReadingOptions:
 def of_all_and_named(
     option: str, given: Sequence[str], example: str
 ) -> tuple[list[tuple[str, str]], list[tuple[str, str]]]:
-    """Return what an option says of all joints, by the name "", and of single ones."""
+    """Return the values of an option for all joints, under the name "", and for single joints."""
     parts = [part.strip() for part in ",".join(given).split(",")]
     of_all = [part for part in parts if part and "=" not in part]
     if len(of_all) > 1:
         form = f"JOINT={example.rpartition('=')[2].upper()}"
         raise ArgumentError(
-            f"{option} is {' and '.join(of_all)} of all joints.", advice=f"Write {form}."
+            f"{option} has several values for all joints: {' and '.join(of_all)}.",
+            advice=f"Write {form}.",
         )
     named = pairs(option, [part for part in parts if "=" in part], example)
     return [("", each) for each in of_all], named
 
 
 def pairs(option: str, given: Sequence[str], example: str) -> list[tuple[str, str]]:
-    """Return what is before and after each equals sign; each name once."""
+    """Return (name, value) pairs of an option; each name occurs once."""
     found: dict[str, str] = {}
     for part in filter(None, ",".join(given).split(",")):
         name, sign, value = (word.strip() for word in part.rpartition("="))
         if not (name and sign and value):
-            raise ArgumentError(f"{option} has {part!r}.", advice=f"Write {option} {example}.")
+            raise ArgumentError(
+                f"{option} got {part!r}; expected NAME=VALUE.", advice=f"Write {option} {example}."
+            )
         if name in found:
-            raise ArgumentError(f"{option} names {name!r} twice.", advice="Name it once.")
+            raise ArgumentError(f"{option} has {name!r} twice.", advice="Give it once.")
         found[name] = value
     return list(found.items())
 
 
 @contextmanager
 def proposing(logs: Sequence[Path]) -> Iterator[None]:
-    """Write a proposed mapping for a log whose columns are not understood, and say so."""
+    """Write a draft mapping for a log whose columns are unknown, and add its path to the error."""
     try:
         yield
     except LogError as error:
@@ -189,7 +189,7 @@ def proposing(logs: Sequence[Path]) -> Iterator[None]:
 
 
 def _beside(path: Path, logs: Sequence[Path]) -> Path:
-    """Return where a log's proposal goes: the working folder; joined files share one."""
+    """Return the path of a log's draft mapping in the working folder; joined files share one."""
     first = Path(str(next((log for log in logs if log.name == path.name), path)).split("+")[0])
     from geodrake.logs.files.packed_files import log_name
 
@@ -197,34 +197,33 @@ def _beside(path: Path, logs: Sequence[Path]) -> Path:
 
 
 def _written(target: Path, proposal: str) -> str:
-    """Write a proposal where there is nothing yet, and what to do then, in words."""
+    """Write a draft mapping unless the file exists, and return what to do next."""
     if target.exists() or target.is_symlink():
-        return f"Edit {target}, which is there, and give it by --mapping."
+        return f"Edit {target}, which exists, and pass it with --mapping."
     try:
         write_whole(target, proposal)
     except OutputError:
-        return "Or say which column is what by --mapping."
-    return f"A proposal is in {target}: edit it, and give it by --mapping."
+        return "Or map the columns with --mapping."
+    return f"A draft mapping is in {target}: edit it, and pass it with --mapping."
 
 
 @dataclass(frozen=True, kw_only=True)
 class ModelOptions:
-    """How a model file is to be read.
+    """How a model file is read.
 
     Attributes:
-        lock (JOINT=VALUE): Hold a joint there, rad or m: it is no joint of the model. Joints that
-            no log has are held unasked. Repeatable.
-        robot (NAME): The robot of a file that has several; an unknown name such as x lists them.
-        package (NAME=FOLDER): Where a ROS package is that the model names, beside those of
-            ROS_PACKAGE_PATH, AMENT_PREFIX_PATH and of folders above it. Repeatable.
+        lock (JOINT=VALUE): Fix a joint at a position, rad or m. Joints that no log has are fixed
+            automatically. Repeatable.
+        robot (NAME): Robot of a file that has several (x lists them).
+        package (NAME=FOLDER): Folder of a ROS package that the model refers to, in addition to
+            ROS_PACKAGE_PATH, AMENT_PREFIX_PATH and parent folders. Repeatable.
         xacro_arg (NAME:=VALUE): Argument of a xacro file. Repeatable.
-        trust_xacro: Evaluate any expression of a xacro file, where you trust who wrote it. If
-            absent, expressions of values and xacro's own functions.
-        transmission (FILE.yaml|file|none): What moves joints in their place: gears, coupled wrists,
-            linkages, between the logged actuators and the model's joints; `file` takes what MODEL
-            itself states of motors. If absent, ARM.transmission.yaml beside ARM.urdf, if there is
-            one.
-        floating: Leave roots free that nothing fixes to the world.
+        trust_xacro: Evaluate all Python expressions of a xacro file, which must be trusted. By
+            default only arithmetic and xacro's own functions are evaluated.
+        transmission (FILE.yaml|file|none): Transmission between logged actuators and the model's
+            joints, such as gears, coupled wrists or linkages; `file` reads it from MODEL. By
+            default ARM.transmission.yaml beside ARM.urdf, if it exists.
+        floating: Give bodies that are not fixed to the world a floating base.
     """
 
     PANEL: ClassVar = "models"
@@ -239,7 +238,7 @@ class ModelOptions:
 
     @property
     def given(self) -> Given:
-        """Return how the file is to be read."""
+        """Return how the file is read."""
         from geodrake.model import Given
 
         return Given.of_words(
@@ -248,20 +247,20 @@ class ModelOptions:
 
     @property
     def transmission_files(self) -> list[Path]:
-        """Return the transmission file that is named, which no output may replace."""
+        """Return the transmission file, which no output may overwrite."""
         words = self.transmission
         return [Path(words)] if words is not None and Path(words).is_file() else []
 
     @property
     def held(self) -> dict[str, float]:
-        """Joint -> where it is to be held, rad or m."""
+        """Joint -> position at which it is fixed, rad or m."""
         found = dict[str, float]()
         for joint, value in pairs("--lock", self.lock or (), "finger=0.04, in rad or m"):
             try:
                 found[joint] = float(value)
             except ValueError:
                 raise ArgumentError(
-                    f"--lock has {joint}={value}, and {value!r} is no number.",
+                    f"--lock has {joint}={value}; {value!r} is not a number.",
                     advice="Write --lock JOINT=VALUE, in rad or m, such as --lock finger=0.04.",
                 ) from None
         return found
@@ -270,7 +269,7 @@ class ModelOptions:
 def read_model(
     path: Path, options: ModelOptions, told: Activity, extra: Sequence[type[Effect]] = ()
 ) -> RobotModel:
-    """Read the model of a command, and report at once what was repaired in its file."""
+    """Read the model of a command, and report repairs of its file."""
     from geodrake.model import load_model
     from geodrake.robot.files.named_robots import planned_download
 
@@ -290,13 +289,13 @@ def read_model(
 
 
 def tell_repairs(model: RobotModel, told: Activity) -> None:
-    """Say what of a model's file is not believed."""
+    """Report what was repaired in a model file."""
     for repair in repairs_in_short(model.repairs):
-        told.warning(f"Warning: {model.path.name} is not used as it stands. {repair}")
+        told.warning(f"Warning: {model.path.name} was repaired. {repair}")
 
 
 def repairs_in_short(repairs: Sequence[str]) -> tuple[str, ...]:
-    """Describe the first of many repairs, and count them."""
+    """Return the first repairs, and the number of the others."""
     more = len(repairs) - _MOST_REPAIRS
     rest = [f"{more} more of its parts were replaced or left out."] if more > 0 else []
     return (*repairs[:_MOST_REPAIRS], *rest)
@@ -307,9 +306,8 @@ class AxisOptions(ReadingOptions):
     """A single axis in place of a model file.
 
     Attributes:
-        axis (prismatic|revolute): Without any model file: one horizontal axis with --mass, which is
-            written as MODEL, a .urdf that is not there yet.
-        mass (KG): About what the --axis moves, kg; the fit corrects it.
+        axis (prismatic|revolute): Write a new MODEL (.urdf): one horizontal axis with --mass.
+        mass (KG): Approximate mass that --axis moves; the fit corrects it.
     """
 
     PANEL: ClassVar = "models"
@@ -320,10 +318,10 @@ class AxisOptions(ReadingOptions):
 
 @contextmanager
 def written_axis(options: AxisOptions, model: Path, log: Path) -> Iterator[None]:
-    """Write MODEL if options ask for an axis; what fails takes it away again."""
+    """Write MODEL if options ask for an axis, and remove it if the command fails."""
     if options.axis is None:
         if options.mass is not None:
-            raise ArgumentError("--mass is for --axis.", advice="Add --axis prismatic.")
+            raise ArgumentError("--mass needs --axis.", advice="Add --axis prismatic.")
         yield
         return
     write_whole(model, _text(options, model, log))
@@ -340,26 +338,26 @@ def _text(options: AxisOptions, model: Path, log: Path) -> str:
 
     kind, mass = options.axis, options.mass
     if kind not in _KINDS:
-        raise ArgumentError(f"--axis is {kind!r}.", advice=f"It is {' or '.join(_KINDS)}.")
+        raise ArgumentError(f"--axis is {kind!r}.", advice=f"Write {' or '.join(_KINDS)}.")
     if mass is None or not (math.isfinite(mass) and mass > 0):
         raise ArgumentError(
-            f"--axis needs a positive --mass; got {mass}.", advice="About how many kg move?"
+            f"--axis needs a positive --mass; got {mass}.", advice="Give the approximate mass, kg."
         )
     if model.exists() or model.is_symlink():
         raise OutputError(
-            f"--axis writes MODEL, and {model} is there.",
-            advice="Name a new file, or leave --axis out to use this one.",
+            f"--axis writes MODEL, but {model} exists.",
+            advice="Name a new file, or omit --axis to use this one.",
             path=model,
         )
     if model.suffix.lower() != ".urdf":
         raise OutputError(
-            f"--axis writes MODEL, and {model} does not end in .urdf.",
+            f"--axis writes MODEL, but {model} does not end in .urdf.",
             advice=f"Name it {model.stem or 'axis'}.urdf.",
         )
     joints = read_log(log, reading=options.reading).joints
     if len(joints) > 1:
         raise ArgumentError(
-            f"--axis is for one joint; {log} has {len(joints)}: {', '.join(joints)}.",
+            f"--axis has one joint, but {log} has {len(joints)}: {', '.join(joints)}.",
             advice="Give a model file.",
         )
     inertia = mass * _RADIUS**2

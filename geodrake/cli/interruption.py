@@ -1,4 +1,4 @@
-"""Ctrl-C, SIGTERM and a terminal that is closed: each ends a command in a word."""
+"""Handling of Ctrl-C, SIGTERM and SIGHUP: each ends a command with one word."""
 
 from __future__ import annotations
 
@@ -12,15 +12,15 @@ from types import FrameType
 from geodrake.boundary.interrupts import StopSearch
 
 _WORDS = {signal.SIGINT: "Interrupted.", signal.SIGTERM: "Terminated.", signal.SIGHUP: "Hung up."}
-_AGAIN = 0.05  # s after which an interrupt that came where nothing can be raised is raised again
+_AGAIN = 0.05  # s after which an interrupt that could not be raised is raised again
 
 
 class Interruption(BaseException):
-    """A signal asks the command to end; no handler of errors may take it for one of its own."""
+    """A signal asks the command to end; not an `Exception`, so that no error handler catches it."""
 
 
 class FirstInterrupt(Interruption, StopSearch):
-    """The first Ctrl-C: a search that has found something ends with that."""
+    """The first Ctrl-C, at which a search returns what it has found."""
 
 
 class _Handler:
@@ -36,7 +36,7 @@ class _Handler:
         raise (FirstInterrupt if is_first else Interruption)(self.arrived.name)
 
     def unraisable(self, lost: sys.UnraisableHookArgs) -> None:
-        """Raise an interruption again that came in a destructor or the like."""
+        """Raise an interruption again that was lost in a destructor."""
         if not issubclass(lost.exc_type, Interruption) or self.arrived is None:
             sys.__unraisablehook__(lost)
             return
@@ -49,16 +49,16 @@ class _Handler:
 
 
 def was_interrupted() -> bool:
-    """Return whether a signal came that `interruptible` handles; it causes the errors after it."""
+    """Return whether `interruptible` has handled a signal, which may cause later errors."""
     handlers = map(signal.getsignal, _WORDS)
     return any(isinstance(h, _Handler) and h.arrived is not None for h in handlers)
 
 
 @contextmanager
 def interruptible() -> Iterator[None]:
-    """End the process with a word on stderr and 128 + the signal's number, as shells have it.
+    """End the process with a word on stderr and exit code 128 + the signal's number, as shells do.
 
-    A signal that the process was told to ignore, as by `nohup`, stays ignored.
+    Signals that the process ignores, as under `nohup`, stay ignored.
     """
     handler = _Handler()
     numbers = [n for n in _WORDS if signal.getsignal(n) is not signal.SIG_IGN]

@@ -1,4 +1,4 @@
-"""The commands `log` and `digest`: what is understood of logs, and small files of what they do."""
+"""The commands `log` and `digest`: how logs are read, and their reduction to small files."""
 
 from __future__ import annotations
 
@@ -29,11 +29,11 @@ from geodrake.model.logged_joints import log_of_model, model_of_logs, reading_fo
 from geodrake.model.robot_model import RobotModel
 from geodrake.report.exports import InspectedLogs, log_chart
 
-SOME_FAILED = 1  # exit code where logs have no digest; those of the others are there
+SOME_FAILED = 1  # exit code if some logs could not be digested
 
 
 def run_log(options: LogCommandOptions) -> None:
-    """Say what is understood of logs."""
+    """Show how logs are read."""
     outputs = {
         "convert": Output(
             options.convert,
@@ -52,8 +52,8 @@ def run_log(options: LogCommandOptions) -> None:
     asked = [*files_of(outputs)]
     if asked and len(options.logs) > 1:
         raise ArgumentError(
-            f"--{asked[0]} is for one log; {len(options.logs)} are given.",
-            advice="Give them one by one.",
+            f"--{asked[0]} takes one log; {len(options.logs)} are given.",
+            advice="Run the command once for each log.",
         )
     last = ""
     if options.write_mapping and options.model:
@@ -61,7 +61,7 @@ def run_log(options: LogCommandOptions) -> None:
         last = shlex.join(map(str, [*words, "--mapping", options.write_mapping]))
     command = Command(
         "log",
-        "Looking at the logs",
+        "Reading the logs",
         lambda given: _inspected(options, given),
         reads_logs=False,
         outputs=outputs,
@@ -86,7 +86,7 @@ def _inspected(options: LogCommandOptions, given: Input) -> InspectedLogs:
 
 
 def _beyond_limits(model: RobotModel, logs: Sequence[JointLog]) -> list[str]:
-    """Return what is said of positions beyond the model's limits; nothing of other robots' logs."""
+    """Return hints on positions beyond the model's limits; none for logs of other robots."""
     try:
         own = model_of_logs(model, logs)
         matched = [log_of_model(log, own) for log in logs]
@@ -101,7 +101,7 @@ def _beyond_limits(model: RobotModel, logs: Sequence[JointLog]) -> list[str]:
 
 
 def _columns(model: RobotModel, logs: Sequence[JointLog]) -> tuple[tuple[ColumnFinding, ...], str]:
-    """Return mistakes in columns; for logs that do not fit the model, none and the reason."""
+    """Return mistakes in columns, or why logs do not fit the model."""
     try:
         return found_columns(model_of_logs(model, logs), logs, {}), ""
     except GeodrakeError as error:
@@ -109,7 +109,7 @@ def _columns(model: RobotModel, logs: Sequence[JointLog]) -> tuple[tuple[ColumnF
 
 
 def _mapping(found: InspectedLogs, options: LogCommandOptions) -> str:
-    """Return a mapping that reads the log so."""
+    """Return the mapping with which the log was read, corrected."""
     (_, log), *_ = found.logs
     columns = corrected_columns(log.columns, found.columns)
     return mapping_text(options.logs[0], log, columns, options.reading.gain_deviations)
@@ -124,7 +124,7 @@ def _preview(found: InspectedLogs) -> bytes:
 
 
 def run_digest(options: DigestOptions) -> None:
-    """Digest logs; the exit code is 1 if a log has no digest, which the others then have."""
+    """Digest logs; the exit code is 1 if any log fails."""
     date = None if options.date is None else date_seconds(options.date)
 
     def digested(given: Input) -> DigestRun:

@@ -1,4 +1,4 @@
-"""Values of options as people write them: numbers by joint, limits, effects by name."""
+"""Parsing of option values: numbers by joint, limits, effects by name."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ _EXAMPLE = "Write 0.5, velocity=1.5, velocity=50% or JOINT.position=-1:0.5."
 
 
 def split_effects(given: Sequence[Path] | None) -> tuple[list[Path], list[str]]:
-    """Return the files among what --effects was given, and the names."""
+    """Return the files and the names among the values of --effects."""
     files = [path for path in given or () if path.suffix == ".py"]
     names = [path for path in given or () if path.suffix != ".py"]
     return files, [name for path in names for name in str(path).split(",") if name]
@@ -42,7 +42,7 @@ def joint_values(text: str, model: RobotModel, option: str) -> Array:
     missing = [joint for joint in model.joints if joint not in values]
     if missing:
         raise ArgumentError(
-            f"{option} says nothing of {', '.join(missing)}.",
+            f"{option} has no value for {', '.join(missing)}.",
             advice="Give one number for all joints, or one for each.",
         )
     return np.array([values[joint] for joint in model.joints])
@@ -51,13 +51,13 @@ def joint_values(text: str, model: RobotModel, option: str) -> Array:
 def limits_of(
     given: Sequence[str] | None, model: RobotModel, *, bounded: bool = False
 ) -> MotionLimits:
-    """Return the model's limits with others in their place.
+    """Return the model's limits, overridden by options.
 
     Args:
         given: `0.5` for a share of all limits; `velocity=1.5` for all joints, `velocity=50%` for a
-            share of the model's; `current=8` for the efforts that a model knows by their currents,
-            A (voltage, pwm alike); `joint.effort=40` and `joint.position=-1:0.5` for one joint.
-            Each may hold several, with commas between them; later ones win.
+            share of the model's; `current=8` (A; also voltage and pwm) for joints whose efforts the
+            model computes from currents; `joint.effort=40` and `joint.position=-1:0.5` for one
+            joint. Each may hold several, separated by commas; later ones win.
         bounded: As for `motion_limits`.
     """
     scale, said = 1.0, {quantity: dict[str, Any]() for quantity in _QUANTITIES}
@@ -69,8 +69,8 @@ def limits_of(
         joint, _, quantity = key.rpartition(".")
         if quantity not in _QUANTITIES:
             raise ArgumentError(
-                f"--limits has {text!r}, and there is no limit {quantity!r}.",
-                advice=f"Limits are {', '.join(_QUANTITIES)}. {_EXAMPLE}",
+                f"--limits {text!r}: unknown quantity {quantity!r}.",
+                advice=f"Quantities are {', '.join(_QUANTITIES)}. {_EXAMPLE}",
             )
         if joint:
             _check_joint(joint, model, "--limits")
@@ -79,15 +79,14 @@ def limits_of(
             joints = tuple(each.joint for each in model.effort_signals if each.kind == quantity)
             if value.endswith("%"):
                 raise ArgumentError(
-                    f"--limits has {text!r}; there is no limit of {quantity}s that it is a share "
-                    "of.",
-                    advice=f"Write it as a number, such as {quantity}=8.",
+                    f"--limits {text!r}: the model has no {quantity} limit to take a share of.",
+                    advice=f"Give a number, such as {quantity}=8.",
                 )
         if not joints or (joint and joint not in joints):
             raise ArgumentError(
-                f"--limits has a {quantity}{f' of {joint}' * bool(joint)}, and the model knows no "
-                "efforts by it.",
-                advice="Limit the effort, or start from a model that was fitted to such a log.",
+                f"--limits {text!r}: the model computes no efforts from a "
+                f"{quantity}{f' of {joint}' * bool(joint)}.",
+                advice="Limit the effort, or use a model that was fitted to such a log.",
             )
         limit = _range(value) if quantity == "position" else _amount(value)
         said[quantity] |= dict.fromkeys([joint] if joint else joints, limit)
@@ -119,7 +118,7 @@ def _amount(text: str) -> tuple[float, bool]:
 def _range(text: str) -> tuple[float, float]:
     low, colon, high = text.partition(":")
     if not colon:
-        raise ArgumentError(f"--limits has the position {text!r}.", advice=_EXAMPLE)
+        raise ArgumentError(f"--limits has position={text}, not a range.", advice=_EXAMPLE)
     return _number(low, "--limits"), _number(high, "--limits")
 
 
@@ -128,13 +127,13 @@ def _number(text: str, option: str) -> float:
         return float(text)
     except ValueError:
         advice = _EXAMPLE if option == "--limits" else f"Write 0.1, or {_JOINTS}."
-        message = f"{option} is given {text.strip()!r}, which is not a number."
+        message = f"{option} got {text.strip()!r}, which is not a number."
         raise ArgumentError(message, advice=advice) from None
 
 
 def _check_joint(joint: str, model: RobotModel, option: str) -> None:
     if joint not in model.joints:
         raise ArgumentError(
-            f"{option} names {joint!r}, which is no joint of the model.",
+            f"{option} names {joint!r}, which is not a joint of the model.",
             advice=f"Joints are: {', '.join(model.joints)}.",
         )

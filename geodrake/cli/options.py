@@ -1,4 +1,4 @@
-"""Options of commands, as dataclasses, and the way from one to a command of typer."""
+"""Options of commands as dataclasses, and the typer commands made of them."""
 
 from __future__ import annotations
 
@@ -22,25 +22,25 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, kw_only=True)
 class CommonOptions:
-    """Options of all commands, and the words for those that many commands have.
+    """Options of all commands, and the help of those that many commands have.
 
     Attributes:
-        model (MODEL): URDF, SDF, MJCF or Drake directives file, a model saved with --save, or the
-            name of a robot of robot_descriptions, such as ur5e.
-        logs (LOG...): Logs of time, positions and efforts: CSV, NPZ, ROS bag, MCAP, Parquet,
-            LeRobot, JSON, HDF5, LCM or .mat; a.csv+b.csv are joined by time.
-        json (FILE): Write the numbers; - is standard output.
-        report (FILE.html): Write one page with the figures.
-        series (FILE.csv|.parquet): Write the samples: time, log, and of every joint measured,
-            predicted and residual.
-        details: Show all: parameters, what is left, where the model fails, bodies; so does
-            --report.
-        quiet: Show results and errors only, no progress.
-        debug: Show tracebacks; GEODRAKE_DEBUG=1 does too.
-        effects (FILE.py): Know the effects of this file too; repeatable.
-        known_payload (LOG:BODY:MASS[:X,Y,Z]): What the robot carried throughout a log, of known
-            mass, kg, and centre of mass in the body's frame, m. With a log without it, gains of
-            efforts are identifiable. Repeatable.
+        model (MODEL): URDF, SDF, MJCF or Drake directives file, a model written by --save, or a
+            name in robot_descriptions, such as ur5e.
+        logs (LOG...): Logs of positions and efforts: CSV, NPZ, ROS bag, MCAP, Parquet, LeRobot,
+            JSON, HDF5, LCM or MAT; a.csv+b.csv joins two files by time.
+        json (FILE): Write the results as JSON; - is standard output.
+        report (FILE.html): Write an HTML page with figures.
+        series (FILE.csv|.parquet): Write measured and predicted efforts and residuals, by joint and
+            time.
+        details: Show more: parameters, errors by joint, where the model fails, bodies, notes.
+            --report has them too.
+        quiet: Hide progress.
+        debug: Show tracebacks, as GEODRAKE_DEBUG=1 does.
+        effects (FILE.py): Load effects of your own. Repeatable.
+        known_payload (LOG:BODY:MASS[:X,Y,Z]): Known payload carried throughout a log: body, mass in
+            kg and centre of mass in the body frame in m. With a log without it, effort gains become
+            identifiable. Repeatable.
     """
 
     json: Path | None = None
@@ -53,7 +53,7 @@ class LogOptions(AxisOptions, ModelOptions, CommonOptions):
     """Options of all commands on a model and logs.
 
     Attributes:
-        bandwidth (HZ): Bandwidth of the filter; if absent, that of the model's fit to the same
+        bandwidth (HZ): Bandwidth of the filter. By default that of the model's fit to the same
             logs, or chosen from the data.
     """
 
@@ -66,7 +66,7 @@ class LogOptions(AxisOptions, ModelOptions, CommonOptions):
 
     @property
     def settings(self) -> dict[str, Any]:
-        """How logs are prepared, as keyword arguments: what options there are of these."""
+        """How logs are prepared, as keyword arguments."""
         names = ("bandwidth", "blocks", "hold_resting")
         return {name: getattr(self, name) for name in names if hasattr(self, name)}
 
@@ -76,7 +76,7 @@ class ValidationOptions(LogOptions):
     """Options of commands that validate a model on blocks of logs.
 
     Attributes:
-        blocks (N): Blocks that each log is validated on.
+        blocks (N): Number of validation blocks of each log.
     """
 
     blocks: int | None = None
@@ -84,14 +84,13 @@ class ValidationOptions(LogOptions):
 
 @dataclass(frozen=True, kw_only=True)
 class Options(ValidationOptions):
-    """Options of commands that can save the model, too.
+    """Options of commands that can also save the model.
 
     Attributes:
-        save (FILE.yaml): Write the model, to be used as MODEL.
-        correct_columns: Go on with the columns as they are found to be: signs, units, gains, zeros,
-            time, swapped joints. If absent, what is found is said first, and no more.
-        no_auto_lock: Keep joints that hardly move. If absent, those that rest in all logs are held
-            where they rest, as --lock does.
+        save (FILE.yaml): Save the model, for use as MODEL.
+        correct_columns: Correct mistakes found in columns (signs, units, gains, zeros, time,
+            swapped joints), which are otherwise only reported.
+        no_auto_lock: Do not lock joints that are at rest in all logs.
     """
 
     save: Path | None = None
@@ -108,19 +107,19 @@ class Options(ValidationOptions):
 
 @dataclass(frozen=True, kw_only=True)
 class _Steps(Options):
-    """Options of commands that find values of effects.
+    """Options of commands that fit effects.
 
     Attributes:
-        effort_uncertainty (SHARE): How well the gains of the efforts are known, as a share: what
-            that makes of parameters is a second ±. 0.05 if absent, as for torque constants; 0 for
-            calibrated torque sensors.
+        effort_uncertainty (SHARE): Relative standard deviation of the effort gains, which causes
+            the second ± of parameters. Default 0.05, as for torque constants; 0 for calibrated
+            torque sensors.
     """
 
     effort_uncertainty: float | None = None
 
     @property
     def log_facts(self) -> dict[str, Any]:
-        """How well the gains are known, if that is said, as fields of `JointLog`."""
+        """Fields of `JointLog` that options set."""
         share = self.effort_uncertainty
         return {} if share is None else {"effort_uncertainty": share}
 
@@ -130,8 +129,8 @@ class ExplainOptions(_Steps):
     """Options of explain.
 
     Attributes:
-        draft_effect (FILE.py): Search a formula for what stays unexplained, and write it as an
-            effect of your own, to be used with --effects.
+        draft_effect (FILE.py): Search for a formula of the remaining error, and write it as an
+            effect for --effects.
     """
 
     draft_effect: Path | None = None
@@ -142,17 +141,15 @@ class RolloutOptions(LogOptions):
     """Options of rollout.
 
     Attributes:
-        before (MODEL): A model to compare with, such as the file it was.
-        horizon (SECONDS): Length of a window of the simulation.
-        windows (N): Most windows, spread evenly over the logs.
-        commands: Servos of the simulated robot follow the logged commands, instead of the logged
-            efforts at their joints.
-        fit: Fit the model's soft joints and play to how the simulated robot moves, under efforts,
-            or under --commands with servos that are not known exactly; every other block of
-            windows, or every other log, is held out.
-        save (FILE.yaml): Write the model with what --fit found, or as it was if that was not taken.
-        meshcat (FILE.html): Write a page that replays the windows: the measured and the simulated
-            robot.
+        before (MODEL): A model to compare with, such as the original file.
+        horizon (SECONDS): Length of a simulated window.
+        windows (N): Maximum number of windows, spread evenly over the logs.
+        commands: Simulate servos that follow the logged commands, instead of applying the logged
+            efforts.
+        fit: Fit elastic joints, backlash and, with --commands, uncertain servo gains to the motion.
+            Every other block of windows, or every other log, is held out.
+        save (FILE.yaml): Save the model that --fit found; the given model if the fit is rejected.
+        meshcat (FILE.html): Write a page that replays the measured and the simulated robot.
     """
 
     before: Path | None = None
@@ -170,17 +167,17 @@ class PlayOptions(LogOptions):
     """Options of play.
 
     Attributes:
-        before (MODEL): A model to play beside it; if absent and MODEL was saved with --save, the
-            file that it is based on.
-        out (FILE.html): Where the page goes; play.html if nothing else is asked for.
-        video (FILE.mp4|.gif): Write a video of the robot and its errors.
-        to (VIEWER FILE): Write a recording for another viewer: rerun FILE.rrd, or mcap FILE.mcap,
-            which Foxglove and PlotJuggler open.
-        live (PORT): Show the page on a port of this machine instead, until Ctrl-C; 0 is any free.
-        speed (FACTOR): Seconds of the log played in a second.
-        seconds (SECONDS): Most to play: of longer logs, the passages of largest error.
-        ghost (SECONDS): Show the model's robot under the measured efforts as a ghost, which begins
-            at the measured state anew every so often, such as 0.2.
+        before (MODEL): A model to show beside it. By default the file that a saved MODEL is based
+            on.
+        out (FILE.html): Write the page here. By default play.html, if no other output is named.
+        video (FILE.mp4|.gif): Write a video.
+        to (VIEWER FILE): Write a recording: rerun FILE.rrd, or mcap FILE.mcap for Foxglove and
+            PlotJuggler.
+        live (PORT): Serve the page on a local port until Ctrl-C; 0 picks a free one.
+        speed (FACTOR): Playback speed.
+        seconds (SECONDS): Maximum length. Of longer logs, the windows of largest error are played.
+        ghost (SECONDS): Show a simulated robot under the measured efforts, reset to the measured
+            state at this interval, such as 0.2.
     """
 
     before: Path | None = None
@@ -198,10 +195,11 @@ class _Addition:
     """Options.
 
     Attributes:
-        effect (EFFECT[@PLACE]): Its name (an unknown one such as x lists them), and the joint or
-            body where it is, as in payload@flange; j2+j3 is a pair of joints.
-        where (NAME): Joint or body to add it at; repeatable, twice for a pair of joints. If absent,
-            all joints, or the body or pair of neighbouring joints that it helps most at.
+        effect (EFFECT[@PLACE]): Name of an effect (x lists them), and its joint or body, as in
+            payload@flange; j2+j3 is a pair of joints.
+        where (NAME): Joint or body of the effect; twice for a pair of joints. By default all
+            joints, or the body or pair of neighbouring joints with the largest improvement.
+            Repeatable.
     """
 
     effect: str
@@ -214,28 +212,28 @@ class AddOptions(_Steps, _Addition):
 
     @property
     def addition(self) -> tuple[str, list[str] | None]:
-        """Name of the effect, and where it is to be; None if nobody said."""
+        """Name of the effect, and its places; None if not given."""
         name, at, place = self.effect.partition("@")
         if at and not all(place.split("+")):
             raise ArgumentError(
-                f"{self.effect!r} names no place.", advice=f"Write {name}@JOINT, or {name} alone."
+                f"{self.effect!r} has no place after @.",
+                advice=f"Write {name}@JOINT, or {name} alone.",
             )
         if place and self.where:
             raise ArgumentError(
-                f"{self.effect} names a place, and --where {' '.join(self.where)} another one.",
-                advice="Say it once.",
+                f"The place is given twice: {self.effect} and --where {' '.join(self.where)}.",
+                advice="Give it once.",
             )
         return name, place.split("+") if place else self.where or None
 
 
 @dataclass(frozen=True, kw_only=True)
 class _NamedEffects:
-    """Effects that are named.
+    """Effects by name.
 
     Attributes:
-        effects (NAME[@PLACE],…|FILE.py): Effects beside the model's, by their names (an unknown
-            name such as x lists them), and the joint or body where they are; a FILE.py brings
-            effects that may be named. Repeatable.
+        effects (NAME[@PLACE],…|FILE.py): Effects to add (x lists their names), and their joint or
+            body; FILE.py loads effects of your own. Repeatable.
     """
 
     effects: list[Path] | None = None
@@ -243,20 +241,20 @@ class _NamedEffects:
 
 @dataclass(frozen=True, kw_only=True)
 class _Regularization:
-    """What keeps identified inertias near the model's.
+    """How identified inertias are regularized.
 
     Attributes:
-        regularizer (NAME): What keeps inertias near the model's: entropic, pullback, riemannian, …;
-            an unknown name lists them.
-        gamma (GAMMA): Weight of the regularizer: 100 keeps inertias to about 1/√100 = 10 %. Chosen
-            by held-out error if absent.
-        residual_bound (RATIO): Instead of a weight: the RMS training residual allowed, relative to
-            the least possible, such as 1.01.
-        total_mass (KG): Mass of all that moves, if it is known from a scale.
-        compare: All regularizers at the same training residual.
+        regularizer (NAME): Distance from the model's inertias: entropic, pullback, riemannian, …
+            (x lists them).
+        gamma (GAMMA): Weight of the regularizer; 100 keeps inertias within about 1/√100 = 10 %. By
+            default chosen by held-out error.
+        residual_bound (RATIO): Instead of a weight, the largest RMS training residual, relative to
+            the smallest possible, such as 1.01.
+        total_mass (KG): Known mass of all moving bodies.
+        compare: Compare all regularizers at the same training residual.
     """
 
-    PANEL: ClassVar = "near the model"
+    PANEL: ClassVar = "regularization"
 
     regularizer: str = "entropic"
     gamma: float | None = None
@@ -270,10 +268,9 @@ class IdentifyOptions(_NamedEffects, Options, _Regularization):
     """Options of identify.
 
     Attributes:
-        export (FILE.urdf|.sdf|.xml): Write the identified inertias into a copy of the model file;
-            all else in it stays as it is.
-        ellipsoids (FILE.png): Draw the bodies as ellipsoids before and after.
-        meshcat (FILE.html): The same as a page to turn around in a browser.
+        export (FILE.urdf|.sdf|.xml): Write a copy of the model file with the identified inertias.
+        ellipsoids (FILE.png): Draw the inertia ellipsoids before and after.
+        meshcat (FILE.html): Write an interactive page of the inertia ellipsoids.
     """
 
     export: Path | None = None
@@ -282,7 +279,7 @@ class IdentifyOptions(_NamedEffects, Options, _Regularization):
 
     @property
     def hold_resting(self) -> bool:
-        """Whether joints that hardly move are held: not beside a mass, which is of all bodies."""
+        """Whether joints that hardly move are held; not with a total mass, which has all bodies."""
         return super().hold_resting and self.total_mass is None
 
 
@@ -291,12 +288,12 @@ class LogCommandOptions(ReadingOptions, ModelOptions, CommonOptions):
     """Options of log.
 
     Attributes:
-        model (MODEL): A model, whose joints the columns are matched with.
-        convert (FILE.csv|.npz): Write the log in SI units under geodrake's own names, without what
-            sensors did wrong.
-        figure (FILE.png): Draw positions and efforts over time.
-        write_mapping (FILE.yaml): Write a mapping that reads the log so, with what is wrong in its
-            columns corrected where a mapping can say it.
+        model (MODEL): A model, to match its joints and check the columns.
+        convert (FILE.csv|.npz): Write the log in SI units and geodrake's column names, with sensor
+            faults removed.
+        figure (FILE.png): Plot positions and efforts over time.
+        write_mapping (FILE.yaml): Write the mapping of the columns, with corrections that a mapping
+            can express.
     """
 
     logs: list[Path]
@@ -311,7 +308,7 @@ class DemoOptions(CommonOptions):
     """Options of demo.
 
     Attributes:
-        report (FILE.html): Where the page with the figures goes.
+        report (FILE.html): Write the HTML page here.
     """
 
     report: Path = Path("geodrake_demo.html")
@@ -323,10 +320,10 @@ class IdentifiableOptions(_NamedEffects, ValidationOptions):
     """Options of identifiable.
 
     Attributes:
-        threshold (VARIANCE): Largest relative variance of what counts as identifiable; 0.01 is a
-            deviation of 10 %.
-        noise (NOISE): Deviation of the filtered efforts, N·m or N: one number, or JOINT=NUMBER,…;
-            what the refitted model leaves on held-out data if absent.
+        threshold (VARIANCE): Largest relative variance of an identifiable parameter; 0.01 is a
+            standard deviation of 10 %.
+        noise (NOISE): Standard deviation of the filtered efforts in N·m or N: one number, or
+            JOINT=NUMBER,…. By default the held-out error of the refitted model.
     """
 
     threshold: float = 0.01
@@ -335,17 +332,16 @@ class IdentifiableOptions(_NamedEffects, ValidationOptions):
 
 @dataclass(frozen=True, kw_only=True)
 class _Motion:
-    """Which motions excite chooses from.
+    """Motions that excite optimizes.
 
     Attributes:
-        trajectory (FAMILY): fourier, spline, or free: samples that need not follow each other, the
-            best that any motion could do.
+        trajectory (FAMILY): fourier, spline, or free: unconnected samples, a bound for any motion.
         duration (SECONDS): Length of the motion.
-        harmonics (N): Harmonics of a Fourier motion; 5 if absent.
-        frequency (HZ): Base frequency of a Fourier motion; once in its length if absent, and three
-            times with --tell-apart, so that every block of the log shows the difference.
-        points (N): Control points of a spline motion; 16 if absent.
-        samples (N): Samples by which information is counted; 300 if absent, or 50 free ones.
+        harmonics (N): Harmonics of a Fourier motion; default 5.
+        frequency (HZ): Base frequency of a Fourier motion. By default one period, and three with
+            --tell-apart, so that every block of the log shows the difference.
+        points (N): Control points of a spline motion; default 16.
+        samples (N): Samples at which information is evaluated; default 300, or 50 free ones.
     """
 
     PANEL: ClassVar = "motion"
@@ -360,25 +356,24 @@ class _Motion:
 
 @dataclass(frozen=True, kw_only=True)
 class _Robot:
-    """What excite may do with the robot.
+    """Constraints of the motions.
 
     Attributes:
-        limits (LIMIT,…): Limits in place of the model file's: 0.5 for half of all of them,
-            velocity=1.5 or velocity=50% for all joints, JOINT.position=-1:0.5 for one; also
-            acceleration, jerk and effort, and current, voltage and pwm of models fitted to such
-            logs. Repeatable.
-        start (POSITION): Where the motion starts: one number, or JOINT=NUMBER,…
-        stand (POSITION): Where the robot stands: ramps lead from there to the motion, and back at
-            its end; one number, or JOINT=NUMBER,…
-        obstacle (SHAPE|FILE): What stands in the way: box:X,Y,Z@x,y,z, sphere:R@…,
-            cylinder:R,L@…, floor:Z, a mesh, or a scene (URDF, SDF, MJCF). Repeatable.
-        clearance (METRES): Least distance of the robot from itself and from obstacles.
-        collisions: Whether the collision geometry of the file counts.
-        floor: Whether nothing may go below the base, as on a table or a floor. A robot that hangs
-            below its base where it starts has none.
+        limits (LIMIT,…): Limits that override the model file's: 0.5 for half of all,
+            velocity=1.5 or velocity=50% for all joints, JOINT.position=-1:0.5 for one. Also
+            acceleration, jerk, effort, and current, voltage and pwm of models fitted to such logs.
+            Repeatable.
+        start (POSITION): Position at the start of the motion: one number, or JOINT=NUMBER,…
+        stand (POSITION): Rest position of the robot, with ramps from there to the motion and back:
+            one number, or JOINT=NUMBER,…
+        obstacle (SHAPE|FILE): box:X,Y,Z@x,y,z, sphere:R@…, cylinder:R,L@…, floor:Z, a mesh, or a
+            scene (URDF, SDF, MJCF). Repeatable.
+        clearance (METRES): Minimum distance from obstacles and between links.
+        collisions: Use the collision geometry of the model file.
+        floor: Keep the robot above its base. Off for a robot that starts below it.
     """
 
-    PANEL: ClassVar = "robot and surroundings"
+    PANEL: ClassVar = "robot and environment"
 
     limits: list[str] | None = None
     start: str | None = None
@@ -391,17 +386,18 @@ class _Robot:
 
 @dataclass(frozen=True, kw_only=True)
 class _Choosing:
-    """How excite judges motions and looks for the best one.
+    """Criterion and search of excite.
 
     Attributes:
         criterion (NAME): e_optimality, a_optimality, d_optimality or condition_number.
         normalization (NAME): geometric, diagonal or none.
-        noise (NOISE): Deviation of the measured efforts, N·m or N: one number, or JOINT=NUMBER,…;
-            what the model's last fit left, or 1 % of the limits of effort, if absent.
-        seeds (N): Random motions to start from.
-        seed (N): Number of the first of them.
-        seconds (SECONDS): Most time for the whole search.
-        iterations (N): Most iterations of the solver, for each stage.
+        noise (NOISE): Standard deviation of the measured efforts in N·m or N: one number, or
+            JOINT=NUMBER,…. By default the residuals of the model's last fit, or 1 % of the effort
+            limits.
+        seeds (N): Number of random initial motions.
+        seed (N): Seed of the first one.
+        seconds (SECONDS): Time limit of the search.
+        iterations (N): Maximum iterations of the solver in each stage.
         solver (NAME): snopt or ipopt.
     """
 
@@ -422,11 +418,11 @@ class ExciteOptions(_NamedEffects, ModelOptions, _Motion, _Robot, _Choosing, Com
     """Options of excite.
 
     Attributes:
-        tell_apart (EFFECT,EFFECT[@PLACE]): Two effects that logs so far cannot distinguish: the
-            motion on which their predictions differ most, once everything else is refitted.
-        save (FILE): Write the motion: as a log with the predicted efforts (.csv, .npz), a ROS
+        tell_apart (EFFECT,EFFECT[@PLACE]): Find the motion that best distinguishes two effects,
+            with everything else refitted.
+        save (FILE): Save the motion as a log with predicted efforts (.csv, .npz), a ROS
             JointTrajectory (.yaml), or a Drake BsplineTrajectory (.drake.yaml).
-        rate (HZ): Samples a second of what --save writes.
+        rate (HZ): Sampling rate of the saved motion.
         meshcat (FILE.html): Write a page that replays the motion.
     """
 
@@ -443,7 +439,7 @@ class CheckOptions(ModelOptions, CommonOptions):
     """Options of check.
 
     Attributes:
-        samples (N): Random states, within the limits of the robot.
+        samples (N): Number of random states within the robot's limits.
         seed (N): Seed of the random numbers.
     """
 
@@ -458,14 +454,13 @@ class DigestOptions(ReadingOptions, ModelOptions, CommonOptions):
     """Options of digest.
 
     Attributes:
-        to (FOLDER): Folder of the digests, all of logs of robots with this model; made if it is not
-            there. The first digest writes the settings that all of them share.
-        date (DATE): When logs were recorded whose time stamps are no dates, such as 2026-05-01 or
-            2026-05-01T12:00:00+02:00, UTC without a zone; when the file was changed if absent.
-        bandwidth (HZ): Bandwidth of the filter of all digests, if the folder has no settings yet;
-            if absent, that of the model's fit, or chosen from the first log.
-        blocks (N): Blocks that each log is cut into, if the folder has no settings yet; 4 if
-            absent.
+        to (FOLDER): Folder of digests of robots with this model; created if missing. The first
+            digest fixes the settings of all.
+        date (DATE): Date of logs whose time stamps are not dates, such as 2026-05-01 or
+            2026-05-01T12:00:00+02:00; UTC without a zone. By default the file's modification time.
+        bandwidth (HZ): Bandwidth of the filter, for a folder without settings. By default that of
+            the model's fit, or chosen from the first log.
+        blocks (N): Blocks of each log, for a folder without settings; default 4.
     """
 
     model: Path
@@ -483,16 +478,16 @@ class ExportOptions(ReadingOptions, ModelOptions, CommonOptions):
     """Options of export.
 
     Attributes:
-        logs (LOG): Logs on whose motion what the format lacks is fitted, and the error that it
-            costs is measured; without any, random motion within the robot's limits serves.
-        folder (DIR): Folder of the files, the last of all; made if it is not there.
-        to_dir (DIR): The same as an option, for those who do not name it last.
-        to (FORMAT): urdf, sdf, mjcf, drake (with model directives), isaac (a URDF, and values of
-            actuators), python, cpp (a function effort(q, v, vd)), ros2 (a controller of
-            ros2_control); an unknown name lists them.
-        force: Replace files of these names that are there.
-        bandwidth (HZ): Bandwidth of the filter of logs; if absent, that of the model's fit to the
-            same logs, or chosen from the data.
+        logs (LOG): Logs on whose motion effects that the format lacks are approximated, and the
+            loss of accuracy is measured. By default random motion within the robot's limits.
+        folder (DIR): Output folder, the last argument; created if missing.
+        to_dir (DIR): Output folder, as an option.
+        to (FORMAT): urdf, sdf, mjcf, drake (with model directives), isaac (URDF and actuator
+            parameters), python or cpp (a function effort(q, v, vd)), ros2 (a ros2_control
+            controller).
+        force: Overwrite existing files.
+        bandwidth (HZ): Bandwidth of the filter. By default that of the model's fit to the same
+            logs, or chosen from the data.
     """
 
     model: Path
@@ -507,13 +502,13 @@ class ExportOptions(ReadingOptions, ModelOptions, CommonOptions):
 
     @property
     def with_folder(self) -> ExportOptions:
-        """The options with their folder, whichever way it was named."""
+        """The options with their folder, whether an argument or an option."""
         if self.to_dir is not None:
             last = [] if self.folder is None else [self.folder]  # which is a log then
             return replace(self, folder=self.to_dir, to_dir=None, logs=[*(self.logs or ()), *last])
         if self.folder is None:
             raise ArgumentError(
-                "export has no folder to write to.", advice="Name it last, or by --to-dir DIR."
+                "export needs an output folder.", advice="Give it last, or with --to-dir DIR."
             )
         return self
 
@@ -523,19 +518,17 @@ class FleetOptions(CommonOptions):
     """Options of fleet.
 
     Attributes:
-        fleet (FLEET.yaml): Types with a model each, robots with patterns of their logs, and the
+        fleet (FLEET.yaml): Robot types and their models, robots and patterns of their logs, and the
             folder of digests and results.
-        workers (N): Processes of this machine that work; 0 is the command's own, which also works
-            where Dask is not installed. One on each core if absent.
-        scheduler (ADDRESS): A Dask scheduler of your own, such as tcp://10.0.0.5:8786, whose
-            workers see the same folders.
-        false_alarms (RATE): At most how many robots in which nothing changed are named, a
-            robot-month.
-        watch: Go on, and take in new logs as they come: each new finding is a line of JSON on
-            standard output.
-        every (SECONDS): Time between two looks for new logs.
-        once: Look once and say what a watch would; exit code 3 if there is a new finding, for a
-            cron job.
+        workers (N): Worker processes; 0 runs in this process, without Dask. By default one per
+            core.
+        scheduler (ADDRESS): Address of a Dask scheduler, such as tcp://10.0.0.5:8786, whose workers
+            see the same folders.
+        false_alarms (RATE): Maximum rate of false alarms per robot and month.
+        watch: Keep running and process new logs; each new finding is a line of JSON on standard
+            output.
+        every (SECONDS): Polling interval of --watch.
+        once: Process new logs once, as a cron job does; exit code 3 if there is a new finding.
     """
 
     fleet: Path
@@ -550,10 +543,12 @@ class FleetOptions(CommonOptions):
 
 T = TypeVar("T", bound="DataclassInstance")
 
+ALL_OPTIONS = "geodrake.all_options"  # key of a context's `meta`: show advanced options as well
+_ADVANCED, _HELP_ALL = "Advanced: ", "help_all"
 _FIRST = ("save", "report", "json")
 _RARE = {"bandwidth", "blocks", "debug", "draft_effect", "effort_uncertainty", "known_payload"}
 _RARE |= {"no_auto_lock", "series", "horizon", "windows", "live", "speed", "seconds", "quiet"}
-_RARE |= {"ellipsoids", "scheduler", "workers", "details"}
+_RARE |= {"ellipsoids", "scheduler", "workers"}
 _ARGUMENTS = {"model", "logs", "folder", "fleet", "effect"}
 _ENTRY = re.compile(r"(?P<name>\w+)(?: \((?P<metavar>[^)]*)\))?: (?P<help>.*)")
 
@@ -561,30 +556,31 @@ _ENTRY = re.compile(r"(?P<name>\w+)(?: \((?P<metavar>[^)]*)\))?: (?P<help>.*)")
 def taking(options: type[T]) -> Callable[[Callable[[T], None]], Callable[..., None]]:
     """Make a function of one options object a command whose parameters are its fields.
 
-    The help of an option is what the attributes of the class say of it, behind its metavariable in
-    brackets. Errors of the command become messages and exit codes. Help shows what is used most,
-    then what says how models and logs are read, and what is rare.
+    The metavariable and help of an option are read from the class's docstring. Errors of the
+    command become messages and exit codes. Advanced options are shown by --help-all only.
     """
-    hints, told = get_type_hints(options), _documented(options)
+    hints, texts = get_type_hints(options), _documented(options)
     kinds = {field.name: field for field in fields(options)}
     names = sorted(kinds, key=lambda name: _FIRST.index(name) if name in _FIRST else len(_FIRST))
     rare = _RARE | (
-        {"effects"} if told["effects"] == _documented(CommonOptions)["effects"] else set()
+        {"effects"} if texts["effects"] == _documented(CommonOptions)["effects"] else set()
     )
-    panels = dict.fromkeys(rare, "Advanced: rarely needed")
+    panels = dict.fromkeys(rare, f"{_ADVANCED}rarely needed")
     for each in options.__mro__:
         if "PANEL" in vars(each):
             panels |= dict.fromkeys(
-                inspect.get_annotations(each), f"Advanced: {vars(each)['PANEL']}"
+                inspect.get_annotations(each), f"{_ADVANCED}{vars(each)['PANEL']}"
             )
     parameters = [
-        _parameter(kinds[name], hints[name], panels.get(name), told.get(name, (None, "")))
+        _parameter(kinds[name], hints[name], panels.get(name), texts.get(name, (None, "")))
         for name in names
     ]
+    parameters.append(_help_all())
 
     def decorate(run: Callable[[T], None]) -> Callable[..., None]:
         @functools.wraps(run)
         def command(**values: Any) -> None:
+            del values[_HELP_ALL]  # which its callback has handled
             files = values.get("effects") or ()
             with guarded(debug=values["debug"], effect_files=files):
                 run(options(**values))
@@ -596,8 +592,13 @@ def taking(options: type[T]) -> Callable[[Callable[[T], None]], Callable[..., No
     return decorate
 
 
+def is_advanced(parameter: Any) -> bool:
+    """Return whether a parameter of a command is shown by --help-all only."""
+    return (getattr(parameter, "rich_help_panel", None) or "").startswith(_ADVANCED)
+
+
 def path(text: str) -> Path:
-    """Return the path of a model; ./ur5e is one, though `Path` makes the name ur5e of it."""
+    """Return the path of a model; ./ur5e stays a path, which `Path` would make the name ur5e."""
     found = Path(text)
     if str(found) == text:
         return found
@@ -607,7 +608,7 @@ def path(text: str) -> Path:
 
 
 def _documented(options: type[Any]) -> dict[str, tuple[str | None, str]]:
-    """Return option -> metavariable and help, as docstrings of a class and its bases have them."""
+    """Return option -> metavariable and help, from the docstrings of a class and its bases."""
     found: dict[str, tuple[str | None, str]] = {}
     for each in reversed(options.__mro__):
         text = inspect.cleandoc(each.__doc__ or "").partition("Attributes:\n")[2]
@@ -618,11 +619,11 @@ def _documented(options: type[Any]) -> dict[str, tuple[str | None, str]]:
 
 
 def _parameter(
-    field: Field[Any], kind: Any, panel: str | None, told: tuple[str | None, str]
+    field: Field[Any], kind: Any, panel: str | None, texts: tuple[str | None, str]
 ) -> inspect.Parameter:
-    """Return a parameter of a command; flags that are off by themselves have no opposite."""
+    """Return a parameter of a command; flags that are off by default have no negation."""
     name, default = field.name, field.default
-    common: Any = {"metavar": told[0], "help": told[1], "rich_help_panel": panel}
+    common: Any = {"metavar": texts[0], "help": texts[1], "rich_help_panel": panel}
     common |= {"parser": path} if name == "model" else {}
     if name in _ARGUMENTS and (default is MISSING or name in ("logs", "folder")):
         option = typer.Argument(**common)
@@ -636,4 +637,27 @@ def _parameter(
         inspect.Parameter.KEYWORD_ONLY,
         default=inspect.Parameter.empty if default is MISSING else default,
         annotation=Annotated[kind, option],
+    )
+
+
+def _help_all() -> inspect.Parameter:
+    """Return the option --help-all, which prints the help with advanced options."""
+
+    def show(ctx: typer.Context, wanted: bool) -> None:
+        if wanted:
+            ctx.meta[ALL_OPTIONS] = True
+            typer.echo(ctx.get_help())
+            raise typer.Exit
+
+    option = typer.Option(
+        "--help-all",
+        callback=show,
+        is_eager=True,
+        help="Show all options, advanced ones too, and exit.",
+    )
+    return inspect.Parameter(
+        _HELP_ALL,
+        inspect.Parameter.KEYWORD_ONLY,
+        default=False,
+        annotation=Annotated[bool, option],
     )

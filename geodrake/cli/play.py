@@ -1,4 +1,4 @@
-"""The command `geodrake play`: logs played over the robot, coloured where the model fails."""
+"""The command `geodrake play`: logs replayed on the robot, coloured by error."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ DEFAULT_OUT = Path("play.html")
 
 
 def run_play(options: PlayOptions) -> None:
-    """Play logs over the robot, as a page or on a port of this machine."""
+    """Replay logs on the robot, in files or on a local port."""
     positive(options.speed, "--speed")
     positive(options.seconds, "--seconds")
     if options.ghost is not None:

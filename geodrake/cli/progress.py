@@ -1,7 +1,7 @@
-"""Signs of life on stderr during long work: a moving bar, or plain lines where no one watches.
+"""Progress on stderr: a bar in a terminal, plain lines in a pipe.
 
-What is found stays as a line above the bar. In a pipe such lines are all, with a word now and then
-if nothing is found for long; there are no control characters.
+Findings stay as lines above the bar. In a pipe there are only such lines and, after long silence,
+the current activity, without control characters.
 """
 
 from __future__ import annotations
@@ -23,31 +23,31 @@ from geodrake.compiling import while_compiling
 if TYPE_CHECKING:
     from geodrake.diagnosis.search_progress import FoundStep
 
-_COMPILING = "Compiling, once, which takes some ten seconds"
-STOPPING = "Interrupted: keeping what was found; Ctrl-C again ends at once"
-"""What is said when a search is stopped that has found something."""
+_COMPILING = "Compiling (only once, some ten seconds)"
+STOPPING = "Interrupted: keeping what was found; Ctrl-C again stops at once"
+"""Printed when a search that has found something is stopped."""
 
-_SILENT, _PAUSE = 5.0, 1.0  # s without a line in a pipe, and between looks whether it is time
-_LEAST_SHARE = 0.05  # from which on the time left can be told
+_SILENT, _PAUSE = 5.0, 1.0  # s of silence before a line in a pipe, and between checks
+_LEAST_SHARE = 0.05  # from which on the remaining time is estimated
 _WIDTH = 44
 
 
 @dataclass(kw_only=True)
 class Activity:
-    """Shows what is going on; this one shows nothing but warnings."""
+    """Shows the current activity; this base class shows warnings only."""
 
     begin: float = field(default_factory=time.monotonic)
-    last: tuple[str, float | None] = ("", None)  # words and share that were shown last
+    last: tuple[str, float | None] = ("", None)  # description and share that were shown last
 
     def __call__(self, words: str, share: float | None = None) -> None:
-        """Show what is being done, and the share of it that is done; None where that is unknown."""
+        """Show the current activity and the share of it that is done; None if unknown."""
         self.last = (words, share)
 
     def history(self, line: str) -> None:
         """Print a line that stays."""
 
     def warning(self, line: str) -> None:
-        """Print a line that stays, also where progress is not shown."""
+        """Print a line that stays, even if progress is hidden."""
         warn(line)
 
     def time(self, share: float | None) -> str:
@@ -61,7 +61,7 @@ class Activity:
 
 @dataclass(kw_only=True)
 class _Lines(Activity):
-    """Plain lines on stderr; the last words again and again while nothing else is said."""
+    """Plain lines on stderr, which repeat the current activity after long silence."""
 
     told: float = field(default_factory=time.monotonic)
 
@@ -78,7 +78,7 @@ class _Lines(Activity):
 
     @contextmanager
     def repeating(self) -> Iterator[None]:
-        """Say that work goes on that says nothing itself."""
+        """Print the current activity at intervals."""
         over = threading.Event()
 
         def repeat() -> None:

@@ -23,15 +23,13 @@ def run_rollout(options: RolloutOptions) -> None:
     """Simulate a model under logged efforts or commands, or fit its soft joints and play."""
     if options.save is not None and not options.fit:
         raise ArgumentError(
-            f"Without --fit a rollout changes nothing of the model, so --save {options.save} would "
-            "write what is there.",
-            advice="Add --fit, or leave --save out.",
+            f"--save {options.save} needs --fit: a rollout alone does not change the model.",
+            advice="Add --fit, or omit --save.",
         )
     if options.fit and options.before is not None:
         raise ArgumentError(
-            "--fit and --before do not go together: a fit begins with the model as it is, and is "
-            "compared with that.",
-            advice="Fit and save the model first, then roll it out with --before.",
+            "--fit and --before exclude each other: a fit is compared with the given model.",
+            advice="Fit and save the model first, then run rollout with --before.",
         )
     how: dict[str, Any] = {
         "horizon": options.horizon,
@@ -61,7 +59,7 @@ def run_rollout(options: RolloutOptions) -> None:
 
     def check(model: RobotModel) -> None:
         if options.fit and not options.commands:
-            rollout_values(model)  # where there are none there is nothing to fit
+            rollout_values(model)  # raises if there is nothing to fit
 
     working, work = ("Fitting", fitted) if options.fit else ("Simulating", simulated)
     words = "replay of measured and simulated motion"
@@ -70,7 +68,7 @@ def run_rollout(options: RolloutOptions) -> None:
 
 
 def other_model(path: Path, given: Input) -> RobotModel:
-    """Return a model of the same robot, with the same joints held."""
+    """Return another model of the same robot, with the same joints fixed."""
     model, how, drives = given.model, None, None
     if not is_saved_model(path):
         how = model.given if path.is_file() and is_xacro(path) else replace(model.given, xacro={})

@@ -1,4 +1,4 @@
-"""One page on a port of this machine, from memory, for browsers of this machine alone."""
+"""A local server of one page, for browsers on this machine."""
 
 from __future__ import annotations
 
@@ -22,14 +22,14 @@ class PageServer(ThreadingHTTPServer):
     page: bytes = b""  # UTF-8
 
     def handle_error(self, request: Any, client_address: Any) -> None:
-        """Say nothing of a client that leaves."""
+        """Ignore clients that disconnect."""
         if not isinstance(sys.exception(), OSError):
             super().handle_error(request, client_address)
 
 
 class _PageHandler(BaseHTTPRequestHandler):
     server: PageServer
-    timeout = 20.0  # s, for which a client may say nothing
+    timeout = 20.0  # s without a request after which a client is disconnected
 
     def do_GET(self) -> None:
         """Answer with the page, and with 404 to any other path."""
@@ -40,8 +40,8 @@ class _PageHandler(BaseHTTPRequestHandler):
         self._answer()
 
     def _answer(self) -> None:
-        if not self._is_asked_here():  # a name of somebody else's that leads to this machine
-            self.send_error(HTTPStatus.FORBIDDEN, explain="This is for browsers at localhost.")
+        if not self._is_local():  # against DNS rebinding
+            self.send_error(HTTPStatus.FORBIDDEN, explain="This page is for localhost only.")
             return
         found = self.path.partition("?")[0] in ("/", "/index.html")
         body = self.server.page if found else b""
@@ -52,8 +52,8 @@ class _PageHandler(BaseHTTPRequestHandler):
         if self.command != "HEAD":
             self.wfile.write(body)
 
-    def _is_asked_here(self) -> bool:
-        """Return whether the request names this machine as its only `Host`."""
+    def _is_local(self) -> bool:
+        """Return whether the only `Host` of the request is this machine."""
         hosts = self.headers.get_all("Host", [])
         try:
             return [urlsplit(f"//{host}").hostname in _LOCAL for host in hosts] == [True]
@@ -65,22 +65,22 @@ class _PageHandler(BaseHTTPRequestHandler):
         return "geodrake"
 
     def log_message(self, *words: object) -> None:
-        """Say nothing: what a browser asks for is no news."""
+        """Log nothing."""
 
 
 def page_server(port: int) -> PageServer:
-    """Return a server that has its port and serves nothing yet; refuse a port that is not free."""
+    """Return a server bound to a port; raise if the port is not free."""
     if not 0 <= port <= _LARGEST_PORT:
         raise ArgumentError(
-            f"--live {port} is no port.",
-            advice=f"Ports are 1 to {_LARGEST_PORT}; 0 is any free one.",
+            f"--live {port} is not a port.",
+            advice=f"Use 1 to {_LARGEST_PORT}, or 0 for any free port.",
         )
     try:
         return PageServer((_HOST, port), _PageHandler)
     except OSError as error:
         raise OutputError(
             f"Port {port} cannot be used: {error.strerror}.",
-            advice="Name another one; --live 0 takes any that is free.",
+            advice="Use another port, or --live 0 for any free one.",
             port=port,
         ) from error
 
@@ -89,5 +89,5 @@ def serve_page(server: PageServer, page: str) -> None:
     """Serve a page until the command is interrupted."""
     server.page = page.encode()
     address = f"http://{_HOST}:{server.server_address[1]}/"
-    print(f"Playing at {address}; Ctrl-C ends it.", file=sys.stderr, flush=True)
+    print(f"Playing at {address}; Ctrl-C to stop.", file=sys.stderr, flush=True)
     server.serve_forever()

@@ -36,19 +36,18 @@ INTERRUPTED, PIPE_CLOSED = 130, 141  # 128 + SIGINT and 128 + SIGPIPE, as shells
 
 @contextmanager
 def settled_surroundings() -> Iterator[None]:
-    """Make surroundings in which nothing but the input decides what a command does.
+    """Make the result of a command depend on its input only, not on the process environment.
 
-    Standard streams that are closed are opened to nothing, and take every letter. Memory has a
-    limit. Figures look alike whatever matplotlib is told elsewhere. What standard output still
-    holds is written at the end; it may be full, or a pipe that nobody reads any more. What is
-    printed while the process ends, as by handlers that code of users registered, goes to standard
-    error.
+    Closed standard streams are redirected to the null device, and replace characters that they
+    cannot encode. Memory is limited. Matplotlib's own settings are ignored. Standard output is
+    flushed at the end, which may fail as it is full or a broken pipe. What is printed while the
+    process exits, as by exit handlers of user code, goes to standard error.
     """
     _open_streams()
     _ENDING.set(True)
     limit_memory()
     os.environ.update(MPLBACKEND="Agg", MATPLOTLIBRC=os.devnull)
-    logging.getLogger("matplotlib").setLevel(logging.ERROR)  # where it keeps its cache is no news
+    logging.getLogger("matplotlib").setLevel(logging.ERROR)  # messages about its cache
     try:
         try:
             yield
@@ -71,7 +70,7 @@ def settled_surroundings() -> Iterator[None]:
 
 
 def check_surroundings() -> None:
-    """Refuse surroundings in which nothing can be read: no folder, or a locale that is ASCII."""
+    """Raise if the working directory is missing or the locale's encoding is ASCII."""
     try:
         os.getcwd()  # noqa: PTH109
     except OSError as error:
@@ -82,23 +81,23 @@ def check_surroundings() -> None:
     encoding = locale.getpreferredencoding(False)
     if codecs.lookup(encoding).name == "ascii":
         raise GeodrakeError(
-            f"Python takes files for {encoding}, and model files and Drake's own are UTF-8.",
+            f"The locale's encoding is {encoding}, but model files are UTF-8.",
             advice="Set PYTHONUTF8=1, or LC_ALL to a locale with UTF-8, such as C.UTF-8.",
         )
 
 
 def warn(message: str) -> None:
-    """Say on stderr what is wrong, though the command goes on."""
-    with suppress(OSError):  # standard error may be full, and there is nowhere else to say it
+    """Print a warning on stderr."""
+    with suppress(OSError):  # standard error may be full
         print(printable(message), file=sys.stderr, flush=True)
 
 
 @contextmanager
 def results_apart() -> Iterator[None]:
-    """Keep standard output for results: what code of users prints meanwhile goes to standard error.
+    """Reserve standard output for results, and redirect all other output to standard error.
 
-    So does what compiled libraries print, and processes that are started; and, where the process
-    ends with the command, what threads print after it.
+    This includes output of user code, compiled libraries and child processes and, if the process
+    ends with the command, of threads that outlive it.
     """
     stdout, kept = sys.stdout, -1
     stdout.flush()
@@ -117,7 +116,7 @@ def results_apart() -> Iterator[None]:
             ctypes.CDLL(None).fflush(None)  # what C has not written yet
             if not _ENDING.get():
                 os.dup2(kept, 1)
-            with suppress(OSError):  # what cannot be written was told by `printing`
+            with suppress(OSError):  # `printing` has reported it
                 to.close()
 
 
@@ -127,7 +126,7 @@ def results() -> TextIO:
 
 
 def print_whole(text: str) -> None:
-    """Print text that programs read: in UTF-8, whatever the terminal's letters are."""
+    """Print machine-readable text in UTF-8, whatever the terminal's encoding."""
     stream = results()
     if isinstance(stream, io.TextIOWrapper):
         stream.reconfigure(encoding="utf-8", errors="backslashreplace")
@@ -136,7 +135,7 @@ def print_whole(text: str) -> None:
 
 @contextmanager
 def printing() -> Iterator[None]:
-    """Tell that results are being printed, so that what fails is standard output."""
+    """Report errors in this context as errors of standard output."""
     try:
         yield
         results().flush()
@@ -144,7 +143,7 @@ def printing() -> Iterator[None]:
         raise
     except OSError as error:
         _write_nowhere(results())
-        raise GeodrakeError(_full(error), advice="Files that were asked for are there.") from error
+        raise GeodrakeError(_full(error), advice="The requested files were written.") from error
 
 
 def _open_streams() -> None:
@@ -173,20 +172,20 @@ def _full(error: OSError) -> str:
 
 
 def _write_nowhere(stream: TextIO) -> None:
-    """Send what is still to be written nowhere; Python would complain of it at its end."""
+    """Redirect a stream to the null device, so that Python does not fail to flush it at exit."""
     nowhere = os.open(os.devnull, os.O_WRONLY)
     with suppress(OSError, ValueError):
         os.dup2(nowhere, stream.fileno())
 
 
-_SMALLER = "Check that the files are what they should be, and give less at once."
+_SMALLER = "Check the files, and pass fewer or shorter ones."
 
 
 @contextmanager
 def guarded(*, debug: bool = False, effect_files: Sequence[Path] = ()) -> Iterator[None]:
-    """Turn errors into a message on stderr and an exit code, also those of the user's own files.
+    """Turn errors into a message on stderr and an exit code, also those in users' files.
 
-    With `debug`, or GEODRAKE_DEBUG, their traceback is shown, too.
+    With `debug` or GEODRAKE_DEBUG, the traceback is shown as well.
     """
     try:
         check_surroundings()
@@ -209,19 +208,19 @@ def guarded(*, debug: bool = False, effect_files: Sequence[Path] = ()) -> Iterat
         if isinstance(error, GeodrakeError):
             _stop(f"Error: {error}", BAD_INPUT)
         if isinstance(error, MemoryError):
-            _stop(f"Error: There is not enough memory: {one_line(error)}. {_SMALLER}", BAD_INPUT)
+            _stop(f"Error: Out of memory: {one_line(error)}. {_SMALLER}", BAD_INPUT)
         line = _line_of_user(error, effect_files)
         if line:
             _stop(f"Error: {line} raises {kind_and_line(error)}.", BAD_INPUT)
         _stop(
             f"Internal error: {kind_and_line(error)}. This is a bug in geodrake; please report it "
-            "with what --debug shows.",
+            "with the output of --debug.",
             INTERNAL_ERROR,
         )
 
 
 def _load_drake() -> None:
-    """Import what every command needs, and what prints errors of its own if it is interrupted."""
+    """Import pydrake, which prints errors of its own if its import is interrupted."""
     with deferred_interrupts():
         importlib.import_module("pydrake")
 
@@ -232,7 +231,7 @@ def _stop(message: str, code: int) -> None:
 
 
 def _line_of_user(error: Exception, effect_files: Sequence[Path]) -> str | None:
-    """Return the innermost line of a user's file that an error came through."""
+    """Return the innermost line of a user's file in an error's traceback."""
     files = {path.resolve(): path for path in effect_files}
     for frame in reversed(traceback.extract_tb(error.__traceback__)):
         path = Path(frame.filename).resolve()

@@ -66,8 +66,8 @@ class AdaptiveLoop:
     def _robot(self) -> RobotInstance:
         if self.robot is None:
             raise ArgumentError(
-                "The loop knows the ports of its robot alone, and no plant.",
-                advice="Give add_adaptive_loop the plant, or a RobotInstance of it.",
+                "The loop knows only the ports of its robot, not its plant.",
+                advice="Pass the plant to add_adaptive_loop, or a RobotInstance of it.",
             )
         return self.robot
 
@@ -105,7 +105,7 @@ class AdaptiveLoop:
         """
         if not self.logs:
             raise ArgumentError(
-                "The loop has no logs.", advice="Give add_adaptive_loop a log_period."
+                "The loop does not log.", advice="Pass log_period to add_adaptive_loop."
             )
         found = {name: sink.FindLog(context) for name, sink in self.logs.items()}
         time = np.array(next(iter(found.values())).sample_times())
@@ -148,7 +148,7 @@ def add_adaptive_loop(
     instance(motion, "motion", Trajectory)
     if motion.rows() != len(joints) or motion.cols() != 1:
         raise ArgumentError(
-            f"The motion has {motion.rows()} positions; the controller knows {len(joints)} joints."
+            f"The motion has {motion.rows()} positions, but the controller {len(joints)} joints."
         )
     instance(effects, "effects", Sequence)
     robot: RobotInstance | None = None
@@ -169,8 +169,8 @@ def add_adaptive_loop(
         sources["acceleration"] = ports.acceleration
     elif controller.HasInputPort("acceleration"):
         raise ArgumentError(
-            "The controller needs accelerations, which the robot's ports do not have.",
-            advice="Adapt by PredictionError(…, alone=True), which needs none.",
+            "The controller needs accelerations, which the robot's ports do not provide.",
+            advice="Adapt with PredictionError(…, alone=True), which does not need them.",
         )
     for name, source in sources.items():  # efforts are measured exactly
         if controller.HasInputPort(name):
@@ -212,9 +212,9 @@ def check_base(robot: RobotInstance, controller: AdaptiveController) -> None:
     control = controller.control
     if control.tree.actuation is not None and control.tree.actuation.places:
         raise ArgumentError(
-            "The controller's model is behind a transmission; a plant has the state and the "
-            "efforts of joints.",
-            advice="Give add_adaptive_loop the ports of the actuators: "
+            "The controller's model has a transmission, but a plant has state and efforts "
+            "of joints.",
+            advice="Pass the ports of the actuators to add_adaptive_loop: "
             "model.add_to_builder(builder).ports().",
         )
     robot.order(control.joints)
@@ -227,13 +227,13 @@ def _given_ports(
 ) -> RobotPorts:
     if ports.joints != tuple(joints):
         raise ArgumentError(
-            f"The ports are of {', '.join(ports.joints)}; the controller knows "
+            f"The ports have joints {', '.join(ports.joints)}, but the controller "
             f"{', '.join(joints)}.",
-            advice="Make the ports with the controller's joints.",
+            advice="Construct the ports with the controller's joints.",
         )
     if effects:
         raise ArgumentError(
-            "Effects act on a plant, and the loop is given ports alone.",
-            advice="Leave effects out, or give a RobotInstance of the plant.",
+            "Effects need a plant, but only ports were given.",
+            advice="Omit effects, or pass a RobotInstance of the plant.",
         )
     return ports

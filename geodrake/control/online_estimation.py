@@ -79,8 +79,8 @@ class FilteredRegressor:
         """
         if self.control is not control:
             raise ArgumentError(
-                "The filter was made with another ControlModel.",
-                advice="Make FilteredRegressor and system with the same one.",
+                "The filter was constructed with another ControlModel.",
+                advice="Construct FilteredRegressor and system with the same one.",
             )
 
     @property
@@ -262,11 +262,11 @@ class SampleUpdate(Short):
             positive(self.relaxation, "relaxation")
         number(self.forgetting, "forgetting", lower=0.0)
         if self.forgetting > 0 and self.prior is None:
-            raise ArgumentError("Forgetting needs a prior to go back to.")
+            raise ArgumentError("Forgetting needs a prior.")
         if self.prior is not None:
             prior = real_array(self.prior, "prior", (self.manifold.dimension,))
             if not self.manifold.contains(prior):
-                raise ArgumentError(f"A prior is inside of the manifold; got {prior.tolist()}.")
+                raise ArgumentError(f"A prior must be inside the manifold; got {prior.tolist()}.")
         _ = self._limited  # what does not fit is reported now, not while a robot moves
 
     @cached_property

@@ -74,8 +74,8 @@ def _refuse_what_cannot_be(
     """Raise an ArgumentError for what no log could add."""
     if where and kind.role in (Role.INERTIA, Role.EPISODE):
         shown = kind.role is Role.EPISODE
-        whose = "where the residual shows it" if shown else "one of the whole robot"
-        raise ArgumentError(f"{kind.name} is {whose} and takes no place.")
+        whose = "found in the residual" if shown else "one of the whole robot"
+        raise ArgumentError(f"{kind.name} is {whose}, so it has no place.")
     check_places(model, where or (), of_joints=kind.role is Role.DELAY)
 
 
@@ -85,8 +85,8 @@ def check_places(model: RobotModel, where: Sequence[str], *, of_joints: bool = F
     for name in where:
         if name not in known:
             raise ArgumentError(
-                f"There is no joint {'' if of_joints else 'or body '}{name!r}.",
-                advice=f"{why_no_place(model, name)}There are: {', '.join(known)}.",
+                f"The model has no joint {'' if of_joints else 'or body '}{name!r}.",
+                advice=f"{why_no_place(model, name)}It has {', '.join(known)}.",
             )
 
 
@@ -121,9 +121,10 @@ def _places(
     offered = {e.name for e in case.dataset.effects}
     if kind.needs_known_inertia and kind.name not in offered:
         raise ArgumentError(
-            f"{kind.name} is identifiable only if inertias or payloads are known; here none are.",
-            advice="Take a model that was fitted to other logs (explain those, with --save), or a "
-            "log with a known payload beside one without.",
+            f"{kind.name} is identifiable only with known inertias or payloads, and there "
+            "are none.",
+            advice="Use a model that was fitted to other logs (explain those, with --save), or "
+            "a log with a known payload and one without.",
         )
     if kind.role in (Role.DELAY, Role.INERTIA, Role.EPISODE):
         return None if where is None else tuple((name,) for name in where)
@@ -138,19 +139,19 @@ def _places(
         options |= dict.fromkeys((joint,) for joint in single)
     if "temperature" in kind.depends_on and not options:
         raise ArgumentError(
-            f"{kind.name} can be added nowhere: no log has a temperature of a joint that changes, "
-            "or the model has it already.",
+            f"{kind.name} cannot be added: no log has a changing temperature of a joint, or "
+            "the model already has it.",
             advice="Log it as <joint>.temperature, in °C, while the robot warms up or cools down.",
         )
     if kind.of_force_sensor and not options:
         raise ArgumentError(
-            f"{kind.name} can be added nowhere: no log has contact forces, or the model has it.",
-            advice="Log them as <link>.force.x, y and z, in N, and free the base by --floating.",
+            f"{kind.name} cannot be added: no log has contact forces, or the model already has it.",
+            advice="Log them as <link>.force.x, y and z, in N, and use --floating.",
         )
     if not options:
         raise ArgumentError(
-            f"{kind.name} can be added nowhere: the model has it already, or no joint that "
-            "moves in the logs, pair of joints or body can have it."
+            f"{kind.name} cannot be added: the model already has it, or no suitable joint, "
+            "pair of joints or body moves in the logs."
         )
     if where is None:
         return None
@@ -160,8 +161,8 @@ def _places(
     possible = ", ".join(" & ".join(place) for place in options)
     if missing:
         raise ArgumentError(
-            f"{kind.name} cannot be added at {', '.join(missing)}: it is there already, or does "
-            "not act at such a place.",
-            advice=f"It can be added {'at ' + possible if possible else 'nowhere else'}.",
+            f"{kind.name} cannot be added at {', '.join(missing)}: it exists there, or "
+            "cannot act there.",
+            advice=f"Possible places: {possible or 'none'}.",
         )
     return tuple((name,) for name in where)

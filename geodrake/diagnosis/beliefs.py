@@ -75,7 +75,7 @@ class Beliefs:
         for name, value in vars(self).items():
             if name in ("widths", "payloads", "free", "curves"):
                 if not instances(value, name, (int, float)):
-                    raise ArgumentError(f"{name} holds nothing.", advice="Give one at least.")
+                    raise ArgumentError(f"{name} is empty.", advice="Give at least one.")
                 for each in value:
                     positive(each, name)
             elif name in ("size", "load"):

@@ -34,7 +34,7 @@ from geodrake.identification.models.identify import changed_bodies
 from geodrake.logs.motion import JointLog
 from geodrake.model.robot_model import RobotModel
 
-_STOPPED = "interrupted before the search had ended: there may be more to find, or other rivals"
+_STOPPED = "the search was interrupted: more effects or rivals may exist"
 
 
 @dataclass(frozen=True, eq=False)

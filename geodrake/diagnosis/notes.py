@@ -41,19 +41,19 @@ def notes_of(found: Found, case: Case, fit: ModelFit, bodies: Sequence[BodyChang
 def unnamed_notes(rest: Unnamed) -> list[str]:
     """Describe what no finding has."""
     unknown = [
-        f"the remaining error at {each.joint} varies with {each.words} in a way that no effect "
-        "describes; `--draft-effect FILE` looks for a formula"
+        f"the remaining error at {each.joint} varies with {each.words}, which no effect "
+        "describes; `--draft-effect FILE` searches for a formula"
         for each in rest.motion
     ]
     loads = [
-        f"{body} may carry a payload ({p:.0%}), which bodies that are not as in the model take in: "
-        "these logs tell only what all weighs together; move it without the payload"
+        f"{body} may carry a payload ({p:.0%}), which these logs cannot separate from wrong "
+        "inertias: add a log without the payload"
         for body, p in rest.loads.items()
     ]
     gains = [
-        f"efforts of {joint} are {abs(error):.1%} {'larger' if error > 0.0 else 'smaller'} than "
-        "the model's: no more than usual, as their gain is known to "
-        f"{known:.0%} (--effort-uncertainty)"
+        f"efforts of {joint} are {abs(error):.1%} {'larger' if error > 0.0 else 'smaller'} "
+        f"than the model's, which is within the {known:.0%} uncertainty of their gain "
+        "(--effort-uncertainty)"
         for joint, (error, known) in rest.gains.items()
     ]
     return [*unknown, *loads, *gains]
@@ -66,8 +66,8 @@ def left_out_notes(findings: Sequence[Finding], steps: Sequence[Step]) -> list[s
         if finding.name not in told:
             where = f" at {', '.join(finding.places)}" if finding.places else ""
             notes.append(
-                f"{finding.name}{where} was found and is no step: it takes too little of the "
-                "held-out error away"
+                f"{finding.name}{where} was found, but removes too little of the held-out "
+                "error to be a step"
             )
     return notes
 
@@ -83,7 +83,7 @@ def changed_notes(model: RobotModel, steps: Sequence[Step]) -> list[str]:
             for f in was
         ]
         if told and was[0].effect.role is not Role.BODY:
-            notes.append(f"the model has {step.effect}, with other values: {', '.join(told)}")
+            notes.append(f"the model had {step.effect} with other values: {', '.join(told)}")
     return notes
 
 
@@ -96,8 +96,8 @@ def _companions(found: Unknowns, fit: ModelFit) -> list[str]:
         unit = fitted.effect.parameters[0].unit
         unit = when_sliding(unit) if sliding.issuperset(fitted.effect.where) else unit
         notes.append(
-            f"{fitted.effect.name.replace('_', ' ')} of {fitted.effect.place} was fitted along, "
-            f"though not worth a step: {fitted.parameters[0]:.3g} {unit}"
+            f"{fitted.effect.name.replace('_', ' ')} of {fitted.effect.place} was fitted, "
+            f"but is too small to be a step: {fitted.parameters[0]:.3g} {unit}"
         )
     return notes
 
@@ -124,14 +124,14 @@ def _episodes(case: Case, model: RobotModel) -> list[str]:
             where = f" of {log.name}" if len(case.trajectories) > 1 else ""
             edges = [edge for edge in effect.window[:2] if edge is not None]
             if not edges:
-                found.append(f"{effect.name} of {effect.where[0]} is carried throughout {log.name}")
+                found.append(f"{effect.name} of {effect.where[0]} is present throughout {log.name}")
                 continue
             clock = " and ".join(f"{log.began + edge:.2f} s" for edge in edges)
-            by_clock = f"; by its clock that is {clock}" if abs(log.began) >= _LATE else ""
+            by_clock = f"; {clock} on its clock" if abs(log.began) >= _LATE else ""
             if where or by_clock:
                 what = f"{effect.name} of {effect.place}"
                 found.append(
-                    f"times of {what} count from the beginning{where or ' of the log'}{by_clock}"
+                    f"times of {what} are relative to the start{where or ' of the log'}{by_clock}"
                 )
     return found
 
@@ -154,6 +154,6 @@ def _stated_mass(case: Case, fitted: RobotModel) -> list[str]:
     if alike < max(2, len(known) - 1):
         return []
     return [
-        f"{alike} of {len(known)} joints that bear the known payload have the gain {common:.3g}: "
-        f"all are right if its mass is {common:.3g} times the stated one; weigh it again"
+        f"{alike} of {len(known)} joints that bear the known payload have gain {common:.3g}: "
+        f"all are right if its mass is {common:.3g} times the stated one, so weigh it again"
     ]

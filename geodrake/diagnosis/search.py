@@ -135,9 +135,9 @@ class Search:
             further = [e for e in self._suggested() if isinstance(e, kind)] or further
             if kind.role is Role.EPISODE and not further:
                 raise ArgumentError(
-                    f"No {kind.name} stands out of what the model gets wrong in these logs.",
-                    advice="Friction may cover it up: explain the logs, or add what else is "
-                    "missing first.",
+                    f"These logs show no {kind.name}.",
+                    advice="Friction may hide it: explain the logs, or add other missing "
+                    "effects first.",
                 )
         own, tried = effects_of(self.case.model), (*self._effects, *further)
         self._effects = [e for e in tried if isinstance(e, kind) or e in own]

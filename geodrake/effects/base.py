@@ -280,7 +280,7 @@ class Effect(CheckedFields, abc.ABC):
         Args:
             along: (N,) instants since the log began, s, or positions of the joint, by `proposer`.
         """
-        raise NotImplementedError(f"{self.name} has no course along {len(along)} samples.")
+        raise NotImplementedError(f"{self.name} has no course() for {len(along)} samples.")
 
     @property
     def distinct(self) -> bool:
@@ -308,8 +308,8 @@ class Effect(CheckedFields, abc.ABC):
             )
         except TypeError as error:
             raise ArgumentError(
-                f"{cls.name} cannot be made of its place {', '.join(map(repr, place))} alone: "
-                f"{error}.",
+                f"{cls.name} cannot be constructed from its place "
+                f"{', '.join(map(repr, place))} alone: {error}.",
                 advice="Give its shape parameters defaults, or define candidates().",
             ) from error
 
@@ -389,7 +389,7 @@ class JointPairEffect(Effect):
     def __post_init__(self) -> None:
         super().__post_init__()
         if len(self.joints) != 2 or self.joints[0] == self.joints[1]:
-            raise ArgumentError(f"{self.name} needs two different joints; it got {self.joints}.")
+            raise ArgumentError(f"{self.name} needs two different joints; got {self.joints}.")
 
 
 @dataclass(frozen=True)
@@ -432,6 +432,6 @@ class FittedEffect(Short):
             values = real_array(self.deviations, f"deviations of {name}", shape, finite=False)
             if np.isnan(values).any():
                 raise ArgumentError(
-                    f"deviations of {name} hold NaN; what is not known at all has infinity."
+                    f"deviations of {name} have NaN; unknown ones must be infinite."
                 )
             object.__setattr__(self, "deviations", values)

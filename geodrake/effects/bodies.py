@@ -45,7 +45,7 @@ class Payload(BodyEffect):
         Parameter(name, unit, lower=0.0 if name in _NEVER_NEGATIVE else -np.inf)
         for name, unit in zip(PARAMETER_NAMES, PARAMETER_UNITS, strict=True)
     )
-    signature = "a body carried by the robot that its model does not have"
+    signature = "an additional body on a link"
     depends_on = frozenset({"q", "v", "vd"})
 
     @classmethod
@@ -112,7 +112,7 @@ class TemporaryPayload(Episode):
     summary = Payload.summary
     shapes = tuple(Shape(name, "s") for name in ("start", "end", "rise"))
     parameters = Payload.parameters
-    signature = "a load that is another one from some instant on"
+    signature = "a load that changes at some instant"
     depends_on = frozenset({"q", "v", "vd", "time"})
 
     @property
@@ -166,7 +166,7 @@ class WrongInertia(Effect):
     """
 
     name = "wrong_inertia"
-    law = "the model's inertias, let go from their prior"
+    law = "the model's inertias, free of their prior"
     role = Role.INERTIA
     places = "bodies"
     parameters = ()
@@ -176,8 +176,8 @@ class WrongInertia(Effect):
 
     def __post_init__(self) -> None:
         raise ArgumentError(
-            f"{self.name} is no effect beside the bodies of a model: it is their inertias.",
-            advice=f"Let geodrake add {self.name} refit them.",
+            f"{self.name} cannot be constructed: it stands for the inertias of a model's bodies.",
+            advice=f"Use geodrake add {self.name}, which refits them.",
         )
 
     @classmethod

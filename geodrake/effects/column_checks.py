@@ -31,12 +31,12 @@ def rows_of(effect: Any, motion: RobotMotion) -> Mapping[str, Array]:
     with telling(kind.name, line):
         rows: Any = effect.rows(_read_only(motion))
     if not isinstance(rows, Mapping):
-        raise ArgumentError(f"{kind.name} gives {rows!r:.60} instead of columns by joint{line}.")
+        raise ArgumentError(f"{kind.name} returns {rows!r:.60} instead of columns by joint{line}.")
     unknown = [joint for joint in rows if joint not in motion.joints]
     if unknown:
         raise ArgumentError(
-            f"{kind.name} gives columns of a joint {unknown[0]!r}, which there is not{line}.",
-            advice=f"Joints are: {', '.join(motion.joints)}.",
+            f"{kind.name} returns columns of an unknown joint {unknown[0]!r}{line}.",
+            advice=f"Joints are {', '.join(motion.joints)}.",
         )
     shape = (len(motion.v), len(effect.parameters))
     return {
@@ -56,12 +56,12 @@ def stacked(effect: Any, columns: Any, joint: str, count: int) -> Array:
     line = "" if of_geodrake(type(effect)) else line_of(type(effect), "columns")
     if isinstance(columns, str) or not isinstance(columns, Sequence | np.ndarray):
         raise ArgumentError(
-            f"{name} gives {columns!r:.60} instead of columns{line}.",
+            f"{name} returns {columns!r:.60} instead of columns{line}.",
             advice="Let columns() return a list with one column for each entry of `parameters`.",
         )
     if len(columns) != len(effect.parameters):
         raise ArgumentError(
-            f"{name} has {len(effect.parameters)} parameters and {len(columns)} columns{line}.",
+            f"{name} has {len(effect.parameters)} parameters, but {len(columns)} columns{line}.",
             advice="Let columns() return one column for each entry of `parameters`.",
         )
     return np.stack(
@@ -76,20 +76,20 @@ def _checked(what: str, line: str, values: ArrayLike, shape: tuple[int, ...]) ->
         return found
     advice = "Let columns() return arrays of the shape of joint.q, or numbers."
     if np.iscomplexobj(values):
-        raise ArgumentError(f"{what} gives complex numbers{line}.", advice=advice)
+        raise ArgumentError(f"{what} returns complex numbers{line}.", advice=advice)
     try:
         array = np.broadcast_to(np.asarray(values, float), shape)
     except (TypeError, ValueError) as error:
         raise ArgumentError(
-            f"{what} gives a column of shape {np.shape(values)} for {shape[0]} samples{line}: "
-            f"{error}.",
+            f"{what} returns a column of shape {np.shape(values)} for {shape[0]} "
+            f"samples{line}: {error}.",
             advice=advice,
         ) from error
     least, greatest = (_LEAST, _GREATEST) if line else (0.0, np.finfo(float).max)
     bad = np.flatnonzero(~(np.abs(array) <= greatest))
     if len(bad):
         raise ArgumentError(
-            f"{what} gives {array.flat[bad[0]]:g} in {len(bad)} of {array.size} samples{line}.",
+            f"{what} returns {array.flat[bad[0]]:g} in {len(bad)} of {array.size} samples{line}.",
             advice="Let columns() return finite numbers of reasonable size for every motion.",
         )
     return np.where(np.abs(array) < least, 0.0, array)

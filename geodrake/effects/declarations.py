@@ -32,9 +32,9 @@ class Role(Enum):
     SCALE = "scales the effort of a joint"
     DELAY = "shifts efforts in time"
     BODY = "adds a body to a link"
-    DEFLECTION = "bends a joint, so that the link is not where the motor is"
-    EPISODE = "adds effort during a window of one log"
-    INERTIA = "moves the inertias of the bodies"
+    DEFLECTION = "deflects a joint, so that motor and link move differently"
+    EPISODE = "adds effort during a time window of one log"
+    INERTIA = "changes the inertias of the bodies"
 
 
 class Proposer(Enum):
@@ -45,13 +45,13 @@ class Proposer(Enum):
     shape parameter is their order, WARMING and BRISTLES one that defines `course`.
     """
 
-    BENDING = "all joints go with what the load of one joint would bend"
-    PLAY = "a joint errs where its load changes its sign"
-    SHARED_ACTUATOR = "two joints go with the motion of one actuator"
+    BENDING = "efforts of all joints change with the deflection of one joint"
+    PLAY = "errors occur where the load of a joint changes sign"
+    SHARED_ACTUATOR = "errors of two joints follow the motion of one actuator"
     WAVES = "waves over the position of a joint"
     WARMING = "friction that fades with time"
-    BRISTLES = "dry friction that builds up over a way"
-    EPISODE = "several joints err for a while"
+    BRISTLES = "dry friction that builds up over a distance"
+    EPISODE = "errors occur at several joints for a limited time"
     HANDLING = "the load of a body changes at an instant"
 
 
@@ -101,13 +101,13 @@ class Parameter:
         named: Any = (("name", self.name), ("unit", self.unit))
         for what, words in named:
             if not (isinstance(words, str) and words.isprintable() and words.strip()):
-                raise ArgumentError(f"A parameter's {what} is printable words; got {words!r}.")
+                raise ArgumentError(f"A parameter's {what} must be printable text; got {words!r}.")
         for what in ("lower", "upper", "spread"):
             number(getattr(self, what), f"{what} of {self.name}", finite=False)
         if not (self.lower < self.upper and self.lower < np.inf and self.upper > -np.inf):
             raise ArgumentError(
-                f"{self.name} has lower = {self.lower:g} and upper = {self.upper:g}, with nothing "
-                "between them."
+                f"{self.name} has lower = {self.lower:g} and upper = {self.upper:g}, an "
+                "empty range."
             )
         if not self.spread > 0.0:
             raise ArgumentError(f"{self.name} has spread = {self.spread:g}; it must be above 0.")
@@ -192,9 +192,7 @@ def whole_numbers(effect: Any, values: Mapping[str, Any]) -> dict[str, Any]:
     for name, value in values.items():
         if name in whole and isinstance(value, float):
             if not value.is_integer():
-                raise ArgumentError(
-                    f"{effect.name} needs a whole number as {name}; it got {value}."
-                )
+                raise ArgumentError(f"{effect.name} needs an integer {name}; got {value}.")
             found[name] = int(value)
     return found
 

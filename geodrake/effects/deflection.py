@@ -96,8 +96,8 @@ class DeflectionEffect(JointEffect):
     def give(self, parameters: Array) -> Give:
         """Return how motor and link are held together in a simulation, by parameters (k,)."""
         raise ArgumentError(
-            f"{self.name} does not say how motor and link are held together: it gives way by "
-            f"parameters {parameters.tolist()} in a fit only.",
+            f"{self.name} can be fitted only: it does not define the stiffness between motor "
+            f"and link of parameters {parameters.tolist()}.",
             advice="Define give(parameters), which returns a geodrake.effects.deflection.Give.",
         )
 
@@ -112,7 +112,9 @@ class DeflectionEffect(JointEffect):
 
     def with_rollout_values(self, values: Values, deviations: Values) -> FittedEffect:
         """Return the effect with some `rollout_values`."""
-        raise NotImplementedError(f"{self.name} does not say what {values} ± {deviations} make.")
+        raise NotImplementedError(
+            f"{self.name} does not define how to combine {values} ± {deviations}."
+        )
 
     def columns(self, joint: JointMotion) -> Sequence[Array]:
         """Nothing that the joint's own motion says."""

@@ -132,7 +132,7 @@ class Contact(PointEpisode):
         *(Parameter(f"force_{axis}", "N") for axis in "xyz"),
         *(Parameter(f"moment_{axis}", "N·m") for axis in "xyz"),
     )
-    signature = "at several joints at once, for a while, and then no more"
+    signature = "at several joints at once, for a limited time"
     depends_on = frozenset({"q", "time", "bodies"})
 
     def columns(self, body: BodyMotion, time: Array) -> Array:

@@ -54,7 +54,7 @@ class CoulombFriction(JointEffect):
 
     name = "coulomb_friction"
     taken_out_as = "friction"
-    law = "F sgn v; `explain` finds below which speed sgn v fades, where that matters"
+    law = "F sgn v, smoothed below a speed that `explain` finds where it matters"
     complexity = 0
     companion = ViscousFriction
     jumps = True
@@ -112,7 +112,7 @@ class FrictionOvercompensation(JointEffect):
     name = "friction_overcompensation"
     of_motor = True
     taken_out_as = "friction"
-    law = "−F sgn v: the drive takes out more dry friction than there is"
+    law = "−F sgn v: the drive compensates more dry friction than exists"
     complexity = 1
     contains = (CoulombFriction, AsymmetricFriction)
     jumps = True
@@ -247,8 +247,8 @@ class GearEfficiency(JointEffect):
     taken_out_as = "friction"
     label = "efficiency of a gear"
     law = (
-        "k |τ_model| sgn v, with a k for driving and one for braking; where the inertia is "
-        "trusted, a known payload is carried in one log, or the ground's forces are borne"
+        "k |τ_model| sgn v, with separate k for driving and braking; needs trusted inertia, "
+        "a known payload in one log, or known ground forces"
     )
     contains = (LoadDependentFriction,)
     jumps = True
@@ -312,8 +312,8 @@ class CoupledFriction(SharedActuatorEffect):
     of_motor = True
     taken_out_as = "friction"
     law = (
-        "friction of an actuator that turns with v_i ± v_j; of joints that do not follow each "
-        "other, found in the residual"
+        "friction of an actuator with velocity v_i ± v_j; between joints that are not "
+        "neighbours, found in the residual"
     )
     complexity = 1
     shapes = (Shape("sign", grid=(1, -1)),)
@@ -375,13 +375,13 @@ class FrictionDrift(JointEffect):
 
     name = "friction_drift"
     taken_out_as = "friction"
-    law = "e^(−t/T) (F sgn v + c v): friction of a gear that warms up, on top of what it settles at"
+    law = "e^(−t/T) (F sgn v + c v): additional friction of a gear until it is warm"
     proposer = Proposer.WARMING
     shapes = (
         Shape("time_constant", "s", grid=(0.1, 0.3, 1.0, 3.0), scale="duration", usual=300.0),
     )
     parameters = (Parameter("coulomb_change", "N·m"), Parameter("viscous_change", "N·m·s/rad"))
-    signature = "friction that is another one at the end of a log than at its start"
+    signature = "friction that changes between the start and the end of a log"
     depends_on = frozenset({"v", "time"})
     positive = ("time_constant",)
     refines = ((CoulombFriction,), (ViscousFriction,), ())
@@ -475,7 +475,7 @@ class Hysteresis(JointEffect):
         ),
     )
     parameters = (Parameter("coulomb", "N·m", lower=0.0),)
-    signature = "dry friction that after a reversal comes back over an angle, not at once"
+    signature = "dry friction that builds up over an angle after a reversal"
     depends_on = frozenset({"q", "v", "history"})
     state_count = 1
     positive = ("breakaway_angle",)

@@ -78,7 +78,7 @@ def effect_class(name: str, extra: Sequence[type[Effect]] = ()) -> type[Effect]:
         names = ", ".join(near or own)
         raise ArgumentError(
             f"There is no effect {name!r}.",
-            advice=f"Did you mean {names}?" if near else f"Effects are: {names}.",
+            advice=f"Did you mean {names}?" if near else f"Effects are {names}.",
             nearest=near,
         )
     return effects[name]
@@ -103,7 +103,7 @@ def make_effect(
     where = where if isinstance(where, str) else instances(where, "where", str)
     place = PLACES[cls.places]
     if isinstance(where, str) or len(where) not in place.counts:
-        raise ArgumentError(f"{name} needs {place.wanted}; it got {where!r}.")
+        raise ArgumentError(f"{name} needs {place.wanted}; got {where!r}.")
     known = [field for field in inspect.signature(cls).parameters if field != place.field]
     unknown = [key for key in shape if key not in known]
     if unknown:
@@ -118,6 +118,6 @@ def make_effect(
         return cls(**shape)
     except TypeError as error:
         raise ArgumentError(
-            f"{name} cannot be made of {shape}: {error}.",
+            f"{name} cannot be constructed with {shape}: {error}.",
             advice=f"Its shape parameters are {', '.join(known)}.",
         ) from error

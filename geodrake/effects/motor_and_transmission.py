@@ -59,8 +59,8 @@ class JointSpring(JointEffect):
         super().__post_init__()
         if self.exponent not in (1, 3) or not np.isfinite(self.center):
             raise ArgumentError(
-                f"{self.name} needs the exponent 1 or 3 and a finite center; it got "
-                f"{self.exponent} and {self.center}."
+                f"{self.name} needs exponent 1 or 3 and a finite center; got {self.exponent} "
+                f"and {self.center}."
             )
 
     def columns(self, joint: JointMotion) -> Sequence[Array]:
@@ -82,7 +82,7 @@ class GravityCompensator(JointEffect):
     law = "k sin(q − q₀)"
     complexity = 1
     parameters = (Parameter("sine", "N·m"), Parameter("cosine", "N·m"))
-    signature = "one wave a turn of the joint, whatever its speed and the other joints"
+    signature = "one wave per turn of the joint, whatever its speed and the other joints"
     depends_on = frozenset({"q"})
     turning_only = True
 
@@ -110,7 +110,7 @@ class TorqueRipple(JointEffect):
     proposer = Proposer.WAVES
     shapes = (Shape("order", usual=6.0),)
     parameters = (Parameter("cosine", "N·m"), Parameter("sine", "N·m"))
-    signature = "waves over the joint's position, at any speed at the same places"
+    signature = "waves over the joint's position, independent of speed"
     depends_on = frozenset({"q"})
     positive = ("order",)
 
@@ -204,12 +204,12 @@ class JointElasticity(DeflectionEffect):
 
     name = "joint_elasticity"
     of_motor = True
-    law = "the link gives way by its load over k, to first order in 1/k"
+    law = "deflection of the link by load / k, to first order in 1/k"
     complexity = 1
     proposer = Proposer.BENDING
     shapes = (Shape("damping", "1"),)
     parameters = (Parameter("compliance", "rad/(N·m)", lower=0.0),)
-    signature = "follows what moving the joint on by its own load would change, at all joints"
+    signature = "follows the change of effort with the joint's deflection, at all joints"
     free_shapes = 0  # as efforts do not show the damping
 
     def __post_init__(self) -> None:
@@ -275,7 +275,7 @@ class Backlash(DeflectionEffect):
     proposer = Proposer.PLAY
     shapes = (Shape("half_width", "rad", grid=(1e-4, 3e-4, 1e-3, 3e-3, 1e-2)),)
     parameters = (Parameter("gap_share", "1", lower=0.0, spread=0.2, usual=1.0),)
-    signature = "no load for a moment where the load changes its sign, and then a blow"
+    signature = "where the load changes sign, no load for a moment and then an impact"
     positive = ("half_width",)
 
     def deflection(self, motion: RobotMotion) -> Deflection:

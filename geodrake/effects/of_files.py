@@ -84,8 +84,8 @@ class SquaredLoadFriction(_Stated, JointEffect):
     name = "squared_load_friction"
     of_motor = True
     taken_out_as = "friction"
-    label = "friction by the square of the load"
-    law = "k τ_model² sgn v; where the bodies drive the gear, |τ_model| counts up to a bound"
+    label = "squared-load friction"
+    law = "k τ_model² sgn v, with |τ_model| bounded where the bodies drive the gear"
     complexity = 1
     jumps = True
     shapes = (Shape("braking_load", "N·m"),)

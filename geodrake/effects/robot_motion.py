@@ -142,7 +142,7 @@ class RobotMotion(Short):
         """Return the column of a joint; ArgumentError if there is no such joint."""
         if name not in self.joints:
             raise ArgumentError(
-                f"There is no joint {name!r}.", advice=f"Joints are: {', '.join(self.joints)}."
+                f"There is no joint {name!r}.", advice=f"Joints are {', '.join(self.joints)}."
             )
         return self.joints.index(name)
 
@@ -167,8 +167,8 @@ class RobotMotion(Short):
         """
         if self.bodies is None:
             raise ArgumentError(
-                f"{effect} needs the poses of bodies, which are not known here.",
-                advice="Leave it out of the model here.",
+                f"{effect} needs poses of bodies, which are unknown here.",
+                advice="Remove it from the model here.",
             )
         return self.bodies
 

@@ -71,7 +71,7 @@ class WrenchOffset(BodyEffect):
         *(Parameter(f"force_{axis}", "N") for axis in "xyz"),
         *(Parameter(f"moment_{axis}", "N·m") for axis in "xyz"),
     )
-    signature = "a constant wrench that turns with a body, at the base and all joints up to it"
+    signature = "a constant wrench in the axes of a body, at the base and all joints up to it"
     depends_on = frozenset({"q", "bodies"})
     complexity = 2
     of_force_sensor = True
@@ -141,8 +141,8 @@ class EffortScale(JointEffect):
     name = "effort_scale"
     of_motor = True
     law = (
-        "the logged effort is (1 + ε) that of the joint, where the inertia is trusted, a known "
-        "payload is carried in one log, or the ground's forces are borne"
+        "(1 + ε) times the joint's effort; needs trusted inertia, a known payload in one "
+        "log, or known ground forces"
     )
     complexity = 1
     role = Role.SCALE
@@ -185,7 +185,7 @@ class EffortDelay(Effect):
     joint: str | None = None
 
     name = "effort_delay"
-    law = "effort logged at t is that needed at t − δ; δ < 0 where it is a command that acts late"
+    law = "effort(t − δ); δ < 0 for a command that acts late"
     complexity = 1
     role = Role.DELAY
     shapes = (Shape("delay", "s"),)

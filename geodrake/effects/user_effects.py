@@ -37,7 +37,7 @@ _ALIKE = 0.8
 _KINDS: Mapping[type, tuple[Any, str]] = {
     str: (str, "words"),
     bool: (bool, "True or False"),
-    int: (int, "a whole number"),
+    int: (int, "an integer"),
     tuple: ((tuple, list), "a tuple"),
     frozenset: ((frozenset, set), "a set"),
     Role: (Role, "a Role"),
@@ -85,7 +85,7 @@ def load_effect_file(path: str | Path) -> tuple[type[Effect], ...]:
     if not effects:
         raise ModelError(
             f"{path} defines no effect.",
-            advice="Derive a class from geodrake.effects.JointEffect and define its columns().",
+            advice="Derive a class from geodrake.effects.JointEffect and implement columns().",
         )
     taken = {effect.name for effect in (*catalogue(), *file_effects())}
     for effect in effects:
@@ -101,15 +101,15 @@ def load_effect_file(path: str | Path) -> tuple[type[Effect], ...]:
         place, own = PLACES.get(str(effect.places)), _field_names(effect)
         if place is None or not (effect.places in ("log", "robot") or place.field in own):
             raise ModelError(
-                f"The effect {effect.__name__} of {path} has places = {effect.places!r} and the "
-                f"fields {own}.",
+                f"The effect {effect.__name__} of {path} has places = {effect.places!r}, but "
+                f"the fields {own}.",
                 advice="Derive it from JointEffect, JointPairEffect or BodyEffect, which have "
                 "the field that says where the effect is.",
             )
         if name in taken:
             raise ModelError(
                 f"The effect {effect.__name__} of {path} has the name {name!r} of another effect.",
-                advice="Give it a name of its own.",
+                advice="Give it another name.",
             )
         taken.add(effect.name)
     return tuple(effects)
@@ -201,7 +201,7 @@ def _check_names(effect: type[Effect]) -> None:
             if hidden is not None and not getattr(hidden, "__isabstractmethod__", False):
                 raise _of_class(effect, has, "a method of that name")
             if near := difflib.get_close_matches(attribute, declared, 1, _ALIKE):
-                raise _of_class(effect, f"{has}, which nothing reads", near[0])
+                raise _of_class(effect, f"{has}, which is not used", near[0])
 
 
 def _is_ours(kind: type) -> bool:
@@ -255,8 +255,8 @@ def _import(path: Path) -> ModuleType:
     if Path.cwd() != folder:
         os.chdir(folder)
         raise ModelError(
-            f"{path} changes the working directory to which all other paths belong.",
-            advice="Take os.chdir out of it.",
+            f"{path} changes the working directory, to which all other paths are relative.",
+            advice="Remove os.chdir from it.",
         )
     return module
 

@@ -47,9 +47,9 @@ _FEW, _GRID = 1000, 2e-4  # corners of a hull, and where those of one with more 
 _SIZES = {"box": 3, "sphere": 1, "cylinder": 2, FLOOR: 1}
 _SCENES, _MESHES = (".urdf", ".sdf", ".xml", ".xacro", ".yaml", ".yml"), (".obj", ".stl", ".vtk")
 _FORMS = (
-    "Write box:0.6,0.8,0.05@0.5,0,0.4 (sizes @ x, y, z of the middle, then roll, pitch, yaw if it "
-    "is turned), sphere:0.1@…, cylinder:RADIUS,LENGTH@…, floor:HEIGHT, or a file: a mesh "
-    f"({', '.join(_MESHES)}) or a scene ({', '.join(_SCENES)}), each with @x,y,z if it is moved. A "
+    "Write box:0.6,0.8,0.05@0.5,0,0.4 (sizes @ x, y, z of the centre, then optionally roll, "
+    "pitch, yaw), sphere:0.1@…, cylinder:RADIUS,LENGTH@…, floor:HEIGHT, or a file: a mesh "
+    f"({', '.join(_MESHES)}) or a scene ({', '.join(_SCENES)}), optionally with @x,y,z. A "
     "name may come first: table=box:…."
 )
 
@@ -112,7 +112,7 @@ def read_obstacles(texts: Iterable[str]) -> tuple[Solid, ...]:
         elif suffix in _SCENES:
             found += _scene(Path(what), label or Path(what).stem, pose)
         else:
-            raise ArgumentError(f"{text!r} is no obstacle.", advice=_FORMS)
+            raise ArgumentError(f"{text!r} is not an obstacle.", advice=_FORMS)
     return tuple(found)
 
 
@@ -122,7 +122,7 @@ def _numbers(text: str, whole: str) -> list[float]:
     except ValueError:
         values = []
     if not values or not np.isfinite(values).all():
-        raise ArgumentError(f"{text!r} of the obstacle {whole!r} is not numbers.", advice=_FORMS)
+        raise ArgumentError(f"{text!r} of obstacle {whole!r} is not numeric.", advice=_FORMS)
     return values
 
 
@@ -130,7 +130,7 @@ def _pose(text: str, whole: str) -> RigidTransform:
     values = _numbers(text, whole)
     if len(values) not in (3, 6):
         raise ArgumentError(
-            f"The place of the obstacle {whole!r} has 3 numbers, or 6 if it is turned; got "
+            f"The pose of obstacle {whole!r} needs 3 numbers, or 6 with rotation; got "
             f"{len(values)}.",
             advice=_FORMS,
         )
@@ -139,11 +139,11 @@ def _pose(text: str, whole: str) -> RigidTransform:
 
 def _plain(name: str, kind: str, sizes: list[float], pose: RigidTransform) -> Solid:
     if len(sizes) != _SIZES[kind]:
-        raise ArgumentError(f"A {kind} has {_SIZES[kind]} sizes; got {sizes}.", advice=_FORMS)
+        raise ArgumentError(f"A {kind} needs {_SIZES[kind]} sizes; got {sizes}.", advice=_FORMS)
     if kind == FLOOR:
         return _floor(name, sizes[0])
     if not min(sizes) > 0:
-        raise ArgumentError(f"Sizes of a {kind} are positive; got {sizes}.", advice=_FORMS)
+        raise ArgumentError(f"Sizes of a {kind} must be positive; got {sizes}.", advice=_FORMS)
     return Solid(name, {"box": Box, "sphere": Sphere, "cylinder": Cylinder}[kind](*sizes), pose)
 
 
@@ -178,8 +178,8 @@ def _scene(path: Path, name: str, X_WS: RigidTransform) -> list[Solid]:
             found.append(Solid(own, solid.shape, X_WS @ poses[scope] @ solid.X_BG))
     if not found:
         raise ArgumentError(
-            f"The scene {path} has no collision geometry.",
-            advice="Give its links <collision> elements, or write boxes instead.",
+            f"Scene {path} has no collision geometry.",
+            advice="Add <collision> elements to its links, or use boxes instead.",
         )
     return found
 
@@ -269,9 +269,9 @@ def _in_memory(shape: Shape, label: str) -> Shape:
 
 def _unusable(place: str | Path, reason: str) -> ModelError:
     return ModelError(
-        f"The mesh {place} cannot be used for collisions: {reason}.",
-        advice="Correct the file, or give the links shapes of their own with `links` and leave out "
-        "those of the model's file (use_file=False).",
+        f"Mesh {place} cannot be used for collisions: {reason}.",
+        advice="Correct the file, or pass the shapes of links as `links` and ignore those of "
+        "the model's file (use_file=False).",
         mesh=str(place),
     )
 
@@ -298,7 +298,7 @@ def _readable(name: str, where: Where, replacement: Path) -> Path:
             return regular_mesh(path)
         vertices = stl_vertices(path)
     except ModelError as error:
-        words = error.problem.replace(f"The mesh {path} ", "it ").rstrip(".")
+        words = error.problem.replace(f"Mesh {path} ", "it ").rstrip(".")
         raise _unusable(path, words) from error
     vertices, corners = _hull(vertices)
     with replacement.open("w", encoding="utf-8") as file:

@@ -70,8 +70,8 @@ class CollisionWorld:
         self._plant, self._scene = add_collision_plant(builder, model, obstacles, *self._solids)
         if not self._scene.model_inspector().NumGeometriesWithRole(Role.kProximity):
             raise ArgumentError(
-                f"{model.path} has no collision geometry and there are no obstacles.",
-                advice="Give the links shapes with `links`, or leave collisions out.",
+                f"{model.path} has no collision geometry, and there are no obstacles.",
+                advice="Pass the shapes of links as `links`, or omit collisions.",
             )
         self._diagram = builder.Build()
         self._root = self._diagram.CreateDefaultContext()
@@ -176,6 +176,7 @@ class CollisionWorld:
             sets = (GeometrySet(self._plant.GetCollisionGeometriesForBody(b)) for b in bodies)
             manager.Apply(CollisionFilterDeclaration().ExcludeBetween(*sets))
         return tuple(
-            f"{words[key]} of {model.path.name} overlap in nearly all postures: they may."
+            f"{words[key]} of {model.path.name} overlap in nearly all postures, so their "
+            "collisions are ignored."
             for key in overlapping
         )

@@ -56,7 +56,7 @@ _A_MOMENT = 1.0  # s
 _ONE_STAGE, _STAGES = 24.0, (8.0, 64.0)
 _AFTER_STOP = 2.0  # s, for the way back to the limits of a motion that was stopped
 _LOOKED_AT = 200  # most of the motions that a solver saw
-_STOPPED = "interrupted: the motion is the best by then, and a longer search may find a better one"
+_STOPPED = "the search was interrupted: a longer one may find a better motion"
 _RAMP_LOOKS = 200  # at collisions of a ramp
 _NEAREST_POSTURES = 50  # to the middle, out of which seeds take theirs
 
@@ -185,8 +185,8 @@ def design_excitation(
     check_solver(options.solver)
     if not 1 <= len(asked) <= _MOST_SEEDS or options.sharpness == ():
         raise ArgumentError(
-            f"A design needs one to {_MOST_SEEDS} seeds, and a stage at least; got {len(asked)} "
-            f"seeds and the stages {options.sharpness}."
+            f"A design needs 1 to {_MOST_SEEDS} seeds and at least one stage; got "
+            f"{len(asked)} seeds and the stages {options.sharpness}."
         )
     chosen = [*asked]
     problem = make_problem(objective, limits, family, options)
@@ -249,7 +249,7 @@ def _time_notes(run: _Run, left_out: int) -> tuple[str, ...]:
     why = "it was interrupted" if run.is_stopped else "time was up"
     notes = [_STOPPED] if run.is_stopped else []
     if left_out:
-        notes.append(f"{left_out} starts were not begun, as {why}")
+        notes.append(f"{left_out} initial motions were not tried, as {why}")
     return tuple(notes)
 
 
@@ -304,7 +304,7 @@ class _Run:
         if not ends:
             raise ArgumentError(
                 f"No motion within the limits was found in {options.seconds:g} s.",
-                advice="Allow more seconds, or start from a motion that keeps them.",
+                advice="Allow more time, or start from a motion within the limits.",
             )
         return ends
 

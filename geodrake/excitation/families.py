@@ -78,8 +78,8 @@ class MotionFamily(abc.ABC):
         needed = self.length / (number(share, "share", lower=0.0, strict=True) * self.fastest)
         if 3 * needed * self.count > _LARGEST_BASIS:
             raise ArgumentError(
-                f"A {self.name} motion of {self.length:g} s in which something happens every "
-                f"{self.fastest:g} s is too long: limits would be looked at {needed:.2g} times.",
+                f"A {self.name} motion of {self.length:g} s with details of {self.fastest:g} "
+                f"s is too long: limits would be checked at {needed:.2g} instants.",
                 advice="Make it shorter or slower.",
             )
         return self.times(max(2, int(np.ceil(needed)) + 1))
@@ -102,9 +102,9 @@ class MotionFamily(abc.ABC):
                 kept.append(row)
         if len(kept) >= self.count:
             raise ArgumentError(
-                f"A {self.name} motion of {self.count} coefficients a joint cannot meet "
-                f"{len(kept)} conditions at its ends and move.",
-                advice="Give it more coefficients.",
+                f"A {self.name} motion with {self.count} coefficients for each joint cannot "
+                f"satisfy {len(kept)} end conditions and move.",
+                advice="Use more coefficients.",
             )
         return np.array(kept).reshape(-1, self.count)
 
@@ -261,7 +261,7 @@ class FreeSamples(MotionFamily):
         """Return (3, samples, count): each picks its third of the coefficients, at every time."""
         real_array(times, "times")
         if integer(orders, "orders", lower=1) > 3:
-            raise ArgumentError("Samples that do not follow each other have no jerk.")
+            raise ArgumentError("Free samples have no jerk.")
         return np.eye(self.count).reshape(3, self.samples, self.count)
 
     def conditions(self, *, rest: bool, start: bool) -> Array:

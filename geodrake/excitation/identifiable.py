@@ -142,8 +142,8 @@ def measurement_factor(
         outputs = [real_array(b, "measured") for b in instances(measured, "measured", object)]
     if len(outputs) != len(every) or not every:
         raise ArgumentError(
-            f"There are {len(every)} motions and measurements of {len(outputs)} of them.",
-            advice="Pass one array of measurements a motion.",
+            f"There are {len(every)} motions, but measurements of {len(outputs)}.",
+            advice="Pass one array of measurements for each motion.",
         )
     return triangular_factor(_whitened(target, every, outputs))
 
@@ -195,7 +195,7 @@ def reduced_identification(
     r, seen = found.kept, _seen(singular)
     if r > seen:
         raise ArgumentError(
-            f"{r} directions cannot be found: the data say something of {seen} alone.",
+            f"{r} directions cannot be estimated: the data identify only {seen}.",
             advice="Keep fewer, lower the threshold, or move more joints.",
         )
     rest = both[:, size] - both[:, :size] @ target.prior
@@ -209,8 +209,8 @@ def _regressor_factor(target: Target, factor: ArrayLike) -> Array:
     array, size = real_array(factor, "factor"), instance(target, "target", Target).size
     if array.shape not in ((size, size), (size + 1, size + 1)):
         raise ArgumentError(
-            f"The factor has the shape {array.shape}; the target has {size} parameters.",
-            advice="Take it from `measurement_factor` of the same target.",
+            f"The factor has shape {array.shape}, but the target {size} parameters.",
+            advice="Compute it with `measurement_factor` of the same target.",
         )
     return array[:, :size]
 
@@ -231,8 +231,8 @@ def _decompose(
         count = _seen(singular)
     if not 1 <= count <= len(variances) or not singular[0] > 0:
         raise ArgumentError(
-            f"A threshold of {threshold:g} keeps nothing: the most certain direction has a "
-            f"variance of {variances[0]:.3g}."
+            f"No direction is within the threshold of {threshold:g}: the most certain one "
+            f"has variance {variances[0]:.3g}."
             if kept is None
             else f"{kept} directions cannot be kept; there are {len(variances)}.",
             advice="Raise the threshold, move more, or measure more precisely.",
@@ -380,7 +380,7 @@ def log_identifiability(
     function(progress, "progress")
     wanted = with_effects(model, effects)
     case = open_case(wanted, logs, candidates=False, bandwidth=bandwidth, blocks=blocks)
-    progress("Fitting, for the noise and the sizes of effects")
+    progress("Fitting, for noise and sizes of effects")
     fitted, left = _fitted(case)
     target = make_target(fitted, noise=left if noise is None else noise)
     progress("Decomposing")

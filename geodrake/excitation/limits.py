@@ -60,7 +60,7 @@ class MotionLimits(Short):
             object.__setattr__(self, field.name, values.copy())
         for j, joint in enumerate(self.joints):
             low, high = float(self.lower[j]), float(self.upper[j])
-            room, places = f"Joint {joint!r} has no room to move: its", f"{low:g} … {high:g}"
+            room, places = f"Joint {joint!r} has no range of motion: its", f"{low:g} … {high:g}"
             sizes = {name: float(getattr(self, name)[j]) for name in _SIZES}
             none = next((name for name, size in sizes.items() if not size > 0), None)
             if not low < high:
@@ -68,15 +68,13 @@ class MotionLimits(Short):
                 advice = "Correct the limits, or weld the joint."
             elif not -_FARTHEST < low < high < _FARTHEST:
                 words = f"The position of joint {joint!r} is not limited: {places}."
-                advice = f"Say how far it may go, such as position={{{joint!r}: (-0.5, 0.5)}}."
+                advice = f"Limit it, such as position={{{joint!r}: (-0.5, 0.5)}}."
             elif none is not None:
                 words = f"{room} largest {none} is {sizes[none]:g}."
                 advice = f"Give it a positive limit of {none}, or weld the joint."
             elif not sizes["velocity"] < np.inf:
-                words = (
-                    f"The speed of joint {joint!r} is not limited, so the best motion has no end."
-                )
-                advice = f"Say how fast it may be, such as velocity={{{joint!r}: 1.0}}."
+                words = f"The velocity of joint {joint!r} is unlimited, so there is no best motion."
+                advice = f"Limit it, such as velocity={{{joint!r}: 1.0}}."
             else:
                 continue
             raise ArgumentError(words, advice=advice, joint=joint)
@@ -187,8 +185,8 @@ def signal_limits(model: RobotModel, signal: Mapping[str, float]) -> Array:
         at, known = _index(model, joint), signal_of(model.effort_signals, joint)
         if known is None or known.kind not in SIGNAL_KINDS:
             raise ArgumentError(
-                f"The model knows no current, voltage or duty cycle that moves {joint!r}.",
-                advice="Limit its effort, or start from a model that was fitted to such logs.",
+                f"The model knows no current, voltage or duty cycle of {joint!r}.",
+                advice="Limit its effort, or use a model that was fitted to such logs.",
                 joint=joint,
             )
         efforts[at] = abs(known.gain) * number(limit, f"signal of {joint}", lower=0.0)
@@ -207,7 +205,7 @@ def _overridden(model: RobotModel, values: Array, given: ByJoint, what: str) -> 
     limits = real_array(given, what, finite=False)
     if limits.shape not in ((), (1,), values.shape):
         raise ArgumentError(
-            f"The limits of {what} have the shape {limits.shape}; there are {len(values)} joints."
+            f"The limits of {what} have shape {limits.shape}, but there are {len(values)} joints."
         )
     return np.broadcast_to(limits, values.shape).copy()
 

@@ -66,7 +66,7 @@ class Criterion:
     def __post_init__(self) -> None:
         one_of(self.name, "criterion", CRITERIA)
         if not number(self.sharpness, "sharpness", finite=False) > 0:
-            raise ArgumentError(f"sharpness must be above zero; it is {self.sharpness}.")
+            raise ArgumentError(f"sharpness must be positive; it is {self.sharpness}.")
         if self.kept is not None:
             integer(self.kept, "kept", lower=1)
 
@@ -110,7 +110,7 @@ class Criterion:
         count = len(eigenvalues) if self.kept is None else self.kept
         if count > len(eigenvalues) or not len(eigenvalues):
             raise ArgumentError(
-                f"A criterion of {count} eigenvalues needs as many; there are {len(eigenvalues)}."
+                f"A criterion of {count} eigenvalues needs as many; got {len(eigenvalues)}."
             )
         return np.sort(eigenvalues)[len(eigenvalues) - count :]
 
@@ -164,7 +164,7 @@ def _row_space(B: Array) -> tuple[Array, Array]:
     Q, R = np.linalg.qr((B / sizes[:, None]).T)
     if len(R) < len(B) or np.abs(np.diagonal(R)).min(initial=1.0) < 1e-12:
         raise ArgumentError(
-            "Rows of B are dependent, so they are no base parameters.",
+            "Rows of B are linearly dependent, so they are not base parameters.",
             advice="Take B from `base_parameters`.",
         )
     return Q, R * sizes
@@ -206,8 +206,8 @@ class Objective(Short):
         X, K = measurement.regressor, self.normalizing_map
         if X.shape[0] * X.shape[1] < K.shape[1]:
             raise ArgumentError(
-                f"{X.shape[0]} samples of {X.shape[1]} measurements cannot identify {K.shape[1]} "
-                "parameters.",
+                f"{X.shape[0]} samples of {X.shape[1]} measurements cannot identify "
+                f"{K.shape[1]} parameters.",
                 advice="Use more samples.",
             )
         return np.asarray((X / self.target.noise[:, None]).reshape(-1, len(K)) @ K)
@@ -237,8 +237,8 @@ class Objective(Short):
         singular, V = _spectrum(A)
         if not singular[0] > 0:
             raise ArgumentError(
-                "The motion says nothing of some parameters, so that the criterion is infinite.",
-                advice="Start from a motion of all joints.",
+                "The motion does not identify some parameters, so the criterion is infinite.",
+                advice="Start with a motion of all joints.",
             )
         value, slope = self.criterion.objective(2.0 * np.log(singular))
         # ∂f/∂A = A V diag(2 ∂f/∂λ) Vᵀ, with ∂f/∂λ = slope/λ.

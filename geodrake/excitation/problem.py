@@ -216,9 +216,9 @@ class DesignProblem(Short):
             outside = (self.limits.lower > 0) | (self.limits.upper < 0)
             if outside.any():
                 raise ArgumentError(
-                    f"A {self.family.name} motion without an offset is about zero, which joint "
-                    f"{self.limits.joints[int(np.argmax(outside))]!r} cannot reach.",
-                    advice="Let the family have an offset.",
+                    f"A {self.family.name} motion without an offset is around zero, which "
+                    f"joint {self.limits.joints[int(np.argmax(outside))]!r} cannot reach.",
+                    advice="Allow an offset in the family.",
                 )
             return np.zeros_like(self.scale)
         return self.variables(np.outer(self.still, posture))
@@ -305,14 +305,14 @@ def make_problem(
     limits = motion_limits(model, bounded=True) if limits is None else limits
     if limits.joints != model.joints:
         raise ArgumentError(
-            f"The limits are of the joints {limits.joints}; the robot has {model.joints}."
+            f"The limits have joints {limits.joints}, but the robot {model.joints}."
         )
     if not family.timed and not np.isfinite(limits.acceleration).all():
         joint = limits.joints[int(np.argmin(np.isfinite(limits.acceleration)))]
         raise ArgumentError(
-            f"The acceleration of joint {joint!r} is not limited, and free samples have no other "
-            "bound for it.",
-            advice=f"Say how large it may be, such as acceleration={{{joint!r}: 5.0}}.",
+            f"The acceleration of joint {joint!r} is unlimited, and free samples have no "
+            "other bound for it.",
+            advice=f"Limit it, such as acceleration={{{joint!r}: 5.0}}.",
             joint=joint,
         )
     return DesignProblem(objective, limits, family, options)

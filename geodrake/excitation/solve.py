@@ -72,7 +72,10 @@ def check_solver(solver: str) -> None:
     """Raise if a solver is unknown or unavailable."""
     usable = [name for name, kind in SOLVERS.items() if kind().available() and kind().enabled()]
     if solver not in usable:
-        raise ArgumentError(f"No nonlinear solver {solver!r} here; there are {', '.join(usable)}.")
+        raise ArgumentError(
+            f"Nonlinear solver {solver!r} is unknown or not installed; "
+            f"available: {', '.join(usable)}."
+        )
 
 
 def solve(

@@ -54,26 +54,27 @@ def check_start(
     if outside.any():
         i = int(np.argmax(outside))
         raise ArgumentError(
-            f"The {name} is outside the limits: joint {limits.joints[i]!r} is at {start[i]:.4g}, "
-            f"and may be from {limits.lower[i]:.4g} to {limits.upper[i]:.4g}.",
-            advice="Move the robot inside first, or leave the start out.",
+            f"The {name} is outside the limits: joint {limits.joints[i]!r} is at "
+            f"{start[i]:.4g}, but its range is {limits.lower[i]:.4g} to "
+            f"{limits.upper[i]:.4g}.",
+            advice="Move the robot inside first, or omit the start.",
             joint=limits.joints[i],
         )
     effort = np.abs(holding_efforts(model, start[None])[0])
     if (effort > limits.effort).any():
         i = int(np.argmax(effort / limits.effort))
         raise ArgumentError(
-            f"Joint {limits.joints[i]!r} needs {effort[i]:.4g} to hold the robot at the {name}, "
-            f"and may give {limits.effort[i]:.4g}.",
-            advice="Start from a posture that gravity pulls less at, or raise the limit.",
+            f"Joint {limits.joints[i]!r} needs an effort of {effort[i]:.4g} to hold the "
+            f"robot at the {name}, but its limit is {limits.effort[i]:.4g}.",
+            advice="Start from a posture with less gravity load, or raise the limit.",
             joint=limits.joints[i],
         )
     if collisions is not None:
         distance, names = collisions.distances(start[None])
         if distance[0] < collisions.clearance:
             raise ArgumentError(
-                f"The {name} is in collision: {names[0]} are {distance[0]:.4g} m apart, and shall "
-                f"be {collisions.clearance:g} m.",
+                f"The {name} is in collision: {names[0]} are {distance[0]:.4g} m apart, less "
+                f"than the clearance of {collisions.clearance:g} m.",
                 advice="Start elsewhere, or check the geometry.",
             )
 
@@ -99,10 +100,10 @@ def possible_postures(
             f"{n} {x:.3g}" for n, x in zip(limits.joints, postures[least].tolist(), strict=True)
         )
         raise ArgumentError(
-            f"Gravity is stronger than the robot: in the best of {_POSTURES} postures ({at}), "
-            f"joint {limits.joints[i]!r} needs {efforts[least, i]:.4g} to hold it, and may give "
-            f"{limits.effort[i]:.4g}.",
-            advice="Raise the limits of effort, or check masses and units of the model.",
+            f"The robot cannot hold itself against gravity: in the best of {_POSTURES} "
+            f"postures ({at}), joint {limits.joints[i]!r} needs an effort of "
+            f"{efforts[least, i]:.4g}, but its limit is {limits.effort[i]:.4g}.",
+            advice="Raise the effort limits, or check masses and units of the model.",
             joint=limits.joints[i],
         )
     postures = postures[holds]
@@ -143,8 +144,9 @@ def _apart(postures: Array, collisions: CollisionWorld, most: int) -> Array:
     if not free:
         raise ArgumentError(
             f"The robot collides in all of {len(postures)} postures; in the best one, "
-            f"{nearest} are {best:.4g} m apart, and shall be {collisions.clearance:g} m.",
-            advice="Check the geometry and where the obstacles are.",
+            f"{nearest} are {best:.4g} m apart, less than the clearance of "
+            f"{collisions.clearance:g} m.",
+            advice="Check the geometry and the poses of obstacles.",
         )
     return np.array(free)
 
@@ -171,8 +173,8 @@ def random_guess(
             budget.check()
             share *= _SHRINK
     raise ArgumentError(
-        "The robot can hold still within its limits, but hardly move: no random motion about "
-        f"{_TRIED} postures keeps them.",
+        "The robot can rest within its limits, but hardly move: no random motion around "
+        f"{_TRIED} postures satisfies them.",
         advice="Widen the limits that are nearly reached at rest, or start elsewhere.",
     )
 
@@ -194,8 +196,8 @@ def _from_corners(problem: DesignProblem, rng: np.random.Generator) -> Array:
         result = ClpSolver().Solve(program)
         if not result.is_success():
             raise ArgumentError(
-                "No motion of the family leads from the start and keeps the limits of the joints.",
-                advice="Give the family more coefficients or time, or start elsewhere.",
+                "No motion of the family begins at the start and satisfies the limits.",
+                advice="Use more coefficients or a longer motion, or start elsewhere.",
             )
         corners.append(result.GetSolution(variables))
     weights = rng.dirichlet(np.ones(len(corners)), size=problem.scale.shape[1])  # a joint
@@ -298,9 +300,9 @@ class RampPlanner:
                     return way
                 way = replace(way, durations=_SLOWER * way.durations)
         raise ArgumentError(
-            "No ramp leads from where the robot stands to where the motion starts: neither the "
-            f"straight one nor one by way of {_VIA} postures keeps clear and within the efforts.",
-            advice="Let the motion start where the robot stands instead: --start.",
+            "No ramp leads from the rest position to the start of the motion: neither a "
+            f"straight one nor one through {_VIA} postures satisfies clearance and efforts.",
+            advice="Start the motion at the rest position instead: --start.",
         )
 
     def _ways(self, begin: Array, end: Array) -> Iterator[Array]:

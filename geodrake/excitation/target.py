@@ -36,7 +36,7 @@ _RANDOM_SAMPLES = 200
 _NOISE = 1e-12, 1e12  # N·m or N; beyond them squares of weighted columns leave what floats can do
 _WEIGHTLESS = 1e-12  # share of gravity in efforts that is rounding alone
 
-SIZE_WORDS = "a tenth of the load, or 2 % of the limit of effort where that is more"
+SIZE_WORDS = "a tenth of the load, or 2 % of the effort limit if that is more"
 _LEAST_SHARE = 0.02  # of the limit of effort
 _NOISE_SHARE = 0.01  # of the limit of effort
 
@@ -226,12 +226,12 @@ def make_target(
     if not bodies and not ordered:
         raise ArgumentError(
             "There is nothing to identify: no body and no effect is unknown.",
-            advice="Name bodies or effects.",
+            advice="Choose bodies or effects.",
         )
     if X_WP is not None and any(not is_payload(fitted.effect) for fitted in ordered):
         raise ArgumentError(
-            "A base wrench does not show what happens inside a robot, such as friction.",
-            advice="Leave the effects out, or measure efforts.",
+            "A base wrench does not depend on internal efforts, such as friction.",
+            advice="Remove these effects, or measure efforts.",
         )
     if noise is None:
         noise = 1.0 if model.effort_noise is None or X_WP is not None else model.effort_noise
@@ -252,7 +252,9 @@ def _checked_noise(noise: ArrayLike, rows: Sequence[str]) -> Array:
     """Return the deviations (m,)."""
     given = real_array(noise, "noise", finite=False)
     if given.shape not in ((), (1,), (len(rows),)):
-        raise ArgumentError(f"The noise is one number or {len(rows)}; got the shape {given.shape}.")
+        raise ArgumentError(
+            f"The noise must be one number or {len(rows)}; its shape is {given.shape}."
+        )
     values = np.broadcast_to(given, (len(rows),)).copy()
     least, most = _NOISE
     wrong = [n for n, x in zip(rows, values.tolist(), strict=True) if not least <= x <= most]
@@ -260,8 +262,8 @@ def _checked_noise(noise: ArrayLike, rows: Sequence[str]) -> Array:
         raise ArgumentError(
             f"The noise of {', '.join(wrong)} is not a positive number, from {least:g} to "
             f"{most:g}: {values.tolist()}.",
-            advice="Without noise, every motion identifies all exactly. Give the deviation of the "
-            "measured efforts, such as 1 % of the largest one.",
+            advice="Without noise, every motion identifies everything exactly. Use the "
+            "standard deviation of the measured efforts, such as 1 % of the largest one.",
             wrong=wrong,
         )
     return values
@@ -313,9 +315,9 @@ def usual_target(model: RobotModel, *, noise: ArrayLike, effects: Sequence[Effec
 def usual_noise(model: RobotModel) -> tuple[Array, str]:
     """Return (nv,) noise of efforts where nobody says it, N·m or N, and where it comes from."""
     if model.effort_noise is not None:
-        return model.effort_noise, "what the model's last fit left on held-out data"
+        return model.effort_noise, "the held-out residuals of the model's last fit"
     limits = model.effort_limits
     if np.isfinite(limits).all() and (limits > 0).all():
-        share = f"{100 * _NOISE_SHARE:.0f} % of the limits of effort"
-        return _NOISE_SHARE * limits, f"{share}, as nothing is known of it"
-    return np.ones(len(limits)), "1 N·m or N at every joint, as nothing is known of it"
+        share = f"{100 * _NOISE_SHARE:.0f} % of the effort limits"
+        return _NOISE_SHARE * limits, f"{share}, as nothing else is known"
+    return np.ones(len(limits)), "1 N·m or N at every joint, as nothing else is known"

@@ -105,7 +105,7 @@ def make_rival(
     cls = effect_class(name, extra)
     if not getattr(cls, "parameters", ()):
         raise ArgumentError(
-            f"{name} has no linear parameters, so that no motion is better for it than another.",
+            f"{name} has no linear parameters, so no motion is better for it than another.",
             advice="Let geodrake diagnose find it.",
         )
     places = [tuple(where)] if where else every_place(cls, model)
@@ -130,8 +130,8 @@ def make_rival(
     every = [effects * most if len(effects) == 1 else effects for effects in per_place]
     if any(len(effects) != most for effects in every):
         raise ArgumentError(
-            f"{name} has other shapes at some joints than at others.",
-            advice=f"Ask for one joint at a time, such as {name}@{places[0][0]}.",
+            f"{name} has different shapes at different joints.",
+            advice=f"Use one joint at a time, such as {name}@{places[0][0]}.",
         )
     return Rival(name, tuple(zip(*every, strict=True)))
 
@@ -147,8 +147,8 @@ def every_place(cls: type[Effect], model: RobotModel) -> list[tuple[str, ...]]:
         return list(model.joint_pairs)
     advice = f"Let geodrake find it: geodrake add {cls.name} MODEL LOG --save model.yaml."
     if cls.places == "body":
-        advice = f"Say on which body it is: {cls.name}@{model.bodies[-1]}."
-    raise ArgumentError(f"{cls.name} cannot be everywhere.", advice=advice)
+        advice = f"Give its body: {cls.name}@{model.bodies[-1]}."
+    raise ArgumentError(f"{cls.name} needs a place.", advice=advice)
 
 
 @dataclass(frozen=True, eq=False)
@@ -190,7 +190,9 @@ class Separation(Objective):
         lower = real_array(self.lower, "lower", ("p",), sizes, finite=False)
         upper = real_array(self.upper, "upper", ("p",), sizes, finite=False)
         if not (lower <= upper).all():
-            raise ArgumentError("lower must be at most upper, and neither NaN, at every column.")
+            raise ArgumentError(
+                "lower must not exceed upper, and neither may be NaN, at every column."
+            )
 
     def separations(self, motion: Motion) -> Array:
         """Return Δ (K,) of every pair, in squared standard deviations of all samples together."""
@@ -234,9 +236,9 @@ class Separation(Objective):
         if len(alike):
             pair = self.pairs[alike[0]]
             raise ArgumentError(
-                f"{pair.rival} explains {pair.truth} of {', '.join(pair.where) or 'the robot'} "
-                "wholly on this motion.",
-                advice="Start from another motion, or ask for a pair that differs.",
+                f"On this motion {pair.rival} completely explains {pair.truth} of "
+                f"{', '.join(pair.where) or 'the robot'}.",
+                advice="Start from another motion, or use another pair.",
             )
         value, slope = self.criterion.objective(np.log(separations))
         gains = np.repeat(slope / separations, [len(x) for x in solutions])
@@ -337,7 +339,7 @@ def make_separation(
     if set(first.effects) & set(second.effects):
         raise ArgumentError(
             f"{first.name} cannot be distinguished from itself.",
-            advice="Name two different effects.",
+            advice="Use two different effects.",
         )
     common = [f for f in model.effects if f.effect not in rivals and len(f.effect.parameters)]
     unknown = [FittedEffect(effect, np.zeros(len(effect.parameters))) for effect in rivals]
@@ -401,16 +403,16 @@ def separation_of(
     separation = make_separation(model, *rivals, noise=noise, sign_width=width)
     named = {pair.truth.partition(" (")[0] for pair in separation.pairs}
     notes = [
-        f"{other.name} explains all that {rival.name} does: they can be distinguished the other "
-        "way around only"
+        f"{other.name} explains everything that {rival.name} does: only the reverse can be "
+        "distinguished"
         for rival, other in (rivals, rivals[::-1])
         if rival.name not in named
     ]
     known = {fitted.effect for fitted in model.effects if fitted.parameters.any()}
     if any(known.intersection(rival.effects) for rival in rivals):
-        sizes = "effects are as large as the model has them, rivals as like them as can be"
+        sizes = "effects have the sizes in the model, and rivals are fitted to them"
     else:
-        sizes = f"effects of unknown size are thought to take {SIZE_WORDS}"
+        sizes = f"effects of unknown size are assumed to take {SIZE_WORDS}"
     return separation, (*notes, sizes)
 
 
@@ -427,8 +429,8 @@ def _different(separation: Separation) -> tuple[Pair, ...]:
     if not kept:
         pair = separation.pairs[0]
         raise ArgumentError(
-            f"{pair.rival} and {pair.truth} mean the same on every motion.",
-            advice="Ask for a pair that differs, or for another place.",
+            f"{pair.rival} and {pair.truth} are equivalent on every motion.",
+            advice="Use another pair, or another place.",
         )
     return kept
 

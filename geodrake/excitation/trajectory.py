@@ -67,7 +67,7 @@ class ExecutableMotion(Short, abc.ABC):
         A spline motion is itself; a Fourier motion is interpolated to about 1e-9 of its size, ramps
         to 1e-5.
         """
-        self._require_time("a Drake trajectory")
+        self._require_time("Drake trajectory")
         knots, points, degree = self._spline()
         controls = [np.array(point)[:, None] for point in points]
         return BsplineTrajectory(BsplineBasis(degree + 1, knots.tolist()), controls)
@@ -98,8 +98,8 @@ class ExecutableMotion(Short, abc.ABC):
         number(rate, "rate", finite=False)
         if not 0 < rate < np.inf or rate * self.length > _MOST_INSTANTS:
             raise ArgumentError(
-                f"A rate is a positive number of samples a second; got {rate}.",
-                advice=f"Give at most {_MOST_INSTANTS / self.length:g} a second.",
+                f"A rate must be a positive number of samples per second; got {rate}.",
+                advice=f"Use at most {_MOST_INSTANTS / self.length:g} Hz.",
             )
         times = np.arange(np.ceil(self.length * rate - 1e-9)) / rate
         return np.append(times, self.length)
@@ -107,7 +107,7 @@ class ExecutableMotion(Short, abc.ABC):
     def _require_time(self, what: str) -> None:
         if not self.length:
             raise ArgumentError(
-                f"There is no {what} of samples that do not follow each other in time.",
+                f"Free samples are not ordered in time, so they have no {what}.",
                 advice="Design a Fourier or spline motion.",
             )
 
@@ -294,8 +294,8 @@ def read_drake_trajectory(path: str | Path) -> BsplineTrajectory:
         return BsplineTrajectory(BsplineBasis(int(basis["order"]), knots), list(points))
     except Exception as error:  # YAML's errors are of many kinds, and Drake's RuntimeErrors
         raise ArgumentError(
-            f"There is no B-spline to read in {str(path)!r}: {error}",
-            advice="Give a .drake.yaml file that `geodrake excite --save` wrote.",
+            f"{str(path)!r} has no B-spline: {error}",
+            advice="Use a .drake.yaml file that `geodrake excite --save` wrote.",
         ) from error
 
 

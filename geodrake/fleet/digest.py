@@ -218,7 +218,7 @@ def merge(digests: Sequence[Digest]) -> Digest:
     """
     digests = instances(digests, "digests", Digest)
     if not digests:
-        raise ArgumentError("There is no digest to merge.", advice="Give at least one.")
+        raise ArgumentError("There are no digests to merge.", advice="Give at least one.")
     first = digests[0].settings
     digests = [by_settings(d, first, f"The digest of {d.logs[0].name}") for d in digests]
     logs = tuple(log for digest in digests for log in digest.logs)
@@ -226,8 +226,8 @@ def merge(digests: Sequence[Digest]) -> Digest:
     if count > 1:
         names = [log.name for log in logs if log.fingerprint == twice]
         raise DigestError(
-            f"The same log is in several of the digests: {', '.join(names)}.",
-            advice="Count each log once.",
+            f"Several digests have the same log: {', '.join(names)}.",
+            advice="Use each log once.",
         )
     return Digest(
         first,
@@ -242,8 +242,8 @@ def by_settings(digest: Digest, settings: DigestSettings, what: str) -> Digest:
     if digest.settings.hash != settings.hash:
         words = ", ".join(digest.settings.differences(settings))
         raise DigestError(
-            f"{what} is by other settings: they differ in {words}.",
-            advice="Digest the logs again, all by one model into one folder.",
+            f"{what} has other settings: they differ in {words}.",
+            advice="Digest the logs again with one model into one folder.",
         )
     return digest
 
@@ -279,7 +279,7 @@ def read_digest_of(path: Path, settings: DigestSettings) -> Digest:
     if [log.key for log in digest.logs] != [path.stem]:
         names = ", ".join(log.name for log in digest.logs)
         raise DigestError(
-            f"{path} holds the digest of another log, {names}: it was copied or renamed.",
+            f"{path} has the digest of another log, {names}: it was copied or renamed.",
             advice="Delete it, and digest its log again.",
             path=path,
         )
@@ -298,7 +298,7 @@ def read_digest(path: str | Path) -> Digest:
         said = unsealed(data, FORMAT, _DigestFile)
     except DamagedFileError as error:
         raise DigestError(
-            f"{path} is no digest, or damaged: {error}.",
+            f"{path} is not a digest, or damaged: {error}.",
             advice="Delete it, and digest its log again.",
             path=path,
         ) from error

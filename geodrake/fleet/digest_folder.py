@@ -108,7 +108,7 @@ class _Folder:
             try:
                 return DigestRow.of(log, THERE, file, read_digest_of(file, self.settings))
             except DigestError as error:
-                reason = f"made again: {error.problem}"
+                reason = f"digested again: {error.problem}"
         known, reading = self.model.known_joints, reading_for(self.model, self.wanted.reading)
         read = read_log(log, joints=known, partial=True, reading=reading)
         settings = self.settings or self._chosen_from(read)
@@ -172,14 +172,14 @@ def digest_logs(
     """
     files = [file_path(log) for log in instances(logs, "logs", (str, Path))]
     if not files:
-        raise ArgumentError("There is no log to digest.", advice="Give at least one.")
+        raise ArgumentError("There are no logs to digest.", advice="Give at least one.")
     wanted = wanted or Wanted()
     carried = {}
     for log, own in instance(payloads or {}, "payloads", Mapping).items():
         if log not in files:
             names = ", ".join(map(str, files))
             raise ArgumentError(
-                f"There are payloads of {log!r}, which is no log.", advice=f"Logs are: {names}."
+                f"There are payloads for {log!r}, which is not a log.", advice=f"Logs are {names}."
             )
         carried[log] = instances(own, f"payloads of {log}", KnownPayload)
     if date is not None:
@@ -206,7 +206,7 @@ def digest_files(folder: str | Path) -> tuple[Path, ...]:
         return tuple(sorted(each for each in path.iterdir() if each.suffix == _SUFFIX))
     except OSError as error:
         raise DigestError(
-            f"{path} is no folder of digests: {error.strerror}.", advice="Check the path."
+            f"{path} is not a folder of digests: {error.strerror}.", advice="Check the path."
         ) from error
 
 
@@ -232,7 +232,9 @@ def _row(
         return row
     if date is None or date == about.date:
         return row
-    return replace(row, reason=f"its date stays {date_text(about.date)}: delete it to change that")
+    return replace(
+        row, reason=f"its date is still {date_text(about.date)}: delete the digest to change it"
+    )
 
 
 def _check_folder(path: Path) -> None:
@@ -251,7 +253,7 @@ def check_settings(settings: DigestSettings, model: RobotModel, wanted: Wanted) 
     """Refuse settings that are of something else than what is wanted."""
     if settings.version != (own := version()):
         raise _other(
-            f"are of geodrake {settings.version}, this is {own}: columns may be others.",
+            f"are from geodrake {settings.version}, but this is {own}: columns may differ.",
             "Digest the logs again into a new folder.",
         )
     model_of_digests(model, settings)
@@ -260,23 +262,23 @@ def check_settings(settings: DigestSettings, model: RobotModel, wanted: Wanted) 
         there = getattr(settings, name)
         if value is not None and not np.isclose(value, there, rtol=1e-9, atol=0.0):
             raise _other(
-                f"have {name} {there:g}, and {value:g} is asked for.",
-                "Leave it out, or choose a new folder.",
+                f"have {name} {there:g}, but {value:g} was requested.",
+                "Omit it, or choose a new folder.",
             )
     said = said_of_reading(wanted.reading)
     odd = [name for name in said if text_hash(said[name]) != text_hash(settings.reading.get(name))]
     if odd:
         raise _other(
-            f"have logs read otherwise: {', '.join(odd)} differ.",
-            "Give the options of the first digest, or choose a new folder.",
+            f"have other reading options: {', '.join(odd)} differ.",
+            "Use the options of the first digest, or choose a new folder.",
         )
     given = own_sources(wanted.extra)
     if given != dict(settings.extra):
         names = [", ".join(each) or "none" for each in (settings.extra, given)]
         raise _other(
-            f"have effects of your own: {names[0]}; now there are {names[1]}, or their source is "
-            "another one.",
-            "Give the same files by --effects, or choose a new folder.",
+            f"have user-defined effects {names[0]}, but now {names[1]}, or their source has "
+            "changed.",
+            "Use the same files with --effects, or choose a new folder.",
         )
     for effect in settings.effects:
         effect.made(wanted.extra)

@@ -216,8 +216,8 @@ def make_digest(
     if differing := sorted(set(log.passive) ^ set(settings.passive)):
         where = "in the logs before" if differing[0] in settings.passive else f"in {log.name!r}"
         raise LogError(
-            f"{differing[0]} has no motor {where}, and the digests of a folder are of one robot.",
-            advice=f"Say --passive {differing[0]} for all of them, or measure its effort in all.",
+            f"{differing[0]} has no motor {where}, but the digests of a folder are of one robot.",
+            advice=f"Use --passive {differing[0]} for all of them, or measure its effort in all.",
             joint=differing[0],
         )
     extra = instances(extra, "extra", type)
@@ -260,8 +260,8 @@ def _check_held(log: JointLog, settings: DigestSettings) -> None:
         where = log.position[:, log.joints.index(joint)] if known else log.standing[joint]
         if not np.nanmax(np.abs(where - place), initial=0.0) <= _STILL or np.isnan(where).all():
             raise LogError(
-                f"The settings of the digests hold {joint} at {place:.4g}, where it does not stand "
-                f"in log {log.name!r}.",
+                f"The settings of the digests fix {joint} at {place:.4g}, where it is not in "
+                f"log {log.name!r}.",
                 advice="Digest logs in which it moves into another folder.",
                 joint=joint,
             )
@@ -276,9 +276,9 @@ def _in_efforts(log: JointLog, model: RobotModel) -> JointLog:
         silent = not np.isfinite(log.effort[:, log.joints.index(joint)]).any()
         if (kind := kind_of(log, joint)) != "effort" and (kind != "command" or silent):
             raise LogError(
-                f"Log {log.name!r} has the {kind} of {joint} in the place of its effort, and the "
-                "model does not know what makes an effort of it.",
-                advice="Fit the model to such logs and save it first: geodrake identify --save.",
+                f"Log {log.name!r} has the {kind} of {joint} instead of its effort, but the "
+                "model has no gain for it.",
+                advice="Fit the model to such logs first, and save it: geodrake identify --save.",
                 joint=joint,
             )
     return log
@@ -289,12 +289,12 @@ def _prepared(log: JointLog, settings: DigestSettings) -> Trajectory:
     uniform = make_uniform(log)
     both = {"bandwidth": settings.bandwidth, "motion_bandwidth": settings.motion_bandwidth}
     try:
-        return prepare_logs([uniform], **both, how="as the settings of the digests say")[0]
+        return prepare_logs([uniform], **both, how="of the settings of the digests")[0]
     except ArgumentError as error:
         raise LogError(
-            f"Log {log.name!r} cannot bear the {settings.bandwidth:.3g} Hz of the settings of the "
-            f"digests: it has {1.0 / uniform.period:.4g} samples a second.",
-            advice="Log at a higher rate, or digest all logs into a new folder at a lower "
+            f"Log {log.name!r} is too slow for the bandwidth of {settings.bandwidth:.3g} Hz "
+            f"of the digests: its sampling rate is {1.0 / uniform.period:.4g} Hz.",
+            advice="Log at a higher rate, or digest all logs into a new folder with a lower "
             "bandwidth.",
             period=uniform.period,
         ) from error
@@ -379,9 +379,9 @@ def model_of_digests(model: RobotModel, settings: DigestSettings) -> RobotModel:
     instance(settings, "settings", DigestSettings)
     if (own := model_hash(model)) != settings.model:
         raise DigestError(
-            f"The digests are of another model than {model.path.name}: its hash is {own[:12]}, "
-            f"theirs {settings.model[:12]}.",
-            advice="Give the model that they were made with, or digest the logs into a new folder.",
+            f"The digests are not of model {model.path.name}: its hash is {own[:12]}, theirs "
+            f"{settings.model[:12]}.",
+            advice="Use their model, or digest the logs into a new folder.",
         )
     return holding(model, settings.held) if settings.held else model
 

@@ -177,20 +177,20 @@ def _fleet(path: Path, content: object) -> Fleet:
     for robot in robots:
         if robot.name in seen:
             raise ArgumentError(
-                f"robot {robot.name!r} is there twice.",
-                advice="Give all its logs in one entry, as a list of patterns.",
+                f"robot {robot.name!r} occurs twice.",
+                advice="List all its logs in one entry.",
             )
         seen.add(robot.name)
     for name in types:
         if not any(robot.type == name for robot in robots):
-            raise ArgumentError(f"no robot is of type {name!r}.", advice="Leave the type out.")
+            raise ArgumentError(f"no robot is of type {name!r}.", advice="Remove the type.")
     return Fleet(path, base / home_path(said.to), types, robots)
 
 
 def _type(name: str, said: _TypeSchema, base: Path) -> FleetType:
     what = f"type {name!r}"
     if not name.isprintable() or not name or "/" in name or name.startswith("."):
-        raise ArgumentError(f"{what} has a name that no folder can have.", advice="Rename it.")
+        raise ArgumentError(f"{what} has a name that a folder cannot have.", advice="Rename it.")
     Wanted(said.bandwidth, said.blocks)  # refuses what they cannot be
     if said.payload is not None:
         number(said.payload, f"payload of {what}", lower=0.0, strict=True)
@@ -215,8 +215,8 @@ def _robot(said: _RobotSchema, types: Mapping[str, FleetType], base: Path) -> Fl
     kind = str(said.type or (next(iter(types)) if len(types) == 1 else ""))
     if not name or kind not in types:
         raise ArgumentError(
-            f"robot {name!r} is of type {kind!r}, which is not among the types.",
-            advice=f"Types are: {', '.join(types)}.",
+            f"robot {name!r} has the unknown type {kind!r}.",
+            advice=f"Types are {', '.join(types)}.",
         )
     patterns = [said.logs] if isinstance(said.logs, str) else said.logs
     if not patterns or not all(patterns):

@@ -108,9 +108,7 @@ def _read_record(path: Path) -> LogRecord | None:
         return None
 
 
-_KILLED = (
-    "The workers that read it died, three one after the other: there may not be memory enough."
-)
+_KILLED = "The workers that read it died three times: memory may be too small."
 
 
 @dataclass(frozen=True)
@@ -142,8 +140,8 @@ def check_places(fleet: Fleet, *, local: bool) -> tuple[str, ...]:
         for pattern in robot.logs:
             if IN_THIS_PROCESS in pattern and not local:
                 raise FleetError(
-                    f"Logs {pattern} of {robot.name} are in the memory of this process, which no "
-                    "other one sees.",
+                    f"Logs {pattern} of {robot.name} are in the memory of this process, "
+                    "which others cannot read.",
                     advice="Read them in this process: --workers 0.",
                 )
     models = list[RobotModel]()
@@ -165,7 +163,7 @@ def _check_robot(kind: FleetType, robot: FleetRobot, of_type: RobotModel) -> lis
         carried_phi(of_type, robot.payloads)
     except ArgumentError as error:
         raise FleetError(
-            f"Robot {robot.name!r} has payloads that cannot be: {error.problem}",
+            f"Robot {robot.name!r} has invalid payloads: {error.problem}",
             advice=error.advice,
         ) from error
     if robot.model is None:
@@ -175,9 +173,9 @@ def _check_robot(kind: FleetType, robot: FleetRobot, of_type: RobotModel) -> lis
         ours, theirs = getattr(own, what), getattr(of_type, what)
         if ours != theirs:
             raise FleetError(
-                f"The model of robot {robot.name!r} has the {what} {', '.join(ours)}, and its type "
-                f"{robot.type!r} has {', '.join(theirs)}.",
-                advice="Robots of a type have the same joints: give it a type of its own.",
+                f"The model of robot {robot.name!r} has the {what} {', '.join(ours)}, but "
+                f"its type {robot.type!r} {', '.join(theirs)}.",
+                advice="Robots of a type must have the same joints: define another type.",
             )
     return [own]
 
@@ -199,15 +197,15 @@ def find_tasks(
             found = find_logs(pattern)
             if not found and not records:
                 raise FleetError(
-                    f"The pattern {pattern!r} of robot {robot.name!r} matches nothing.",
-                    advice="Check the path; paths are beside the fleet file.",
+                    f"The pattern {pattern!r} of robot {robot.name!r} matches no log.",
+                    advice="Check the path, which is relative to the fleet file.",
                 )
             places.update((place.address, place) for place in found)
         for address in (*places, *records):
             if owners.setdefault(address, robot.name) != robot.name:
                 raise FleetError(
-                    f"Log {address} is of robot {owners[address]!r} and of {robot.name!r}.",
-                    advice="Correct their patterns: a log is of one robot.",
+                    f"Log {address} belongs to both robots {owners[address]!r} and {robot.name!r}.",
+                    advice="Correct their patterns.",
                 )
         known[robot.name] = {
             address: record
@@ -286,8 +284,8 @@ def digest_task(task: LogTask) -> LogRecord:
     (model, wanted), folder = type_source(task.kind), task.folder / DIGESTS
     if not folder.is_dir():
         raise OutputError(
-            f"A worker does not find the folder {folder}.",
-            advice="Give a folder that all workers share.",
+            f"A worker cannot find folder {folder}.",
+            advice="Use a folder that all workers share.",
         )
     try:
         said = task.robot.dates not in DATED_BY
@@ -305,7 +303,7 @@ def digest_task(task: LogTask) -> LogRecord:
     if row.status == FAILED or row.digest is None or row.about is None:
         return _failure(task, row.reason.replace(str(path), task.place.address))
     if task.robot.dates == "stamps" and row.about.date_from != "stamps":
-        return _failure(task, "Its time stamps are no dates, as `dates: stamps` wants them.")
+        return _failure(task, "Its time stamps are not dates, which `dates: stamps` needs.")
     robot, place = task.robot, task.place
     # What files say of dates may be newer than a digest of the same bytes is.
     when = row.about.date if row.about.date_from == "stamps" or date is None else date

@@ -236,6 +236,7 @@ def _read_reported(path: Path) -> list[ReportedFinding]:
         return msgspec.json.decode(data, type=list[ReportedFinding])
     except (FleetError, msgspec.MsgspecError, UnicodeDecodeError) as error:
         raise FleetError(
-            f"{path}, which says what was reported before, cannot be read: {one_line(error)}.",
-            advice="Delete it; then all findings are new.",
+            f"{path}, which has the findings that were reported before, cannot be read: "
+            f"{one_line(error)}.",
+            advice="Delete it; all findings are then new.",
         ) from error

@@ -151,7 +151,7 @@ def _once(records: Sequence[LogRecord]) -> tuple[list[LogRecord], list[UnusedLog
     kept, twice = [], []
     for record in records:
         if record.digest in seen:
-            reason = f"It holds the same as {seen[record.digest]}, and counts once."
+            reason = f"It has the same content as {seen[record.digest]}, and is used once."
             twice.append(UnusedLog(record.robot, record.address, reason))
         else:
             seen[record.digest] = record.address
@@ -177,7 +177,7 @@ def _of_type(
         histories += [] if history is None else [history]
         for record, problem in refused:
             write_record(folder, replace(record, stamp=""))  # so that it is looked at again
-            reason = f"{problem} It is made again by the next run, if the log is there."
+            reason = f"{problem} The next run digests it again, if the log exists."
             damaged.append(UnusedLog(record.robot, record.address, reason))
     if not histories:
         return [], damaged
@@ -195,8 +195,8 @@ def _of_type(
         _, found = find(histories, layout.columns, layout.hypotheses, tell)
     except (np.linalg.LinAlgError, ValueError, FloatingPointError) as error:
         raise FleetError(
-            f"Robots of type {kind.name} cannot be compared: what they share has no solution "
-            f"({error}).",
+            f"Robots of type {kind.name} cannot be compared: their common parameters have no "
+            f"solution ({error}).",
             advice="More robots, or logs with more motion, may help; their digests are kept.",
         ) from error
     return found, damaged

@@ -114,7 +114,7 @@ class RobotHistory(Short):
             sums, _ = _summed(self.task)
             if not np.array_equal(sums.days, self.days):
                 raise FleetError(
-                    f"The digests of robot {self.robot} changed while they were looked at.",
+                    f"The digests of robot {self.robot} changed while they were read.",
                     advice="Run the command again when no other one changes them.",
                 )
         return replace(self, joints=sums.means())

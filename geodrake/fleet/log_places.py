@@ -57,7 +57,7 @@ def home_path(text: str) -> Path:
         return Path(text).expanduser()
     except RuntimeError as error:
         raise ArgumentError(
-            f"{text} is in the home of a user who has none.", advice="Write the path out."
+            f"{text} is in the home folder of an unknown user.", advice="Write the full path."
         ) from error
 
 
@@ -84,8 +84,8 @@ def find_logs(pattern: str) -> tuple[LogPlace, ...]:
         raise
     except Exception as error:  # each kind of place has errors of its own
         raise FleetError(
-            f"Logs {pattern!r} cannot be looked for: {kind_and_line(error)}.",
-            advice="Check the address, and what gives access to it.",
+            f"Logs {pattern!r} cannot be listed: {kind_and_line(error)}.",
+            advice="Check the address and the credentials for it.",
         ) from error
 
 
@@ -125,7 +125,7 @@ def local_log(place: LogPlace) -> Iterator[Path]:
         except Exception as error:  # each kind of place has errors of its own
             raise UnreachableLogError(
                 f"Log {place.address} cannot be read: {kind_and_line(error)}.",
-                advice="Check the address, and what gives access to it.",
+                advice="Check the address and the credentials for it.",
             ) from error
         yield copy
 
@@ -191,7 +191,7 @@ def date_seconds(text: str) -> float:
         if _EARLIEST < (seconds := zoned.timestamp()) < _LATEST:
             return seconds
     raise ArgumentError(
-        f"A date is such as 2026-05-01 or 2026-05-01T12:00:00+02:00; got {text!r}.",
+        f"{text!r} is not a date such as 2026-05-01 or 2026-05-01T12:00:00+02:00.",
         advice=f"Write it in ISO 8601, after {_day(_EARLIEST)} and before {_day(_LATEST)}.",
     )
 
@@ -219,16 +219,15 @@ def date_of_log(
     if _EARLIEST < began < _LATEST:
         return began, "stamps"
     if given is not None:
-        date, source, says = given, "option", "what is said is"
+        date, source, says = given, "option", "the given date is"
     else:
         date, source = max(path.stat().st_mtime for path in files), "file"
-        says = "its file was changed at"
+        says = "its modification time is"
     if not _EARLIEST < date < _LATEST:
         raise LogError(
-            f"Nobody knows when log {log.name!r} was recorded: its time stamps are no dates, and "
+            f"The date of log {log.name!r} is unknown: its time stamps are not dates, and "
             f"{says} {date:.10g} s since 1970.",
-            advice="Say when: by --date, or, in a fleet file, by a date in the names of logs and "
-            "`dates`.",
+            advice="Use --date or, in a fleet file, `dates` and dates in the names of logs.",
             date=date,
         )
     return date, source
@@ -239,7 +238,7 @@ def check_date_pattern(pattern: str) -> None:
     parts = [part for part in re.findall(r"%.?", pattern) if part != "%%"]
     if set(parts) - _TIMES not in _DATES or len(set(parts)) < len(parts):
         raise ArgumentError(
-            f"dates are {pattern!r}, which is like no date.",
+            f"dates has the invalid pattern {pattern!r}.",
             advice=f"Write %Y-%m-%d, or with others of {', '.join(_DIRECTIVES)}, each once; "
             f"or one of {', '.join(DATED_BY)}.",
         )

@@ -42,7 +42,7 @@ def sealed(value: object, form: str) -> bytes:
         encoded = msgspec.msgpack.encode(value, enc_hook=_plain)
     except UnicodeEncodeError as error:
         raise ArgumentError(
-            f"{error.object!a} is not UTF-8, and files of fleets hold no other texts.",
+            f"{error.object!a} is not UTF-8, which files of fleets require.",
             advice="Rename the file or folder.",
         ) from error
     packed = zlib.compress(encoded)
@@ -57,15 +57,15 @@ def unsealed(data: bytes, form: str, kind: type[T], *, largest: int = LARGEST) -
         if not name.startswith(_BEGINNING):
             raise DamagedFileError(f"it does not begin with {form!r}")
         raise DamagedFileError(
-            f"it has the format {name[:60]!r}, and this version of geodrake reads {form!r}"
+            f"it has format {name[:60]!r}, but this version of geodrake reads {form!r}"
         )
     if hashlib.sha256(rest[_DIGEST:]).digest() != rest[:_DIGEST]:
-        raise DamagedFileError("its checksum is another one")
+        raise DamagedFileError("its checksum is wrong")
     try:
         unpacked = zlib.decompressobj()
         text = unpacked.decompress(rest[_DIGEST:], largest)
         if unpacked.unconsumed_tail:
-            raise DamagedFileError("it unpacks to more than any such file has")
+            raise DamagedFileError("its unpacked size exceeds the limit")
         return msgspec.msgpack.decode(text, type=kind, dec_hook=_array)
     except _DAMAGED as error:
         raise DamagedFileError(one_line(error)) from error

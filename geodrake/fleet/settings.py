@@ -99,12 +99,13 @@ class DigestEffect:
             effect = make_effect(self.name, self.where, self.shape, extra)
         except ArgumentError as error:
             raise DigestError(
-                f"Digests have columns of {self.name}, which cannot be made: {error.problem}",
-                advice="Give the file that defines it, if it is an effect of your own.",
+                f"Digests have columns of {self.name}, which cannot be constructed: "
+                f"{error.problem}",
+                advice="If it is an effect of your own, give its file.",
             ) from error
         if DigestEffect.of(effect) != self:
             raise DigestError(
-                f"The effect {self.name} is not what it was when the settings were made.",
+                f"The effect {self.name} has changed since the settings were made.",
                 advice="Use its old source, or a new folder.",
             )
         return effect
@@ -227,8 +228,8 @@ def settings_of(text: str, source: str | Path) -> DigestSettings:
         return _settings_of(text)
     except (ArithmeticError, ValueError, TypeError, AttributeError, RecursionError) as error:
         raise DigestError(
-            f"{source} does not hold settings of digests: {one_line(error)}.",
-            advice="Put back a copy of it, or digest the logs again into a new folder.",
+            f"{source} has no valid settings of digests: {one_line(error)}.",
+            advice="Restore it from a copy, or digest the logs again into a new folder.",
         ) from error
 
 
@@ -237,12 +238,11 @@ def _settings_of(text: str) -> DigestSettings:
     said = json.loads(text)
     if said.get("format") != FORMAT:
         raise ValueError(
-            f"it has the format {said.get('format')!r}, and this version of geodrake reads "
-            f"{FORMAT!r}"
+            f"it has format {said.get('format')!r}, but this version of geodrake reads {FORMAT!r}"
         )
     found = msgspec.convert(said, DigestSettings, dec_hook=array_of)
     if found.hash != said.get("hash"):
-        raise ValueError("its hash is that of other settings")
+        raise ValueError("its hash belongs to other settings")
     return found
 
 
@@ -262,8 +262,8 @@ def read_settings(folder: str | Path) -> DigestSettings | None:
     if not path.exists() and not path.is_symlink():
         if any(re.fullmatch(DIGEST_NAME, each.name) for each in path.parent.glob("*.digest")):
             raise DigestError(
-                f"The settings file {path} is not there, and digests by it are.",
-                advice="Put back a copy of it, or digest the logs again into a new folder.",
+                f"The settings file {path} of the digests is missing.",
+                advice="Restore it from a copy, or digest the logs again into a new folder.",
             )
         return None
     data = read_regular(path, "settings file", DigestError, largest=_LARGEST_FILE)
@@ -272,7 +272,7 @@ def read_settings(folder: str | Path) -> DigestSettings | None:
     except UnicodeDecodeError as error:
         raise DigestError(
             f"The settings file {path} cannot be read: {one_line(error)}.",
-            advice="Put back a copy of it.",
+            advice="Restore it from a copy.",
         ) from error
 
 

@@ -76,7 +76,7 @@ def _read_source(kind: FleetType, files: str) -> tuple[RobotModel, Wanted]:
     for path in kind.own_effects:
         for effect in load_effect_file(path):
             if effect.name in extra:
-                raise FleetError(f"Type {kind.name} has the effect {effect.name} of two files.")
+                raise FleetError(f"Type {kind.name} has the effect {effect.name} from two files.")
             extra[effect.name] = effect
     own = tuple(extra.values())
     model = _loaded(kind, kind.model, own)
@@ -113,13 +113,14 @@ def _of_joints(kind: FleetType, extra: Sequence[type[Effect]]) -> tuple[type[Eff
             effect = effect_class(name, extra)
         except ArgumentError as error:
             raise FleetError(
-                f"Type {kind.name} has effects of joints: {error.problem}", advice=error.advice
+                f"Type {kind.name} has invalid effects of joints: {error.problem}",
+                advice=error.advice,
             ) from error
         if effect.places != "joint" or effect.shapes or not effect.parameters:
             raise FleetError(
-                f"Type {kind.name} has the effect {name}, which does not act at one joint alone, "
+                f"Type {kind.name} has the effect {name}, which needs more than one joint, "
                 "or has shape parameters, or no parameters.",
-                advice="Give the type a model that was saved with it.",
+                advice="Save a model with it, and use that for the type.",
             )
         found.append(effect)
     return tuple(found)

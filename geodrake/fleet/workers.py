@@ -73,8 +73,8 @@ class Workers:
                             begin({at: piece})
         except (CancelledError, dask.comm.CommClosedError) as error:
             raise FleetError(
-                f"The scheduler {self.client.scheduler.address} does not answer any more.",
-                advice="Start it, and run the command again: what was digested stays.",
+                f"The scheduler {self.client.scheduler.address} no longer responds.",
+                advice="Start it, and run the command again: finished digests are kept.",
             ) from error
         finally:
             self.client.cancel(list(done.futures))
@@ -174,7 +174,7 @@ def _remote(dask: Any, scheduler: str) -> Any:
     except (OSError, ValueError, TimeoutError, RuntimeError, ImportError) as error:
         raise FleetError(
             f"The scheduler {scheduler} cannot be reached: {one_line(error)}.",
-            advice="Check its address, such as tcp://10.0.0.5:8786; or leave --scheduler out.",
+            advice="Check its address, such as tcp://10.0.0.5:8786; or omit --scheduler.",
         ) from error
     try:
         client.wait_for_workers(1, timeout=_SECONDS)

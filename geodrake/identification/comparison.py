@@ -91,9 +91,9 @@ def compare_regularizers(
     residual = first.residual
     if residual <= _EXACT * float(np.square(np.asarray(b, float)).sum()):
         raise IdentificationError(
-            f"The data are fitted exactly: the residual of {first_kind.name} is {residual:.3g}, "
-            "and no other can be compared at it.",
-            advice="Raise gamma, or give measured data.",
+            f"The data are fitted exactly: the residual of {first_kind.name} is "
+            f"{residual:.3g}, at which no other can be compared.",
+            advice="Raise gamma, or use measured data.",
         )
     results, failures = dict[str, IdentificationResult](), dict[str, str]()
     for name, kind in kinds.items():
@@ -104,9 +104,9 @@ def compare_regularizers(
             result = solve(kind, residual_bound=residual)
             if abs(result.residual - residual) > EQUAL * residual:
                 raise IdentificationError(
-                    f"It has the residual {result.residual:.6g} instead of {residual:.6g}: "
-                    "its closest parameters to the prior already fit better.",
-                    advice="Lower gamma: with so strong a prior there is nothing to compare.",
+                    f"Its residual is {result.residual:.6g} instead of {residual:.6g}: its "
+                    "parameters closest to the prior already fit better.",
+                    advice="Lower gamma: with such a strong prior there is nothing to compare.",
                 )
             results[name] = result
         except GeodrakeError as error:

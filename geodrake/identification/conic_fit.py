@@ -254,7 +254,7 @@ def solve_with_fallback(problem: FitProblem) -> FitResult:
         if "minimum" in failure.evidence:
             raise
         fit, note = solve_fit(problem, shortcuts=False), failure.problem
-    note = f"By {fit.solver}, as Newton's method gave up: {note}"
+    note = f"By {fit.solver}, as Newton's method failed: {note}"
     return replace(fit, note=note, solve_time=time.perf_counter() - begin)
 
 
@@ -276,7 +276,7 @@ def certified(
     except (np.linalg.LinAlgError, ArgumentError) as error:
         if scope == "local" and isinstance(error, ArgumentError):
             raise  # its second order is no convex program
-        return uncertified(fit, "rounding leaves its program no digits", scope)
+        return uncertified(fit, "its program has no significant digits left after rounding", scope)
     if size is None:
         size = program.cost_scale + (fit.residual if problem.residual_bound is None else 0.0)
     told = Certificate(solver=SOLVER, gap=np.inf, cost=size, violation=violation, scope=scope)
@@ -288,8 +288,8 @@ def certified(
     gap = cost - least
     worse = gap > TOLERANCE * size or violation > TOLERANCE
     if worse and beyond <= TOLERANCE and scope == "global":
-        outside = f"outside constraints by {violation:.1e}"
-        above = f"above the least cost by {gap / size:.1e} of it"
+        outside = f"violating constraints by {violation:.1e}"
+        above = f"above the minimum cost by {gap / size:.1e} of it"
         why = outside if violation > TOLERANCE else above
         note = f"By {SOLVER}, as the fit of {fit.solver} was {why}"
         fit = replace(fit_result(problem, x, weight, SOLVER, begin - fit.solve_time), note=note)

@@ -68,10 +68,10 @@ class Certificate:
         least = "a local minimum" if self.scope == "local" else "the least"
         near = f"its cost is within {self.relative_gap:.0e} of {least}"
         if not self.holds:
-            kept = f"constraints are kept to {self.violation:.0e}"
+            kept = f"constraints hold to {self.violation:.0e}"
             return f"the fit is not certified by {self.solver}: {near}, and {kept}"
         how = "that of" if self.replaced else "certified by"
-        return f"the fit is {how} {self.solver}: {near}, bodies are physical, and bounds are kept"
+        return f"the fit is {how} {self.solver}: {near}, with valid bodies and bounds"
 
 
 @dataclass(frozen=True, eq=False)

@@ -93,9 +93,9 @@ def geodesic_least_squares(
     rows = whitened(A, b, sigma=sigma)
     if rows.shape[1] - 1 != prior.size:
         raise ArgumentError(
-            f"A has {rows.shape[1] - 1} columns, but {len(prior)} bodies of the prior have "
-            f"{prior.size}; there are no other parameters here.",
-            advice="Subtract what friction and the like contribute to b first.",
+            f"A has {rows.shape[1] - 1} columns, but {len(prior)} bodies of the prior need "
+            f"{prior.size}; other parameters are not allowed here.",
+            advice="Subtract contributions of friction and the like from b first.",
         )
     point, readmitted = _start(rows, prior, gamma), np.zeros(len(rows), bool)
     before = np.inf
@@ -114,7 +114,7 @@ def geodesic_least_squares(
             point = point.mean() if method == "cyclic" else point.newton_step()
     raise point.failure(
         f"is still {point.distance:.2g} from its minimum after {max_iterations} iterations",
-        'Raise gamma or max_iterations, or take method="newton".',
+        'Raise gamma or max_iterations, or use method="newton".',
     )
 
 
@@ -273,15 +273,15 @@ class _GeodesicPoint:
         except (ArgumentError, ConvergenceError) as error:
             raise self.failure(
                 f"finds no mean of its projections, {self.distance:.2g} from its minimum: {error}",
-                'Raise gamma, or take method="newton".',
+                'Raise gamma, or use method="newton".',
             ) from error
 
     def result(self, rows: Array, iterations: int) -> GeodesicLeastSquaresResult:
         curvature = float(self.spectrum[0][0] / self.gamma)
         if not curvature > 0:
             raise self.failure(
-                f"ended where its cost has a curvature of {curvature:.2g} γ: a saddle",
-                "Raise gamma, or begin at another prior.",
+                f"ended at a saddle point, where its cost has curvature {curvature:.2g} γ",
+                "Raise gamma, or use another prior.",
             )
         phi = from_pseudo_inertia(self.root @ np.swapaxes(self.root, -1, -2))
         errors = rows @ np.append(phi.ravel(), -1.0)

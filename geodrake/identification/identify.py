@@ -157,8 +157,8 @@ def identify(  # noqa: PLR0913 - the stable interface
 
 def _rounded(what: str) -> IdentificationError:
     return IdentificationError(
-        f"Rounding has left no solution: {what}. Most often a body of the prior is too flat, or "
-        "data and prior differ by very many orders of magnitude.",
+        f"Rounding errors leave no solution: {what}. Most often a body of the prior is too "
+        "flat, or data and prior differ by very many orders of magnitude.",
         advice="Check the units of prior, data and ellipsoids, raise gamma, or try another solver.",
     )
 
@@ -180,7 +180,7 @@ def physical_prior(prior: ArrayLike, names: Sequence[str] = ()) -> Array:
     """
     prior = real_array(prior, "prior", ("m", PARAMETERS_PER_BODY))
     if not len(prior):
-        raise ArgumentError("The prior has no bodies.", advice="Give one row for every body of A.")
+        raise ArgumentError("The prior has no bodies.", advice="Use one row for every body of A.")
     physical = is_physical(prior)
     if physical.all():
         return prior
@@ -191,8 +191,8 @@ def physical_prior(prior: ArrayLike, names: Sequence[str] = ()) -> Array:
     if names:
         bodies = [names[body] for body in wrong]
         raise ArgumentError(
-            f"The model's inertial parameters of {', '.join(bodies)} are those of no body, so they "
-            "cannot be a prior.",
+            f"The model's inertial parameters of {', '.join(bodies)} are not physical, so "
+            "they cannot be a prior.",
             advice="Load the model from its URDF, SDF or MJCF file, which repairs them; "
             "evidence['nearest'] of this error has the nearest ones.",
             bodies=bodies,
@@ -200,10 +200,10 @@ def physical_prior(prior: ArrayLike, names: Sequence[str] = ()) -> Array:
         )
     least = np.linalg.eigvalsh(pseudo_inertia(prior[wrong]))[:, 0]
     raise ArgumentError(
-        f"The prior is not physical for bodies {wrong}: their pseudo inertia is not positive "
+        f"The prior is not physical for bodies {wrong}: their pseudo-inertia is not positive "
         f"definite, with smallest eigenvalues {', '.join(f'{value:.3g}' for value in least)}.",
-        advice="Give them a mass, a centre of mass and an inertia that a solid body can have; "
-        "evidence['nearest'] of this error is a prior with the least such change.",
+        advice="Give them a physical mass, centre of mass and inertia; evidence['nearest'] of "
+        "this error is the closest valid prior.",
         bodies=wrong,
         nearest=nearest,
     )
@@ -215,7 +215,7 @@ def _merged(constraints: BodyConstraints | None, **given: Any) -> BodyConstraint
     given = {name: value for name, value in given.items() if value is not None}
     for name in given:
         if getattr(constraints, name) is not None:
-            raise ArgumentError(f"{name} is given twice: by itself and in constraints.")
+            raise ArgumentError(f"{name} is given twice: as an argument and in constraints.")
     return replace(constraints, **given)
 
 
@@ -274,9 +274,9 @@ def _extra_priors(extra_prior: ArrayLike | None, bounds: Array) -> dict[int, tup
     inside = (values >= bounds[:, 0]) & (values <= bounds[:, 1]) & (bounds[:, 1] > 0)
     if wrong := np.flatnonzero(known & ~(usable & inside)).tolist():
         raise ArgumentError(
-            f"extra_prior has values or weights that are not positive, or values outside of "
+            "extra_prior has values or weights that are not positive, or values outside "
             f"extra_bounds, at {wrong}.",
-            advice="Give positive values inside the bounds; NaN for parameters without a prior.",
+            advice="Use positive values inside the bounds; NaN for parameters without a prior.",
             places=wrong,
         )
     return {k: (float(values[k]), float(weights[k])) for k in np.flatnonzero(known).tolist()}

@@ -132,8 +132,8 @@ class NewtonProgram:
         barrier = entropic == 0
         if free := starts[barrier & (curvatures == 0)].tolist():
             raise ArgumentError(
-                "Newton's method needs an entropic or quadratic prior for every inertia block; "
-                f"those at columns {free} have none.",
+                "Newton's method needs an entropic or quadratic prior for every inertia "
+                f"block; those at columns {free} have none.",
                 advice="Give them one, or use the solver clarabel.",
                 columns=free,
             )
@@ -190,8 +190,8 @@ class NewtonProgram:
             if np.all(physical):
                 return x
         raise IdentificationError(
-            "Newton's parameters are not physical after rounding: a body of the prior is too flat "
-            "for double precision.",
+            "The parameters of Newton's method are not physical after rounding: a body of "
+            "the prior is too flat for double precision.",
             advice="Check the units of the prior, or raise gamma.",
             solver="newton",
         )
@@ -316,10 +316,10 @@ def bounded(
     if u == low and here > 0.0:
         raise out_of_reach(bound, program.floor + excess)
     raise IdentificationError(
-        f"No weight of the prior was found with the residual {bound:.10g}; the nearest residual "
-        f"was {program.floor + excess:.10g}.",
+        f"No weight of the prior has the residual {bound:.10g}; the closest was "
+        f"{program.floor + excess:.10g}.",
         advice="Check units and noise levels, or use the solver clarabel. With the Riemannian "
-        "distance, another bound may do: this one may lie where the fit jumps between two minima.",
+        "distance, try another bound: at this one the fit may jump between two minima.",
         residual=program.floor + excess,
         solver="newton",
     )

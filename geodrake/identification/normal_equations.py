@@ -28,9 +28,9 @@ def cholesky(matrices: Array, ridge: float = RIDGE) -> Array:
 def not_held() -> IdentificationError:
     """Return the error of a fit whose normal matrix is not positive definite."""
     return IdentificationError(
-        "Some parameters have neither data nor a prior that hold them: the normal matrix of a "
-        "fit is not positive definite.",
-        advice="Give logs with more motion, or the model file instead of a saved model.",
+        "Some parameters have neither data nor a prior: the normal matrix of the fit is not "
+        "positive definite.",
+        advice="Use logs with more motion, or the model file instead of a saved model.",
     )
 
 

@@ -62,15 +62,16 @@ class PointMasses(Short):
         given = instances(self.masses, "masses", object)
         if len(given) != len(places):
             raise ArgumentError(
-                f"Masses are needed for each of the {len(places)} bodies; got those of "
-                f"{len(given)}."
+                f"Masses are needed for each of the {len(places)} bodies; got {len(given)}."
             )
         positions = [real_array(p, f"positions[{i}]", ("m", 3)) for i, p in enumerate(places)]
         masses = [
             real_array(mass, f"masses[{i}]", (len(positions[i]),)) for i, mass in enumerate(given)
         ]
         if wrong := [i for i, mass in enumerate(masses) if not (len(mass) and (mass > 0).all())]:
-            raise ArgumentError(f"Bodies {wrong} have no points, or prior masses that are not > 0.")
+            raise ArgumentError(
+                f"Bodies {wrong} have no points, or prior masses that are not positive."
+            )
         object.__setattr__(self, "positions", tuple(positions))
         object.__setattr__(self, "masses", tuple(masses))
 
@@ -102,7 +103,7 @@ class PointMasses(Short):
         regions = instance(ellipsoids, "ellipsoids", Ellipsoid)
         if regions.center.shape != (len(phi), 3):
             raise ArgumentError(
-                f"Ellipsoids of shape ({len(phi)},) are needed, one a body; got those of shape "
+                f"Ellipsoids of shape ({len(phi)},), one for each body, are needed; got "
                 f"{regions.center.shape[:-1]}."
             )
         positions, masses = [], []
@@ -141,7 +142,7 @@ def _checked_bodies(
     wrong = np.flatnonzero(~is_physical(phi)).tolist()
     if wrong:
         raise ArgumentError(
-            f"Bodies {wrong} are not physical, so no point masses amount to them.",
+            f"Bodies {wrong} are not physical, so point masses cannot represent them.",
             bodies=wrong,
         )
     if isinstance(counts, int | np.integer):
@@ -302,9 +303,9 @@ class PointMassRegularizer(Regularizer):
             differ = f"bodies {bodies} differ by up to {away.max():.2g}" if bodies else ""
         if differ:
             raise ArgumentError(
-                f"The prior is not that of the point masses: {differ}.",
-                advice="Pass points.parameters() as the prior, or make points that have this one "
-                "with PointMasses.of_bodies(prior).",
+                f"The prior differs from the point masses: {differ}.",
+                advice="Pass points.parameters() as the prior, or construct points for this "
+                "prior with PointMasses.of_bodies(prior).",
             )
 
 

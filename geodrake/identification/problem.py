@@ -38,7 +38,7 @@ def whitened(A: ArrayLike, b: ArrayLike, *, sigma: ArrayLike | None = None) -> A
     if not np.all(deviations > 0):
         raise ArgumentError(
             f"sigma has values that are not positive (smallest: {np.min(deviations):g}).",
-            advice="Give standard deviations in the units of b, all above zero.",
+            advice="Use positive standard deviations in the units of b.",
         )
     return np.column_stack([A, b]) / np.broadcast_to(deviations, b.shape)[:, None]
 
@@ -109,7 +109,7 @@ class FitProblem(Short):
             )
         if np.isfinite([self.lower[[*inertial]], self.upper[[*inertial]]]).any():
             raise ArgumentError(
-                "Bounds are for scalar parameters, and an inertial parameter has one.",
+                "Bounds are for scalar parameters, but an inertial parameter has one.",
                 advice="State it as a row of `constraints`.",
             )
         put(self, "entropic", self._priors("entropic", set(self.inertia_blocks), (10,)))
@@ -138,14 +138,14 @@ class FitProblem(Short):
         for column, pair in instance(getattr(self, name), name, Mapping).items():
             if integer(column, f"a column of {name}") not in allowed:
                 raise ArgumentError(
-                    f"{name} has column {column}, where no inertia block starts; blocks start at "
+                    f"{name} has column {column}, but inertia blocks start at "
                     f"{list(self.inertia_blocks)}."
                     if shape
-                    else f"{name} has column {column}, where there is no scalar parameter."
+                    else f"{name} has column {column}, which is not a scalar parameter."
                 )
             if len(instances(pair, f"{name}[{column}]", object)) != 2:
                 raise ArgumentError(
-                    f"{name}[{column}] must be a pair of a value and a weight; got {pair!r}."
+                    f"{name}[{column}] must be a (value, weight) pair; got {pair!r}."
                 )
             value: Any = real_array(pair[0], f"{name}[{column}]", shape)
             if not shape:
@@ -164,8 +164,8 @@ class FitProblem(Short):
         physical = is_physical(np.reshape(list(references.values()), (-1, 10)))
         if wrong := np.array(self.inertia_blocks, int)[~physical].tolist():
             raise ArgumentError(
-                f"The inertia blocks at columns {wrong} have no physical reference: their prior "
-                "mean does not belong to a body of positive density.",
+                f"The inertia blocks at columns {wrong} have no physical reference: their "
+                "prior mean is not a body of positive density.",
                 advice="Give `reference` inertial parameters of the expected size for them.",
                 columns=wrong,
             )
@@ -188,7 +188,8 @@ def _blocks(starts: tuple[int, ...], p: int) -> tuple[int, ...]:
     gaps = np.diff([*ordered, p]) if ordered else np.empty(0)
     if (ordered and ordered[0] < 0) or np.any(gaps < PARAMETERS_PER_BODY):
         raise ArgumentError(
-            f"Inertia blocks of ten columns starting at {ordered} overlap or leave the {p} columns."
+            f"Inertia blocks of ten columns starting at {ordered} overlap or exceed the {p} "
+            "columns."
         )
     return starts
 
@@ -201,7 +202,7 @@ def _check_constraints(constraints: LinearConstraints, p: int) -> None:
     if empty := np.flatnonzero(~(lower <= upper)).tolist():
         limits = ", ".join(f"{lower[i]:g} and {upper[i]:g}" for i in empty)
         raise ArgumentError(
-            f"Nothing lies between the lower and upper values of constraints {empty}: {limits}.",
+            f"Constraints {empty} have lower values above the upper ones: {limits}.",
             rows=empty,
         )
 
@@ -228,9 +229,9 @@ def out_of_reach(
 ) -> ArgumentError:
     """Return what is wrong with a residual bound below the minimum that some can reach."""
     return ArgumentError(
-        f"residual_bound is {bound:.10g}, but the least squared residual that {who} reach is "
+        f"residual_bound is {bound:.10g}, but the smallest squared residual of {who} is "
         f"{minimum:.10g}.",
-        advice="Take a bound above that.",
+        advice="Use a larger bound.",
         minimum=minimum,
     )
 
@@ -279,7 +280,7 @@ class BodyConstraints(Short):
             bounds = checked_bounds("mass_bounds", self.mass_bounds, (len(prior), 2))
             if wrong := np.flatnonzero(bounds[:, 1] <= 0).tolist():
                 raise ArgumentError(
-                    f"mass_bounds leave no positive mass to bodies {wrong}; masses are in kg.",
+                    f"mass_bounds allow no positive mass of bodies {wrong}; masses are in kg.",
                     bodies=wrong,
                 )
             yield block_diag(*mass), bounds[:, 0], bounds[:, 1]
@@ -310,8 +311,8 @@ def _ellipsoid_rows(ellipsoids: ArrayLike, prior: Array) -> Array:
         raise ArgumentError(
             f"The ellipsoids of bodies {wrong} do not contain the prior's bodies: tr(P Q) is "
             f"{', '.join(f'{value:.3g}' for value in inside[wrong])} instead of at least 0.",
-            advice="Check that prior and ellipsoids are in the same frames and units; else enlarge "
-            "the ellipsoids, or move the prior inside.",
+            advice="Check that prior and ellipsoids have the same frames and units; otherwise "
+            "enlarge the ellipsoids, or move the prior inside.",
             bodies=wrong,
             trace=inside[wrong].tolist(),
         )
@@ -326,7 +327,7 @@ def checked_bounds(name: str, bounds: ArrayLike, shape: tuple[int, ...]) -> Arra
     if not usable.all():
         places = np.argwhere(~usable).tolist()
         raise ArgumentError(
-            f"{name} leaves nothing between the least and the greatest value at {places}.",
+            f"{name} has lower values above the upper ones at {places}.",
             places=places,
         )
     return array

@@ -41,9 +41,9 @@ class Regularizer(ABC):
     def scalar_divergence(self, values: Array, priors: Array) -> Array:
         """Return d(x, x⁰)² of positive scalars (k,) one by one ([Lee2019] Remark 3.13)."""
         raise ArgumentError(
-            f"The regularizer {self.name} has no divergence of extra parameters, and extra_prior "
-            "gives them a prior.",
-            advice="Leave extra_prior out, or take another regularizer.",
+            f"The regularizer {self.name} has no divergence for extra parameters, but "
+            "extra_prior gives them a prior.",
+            advice="Omit extra_prior, or use another regularizer.",
         )
 
     def divergence_of(self, fit: FitResult, prior: Array) -> float:

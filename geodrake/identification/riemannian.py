@@ -237,8 +237,8 @@ class RiemannianProgram(NewtonProgram):
             if (step := self._step(z, gradient, ridged)) is not None:
                 return gradient, step, False
         raise IdentificationError(
-            "The parameters cannot be distinguished by data and prior: no Newton step is defined.",
-            advice="Add data or a prior for them, or leave their columns out.",
+            "Data and prior do not identify all parameters, so Newton's step is undefined.",
+            advice="Add data or a prior for them, or remove their columns.",
         )
 
     def _step(self, z: Array, gradient: Array, hessian: Array) -> Array | None:

@@ -47,7 +47,7 @@ _SECONDS = 20.0
 """Time that a fit by a conic solver may take."""
 
 CONTRADICTION = (
-    "The bounds, constraints and residual bound contradict each other for physical bodies.",
+    "The bounds, constraints and residual bound are infeasible for physical bodies.",
     "Widen the bounds, check the ellipsoids' sign ([x;1]ᵀQ[x;1] ≥ 0 inside) and the total "
     "mass, or raise the residual bound.",
 )
@@ -58,8 +58,8 @@ OTHER_CAUSE = (
 _CAUSES = {
     SolutionResult.kInfeasibleConstraints: CONTRADICTION,
     SolutionResult.kUnbounded: (
-        "Some parameters have neither data nor a prior that hold them.",
-        "Add prior information for them, or leave their columns out.",
+        "Some parameters have neither data nor a prior.",
+        "Add prior information for them, or remove their columns.",
     ),
 }
 
@@ -99,7 +99,7 @@ def in_subprocess(work: Callable[[], T], *, seconds: float) -> T:
     patience = os.WNOHANG
     try:
         if not line.poll(max(seconds, 0.0)):
-            raise LateProcessError(f"gave no answer in {seconds:g} s")
+            raise LateProcessError(f"did not finish in {seconds:g} s")
         answer = line.recv()
     except (EOFError, OSError):
         patience = 0  # it is ending, perhaps amid its answer
@@ -123,7 +123,7 @@ def _ended(child: int, patience: int) -> str:
             _, status = os.waitpid(child, 0)
     except (ProcessLookupError, ChildProcessError):
         # The program has its children reaped elsewhere, and the number may be another's.
-        return "nobody knows what"
+        return "unknown reason"
     code = os.waitstatus_to_exitcode(status)
     return f"signal {signal.Signals(-code).name}" if code < 0 else f"exit code {code}"
 
@@ -153,8 +153,9 @@ def check_solver(solver: str) -> None:
     """Raise an ArgumentError if the solver is unknown."""
     if solver not in SOLVERS:
         raise ArgumentError(
-            f"No conic solver '{solver}' here; there are {', '.join(SOLVERS)}.",
-            advice="Leave `solver` out for the usual one.",
+            f"Conic solver '{solver}' is unknown or not installed; available: "
+            f"{', '.join(SOLVERS)}.",
+            advice="Omit `solver` for the default.",
         )
 
 

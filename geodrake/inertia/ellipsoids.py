@@ -46,7 +46,7 @@ class Ellipsoid(Short):
             object.__setattr__(self, name, value)
         if not (self.semi_axes > 0).all():
             raise ArgumentError(
-                f"An ellipsoid's semi-axes are above zero; got {self.semi_axes.tolist()}."
+                f"Semi-axes of an ellipsoid must be positive; got {self.semi_axes.tolist()}."
             )
         error = self.rotation @ np.swapaxes(self.rotation, -1, -2) - np.eye(3)
         if np.abs(error).max(initial=0.0) > 1e-6 or (np.linalg.det(self.rotation) < 0).any():
@@ -112,7 +112,8 @@ def _checked_size(size: tuple[int, ...], leading: tuple[int, ...]) -> tuple[int,
     size = integers(size, "size")
     if min(size, default=0) < 0 or len(size) < len(leading) or not _broadcast(size, leading):
         raise ArgumentError(
-            f"size must be the shape of the points, the ellipsoids' {leading} last; it is {size}."
+            f"size must be the shape of the points, ending with the ellipsoids' {leading}; "
+            f"it is {size}."
         )
     return size
 
@@ -136,7 +137,7 @@ def equivalent_ellipsoid(phi: ArrayLike, *, least_semi_axis: float = 0.0) -> Ell
     possible = thin if least_semi_axis > 0 else is_physical(phi)
     if not possible.all():
         bad = phi.reshape(-1, 10)[int(np.argmin(possible.ravel()))]
-        raise ArgumentError(f"No body has the inertial parameters {bad.tolist()}.")
+        raise ArgumentError(f"The inertial parameters {bad.tolist()} are not physical.")
     principal = principal_axes(phi)
     squares: Array = 5.0 * principal.second_moments / principal.mass[..., None]
     # Rounding takes a thin body below zero.
@@ -156,13 +157,13 @@ def ellipsoid_of_quadric(Q: ArrayLike) -> Ellipsoid:
     if not (values > 0).all():
         raise ArgumentError(
             f"[x;1]ᵀ Q [x;1] ≥ 0 is not an ellipsoid for Q = {Q.tolist()}.",
-            advice="Its upper left 3×3 block must be negative definite; turn its sign around if "
-            "your Q is negative inside.",
+            advice="Its upper left 3×3 block must be negative definite; use −Q if yours is "
+            "negative inside.",
         )
     center = np.asarray(np.linalg.solve(-Q[..., :3, :3], Q[..., :3, 3, None])[..., 0], float)
     level = Q[..., 3, 3] + (Q[..., :3, 3] * center).sum(-1)
     if not (level > 0).all():
-        raise ArgumentError(f"[x;1]ᵀ Q [x;1] ≥ 0 holds nowhere for Q = {Q.tolist()}.")
+        raise ArgumentError(f"[x;1]ᵀ Q [x;1] ≥ 0 is empty for Q = {Q.tolist()}.")
     axes[..., 2] *= np.where(np.linalg.det(axes) < 0, -1.0, 1.0)[..., None]
     return Ellipsoid(center, np.sqrt(level[..., None] / values), axes)
 

@@ -189,8 +189,8 @@ def pullback_metric(phi: ArrayLike) -> Array:
         solved = np.linalg.solve(calc_pseudo_inertia(phi)[..., None, :, :], BASIS)
     except np.linalg.LinAlgError:
         raise ArgumentError(
-            f"There is no metric at bodies {bad}: they are not physical.",
-            advice="The metric exists at parameters that a solid body can have.",
+            f"Bodies {bad} are not physical, so they have no metric.",
+            advice="The metric needs physically valid parameters.",
             bodies=bad,
         ) from None
     return 0.5 * np.einsum("...iab,...jba->...ij", solved, solved)

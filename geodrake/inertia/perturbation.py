@@ -61,7 +61,7 @@ def perturb(
     phi = real_array(phi, "phi", ("nb", 10))
     if not is_physical(phi).all():
         wrong = np.flatnonzero(~is_physical(phi)).tolist()
-        raise ArgumentError(f"Bodies {wrong} are not physical, so nothing is near them.")
+        raise ArgumentError(f"Bodies {wrong} are not physical, so they cannot be perturbed.")
     count, point_masses = (
         integer(count, "count", lower=1),
         integer(point_masses, "point_masses", lower=1),
@@ -89,7 +89,7 @@ def perturb(
         if not missing.any():
             return Perturbation(made, riemannian_distance(made, phi), rejected)
     raise ConvergenceError(
-        f"Body {int(np.argwhere(missing)[0, 1])} was never physical in {_MOST_DRAWS} draws.",
+        f"Body {int(np.argwhere(missing)[0, 1])} was not physical in any of {_MOST_DRAWS} draws.",
         advice="Choose a smaller mass_uncertainty, more point masses, or a support that is not "
         "larger than the body.",
     )

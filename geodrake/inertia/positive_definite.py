@@ -78,7 +78,7 @@ def whitening(P: ArrayLike) -> tuple[Array, Array]:
     if not even.all():
         raise ArgumentError(
             f"Expected symmetric matrices; got {_first(P, even)}.",
-            advice="Pass 0.5 * (P + P.T) if the difference is meant to be rounding.",
+            advice="Pass 0.5 * (P + P.T) if the difference is due to rounding.",
         )
     try:
         L = np.linalg.cholesky(scaled)
@@ -91,7 +91,7 @@ def _not_positive(P: Array, good: NDArray[np.bool_]) -> ArgumentError:
     bad = _first(P, good)
     return ArgumentError(
         f"Expected positive-definite matrices; got {bad}.",
-        advice="For inertial parameters this means: no body can have them.",
+        advice="For inertial parameters this means that they are not physical.",
         matrix=bad,
     )
 
@@ -172,10 +172,9 @@ def karcher_mean(
             return mean
         before, mean = promise, _line_search(P, w, (L, step), (cost, promise, rounding))
     raise ConvergenceError(
-        f"The Karcher mean is not found to {tolerance:g} in {max_iterations} steps: it is still "
-        f"{float(left.max()):.2g} away.",
-        advice="Some matrix is too close to singular for this tolerance; leave it out, or allow a "
-        "larger tolerance.",
+        f"The Karcher mean did not converge to {tolerance:g} in {max_iterations} steps: the "
+        f"error is {float(left.max()):.2g}.",
+        advice="Some matrix is nearly singular; remove it, or use a larger tolerance.",
         distance=left,
     )
 
@@ -183,12 +182,12 @@ def karcher_mean(
 def _normalized(weights: ArrayLike | None, sizes: Sizes) -> Array:
     """Return weights (..., k) that sum to one."""
     if sizes["k"] == (0,):
-        raise ArgumentError("There is no mean of no matrices.")
+        raise ArgumentError("The mean of no matrices is undefined.")
     given = np.ones(sizes["k"]) if weights is None else weights
     w = real_array(given, "weights", ("...", "k"), sizes)
     total = w.sum(-1, keepdims=True)
     if not ((w >= 0).all() and ((total > 0) & np.isfinite(total)).all()):
-        raise ArgumentError(f"Expected weights of zero or more, not all zero; got {w.tolist()}.")
+        raise ArgumentError(f"Expected nonnegative weights, not all zero; got {w.tolist()}.")
     return np.asarray(w / total)
 
 

@@ -262,12 +262,13 @@ def design_filter(
         ArgumentError: The bandwidth does not fit the period.
     """
     if not 0.0 < period < np.inf:
-        raise ArgumentError(f"A sampling period is above zero; got {period:g} s.", period=period)
+        raise ArgumentError(f"A sampling period must be positive; got {period:g} s.", period=period)
     lowest, highest = 0.5 / (_LARGEST_DECIMATION * period), highest / period
     if not lowest <= bandwidth <= highest * (1 + 1e-9):
         raise ArgumentError(
-            f"A bandwidth of {bandwidth:g} Hz does not fit a sampling rate of {1 / period:g} Hz.",
-            advice=f"Choose a bandwidth from {lowest:g} to {highest:g} Hz.",
+            f"A bandwidth of {bandwidth:g} Hz is not possible at a sampling rate of "
+            f"{1 / period:g} Hz.",
+            advice=f"Choose a bandwidth between {lowest:g} and {highest:g} Hz.",
             bandwidth=bandwidth,
             period=period,
         )
@@ -289,7 +290,7 @@ def differentiate(signal: ArrayLike, period: float) -> Array:
     if len(signal) < _LEAST_SAMPLES:
         raise ArgumentError(
             f"A derivative needs {_LEAST_SAMPLES} samples; got {len(signal)}.",
-            advice="Give a longer piece of the signal.",
+            advice="Use a longer signal.",
         )
     slopes = spline_through(signal).derivative()(np.arange(float(len(signal))))
     return np.asarray(slopes / period)
@@ -334,7 +335,7 @@ def choose_bandwidth(pieces: Sequence[tuple[Array, float]]) -> float:
     pieces = [(position, period) for position, period in pieces if len(position) >= LEAST_SPECTRUM]
     if not pieces:
         raise LogError(
-            f"No piece of the log has the {LEAST_SPECTRUM} samples in a row that a spectrum needs.",
+            f"The log has no {LEAST_SPECTRUM} samples without a gap, which a spectrum needs.",
             advice="Record a longer motion without gaps.",
         )
     longest = min(_WELCH_SECONDS, max(len(position) * period for position, period in pieces))

@@ -68,13 +68,13 @@ def validation_blocks(
             than ten filtered samples.
     """
     if not trajectories:
-        raise ArgumentError("There is no trajectory to make folds of.")
+        raise ArgumentError("There are no trajectories to split into folds.")
     least = 2 if len(trajectories) == 1 else 1
     if blocks is not None and not least <= blocks <= _MOST_BLOCKS:
-        why = "something must be held out" if blocks < least else "each is held out of a fit once"
+        why = "at least one must be held out" if blocks < least else "each is held out once"
         raise ArgumentError(
-            f"{blocks} blocks do not do for {len(trajectories)} log: {why}.",
-            advice=f"Ask for {least} to {_MOST_BLOCKS} blocks.",
+            f"{blocks} blocks are not possible for {len(trajectories)} log(s): {why}.",
+            advice=f"Use {least} to {_MOST_BLOCKS} blocks.",
             blocks=blocks,
         )
     wanted = blocks or max(1, _FOLDS // len(trajectories))
@@ -89,9 +89,10 @@ def validation_blocks(
     if len(folds) < 2:
         outputs = sum(trajectories[0].output_counts)
         raise LogError(
-            f"Log {trajectories[0].name!r} is too short to hold anything out: it gives {outputs} "
-            f"filtered samples, and two blocks with a gap need more than {2 * _LEAST_OUTPUTS}.",
-            advice="Give a longer log, a second one, or a larger bandwidth.",
+            f"Log {trajectories[0].name!r} is too short for validation: it has {outputs} "
+            "filtered samples, but two blocks with a gap need more than "
+            f"{2 * _LEAST_OUTPUTS}.",
+            advice="Use a longer log, a second one, or a larger bandwidth.",
             outputs=outputs,
         )
     return folds

@@ -115,7 +115,7 @@ def inspect_log(
     period = float(np.median(steps))
     gap = steps > longest_step(period)
     missing = [joint for joint in joints or () if joint not in (*log.joints, *log.standing)]
-    notes += [f"nothing is measured of the model's {', '.join(missing)}"] if missing else []
+    notes += [f"the model's {', '.join(missing)} have no measurements"] if missing else []
     converted = any(s.unit for n, s in columns.sources.items() if n.endswith(".position"))
     time = columns.sources.get("time")
     hints = [None if converted else position_unit_hint(log), effort_sign_hint(log), unused]
@@ -177,7 +177,7 @@ def _check_said(path: Path, found: LogInspection, text: str) -> None:
     try:
         mapping = mapping_of(path, yaml.safe_load(text))
         again = read_log(path, reading=Reading(mapping=mapping), partial=True)
-        problem = "the times of its rows would be others."
+        problem = "the times of its rows would change."
         is_same = len(again) == len(found.log) and np.allclose(
             np.diff(again.time), np.diff(found.log.time), atol=_LEAST_STEP
         )
@@ -185,8 +185,8 @@ def _check_said(path: Path, found: LogInspection, text: str) -> None:
         problem, is_same = error.problem, False
     if not is_same:
         raise LogError(
-            f"A mapping cannot say how log {path.name!r} was read: {problem}",
-            advice="Write it anew as CSV by --convert, and map that.",
+            f"A mapping cannot express how log {path.name!r} was read: {problem}",
+            advice="Convert it to CSV with --convert, and map that.",
         )
 
 

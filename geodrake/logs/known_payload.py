@@ -48,7 +48,7 @@ class KnownPayload:
         if not 0.0 < self.mass <= _HEAVIEST:
             raise ArgumentError(
                 f"A known payload of {self.body} has a mass of {self.mass:g} kg.",
-                advice=f"Give what a scale says of it: above 0 kg and up to {_HEAVIEST:g} kg.",
+                advice=f"Use the mass from a scale: above 0 kg and up to {_HEAVIEST:g} kg.",
             )
         center = real_array(self.mass_center, "mass_center", finite=False)
         inertia = real_array(self.inertia, "inertia", finite=False)
@@ -57,10 +57,10 @@ class KnownPayload:
         bounds = (center, _FARTHEST), (inertia, largest)
         if shapes != ((3,), (3, 3)) or not all((np.abs(x) <= most).all() for x, most in bounds):
             raise ArgumentError(
-                f"A known payload of {self.body} has its centre at {self.mass_center} m and the "
-                f"inertia {self.inertia} kg·m².",
-                advice=f"Give three numbers x, y, z, up to {_FARTHEST:g} m, and three rows of "
-                "three.",
+                f"A known payload of {self.body} has its centre of mass at "
+                f"{self.mass_center} m and the inertia {self.inertia} kg·m².",
+                advice=f"Use three coordinates x, y, z up to {_FARTHEST:g} m, and three rows of "
+                "three numbers.",
             )
 
         object.__setattr__(self, "mass_center", tuple(center.tolist()))

@@ -32,11 +32,11 @@ def check_commands(log: JointLog) -> None:
             continue
         if any(_is_copy(command, position, late) for late in range(_LATEST + 1)):
             raise LogError(
-                f"The command of {joint} in log {log.name!r} never differs from its position, so "
-                "that nothing is known of its effort.",
-                advice="Is it a copy of what was measured? Log what the servo was told. If it was "
-                "told that, move the joint faster, in steps or swings of some hertz, or with a "
-                "load: a servo lags behind by what its effort needs.",
+                f"The command of {joint} in log {log.name!r} always equals its position, so "
+                "its effort is unknown.",
+                advice="Is it a copy of the measured position? Log the servo's command. If "
+                "that is the command, move the joint faster, in steps or oscillations of "
+                "some hertz, or with a load, so that the servo lags.",
                 joint=joint,
             )
 
@@ -65,11 +65,11 @@ def check_saturation(log: JointLog) -> None:
         share = float(np.mean(np.abs(effort) >= _FULL * largest))
         if share > _MOST and not _is_coarse(effort):
             raise LogError(
-                f"The {log.effort_kinds.get(joint, 'effort')} of {joint} in log {log.name!r} is at "
-                f"its largest value, {largest:.4g}, in {100 * share:.0f} % of the rows in which "
-                "the joint moves: it is saturated.",
-                advice="Move with less acceleration and load, so that the drive stays within its "
-                "limit, or raise the limit.",
+                f"The {log.effort_kinds.get(joint, 'effort')} of {joint} in log {log.name!r} "
+                f"is saturated: it is at its largest value, {largest:.4g}, in "
+                f"{100 * share:.0f} % of the rows in which the joint moves.",
+                advice="Move with less acceleration or load to stay within the drive's limit, "
+                "or raise the limit.",
                 joint=joint,
             )
 
@@ -109,9 +109,9 @@ def check_repeated(logs: Sequence[JointLog]) -> None:
         short, long = sorted(pair, key=lambda k: len(logs[k]))
         if np.isin(digests[short], digests[long]).sum() > _MOST_SHARED * len(digests[short]):
             raise ArgumentError(
-                f"Log {logs[short].name!r} is given twice, so it would be validated against "
-                f"itself: its measurements are those of {logs[long].name!r}.",
-                advice="Name each log once.",
+                f"Log {logs[short].name!r} has the same measurements as {logs[long].name!r}, "
+                "so it would be validated against itself.",
+                advice="Give each log once.",
             )
 
 

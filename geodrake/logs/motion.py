@@ -126,8 +126,8 @@ class JointLog(Short):
                 object.__setattr__(self, quantity, real_array(values, name, finite=False))
         if np.ndim(self.time) != 1 or isinstance(self.joints, str):
             raise ArgumentError(
-                f"Log {self.name!r} needs time stamps (N,) and a tuple of joint names; it got time "
-                f"of shape {np.shape(self.time)} and joints {self.joints!r}."
+                f"Log {self.name!r} needs time stamps (N,) and a tuple of joint names; got "
+                f"time of shape {np.shape(self.time)} and joints {self.joints!r}."
             )
         instance(self.name, "name", str)
         object.__setattr__(self, "joints", instances(self.joints, "joints", str))
@@ -138,14 +138,14 @@ class JointLog(Short):
             values = getattr(self, quantity)
             if values is not None and np.shape(values) != shape:
                 raise ArgumentError(
-                    f"The {quantity} of log {self.name!r} has shape {np.shape(values)}; its "
+                    f"The {quantity} of log {self.name!r} has shape {np.shape(values)}; "
                     f"{shape[0]} time stamps and {shape[1]} joints need {shape}.",
                     shape=np.shape(values),
                 )
         for name, values in instance(self.floating, "floating", Mapping).items():
             real_array(values, f"{name} of log {self.name!r}", (len(self.time),), finite=False)
         if len(set(self.joints)) != len(self.joints):
-            raise ArgumentError(f"Log {self.name!r} names a joint twice: {self.joints}.")
+            raise ArgumentError(f"Log {self.name!r} has duplicate joint names: {self.joints}.")
         instances(self.payloads, "payloads", KnownPayload)
         self._check_efforts()
         check_time(self.name, np.asarray(self.time, float))
@@ -154,13 +154,13 @@ class JointLog(Short):
         """Raise an ArgumentError if what is said of the efforts cannot be."""
         if np.shape(self.effort_uncertainty) not in ((), (len(self.joints),)):
             raise ArgumentError(
-                f"Log {self.name!r} of {len(self.joints)} joints has an effort_uncertainty of "
+                f"Log {self.name!r} has {len(self.joints)} joints, but effort_uncertainty of "
                 f"shape {np.shape(self.effort_uncertainty)}."
             )
         for joint, kind in instance(self.effort_kinds, "effort_kinds", Mapping).items():
             if joint not in self.joints or kind not in (*EFFORT_KINDS, GROUND, UNMEASURED):
                 raise ArgumentError(
-                    f"Log {self.name!r} has {kind!r} as the kind of efforts of {joint!r}.",
+                    f"Log {self.name!r} has the unknown kind of efforts {kind!r} for {joint!r}.",
                     advice=f"Joints are {', '.join(self.joints)}; kinds {', '.join(EFFORT_KINDS)}.",
                 )
 
@@ -274,14 +274,15 @@ class Motion(Short):
                 object.__setattr__(self, name, real_array(values, name, finite=measured))
         if self.q.ndim != 2 or self.v.ndim != 2 or self.vd.ndim != 2:
             raise ArgumentError(
-                f"A motion is (N, nq) and (N, nv); got {self.q.shape} and {self.v.shape}."
+                f"A motion needs q (N, nq) and v (N, nv); got {self.q.shape} and {self.v.shape}."
             )
         times = () if self.time is None else np.shape(self.time)
         lengths = {len(self.q), len(self.v), len(self.vd), *times}
         if len(lengths) > 1 or np.shape(self.v) != np.shape(self.vd):
             raise ArgumentError(
-                f"A motion needs as many samples of everything, and v like v̇; it got q "
-                f"{np.shape(self.q)}, v {np.shape(self.v)}, v̇ {np.shape(self.vd)}, time {times}."
+                "A motion needs equally many samples of everything, and v̇ of the shape of "
+                f"v; got q {np.shape(self.q)}, v {np.shape(self.v)}, v̇ {np.shape(self.vd)}, "
+                f"time {times}."
             )
 
     def __len__(self) -> int:
@@ -369,9 +370,9 @@ def check_joints(
     for joint in joints:
         if joint not in model_joints:
             raise LogError(
-                f"The model has no joint {joint!r}, which log {name!r} has"
-                f"{_nearest(joint, model_joints)}.",
-                advice="Rename the log's columns, or leave that joint's columns out.",
+                f"Log {name!r} has joint {joint!r}, but the model does "
+                f"not{_nearest(joint, model_joints)}.",
+                advice="Rename the log's columns, or remove that joint's columns.",
                 joint=joint,
             )
     for joint in model_joints:
@@ -382,7 +383,7 @@ def check_joints(
 def _missing(name: str, joint: str, joints: Sequence[str]) -> LogError:
     return LogError(
         f"Log {name!r} has no joint {joint!r}{_nearest(joint, joints)}.",
-        advice="Rename the log's columns, record that joint too, or hold it: --lock "
+        advice="Rename the log's columns, record that joint too, or fix it: --lock "
         f"{joint}=POSITION.",
         joint=joint,
     )

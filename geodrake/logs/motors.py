@@ -17,7 +17,7 @@ Published = tuple[float, float, str]
 """A value, its standard deviation, and where it is published."""
 
 _TABLE = Path(__file__).parent / "motors.yaml"
-_FORM = "Write, for example: my_servo: {stiffness: [17.8, 9.0, where it is published]}."
+_FORM = "Write, for example: my_servo: {stiffness: [17.8, 9.0, source of the values]}."
 _GAINS = {"command": "stiffness", "current": "torque_constant", "pwm": "stall_torque"}
 
 
@@ -75,8 +75,8 @@ def motor_named(name: str, motors: Mapping[str, Motor] | None = None) -> Motor:
     found = {_plain(key): motor for key, motor in table.items()}.get(_plain(name))
     if found is None:
         raise ArgumentError(
-            f"There is no motor {name!r}.",
-            advice=f"Known are {', '.join(table)}; --motors FILE.yaml adds others.",
+            f"Motor {name!r} is unknown.",
+            advice=f"Known motors are {', '.join(table)}; --motors FILE.yaml adds others.",
         )
     return found
 

@@ -36,7 +36,7 @@ _SPEED_AGREEMENT = 0.05  # relative RMS of measured velocity − derivative of p
 _LEAST_LEAN = 12  # samples near an end, where derivatives of splines are less exact
 _FREQUENCIES = 257  # at which the noise of accelerations is added up
 _NOTED_LOSS, _MUCH = 1e-3, 0.01  # of a log's time, that is said, and said before all else
-_ENDS, _MANY_ENDS = "where pieces begin and end", 0.1  # and how much of these is
+_ENDS, _MANY_ENDS = "at the ends of pieces", 0.1  # and how much of these is
 _NOTED_LAG = 0.1  # of the sampling period, between measured velocity and position
 
 
@@ -45,7 +45,7 @@ def prepare_logs(
     *,
     bandwidth: float | None = None,
     motion_bandwidth: float | None = None,
-    how: str = "as asked for",
+    how: str = "as requested",
 ) -> tuple[Trajectory, ...]:
     """Turn raw logs into smooth uniform segments and the filter for efforts and regressors.
 
@@ -69,12 +69,12 @@ def prepare_logs(
         LogError: If a log is still throughout, or too short for the bandwidth.
     """
     if not logs:
-        raise ArgumentError("There is no log.", advice="Give at least one.")
+        raise ArgumentError("There are no logs.", advice="Use at least one.")
     uniform = [each if isinstance(each, UniformLog) else make_uniform(each) for each in logs]
     joints = [each.log.joints for each in uniform]
     if any(names != joints[0] for names in joints):
         raise ArgumentError(
-            f"Logs to prepare must be of the same joints; got {joints}.",
+            f"Logs to prepare must have the same joints; got {joints}.",
             advice="Match every log to the model's joints first.",
         )
     if bandwidth is None:
@@ -167,7 +167,7 @@ def _left_out(
     parts = {
         "of standstill at the start": standstill[0],
         "of standstill at the end": standstill[1],
-        f"in {dropped} of {len(uniform.pieces)} pieces, still or short for the filter": (
+        f"in {dropped} of {len(uniform.pieces)} pieces, which are still or too short to filter": (
             of_pieces - held
         ),
         _ENDS: held - used - sum(standstill),
@@ -177,10 +177,10 @@ def _left_out(
     lines = []
     if said:
         share = f"{100 * (whole - used) / whole:.2g} %"
-        lines = [f"{whole - used:.3g} of {whole:.4g} s ({share}) are left out: {', '.join(said)}"]
+        lines = [f"{whole - used:.3g} of {whole:.4g} s ({share}) are not used: {', '.join(said)}"]
     if joints := uniform.log.left_out:
         named = ", ".join(joint or "''" for joint in joints)
-        lines.append(f"left out, as the model has no such joint: {named}")
+        lines.append(f"not used, as the model has no such joint: {named}")
     ends = parts[_ENDS]  # of which every log has some
     is_much = whole - used - ends > _MUCH * whole or ends > _MANY_ENDS * whole or bool(joints)
     return is_much, "; ".join(lines)
@@ -194,7 +194,7 @@ def _failed_sensors(log: JointLog, known: Temperatures | None) -> list[str]:
     courses = {} if known is None else known.courses
     failed = [joint for joint, some in zip(log.joints, read.tolist(), strict=True) if some]
     failed = [joint for joint in failed if joint not in courses]
-    return [f"temperature of {', '.join(failed)}: the sensor fails"] if failed else []
+    return [f"temperature of {', '.join(failed)} is not used: the sensor fails"] if failed else []
 
 
 def _check_outputs(uniform: UniformLog, low_pass: ZeroPhaseFilter, outputs: int) -> None:
@@ -205,11 +205,11 @@ def _check_outputs(uniform: UniformLog, low_pass: ZeroPhaseFilter, outputs: int)
     hint = position_unit_hint(uniform.log)
     raise LogError(
         f"Log {uniform.log.name!r} is too short: its {uniform.seconds:.3g} s give {outputs} "
-        f"filtered samples at a bandwidth of {low_pass.bandwidth:.3g} Hz, and {LEAST_OUTPUTS} are "
-        "needed.",
+        f"filtered samples at a bandwidth of {low_pass.bandwidth:.3g} Hz, but "
+        f"{LEAST_OUTPUTS} are needed.",
         advice=(f"{hint} " if hint else "")
-        + f"Record at least {ends + LEAST_OUTPUTS * low_pass.output_period:.3g} s of "
-        "motion in one piece, or ask for a larger bandwidth.",
+        + f"Record at least {ends + LEAST_OUTPUTS * low_pass.output_period:.3g} s of motion "
+        "without gaps, or use a larger bandwidth.",
         seconds=uniform.seconds,
         bandwidth=low_pass.bandwidth,
     )
@@ -254,9 +254,9 @@ def _measured_lag(
     relative = np.sqrt(error / np.where(speed > 0.0, speed, np.inf))
     worst, wrong = int(np.argmax(relative)), relative > _SPEED_AGREEMENT
     note = (
-        f"measured velocities of {', '.join(np.array(uniform.log.joints)[wrong])} are not used: "
-        f"that of {uniform.log.joints[worst]} is {100 * relative[worst]:.0f} % off the derivative "
-        "of its position"
+        f"measured velocities of {', '.join(np.array(uniform.log.joints)[wrong])} are not "
+        f"used: that of {uniform.log.joints[worst]} differs by {100 * relative[worst]:.0f} % "
+        "from the derivative of its position"
     )
     if wrong.any():
         return np.where(wrong, np.nan, lag), note
@@ -264,9 +264,9 @@ def _measured_lag(
     if abs(lag[latest]) < _NOTED_LAG * uniform.period:
         return lag, None
     return lag, (
-        f"measured velocities are shifted in time to match the positions: that of "
-        f"{uniform.log.joints[latest]} is "
-        f"{1e3 * abs(lag[latest]):.2g} ms {'late' if lag[latest] > 0 else 'early'}"
+        "measured velocities are shifted in time to match the positions: "
+        f"{uniform.log.joints[latest]} is {1e3 * abs(lag[latest]):.2g} ms "
+        f"{'late' if lag[latest] > 0 else 'early'}"
     )
 
 

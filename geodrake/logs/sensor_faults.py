@@ -105,7 +105,7 @@ class _Sensor:
         lost = np.zeros(len(values), bool)
         for where, words in replace(self, values=values)._faults():
             lost[where] = True
-            notes.append(f"the {self.name} {words}: left out")
+            notes.append(f"the {self.name} {words}: not used")
         if notes:
             column = column.copy()
             column[self.rows] = np.where(lost, np.nan, values)
@@ -117,24 +117,24 @@ class _Sensor:
         spikes = self._spikes(jumps)
         if len(spikes):
             first = spikes[0]
+            count = f"{len(spikes)} outliers, the first" if len(spikes) > 1 else "an outlier"
             yield (
                 spikes,
-                f"jumps and comes back, {len(spikes)} rows in all, the first at "
-                f"t = {self.time[first]:.2f} s to {self.values[first]:.4g}",
+                f"has {count} at t = {self.time[first]:.2f} s: {self.values[first]:.4g}",
             )
         self._check_possible(spikes)
         explained = [spikes, spikes - 1]
         for first, last in self._frozen(jumps):
             seconds = self.time[last] - self.time[first]
             words = (
-                f"stays at {self.values[first]:.4g} for {seconds:.3g} s from "
-                f"t = {self.time[first]:.2f} s on, while the joint moves"
+                f"is stuck at {self.values[first]:.4g} for {seconds:.3g} s from t = "
+                f"{self.time[first]:.2f} s on, while the joint moves"
             )
             if last - first > _MOST_FROZEN * len(self.values):
                 raise LogError(
                     f"In log {self.log.name!r} the {self.name} {words}.",
-                    advice="Has the sensor failed? If the joint was locked, leave out the columns "
-                    "of its velocity.",
+                    advice="Has the sensor failed? If the joint was locked, remove its "
+                    "velocity columns.",
                 )
             yield slice(first, last + 1), words
             explained.append(np.array([last]))
@@ -148,8 +148,9 @@ class _Sensor:
             row = int(np.arange(len(self.log))[self.rows][rows[0]]) + 1
             raise LogError(
                 f"Row {row} of log {self.log.name!r} has {self.values[rows[0]]:.4g} as the "
-                f"{self.name}, and {len(rows)} rows have the like: no robot in SI units has that.",
-                advice="Are these ticks of an encoder, or has the sensor failed?",
+                f"{self.name}, which no robot reaches in SI units; {len(rows)} rows have such "
+                "values.",
+                advice="Are these encoder ticks, or has the sensor failed?",
                 row=row,
             )
 
@@ -165,7 +166,7 @@ class _Sensor:
             near &= (rest <= 2.0 * ordinary) & (np.abs(steps) > 5.0 * ordinary)
             if near.any():
                 turns = np.concatenate([[0.0], np.cumsum(np.where(near, np.sign(steps), 0.0))])
-                words = f"wraps at a turn of {turn:.4g}, {np.count_nonzero(near)} times, the first "
+                words = f"wraps at {turn:.4g}, {np.count_nonzero(near)} times, the first "
                 words += f"at t = {self.time[int(np.argmax(near))]:.2f} s: unwrapped"
                 values = self.values - turn * turns
                 middle = 0.5 * (values.min() + values.max())

@@ -51,10 +51,10 @@ def time_unit(name: str, time: Array) -> tuple[float, str] | None:
     typical, period = float(np.median(known)), float(np.median(np.abs(np.diff(known))))
     for unit, factor in _UNITS.items():
         if _EPOCH[0] < factor * typical < _EPOCH[1]:
-            return factor, f"time is in {unit} since 1970, by its size: converted"
+            return factor, f"time is in {unit} since 1970, judging by its size: converted"
     for program, (first, last) in _DAYS.items():
         if first <= typical < last and _RATES[0] <= 1.0 / max(_DAY * period, _INSTANT) <= _RATES[1]:
-            return _DAY, f"time is in days, as {program} counts them, by its size: converted"
+            return _DAY, f"time is in days as in {program}, judging by its size: converted"
     if name == "time" or period < _SLOWEST:
         return None
     rates = {unit: 1.0 / (factor * period) for unit, factor in _UNITS.items()}
@@ -62,7 +62,7 @@ def time_unit(name: str, time: Array) -> tuple[float, str] | None:
     if len(likely) != 1:
         return None
     (unit,) = likely
-    words = f"time is in {unit}, as {rates[unit]:.4g} rows a second say: converted"
+    words = f"time is in {unit}, judging by {rates[unit]:.4g} Hz: converted"
     return _UNITS[unit], f"{words} (--units time=s if it is not)"
 
 
@@ -84,8 +84,8 @@ def with_clock_set_back(time: Array) -> tuple[Array, tuple[str, ...]]:
     found, notes, gap = time.copy(), [], max(_GAP, 20.0 * period)
     for k in back.tolist():
         notes.append(
-            f"the clock was set back by {period - steps[k]:.3g} s at row {rows[k + 1] + 1}: what "
-            "follows is taken as after a gap"
+            f"the clock was set back by {period - steps[k]:.3g} s at row {rows[k + 1] + 1}, "
+            "which is treated as a gap"
         )
         found[rows[k + 1] :] += gap - steps[k]
     return found, tuple(notes)
@@ -138,8 +138,8 @@ def evened(time: Array, position: Array) -> tuple[Array, tuple[str, ...]]:
     even = time.copy()
     even[rows] = found
     words = (
-        f"rows were stamped on arrival, {short} of {len(rows)} at once with the one before: they "
-        f"are taken as even, {1.0 / period:.4g} a second"
+        f"rows were stamped on arrival, {short} of {len(rows)} together with the one before: "
+        f"they are assumed to be uniform at {1.0 / period:.4g} Hz"
     )
     return even, (words,)
 
@@ -164,8 +164,8 @@ def check_time(name: str, time: Array) -> None:
     latest = float(np.max(np.abs(time), initial=0.0, where=np.isfinite(time)))
     if latest > _LATEST:
         raise LogError(
-            f"Time in log {name!r} reaches {latest:.4g} s, which no log does.",
-            advice="Is this column the time, or is a row damaged?",
+            f"Time in log {name!r} reaches {latest:.4g} s, which is impossible.",
+            advice="Is this column the time, or is a row corrupt?",
         )
     steps = np.diff(time)
     if np.all(steps > 0):
@@ -181,8 +181,8 @@ def check_time(name: str, time: Array) -> None:
     raise LogError(
         f"Time {what} in log {name!r}: row {before} has {time[before - 1]:.9g} s and row {after} "
         f"has {time[after - 1]:.9g} s.",
-        advice="Log the instant each sample was measured at, with enough digits, and sort or "
-        "remove rows so that time increases."
-        + (" Of rows that are evenly apart, --rate says how many a second." if again else ""),
+        advice="Log the time at which each sample was measured, with enough digits, and sort "
+        "or remove rows so that it increases."
+        + (" If rows are uniform, give their rate with --rate." if again else ""),
         row=int(after),
     )

@@ -37,12 +37,12 @@ def step_notes(log: JointLog) -> Iterator[str]:
     coarse = {joint: step for joint, step in steps.items() if step > 0.0}
     if coarse:
         each = ", ".join(
-            f"{joint} of {step:.3g} (noise {step / np.sqrt(12.0):.2g})"
+            f"{joint} {step:.3g} (noise {step / np.sqrt(12.0):.2g})"
             for joint, step in coarse.items()
         )
         yield (
-            f"efforts come in steps: {each}; a step over √12 is the deviation of the noise that it "
-            "makes in single readings, before they are filtered"
+            f"efforts are quantized: {each}; the step over √12 is the standard deviation of "
+            "the quantization noise before filtering"
         )
 
 
@@ -164,28 +164,28 @@ def _uniform(log: JointLog, *, faultless: bool) -> UniformLog:
     if (hint := row_order_hint(log)) is not None:
         raise LogError(
             hint,
-            advice="Sort the rows by time, and log the time. If they are in order, the log is "
-            "sampled too rarely: record 20 rows or more in each swing of a joint.",
+            advice="Sort the rows by time, and log the time. If they are sorted, the sampling "
+            "rate is too low: record 20 rows or more in each oscillation of a joint.",
         )
     log = log if faultless else without_faults(log)
     notes = [*log.notes, *step_notes(log)]
     columns = [log.joints.index(joint) for joint in log.measured]
     own = None if log.acceleration is None or not columns else log.acceleration[:, columns]
     if log.acceleration is not None and own is None:
-        notes.append("measured accelerations are not used; they are derived from velocities")
+        notes.append("measured accelerations are not used, but derived from velocities")
     velocity = log.velocity
     if velocity is not None and np.isnan(velocity).mean() > 0.1:
         velocity = None
-        notes.append("measured velocities have too many empty cells and are not used")
+        notes.append("measured velocities are not used, as too many cells are empty")
     measured = [log.time[:, None], log.position, log.effort]
     measured += [x for x in (velocity, own) if x is not None]
     complete = np.logical_and.reduce([np.isfinite(values).all(axis=1) for values in measured])
     if np.count_nonzero(complete) < 2:
         raise LogError(
-            f"Log {log.name!r} has {np.count_nonzero(complete)} rows without empty cells out of "
-            f"{len(log)}{_never_measured(log)}.",
-            advice="Log time, position and effort of every joint in the same row; in the place of "
-            "efforts, currents, voltages, duty cycles or commands.",
+            f"Only {np.count_nonzero(complete)} of {len(log)} rows of log {log.name!r} have "
+            f"no empty cells{_never_measured(log)}.",
+            advice="Log time, position and effort (or current, voltage, duty cycle or command) "
+            "of all joints in the same row.",
         )
     runs, period, note = _runs(log.time, complete)
     _check_period(log, period)
@@ -211,14 +211,14 @@ def _uniform(log: JointLog, *, faultless: bool) -> UniformLog:
 def _never_measured(log: JointLog) -> str:
     """Return the first column without a single number, in words."""
     if not np.isfinite(log.time).any():
-        return ": there is no time in any"
+        return ": none has a time"
     for quantity in ("position", "effort"):
         empty = ~np.isfinite(getattr(log, quantity)).any(axis=0)
         if empty.any():
             told = quantity == "effort" and log.command is not None
-            or_command = " and no command" if told else ""
+            or_command = " or command" if told else ""
             joint = log.joints[int(np.argmax(empty))]
-            return f": there is no {quantity}{or_command} of {joint} in any"
+            return f": none has {quantity}{or_command} of {joint}"
     return ""
 
 
@@ -228,24 +228,24 @@ def _check_period(log: JointLog, period: float) -> None:
     span = f"from t = {log.time[0]:.6g} to {log.time[-1]:.6g} s"
     if period >= _LONGEST_PERIOD:
         raise LogError(
-            f"Log {log.name!r} has a sample every {period:.4g} s, {span}: too rarely for "
-            "accelerations.",
-            advice="Is time in ms, µs or ns? It must be in s: --units time=ms converts it. If it "
-            "is, record at 50 Hz or more.",
+            f"Log {log.name!r} has a sample every {period:.4g} s ({span}), which is too slow "
+            "for accelerations.",
+            advice="Is time in ms, µs or ns? --units time=ms converts it to s. Otherwise "
+            "record at 50 Hz or more.",
             period=period,
         )
     if period < _SHORTEST_PERIOD:
         raise LogError(
-            f"Log {log.name!r} has a sample every {period:.4g} s, {span}: more often than a robot "
-            "is logged.",
+            f"Log {log.name!r} has a sample every {period:.4g} s ({span}), which is faster "
+            "than any robot is logged.",
             advice="Is time in another unit? It must be in s.",
             period=period,
         )
     if np.spacing(latest) > _COARSEST * period:
         raise LogError(
-            f"Time stamps of log {log.name!r} go up to {latest:.6g} s, where neighbouring numbers "
-            f"are {np.spacing(latest):.2g} s apart; its rows are {period:.4g} s apart.",
-            advice="Is one of them wrong? Log the time since the start, in s.",
+            f"Time stamps of log {log.name!r} reach {latest:.6g} s, where the resolution is "
+            f"{np.spacing(latest):.2g} s, but its rows are {period:.4g} s apart.",
+            advice="Is one of them wrong? Log the time since the start in s.",
             period=period,
         )
 
@@ -272,8 +272,8 @@ def _runs(time: Array, complete: NDArray[np.bool_]) -> tuple[list[slice], float,
         return runs, period, None
     at = max(last, key=steps.__getitem__)
     note = (
-        f"split into {len(runs)} pieces at gaps and empty cells, the longest of {steps[at]:.3g} s "
-        f"at t = {time[rows[at]]:.2f} s"
+        f"split into {len(runs)} pieces at gaps and empty cells; the longest gap is "
+        f"{steps[at]:.3g} s at t = {time[rows[at]]:.2f} s"
     )
     return runs, period, note
 
@@ -308,7 +308,8 @@ def _find_moving(
     """Return noise deviation (n,) of each position, and which joints (n,) move."""
     if not pieces:
         raise LogError(
-            f"Log {log.name!r} has no {_LEAST_ROWS} rows in a row without a gap or an empty cell.",
+            f"Log {log.name!r} has no {_LEAST_ROWS} successive rows without a gap or an "
+            "empty cell.",
             advice="Record without dropouts, or log all joints in the same row.",
         )
     seconds = sum(map(len, pieces)) * period
@@ -321,9 +322,10 @@ def _find_moving(
     if not moving.any():
         most = int(np.argmax(reach))
         raise LogError(
-            f"Log {log.name!r} is still throughout: in its {seconds:.3g} s no joint moves by more "
+            f"No joint moves in log {log.name!r}: in its {seconds:.3g} s none moves by more "
             f"than {_STILL_RANGE:g} rad (m) and {_STILL_NOISE:.0f} times its position noise; "
-            f"{log.joints[most]} comes nearest with {reach[most]:.3g}, noise {noise[most]:.2g}.",
+            f"{log.joints[most]} moves most, by {reach[most]:.3g} with noise "
+            f"{noise[most]:.2g}.",
             advice="Record several seconds in which each joint of interest moves back and forth.",
         )
     return noise, moving

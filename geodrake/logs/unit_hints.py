@@ -43,20 +43,20 @@ def effort_unit_hint(log: JointLog, effort_limits: ArrayLike) -> str | None:
         return (
             f"Efforts seem to be in other units: {log.joints[worst]} peaks at "
             f"{peaks[worst]:.4g}, {ratio[worst]:.0f} times the model's limit of "
-            f"{limits[worst]:.4g} N·m or N. N·mm, motor torque or ticks?"
+            f"{limits[worst]:.4g} N·m or N. Are they N·mm, motor torques or ticks?"
         )
     if ratio[worst] < 0.01:
         return (
-            f"Efforts seem to be in other units: no joint goes beyond 1 % of the "
-            f"model's limit; {log.joints[worst]} comes nearest with {peaks[worst]:.3g} of "
-            f"{limits[worst]:.4g} N·m or N. Motor current, a share of the limit, or kN·m?"
+            "Efforts seem to be in other units: no joint exceeds 1 % of the model's limit; "
+            f"the largest is {peaks[worst]:.3g} of {limits[worst]:.4g} N·m or N at "
+            f"{log.joints[worst]}. Are they motor currents, fractions of the limit, or kN·m?"
         )
     return None
 
 
 _UNIT_ADVICE = (
-    "Say their unit: --units position=deg, position=mm or, of an encoder that counts 4,096 in a "
-    "turn of the joint and 2048 where that is at 0, position=rev/4096@2048."
+    "Set their unit: --units position=deg, position=mm or, for an encoder with 4096 counts "
+    "a turn of the joint and zero at 2048, position=rev/4096@2048."
 )
 
 
@@ -64,15 +64,12 @@ def position_unit_hint(log: JointLog) -> str | None:
     """Return a sentence for the user if positions look like degrees or ticks; else None."""
     peaks = _peaks(log.position)
     worst = int(np.argmax(peaks))
-    farthest = f"{log.joints[worst]} reaches {peaks[worst]:.4g}, and most joints go beyond 10"
+    farthest = f"{log.joints[worst]} reaches {peaks[worst]:.4g}, and most joints exceed 10"
     if not peaks[worst] > _LEAST_DEGREES or np.mean(peaks > 10.0) <= 0.5:
         return None
     if peaks[worst] > _MOST_DEGREES:
         return f"Positions are neither rad nor degrees: {farthest}. {_UNIT_ADVICE}"
-    return (
-        f"Positions seem to be in degrees: {farthest}. Positions are rad or m: "
-        "--units position=deg converts them."
-    )
+    return f"Positions seem to be in degrees: {farthest}. --units position=deg converts them."
 
 
 def check_ticks(log: JointLog) -> None:
@@ -84,8 +81,8 @@ def check_ticks(log: JointLog) -> None:
     if not _LEAST_TICKS <= peaks[worst] <= LARGEST:
         return
     raise LogError(
-        f"Positions of log {log.name!r} are whole numbers, of up to {peaks[worst]:.7g} at "
-        f"{log.joints[worst]}: no joint has such in rad or m.",
+        f"Positions of log {log.name!r} are integers of up to {peaks[worst]:.7g} at "
+        f"{log.joints[worst]}, which no joint reaches in rad or m.",
         advice=_UNIT_ADVICE,
         joint=log.joints[worst],
     )
@@ -121,9 +118,9 @@ def effort_sign_hint(log: JointLog) -> str | None:
     if not found:
         return None
     return (
-        f"The efforts of {', '.join(found)} are never negative, and come down to zero again and "
-        "again while the joint turns both ways, so that they seem to be magnitudes. Log them with "
-        "their sign; or, where servos' commands are logged too, use these: --kind command."
+        f"The efforts of {', '.join(found)} are never negative, and often return to zero "
+        "while the joint turns both ways: they seem to be magnitudes. Log them with their "
+        "sign; or, if servo commands are logged too, use these: --kind command."
     )
 
 
@@ -142,9 +139,9 @@ def position_limit_hint(log: JointLog, lower: ArrayLike, upper: ArrayLike) -> st
     share, name, beyond, known, low, high = max(found, key=lambda each: each[0])
     others = f"; joints beyond: {len(found)}" if len(found) > 1 else ""
     return (
-        f"Positions are beyond the model's limits: {name} in {100 * share:.0f} % of the samples of "
-        f"log {log.name!r}, by up to {beyond:.3g} rad (m) outside of {low:.4g} … {high:.4g}"
-        f"{others}.{_cause_beyond(known, low, high)}"
+        f"Positions exceed the model's limits: {name} in {100 * share:.0f} % of the samples "
+        f"of log {log.name!r}, by up to {beyond:.3g} rad (m) beyond {low:.4g} … "
+        f"{high:.4g}{others}.{_cause_beyond(known, low, high)}"
     )
 
 
@@ -157,14 +154,18 @@ def _share_outside(q: Array, low: float, high: float) -> float:
 def _cause_beyond(q: Array, low: float, high: float) -> str:
     """Return what would bring positions (N,) into limits, in a sentence."""
     if _share_outside(-q, low, high) <= _FEW:
-        return " With the other sign they are inside: is the joint's axis, or the column, reversed?"
+        return (
+            " With the opposite sign they are within: is the joint's axis, or the column, reversed?"
+        )
     for quarter in (1, -1, 2, -2, 3, -3, 4, -4):
         if _share_outside(q - quarter * np.pi / 2, low, high) <= _FEW:
-            return f" Less {90 * quarter}° they are inside: is the zero that of the file?"
+            return (
+                f" Shifted by {-90 * quarter:+}° they are within: does the log have another zero?"
+            )
     if _share_outside(np.deg2rad(q), low, high) <= _FEW:
         if np.quantile(np.abs(q), 1.0 - _FEW) > 2.0 * np.pi:
-            return " Divided by 57.3 they are inside: is the log in degrees?"
-        return " Limits 57.3 times as wide hold them: are the file's in radians or in degrees?"
+            return " Divided by 57.3 they are within: is the log in degrees?"
+        return " Within limits 57.3 times as wide: are the file's limits in radians or in degrees?"
     return " Do model and log have the same joints, zeros and units?"
 
 
@@ -182,7 +183,7 @@ def row_order_hint(log: JointLog) -> str | None:
         return None
     most = int(np.argmax(reach))
     return (
-        f"The rows of log {log.name!r} are not in the order of time: {log.joints[most]} jumps by "
+        f"The rows of log {log.name!r} are not sorted by time: {log.joints[most]} jumps by "
         f"{np.median(steps[:, most]):.3g} rad (m) from row to row, within a range of "
         f"{reach[most]:.3g}."
     )

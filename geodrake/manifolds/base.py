@@ -108,7 +108,7 @@ class Manifold(abc.ABC):
         if not (inside := self.calc_contains(points)).all():
             outside = points[~inside][0] if inside.ndim else points
             raise ArgumentError(
-                f"{name} must be inside of {type(self).__name__}; it holds {outside.tolist()}.",
+                f"{name} must be inside {type(self).__name__}; it has {outside.tolist()}.",
                 name=name,
             )
         return points

@@ -85,7 +85,7 @@ class Product(Manifold):
     def __post_init__(self) -> None:
         manifolds = instances(self.manifolds, "manifolds", Manifold)
         if not manifolds:
-            raise ArgumentError("A product needs a manifold; there is none in `manifolds`.")
+            raise ArgumentError("A product needs at least one manifold; `manifolds` is empty.")
         weights = real_array(self.weights, "weights")
         weights = real_array(
             weights if weights.size else np.ones(len(manifolds)), "weights", (len(manifolds),)

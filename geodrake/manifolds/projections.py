@@ -47,7 +47,7 @@ class Polyhedron(Short):
         upper = real_array(self.upper, "upper", ("k",), sizes, finite=False)
         if not ((lower <= upper) & (lower < np.inf) & (upper > -np.inf)).all():
             raise ArgumentError(
-                "Expected lower values that do not exceed the upper ones, with something between; "
+                "Lower values must not exceed upper ones, and the range must not be empty; "
                 f"got lower {lower.tolist()}, upper {upper.tolist()}."
             )
         for name, value in (("matrix", matrix), ("lower", lower), ("upper", upper)):
@@ -318,7 +318,7 @@ def bregman_projection(
         return y
     violation = constraints.violation(y)
     raise ConvergenceError(
-        f"No projection was found to {tolerance:g}: the last point breaks row "
+        f"The projection did not converge to {tolerance:g}: the last point violates row "
         f"{int(np.argmax(violation))} by {violation.max():.3g} (error {missing:.2g}).",
         advice="Check that some point of the manifold satisfies all rows: limits, signs and units.",
         last=y,
@@ -379,8 +379,8 @@ def _without_zeros(constraints: Polyhedron) -> Polyhedron:
     used = A.any(1)
     if ((lower > 0) | (upper < 0))[~used].any():
         raise ArgumentError(
-            "A row of the polyhedron has only zeros, and limits that zero is not between.",
-            advice="Leave it out, or give it coefficients.",
+            "A row of the polyhedron is zero, but its limits exclude zero.",
+            advice="Remove it, or give it coefficients.",
         )
     return constraints if used.all() else Polyhedron(A[used], lower[used], upper[used])
 
@@ -397,8 +397,8 @@ def _check_equations(manifold: Manifold, x: Array, constraints: Polyhedron) -> N
     rest = values - U[:, kept] @ (U[:, kept].T @ values)
     if np.abs(rest).max() > np.sqrt(_SAME_EQUATION) * max(1.0, np.abs(values).max()):
         raise ArgumentError(
-            "The equations of the polyhedron contradict each other.",
-            advice="Leave out equations that say the same with other values.",
+            "The equations of the polyhedron are inconsistent.",
+            advice="Remove duplicate equations with different values.",
         )
 
 
@@ -407,10 +407,8 @@ def _checked_point(manifold: Manifold, x: ArrayLike, constraints: Polyhedron) ->
     x, rows = real_array(x, "x", (n,)), instance(constraints, "constraints", Polyhedron).matrix
     if rows.shape[1] != n:
         raise ArgumentError(
-            f"The manifold has {n} coordinates; got rows of {rows.shape[1]} coefficients."
+            f"The manifold has {n} coordinates, but the rows {rows.shape[1]} coefficients."
         )
     if not manifold.calc_contains(x):
-        raise ArgumentError(
-            f"The point to be projected is not inside of the manifold's set: {x.tolist()}."
-        )
+        raise ArgumentError(f"The point to project is not inside the manifold: {x.tolist()}.")
     return x

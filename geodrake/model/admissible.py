@@ -31,8 +31,8 @@ def check_body(what: str, phi: Array) -> None:
     if not is_physical(phi, tolerance=-ROUNDING):
         least, *_, most = np.linalg.eigvalsh(pseudo_inertia(phi))
         raise ModelError(
-            f"{what} are those of no body: the pseudo inertia P(φ) must be positive definite, and "
-            f"has eigenvalues from {least:.3g} to {most:.3g}."
+            f"{what} are not physical: the pseudo-inertia P(φ) must be positive definite, "
+            f"but has eigenvalues from {least:.3g} to {most:.3g}."
         )
 
 
@@ -55,12 +55,12 @@ def check_effect(fitted: FittedEffect) -> None:
     elif isinstance(manifold, PhysicalInertia):
         check_body(what, values)
     elif not manifold.contains(values):
-        raise ModelError(f"{what} are {values.tolist()}, outside of what the effect allows.")
+        raise ModelError(f"{what} are {values.tolist()}, which the effect does not allow.")
     deviations = [] if fitted.deviations is None else fitted.deviations.tolist()
     for name, value in zip(names, deviations, strict=False):
         if not value >= 0.0:
             raise ModelError(
-                f"deviations of {named(fitted)} have {name} = {value:g}, which is less than 0."
+                f"deviations of {named(fitted)} have {name} = {value:g}, which is negative."
             )
 
 

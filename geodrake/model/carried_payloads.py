@@ -74,16 +74,16 @@ def _joints_of(model: RobotModel, bodies: Sequence[str]) -> tuple[str, ...]:
 def payload_notes(model: RobotModel, logs: Sequence[JointLog]) -> list[str]:
     """Return what is done about known payloads, in words."""
     notes = [
-        f"{log.name}: the effort of {payload.mass:g} kg known at {payload.body} is taken off the "
-        "measured one"
+        f"{log.name}: the effort of the known payload of {payload.mass:g} kg at "
+        f"{payload.body} is subtracted from the measured one"
         for log in logs
         for payload in log.payloads
     ]
     known = joints_with_known_gain(model, [log.payloads for log in logs]) if notes else ()
     if notes and not known and model.information is None:
         notes.append(
-            "known payloads identify no gain of efforts, as all logs have the same: the bodies "
-            "could take it in; give a log without them too"
+            "known payloads do not identify effort gains, as all logs have the same and the "
+            "bodies could compensate; add a log without them"
         )
     return notes
 
@@ -97,7 +97,7 @@ def _in_frame_of_body(bodies: Sequence[LumpedBody], payload: KnownPayload) -> tu
                 return index, change_frame(payload.phi, X.rotation().matrix(), X.translation())
     names = [member.name for body in bodies for member in body.members]
     raise ArgumentError(
-        f"The model has no body {payload.body!r} that moves, to carry a known payload of "
+        f"The model has no moving body {payload.body!r} to carry the known payload of "
         f"{payload.mass:g} kg.",
-        advice=f"Bodies are: {', '.join(names)}.",
+        advice=f"Bodies are {', '.join(names)}.",
     )

@@ -54,7 +54,7 @@ def second_opinion(model: RobotModel, states: States) -> tuple[str, Array, Array
         MuJoCo, but dry friction; the bodies alone for Pinocchio.
     """
     if model.given.robot is not None:
-        return "one robot of several was chosen, and only Drake reads a part of a file"
+        return "one of several robots was chosen, and only Drake reads part of a file"
     joints = joint_units(model.plant)
     try:
         with drake_messages():
@@ -65,7 +65,7 @@ def second_opinion(model: RobotModel, states: States) -> tuple[str, Array, Array
         return f"the model's file cannot be read again: {error.problem.rstrip('.')}"
     bodies_differ = not np.array_equal(model.total_phi, inertial_parameters(model.plant))
     if own or bodies_differ or model.fitted_to:
-        return "the model is no longer that of its file"
+        return "the model was changed after loading its file"
     found: OtherProgram | str
     ours = inverse_dynamics(model.tree, *states, model.total_phi)
     held = {name: place for text in texts for name, place in _held(model, text).items()}

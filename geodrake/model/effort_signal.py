@@ -117,20 +117,20 @@ class EffortSignal:
         instance(self.joint, "joint", str)
         if self.kind not in KINDS:
             raise ArgumentError(
-                f"Efforts of {self.joint!r} cannot be of the kind {self.kind!r}.",
+                f"Efforts of {self.joint!r} have the unknown kind {self.kind!r}.",
                 advice=f"Kinds are {', '.join(KINDS)}.",
             )
         number(self.gain, f"the gain of {self.joint}")
         if self.gain == 0.0 or (self.kind == COMMAND and self.gain < 0.0):
             raise ArgumentError(
                 f"The gain of {self.joint!r} is {self.gain:.4g}; it must be "
-                f"{'positive' if self.kind == COMMAND else 'other than 0'}."
+                f"{'positive' if self.kind == COMMAND else 'nonzero'}."
             )
         if self.kind == EFFORT and (self.gain, self.deviation) != (1.0, 0.0):
             raise ArgumentError(
                 f"Efforts of {self.joint!r} have the gain {self.gain:.4g} ± {self.deviation:.4g}.",
-                advice="Efforts that a motor is asked for have the gain 1, exactly: --gain "
-                "corrects those of a log.",
+                advice="The gain of commanded efforts is 1 exactly; --gain corrects those of a "
+                "log.",
             )
         for name in _NOT_NEGATIVE:
             number(getattr(self, name), f"{name} of {self.joint}", lower=0.0)
@@ -141,8 +141,8 @@ class EffortSignal:
                 raise ArgumentError(f"{name} of {self.joint!r} is {value!r}; it must be positive.")
         if self.kind == COMMAND and math.isfinite(self.no_load_speed):
             raise ArgumentError(
-                f"The servo of {self.joint!r} has a speed without load, {self.no_load_speed:.4g}.",
-                advice="Limits of servos are the same at every speed: leave no_load_speed out.",
+                f"The servo of {self.joint!r} has a no-load speed, {self.no_load_speed:.4g}.",
+                advice="Limits of servos do not depend on speed: omit no_load_speed.",
             )
 
     @property

@@ -68,8 +68,8 @@ def check_export(model: RobotModel, path: Path) -> None:
     kind = file_kind(model)
     if path.suffix.lower() not in _SUFFIXES[kind]:
         raise OutputError(
-            f"Cannot write --export {path}: {model.path.name} is {_FORMATS[kind]}, and so is its "
-            "copy.",
+            f"Cannot write --export {path}: {model.path.name} is {_FORMATS[kind]}, so its "
+            "copy is too.",
             advice=f"Name it {path.stem}{_SUFFIXES[kind][0]}.",
             path=path,
         )
@@ -91,14 +91,14 @@ def export_model(model: RobotModel) -> Export:
     names = dict.fromkeys(f.effect.name for f in model.effects if f.effect.role is not Role.BODY)
     if names:
         before += [
-            f"the exported file has the inertias only, not {', '.join(names)} (damping, friction "
-            "and armature in it stay as they are): --save keeps everything",
+            f"the exported file has inertias only, not {', '.join(names)} (its damping, "
+            "friction and armature are unchanged): --save keeps everything",
             *reasons(model.effects),
         ]
     if _RELATIVE.search(exported.content):
         after.append(
-            f"{model.path.name} names other files by relative paths, so the exported file belongs "
-            "into the same folder"
+            f"{model.path.name} refers to other files by relative paths, so put the exported "
+            "file into the same folder"
         )
     return Export(exported.content, exported.links, (*before, *exported.notes, *after))
 
@@ -138,11 +138,11 @@ def export_bodies(model: RobotModel) -> Export:
     links = tuple(name.rpartition("::")[2] for name in written)
     notes = [*_body_notes(model, absent), *shared]
     if is_xacro(model.path):
-        notes.append(f"the exported file is what {model.path.name} expands to, without its macros")
+        notes.append(f"the exported file is the expansion of {model.path.name}, without its macros")
     elif anew:
         notes.append(
-            f"settings of {model.path.name} by which MuJoCo changes masses are not in the exported "
-            "file, which states all inertias"
+            f"settings of {model.path.name} with which MuJoCo changes masses are not in the "
+            "exported file, which states all inertias"
         )
     return Export(content, links, tuple(notes))
 
@@ -155,15 +155,15 @@ def reasons(effects: Sequence[FittedEffect]) -> list[str]:
             pushing.setdefault(effect.name, []).append(effect.place)
         if effect.role is Role.EPISODE:
             passing.append(f"{effect.name} of {effect.place}")
-    why = "it is what the drive does, which pushes and does not resist"
+    why = "it is an active force of the drive"
     found = {f"{name} of {', '.join(places)}": why for name, places in pushing.items()}
-    found |= dict.fromkeys(passing, "it belongs to one log, and is no part of the robot")
+    found |= dict.fromkeys(passing, "it belongs to one log, not to the robot")
     return [f"{what} is not in the files: {why}" for what, why in found.items()]
 
 
 def repair_comments(model: RobotModel) -> list[str]:
     """Return what a file made of a model says of inertias that its own file states in vain."""
-    return [f"geodrake did not take {model.path.name} as it stands: {r}" for r in model.repairs]
+    return [f"geodrake repaired {model.path.name}: {r}" for r in model.repairs]
 
 
 def distributed(body: LumpedBody, stated: Array, phi: Array) -> tuple[Array, str]:
@@ -193,8 +193,8 @@ def distributed(body: LumpedBody, stated: Array, phi: Array) -> tuple[Array, str
         parts[taker] = rest
         others = [name for name in names if name != body.members[taker].name]
         how = (
-            f"{', '.join(others)}: welded to {body.members[taker].name}, and as in the file; "
-            f"{body.members[taker].name} takes the change of both"
+            f"{', '.join(others)}: unchanged, as welded to {body.members[taker].name}, which "
+            "takes the change of both"
         )
     else:
         parts = _stretched(parts, phi)
@@ -230,8 +230,8 @@ def _check(content: bytes, path: Path, written: Mapping[str, Array]) -> None:
         size = np.abs(phi).max()
         if read is None or not np.allclose(read, phi, rtol=1e-9, atol=1e-12 * size):
             raise ModelError(
-                f"The inertia of {name.rpartition('::')[2]} cannot be changed in {path}: it is "
-                "written in a way that geodrake does not find its way around in.",
+                f"The inertia of {name.rpartition('::')[2]} cannot be changed in {path}, as "
+                "geodrake does not understand how it is written.",
                 advice="Expand entities and includes in the file first.",
                 link=name,
             )
@@ -245,8 +245,8 @@ def _body_notes(model: RobotModel, absent: Sequence[str]) -> list[str]:
         notes.append(f"the payload is part of {', '.join(carried)} in the exported file")
     if absent:
         notes.append(
-            f"the exported file has no place for inertias of {', '.join(absent)}: between several "
-            "joints of one body, or of copies or models that MuJoCo puts there"
+            f"the exported file cannot hold the inertias of {', '.join(absent)}: they are "
+            "between several joints of one body, or in copies or models that MuJoCo inserts"
         )
     return notes
 
@@ -255,8 +255,8 @@ def file_kind(model: RobotModel) -> str:
     """Return the format of a model's file: urdf, sdf, or xml for MJCF."""
     if model.path.suffix.lower() in (".yaml", ".yml"):
         raise ModelError(
-            f"{model.path} puts several model files together, and there is no one file to write "
-            "inertias into.",
+            f"{model.path} combines several model files, so there is no single file to write "
+            "inertias to.",
             advice="Save the model with --save instead.",
             path=model.path,
         )

@@ -45,13 +45,13 @@ def with_base(log: JointLog, model: RobotModel) -> JointLog:
     """
     joints = model.base_joints
     if not joints and any(name.startswith("base.") for name in log.floating):
-        words = "has the pose of a free base, and the model is fixed: --floating frees it"
+        words = "has the pose of a free base, but the model is fixed: --floating frees it"
         return log if words in log.notes else replace(log, notes=(*log.notes, words))
     if not joints or set(joints) <= set(log.joints):
         return log
     if len(joints) > 6:
         raise LogError(
-            f"The model has {len(joints) // 6} free bases; logs are of one.",
+            f"The model has {len(joints) // 6} free bases, but logs have one.",
             advice="Choose one robot: --robot NAME.",
         )
     position, velocity, acceleration = _base_motion(log, model)
@@ -63,7 +63,7 @@ def with_base(log: JointLog, model: RobotModel) -> JointLog:
         own_velocity = np.hstack([log.velocity, rates])
     measured = tuple(joints) if acceleration is not None else ()
     if acceleration is None:
-        notes.append("accelerations of the base are derived from its pose; an IMU is better")
+        notes.append("accelerations of the base are derived from its pose; an IMU is more accurate")
     padded: dict[str, Any] = {
         name: np.hstack([values, np.full((count, 6), np.nan)])
         for name in ("command", "temperature")
@@ -142,20 +142,20 @@ def _orientation(log: JointLog, gravity: Array) -> tuple[Rotation, NDArray[np.bo
         turn, known = _integrated(log, gyro, force, gravity), np.ones(len(log), bool)
     else:
         raise LogError(
-            f"Log {log.name!r} has no orientation of the base and no IMU, and the model floats.",
-            advice=f"{_ADVICE} Of a robot that is fixed to the world leave --floating out.",
+            f"The model floats, but log {log.name!r} has no orientation of the base and no IMU.",
+            advice=f"{_ADVICE} For a robot that is fixed to the world omit --floating.",
         )
     if not known.any():
         raise LogError(
-            f"No row of log {log.name!r} has the orientation of the base.",
+            f"Log {log.name!r} has no row with the orientation of the base.",
             advice=_ADVICE,
         )
     pitch = np.abs(np.arcsin(np.clip(turn[known].as_matrix()[:, 2, 0], -1.0, 1.0)))
     if pitch.max() > _UPRIGHT:
         raise LogError(
-            f"The base of log {log.name!r} pitches by up to {np.degrees(pitch.max()):.0f}°, where "
-            "yaw and roll are one: such motions are not read.",
-            advice="Leave that part of the log out; is the quaternion w, x, y, z, body to world?",
+            f"The base of log {log.name!r} pitches by up to {np.degrees(pitch.max()):.0f}°, "
+            "near the singularity of roll, pitch and yaw.",
+            advice="Remove that part of the log; is the quaternion w, x, y, z, body to world?",
         )
     return turn, known
 
@@ -167,8 +167,8 @@ def _checked(quaternion: Array, force: Array | None, gravity: Array, name: str) 
     if np.nanmax(wrong, initial=0.0) > _NORM:
         row = int(np.nanargmax(wrong))
         raise LogError(
-            f"The orientation of log {name!r} is no quaternion of length one in row {row + 1}: "
-            f"{np.array2string(quaternion[row], precision=4)} has {length[row]:.4g}.",
+            f"The orientation of log {name!r} is not a unit quaternion in row {row + 1}: "
+            f"{np.array2string(quaternion[row], precision=4)} has length {length[row]:.4g}.",
             advice="Log base.orientation.w, .x, .y and .z of the root body in the world.",
         )
     if force is None:
@@ -184,14 +184,14 @@ def _checked(quaternion: Array, force: Array | None, gravity: Array, name: str) 
 
     if known.any() and (given := off([1, 2, 3, 0])) > _TILT:
         others = {
-            "its columns hold x, y, z, w": off([0, 1, 2, 3]),
-            "it turns the world into the body": off([1, 2, 3, 0], -1),
+            "its columns are x, y, z, w": off([0, 1, 2, 3]),
+            "it rotates the world into the body": off([1, 2, 3, 0], -1),
         }
         best = min(others, key=others.__getitem__)
-        hint = f" Upright it would be if {best}." if others[best] < _TILT else ""
+        hint = f" It would be upright if {best}." if others[best] < _TILT else ""
         raise LogError(
-            f"By its orientation, the IMU of log {name!r} feels gravity {np.degrees(given):.0f}° "
-            f"off the vertical on average.{hint}",
+            f"With the orientation of log {name!r}, the IMU measures gravity "
+            f"{np.degrees(given):.0f}° off the vertical on average.{hint}",
             advice="The orientation is w, x, y, z of the root body in the world; the IMU is in "
             "that body's axes.",
         )
@@ -205,9 +205,9 @@ def _integrated(log: JointLog, gyro: Array, force: Array, gravity: Array) -> Rot
     if felt.size == 0 or not 0.5 * g < np.mean(felt) < 2.0 * g:
         found = f"{np.mean(felt):.3g} m/s² on average" if felt.size else "no value"
         raise LogError(
-            f"The IMU of log {log.name!r} has {found} of specific force, and a robot at rest feels "
-            f"{g:.3g}: nothing says which way is up.",
-            advice="Log imu.linear_acceleration.x … with gravity in it, in m/s², or "
+            f"The IMU of log {log.name!r} has {found} of specific force, but at rest it must "
+            f"be {g:.3g}, so the vertical is unknown.",
+            advice="Log imu.linear_acceleration.x … including gravity, in m/s², or "
             "base.orientation.w ….",
         )
     turns, now = [np.array([0.0, 0.0, 0.0, 1.0])], Rotation.identity()
@@ -304,8 +304,8 @@ def contact_frames(model: RobotModel, names: Sequence[str]) -> tuple[ContactFram
     for name in names:
         if name not in links:
             raise LogError(
-                f"The model has no link {name!r}, of which the log has a contact or a force.",
-                advice=f"Links are: {', '.join(links)}.",
+                f"The log has a contact or a force at link {name!r}, which the model lacks.",
+                advice=f"Links are {', '.join(links)}.",
             )
         body, X_BL = links[name]
         center, radius = balls.get(name, (np.zeros(3), 0.0))
@@ -342,7 +342,10 @@ def with_ground(log: JointLog, model: RobotModel) -> JointLog:
     if loaded and whole:
         ground = _efforts_of_wrenches(log, model, loaded)
         base = np.isin(log.joints, model.base_joints)
-        words = f"wrenches at {', '.join(loaded)} are efforts of the base and the joints"
+        words = (
+            f"wrenches at {', '.join(loaded)} are included in the efforts of the base and "
+            "the joints"
+        )
         return replace(
             log,
             effort=log.effort + ground,
@@ -365,10 +368,10 @@ def with_ground(log: JointLog, model: RobotModel) -> JointLog:
         flags |= _low(log, model, frames)
     elif not flagged:
         flags[:] = True
-    told = "as the log says" if flagged else "the ends of the robot's limbs"
+    told = "from the log" if flagged else "at the ends of the limbs"
     contacts = ContactFlags(names, log.time, flags)
     what = "forces and moments" if on_soles(contacts, frames) else "forces"
-    words = f"unknown {what} at {', '.join(names)} ({told}) are taken out"
+    words = f"unknown {what} at {', '.join(names)} ({told}) are eliminated"
     return replace(log, contacts=contacts, notes=(*log.notes, words))
 
 
@@ -404,7 +407,7 @@ def _efforts_of_wrenches(log: JointLog, model: RobotModel, names: Sequence[str])
     for frame in contact_frames(model, names):
         if (force := vectors(log.floating, f"{frame.name}.force")) is None:
             raise LogError(
-                f"Log {log.name!r} has not all of {frame.name}.force.x, .y and .z.",
+                f"Log {log.name!r} lacks some of {frame.name}.force.x, .y and .z.",
                 advice="Log all three, in the axes of the link.",
             )
         torque = vectors(log.floating, f"{frame.name}.torque")
@@ -430,9 +433,9 @@ def _check_axes(sums: Array, model: RobotModel, name: str) -> None:
     own, world = np.linalg.norm(sums - weight, axis=1) / size
     if own > _UNLIKE and world < 0.5 * own:
         raise LogError(
-            f"Mean forces at the feet of log {name!r} are off the robot's weight by {own:.0%} of "
-            f"it in the axes of links, and by {world:.0%} in those of the world.",
-            advice="Turn them into the axes of the link that each is named after.",
+            f"Mean forces at the feet in log {name!r} differ from the robot's weight by "
+            f"{own:.0%} in link axes, and by {world:.0%} in world axes.",
+            advice="Rotate them into the axes of the link after which they are named.",
         )
 
 

@@ -173,15 +173,14 @@ class Symbol(NDArrayOperatorsMixin):
 
     def __bool__(self) -> bool:
         raise ArgumentError(
-            "It decides by a value that is not known while source code is written, as `if`, "
-            "`max` or a boolean index do.",
-            advice="Let it use functions of NumPy's on whole arrays, such as np.where.",
+            "It branches on an unknown value, as `if`, `max` or a boolean index do.",
+            advice="Use NumPy functions on whole arrays, such as np.where.",
         )
 
     def __float__(self) -> float:
         raise ArgumentError(
-            "It needs the value of what is not known while source code is written.",
-            advice="Let it use functions of NumPy's on whole arrays, not those of `math`.",
+            "It needs the value of an unknown.",
+            advice="Use NumPy functions on whole arrays, not those of `math`.",
         )
 
 
@@ -279,10 +278,10 @@ def recorded_rows(effect: Effect, motion: RobotMotion) -> Mapping[str, Formulas]
         line = line_of(type(effect), "columns", "rows", "formula_rows")
         problem = error.problem if isinstance(error, ArgumentError) else str(error)
         raise ModelError(
-            f"{effect.name} of {effect.place} is known for numbers only{line}, without "
-            f"source code: {problem}",
+            f"{effect.name} of {effect.place} works with numbers only{line}, so it cannot be "
+            f"written as source code: {problem}",
             advice=getattr(error, "advice", None)
-            or "Let it use functions of NumPy's on whole arrays, or define formula_rows.",
+            or "Use NumPy functions on whole arrays, or define formula_rows.",
         ) from error
 
 
@@ -295,9 +294,8 @@ def joint_formulas(tree: KinematicTree, q: Formulas) -> Formulas:
         return q
     if actuation.constant is None:
         raise ModelError(
-            "Source code cannot have a closed loop, or a transmission whose ratios change with the "
-            "position.",
-            advice="Write the formula of the joints, and map it in your own code.",
+            "Source code cannot have a closed loop, or a transmission with varying ratio.",
+            advice="Export the formula of the joints, and map it in your own code.",
         )
     shift = actuation.tree_positions(np.zeros((1, len(q))))[0]
     return (actuation.tree_positions(np.eye(len(q))) - shift).T @ q + shift

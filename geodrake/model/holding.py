@@ -69,7 +69,7 @@ def holding(
         effects=tuple(fitted for fitted, _ in kept),
     )
     names = ", ".join(f"{fitted.effect.name} of {fitted.effect.place}" for fitted in lost)
-    told = [f"Left out, as something that they act on is held: {names}."] if names else []
+    told = [f"Not used, as a joint or body that they act on is fixed: {names}."] if names else []
     information = model.information
     if information is not None:
         below = [np.zeros((0, len(information) - model.phi.size)), *(rows for _, rows in kept)]
@@ -90,16 +90,16 @@ def holding(
 def held_notes(held: Mapping[str, float], why: str = "so that they do not move") -> list[str]:
     """Return that joints are held, and where (rad or m), in words."""
     words = ", ".join(f"{joint} at {value:.4g}" for joint, value in held.items())
-    return [f"Held, {why}: {words}."] if words else []
+    return [f"Fixed, {why}: {words}."] if words else []
 
 
 def why_no_place(model: RobotModel, name: str) -> str:
     """Return why the model lacks a joint or link of the file, or an empty text."""
     if name in model.held:
-        return f"{name} is held, by --lock or as it hardly moves (--no-auto-lock keeps it). "
+        return f"{name} is fixed by --lock, or because it hardly moves (--no-auto-lock keeps it). "
     for body in lumped_bodies(model.plant):
         if name in [member.name for member in body.members]:
-            return f"{name} is a part of {body.name}, as nothing moves between them. "
+            return f"{name} is part of {body.name}, as nothing moves between them. "
     return ""
 
 
@@ -107,15 +107,15 @@ def _check_names(model: RobotModel, held: Mapping[str, float]) -> None:
     for joint in held:
         if joint in model.held:
             raise ModelError(
-                f"Joint {joint!r} is held already, at {model.held[joint]:g}.",
-                advice="Load the model file again to hold it elsewhere.",
+                f"Joint {joint!r} is already fixed at {model.held[joint]:g}.",
+                advice="Load the model file again to fix it elsewhere.",
                 joint=joint,
             )
         for drive in model.transmission:
             if joint in drive.joints and joint in model.joints_behind:
                 raise ModelError(
-                    f"Joint {joint!r} cannot be held, as it follows {', '.join(drive.actuators)}.",
-                    advice=f"Hold {', '.join(drive.actuators)}.",
+                    f"Joint {joint!r} cannot be fixed, as it follows {', '.join(drive.actuators)}.",
+                    advice=f"Fix {', '.join(drive.actuators)}.",
                     joint=joint,
                 )
 
@@ -134,9 +134,9 @@ def _at_joints(
             continue
         if free := [name for name in drive.actuators if name not in held]:
             raise ModelError(
-                f"Actuator {own[0]!r} cannot be held without {', '.join(free)}: they move "
+                f"Actuator {own[0]!r} cannot be fixed without {', '.join(free)}: they move "
                 f"{', '.join(drive.joints)} together.",
-                advice="Hold all of them, or none.",
+                advice="Fix all of them, or none.",
             )
         q = np.array([[places.pop(name) for name in drive.actuators]])
         positions = drive.map.joint_positions(q)[0].tolist()

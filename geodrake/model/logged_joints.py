@@ -84,7 +84,7 @@ def model_of_logs(
         return model
     if silent:
         places = {joint: _place(model, logs, joint) for joint in silent}
-        why = "as no log has their efforts (--lock JOINT=VALUE says where)"
+        why = "as no log has their efforts (--lock JOINT=VALUE sets the position)"
         model = holding(model, places, why=why)
     return holding_resting(model, logs) if hold_resting else model
 
@@ -104,7 +104,7 @@ def _led_by(model: RobotModel, logs: Sequence[JointLog]) -> RobotModel:
     given = replace(model.given, leading=(*leading, *model.given.leading))
     found = read_again(replace(model, given=given))
     added = (note for note in model.notes if note not in read_again(model).notes)
-    note = f"In closed loops {', '.join(leading)} moves freely, as logs have it."
+    note = f"In closed loops {', '.join(leading)} is independent, as in the logs."
     return replace(found, notes=(*found.notes, *added, note))
 
 
@@ -122,8 +122,9 @@ def holding_resting(model: RobotModel, logs: Sequence[JointLog]) -> RobotModel:
     return holding(
         model,
         places,
-        why="as they hardly move in any log, and dry friction at rest may be anything; a saved "
-        "model holds them too (--no-auto-lock keeps them free, hold_resting=False in Python)",
+        why="as they hardly move in any log, and dry friction at rest is undetermined; a saved "
+        "model keeps them fixed (to free them, --no-auto-lock, or hold_resting=False in "
+        "Python)",
     )
 
 
@@ -164,11 +165,10 @@ def log_of_model(log: JointLog, model: RobotModel) -> JointLog:
     for joint in model.joints:
         if joint not in log.joints and joint in log.standing:
             raise LogError(
-                f"Log {log.name!r} is a log without effort of {joint}: the position is there, the "
-                "effort is not.",
-                advice=f"Log its effort too, or its current, voltage, duty cycle or command; "
-                f"hold the joint: --lock {joint}=POSITION; or say that it has no motor: "
-                f"--passive {joint}.",
+                f"Log {log.name!r} has positions but no efforts of {joint}.",
+                advice="Log its effort, or its current, voltage, duty cycle or command; or fix "
+                f"the joint: --lock {joint}=POSITION; or if it has no motor: --passive "
+                f"{joint}.",
                 joint=joint,
             )
     check_joints(log.name, moving, model.joints)
@@ -202,10 +202,10 @@ def _of_loop(log: JointLog, drive: Drive, loop: LoopTransmission) -> tuple[Array
     for joint in loop.driven:
         if not np.isfinite(efforts_of.get(joint, np.array([np.nan]))).any():
             raise LogError(
-                f"Log {log.name!r} has no effort of {joint}, which a motor drives beside "
-                f"{', '.join(drive.actuators)} in the closed loop of {loop.name}.",
-                advice=f"Log its effort, too; or if nothing drives {joint}, take its motor out of "
-                "the model file.",
+                f"Log {log.name!r} has no effort of {joint}, which has a motor in addition "
+                f"to {', '.join(drive.actuators)} in the closed loop of {loop.name}.",
+                advice=f"Log its effort too; or if {joint} has no motor, remove it from the "
+                "model file.",
                 joint=joint,
             )
     efforts, notes = np.zeros_like(log.effort), list[str]()
@@ -230,9 +230,10 @@ def _of_loop(log: JointLog, drive: Drive, loop: LoopTransmission) -> tuple[Array
         apart = readings(places_of[joint][there] - theta[:, own])
         if len(apart) and np.sqrt(np.mean(apart**2)) > _CLEAR * noise + _STILL:
             notes.append(
-                f"{joint} is not where the closed loop of {loop.name} has it with {names}: by "
-                f"{apart.mean():.3g} in the mean and {apart.std():.3g} beside that, with noise of "
-                f"{noise:.2g} rad or m (check zero positions and lengths)"
+                f"{joint} differs from its position in the closed loop of {loop.name} with "
+                f"{names} by {apart.mean():.3g} on average, with standard deviation "
+                f"{apart.std():.3g} and noise {noise:.2g} rad or m (check zero positions and "
+                "lengths)"
             )
     return efforts, notes
 
@@ -263,18 +264,18 @@ def _check_sides(model: RobotModel, logs: Sequence[JointLog], silent: Sequence[s
                 there = [joint for joint in there if joint in others and _moves(log, joint)]
             if missing and there and drive.is_loop:
                 raise LogError(
-                    f"Log {log.name!r} has {', '.join(there)} of a closed loop in which "
-                    f"{', '.join(missing)} moves the others, of which the log says nothing.",
-                    advice=f"Log {', '.join(missing)}; or let the model file say that a motor "
-                    f"drives {there[0]}: by an actuator, or the joint's effort limit.",
+                    f"Log {log.name!r} has {', '.join(there)} of a closed loop, but not "
+                    f"{', '.join(missing)}, which moves the others.",
+                    advice=f"Log {', '.join(missing)}; or give {there[0]} a motor in the model "
+                    "file: an actuator, or an effort limit of the joint.",
                     joint=missing[0],
                 )
             if missing and there:
                 raise LogError(
-                    f"Log {log.name!r} has {', '.join(there)}; the model's transmission has "
-                    f"{', '.join(drive.actuators)} in their place, of which the log says nothing.",
-                    advice="Log the actuators, name them as the log does in the transmission, or "
-                    "leave it out: --transmission none.",
+                    f"Log {log.name!r} has {', '.join(there)}, but not "
+                    f"{', '.join(drive.actuators)}, which the model's transmission needs.",
+                    advice="Log the actuators, rename them in the transmission, or omit it: "
+                    "--transmission none.",
                 )
 
 
@@ -315,10 +316,9 @@ def _place(model: RobotModel, logs: Sequence[JointLog], joint: str) -> float:
     moves = [name for name, place in places.items() if not np.isfinite(place)]
     if moves:
         raise LogError(
-            f"Log {moves[0]!r} is a log without effort of {joint}: the position is there, and "
-            "moves; the effort is not.",
-            advice=f"Log its effort too; or say that it has no motor: --passive {joint}; or hold "
-            f"it: --lock {joint}=POSITION.",
+            f"Log {moves[0]!r} has positions but no efforts of {joint}, which moves.",
+            advice=f"Log its effort too; or if it has no motor: --passive {joint}; or fix it: "
+            f"--lock {joint}=POSITION.",
             joint=joint,
         )
     if not places:
@@ -326,10 +326,10 @@ def _place(model: RobotModel, logs: Sequence[JointLog], joint: str) -> float:
     lowest, highest = min(places, key=places.__getitem__), max(places, key=places.__getitem__)
     if places[highest] - places[lowest] > _STILL:
         raise LogError(
-            f"Joint {joint!r} has no effort in the logs, and stands at {places[lowest]:.4g} in "
-            f"{lowest!r} and at {places[highest]:.4g} in {highest!r}.",
-            advice=f"Say where to hold it, such as --lock {joint}={places[lowest]:.4g}, or "
-            "identify from logs in which it stands in one place.",
+            f"Joint {joint!r} has no effort in the logs, and different positions: "
+            f"{places[lowest]:.4g} in {lowest!r}, {places[highest]:.4g} in {highest!r}.",
+            advice=f"Set its position, such as --lock {joint}={places[lowest]:.4g}, or use logs "
+            "in which it does not change.",
             joint=joint,
         )
     return float(np.clip(np.mean(list(places.values())), low, high))

@@ -200,8 +200,8 @@ def check_loops(text: MjcfText, plant: MultibodyPlant, held: Places, q: Array, v
         apart = np.concatenate([data.efc_pos[own], data.efc_vel[own]])
         if not np.abs(apart).max(initial=0.0) <= _APART * size:
             raise ModelError(
-                f"{text.path}: geodrake does not close its loops as MuJoCo does: they come apart "
-                f"by up to {np.abs(apart).max():.3g} m or rad.",
+                f"{text.path}: geodrake closes its loops differently from MuJoCo: the gap is "
+                f"up to {np.abs(apart).max():.3g} m or rad.",
                 advice=BUG,
                 path=text.path,
             )
@@ -233,7 +233,7 @@ def by_pinocchio(model: Model, text: ModelText, held: Places, units: Units) -> O
     except ModelError:
         raise
     except Exception as error:  # of any kind, by an extension module
-        return f"Pinocchio does not read the file: {' '.join(str(error).split())[:200]}"
+        return f"Pinocchio cannot read the file: {' '.join(str(error).split())[:200]}"
     names = ["root_joint" if len(unit) > 1 else unit[-1].name() for unit in units]
     counts = [len(unit) - 1 + unit[-1].num_velocities() for unit in units]
     named = dict(zip(names, counts, strict=True))
@@ -287,7 +287,7 @@ def by_drake(model: Model, held: Places, units: Units) -> OtherProgram | str:
             plant.mutable_gravity_field().set_gravity_vector(model.tree.gravity)
             plant.Finalize()
     except ModelError as error:
-        return f"Drake does not read the file as it stands: {error.problem.rstrip('.')}"
+        return f"Drake cannot read the original file: {error.problem.rstrip('.')}"
     context, places = plant.CreateDefaultContext(), list[tuple[slice, slice]]()
     joints = {scoped(joint): joint for joint in moving_joints(plant)}
     for unit in units:
@@ -300,7 +300,7 @@ def by_drake(model: Model, held: Places, units: Units) -> OtherProgram | str:
             q, v = body.floating_positions_start(), body.floating_velocities_start_in_v()
             places.append((slice(q, q + 7), slice(v, v + 6)))
         elif (joint := joints.get(scoped(unit[0]))) is None:
-            return "Drake has other joints in the file as it stands"
+            return "Drake has other joints in the original file"
         else:
             places.append(part((joint,)))
     rest = plant.GetPositions(context)
@@ -317,7 +317,7 @@ def by_drake(model: Model, held: Places, units: Units) -> OtherProgram | str:
         effort = plant.CalcInverseDynamics(context, vd, MultibodyForces(plant))
         return np.asarray(effort - plant.CalcGravityGeneralizedForces(context))
 
-    by = f"Drake {version('drake')} of the file as it stands"
+    by = f"Drake {version('drake')} with the original file"
     return OtherProgram(
         by, (rest, *np.zeros((2, plant.num_velocities()))), places, free, inverse_dynamics
     )
@@ -347,6 +347,6 @@ def _root_of(xml: Element, text: ModelText) -> str:
     links = [link.get("name", "") for link in xml.iter("link")]
     ends = {kind: [e.get("link", "") for e in xml.iter(kind)] for kind in _ENDS}
     if not set(links).issuperset(e for own in ends.values() for e in own):
-        raise ValueError("it has joints whose links it lacks")
+        raise ValueError("it has joints without their links")
     name = next((link for link in links if link not in ends["child"]), links[0])
     return f"{text.links[0].rpartition('::')[0]}::{name}"

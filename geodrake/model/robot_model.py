@@ -358,8 +358,8 @@ class RobotModel(Short):
         if len(at_velocity) < len(self.joints):
             several = [n for i, n in enumerate(self.joints) if i not in at_velocity]
             raise ArgumentError(
-                f"Logs hold one position for each joint; {', '.join(several)} belong to joints of "
-                "several degrees of freedom.",
+                f"Logs have one position for each joint, but {', '.join(several)} belong to "
+                "joints of several degrees of freedom.",
                 advice="Weld the base, or use the regressors from Python.",
             )
         q = np.zeros((len(by_joint), self.tree.num_positions))
@@ -502,9 +502,9 @@ class RobotModel(Short):
             aside = [follower.joint.rpartition("::")[2] for follower in self.followers]
             aside += [name for drive in self.transmission for name in drive.joints]
             raise ModelError(
-                "A plant that holds more cannot have joints that follow others or are behind a "
-                f"transmission, as {', '.join(aside)} are.",
-                advice="Use model.add_to_builder, or hold them: geodrake.model.holding.",
+                "A plant with other robots cannot have joints that follow others or are "
+                f"behind a transmission, as {', '.join(aside)} are.",
+                advice="Use model.add_to_builder, or fix them: geodrake.model.holding.",
             )
         place = instance(robot, "robot", RobotInstance)
         sees_world = any(isinstance(fitted.effect, RobotEffect) for fitted in self.effects)
@@ -541,10 +541,9 @@ def from_loaded_plant(
     for loop in loops:
         if both := {joint for drive in drives for joint in drive.joints}.intersection(loop.joints):
             raise ModelError(
-                f"The transmission moves {', '.join(sorted(both))}, which a closed loop of "
-                f"{loaded.path.name} moves, too: {', '.join(loop.joints)}.",
-                advice="Let logs have the joints of the loop, and leave this part of the "
-                "transmission out.",
+                f"The transmission moves {', '.join(sorted(both))}, but so does a closed "
+                f"loop of {loaded.path.name}: {', '.join(loop.joints)}.",
+                advice="Log the joints of the loop, and remove this part of the transmission.",
             )
     bent, apart = _bent_drives(loaded, drives)
     drives, notes = (*drives, *bent), list[str]()
@@ -566,12 +565,13 @@ def from_loaded_plant(
     left_out += tuple(stated.left_out)
     if loaded.geared and not transmission:
         notes.append(
-            f"The file states how motors move {', '.join(loaded.geared)}; positions and efforts of "
-            "logs are taken to be those of joints (--transmission file: of the motors)."
+            f"The file has transmissions of {', '.join(loaded.geared)}; positions and "
+            "efforts in logs are assumed to be at the joints (for motors, --transmission "
+            "file)."
         )
     if drives:
         words = "; ".join(f"{', '.join(d.actuators)} for {', '.join(d.joints)}" for d in drives)
-        notes.append(f"Logs, efforts and effects are those of the actuators: {words}.")
+        notes.append(f"Logs, efforts and effects are at the actuators: {words}.")
     model = replace(bare, effects=effects)
     if loaded.mjcf is not None:
         _check_against_mujoco(
@@ -614,10 +614,10 @@ def _check_against_mujoco(model: RobotModel, text: MjcfText, held: Mapping[str, 
         if errors.max(initial=0.0) <= _TOLERANCE * max(largest, 1e-12):
             return
         joint = model.joints[kept[int(np.argmax(errors))]]
-        what = f"the joint {joint}, or what it moves,"
+        what = f"joint {joint}, or what it moves,"
         off = f": efforts differ by up to {errors.max():.3g}, of {largest:.3g}"
     raise ModelError(
-        f"{model.path}: geodrake does not read {what} as MuJoCo does{off}.",
+        f"{model.path}: geodrake reads {what} differently from MuJoCo{off}.",
         advice=BUG,
         path=model.path,
     )

@@ -178,9 +178,9 @@ def load_model(
     if is_saved_model(path):
         if transmission is not None:
             raise ModelError(
-                f"{path} is a saved model, which cannot take a transmission: it was made with its "
-                "own, or with none.",
-                advice="Give it with the model file.",
+                f"{path} is a saved model, which cannot take a transmission: it has its own, "
+                "or none.",
+                advice="Use --transmission with the model file.",
                 path=path,
             )
         return holding(_read(path, extra, given), lock or {})
@@ -201,7 +201,7 @@ def _transmission(
         parts = read_description(path, how).motors()
         if not parts:
             raise ModelError(
-                f"{path} states no transmissions of motors.",
+                f"{path} has no transmissions of motors.",
                 advice="Write a transmission file: --transmission FILE.yaml.",
                 path=path,
             )
@@ -211,8 +211,8 @@ def _transmission(
         if not beside.is_file() or beside == path:
             return (), []
         return read_transmission(beside), [
-            f"The transmission is that of {beside.name} beside the model file; --transmission "
-            f"{NONE} leaves it out."
+            f"The transmission is {beside.name} beside the model file; --transmission {NONE} "
+            "ignores it."
         ]
     if isinstance(given, (str, Path)):
         return (() if given == NONE else read_transmission(given)), []
@@ -244,7 +244,7 @@ def saved_text(model: RobotModel, path: str | Path) -> str:
     problem, advice = "", "Put it back."
     try:
         str(base).encode()
-        problem = "" if base.is_file() else f"its file {base} is gone"
+        problem = "" if base.is_file() else f"its file {base} is missing"
     except UnicodeEncodeError:
         problem, advice = f"the path of its file {base} is not UTF-8", "Rename it, or its folder."
     if problem:
@@ -306,14 +306,16 @@ def _read(path: Path, extra: Sequence[type[Effect]], given: Given) -> RobotModel
     try:
         saved = as_schema(yaml.load(yaml_text(path), Loader=_Loader), SavedModel)
         if saved.format.startswith("geodrake model") and not _DIGEST.fullmatch(saved.base_sha256):
-            raise ArgumentError(f"base_sha256 = {saved.base_sha256[:80]!r} is no SHA-256 digest.")
+            raise ArgumentError(
+                f"base_sha256 = {saved.base_sha256[:80]!r} is not a SHA-256 digest."
+            )
     except (ArgumentError, yaml.YAMLError, ValueError, RecursionError) as error:
         problem = error.problem if isinstance(error, ArgumentError) else f"{one_line(error)}."
-        problem = f"{path} is no geodrake model: {problem}"
+        problem = f"{path} is not a geodrake model: {problem}"
         raise ModelError(problem, advice=again, path=path) from error
     if saved.format != FORMAT:
         raise ModelError(
-            f"{path} has the format {saved.format!r}; this version of geodrake reads {FORMAT!r}.",
+            f"{path} has format {saved.format!r}; this version of geodrake reads {FORMAT!r}.",
             advice="Use the version that saved it, or save the model again.",
             path=path,
         )
@@ -328,7 +330,7 @@ def _read(path: Path, extra: Sequence[type[Effect]], given: Given) -> RobotModel
         check_model(loaded)
     except GeodrakeError as error:
         raise ModelError(
-            f"{path} does not fit its base model {base}, or any robot: {error}",
+            f"{path} does not match its base model {base}, or is corrupt: {error}",
             advice="Fit and save the model again.",
             path=path,
         ) from error
@@ -341,8 +343,8 @@ def _given_with(path: Path, saved: SavedModel, given: Given) -> Given:
     if given.robot not in (None, robot) or given.xacro:
         what = "arguments of a xacro file" if given.xacro else f"robot {given.robot!r}"
         raise ModelError(
-            f"{path} is a saved model, which cannot take {what}: it was made with its own.",
-            advice=f"Give them with the model file {saved.base_model}.",
+            f"{path} is a saved model, which cannot take {what}: it has its own.",
+            advice=f"Use them with the model file {saved.base_model}.",
             path=path,
         )
     remembered = {name: folder / where for name, where in saved.packages.items()}
@@ -366,7 +368,7 @@ def _check_effects(path: Path, saved: SavedModel, extra: Sequence[type[Effect]])
             elif _is_file(file):
                 how = f"Give its file: --effects {shlex.quote(os.path.relpath(file))}"
             raise ModelError(
-                f"{path} has the effect {effect.name!r}{own}, which geodrake does not know.",
+                f"{path} has the effect {effect.name!r}{own}, which is unknown.",
                 advice=f"{how} (from Python: load_model(path, extra=…))."
                 + (f" Or was {', '.join(near)} meant?" if near and not effect.file else ""),
                 path=path,
@@ -390,13 +392,14 @@ def _base_of_saved(path: Path, saved: SavedModel) -> Path:
     except ModelError as error:
         raise ModelError(
             f"{path} is based on {relative!r}, which cannot be read. {error.problem}",
-            advice="Move it back or beside the saved model, or change base_model there.",
+            advice="Move it back or beside the saved model, or change base_model in the saved "
+            "model.",
             base=base,
         ) from error
     if is_saved_model(base):
         raise ModelError(
-            f"{path} is based on {relative!r}, which is a saved model itself.",
-            advice="Change base_model to the URDF, SDF, MJCF or directives file.",
+            f"{path} is based on {relative!r}, which is itself a saved model.",
+            advice="Set base_model to the URDF, SDF, MJCF or directives file.",
             base=base,
         )
     return base
@@ -427,7 +430,9 @@ def _with_parameters(
     p = phi.size + sum(len(f.effect.parameters) for f in effects)
     rows = [_numbers("rows of its information matrix", row, p) for row in saved.information]
     if rows and len(rows) != p:
-        raise ModelError(f"its information matrix has {len(rows)} rows, and {p} are fitted.")
+        raise ModelError(
+            f"its information matrix has {len(rows)} rows, but {p} parameters are fitted."
+        )
     for joint in saved.motorless:
         if joint not in model.joints:
             raise _foreign(f"it says that {joint!r} has no motor", model.joints)
@@ -532,12 +537,13 @@ def check_model(model: RobotModel) -> None:
         for joint, value in zip(model.joints, () if values is None else values, strict=False):
             if not 0.0 <= value <= LARGEST:
                 raise ModelError(
-                    f"{field} of {joint!r} is {value:g}, which is no number from 0 to {LARGEST:g}."
+                    f"{field} of {joint!r} is {value:g}, which is not a number from 0 to "
+                    f"{LARGEST:g}."
                 )
     for bandwidth in chain.from_iterable(model.bandwidths.values()):
         if not 0.0 < bandwidth <= LARGEST:
             raise ModelError(
-                f"bandwidths have {bandwidth:g} Hz, which is no number above 0 and up to "
+                f"bandwidths have {bandwidth:g} Hz, which is not a positive number up to "
                 f"{LARGEST:g}."
             )
     if model.information is not None:
@@ -552,8 +558,8 @@ def _check_information(information: NDArray[np.float64]) -> None:
     if (diagonal <= 0.0).any():
         at = int(diagonal.argmin())
         raise ModelError(
-            f"information has {diagonal[at]:g} at {at}, {at} on its diagonal, where it says how "
-            "well a parameter is known, above 0."
+            f"information has {diagonal[at]:g} at {at}, {at}: entries on the diagonal must "
+            "be positive."
         )
     # On a unit diagonal, so that units do not matter.
     scale = np.sqrt(np.maximum(diagonal, 1.0 / LARGEST))
@@ -568,6 +574,6 @@ def _check_information(information: NDArray[np.float64]) -> None:
     least = np.linalg.eigvalsh(0.5 * (scaled + scaled.T)).min(initial=0.0)
     if least < -ROUNDING * len(scaled):
         raise ModelError(
-            f"information is not positive semidefinite: scaled to a unit diagonal, it has the "
-            f"eigenvalue {least:.3g}."
+            "information is not positive semidefinite: scaled to a unit diagonal, its "
+            f"smallest eigenvalue is {least:.3g}."
         )

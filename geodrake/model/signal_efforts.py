@@ -253,13 +253,13 @@ def servo_gains(model: RobotModel) -> ServoGains:
     servos = servos_of(model)
     if not any(servos):
         raise ModelError(
-            "The model knows of no servos: none of its efforts comes from a command.",
-            advice="Give it effort_signals of the kind 'command'.",
+            "The model has no servos: none of its efforts is computed from a command.",
+            advice="Add effort_signals of the kind 'command'.",
         )
     if len(model.single_joints) < len(model.joints):
         raise ModelError(
-            "Servos need joints of one degree of freedom each; this robot has others.",
-            advice="Weld the base, or leave such joints out of the model.",
+            "Servos need joints with one degree of freedom.",
+            advice="Weld the base, or remove such joints from the model.",
         )
     rows = [
         (s.gain, s.damping, s.integral, s.limit, s.dead_band, s.rate_share) if s else NO_SERVO

@@ -190,9 +190,9 @@ class Language:
         """Return a number with all its digits."""
         if not np.isfinite(value):
             raise ModelError(
-                f"The formula of the effort has {value:g} in it, which is no number.",
-                advice="Leave the effect out that uses what is not known, such as the position of "
-                "a joint of several degrees.",
+                f"The formula of the effort has {value:g} in it, which is not a number.",
+                advice="Remove the effect that uses an unknown, such as the position of a "
+                "joint of several degrees of freedom.",
             )
         return repr(float(value)) if value >= 0.0 else f"({float(value)!r})"
 
@@ -241,8 +241,8 @@ CPP = Language(
 
 
 _NOT_INCLUDED = {
-    Role.DELAY: "logged efforts lag behind what is needed by it",
-    Role.DEFLECTION: "it depends on how the motion goes on",
+    Role.DELAY: "logged efforts are delayed by it",
+    Role.DEFLECTION: "it depends on the history of the motion",
     Role.EPISODE: "it belongs to one log",
 }
 
@@ -291,9 +291,9 @@ def _formulas(
         if not is_written(effect):
             warm = "temperature" in effect.depends_on
             left_out.append(
-                f"the temperature of {what}: it is taken to be the reference"
+                f"the temperature of {what}: the reference is assumed"
                 if warm
-                else f"the history of {what}: it is as if the motion had gone on for long"
+                else f"the history of {what}: a long motion before is assumed"
             )
     total = effort.copy()
     for fitted in scales:
@@ -312,7 +312,7 @@ def _words(fitted: FittedEffect) -> str:
 
 def _no_columns(body: str) -> Array:
     raise ArgumentError(
-        f"The inertial columns of {body!r} are not known here.",
+        f"The inertial columns of {body!r} are unknown here.",
         advice="Use motion.body_motions, or a payload.",
     )
 

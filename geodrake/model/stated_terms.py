@@ -104,8 +104,8 @@ class StatedEffects:
             self.add(CoupledDry((one, two), sign), size * friction, 0.0)
         elif friction and shares:
             self.left_out.append(
-                f"The dry friction {friction:g} of {length.name}, over joints that pull it "
-                "unequally, is left out."
+                f"The dry friction {friction:g} of {length.name} is ignored, as its joints "
+                "have unequal moment arms."
             )
 
     def fitted(self) -> list[FittedEffect]:
@@ -121,7 +121,7 @@ class StatedEffects:
             values, words = self._sums[effect], _WORDS[type(effect)].format(**effect.shape)
             how = f"is kept as {effect.name}"
             if np.abs(values).max() < _LEAST:
-                how = "is negligible, and counts as 0"
+                how = "is negligible and ignored"
             if values.any():
                 groups[words, how].append(FittedEffect(effect, values))
         for (words, how), own in groups.items():
@@ -166,7 +166,7 @@ def stated_effects(loaded: LoadedPlant, coordinates: RobotCoordinates) -> Stated
         if places.keys() >= length.shares.keys():
             found.add_length(length.through(places))
         elif not places.keys().isdisjoint(length.shares):
-            what = f"The tendon {length.name} over joints of several robots is left out."
+            what = f"Tendon {length.name} between several robots is ignored."
             found.left_out.append(what)
     for first, second, value in terms.coupled_inertia:
         if {first, second} <= places.keys():

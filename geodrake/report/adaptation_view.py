@@ -72,7 +72,7 @@ class AdaptationView(LeafSystem):
         self._bodies = [path_part(body.name) for body in lumped_bodies(plant)]
         if parameters < PARAMETERS_PER_BODY * len(self._bodies):
             raise ArgumentError(
-                f"{len(self._bodies)} bodies have ten parameters each; the estimate has "
+                f"{len(self._bodies)} bodies have ten parameters each, but the estimate has "
                 f"{parameters}."
             )
         states = plant.num_positions() + plant.num_velocities()
@@ -102,8 +102,8 @@ class AdaptationView(LeafSystem):
         """
         if loop.robot is None or loop.robot.name is not None:
             raise ArgumentError(
-                "A view of adaptation is one of a plant that holds one robot alone.",
-                advice="Show the scene by MeshcatVisualizer.AddToBuilder.",
+                "A view of adaptation needs a plant with one robot only.",
+                advice="Show the whole scene with MeshcatVisualizer.AddToBuilder.",
             )
         size = loop.parameters.size()
         view = builder.AddSystem(

@@ -34,7 +34,7 @@ from geodrake.report import style
 from geodrake.report.meshcat_scene import LEAST_THICKNESS, calm_meshcat, legend
 
 PRIOR, IDENTIFIED, TRUTH = "#8a94a0", "#1b6ca8", "#3f9c6b"
-BOUNDARY, AT_BOUNDARY = "#c8322b", "at the boundary of what a body can be"
+BOUNDARY, AT_BOUNDARY = "#c8322b", "at the boundary of physically valid inertias"
 OTHERS = ("#7a4fa3", "#c78a1e", "#2a8f8f", "#a34f6e", "#5b7a2a")
 """Colours of what is drawn: prior, identified, truth, bodies at the boundary, regularizers."""
 
@@ -43,7 +43,9 @@ _LEAST_GAP = 0.3  # m
 _LIGHT = np.array([0.45, -0.6, 0.66])
 _MOST_COLUMNS = 3
 _OPAQUE, _ZOOM, _VIEW = 0.62, 1.15, (18.0, -62.0)  # of elevation and azimuth, degrees
-_WORDS = "Each body as the uniform ellipsoid with its mass, centre of mass and inertia; axes in m."
+_WORDS = (
+    "Each body as the uniform ellipsoid with the same mass, centre of mass and inertia; axes in m."
+)
 
 
 @dataclass(frozen=True, eq=False)
@@ -101,7 +103,7 @@ def placed(plant: MultibodyPlant, context: Context, phi: Array) -> PlacedEllipso
     """Return the ellipsoids of physical φ (nb, 10) where a plant's configuration puts bodies."""
     bodies = lumped_bodies(plant)
     if len(phi) != len(bodies):
-        raise ArgumentError(f"phi has {len(phi)} bodies; the plant has {len(bodies)}.")
+        raise ArgumentError(f"phi has {len(phi)} bodies, but the plant has {len(bodies)}.")
     poses = [plant.EvalBodyPoseInWorld(context, plant.get_body(b.body_index)) for b in bodies]
     R_WB = np.array([pose.rotation().matrix() for pose in poses])
     p_WB = np.array([pose.translation() for pose in poses])

@@ -53,13 +53,13 @@ _EFFORTS = (
     "sensor noise. Shaded: where the error is largest. Lines break where samples were left out."
 )
 _RESIDUALS = (
-    "Measured − predicted effort over velocity, position and load, each joint on its own scale. "
-    "Line: mean in bins of equally many samples; dashed: RMS; band: sensor noise."
+    "Measured − predicted effort over velocity, position and load; joints have their own "
+    "scales. Line: mean in bins of equal size; dashed: RMS; band: sensor noise."
 )
 _START, _END = Color("before", label="as it stands"), Color("after", label="refitted on the logs")
 _WITHOUT = Color("before", label="without it", thin=True)
 _CHOSEN, _LESS = Color("after", label="chosen"), Color("measured", label="less likely")
-_TIED = Color("tied", label="as good, as far as the logs show")
+_TIED = Color("tied", label="tied")
 
 
 def worst_joints(errors: ErrorTable) -> tuple[str, ...]:
@@ -204,8 +204,8 @@ def _badges(tables: Sequence[ErrorTable]) -> dict[str, str]:
     if len(tables) == 1:
         return {first: "worst joint"}
     if first == last:
-        return {first: "worst joint, at first and in the end"}
-    return {first: "worst joint at first", last: "worst joint in the end"}
+        return {first: "worst joint before and after"}
+    return {first: "worst joint before", last: "worst joint after"}
 
 
 def residual_chart(models: Mapping[Stage, Comparison], units: Units) -> Chart:
@@ -278,14 +278,14 @@ def step_bars(explanation: Explanation) -> Bars:
     joints = [joint.joint for joint in explanation.start.joints]
     errors = [
         ("the model as it stands", _START, explanation.start.nrms),
-        ("its own parameters refitted", _END, explanation.refitted.nrms),
+        ("refitted without a new effect", _END, explanation.refitted.nrms),
     ]
     for step in explanation.steps:
         words = f"+ {effect_label(step.effect)}, {step_place(step, joints, most=3)}"
         errors.append((shortened(words, _MOST_LETTERS), _END, step.error_after))
     marks = (Bar(NOISE, explanation.end.floor_nrms),)
     rows = tuple(BarRow(words, (Bar(color, nrms),), marks) for words, color, nrms in errors)
-    caption = "The error on held-out data (nrms) falling with each step, on a logarithmic axis."
+    caption = "nrms on held-out data after each step, on a logarithmic axis."
     return Bars("steps", caption, rows)
 
 
@@ -303,7 +303,7 @@ def candidate_bars(diagnosis: Diagnosis) -> Bars:
     count = len(diagnosis.candidates)
     return Bars(
         "candidates",
-        "The error on held-out data (nrms) that each candidate would leave.",
+        "nrms on held-out data with each candidate.",
         tuple(rows),
         f"The best {len(shown)} of {count} candidates." if count > len(shown) else "",
         log=False,

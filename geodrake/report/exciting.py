@@ -58,15 +58,15 @@ def excitation_page(result: ExcitationResult, about: About) -> Page:
             _pairs_section(result, units) if apart else _directions_section(result),
             Section(
                 "The motion",
-                "Where the joints move, and the largest shares of their limits.",
+                "The path of each joint, and its largest shares of the limits.",
                 tables=(limits_table(result, units),),
                 charts=(motion_chart(result, units),),
             ),
             Section(
                 "Starts",
-                "What a design made of each random motion; less is better.",
+                "Result from each random initial motion; smaller is better.",
                 (
-                    "The criterion is one over the squared deviations of the hardest pair."
+                    "The criterion is the inverse squared deviation of the hardest pair."
                     if apart
                     else f"The criterion is {result.objective.criterion.name}."
                 ),
@@ -75,12 +75,10 @@ def excitation_page(result: ExcitationResult, about: About) -> Page:
             Section("Notes", items=result.notes),
         ),
         of=f"{about.model}: {motion_words(result)}",
-        lead=tuple(
-            filter(None, (f"Nearest to each other: {nearest}" * bool(nearest), _time(result)))
-        ),
+        lead=tuple(filter(None, (f"Smallest distance: {nearest}" * bool(nearest), _time(result)))),
         tiles=_tiles(result),
-        footer="Made by geodrake: limits hold between samples too; information is that of the "
-        "samples with the noise that was asked for.",
+        footer="Made by geodrake. Limits also hold between samples; the information is that of "
+        "the samples with the requested noise.",
     )
 
 
@@ -104,7 +102,7 @@ def excitation_verdict(result: ExcitationResult) -> str:
     criterion, normalization = result.objective.criterion.name, result.objective.normalization
     words = f"{criterion.replace('_', ' ')} {number(result.value)}"
     if criterion == "e_optimality" and normalization == "geometric":
-        words += f": the worst direction has a deviation of {relative(result.value**0.5)}"
+        words += f": the worst direction has a relative deviation of {relative(result.value**0.5)}"
     words += f"; {_times(improvement(result))} better than the best random motion."
     if normalization == "geometric":
         words += (
@@ -118,14 +116,14 @@ def _separation_verdict(result: ExcitationResult) -> str:
     hardest, gained = distinguished_pairs(result)[0], improvement(result) ** 0.5
     units = Units.of(result.objective.target.model)
     words = (
-        f"Every pair differs by at least {number(hardest.deviations)} standard deviations of the "
-        f"noise of all {result.samples} samples together, {_times(gained)} what the best random "
-        f"motion makes of it. Hardest to distinguish is {hardest.pair.truth} of "
-        f"{places_label(hardest.pair.where, units.joints)} from {hardest.pair.rival}, which leaves "
-        f"an effort of {number(hardest.effort)} {units.effort()} RMS unexplained."
+        f"Every pair differs by at least {number(hardest.deviations)} standard deviations of "
+        f"the noise in {result.samples} samples, {_times(gained)} as much as on the best "
+        f"random motion. The hardest to distinguish are {hardest.pair.truth} of "
+        f"{places_label(hardest.pair.where, units.joints)} and {hardest.pair.rival}, with an "
+        f"unexplained effort of {number(hardest.effort)} {units.effort()} RMS."
     )
     if hardest.deviations < CLEAR:
-        words += " That is little: such a log will hardly distinguish them."
+        words += " Such a log will hardly distinguish them."
     return words
 
 
@@ -142,7 +140,7 @@ def _nearest(result: ExcitationResult) -> str:
         f"{names} {1e3 * least:.0f} mm apart"
         for least, names in sorted(use.clearances.values(), key=lambda each: each[0])
     ]
-    return f"{'; '.join(parts)}, where {1e3 * use.clearance:.0f} mm are to be kept."
+    return f"{'; '.join(parts)}; the clearance is {1e3 * use.clearance:.0f} mm."
 
 
 def _time(result: ExcitationResult) -> str:
@@ -155,8 +153,10 @@ def _time(result: ExcitationResult) -> str:
     at = ", ".join(f"{joint} {number(q)} {units.at(joint, 'rad')}" for joint, q in pairs)
     words = f"{trajectory.length:g} s from rest to rest, starting at {at}; "
     if result.ramps is not None:
-        return f"{words}{result.executed.length:.1f} s with the ramps from and to where it stands."
-    return f"{words}bring the robot there first, or say where it stands: --stand."
+        return (
+            f"{words}{result.executed.length:.1f} s with the ramps from and to the rest position."
+        )
+    return f"{words}move the robot there first, or give its rest position with --stand."
 
 
 def _tiles(result: ExcitationResult) -> tuple[Tile, ...]:
@@ -165,7 +165,7 @@ def _tiles(result: ExcitationResult) -> tuple[Tile, ...]:
     if pairs := distinguished_pairs(result):
         least, gained = f"{number(pairs[0].deviations)} σ", gained**0.5
         clear = sum(entry.deviations >= CLEAR for entry in pairs)
-        first = Tile("least difference", least, "of the noise of all samples")
+        first = Tile("smallest difference", least, "of the noise in all samples")
         last = [Tile("pairs", str(len(pairs)), f"with at least {number(CLEAR)} σ: {clear}")]
     else:
         criterion = objective.criterion.name.replace("_", " ")
@@ -173,7 +173,7 @@ def _tiles(result: ExcitationResult) -> tuple[Tile, ...]:
         found = f"{identifiable_directions(result)} of {len(result.eigenvalues)}"
         last = [Tile("directions identifiable", found, f"to {percent(THRESHOLD**0.5)}")]
         last *= objective.normalization == "geometric"
-    better = Tile("better than random", f"{number(gained)} ×", "than the best start")
+    better = Tile("better than random", f"{number(gained)} ×", "than the best initial motion")
     return (first, better, *last)
 
 
@@ -182,15 +182,15 @@ def _directions_section(result: ExcitationResult) -> Section:
     values = result.eigenvalues[::-1]
     deviations = 1.0 / np.sqrt(np.where(values > 0, values, np.nan))
     geometric = result.objective.normalization == "geometric"
-    caption = "Relative deviation of an estimate along every principal direction."
+    caption = "Relative deviation of an estimate along each principal direction."
     caption += f" Dotted: {percent(THRESHOLD**0.5)}." * geometric
     limits, curves = (THRESHOLD**0.5,) * geometric, {_DOTS: deviations}
     chart = _directions_chart("deviation", caption, curves, limits)
     return Section(
-        "What it identifies",
+        "Identifiable directions",
         f"From {result.samples} samples, along directions in the space of all parameters.",
-        "Directions are combinations of inertial parameters and of those of effects, in the "
-        "units of the normalization.",
+        "Directions combine inertial parameters and those of effects, in the units of the "
+        "normalization.",
         charts=(chart,),
         detailed=True,
     )
@@ -210,10 +210,10 @@ def _pairs_section(result: ExcitationResult, units: Units) -> Section:
     count = len(distinguished_pairs(result))
     some = f": the hardest {_MOST_PAIRS} of {count} pairs" if count > _MOST_PAIRS else ""
     return Section(
-        "What it distinguishes",
-        f"How far two effects differ once everything else is refitted{some}.",
-        f"In standard deviations of the noise of all {result.samples} samples together. RMS is "
-        "at the joint where it is most.",
+        "Distinguishable effects",
+        f"How far two effects differ after refitting everything else{some}.",
+        f"In standard deviations of the noise in all {result.samples} samples. RMS is at the "
+        "joint where it is largest.",
         tables=(_pairs_table(result, units),),
         charts=(_imitation_chart(result, units),),
     )
@@ -227,7 +227,7 @@ def _pairs_table(result: ExcitationResult, units: Units) -> Table:
         where, apart = places_label(entry.pair.where, units.joints), f"{number(entry.deviations)} σ"
         rows.append(cells(truth, where, rival, apart, entry.effort))
     unit = units.effort(result.limits.joints)
-    head = ("if the robot has", "where", "and is thought to have", "they differ by", f"RMS, {unit}")
+    head = ("if the robot has", "where", "and the model has", "they differ by", f"RMS, {unit}")
     return Table(head, rows, words=3)
 
 
@@ -254,9 +254,9 @@ def _imitation_chart(result: ExcitationResult, units: Units) -> Chart:
         plot = Plot(f"effort, {units.at(joint, 'N·m')}", curves)
         panels.append(Panel(words, "", at, (plot,)))
     caption = (
-        "What the effect adds to the effort of the joint where its rival fails most, and the most "
-        "that the rival and everything else that is refitted make of it, the hardest pair first. "
-        "Where the sign of the speed is hardly known, samples count less."
+        "Effort of the effect at the joint where its rival fits worst, and the best fit by "
+        "the rival with everything else refitted; the hardest pair first. Where the sign of "
+        "the velocity is uncertain, samples have less weight."
     )
     return Chart(
         "pairs",
@@ -310,8 +310,8 @@ def motion_chart(result: ExcitationResult, units: Units) -> Chart:
             plots.append(Plot(label, curves, near, tall=name == "position"))
         panels.append(Panel(joint, "", at, tuple(plots), shown=j < MOST_PANELS))
     caption = (
-        "Position, velocity, acceleration and effort of every joint. Dotted lines are limits; an "
-        "axis without them shows a motion that stays far inside."
+        "Position, velocity, acceleration and effort of each joint. Dotted: limits, which "
+        "are outside the range of axes without them."
     )
     return Chart("motion", caption, tuple(panels), axis="time, s" if timed else "sample")
 
@@ -333,26 +333,28 @@ def identifiability_page(found: LogIdentifiability, about: About) -> Page:
         (
             Section(
                 "Bodies",
-                f"Parameters identifiable to within {most}, of those that any motion could show.",
-                "A body has ten inertial parameters; so many of them are identifiable from the "
-                "best of motions, some only together with those of others. Part of one can be.",
+                f"Parameters that are identifiable to within {most}, of those that any "
+                "motion could identify.",
+                "A body has ten inertial parameters, of which the best motion can identify "
+                "this many, some only in combination with those of other bodies.",
                 tables=(_bodies_table(found),),
             ),
             Section(
                 "Effects",
-                "Deviation of an estimate from these logs alone, everything else estimated too.",
+                "Deviation of an estimate from these logs alone, with everything else "
+                "estimated too.",
                 tables=(_effects_table(found, units),),
             ),
             Section(
                 "Directions",
-                "Relative deviation along principal directions, and what these are mostly of.",
+                "Relative deviation along principal directions, and their largest components.",
                 tables=(_directions_table(found),),
                 charts=(_identifiable_chart(found),),
             ),
             Section(
                 "Not identifiable",
-                f"{len(rest)} of {found.possible} combinations of parameters, SI units, the worst "
-                f"{len(combinations)} first; --json has all.",
+                f"{len(rest)} of {found.possible} combinations of parameters in SI units, "
+                f"the {len(combinations)} worst first; --json has all.",
                 tables=(Table(_COMBINATION, combinations),),
             ),
             Section("Notes", items=found.notes),
@@ -363,12 +365,12 @@ def identifiability_page(found: LogIdentifiability, about: About) -> Page:
                 "directions identifiable", f"{found.count} of {found.possible}", f"to within {most}"
             ),
             Tile(
-                "at sensor noise alone", f"{found.count_at_floor}", "if the model left nothing else"
+                "at sensor noise alone", f"{found.count_at_floor}", "if only sensor noise remained"
             ),
             *effects,
         ),
-        footer="Made by geodrake: relative deviations are lengths in the geometric metric of "
-        "inertial parameters, and depend neither on frames nor on units.",
+        footer="Made by geodrake. Relative deviations are lengths in the geometric metric of "
+        "inertial parameters, which depend neither on frames nor on units.",
     )
 
 
@@ -386,9 +388,7 @@ def _beyond(found: LogIdentifiability) -> str:
     elif found.effects:
         words.append("All parameters of effects are identifiable.")
     if found.count_at_floor > found.count:
-        words.append(
-            f"If the model left nothing but sensor noise, {found.count_at_floor} would be."
-        )
+        words.append(f" If only sensor noise remained, {found.count_at_floor} would be.")
     return " ".join(words)
 
 
@@ -400,7 +400,7 @@ def _identifiable_share(found: LogIdentifiability) -> str:
     full = [body.name for body in seen if body.share > _FULL]
     none = [body.name for body in seen if body.share < _HARDLY]
     words += f"; {listed(full)} in full" if full else ""
-    return f"{words}; {listed(none)} hardly at all" if none else words
+    return f"{words}; {listed(none)} hardly" if none else words
 
 
 def _bodies_table(found: LogIdentifiability) -> Table:

@@ -60,7 +60,7 @@ if TYPE_CHECKING:
     from geodrake.control.rollout import Rollout
 
 REST = "What the remaining error varies with"
-_EVEN = "No joint has a much larger error in some circumstance than elsewhere."
+_EVEN = "No joint has a much larger error under any condition than elsewhere."
 _IDENTIFIED = Stage("identified", "after")
 _LEFT = Stage("left without it", "measured", look="wide")
 _FORMULA = Stage("formula on held-out data", "after")
@@ -68,54 +68,53 @@ _AGAINST = Stage("one against the other", "after", look="dots")
 _GAP = 1.5  # samples farther apart than so many times the usual are not joined by a line
 _MOST_DOTS = 400
 _MILLIMETRES = 1e3
-_FAR = 1e6  # mm, from which deviations are told as multiples of a power of ten
+_FAR = 1e6  # mm, from which deviations are printed with a power of ten
 _PERCENT_COLUMNS = (
-    "Blocks better is the share of held-out blocks in which the error falls where the effect "
-    "acts.\n"
-    "Probability is that of all explanations of the logs that have the finding. In the others "
-    "something else is in its place, something unknown, or nothing; by chance is the probability "
-    "of nothing."
+    "Blocks better is the share of held-out blocks in which the error falls at the joints of the "
+    "effect.\n"
+    "Probability sums all explanations of the logs with the effect. The others have another "
+    "effect, an unknown one or none in its place; by chance is the probability of none."
 )
 
 
 @dataclass(frozen=True, eq=False)
 class Explained(Explanation):
-    """An explanation, and what its command adds."""
+    """An explanation, and results that only its command computes."""
 
-    correlates: Sequence[Correlate] = ()  # what the error varies with that is left
-    # Rollouts under commands before, after the steps, and after the last, if any.
+    correlates: Sequence[Correlate] = ()  # signals that correlate with the remaining error
+    # Rollouts under commands before the first step, between steps and after the last, if any.
     motions: Sequence[Rollout] | None = None
-    draft: Draft | None = None  # formulas for the rest, where they were asked for
-    added: bool = False  # whether the effect was asked for, and not found
+    draft: Draft | None = None  # formulas for the remaining error, if requested
+    added: bool = False  # whether the effect was named by the user
 
     @classmethod
     def of(cls, explanation: Explanation, **more: Any) -> Explained:
-        """Return an explanation with more."""
+        """Return an explanation with further fields."""
         return cls(**{f.name: getattr(explanation, f.name) for f in fields(Explanation)} | more)
 
 
 @dataclass(frozen=True, eq=False)
 class _Errors:
-    """How far models are from the same logs, which pages of errors show alike."""
+    """Errors of one or several models on the same logs."""
 
     stages: Mapping[str, ErrorTable]  # title -> errors of a model, from the first to the last
-    models: Mapping[Stage, Comparison]  # stage -> how far its model is from the logs
+    models: Mapping[Stage, Comparison]  # stage -> comparison of its model with the logs
     units: Units
     bars: Bars
-    # Models between the two, and what these predict.
+    # Intermediate models and their predictions.
     between: Mapping[Stage, Sequence[Series]] = field(default_factory=dict)
 
     @property
     def last(self) -> ErrorTable:
-        """Return the errors in the end."""
+        """Return the errors of the last model."""
         return list(self.stages.values())[-1]
 
     def tiles(self, *first: Tile, ends: Sequence[ErrorTable], of: str = "") -> tuple[Tile, ...]:
-        """Return what is worth seeing first.
+        """Return the tiles at the top of a page.
 
         Args:
-            ends: Errors at the start and, if it was fitted, in the end.
-            of: What it is that a better model could remove a share of; "" to leave that out.
+            ends: Errors of the first and, if it was fitted, of the last model.
+            of: Unit of the removable share; "" to omit that tile.
         """
         worst = words.worst_joint(ends[-1]).joint
         nrms = [next(j.nrms for j in table.joints if j.joint == worst) for table in ends]
@@ -125,13 +124,13 @@ class _Errors:
             Tile("sensor noise", number(self.last.floor_nrms), "the nrms of a perfect model"),
         ]
         if not self.last.shows_noise:
-            tiles[-1] = Tile("sensor noise", "not seen", "nothing to compare the error with")
+            tiles[-1] = Tile("sensor noise", "unknown", "the logs show none")
         elif of:
             tiles.append(Tile("removable", percent(words.removable_share(self.last)), of))
         return tuple(tiles)
 
     def sections(self) -> tuple[Section, Section]:
-        """Return the errors of every joint, and where they are concentrated."""
+        """Return the errors of all joints, and where they are concentrated."""
         chart = effort_chart(self.models, self.units, self.between)
         lists = tuple(
             ColoredList(words.capitalized(stage.label), stage.color, said)
@@ -142,30 +141,31 @@ class _Errors:
             Section(
                 "Joint by joint",
                 f"RMS of measured − predicted effort in {_unit(self.last, self.units)}.",
-                "std is the standard deviation of the measured effort, and nrms the error over "
-                "it. Removable is the share of the squared error above the sensor noise: some "
-                "model could still take it away, though perhaps none of positions and "
-                "velocities alone.",
+                "std is the standard deviation of the measured effort, nrms the RMS error divided "
+                "by it. Removable is the share of the squared error above the sensor noise, which "
+                "a better model may explain, though perhaps not by positions and velocities "
+                "alone.",
                 (self.bars,),
                 (errors_table(self.stages, self.units),),
+                deep=len(self.stages) > 2,
             ),
             Section("Where it fails", lists=lists, charts=(chart,), deep=True),
         )
 
     def ends(
-        self, of: Comparison, notes: Sequence[str], *, refitted: bool = True
+        self, of: Comparison, notes: Sequence[str], *, refitted: bool = True, deep: bool = False
     ) -> tuple[Section, ...]:
-        """Return what is last on each page: residuals, how errors were measured, and notes."""
+        """Return the last sections of a page: residuals, how errors were measured, and notes."""
         chart = residual_chart(self.models, self.units)
         return (
             Section("What the error varies with", charts=(chart,), detailed=True),
             _method_section(of, refitted=refitted),
-            notes_section(notes, of.first),
+            replace(notes_section(notes, of.first), deep=deep),
         )
 
 
 def comparison_page(comparison: Comparison, about: About) -> Page:
-    """Say how far a model is from logs, and where."""
+    """Return the page of a comparison."""
     errors, units = comparison.errors, about.units
     shown = _Errors({"RMS": errors}, {BEFORE: comparison}, units, joint_bars(errors))
     joints, failing = shown.sections()
@@ -188,7 +188,7 @@ def comparison_page(comparison: Comparison, about: About) -> Page:
 
 
 def diagnosis_page(diagnosis: Diagnosis, about: About) -> Page:
-    """Say which effect a model lacks most."""
+    """Return the page of a diagnosis."""
     start, comparison, units = diagnosis.start, diagnosis.comparison, about.units
     if not units.joints:
         units = Units(tuple(joint.joint for joint in start.joints))
@@ -196,10 +196,12 @@ def diagnosis_page(diagnosis: Diagnosis, about: About) -> Page:
     best = diagnosis.candidates[0].error_after if diagnosis.candidates else None
     ranking = Section(
         "Candidates",
-        "Each effect was added alone to the model, and everything refitted: nrms before and after.",
-        "Evidence is twice the logarithm of how much likelier it makes the model, prior odds "
-        "counted. The first is the first step of the most probable explanation; = marks what "
-        "may stand in its place. Chance is how probable it is that it is not needed there.",
+        "nrms (RMS error / standard deviation of the measured effort) on held-out data, before and "
+        "after adding each effect alone.",
+        "Everything is refitted with each effect. Evidence is twice the log posterior odds of the "
+        "model with the effect. The first candidate is the first step of the most probable "
+        "explanation; = marks alternatives to it. By chance is the probability that the effect is "
+        "not needed there.",
         (candidate_bars(diagnosis),) if diagnosis.candidates else (),
         (candidates_table(diagnosis, units),),
     )
@@ -208,7 +210,8 @@ def diagnosis_page(diagnosis: Diagnosis, about: About) -> Page:
         first = diagnosis.candidates[0]
         where = words.places_label(first.where, units.joints, most=words.MOST_NAMED)
         headline = f"Missing: {words.effect_label(first.effect)} ({where})."
-    with_it = [] if best is None else [Tile("with the effect", number(best), "nrms, held-out data")]
+    joints, failing = shown.sections()
+    with_it = [] if best is None else [Tile("with the effect", number(best), "held-out nrms")]
     return Page(
         about,
         diagnosis.verdict if best is None else "effect found",
@@ -216,8 +219,9 @@ def diagnosis_page(diagnosis: Diagnosis, about: About) -> Page:
         (
             ranking,
             settling_section(diagnosis, about),
-            *shown.sections(),
-            *shown.ends(comparison, diagnosis.notes),
+            replace(joints, deep=True),
+            failing,
+            *shown.ends(comparison, diagnosis.notes, deep=True),
         ),
         verdict=diagnosis.verdict,
         lead=words.diagnosis_lead(diagnosis),
@@ -233,7 +237,7 @@ def diagnosis_page(diagnosis: Diagnosis, about: About) -> Page:
 
 
 def explanation_page(found: Explanation, about: About) -> Page:
-    """Say what a model lacks, step by step, and what is left; units are those of its own model."""
+    """Return the page of an explanation; units are those of its own model."""
     explanation = found if isinstance(found, Explained) else Explained.of(found)
     units = Units.of(found.model, [*about.units.effects.values()])
     start, end, steps = explanation.start, explanation.end, explanation.steps
@@ -259,8 +263,9 @@ def explanation_page(found: Explanation, about: About) -> Page:
         (
             Section(
                 "What is missing",
-                "Each effect takes the error on held-out data (nrms) from before to after; "
-                "everything that may move is refitted.",
+                "nrms (RMS error / standard deviation of the measured effort) on held-out data, "
+                "before and after each step."
+                + (" A second ± is from uncertain effort gains." if _has_second(steps) else ""),
                 _PERCENT_COLUMNS,
                 (step_bars(explanation),) if steps else (),
                 (steps_table(explanation, units),),
@@ -269,7 +274,7 @@ def explanation_page(found: Explanation, about: About) -> Page:
             _parameters_section(explanation, units),
             Section(
                 REST,
-                more="Shares of the error left at a joint on held-out data.",
+                more="Shares of the remaining error of a joint on held-out data.",
                 items=tuple(map(words.correlate_words, explanation.correlates)),
                 deep=True,
             ),
@@ -279,16 +284,15 @@ def explanation_page(found: Explanation, about: About) -> Page:
             joints,
             Section(
                 "Bodies",
-                "Mass in kg and centre of mass in mm before and after, farthest change first; ± is "
+                "Mass in kg and centre of mass in mm before and after, largest change first; ± is "
                 "from noise alone.",
-                "Centres of mass are in the frame of the body. What is attached to a body as a "
-                "payload stands among the parameters.",
+                "Centres of mass are in the body frame. Payloads are listed with the parameters.",
                 tables=(bodies_table(explanation.bodies),) if explanation.bodies else (),
                 deep=True,
             ),
             gains_section(signals, units),
             limits_section(signals, units),
-            *shown.ends(explanation.before, explanation.notes),
+            *shown.ends(explanation.before, explanation.notes, deep=True),
         ),
         verdict=explanation.verdict,
         lead=words.explanation_lead(
@@ -303,7 +307,7 @@ def explanation_page(found: Explanation, about: About) -> Page:
 
 
 def identification_page(found: ModelIdentification, about: About) -> Page:
-    """Say what an identification made of a model."""
+    """Return the page of an identification."""
     units = Units.of(found.model, [*about.units.effects.values()])
     before, after = found.before, found.after
     shown = _Errors(
@@ -313,15 +317,15 @@ def identification_page(found: ModelIdentification, about: About) -> Page:
         joint_bars(before, [("identified", [joint.rms for joint in after.joints])]),
     )
     joints, failing = shown.sections()
-    headline = f"The held-out error goes from nrms {number(before.nrms)} to {number(after.nrms)}"
-    noise = f"; sensor noise is {number(after.floor_nrms)}" if after.shows_noise else ""
+    headline = f"nrms on held-out data {number(before.nrms)} → {number(after.nrms)}"
+    noise = f"; sensor noise {number(after.floor_nrms)}" if after.shows_noise else ""
     tried = f", chosen by held-out error from {len(found.sweep)}" if found.sweep else ""
     lead = (
         f"Fitted with the {found.regularizer} regularizer and gamma {_gamma(found.gamma)}{tried}."
     )
     bounded = (
-        f"{words.listed(found.at_boundary)} ended at the boundary of what a body can be: nothing "
-        "but that keeps the data from asking for the impossible."
+        f"{words.listed(found.at_boundary)} ended at the boundary of physically valid inertias: "
+        "the data alone would ask for invalid ones."
     )
     return Page(
         about,
@@ -331,9 +335,8 @@ def identification_page(found: ModelIdentification, about: About) -> Page:
             joints,
             Section(
                 "Bodies",
-                "Mass in kg and centre of mass in mm in the body's frame, ± standard deviation.",
-                "At the boundary, only the bounds of what a body can be keep the data from "
-                "asking for more.",
+                "Mass in kg and centre of mass in mm in the body frame, ± standard deviation.",
+                "A body at the boundary would have invalid inertias if the data alone decided.",
                 tables=(bodies_table(found.bodies),),
             ),
             Section("Effects", tables=(_effects_table(found, units),)),
@@ -357,52 +360,53 @@ def identification_page(found: ModelIdentification, about: About) -> Page:
 
 
 def settling_section(found: Diagnosis | Explanation, about: About) -> Section:
-    """Return the commands that design motions which would settle what is ambiguous."""
+    """Return the commands that design motions which tell ambiguous effects apart."""
     commands = tuple(
         f"{command.replace('MODEL', about.saved)} --save motion_{k}.csv"
         for k, command in enumerate(distinguishing_commands(found), 1)
     )
     return Section(
-        "Motions that would distinguish what the logs cannot",
-        "Record one of these motions, and give its log beside the others.",
+        "To tell these effects apart",
+        "Record such a motion, and pass its log together with the others.",
         commands=commands,
     )
 
 
-def _parameters_section(explanation: Explanation, units: Units) -> Section:
-    """Return the parameters that were found, with their standard deviations and units."""
-    noticed = (
-        "A second deviation comes from the gains of the efforts, and from what stays unexplained. "
-        "More data do not narrow it: a log with a payload of known mass does (--known-payload), "
-        "and what explains the rest."
-    )
-    seen = (
+def _has_second(steps: Sequence[Step]) -> bool:
+    """Return whether any parameter is shown with a second, systematic deviation."""
+    return any(
         is_noticed(step.deviations[place][name], systematic)
-        for step in explanation.steps
+        for step in steps
         for place, own in step.systematic.items()
         for name, systematic in own.items()
     )
+
+
+def _parameters_section(explanation: Explanation, units: Units) -> Section:
+    """Return the fitted parameters, with their standard deviations and units."""
+    noticed = (
+        "A second ± is from uncertain effort gains and unexplained errors. More data do not reduce "
+        "it; a log with a payload of known mass does (--known-payload)."
+    )
     return Section(
-        "Parameters found",
-        "Value ± standard deviation, where the fit knows one.",
-        noticed if any(seen) else "",
+        "Parameters",
+        f"Value ± standard deviation. {noticed if _has_second(explanation.steps) else ''}".rstrip(),
         tables=tuple(parameters_table(s, units) for s in explanation.steps if s.parameters),
         deep=True,
     )
 
 
 def _motions_section(motions: Sequence[Rollout] | None, units: Units) -> Section:
-    """Return how far the robot departs from its motion under commands; empty without commands."""
-    title = "Departure from the motion under the commands"
+    """Return the position errors under the logged commands; empty without commands."""
+    title = "Motion error under the logged commands"
     if motions is None:
         return Section(title)
     before, after = motions[0], motions[-1]
     return Section(
         title,
         f"RMS in windows of {after.horizon:g} s that start at the measured state.",
-        "The model is simulated under the logged commands, and its motion compared with the "
-        "measured one; before with the model as it was and the same servos, and after each "
-        "step.",
+        "The model with the same servos is simulated under the logged commands, before the first "
+        "and after each step, and its motion compared with the measured one.",
         tables=(
             departures_table(after, before, units),
             *([stages_table(motions, units)] if len(motions) > 2 else []),
@@ -411,28 +415,29 @@ def _motions_section(motions: Sequence[Rollout] | None, units: Units) -> Section
 
 
 def _draft_sections(draft: Draft, units: Units) -> tuple[Section, ...]:
-    """Return the formulas that were found, with what they leave and what they make needless."""
+    """Return the formulas that were found, their errors, and effects that they replace."""
     rest = Section(REST, items=tuple(map(words.correlate_words, draft.correlates)))
-    title = "Formulas for the rest"
+    title = "Formulas for the remaining error"
     if not draft.effects:
-        said = "No formula takes away enough of the error to be believed; no file was written."
+        said = "No formula removes a significant share of the error; no file was written."
         return rest, Section(title, items=(said,))
     nrms = f"{number(draft.before.nrms)} -> {number(draft.after.nrms)}"
     needless = [f"{e.name} of {', '.join(e.where)}" for e in draft.needless]
     return rest, Section(
         title,
-        f"They take the held-out nrms {nrms}, where sensor noise is "
-        f"{number(draft.after.floor_nrms)}; a formula that fits is not yet a cause.",
+        f"Held-out nrms {nrms}, sensor noise {number(draft.after.floor_nrms)}. A formula that fits "
+        "need not be the cause.",
         "Sums of products of simple functions of the motion, found by a sparse search and "
-        "judged on held-out data. Use the file with --effects; the saved model is without it.",
+        "validated on held-out data. Use the file with --effects; the saved model does not include "
+        "it.",
         tables=(formulas_table(draft),),
-        items=(f"Needless beside the formulas: {', '.join(needless)}",) if needless else (),
+        items=(f"No longer needed with the formulas: {', '.join(needless)}",) if needless else (),
         charts=(draft_chart(draft, units),),
     )
 
 
 def draft_chart(draft: Draft, units: Units) -> Chart:
-    """Return what formulas explain: over time, and against what everything else leaves."""
+    """Return the efforts of formulas over time, and against the residuals without them."""
     panels = []
     for effect in draft.effects:
         joint, unit = effect.formula.joint, units.effort([effect.formula.joint])
@@ -462,8 +467,8 @@ def draft_chart(draft: Draft, units: Units) -> Chart:
         change = f"RMS {number(effect.rms_before)} → {number(effect.rms_after)} {unit}"
         panels.append(Panel(joint, change, np.array([]), plots))
     caption = (
-        "What everything else leaves at a joint, and the effort of the formula: over time, and one "
-        "against the other."
+        "Residual of a joint without the formula, and the effort of the formula: over time, and "
+        "one against the other."
     )
     return Chart("draft", caption, tuple(panels), abreast=True)
 
@@ -473,7 +478,7 @@ def _unit(errors: ErrorTable, units: Units) -> str:
 
 
 def _error_tile(title: str, errors: ErrorTable, units: Units, where: str = "all joints") -> Tile:
-    """Return how large an error is, in N·m first; only its nrms where units are mixed."""
+    """Return a tile with an RMS error and its nrms; only the nrms where units are mixed."""
     unit, nrms = _unit(errors, units), number(errors.nrms)
     if " or " in unit:
         return Tile(title, nrms, f"nrms: error over std of the effort, {where}")
@@ -481,14 +486,14 @@ def _error_tile(title: str, errors: ErrorTable, units: Units, where: str = "all 
 
 
 def gains_section(signals: Sequence[EffortSignal], units: Units) -> Section:
-    """Return what makes efforts of currents, voltages and commands; empty where there are none."""
+    """Return the gains from currents, voltages and commands to efforts; empty without any."""
     return Section(
         "Gains",
-        "Efforts of these joints were not measured: they are the gains times what was measured.",
-        "Of servos they are the stiffness times how far the command is ahead, the damping "
-        "times how much faster it is, and the integral gain times how far and how long it was "
-        "ahead. The scale of the gains is that of the model's inertias; a model fitted to "
-        "efforts, or a gain from a data sheet (--gain), tells it better.",
+        "Efforts of these joints were not measured; they are gains times the logged signals.",
+        "The effort of a servo is its stiffness times the position error, its damping times the "
+        "velocity error, and its integral gain times the integral of the position error. The gains "
+        "scale with the model's inertias; a model fitted to measured efforts or a gain from a data "
+        "sheet (--gain) makes them more accurate.",
         tables=(signals_table([each for each in signals if each.kind != EFFORT], units),),
     )
 
@@ -498,7 +503,7 @@ def limits_section(signals: Sequence[EffortSignal], units: Units) -> Section:
     rows = [cells(each.joint, _limit(each, units)) for each in signals if each.kind == EFFORT]
     return Section(
         "Limits of motors",
-        "Motors of these joints give no more than the limit of what they are asked for.",
+        "The motors of these joints saturate at the limit; logged efforts are commands.",
         tables=(Table(("joint", "limit"), rows),),
     )
 
@@ -507,31 +512,31 @@ def _method_section(comparison: Comparison, *, refitted: bool) -> Section:
     """Return how the errors were measured."""
     folds = list(dict.fromkeys(series.block for series in comparison.series))
     how = (
-        f"Every error of a refitted model is of held-out data: each of the {len(folds)} folds, "
-        "long blocks with gaps between them or whole logs, was predicted with parameters fitted to "
-        "the others. The model as it stands was not refitted."
+        f"Errors of refitted models are on held-out data: each of the {len(folds)} folds (long "
+        "blocks with gaps between them, or whole logs) was predicted with parameters fitted to the "
+        "others. The model as it stands was not refitted."
         if refitted
-        else "The model was taken as it stands and nothing was refitted: all data are held-out "
-        "data, provided that the model was not fitted to these logs before."
+        else "Nothing was refitted, so all data are held-out data, unless the model was fitted to "
+        "these logs before."
     )
     return Section(
         "How errors were measured",
         how,
-        "Efforts and everything they are compared with passed through the same zero-phase "
-        "filter, and were then reduced to the rate that its bandwidth allows. The noise floor "
-        "is estimated from the efforts themselves.",
+        "Measured and predicted efforts passed through the same zero-phase filter, and were then "
+        "decimated to the rate that its bandwidth allows. The noise floor is estimated from the "
+        "measured efforts.",
         items=(f"Folds: {', '.join(folds)}.",),
         detailed=True,
     )
 
 
 def first_section(words: Sequence[str]) -> Section:
-    """Return what is doubted of the logs and left out of them, which comes before all else."""
+    """Return doubts about the logs and data that are left out, which come before all else."""
     return Section("Check first: the logs", items=tuple(words))
 
 
 def notes_section(notes: Sequence[str], first: Sequence[str] = ()) -> Section:
-    """Return what was done to the logs and noticed about the model, but for what is said first."""
+    """Return notes on logs and model, without those in the first section."""
     return Section("Notes", items=tuple(note for note in notes if note not in first))
 
 
@@ -554,10 +559,10 @@ def _footer(comparison: Comparison) -> str:
 
 
 def errors_table(stages: Mapping[str, ErrorTable], units: Units) -> Table:
-    """Return errors of every joint, the noise floor, and the share that is removable in the end.
+    """Return errors and noise of all joints, and the share that a better model could remove.
 
-    Errors in N·m or N come first, and what they are of the effort's deviation after them. Where the
-    logs show no noise, it and what is removable are unknown.
+    Errors in N·m or N come first, then nrms. Without noise in the logs, the noise floor and the
+    removable share are unknown.
     """
     *_, last = stages.values()
     mixed = " or " in _unit(last, units)
@@ -582,7 +587,7 @@ def _share(share: float) -> Cell:
 
 
 def candidates_table(diagnosis: Diagnosis, units: Units) -> Table:
-    """Return the candidates that convince, the chosen one first; = marks those that are as good."""
+    """Return the convincing candidates, the chosen one first; = marks those that are as good."""
     rows = [
         cells(
             "=" if candidate.tied and count > 1 else count,
@@ -593,22 +598,22 @@ def candidates_table(diagnosis: Diagnosis, units: Units) -> Table:
         )
         for count, candidate in enumerate(diagnosis.candidates, 1)
     ]
-    head = ("", "effect", "where", "before", "after", "evidence", "chance")
+    head = ("", "effect", "where", "before", "after", "evidence", "by chance")
     return Table(head, rows, words=3)
 
 
 def steps_table(explanation: Explanation, units: Units) -> Table:
-    """Return the steps with what was found, what else it may be, errors, and how sure it is."""
+    """Return the steps with places, parameters, rivals, errors and probabilities."""
     start, refitted = explanation.start.nrms, explanation.refitted.nrms
     rows = [cells("", "as it stands", "", "", start, "", "", "")]
     if explanation.steps:
-        rows.append(cells("", "refitted", "its own parameters", start, refitted, "", "", ""))
+        rows.append(cells("", "refitted", "no effect added", start, refitted, "", "", ""))
     for count, step in enumerate(explanation.steps, 1):
         others = words.rivals(step)
         lines = [
             words.step_place(step, units.joints),
             *words.step_parameters(step, units),
-            *([f"instead: {others}"] if others else []),
+            *([f"or: {others}"] if others else []),
         ]
         rows.append(
             cells(
@@ -622,18 +627,18 @@ def steps_table(explanation: Explanation, units: Units) -> Table:
         *("", "effect", "where, how much", "before", "after"),
         *("blocks better", "probability", "by chance"),
     )
-    return Table(head, rows, words=3)
+    return Table(head, rows, words=3, deep=("blocks better", "by chance"))
 
 
 def effect_cell(name: str, units: Units) -> Cell:
-    """Return an effect, or two that were found together, by name."""
+    """Return the cell of an effect, or of two that were found together."""
     known = [units.effects[part] for part in name.split(" + ") if part in units.effects]
     signature = words.listed([kind.signature for kind in known if kind.signature])
     return Cell(words.effect_label(name), signature, typed=name.replace(" + ", "\n+ "))
 
 
 def parameters_table(step: Step, units: Units) -> Table:
-    """Return places by parameters; a column's unit stands in its head where all places share it."""
+    """Return parameters by place; units are in the head where all places share them."""
     names = list(dict.fromkeys(name for values in step.parameters.values() for name in values))
     places = words.ordered_places(step)
     head, columns = ["where"], []
@@ -652,7 +657,7 @@ def parameters_table(step: Step, units: Units) -> Table:
 
 
 def signals_table(signals: Sequence[EffortSignal], units: Units) -> Table:
-    """Return what makes efforts of the currents, voltages and commands of logs."""
+    """Return the gains from currents, voltages and commands to efforts."""
     served = any(signal.kind == COMMAND for signal in signals)
     summed = any(signal.integral for signal in signals)
     limited = any(signal.limit < math.inf for signal in signals)
@@ -678,8 +683,8 @@ def signals_table(signals: Sequence[EffortSignal], units: Units) -> Table:
             row += [f"{band} {units.at(joint, 'rad')}" if signal.dead_band else UNKNOWN]
         rows.append(cells(*row))
     head = (
-        *("joint", "in place of efforts", "gain", "unit"),
-        *(("damping", "late by") if served else ()),
+        *("joint", "logged signal", "gain", "unit"),
+        *(("damping", "delay") if served else ()),
         *(("integral",) if summed else ()),
         *(("limit",) if limited else ()),
         *(("dead band",) if idle else ()),
@@ -688,13 +693,13 @@ def signals_table(signals: Sequence[EffortSignal], units: Units) -> Table:
 
 
 def _limit(signal: EffortSignal, units: Units) -> str:
-    """Return the largest effort of a joint, and the speed at which there is none."""
+    """Return the largest effort of a joint, and its no-load speed."""
     if signal.limit == math.inf:
         return UNKNOWN
     most = f"{number(signal.limit)} {units.at(signal.joint, 'N·m')}"
     if signal.no_load_speed == math.inf:
         return most
-    return f"{most}, none at {number(signal.no_load_speed)} {units.at(signal.joint, 'rad/s')}"
+    return f"{most}, 0 at {number(signal.no_load_speed)} {units.at(signal.joint, 'rad/s')}"
 
 
 def formulas_table(draft: Draft) -> Table:
@@ -734,7 +739,7 @@ def _place(com: Array) -> str:
 
 
 def _centre(body: BodyChange) -> Cell:
-    """Return the centre of mass found, and every coordinate with its deviation."""
+    """Return a centre of mass, and each coordinate with its deviation."""
     com, deviation = _MILLIMETRES * body.com[1], _MILLIMETRES * body.com_deviation
     pairs = zip(com.tolist(), deviation.tolist(), strict=True)
     each = ", ".join(with_deviation(x, sigma) for x, sigma in pairs)
@@ -744,7 +749,7 @@ def _centre(body: BodyChange) -> Cell:
 
 
 def _effects_table(found: ModelIdentification, units: Units) -> Table:
-    """Return parameters of the effects that were fitted, without payloads, which are bodies."""
+    """Return parameters of the fitted effects, except payloads, which are bodies."""
     rows = []
     for fitted in (each for each in found.model.effects if each.effect.role is not Role.BODY):
         where, name, own = fitted.effect.where, fitted.effect.name, fitted.deviations
@@ -759,7 +764,7 @@ def _effects_table(found: ModelIdentification, units: Units) -> Table:
 
 
 def _regularizers_table(found: ModelIdentification) -> Table:
-    """Return what every regularizer makes of the same training residual."""
+    """Return the results of all regularizers at the same training residual."""
     rows = [
         cells(
             *(other.regularizer, ", ".join(other.at_boundary) or UNKNOWN, _gamma(other.gamma)),
@@ -772,8 +777,8 @@ def _regularizers_table(found: ModelIdentification) -> Table:
 
 
 def _gamma(value: float) -> str:
-    """Return the weight of a regularizer, which a loose bound leaves as large as one likes."""
-    return number(value) if math.isfinite(value) else "without end"
+    """Return the weight of a regularizer, which is unbounded under a loose residual bound."""
+    return number(value) if math.isfinite(value) else "unbounded"
 
 
 def _explained_values(found: Explained) -> dict[str, Any]:
@@ -828,4 +833,4 @@ VIEWS = {
         },
     ),
 }
-"""How to see each of these results."""
+"""How each type of result is shown."""

@@ -40,7 +40,7 @@ def export_page(found: ProvenExport, about: About) -> Page:
     if costs is not None:
         tiles += [
             Tile("model", number(costs.whole), "nrms"),
-            Tile("files", number(costs.held), "nrms of what they hold"),
+            Tile("files", number(costs.held), "nrms of the files"),
         ]
         if costs.ignored is not None:
             left = ", ".join(found.proof.ignored)
@@ -54,21 +54,22 @@ def export_page(found: ProvenExport, about: About) -> Page:
         f"{capitalized(headline.removesuffix('.'))}.",
         (
             Section(
-                "What the files hold",
-                "Values in the files, beside the inertias.",
-                "Friction that they cannot hold is approximated by least squares over the motion.",
+                "Exported",
+                "Values in the files, in addition to the inertias.",
+                "Friction that the format cannot express is approximated by least squares "
+                "over the motion.",
                 tables=(_holds_table(found, units),),
             ),
             Section(
-                "What they cannot hold",
-                f"Effects that are approximated or left out.{costed}",
+                "Not exported",
+                f"Effects that are approximated or omitted.{costed}",
                 tables=(_lacks_table(found, units),),
             ),
             Section(
                 "Loaded again",
-                "Each simulator read the files itself, and is compared with the model they hold.",
-                "Efforts are those that the motion needs; positions those of rollouts from "
-                "states of the motion on, in steps of a millisecond.",
+                "Each simulator loaded the files, and is compared with the exported model.",
+                "Efforts are those of the motion; positions those of rollouts from states "
+                "of the motion, in steps of a millisecond.",
                 tables=(_proof_table(found, units),),
             ),
             notes_section(found.notes),
@@ -84,20 +85,22 @@ def _export_words(found: ProvenExport) -> str:
     """Return what an export holds, and what that means, in a sentence or more."""
     names = [lost.effect for lost in found.lacks]
     lacks = ", ".join(names) if len(names) <= _NAMED else f"{len(names)} effects"
-    words = f"the files hold the model but for {lacks}" if lacks else "the files hold the model"
+    words = (
+        f"the files have the model except {lacks}" if lacks else "the files have the whole model"
+    )
     if found.costs is not None:
         whole, held = number(found.costs.whole), number(found.costs.held)
         words += f"; nrms {whole} of the model, {held} of the files" if lacks else f", nrms {whole}"
     if found.proof.ignored:
         engine = found.proof.differences[0].engine.partition(" ")[0]
-        words += f". {engine} does not act on {', '.join(found.proof.ignored)} in them"
+        words += f". {engine} ignores {', '.join(found.proof.ignored)} in them"
         if found.costs is not None and found.costs.ignored is not None:
-            words += f": nrms {number(found.costs.ignored)} there"
+            words += f": nrms {number(found.costs.ignored)}"
     off = [difference for difference in found.proof.differences if not difference.is_rounding]
     if off:
         words += f". {off[0].engine} differs from geodrake by more than rounding"
     elif found.proof.differences:
-        words += ". Simulators that load them agree with geodrake to rounding"
+        words += ". The simulators that load them agree with geodrake to rounding"
     return f"{words}."
 
 
@@ -171,7 +174,7 @@ def check_page(found: DynamicsCheck, about: About) -> Page:
         (
             Section(
                 "Largest differences",
-                "In N·m or N, of the mass matrix in kg·m² or kg, beside the largest value.",
+                "In N·m or N, for the mass matrix in kg·m² or kg, with the largest value.",
                 tables=(table,),
             ),
             notes_section(found.notes),
@@ -188,31 +191,31 @@ def _check_words(found: DynamicsCheck) -> str:
         file = f" {found.by}, which reads the file itself, differs by {_largest(second)}."
     inertias = len(found.repairs) > len(found.left_out)
     if found.repairs and found.is_rounding:
-        parts = ["has inertias that cannot be used"] if inertias else []
-        parts += ["states forces or parts that geodrake does not model"] if found.left_out else []
+        parts = ["has invalid inertias"] if inertias else []
+        parts += ["has forces or parts that geodrake does not model"] if found.left_out else []
         return (
-            f"the file {' and '.join(parts)}, so what was checked is not the file as it stands "
-            f"(see Notes). Of what is used instead, the largest relative difference to "
-            f"MultibodyPlant is {_largest(worst)}.{file}"
-            + (" Correct the inertias in the file." if inertias else "")
+            f"the file {' and '.join(parts)}, so the checked model differs from the file "
+            "(see Notes). Its largest relative difference to MultibodyPlant is "
+            f"{_largest(worst)}.{file}" + (" Correct the inertias in the file." if inertias else "")
         )
     if found.is_rounding and second is not None and not second.holds:
         return (
-            f"geodrake and MultibodyPlant agree, but geodrake reads the file differently from "
-            f"{found.by}: efforts differ by {_largest(second)}. Please report it with the file."
+            "geodrake and MultibodyPlant agree, but geodrake reads the file differently "
+            f"from {found.by}: efforts differ by {_largest(second)}. Please report it with "
+            "the file."
         )
     if found.holds:
         others = f", as does {found.by}, which reads the file itself" if second is not None else ""
-        alone = f" There is no second opinion on the file: {found.by}." if second is None else ""
+        alone = f" No other program could check the file: {found.by}." if second is None else ""
         most = max((worst, *([second] if second else [])), key=lambda each: each.relative)
         return (
             f"geodrake and MultibodyPlant agree{others}; the largest relative difference is "
             f"{_largest(most)}.{alone}"
         )
     return (
-        f"geodrake and MultibodyPlant disagree: a relative difference is {_largest(worst)}, where "
-        f"rounding is below {TOLERANCE:g}. This is a bug in geodrake; please report it with the "
-        "model."
+        f"geodrake and MultibodyPlant disagree: a relative difference is {_largest(worst)}, "
+        f"where rounding stays below {TOLERANCE:g}. This is a bug in geodrake; please report "
+        "it with the model."
     )
 
 
@@ -223,8 +226,8 @@ def _largest(each: Agreement) -> str:
 def digests_page(run: DigestRun, about: About) -> Page:
     """Say which logs have digests, and which do not."""
     made, there, failed = (run.count(status) for status in (MADE, THERE, FAILED))
-    headline = f"{made} made, {there} there already, {failed} failed: "
-    headline += "the exit code is 1." if failed else f"every log has its digest in {run.folder}."
+    headline = f"{made} digested, {there} existed, {failed} failed: "
+    headline += "exit code 1." if failed else f"every log has a digest in {run.folder}."
     rows = tuple(_digest_cells(row) for row in run.rows if row.status != FAILED)
     head = ("log", "digest", "", "began", "by", "s", "samples", "effective")
     failures = [f"{row.file}: {row.reason}" for row in run.rows if row.status == FAILED]
@@ -265,13 +268,13 @@ def digest_notes(run: DigestRun) -> list[str]:
     ]
     if run.settings is not None and run.chosen:
         notes.append(
-            f"settings of all digests of {run.folder} are chosen from {run.settings.chosen_from}: "
-            f"bandwidth {run.settings.bandwidth:.3g} Hz, {len(run.settings.columns)} columns; they "
-            f"are in {SETTINGS_FILE}"
+            f"settings of all digests in {run.folder}, chosen from "
+            f"{run.settings.chosen_from}: bandwidth {run.settings.bandwidth:.3g} Hz, "
+            f"{len(run.settings.columns)} columns; see {SETTINGS_FILE}"
         )
     if any(row.about is not None and row.about.date_from == "file" for row in run.rows):
         notes.append(
-            "dates by when files were changed are those of copies, too: --date says others"
+            "dates are the files' modification times, which copying may change; --date sets them"
         )
     return notes
 
@@ -292,12 +295,12 @@ class InspectedLogs:
 def logs_page(found: InspectedLogs, about: About) -> Page:
     """Say what was understood of logs; one that is alone is drawn, too."""
     sections = [
-        Section("Columns are not what they seem", items=tuple(map(str, found.columns))),
+        Section("Columns with mistakes", items=tuple(map(str, found.columns))),
         Section(
             "Columns were not compared with the model",
             items=(found.unchecked,) if found.unchecked else (),
         ),
-        Section("Positions and limits do not go together", items=tuple(found.beyond)),
+        Section("Positions beyond the model's limits", items=tuple(found.beyond)),
     ]
     for name, each in found.logs:
         sections += [
@@ -326,15 +329,13 @@ def _row_words(found: LogInspection) -> tuple[str, ...]:
     """Return rows, rates, gaps and rest, in sentences."""
     log, mean = found.log, len(found.log) / found.seconds
     column = found.time_column
-    source = f"time from {column}" if column else "no column of time, rows at an even rate"
+    source = f"time from {column}" if column else "no column of time, constant rate"
     words = [
         f"{len(log)} rows in {number(found.seconds)} s, typically every "
-        f"{number(1e3 * found.period)} ms, {number(mean, 4)} a second on average; {source}"
+        f"{number(1e3 * found.period)} ms, {number(mean, 4)} Hz on average; {source}"
     ]
     if found.jitter > 1e-3 * found.period:
-        words.append(
-            f"time between rows varies by {number(1e3 * found.jitter)} ms (standard deviation)"
-        )
+        words.append(f"jitter {number(1e3 * found.jitter)} ms (standard deviation)")
     gaps = [f"{number(length)} s at t = {instant:.2f} s" for instant, length in found.gaps]
     if gaps:
         words.append(f"{len(gaps)} gap{'s' if len(gaps) > 1 else ''}: {_named(gaps)}")

@@ -62,11 +62,11 @@ def fleet_page(result: FleetResult, about: About) -> Page:
     changed = [robot for robot in result.robots if robot.findings]
     steady = [robot for robot in result.robots if not robot.findings]
     shown = (changed or [robot for robot in steady if robot.logs][:1])[:_MOST_PAGES]
-    place = [f"All of it is in {result.folder}."] if result.folder else []
+    place = [f"All results are in {result.folder}."] if result.folder else []
     logs = sum(robot.logs for robot in result.robots)
     count = f"{_counted(len(result.robots), 'robot')}, {_counted(logs, 'log')}"
     surest = [
-        f"The surest: {_change_label(each)} of {each.where} in {each.robot}, since "
+        f"Most certain: {_change_label(each)} of {each.where} in {each.robot}, since "
         f"{_since(each)}: {_size(each)}."
         for each in result.findings[:1]
     ]
@@ -79,28 +79,28 @@ def fleet_page(result: FleetResult, about: About) -> Page:
         (
             Section(
                 "What changed",
-                "Robots, worst first, with what changed since when.",
-                "A change is named if logs say so much for it hardly by chance: in robots in "
-                f"which nothing changed, of at most {percent(result.false_alarms)} a "
-                "robot-month.",
+                "Robots with changes, worst first.",
+                "The rate of changes that are named falsely is at most "
+                f"{percent(result.false_alarms)} per robot and month.",
                 tables=(_findings_table(result.findings),),
             ),
             Section(
-                "The fleet at a glance",
-                "How far each robot is from others of its type, in spreads by which these differ.",
-                "At each joint the parameter that is farthest, without changes.",
+                "Overview",
+                "Deviation of each robot from others of its type, in standard deviations "
+                "between robots.",
+                "At each joint the parameter with the largest deviation, without changes.",
                 tables=_glance_tables(result.robots),
                 detailed=True,
             ),
             *(_robot_section(robot, at) for at, robot in enumerate(shown)),
             Section(
-                "Robots in which nothing was found",
-                f"The farthest from others first, {_MOST_ROBOTS} at most.",
+                "Robots without changes",
+                f"The largest deviation from others first, {_MOST_ROBOTS} at most.",
                 tables=(_robots_table(steady[:_MOST_ROBOTS]),),
             ),
             notes_section(result.repairs),
             Section(
-                "Logs that are not used",
+                "Logs that were not used",
                 items=(*unused[:_MOST_UNUSED], *(more if len(unused) > _MOST_UNUSED else [])),
             ),
         ),
@@ -108,7 +108,8 @@ def fleet_page(result: FleetResult, about: About) -> Page:
         verdict=CHANGED if changed else STEADY,
         lead=(*surest, *place),
         tiles=_tiles(result),
-        footer="Made by geodrake: which robot changed, at which joint, by what, since when.",
+        footer="Made by geodrake: which robots changed, at which joint, by which effect, since "
+        "when.",
     )
 
 
@@ -117,7 +118,7 @@ def fleet_verdict(result: FleetResult) -> str:
     total, changed, unknown = len(result.robots), result.count(CHANGED), result.count(UNKNOWN)
     words = f"{changed} of {_counted(total, 'robot')} changed"
     if unknown:
-        words += f"; {_counted(unknown, 'robot')} without a log that could be used"
+        words += f"; {_counted(unknown, 'robot')} without a usable log"
     if result.unused:
         words += f"; {_counted(len(result.unused), 'log')} not used"
     return f"{words}."
@@ -132,8 +133,8 @@ def _tiles(result: FleetResult) -> tuple[Tile, ...]:
     latest = () if last is None else (Tile("latest", _since(last), last.robot, words=True),)
     return (
         Tile("changed", str(result.count(CHANGED)), f"of {len(result.robots)} robots"),
-        Tile("steady", str(result.count(STEADY)), "nothing found in them"),
-        Tile("logs not used", str(len(result.unused)), "each with its reason below"),
+        Tile("steady", str(result.count(STEADY)), "without changes"),
+        Tile("logs not used", str(len(result.unused)), "reasons below"),
         *latest,
     )
 
@@ -171,7 +172,7 @@ def _label(effect: str) -> str:
 
 def _change_label(finding: FleetFinding) -> str:
     """Return what changed, in words: `Coulomb friction, going on`."""
-    return _label(finding.effect) + (", going on" if finding.kind == RAMP else "")
+    return _label(finding.effect) + (", continuing" if finding.kind == RAMP else "")
 
 
 def _findings_table(findings: Sequence[FleetFinding]) -> Table:
@@ -198,7 +199,7 @@ def _robots_table(robots: Sequence[RobotResult]) -> Table:
             name = _parameter(robot.farthest.parameter)
             apart = number(robot.farthest.apart, 2)
         rows.append(cells(robot.robot, robot.type, robot.state, *ends, name, robot.logs, apart))
-    head = ("robot", "type", "state", "from", "to", "farthest from others", "logs", "spreads")
+    head = ("robot", "type", "state", "from", "to", "largest deviation", "logs", "spreads")
     return Table(head, rows, words=6)
 
 
@@ -247,11 +248,11 @@ def _robot_section(robot: RobotResult, at: int) -> Section:
         for each in farthest
     ]
     head = ("parameter", "unit", "value", "±", "others", "spread", "model", "spreads apart")
-    others = Table(head, rows, words=2, title="Farthest from others, without changes")
+    others = Table(head, rows, words=2, title="Largest deviation, without changes")
     return Section(
         robot.robot,
-        "Each log by itself; shaded: when a change began, with a probability of 95 %.",
-        "Intervals have what logs of this robot scatter.",
+        "Values of each log; shaded: 95 % interval of the time of a change.",
+        "Intervals include the scatter between logs of this robot.",
         tables=(_findings_table(robot.findings), others),
         charts=(_chart(robot, at),),
         detailed=True,

@@ -23,8 +23,8 @@ def render(page: Page) -> str:
         scheme, colon, _ = address.split("/")[0].partition(":")
         if colon and scheme.lower() not in ("http", "https"):
             raise ArgumentError(
-                f"The link {words!r} of a report leads to {address!r}.",
-                advice="Give the path of a file, relative to the report, or a http(s) address.",
+                f"Link {words!r} of a report points to {address!r}.",
+                advice="Use a file path relative to the report, or an http(s) address.",
             )
     scripts, style = [_asset("page.js")], _asset("page.css")
     if any(section.charts for section in page.sections):

@@ -1,9 +1,10 @@
-"""The content of a result, said once and printed by a terminal, an HTML page and a notebook."""
+"""The content of a result, which terminals, HTML pages and notebooks print."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
+from itertools import compress
 from typing import TYPE_CHECKING, Any
 
 from geodrake.report.charts import Bars, Chart
@@ -20,11 +21,11 @@ Records = Sequence[Mapping[str, Any]]
 class Cell:
     """An entry of a table."""
 
-    text: str  # what it says, in lines
-    note: str = ""  # what stands under it in small letters on an HTML page
+    text: str  # one or several lines
+    note: str = ""  # printed below the text in small letters on an HTML page
     # Share in [0, 1] that an HTML page draws as a bar beside the text; None for no bar.
     bar: float | None = None
-    typed: str = ""  # how commands call it, which terminals and notebooks show in place of the text
+    typed: str = ""  # name in commands, which terminals and notebooks show instead of the text
 
 
 @dataclass(frozen=True)
@@ -32,15 +33,23 @@ class Table:
     """A table of words and numbers."""
 
     head: tuple[str, ...]
-    rows: Sequence[tuple[Cell, ...]]  # the rows, as long as the head
-    words: int = 1  # how many columns from the left hold words; the others hold numbers
+    rows: Sequence[tuple[Cell, ...]]  # each as long as the head
+    words: int = 1  # number of columns of text, which come first; the others hold numbers
     title: str = ""
-    total: int = 0  # how many of the last rows sum the others up
-    detailed: bool = False  # whether HTML pages alone have it
+    total: int = 0  # number of rows of totals, which come last
+    detailed: bool = False  # whether only HTML pages show it
+    deep: tuple[str, ...] = ()  # columns that terminals show only with details
+
+    @property
+    def in_short(self) -> Table:
+        """Return the table without its deep columns."""
+        kept = [name not in self.deep for name in self.head]
+        rows = [tuple(compress(row, kept)) for row in self.rows]
+        return replace(self, head=tuple(compress(self.head, kept)), rows=rows)
 
 
 def cells(*entries: Cell | str | float | None) -> tuple[Cell, ...]:
-    """Return a row of a table: numbers with their usual digits, nothing for None."""
+    """Return a row of a table: numbers with three digits, empty cells for None."""
     return tuple(each if isinstance(each, Cell) else Cell(_text(each)) for each in entries)
 
 
@@ -66,32 +75,32 @@ class Section:
     """A part of a page under a heading."""
 
     title: str
-    text: str = ""  # what is seen here, in a sentence
-    more: str = ""  # how to read it, in lines that HTML pages show as paragraphs when asked
+    text: str = ""  # a sentence that describes the content
+    more: str = ""  # how to read it: paragraphs that HTML pages unfold
     bars: tuple[Bars, ...] = ()
     tables: tuple[Table, ...] = ()
     items: tuple[str, ...] = ()
     lists: tuple[ColoredList, ...] = ()
     commands: tuple[str, ...] = ()  # commands to copy
     charts: tuple[Chart, ...] = ()
-    detailed: bool = False  # whether HTML pages alone have it
-    deep: bool = False  # whether terminals show it only where details are asked for
+    detailed: bool = False  # whether only HTML pages show it
+    deep: bool = False  # whether terminals show it only with details
 
     @property
     def shown_tables(self) -> tuple[Table, ...]:
-        """Return the tables that have a row."""
+        """Return the tables that have rows."""
         return tuple(table for table in self.tables if table.rows)
 
     @property
     def says_something(self) -> bool:
-        """Return whether there is anything but words about it."""
+        """Return whether there is any content besides the title and texts."""
         parts = (self.bars, self.shown_tables, self.items, self.lists, self.commands, self.charts)
         return any(parts)
 
 
 @dataclass(frozen=True)
 class Tile:
-    """A number worth seeing first; `words` if the value is a name, which may be long."""
+    """A number at the top of a page; `words` if the value is a name, which may be long."""
 
     label: str
     value: str
@@ -101,7 +110,7 @@ class Tile:
 
 @dataclass(frozen=True)
 class Picture:
-    """A picture of a robot as PNG, on no ground."""
+    """A picture of a robot as PNG with a transparent background."""
 
     title: str
     png: bytes
@@ -113,22 +122,22 @@ class Pictures:
 
     shown: tuple[Picture, ...]
     colors: tuple[str, ...]  # colours from no error to the largest
-    top: str  # the largest one, in words
+    top: str  # label of the largest error
     text: str
-    notes: tuple[str, ...] = ()  # what is not shown as the model's file has it, in words
+    notes: tuple[str, ...] = ()  # how the picture differs from the model file
 
 
 @dataclass(frozen=True)
 class About:
-    """What a result is of.
+    """Names of the inputs of a result.
 
     Attributes:
-        model: What the model is called.
-        logs: What the logs are called.
-        command: What made the result, for the title.
+        model: Name of the model.
+        logs: Names of the logs.
+        command: Name of the command, for the title.
         units: Units of the model's joints and effects.
-        saved: How commands call the model from now on: where it was saved.
-        links: Words -> address of further pages, such as a replay.
+        saved: Path of the saved model, for commands that follow.
+        links: Title -> address of further pages, such as a replay.
     """
 
     model: str = "the model"
@@ -141,18 +150,18 @@ class About:
 
 @dataclass(frozen=True)
 class Page:
-    """All that there is to say of a result.
+    """The content of a result.
 
     Attributes:
         mark: The verdict in a few words.
         headline: The answer, in a sentence.
-        verdict: "adequate", "explained", "unexplained" or "undecided", which decide the colour, or
-            another word where nothing is judged.
+        verdict: "adequate", "explained", "unexplained" or "undecided", which set the colour, or
+            another word where there is no verdict.
         of: What was compared with what, if it is not the model with the logs.
-        lead: What the answer means, in paragraphs.
-        tiles: The numbers worth seeing first.
-        first: What is to be known before all else: mistakes in columns, and what is left out.
-        pictures: The robot, which HTML pages alone have.
+        lead: Paragraphs that interpret the answer.
+        tiles: Numbers at the top of the page.
+        first: What to check before all else: mistakes in columns, and data that are left out.
+        pictures: Pictures of the robot, for HTML pages.
     """
 
     about: About
@@ -169,18 +178,18 @@ class Page:
 
     @property
     def subject(self) -> str:
-        """Return what was compared with what, in words."""
+        """Return what was compared with what."""
         against = f"{self.about.model} against {', '.join(self.about.logs)}"
         return against if self.of is None else self.of
 
     @property
     def shown_sections(self) -> tuple[Section, ...]:
-        """Return the sections that say something."""
+        """Return the sections that have content."""
         return tuple(section for section in self.sections if section.says_something)
 
     @property
     def sentence(self) -> str:
-        """Return the answer and what it means, as a paragraph."""
+        """Return the answer and its interpretation, as a paragraph."""
         judged = self.verdict in ("adequate", "explained", "unexplained", "undecided")
         mark = f"{self.mark[:1].upper()}{self.mark[1:]}. " if judged else ""
         return " ".join((f"{mark}{self.headline}", *self.lead))
@@ -188,16 +197,16 @@ class Page:
 
 @dataclass(frozen=True)
 class View:
-    """How to see one kind of result."""
+    """How one type of result is shown."""
 
     page: Callable[[Any, About], Page]
-    kind: str  # of object that it is in JSON, as `schema.yaml` calls it
-    # Keys of that whose values are no attributes of the result, by their names.
+    kind: str  # type of its JSON object, as in `schema.yaml`
+    # Values of JSON keys that are not attributes of the result.
     given: Callable[[Any], Mapping[str, Any]] = lambda found: {}
     records: Any = None  # function to rows of numbers, for a DataFrame; None if there are none
-    samples: Any = None  # function to the samples behind it, by column; None if there are none
-    figure: str = ""  # name of the chart or bars that say most
-    # Title -> comparison by whose errors the page colours the robot.
+    samples: Any = None  # function to the samples by column; None if there are none
+    figure: str = ""  # name of the main chart or bars
+    # Title -> comparison whose errors colour the robot on the page.
     drawn: Callable[[Any], Mapping[str, Comparison]] = lambda found: {}
 
     def numbers(self, found: object) -> dict[str, Any]:

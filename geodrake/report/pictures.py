@@ -82,8 +82,8 @@ def _drawn(model: RobotModel, compared: Mapping[str, Comparison]) -> Pictures | 
     )
     pictures = (Picture(t, _png(d[inner])) for t, d in zip(titles, drawn, strict=True))
     text = (
-        f"A link has the colour of its joint's error. The robot stands as it did at "
-        f"{worst.time[at]:.2f} s, where {worst.joint} was farthest off."
+        "Links have the colour of their joint's error. The pose is that at "
+        f"{worst.time[at]:.2f} s, where the error of {worst.joint} was largest."
     )
     notes = tuple(map(capitalized, shapes.notes))
     return Pictures(tuple(pictures), COLORS, percent(top), text, notes)
@@ -131,7 +131,7 @@ def _encoder() -> Any:
         encoder.get_ffmpeg_version()  # by running it
     except (RuntimeError, OSError, LookupError, SubprocessError) as error:
         raise OutputError(
-            "There is no ffmpeg that runs, which encodes MP4.",
+            "No working ffmpeg was found, which MP4 needs.",
             advice='Install one: pip install "geodrake[viewers]"; or name the video FILE.gif.',
         ) from error
     return encoder
@@ -162,7 +162,7 @@ def video(found: Playback, suffix: str, *, speed: float = 1.0) -> bytes:
             return path.read_bytes()
         except OSError as error:
             raise OutputError(
-                "This ffmpeg does not encode MP4.", advice="Name the video FILE.gif."
+                "This ffmpeg cannot encode MP4.", advice="Name the video FILE.gif."
             ) from error
 
 
@@ -196,7 +196,9 @@ def _error_plot(playback: Playback) -> tuple[Pixels, float, float]:
     axes.set_ylim(0, None)
     axes.set_xticks([])
     axes.set_ylabel("error, %", fontsize=9)
-    axes.set_title("largest error of a joint, over the deviation of its effort", fontsize=9)
+    axes.set_title(
+        "largest error of a joint, relative to the standard deviation of its effort", fontsize=9
+    )
     axes.legend(fontsize=7, loc="upper left", bbox_to_anchor=(1.0, 1.05), frameon=False)
     axes.tick_params(labelsize=8)
     axes.spines[["top", "right"]].set_visible(False)

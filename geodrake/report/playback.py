@@ -175,7 +175,10 @@ class Playback:
     def left_out(self) -> list[str]:
         """Return what is not played, in words."""
         left = self.seconds_left_out
-        words = f"the worst passages are played; {left:.0f} s of the logs are not (--seconds)"
+        words = (
+            f"only the windows of largest error are played; {left:.0f} s of the logs are "
+            "not (--seconds)"
+        )
         return [words] if left > 0.5 else []
 
     def moment_words(self, moment: Moment) -> str:
@@ -183,9 +186,9 @@ class Playback:
         joint = self.joints[moment.joint]
         log, time = self.own_time(moment.frame)
         return (
-            f"{joint} at {time:.2f} s of {log}: {number(moment.error)} "
-            f"{self.units.effort([joint])} off, {percent(moment.relative)} of the deviation of its "
-            "effort"
+            f"{joint} at {time:.2f} s of {log}: error {number(moment.error)} "
+            f"{self.units.effort([joint])}, {percent(moment.relative)} of the standard "
+            "deviation of its effort"
         )
 
 
@@ -224,9 +227,9 @@ def play_back(
         positive(ghost, "ghost")
     if before is not None and before.joints != model.joints:
         raise ArgumentError(
-            f"The model before has the joints {', '.join(before.joints)}; the model has "
+            f"The other model has joints {', '.join(before.joints)}, but the model has "
             f"{', '.join(model.joints)}.",
-            advice="Give two models of one robot.",
+            advice="Use two models of one robot.",
         )
     case = open_case(model, logs, candidates=False, extra=extra, bandwidth=bandwidth)
     pairs = [(model.path.name if before is None else "after", case)]

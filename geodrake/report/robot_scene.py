@@ -63,7 +63,7 @@ def drawn_shapes(model: RobotModel) -> RobotShapes:
         return RobotShapes(links)
     drawn = {name for own in _lumps(plant) if not links.keys().isdisjoint(own) for name in own}
     sticks = {name: own for name, own in _sticks(plant).items() if name not in drawn}
-    notes = found.notes or ("the file has no shapes: links are drawn as sticks",)
+    notes = found.notes or ("the file has no shapes, so links are drawn as sticks",)
     return RobotShapes({**sticks, **links}, notes)
 
 

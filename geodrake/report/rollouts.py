@@ -32,8 +32,8 @@ _MEASURED = Stage("measured", "measured", look="wide")
 _SIMULATED = Stage("simulated", "after")
 _BEFORE = Stage("before", "before")
 _CAPTION = (
-    "Positions, window after window. Each window starts at the measured state; from there on the "
-    "simulated robot is alone with the logged {under}. Lines are cut off where they leave the axes."
+    "Positions in successive windows. Each starts at the measured state, from which on only "
+    "the logged {under} act on the simulated robot. Lines are cut where they leave the axes."
 )
 
 
@@ -53,22 +53,22 @@ def rollout_page(found: Simulated | Rollout, about: About) -> Page:
     after, before, units = found.after, found.before, about.units
     count = len(after.windows)
     departs, horizon = departure_words(after.relative), f"{after.horizon:g} s"
-    headline = f"The simulated model departs by {departs} within {horizon}"
+    headline = f"The error of the simulated motion is {departs} within {horizon}"
     if before is not None:
-        headline += f"; the one before by {departure_words(before.relative)}"
+        headline += f"; before, {departure_words(before.relative)}"
     if after.broken:
-        headline += f"; in {after.broken} of {count} windows the simulation breaks off"
+        headline += f"; in {after.broken} of {count} windows the simulation fails"
     return Page(
         about,
         "simulated",
         f"{headline}.",
         (
             Section(
-                "Departure from the measured motion",
+                "Error of the simulated motion",
                 f"RMS of simulated − measured position in {count} windows of {horizon}.",
-                "Moved is the RMS of what the joint moved since the window's start, and share "
-                "of motion the departure over it. The model as a whole departs by the root "
-                "mean square of these over the joints.",
+                "Moved is the RMS motion of the joint in the window, and share of motion "
+                "the error relative to it. The total is the root mean square over the "
+                "joints.",
                 tables=(departures_table(after, before, units),),
                 charts=(rollout_chart(after, before, units),),
             ),
@@ -89,22 +89,24 @@ def rollout_fit_page(found: RolloutFit, about: About) -> Page:
     units, (before, after) = about.units, found.held_out
     tested = sum(found.tested)
     servos = any(value.effect == SERVO for value in found.values)
-    free = "Soft joints, play, their servos and motors" if servos else "Soft joints and play"
+    free = (
+        "Elastic joints, backlash, servos and motors" if servos else "Elastic joints and backlash"
+    )
     if not is_soft(found.model):
-        free = "Servos, and what resists them,"
+        free = "Servos, elasticity and backlash"
     return Page(
         about,
         "fitted" if found.taken else "stays",
         capitalized(rollout_fit_words(found)),
         (
             Section(
-                "What was fitted",
+                "Fitted values",
                 f"To {len(found.tested) - tested} windows of {after.horizon:g} s under the logged "
                 f"{after.under}.",
                 tables=(_values_table(found, units),),
             ),
             Section(
-                "Departure from the measured motion",
+                "Error of the simulated motion",
                 f"RMS of simulated − measured position; {tested} windows are held out.",
                 tables=(_fit_table(found, units),),
                 charts=(rollout_chart(found.after, found.before, units),),
@@ -112,7 +114,7 @@ def rollout_fit_page(found: RolloutFit, about: About) -> Page:
             Section("Notes", items=found.notes),
         ),
         of=_subject(after, about),
-        lead=(f"{free} were fitted to how the simulated robot moves; all else stays.",),
+        lead=(f"{free} were fitted to the motion; all else is unchanged.",),
         tiles=(
             Tile("before", departure(before.relative), "of the motion, held out"),
             Tile("fitted", departure(after.relative), "of the motion, held out"),
@@ -128,7 +130,7 @@ def _subject(after: Rollout, about: About) -> str:
 
 def _footer(after: Rollout) -> str:
     return (
-        f"Made by geodrake: a plant with the model's inertias and effects under the logged "
+        "Made by geodrake: a plant with the model's inertias and effects under the logged "
         f"{after.under}."
     )
 

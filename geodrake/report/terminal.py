@@ -15,25 +15,25 @@ from geodrake.boundary.escaping import printable
 from geodrake.report.page import Page, Section, Table
 
 _PLACES_WIDTH = 36
-_WIDE = 110  # letters from which on a table has room for more than a line a row
+_WIDE = 110  # columns of a terminal from which on a row of a table may have several lines
 
 
 class ResultsConsole(Console):
-    """Shows a string as one line, in which nothing acts on the terminal, whatever names it has."""
+    """Escapes control characters, so that no name in a string can act on the terminal."""
 
     def render_str(self, text: str, **how: Any) -> Text:
-        """Return printable text, without reading markup into it."""
+        """Return printable text; markup is not interpreted."""
         return super().render_str(printable(text), **how)
 
     def on_broken_pipe(self) -> None:
-        """Raise, as it is known where the command ends."""
+        """Raise `BrokenPipeError`, which the command handles at its end."""
         raise BrokenPipeError
 
 
 def show_page(console: Console, page: Page, *, details: bool = True) -> None:
-    """Print a page: its subject, the first sections, the answer, and the rest.
+    """Print a page: its subject, what to check first, the answer, and the sections.
 
-    Without details, the titles of deep sections stand for them.
+    Without details, only the titles of deep sections are printed.
     """
     if page.subject:
         console.print(page.subject, soft_wrap=True)
@@ -41,14 +41,12 @@ def show_page(console: Console, page: Page, *, details: bool = True) -> None:
     sections = [s for s in printed if details or not s.deep]
     for section in filter(_is_printed, page.first):
         show_section(console, section)
-    for section in sections[:1]:
-        show_section(console, section)
     if page.headline:
         show_paragraph(console, "Verdict", page.sentence)
-    for section in sections[1:]:
-        show_section(console, section)
+    for section in sections:
+        show_section(console, section, details=details)
     if hidden := [s.title[:1].lower() + s.title[1:] for s in printed if s.deep and not details]:
-        show_paragraph(console, "With --details", ", ".join(hidden))
+        show_paragraph(console, "--details adds", ", ".join(hidden))
 
 
 def _is_printed(section: Section) -> bool:
@@ -56,8 +54,8 @@ def _is_printed(section: Section) -> bool:
     return bool(tables or section.items or section.lists or section.commands)
 
 
-def show_section(console: Console, section: Section) -> None:
-    """Print what a section has beside charts, under its heading."""
+def show_section(console: Console, section: Section, *, details: bool = True) -> None:
+    """Print a section under its heading, without its charts."""
     if not section.lists:
         _head(console, section.title)
         if section.text and (section.shown_tables or section.commands):
@@ -66,7 +64,7 @@ def show_section(console: Console, section: Section) -> None:
         if not table.detailed:
             if table.title:
                 _head(console, table.title)
-            _show_table(console, table)
+            _show_table(console, table if details else table.in_short)
     _show_items(console, (*section.items, *section.commands))
     for each in section.lists:
         _head(console, f"{section.title}: {each.title[:1].lower()}{each.title[1:]}")
@@ -74,7 +72,7 @@ def show_section(console: Console, section: Section) -> None:
 
 
 def show_saved(console: Console, saved: Mapping[Path, str], others: Sequence[object] = ()) -> None:
-    """Print where files went, and what each is."""
+    """Print the files that were written."""
     if saved or others:
         console.print()
     for path in others:
@@ -108,7 +106,7 @@ def _show_items(console: Console, items: Sequence[str]) -> None:
 def _show_table(console: Console, table: Table) -> None:
     """Print a table with a rule under its head in a terminal, and without lines in a pipe.
 
-    In a narrow terminal what a row has beyond its first line stands under the table.
+    In a narrow terminal the further lines of a row are printed below the table.
     """
     wide = not console.is_terminal or console.width >= _WIDE
     grid = Grid(

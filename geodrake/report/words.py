@@ -1,4 +1,4 @@
-"""Results in sentences: names as people read them, and one wording of each verdict."""
+"""Results in sentences, and labels of effects, parameters and places."""
 
 from __future__ import annotations
 
@@ -23,14 +23,14 @@ MOST_NAMED = 4
 _MOST_VALUES = 2  # places whose values are listed one by one
 _LIKELY = 0.01  # probability from which on a rival is named
 _NEARLY_ALL = 0.9995
-_NOTABLE = 0.05  # share of what is left at a joint that varies with the motion
+_NOTABLE = 0.05  # share of a joint's remaining squared error that its motion predicts
 _MOST_PLACES = 3
-_PRACTICAL = 1.5  # times the noise, up to which an error is noise for all practical purposes
+_PRACTICAL = 1.5  # times the noise, up to which an error is noise for practical purposes
 _PROPER_NAMES = {"coulomb": "Coulomb", "stribeck": "Stribeck", "com": "CoM"}
 NOTHING = {
-    "adequate": "The model is adequate: nothing worth adding is missing.",
-    "undecided": "Nothing worth adding was found; whether more is missing, the logs cannot tell.",
-    "unexplained": "An error is left that no known effect explains.",
+    "adequate": "No effect is worth adding.",
+    "undecided": "No effect is worth adding; the logs cannot tell whether one is missing.",
+    "unexplained": "No known effect explains the error.",
 }
 
 
@@ -46,7 +46,7 @@ def capitalized(words: str) -> str:
 
 
 def in_words(share: float) -> str:
-    """Return a share as it stands in a sentence."""
+    """Return a share in percent, for use in a sentence."""
     return percent(share).replace(">", "more than").replace("<", "less than")
 
 
@@ -73,20 +73,20 @@ def places_label(where: Sequence[str], joints: Collection[str], *, most: int | N
 
 
 def step_place(step: Step, joints: Collection[str], *, most: int | None = None) -> str:
-    """Return where a step acts, and when, if that is a part of a log only; see `places_label`."""
+    """Return the places of a step, with times if it acts in part of a log; see `places_label`."""
     timed = [p for p in step.parameters if any(p.startswith(f"{name}, ") for name in step.where)]
     return listed(timed) if timed else places_label(step.where, joints, most=most)
 
 
 def parameter_value(step: Step, place: str, name: str, units: Units) -> str:
-    """Return a parameter of a step with its standard deviation, in the unit that is shown."""
+    """Return a parameter of a step with its standard deviation, in the displayed unit."""
     kinds = step.parameters, step.deviations, step.systematic
     values = (kind.get(place, {}).get(name, np.nan) for kind in kinds)
     return estimate(*(units.shown(step.effect, name, each) for each in values))
 
 
 def ordered_places(step: Step) -> list[str]:
-    """Return the places of a step's parameters, in the order in which it acts there."""
+    """Return the places of a step's parameters, in the order of the step."""
     rank = {place: i for i, place in enumerate(step.where)}
     return sorted(step.parameters, key=lambda place: rank.get(place, len(rank)))
 
@@ -110,7 +110,7 @@ def _amount(step: Step, name: str, units: Units) -> str:
     values = _by_name(step)[name]
     unit = units.parameter(step.effect, name, next(iter(values)))
     if len(values) > _MOST_VALUES:
-        nothing = 1e-9 * max(map(abs, values.values()))  # at its bound, but for rounding
+        nothing = 1e-9 * max(map(abs, values.values()))  # rounding errors at a bound
         known = [0.0 if abs(value) <= nothing else value for value in values.values()]
         low, high = (number(units.shown(step.effect, name, end(known))) for end in (min, max))
         text = low if low == high else f"{low} … {high}"
@@ -129,7 +129,7 @@ def _by_name(step: Step) -> Mapping[str, Mapping[str, float]]:
 
 
 def finding(step: Step, units: Units) -> str:
-    """Return what a step found, such as `payload (wrist_3_link, 3.08 ± 0.04 kg)`."""
+    """Return the finding of a step, such as `payload (wrist_3_link, 3.08 ± 0.04 kg)`."""
     words, values = step_place(step, units.joints, most=MOST_NAMED), _by_name(step)
     name = "mass" if "mass" in values else next(iter(values), "")
     if name == "mass" or (len(values) == 1 and not is_summarized(step)):
@@ -138,7 +138,7 @@ def finding(step: Step, units: Units) -> str:
 
 
 def found_words(step: FoundStep) -> str:
-    """Return a step of a search as it is taken: `payload on flange: nrms 0.703 -> 0.266`."""
+    """Return a step of the search: `payload on flange: nrms 0.703 -> 0.266`."""
     names, more = step.where[:_MOST_PLACES], len(step.where) - _MOST_PLACES
     where = listed([*names, f"{more} more"]) if more > 0 else places_label(names, ())
     what = f"{step.effect or 'without ' + listed(step.instead_of)}"
@@ -150,18 +150,18 @@ def found_words(step: FoundStep) -> str:
 
 
 def lowers_error(step: Step) -> bool:
-    """Return whether a step lowers the held-out error; an effect that was asked for need not."""
+    """Return whether a step lowers the held-out error; a requested effect need not."""
     return step.error_after < step.error_before
 
 
 def convincing(step: Step) -> bool:
-    """Return whether a step lowers held-out errors and outweighs nothing or an unknown."""
+    """Return whether a step lowers held-out errors and is more probable than none or unknown."""
     other = step.false_alarm_probability + step.unknown_probability
     return lowers_error(step) and step.probability > other
 
 
 def rivals(step: Step) -> str:
-    """Return what may stand in a step's place, in few words: `viscous friction 3 %`."""
+    """Return the rivals of a step with their probabilities: `viscous friction 3 %`."""
     likely = []
     for rival, share in zip(step.rivals, step.probabilities_of_rivals, strict=True):
         where = f" at {listed(rival.where)}" if rival.effect == step.effect and rival.where else ""
@@ -173,16 +173,16 @@ def rivals(step: Step) -> str:
 
 
 def worst_joint(errors: ErrorTable) -> JointError:
-    """Return the joint of largest error over standard deviation; one without a number is worst."""
+    """Return the joint of largest nrms; NaN counts as the largest."""
     return max(errors.joints, key=lambda joint: np.nan_to_num(joint.nrms, nan=np.inf))
 
 
 def failing_words(case: Failing) -> str:
-    """Return where a joint errs most, in a sentence."""
+    """Return where the error of a joint is largest, in a sentence."""
     return (
-        f"The error of {case.joint} is largest {case.circumstance}: "
-        f"RMS {number(case.rms)} {case.unit} there, {number(case.elsewhere)} elsewhere "
-        f"({in_words(case.share)} of its squared error in {in_words(case.time)} of the samples)."
+        f"{case.joint}: largest {case.circumstance}, RMS {number(case.rms)} {case.unit} there and "
+        f"{number(case.elsewhere)} elsewhere ({in_words(case.share)} of the squared error in "
+        f"{in_words(case.time)} of the samples)."
     )
 
 
@@ -194,11 +194,11 @@ def failing_list(comparison: Comparison) -> tuple[str, ...]:
     if len(comparison.errors.joints) < 2 or worst.is_noise or worst.joint in named:
         return words
     nrms = number(worst.nrms)
-    return (f"The error of {worst.joint} is the largest of all (nrms {nrms}), throughout.", *words)
+    return (f"{worst.joint}: the largest nrms of all joints ({nrms}), throughout.", *words)
 
 
 def correlate_words(found: Correlate) -> str:
-    """Return what the error that is left at a joint varies with, in a sentence."""
+    """Return what the remaining error of a joint varies with, in a sentence."""
     return (
         f"{found.joint}: {in_words(found.share)} of the remaining error varies with {found.words}."
     )
@@ -212,7 +212,7 @@ def explained_share(before: float, after: float) -> float:
 def removable_share(errors: ErrorTable) -> float:
     """Return the share of the squared error, summed as in nrms, that is not sensor noise.
 
-    NaN where the logs show no noise, as nobody knows then.
+    NaN where the logs show no noise.
     """
     if not errors.shows_noise:
         return math.nan
@@ -241,7 +241,7 @@ def explanation_headline(explanation: Explanation, units: Units, *, added: bool 
     doubtful = [step for step in steps if not convincing(step)]
     parts = [f"Missing: {_list(real, units)}."] if real else []
     if doubtful:
-        parts.append(f"Added without convincing evidence: {_list(doubtful, units)}.")
+        parts.append(f"Less certain: {_list(doubtful, units)}.")
     return " ".join(parts)
 
 
@@ -262,36 +262,39 @@ def _list(steps: Sequence[Step], units: Units) -> str:
 
 
 def explanation_lead(explanation: Explanation, *, advised: bool) -> tuple[str, ...]:
-    """Return what an explanation means, in paragraphs, and what to do about what is left."""
+    """Return paragraphs that interpret an explanation, and what to do about the remaining error."""
     start, end = explanation.start, explanation.end
     if not explanation.steps:
         first = f"The error of the model as it stands is {error_size(start)}."
     else:
-        gone = explained_share(start.nrms, end.nrms)
-        share = in_words(gone) if gone > 0 else "none"
-        first = (
-            f"The error on held-out data goes from nrms {number(start.nrms)} to "
-            f"{number(end.nrms)}: {share} of the squared error is removed."
-        )
+        first = f"{_nrms_change(start.nrms, end.nrms)}."
         worse = [step for step in explanation.steps if not lowers_error(step)]
         if worse:
             names = listed([effect_label(step.effect) for step in worse])
             ends = f"nrms {number(worse[0].error_before)} -> {number(worse[0].error_after)}"
-            first += f" {capitalized(names)} does not lower it ({ends})."
+            first += f" {capitalized(names)} did not lower it ({ends})."
+    if explanation.is_interrupted:
+        first += " The search was interrupted: more may be missing."
     if explanation.verdict != "unexplained":
         return first, f"{capitalized(noise_alone(end))}."
-    advice = (
-        "For a formula of the remaining error, run geodrake explain with "
-        "--draft-effect my_effect.py, which writes what it finds as an effect."
-    )
+    advice = "--draft-effect my_effect.py searches for a formula of the remaining error."
     rest = " ".join((*_left(end), *_of_motion(explanation)))
     return (first, rest, advice) if advised else (first, rest)
 
 
+def _nrms_change(before: float, after: float) -> str:
+    """Return how an error on held-out data changed, in words."""
+    gone = explained_share(before, after)
+    share = in_words(gone) if gone > 0 else "none"
+    return (
+        f"nrms on held-out data {number(before)} → {number(after)} ({share} of the squared error "
+        "removed)"
+    )
+
+
 def _left(end: ErrorTable) -> tuple[str, ...]:
     if not end.shows_noise:
-        left = f"The remaining error, nrms {number(end.nrms)}, cannot be compared with noise"
-        return (f"{left}: the logs show none.",)
+        return ("The logs show no noise that the remaining error could be compared with.",)
     return (
         f"The remaining error is {_times(end)}; a better model could remove "
         f"{_at_most(removable_share(end))} of its square.",
@@ -299,49 +302,41 @@ def _left(end: ErrorTable) -> tuple[str, ...]:
 
 
 def _of_motion(explanation: Explanation) -> tuple[str, ...]:
-    """Return how much of what is left varies with the motion."""
+    """Return how much of the remaining error the motion predicts."""
     shares = sorted(explanation.of_motion.items(), key=lambda joint: -joint[1])
     if not shares:
         return ()
     notable = [f"{percent(share)} at {joint}" for joint, share in shares if share >= _NOTABLE]
     if not notable:
         return (
-            f"Positions and velocities predict less than {percent(_NOTABLE)} of it at any joint: "
-            "it depends on something else, such as temperature or time, or is coloured noise.",
+            f"Positions and velocities predict less than {percent(_NOTABLE)} of it: it is coloured "
+            "noise, or depends on something else, such as temperature or time.",
         )
     shown, more = notable[:MOST_NAMED], len(notable) - MOST_NAMED
     shown += [f"less at {more} more"] if more > 0 else []
-    return (f"Positions and velocities predict some of its square: {listed(shown)}.",)
+    return (f"Positions and velocities predict {listed(shown)}.",)
 
 
 def diagnosis_lead(diagnosis: Diagnosis) -> tuple[str, ...]:
-    """Return what a diagnosis means, in paragraphs."""
+    """Return paragraphs that interpret a diagnosis."""
     if not diagnosis.candidates:
         first = f"The error of the model as it stands is {error_size(diagnosis.start)}."
         if diagnosis.verdict != "unexplained":
             return first, f"{capitalized(noise_alone(diagnosis.refitted))}."
         return (first, *_left(diagnosis.refitted))
     best, *others = diagnosis.candidates
-    gone = explained_share(best.error_before, best.error_after)
-    first = (
-        f"Adding it and refitting lowers the error on held-out data from nrms "
-        f"{number(best.error_before)} to {number(best.error_after)}: {in_words(gone)} of the "
-        "squared error is removed."
-    )
+    first = f"With it, {_nrms_change(best.error_before, best.error_after)}."
     tied = [effect_label(e) for e in dict.fromkeys(o.effect for o in others if o.tied)]
     tied = [effect for effect in tied if effect != effect_label(best.effect)]
     if tied:
         return first, f"It may be {listed(tied, 'or')} instead."
-    return first, f"No other candidate {'does as well' if others else 'convinces'}."
+    return first, f"No other candidate {'does as well' if others else 'is convincing'}."
 
 
 def comparison_lead(comparison: Comparison) -> tuple[str, ...]:
-    """Return what a comparison means, in paragraphs."""
+    """Return paragraphs that interpret a comparison."""
     errors, worst = comparison.errors, worst_joint(comparison.errors)
-    first = (
-        f"The error is largest at {worst.joint}: {in_words(worst.nrms)} of the standard deviation "
-        "of the effort there."
-    )
+    first = f"The worst joint is {worst.joint} (nrms {number(worst.nrms)})."
     if errors.shows_noise and not errors.knows_noise and errors.is_noise:
         first = f"{capitalized(noise_alone(errors))}. {first}"
     elif errors.shows_noise:
@@ -351,7 +346,7 @@ def comparison_lead(comparison: Comparison) -> tuple[str, ...]:
 
 
 def error_size(errors: ErrorTable) -> str:
-    """Return how large an error is, of the efforts and beside the noise."""
+    """Return the size of an error relative to the efforts and to the noise."""
     words = (
         f"{in_words(errors.nrms)} of the standard deviation of the measured efforts "
         f"(nrms {number(errors.nrms)})"
@@ -362,7 +357,7 @@ def error_size(errors: ErrorTable) -> str:
 
 
 def _times(errors: ErrorTable) -> str:
-    """Return an error as a multiple of the noise, and which joints stand out of it."""
+    """Return an error as a multiple of the noise, and the joints that stand out."""
     words = f"{number(errors.nrms / errors.floor_nrms)} times the sensor noise"
     words += f" ({number(errors.floor_nrms)})"
     beyond = [
@@ -375,18 +370,18 @@ def _times(errors: ErrorTable) -> str:
 
 
 def noise_alone(errors: ErrorTable) -> str:
-    """Say that an error is no larger than the noise floor, or hardly, or that nobody can know."""
+    """Return that an error is noise, or that the noise is too large or unknown."""
     if errors.is_mostly_noise:
         return (
-            f"noise is as large as what the model explains (its nrms is "
-            f"{number(errors.floor_nrms)}), so that nothing can be told"
+            f"the sensor noise (nrms {number(errors.floor_nrms)}) is as large as the explained "
+            "effort, so nothing can be concluded"
         )
     if not errors.knows_noise:
         joints = listed([joint.joint for joint in errors.joints if not joint.knows_noise])
         return (
-            f"the noise of {joints} is not known apart from what the model leaves (nrms "
-            f"{number(errors.nrms)}), so that more may be missing: efforts were filtered before, "
-            "or their noise is not white"
+            f"the noise of {joints} cannot be separated from the model error (nrms "
+            f"{number(errors.nrms)}), so more may be missing: efforts were filtered before, or "
+            "their noise is not white"
         )
     nrms, floor = number(errors.nrms), number(errors.floor_nrms)
     return f"the remaining error, nrms {nrms}, is sensor noise ({floor})"
@@ -399,31 +394,31 @@ def _at_most(share: float) -> str:
 
 
 def departure(share: float) -> str:
-    """Return how far a simulation departs from the measured motion, as a share of that."""
+    """Return the error of a simulated motion, as a share of the measured motion."""
     if np.isnan(share):
         return "at rest"
     if np.isinf(share):
-        return "more than can be simulated"
+        return "diverged"
     return percent(share) if share < 10 else f"{number(share)} ×"
 
 
 def departure_words(share: float) -> str:
-    """Return the same as it stands in a sentence."""
+    """Return the same for use in a sentence."""
     told = departure(share)
     return told if np.isinf(share) else f"{told} of the motion".replace("× of", "times")
 
 
 def rollout_fit_words(found: RolloutFit) -> str:
-    """Return what a fit of rollouts comes to, in a sentence."""
+    """Return the outcome of a fit to rollouts, in a sentence."""
     before, after = found.held_out
     shares = f"from {departure(before.relative)} to {departure_words(after.relative)}"
     if found.taken:
         return (
-            f"what was fitted is taken: held-out windows depart less, {shares} (by chance with "
-            f"probability {chance(found.chance)})."
+            f"the fit is accepted: the error in held-out windows falls {shares} (p = "
+            f"{chance(found.chance)})."
         )
-    chances = f"probability {chance(found.chance)}, {sum(found.tested)} windows"
-    why = f"which chance may do as well ({chances}): further logs or more --windows tell more"
+    why = f"is not significant (p = {chance(found.chance)}, {sum(found.tested)} windows); add logs "
+    why += "or --windows"
     if after.relative > before.relative:
-        why = "which is more"
-    return f"the model stays as it was: with what was fitted held-out windows go {shares}, {why}."
+        why = "is an increase"
+    return f"the fit is rejected: its change in held-out windows, {shares}, {why}."

@@ -164,9 +164,9 @@ def _opened(joint: Joint, name: str, actuators: list[JointActuator]) -> Closure:
             pass
         case _:
             raise ModelError(
-                f"The joint {name!r} of type {joint.type_name()} closes a loop of links.",
-                advice="Loops close at revolute, prismatic, ball or fixed joints: let another one "
-                "of the loop be none.",
+                f"Joint {name!r} of type {joint.type_name()} closes a kinematic loop.",
+                advice="Loops can close at revolute, prismatic, ball or fixed joints: open the "
+                "loop at another joint.",
                 joint=name,
             )
     if axis is not None:
@@ -283,13 +283,13 @@ def checked_held(
     for name, value in held.items():
         if name not in joints:
             raise ModelError(
-                f"{path} has no joint {name!r} that could be held.",
+                f"{path} has no joint {name!r} that can be fixed.",
                 advice=f"Joints are: {', '.join(joints)}.",
                 joint=name,
             )
         if name in leaders:
             raise ModelError(
-                f"Joint {name!r} cannot be held, as it follows {leaders[name]!r}.",
+                f"Joint {name!r} cannot be fixed, as it follows {leaders[name]!r}.",
                 advice=f"Hold {leaders[name]!r}.",
                 joint=name,
             )
@@ -297,8 +297,8 @@ def checked_held(
         low, high = joint.position_lower_limits()[0], joint.position_upper_limits()[0]
         if not low - _SLACK <= value <= high + _SLACK:  # NaN is refused too
             raise ModelError(
-                f"Joint {name!r} cannot be held at {value:g}: its limits are {low:g} … {high:g}.",
-                advice="Hold it within them, or correct the limits.",
+                f"Joint {name!r} cannot be fixed at {value:g}: its limits are {low:g} … {high:g}.",
+                advice="Fix it within them, or correct the limits.",
                 joint=name,
             )
         places[scoped(joint)] = value

@@ -88,8 +88,8 @@ class BaseParameters(Short):
         names = [f"{name} of {body}" for body in bodies for name in PARAMETER_NAMES] + [*extra]
         if len(names) != self.matrix.shape[1]:
             raise ArgumentError(
-                f"{len(bodies)} bodies and {len(extra)} further names make {len(names)} "
-                f"parameters, but there are {self.matrix.shape[1]}."
+                f"{len(bodies)} bodies and {len(extra)} further names are {len(names)} "
+                f"parameters, but the matrix has {self.matrix.shape[1]} columns."
             )
         return tuple(_sum(row, names) for row in self.matrix)
 
@@ -113,13 +113,16 @@ def base_parameters(
     rows = real_array(regressor, "regressor", ("...", "m", "p"))
     number(tolerance, "tolerance", lower=_ROUNDING, upper=1.0, strict=True)
     if not rows.size:
-        raise ArgumentError(f"Base parameters need a regressor that is not empty {rows.shape}.")
+        raise ArgumentError(
+            f"Base parameters need a nonempty regressor; its shape is {rows.shape}."
+        )
     p = rows.shape[-1]
     integer(extra, "extra")
     if not 0 <= extra <= p or (p - extra) % PARAMETERS_PER_BODY:
         raise ArgumentError(
-            f"The regressor has {p} columns, which is not ten a body and {extra} further ones.",
-            advice="Say how many columns are no inertial parameters with `extra`.",
+            f"The regressor has {p} columns, which are not ten for each body and {extra} "
+            "further ones.",
+            advice="Set `extra` to the number of columns of other parameters.",
         )
     bodies = (p - extra) // PARAMETERS_PER_BODY
     factor = triangular_factor([rows.reshape(-1, p)])
@@ -165,14 +168,14 @@ def pushforward_metric(
     weights = np.zeros(0) if extra is None else np.atleast_1d(real_array(extra, "extra"))
     if not len(B) or weights.ndim > 1 or B.shape[1:] != (prior.size + len(weights),):
         raise ArgumentError(
-            f"B has the shape {B.shape}, but a prior of shape {prior.shape} and {len(weights)} "
+            f"B has shape {B.shape}, but a prior of shape {prior.shape} and {len(weights)} "
             f"further parameters need {prior.size + len(weights)} columns."
         )
     wrong = np.flatnonzero(~PhysicalInertia().contains(prior)).tolist()
     if wrong or not np.all(weights > 0):
         raise ArgumentError(
-            f"The prior is not physical for bodies {wrong}, or a further metric is not positive.",
-            advice="The metric exists at parameters that a solid body can have.",
+            f"The prior of bodies {wrong} is not physical, or a further metric is not positive.",
+            advice="The metric needs physically valid parameters.",
             bodies=wrong,
         )
     # H₀⁻¹ = W Wᵀ with W = B G₀^(-½); g⁻¹ is twice the inverse of the Hessian. A QR of W keeps the
@@ -186,7 +189,7 @@ def pushforward_metric(
     pivots, sizes = np.abs(np.diagonal(R)), np.linalg.norm(R, axis=0)
     if len(pivots) < len(B) or np.any(pivots <= 1e-12 * sizes):
         raise ArgumentError(
-            "Rows of B are dependent, so there is no metric on B φ.",
+            "Rows of B are linearly dependent, so there is no metric on B φ.",
             advice="Take B from `base_parameters`.",
         )
     root = solve_triangular(R, np.eye(len(B)), trans="T")

@@ -454,23 +454,23 @@ def _check(drives: Sequence[Drive], by_name: Mapping[str, int]) -> None:
     for joint in joints:
         if joint not in by_name:
             raise ModelError(
-                f"The transmission has the joint {joint!r}, which the robot does not have as one "
-                "that moves by itself.",
-                advice=f"Such joints are: {', '.join(by_name)}.",
+                f"The transmission has joint {joint!r}, which is not an independent joint of "
+                "the robot.",
+                advice=f"Independent joints are {', '.join(by_name)}.",
                 joint=joint,
             )
     for what, names in (("joint", joints), ("actuator", actuators)):
         for name in names:
             if names.count(name) > 1:
                 raise ModelError(
-                    f"The transmission has the {what} {name!r} in two of its parts.",
-                    advice="Put all that moves together into one part, such as `coupled`.",
+                    f"The transmission has {what} {name!r} in two of its parts.",
+                    advice="Put coupled joints and actuators into one part, such as `coupled`.",
                 )
     for name in set(actuators).intersection(by_name).difference(joints):
         raise ModelError(
-            f"The transmission has an actuator {name!r}, and the robot a joint of this name that "
-            "no part of the transmission moves.",
-            advice="Name the actuator as its column in logs, and say what moves the joint.",
+            f"The transmission has an actuator {name!r}, but the robot also has a joint of "
+            "this name, which no part of the transmission moves.",
+            advice="Name the actuator as its column in logs, and add a part that moves the joint.",
         )
 
 

@@ -92,7 +92,7 @@ def effort_slopes(
     tree, samples, J = checked_samples(robot, q, v, vd)
     phi, expected = np.asarray(phi, float), (len(tree.bodies), PARAMETERS_PER_BODY)
     if phi.shape != expected:
-        raise ArgumentError(f"phi has the shape {phi.shape}, but the plant needs {expected}.")
+        raise ArgumentError(f"phi has shape {phi.shape}, but the plant needs {expected}.")
     count, nv = len(samples[0]), tree.num_velocities
     kinds, slopes = 1 if only_position and J is None else 3, np.full((3, count, nv, nv), np.nan)
     slopes[:kinds] = 0.0

@@ -145,8 +145,8 @@ def joint_motions(joint: Joint, sign: float) -> list[FrameMotion]:
         case _:
             raise ModelError(
                 f"Joint {joint.name()!r} has the unsupported type {type(joint).__name__}.",
-                advice="Use a revolute, prismatic, screw, universal, planar, ball or floating one, "
-                "or weld it.",
+                advice="Use a revolute, prismatic, screw, universal, planar, ball or floating "
+                "joint, or weld it.",
                 joint=joint.name(),
             )
     return motions

@@ -237,7 +237,7 @@ def _edges(plant: MultibodyPlant, bodies: tuple[LumpedBody, ...]) -> Iterator[_E
         if parent[0] in reached and child[0] in reached:
             raise ModelError(
                 f"Joint {joint.name()!r} closes a kinematic loop.",
-                advice="Open the loop: leave the joint out of the model.",
+                advice="Open the loop: remove the joint from the model.",
             )
         sign = 1.0 if parent[0] in reached else -1.0
         (inboard, X_PF), (outboard, X_BM) = (parent, child) if sign > 0 else (child, parent)
@@ -256,7 +256,7 @@ def _has_gravity(plant: MultibodyPlant, body: LumpedBody) -> bool:
 
 def _partial_gravity(name: str) -> ModelError:
     return ModelError(
-        f"Gravity acts on one part of a connected robot and not on another, at body {name!r}.",
-        advice="Switch gravity on or off for all model instances that are joined together.",
+        f"Gravity acts on one part of a connected robot but not on another, at body {name!r}.",
+        advice="Enable or disable gravity for all connected model instances.",
         body=name,
     )

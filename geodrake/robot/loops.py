@@ -95,7 +95,9 @@ class Loops:
     def notes(self) -> tuple[str, ...]:
         """Return what is worth knowing of them, in words."""
         held = ", ".join(f"{joint} at {place:.4g}" for joint, place in self.held.items())
-        still = (f"Held, as constraints of the file let them not move: {held}.",) if held else ()
+        still = (
+            (f"Fixed, as constraints of the file do not let them move: {held}.",) if held else ()
+        )
         return (*(note for loop in self.loops for note in loop.notes), *still)
 
     def places(
@@ -165,8 +167,9 @@ class _LoopFinder:
                 moved = (self.tree.mobilizers[i].body for i in several)
                 bodies = dict.fromkeys(self.tree.bodies[body] for body in moved if body >= 0)
                 left_out.append(
-                    f"The closed loop of {closure.name} is left out, and the robot read as an open "
-                    f"tree: {', '.join(bodies)} moves there by a joint of several degrees."
+                    f"The closed loop of {closure.name} is ignored, and the robot read as an "
+                    f"open tree, as {', '.join(bodies)} moves there by a joint of several "
+                    "degrees of freedom."
                 )
             elif link.sides:
                 links.append(link)
@@ -197,7 +200,7 @@ class _LoopFinder:
         ends, chains = list[tuple[int, RigidTransform]](), list[list[int]]()
         for body, X_BP in zip(closure.bodies, closure.poses, strict=True):
             place, name = X_BP.translation(), body.rpartition("::")[2]
-            wrong = "" if body in self.bodies else f"has a body {name!r}, which there is not."
+            wrong = "" if body in self.bodies else f"has an unknown body {name!r}."
             if not wrong and not (np.abs(place) <= _FARTHEST).all():
                 at_place = " ".join(f"{x:g}" for x in place)
                 wrong = f"is at {at_place} of {name}, where no loop closes."
@@ -233,16 +236,16 @@ class _LoopFinder:
             where = ", ".join(f"{n} = {at:.4g}" for n, at in zip(joints, x, strict=True))
             or_turned = f" or {gap:.3g} rad" if any(x.closure.turns for x in links) else ""
             raise ModelError(
-                f"{own} cannot close at the posture of the file: it misses by "
-                f"{gap * shape.units[-1]:.3g} m{or_turned}, and comes no nearer than {where}.",
-                advice="Correct where its bodies are joined, or the positions of joints there.",
+                f"{own} cannot close near the posture of the file: the gap is "
+                f"{gap * shape.units[-1]:.3g} m{or_turned}, and smallest at {where}.",
+                advice="Correct where its bodies are joined, or the joint positions.",
             )
         free, following = _free_and_following(shape, x, order)
         if free is None:
             raise ModelError(
-                f"{own} is singular where {', '.join(joints)} are in the file: it is not told how "
-                "it moves from there.",
-                advice="Let the file have it in another posture.",
+                f"{own} is singular at {', '.join(joints)} as in the file, so its motion is "
+                "undetermined.",
+                advice="Use another posture in the file.",
             )
         shown = [k for k in range(len(velocities)) if k in free or k in following]
         limits = [self.limits[v] for v in velocities] + [(-np.inf, np.inf)] * len(cuts)

@@ -49,7 +49,7 @@ def regular_mesh(path: Path) -> Path:
         file = waiting.pop()
         if file not in seen:
             seen.add(file)
-            what = "mesh" if file == path else f"file that the mesh {path} names,"
+            what = "mesh" if file == path else f"file that mesh {path} refers to,"
             data = read_regular(file, what, ModelError, largest=LARGEST_FILE, empty=True)
             pattern, named = _NAMED.get(file.suffix.lower()), list[str]()
             for match in pattern.finditer(data) if pattern else ():
@@ -87,7 +87,7 @@ def wavefront_text(surface: Surface) -> str:
 
 def _unreadable(path: Path, reason: str) -> ModelError:
     return ModelError(
-        f"The mesh {path} cannot be read: {reason}.", advice="Correct the file.", path=path
+        f"Mesh {path} cannot be read: {reason}.", advice="Correct the file.", path=path
     )
 
 

@@ -240,8 +240,8 @@ def _draft(
     base = {joint.name() for joint in chain(*base_joints(draft.plant))}
     if of_base := sorted(base.intersection(held)):
         raise ModelError(
-            f"{of_base[0]!r} is a coordinate of the free base, and cannot be held by itself.",
-            advice="Leave `floating` out for a base that stands still.",
+            f"{of_base[0]!r} is a coordinate of the free base, and cannot be fixed alone.",
+            advice="Omit `floating` for a fixed base.",
             joint=of_base[0],
         )
     first = (*held, *given.leading)
@@ -251,11 +251,11 @@ def _draft(
         places = checked_held(joints, followers, {**still, **held}, description.path)
         still = {name: held[name] for name in fixed} | still
         if len(places) == draft.plant.num_velocities():
-            what = f"All joints of {description.path} are held, so nothing moves."
-            advice = "Leave out at least one of them."
+            what = f"All joints of {description.path} are fixed, so nothing moves."
+            advice = "Free at least one of them."
             if still:
-                what = f"No joint moves in {description.path}: constraints hold {', '.join(still)}."
-                advice = "Correct what closes them; a constraint too many holds a linkage."
+                what = f"No joint of {description.path} moves: constraints fix {', '.join(still)}."
+                advice = "Correct the constraints; one too many locks a linkage."
             raise ModelError(what, advice=advice, path=description.path)
         arrangement = replace(
             arrangement,
@@ -291,7 +291,7 @@ def _loops(description: ModelDescription, built: BuiltPlant, how: LoopJoints) ->
     if found.left_out and built.opened:
         raise ModelError(
             f"{description.path}: {found.left_out[0]}",
-            advice="Give the loop joints that turn about or slide along one axis.",
+            advice="Use loop joints that rotate about or slide along one axis.",
             path=description.path,
         )
     return found
@@ -307,7 +307,7 @@ def _follower_notes(arrangement: Arrangement) -> list[str]:
     """Return which joints follow others, in words."""
     following = {f.joint: f.leader for f in arrangement.followers}
     pairs = ", ".join(f"{_last(a)} follows {_last(b)}" for a, b in following.items())
-    return [f"{pairs}, and is no joint of its own."] if pairs else []
+    return [f"{pairs}, and is not independent."] if pairs else []
 
 
 def _ignored(description: ModelDescription, arrangement: Arrangement) -> list[str]:
@@ -322,10 +322,7 @@ def _ignored(description: ModelDescription, arrangement: Arrangement) -> list[st
 
 def cannot_follow(what: str, joints: Iterable[str]) -> str:
     """Return a sentence on joints of a statement of the file whose leaders are not there."""
-    return (
-        f"{what} is ignored, as there is no joint to follow: {', '.join(joints)} count as joints "
-        "of their own."
-    )
+    return f"{what} is ignored, as it has no joint to follow: {', '.join(joints)} are independent."
 
 
 def _last(name: str) -> str:
@@ -368,13 +365,13 @@ def _build(
     if plant.num_velocities() == 0:
         links = plant.num_bodies() - 1
         raise ModelError(
-            f"No joint moves in {description.path}: "
+            f"No joint of {description.path} moves: "
             + (f"its {links} links are welded to the world." if links else "it has no links."),
             advice="Give a model with moving joints, or load it as a floating base.",
             path=description.path,
         )
     if plant.num_constraints() or plant.num_force_elements() > 1:
-        notes.append("Constraints and springs of the file are no part of the open tree.")
+        notes.append("Constraints and springs of the file are not in the open tree.")
     return BuiltPlant(plant, lengths, tuple(notes), opened)
 
 
@@ -396,8 +393,9 @@ def _check_inertias(plant: MultibodyPlant, phi: ArrayLike, path: Path) -> None:
     if len(wrong):
         body = lumped_bodies(plant)[wrong[0]].name
         raise ModelError(
-            f"A plant of {path} cannot have the inertial parameters of {body!r} by default: they "
-            f"are {wanted[wrong[0]].tolist()}, of which Drake makes {there[wrong[0]].tolist()}.",
+            f"A plant of {path} cannot have the inertial parameters of {body!r} by default: "
+            f"they are {wanted[wrong[0]].tolist()}, but Drake makes them "
+            f"{there[wrong[0]].tolist()}.",
             advice="Use the model's plant, and its create_context() in a simulation.",
             body=body,
         )
@@ -409,14 +407,14 @@ def _root_notes(plant: MultibodyPlant, arrangement: Arrangement) -> list[str]:
     own = [b for b in free_roots(plant) if robot is None or int(b.index()) in robot]
     weld_roots(plant, lambda body: floating and body in own)
     if floating:
-        return [] if own else ["The file attaches the robot to the world, so nothing floats."]
+        return [] if own else ["The file attaches the robot to the world, so it cannot float."]
     if not own[1:]:
         return []
     names = ", ".join(body.name() for body in own)
     robots = [robot.name for robot in robots_of(plant)]
-    choice = f" Robots in the file are {', '.join(robots)}; choose one by its name."
+    choice = f" Robots in the file are {', '.join(robots)}; choose one by name."
     return [
-        f"{names} are roots of their own; each is welded to the world."
+        f"{names} are not attached to anything; each is welded to the world."
         + (choice if robots[1:] else "")
     ]
 

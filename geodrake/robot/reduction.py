@@ -37,15 +37,15 @@ def triangular_factor(blocks: Iterable[ArrayLike]) -> Array:
             factor = np.zeros((rows.shape[1], rows.shape[1]), order="F")
         if factor is None or rows.shape[1:] != factor.shape[1:]:
             raise ArgumentError(
-                f"Block {number} has the shape {rows.shape}, expected "
-                f"(n, {'p' if factor is None else len(factor)}).",
+                f"Block {number} has shape {rows.shape}; expected (n, "
+                f"{'p' if factor is None else len(factor)}).",
                 advice="All blocks need the same columns.",
             )
         factor = _with_rows(factor, rows)
         if not np.isfinite(factor).all():
             raise ArgumentError(
-                f"Block {number} has values that are not finite, or so large that they overflow.",
-                advice="Leave out such rows, or scale the columns.",
+                f"Block {number} has values that are not finite, or overflow.",
+                advice="Remove such rows, or scale the columns.",
                 block=number,
             )
     if factor is None:

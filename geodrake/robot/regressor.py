@@ -212,14 +212,14 @@ def _poses(X: RigidTransform | ArrayLike, count: int) -> Array:
     poses = real_array(X.GetAsMatrix4() if isinstance(X, RigidTransform) else X, "X_WP")
     if poses.shape not in ((4, 4), (count, 4, 4)):
         raise ArgumentError(
-            f"The pose has the shape {poses.shape}, expected one pose (4, 4) or {count} of them."
+            f"The pose has shape {poses.shape}; expected one pose (4, 4), or {count} of them."
         )
     R = poses[..., :3, :3]
     skew = np.abs(R @ np.swapaxes(R, -1, -2) - np.eye(3)).max(initial=0.0)
     if not (skew < _SKEWNESS and (poses[..., 3, :] == (0, 0, 0, 1)).all()):
         raise ArgumentError(
-            f"A pose has a rotation and the last row 0, 0, 0, 1; R Rᵀ is {skew:.2g} off the "
-            "identity.",
+            "A pose must have a rotation and the last row 0, 0, 0, 1; R Rᵀ differs by "
+            f"{skew:.2g} from the identity.",
             advice="Pass a RigidTransform, or its GetAsMatrix4().",
         )
     return poses

@@ -52,7 +52,7 @@ class Repair:
         mass, _, inertia = to_mass_com_inertia(self.after)
         moments = ", ".join(f"{x:.3g}" for x in np.linalg.eigvalsh(inertia))
         return (
-            f"{self.body} {self.problem}; it gets {mass:.3g} kg with principal moments "
+            f"{self.body} {self.problem}; it is set to {mass:.3g} kg with principal moments "
             f"{moments} kg·m² about its centre of mass."
         )
 
@@ -90,7 +90,7 @@ def repair_inertias(
             own = zip(body.members, members, strict=True)
             names = [m.name for m, x in own if x.any() and not _counts(x)]
             if names:
-                notes.append(f"{', '.join(names)}: no mass above zero, so it adds none.")
+                notes.append(f"{', '.join(names)}: no positive mass, so ignored.")
         scoped = {member.scoped_name for member in body.members}
         if after is not phi or scoped & description.terms.set_aside.keys():
             changed = True
@@ -194,7 +194,7 @@ def _problem(phi: Array) -> str:
         why = "one exceeds the sum of the others"
     else:
         why = "it has no thickness"
-    return f"has principal moments of inertia {stated} kg·m², which no body can have ({why})"
+    return f"has principal moments of inertia {stated} kg·m², which are not physical ({why})"
 
 
 def _write(description: ModelDescription, body: LumpedBody, phi: Array) -> None:
@@ -202,8 +202,8 @@ def _write(description: ModelDescription, body: LumpedBody, phi: Array) -> None:
     for k, member in enumerate(body.members):
         if not description.set_inertia(member.scoped_name, phi if k == 0 else None):
             raise ModelError(
-                f"{body.name} has an inertia that no body can have, in a file that "
+                f"{body.name} has an inertia that is not physical, in a file that "
                 f"{description.path} includes.",
-                advice="Correct the included file, or load it by itself.",
+                advice="Correct the included file, or load it on its own.",
                 body=body.name,
             )

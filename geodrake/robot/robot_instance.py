@@ -32,8 +32,8 @@ from geodrake.robot.regressor import body_poses
 _SAME_GRAVITY = 1e-6  # m/s², between two files of one robot
 _SAME_ROTATION = 1e-6
 _WELD_ALIKE = (
-    "Weld both bases alike: as the model, give a Drake directives file that welds the robot as the "
-    "plant has it."
+    "Weld both bases alike: load the model from a Drake directives file that welds the "
+    "robot as the plant does."
 )
 
 
@@ -85,8 +85,8 @@ class RobotInstance:
             )
         if not self._moving:
             raise ArgumentError(
-                f"No joint of the model instance {self.name!r} moves.",
-                advice="Name the instance of the robot.",
+                f"Model instance {self.name!r} has no moving joint.",
+                advice="Use the model instance of the robot.",
             )
 
     @property
@@ -131,7 +131,7 @@ class RobotInstance:
         for joint in self._moving:
             if joint.num_velocities() != 1 or joint.num_positions() != 1:
                 raise ArgumentError(
-                    f"The joint {joint.name()} of {self._words} has {joint.num_velocities()} "
+                    f"Joint {joint.name()} of {self._words} has {joint.num_velocities()} "
                     "degrees of freedom; controllers and logs need one.",
                     advice="Weld the robot's base (WeldFrames, add_weld) before Finalize.",
                 )
@@ -143,11 +143,11 @@ class RobotInstance:
         if sorted(joints) != sorted(self.joints):
             more = "" if self.name else ", or name the robot's: RobotInstance(plant, name)"
             raise ArgumentError(
-                f"T{self._words[1:]} moves {', '.join(self.joints)}; the controller knows "
+                f"T{self._words[1:]} moves {', '.join(self.joints)}, but the controller "
                 f"{', '.join(joints)}.",
                 advice="Make both from the same file, and weld the plant's base (WeldFrames) "
-                "before Finalize; or take the plant that load_model(file).plant is, its joints "
-                f"held (lock=…) that others follow{more}.",
+                "before Finalize; or use the plant of load_model(file), with following "
+                f"joints fixed (lock=…){more}.",
             )
         return np.array([self.joints.index(joint) for joint in joints], int)
 
@@ -263,8 +263,8 @@ class RobotInstance:
             if len(outer) > 1:
                 raise ArgumentError(
                     f"The base of {self._words} moves: its joint {name} connects "
-                    f"{ends[0].name()} and {ends[1].name()}, and stands still in the model.",
-                    advice="Weld the base, or give a model of all that moves.",
+                    f"{ends[0].name()} and {ends[1].name()}, and is fixed in the model.",
+                    advice="Weld the base, or use a model of all moving bodies.",
                 )
             R_WB = outer[0].EvalPoseInWorld(context).rotation().matrix()
             falls = plant.is_gravity_enabled(outer[0].model_instance())
@@ -273,15 +273,15 @@ class RobotInstance:
             there = there_R_WB.T @ tree.gravity * mobilizer.gravity
             if turned and np.abs(R_WB - there_R_WB).max() > _SAME_ROTATION:
                 raise ArgumentError(
-                    f"The base of {self._words} is turned otherwise than the model's, of which an "
-                    "effect acts in axes of the world.",
+                    f"The base of {self._words} has another orientation than the model's, "
+                    "which has an effect in world axes.",
                     advice=_WELD_ALIKE,
                 )
             if not np.allclose(here, there, rtol=0.0, atol=_SAME_GRAVITY):
                 raise ArgumentError(
-                    f"The base of {self._words} leans otherwise than the model's: at zero, gravity "
-                    f"on {outer[0].name()} is {np.round(here, 3).tolist()} m/s² in the plant and "
-                    f"{np.round(there, 3).tolist()} m/s² in the model.",
+                    f"The base of {self._words} has another inclination than the model's: at "
+                    f"zero, gravity on {outer[0].name()} is {np.round(here, 3).tolist()} "
+                    f"m/s² in the plant and {np.round(there, 3).tolist()} m/s² in the model.",
                     advice=_WELD_ALIKE,
                 )
 
@@ -320,8 +320,8 @@ class RobotInstance:
         without = [joint for k, joint in enumerate(joints) if k not in at]
         if without or len(at) != len(joints):
             raise ArgumentError(
-                f"An adaptive loop needs one actuator at every joint, or none at all; {len(at)} "
-                f"are at {len(joints)} joints, none at {', '.join(without) or '-'}.",
+                f"An adaptive loop needs one actuator at every joint, or none; {len(at)} are "
+                f"at {len(joints)} joints, none at {', '.join(without) or '-'}.",
                 advice="Use AddJointActuator before Finalize.",
             )
         return np.eye(len(joints))[at]
@@ -333,7 +333,7 @@ def take_out_stated(plant: MultibodyPlant, name: str) -> None:
     if plant.is_finalized() or not plant.HasModelInstanceNamed(name):
         raise ArgumentError(
             f"The plant is finalized, or has no model instance {name!r}.",
-            advice="Call it with the name of a robot in the plant, before plant.Finalize().",
+            advice="Call this with the name of a robot in the plant, before plant.Finalize().",
         )
     index = plant.GetModelInstanceByName(name)
     for joint_index in plant.GetJointIndices(index):
@@ -353,7 +353,7 @@ def add_generalized_force(
         place = (plant, port.get_index())
         if place not in builder.connection_map():
             raise ArgumentError(
-                "The generalized forces of the plant are an input of the diagram.",
+                "The generalized forces of the plant are exported as an input of the diagram.",
                 advice="Add what belongs to robots before ExportInput, and sum forces in an Adder.",
             )
         system, index = builder.connection_map()[place]

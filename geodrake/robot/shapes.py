@@ -53,8 +53,7 @@ _WIDE, _DEEP = 100.0, 1.0
 """Sides of the box below a plane, m: Drake has no distances of half-spaces to most shapes."""
 WORLD = "WorldModelInstance::world"  # Drake's scoped name
 SHAPES_ADVICE = (
-    "Give the links shapes of their own with `links` and leave out those of the file "
-    "(use_file=False)."
+    "Pass the shapes of links as `links`, and ignore those of the file (use_file=False)."
 )
 
 

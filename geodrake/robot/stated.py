@@ -254,7 +254,7 @@ class FileTerms:
         if len(several := set(gravities)) > 1:
             each = ", ".join(" ".join(f"{x:g}" for x in gravity) for gravity in several)
             found.left_out.append(
-                f"The models have several gravities ({each}); all but one is left out."
+                f"The models have several gravities ({each}); only one of them is used."
             )
         stated = [part.gravity for part in parts if part.gravity is not None]
         found.gravity = stated[-1] if stated else None

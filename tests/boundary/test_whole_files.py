@@ -48,7 +48,7 @@ def test_what_is_another_users_is_refused_before_the_work_and_nothing_is_left(st
         lambda: check_writable(sticky),
         lambda: write_together({sticky: "mine", sticky.with_name("b.json"): "mine"}),
     ):
-        with pytest.raises(OutputError, match=r"a\.json: it is another user's"):
+        with pytest.raises(OutputError, match=r"a\.json: it belongs to another user"):
             refused()
     assert files_in(sticky.parent) == ["a.json"]
     assert sticky.read_text(encoding="utf-8") == "theirs"
@@ -67,7 +67,7 @@ def test_folders_that_were_made_in_vain_go_and_others_stay(tmp_path):
 def test_a_folder_below_a_file_cannot_be_made(tmp_path):
     (tmp_path / "file").touch()
     with (
-        pytest.raises(OutputError, match="cannot be made: Not a directory"),
+        pytest.raises(OutputError, match="cannot be created: Not a directory"),
         made_folder(tmp_path / "file" / "x"),
     ):
         pass
@@ -104,8 +104,8 @@ def test_a_target_whose_temporary_name_is_taken(tmp_path):
     ("target", "words"),
     [
         (".", "is a folder"),
-        ("/dev/full", "is no file"),
-        ("/dev/null", "is no file"),
+        ("/dev/full", "is not a regular file"),
+        ("/dev/null", "is not a regular file"),
         ("none/x.csv", "No such file"),
         ("a\0b.csv", "null"),
         ("x" * 300 + ".csv", "too long"),

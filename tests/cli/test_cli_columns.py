@@ -26,7 +26,7 @@ def test_a_wrong_sign_is_said_first_and_corrected_where_that_is_asked_for(tmp_pa
     assert WORDS in page.read_text(encoding="utf-8")
 
     said = told("compare", PENDULUM, wrong, "--correct-columns", "--json", numbers, "-q")
-    assert "goes on with these columns corrected" in said
+    assert "results use the corrected columns" in said
     assert json.loads(numbers.read_text())["error"]["nrms"] < 0.3
     assert WORDS in told("log", wrong, "--model", PENDULUM, "-q")
     assert WORDS not in told("log", wrong, "-q")

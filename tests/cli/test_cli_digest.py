@@ -37,8 +37,8 @@ def words_of(words):
 def test_logs_become_digests_once():
     weighed = "log_1.csv log_2.csv --to digests --known-payload log_2:lower_link:0.3"
     out = told(*words_of(f"{weighed} --date 2026-05-01 --json new.json"))
-    assert "2 made, 0 there already, 0 failed: every log has its digest in digests." in out
-    assert "settings of all digests of digests are chosen from log_1" in out
+    assert "2 digested, 0 existed, 0 failed: every log has a digest in digests." in out
+    assert "settings of all digests in digests, chosen from log_1" in out
     numbers = json.loads(Path("new.json").read_text(encoding="utf-8"))
     assert numbers["counts"] == {"made": 2, "there": 0, "failed": 0}
     assert numbers["settings"]["hash"] == read_settings("digests").hash
@@ -51,14 +51,14 @@ def test_logs_become_digests_once():
             assert joint == found.settings.joints[at]
             assert said["samples"] == found.samples[at]
             assert said["effective"] == pytest.approx(found.effective[at])
-    assert "0 made, 2 there already" in told(*words_of(weighed))
+    assert "0 digested, 2 existed" in told(*words_of(weighed))
     assert len(digest_files("digests")) == 2
 
     before = contents(Path("digests"))
     text = Path("robot.urdf").read_text(encoding="utf-8")
     Path("robot.urdf").write_text(text.replace('value="0.5235"', 'value="0.6"'), encoding="utf-8")
     err = refused(*words_of("log_2.csv --to digests"))
-    assert "of another model than robot.urdf" in err
+    assert "not of model robot.urdf" in err
     assert contents(Path("digests")) == before
 
 
@@ -74,6 +74,6 @@ def test_a_log_that_fails_is_exit_code_1_and_a_row():
     assert not list(Path().glob("*.mapping.yaml"))
     done = run(*words_of("bad.csv --to nowhere --json none.json"))
     assert done.exit_code == 1
-    assert "0 made, 0 there already, 1 failed: the exit code is 1." in done.stdout
+    assert "0 digested, 0 existed, 1 failed: exit code 1." in done.stdout
     assert json.loads(Path("none.json").read_text(encoding="utf-8"))["settings"] is None
     assert not Path("nowhere").exists()

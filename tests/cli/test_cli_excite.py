@@ -87,7 +87,7 @@ def test_an_interrupted_design_is_written(tmp_path, monkeypatch):
     files = {key: tmp_path / name for key, name in (("--save", "m.csv"), ("--json", "m.json"))}
     result = run("excite", PENDULUM, *FAST, *(x for pair in files.items() for x in pair))
     assert result.exit_code == 130
-    assert "interrupted: the motion is the best by then" in result.output
+    assert "the search was interrupted: a longer one" in result.output
     assert len(np.loadtxt(files["--save"], delimiter=",", skiprows=1)) > 10
     assert json.loads(files["--json"].read_text())["interrupted"] is True
 
@@ -119,7 +119,7 @@ def test_collision_geometry_counts(tmp_path):
                                 ("weak", "", 0.1)):  # fmt: skip
         (tmp_path / f"{name}.urdf").write_text(BALLS.format(shape=shape, effort=effort))
     assert "bare.urdf has no collision geometry" in excite("bare.urdf", *FAST)
-    assert "were not looked at, as asked for" in excite("with.urdf", *FAST, "--no-collisions")
+    assert "self-collisions were not checked" in excite("with.urdf", *FAST, "--no-collisions")
     assert "collision" not in excite("with.urdf", *FAST)
     assert "--no-collisions" in refused("excite", "lost.urdf", *FAST)
     assert "joint 'j' needs" in refused("excite", "weak.urdf", *FAST)
@@ -137,7 +137,7 @@ class TestTellApart:
         limits = ("--limits", "velocity=4,acceleration=15")
         output = excite(PENDULUM, *FAST, *limits, "--tell-apart", f"{self.PAIR}@elbow", *files)
         assert sorted(p.name for p in tmp_path.iterdir()) == sorted(names.values())
-        assert "Hardest to distinguish is" in output
+        assert "The hardest to distinguish are" in output
         assert "best imitation" not in output  # that is the page's
         numbers = json.loads((tmp_path / "n.json").read_text())
         assert numbers["criterion"] == "separation"
@@ -151,13 +151,13 @@ class TestTellApart:
         assert numbers["value"] == pytest.approx(least**-2)
         assert numbers["improvement_over_random"] > 1.2
         page = (tmp_path / "r.html").read_text()
-        assert "What it distinguishes" in page and "chart-pairs" in page
+        assert "Distinguishable effects" in page and "chart-pairs" in page
 
     def test_places_of_different_kinds_and_an_effect_of_the_users_own(self, tmp_path):
         (tmp_path / "own.py").write_text(OWN)
         pair = ("--tell-apart", "cubic_friction@elbow,gravity_tilt", "--effects", "own.py")
         output = excite(PENDULUM, *FAST, *pair, "--noise", 50)
-        assert "such a log will hardly distinguish them" in output
+        assert "Such a log will hardly distinguish them" in output
         assert "gravity_tilt the whole robot cubic_friction" in output
         assert "cubic_friction elbow gravity_tilt" in output
 
@@ -167,14 +167,16 @@ class TestTellApart:
         robot, pair = replace(model, effects=(friction,)), rivals_in(f"{self.PAIR}@elbow")
         separation, notes = separation_of(robot, *pair, limits_of(None, model), noise=0.1)
         assert separation.pairs[0].effects.max() == 0.05
-        assert "as large as the model has them" in notes[0]
+        assert "effects have the sizes in the model" in notes[0]
 
     def test_what_contains_the_other_is_said(self):
         model = load_model(PENDULUM)
         pair = rivals_in("coulomb_friction,asymmetric_friction")
         separation, notes = separation_of(model, *pair, limits_of(None, model), noise=0.1)
         assert {p.truth for p in separation.pairs} == {"asymmetric_friction"}
-        assert notes[0].startswith("asymmetric_friction explains all that coulomb_friction does")
+        assert notes[0].startswith(
+            "asymmetric_friction explains everything that coulomb_friction does"
+        )
 
 
 class TestLimits:
@@ -200,10 +202,12 @@ class TestLimits:
         np.testing.assert_allclose(limits_of(["current=1e6"], driven).effort, plain.effort)
         both = limits_of(["effort=50%,current=0.3"], driven).effort
         np.testing.assert_allclose(both, [0.5 * plain.effort[0], 0.6])
-        with pytest.raises(ArgumentError, match="no limit of currents that it is a share of"):
+        with pytest.raises(
+            ArgumentError, match="the model has no current limit to take a share of"
+        ):
             limits_of(["current=50%"], driven)
         for text in ("voltage=1", "shoulder.current=1"):
-            with pytest.raises(ArgumentError, match="the model knows no efforts by it"):
+            with pytest.raises(ArgumentError, match="the model computes no efforts from a"):
                 limits_of([text], driven)
 
 
@@ -237,8 +241,8 @@ def lowest_of(folder, *options, lower=-3.0, upper=3.0):
 def test_a_motion_stays_above_the_floor_that_the_robot_stands_on(tmp_path):
     height, words = lowest_of(tmp_path)
     assert height >= 0.01 - 1e-3
-    assert "nothing goes below the base" in words
+    assert "the robot stays above its base" in words
     height, words = lowest_of(tmp_path, "--no-floor")
     assert height < -0.05
     height, words = lowest_of(tmp_path, lower=1.2, upper=2.0)  # hangs
-    assert "there is no floor, as the robot is below its base in every posture" in words
+    assert "no floor is assumed, as the robot is below its base in every posture" in words

@@ -94,7 +94,7 @@ def test_each_effect_that_is_lacking_has_its_price(in_urdf):
     assert error["simulated_nrms"] > error["held_nrms"]
     for name in lacks:
         assert name in printed
-    assert "Drake does not act on coulomb_friction" in printed
+    assert "Drake ignores coulomb_friction" in printed
 
 
 def test_the_price_is_that_of_the_file_compared_with_the_log(folder, in_urdf):
@@ -133,7 +133,7 @@ def test_a_file_that_says_something_else_is_noticed(folder, tmp_path, monkeypatc
 def test_a_floating_robot_goes_into_its_own_format():
     leg = MODEL.with_name("cheetah_leg.urdf")
     output, _ = export(leg, "--floating", "--to", "urdf", "out")
-    assert "not tried in simulators" in output
+    assert "not tested in simulators" in output
 
 
 def test_simulators_that_are_not_there_are_named(monkeypatch):

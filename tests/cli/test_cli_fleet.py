@@ -63,7 +63,7 @@ def test_findings_are_said_and_written(folder):
 
     page = Path("page.html").read_text(encoding="utf-8")
     assert "2 of 3 robots changed." in page
-    for section in ("The fleet at a glance", "What changed", *(HEAVY, STICKY)):
+    for section in ("Overview", "What changed", *(HEAVY, STICKY)):
         assert f"<h2>{section}</h2>" in page
     assert f"<h2>{STEADY}</h2>" not in page
     charts = [json.loads(each) for each in re.findall(r"json\">(.*?)</script>", page)]
@@ -96,7 +96,7 @@ def test_a_watch_goes_on_when_a_place_does_not_answer(folder, monkeypatch):
     def take_in(*given, **how):
         looks.append(len(looks))
         if looks[-1] == 1:
-            raise FleetError("Logs 's3://x' cannot be looked for: TimeoutError.")
+            raise FleetError("Logs 's3://x' cannot be listed: TimeoutError.")
         if looks[-1] == 2:
             raise DigestError("There are digests of something else.")
         return FleetResult((), (), 0.01, {}), FleetDigests({}, (), {}, 0)
@@ -105,7 +105,7 @@ def test_a_watch_goes_on_when_a_place_does_not_answer(folder, monkeypatch):
     code, out, err = fleet("--watch --every 0.1")
     assert (code, out, looks) == (2, "", [0, 1, 2])
     assert err.splitlines() == [
-        "Logs 's3://x' cannot be looked for: TimeoutError. It is tried again in 0.1 s.",
+        "Logs 's3://x' cannot be listed: TimeoutError. Retrying in 0.1 s.",
         "Error: There are digests of something else.",
     ]
 
@@ -117,7 +117,7 @@ def test_what_is_wrong_is_one_line_and_leaves_nothing(folder, monkeypatch):
         ("--workers -1", "workers must be"),
         ("--false-alarms 0", "false_alarms must be"),
         ("--every 0 --watch", "--every must be"),
-        ("--watch --once", "Leave one of them out"),
+        ("--watch --once", "exclude each other"),
         ("--once --json -", "Name a file"),
         ("--json fleet.yaml", "--json"),
         ("--report x.txt", "--report"),

@@ -74,7 +74,7 @@ def test_everything_is_written(log, tmp_path):
     output = told("identify", MODEL, log, "--effects", FRICTIONS, *band, *files)
     assert sorted(p.name for p in tmp_path.iterdir()) == sorted(names.values())
     assert not re.search("[─━│\x1b]", output)
-    for words in ("Joint by joint", "Mass in kg", "Verdict: The held-out error goes from nrms"):
+    for words in ("Joint by joint", "Mass in kg", "Verdict: nrms on held-out data"):
         assert words in output
 
     saved, exported = load_model(tmp_path / "m.yaml"), load_model(tmp_path / "out.urdf")
@@ -202,7 +202,7 @@ def test_effects_by_name():
     assert len(named_effects(["coupled_friction", "coupled_friction@shoulder+elbow"], model)) == 1
     has = with_effects(model, [CoulombFriction("elbow")])
     assert named_effects(["coulomb_friction"], has) == (CoulombFriction("shoulder"),)
-    with pytest.raises(ArgumentError, match="has coulomb_friction at elbow already"):
+    with pytest.raises(ArgumentError, match="already has coulomb_friction at elbow"):
         with_effects(has, [CoulombFriction("elbow")])
 
 
@@ -212,7 +212,7 @@ def test_effects_by_name():
         (
             IdentificationError("The solver found nothing."),
             "--residual-bound 1.0001",
-            ["Raise the bound, or give gamma instead"],
+            ["Raise the bound, or use gamma instead"],
         ),
         (
             IdentificationError("The solver's parameters are not physical.", columns=[10]),
@@ -244,13 +244,13 @@ def test_a_write_that_fails_leaves_nothing(log, tmp_path, monkeypatch):
 
 def test_the_page_says_that_the_model_was_refitted(found):
     page = render(page_of(found))
-    assert "nothing was refitted" not in page
-    assert "Every error of a refitted model is of held-out data" in page
+    assert "Nothing was refitted" not in page
+    assert "Errors of refitted models are on held-out data" in page
     assert "What the model as it stands gets wrong" not in page
     assert ">compared<" not in page
     assert re.search(r">\s*identified\s*<", page)
-    ends = f"{number(found.before.nrms)} to {number(found.after.nrms)}"
-    verdict = f"The held-out error goes from nrms {ends}"
+    ends = f"{number(found.before.nrms)} → {number(found.after.nrms)}"
+    verdict = f"nrms on held-out data {ends}"
     assert re.search(rf"<h1[^>]*>\s*{re.escape(verdict)}", page)
     assert "before" in page
 

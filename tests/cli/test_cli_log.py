@@ -58,7 +58,7 @@ def test_what_is_understood(tmp_path):
     output, found, again = shown(write(tmp_path / "log.csv", "t,q1_deg,q2_deg,tau1,tau2", rows))
     for words in (
         *("shoulder", "q1_deg", "deg × 0.01745", "2300 rows in 24.0 s", "time from t"),
-        *("1 gap: 1.01 s at t = 9.99 s", "at rest for", "position is in deg", "jumps and comes"),
+        *("1 gap: 1.01 s at t = 9.99 s", "at rest for", "position is in deg", "has an outlier"),
     ):
         assert words in output
     assert found["joints"] == ["shoulder", "elbow"]
@@ -75,7 +75,7 @@ def test_currents_and_commands_are_shown_and_converted(tmp_path):
     output, found, again = shown(write(tmp_path / "log.csv", names, rows))
     for words in (
         *("current", "mA × 0.001", "command", "target_q_1"),
-        *("motor currents, in A", "no efforts of elbow: commands are in their place"),
+        *("motor currents in A", "no efforts of elbow: their servo commands are used"),
     ):
         assert words in output
     kinds = {c["joint"]: c["quantity"] for c in found["columns"] if c["quantity"] != "position"}
@@ -103,10 +103,10 @@ def test_commands_and_currents_that_say_nothing(tmp_path):
     for near in (0.0, 0.01):
         commands = np.column_stack([rows[:, 0], q, q + near * effort * [1.0, 0.0]])
         log = write(tmp_path / "log.csv", OWN.replace("effort", "command"), commands)
-        assert "never differs from its position" in refused("compare", PENDULUM, log)
+        assert "always equals its position" in refused("compare", PENDULUM, log)
     rows[:, 3] = np.clip(rows[:, 3], -0.5, 0.5)
     log = write(tmp_path / "log.csv", OWN.replace("effort", "current"), rows)
-    assert "it is saturated" in refused("compare", PENDULUM, log)
+    assert "is saturated" in refused("compare", PENDULUM, log)
 
 
 def test_joints_of_the_model_that_the_log_lacks(tmp_path):
@@ -116,7 +116,7 @@ def test_joints_of_the_model_that_the_log_lacks(tmp_path):
     )
     output = told("log", log, "--model", tmp_path / "two.urdf")
     assert "arm_1" in output
-    assert "nothing is measured of the model's arm_2" in output
+    assert "the model's arm_2 have no measurements" in output
 
 
 def test_other_names_give_the_same_numbers(tmp_path):
@@ -137,13 +137,13 @@ def test_a_failed_reading_proposes_a_mapping(tmp_path):
     rows = table()
     log = write(tmp_path / "log.csv", "x1,x2,x3,x4,x5", rows)
     proposal = Path("log.mapping.yaml")
-    assert f"A proposal is in {proposal}" in refused("compare", PENDULUM, log)
+    assert f"A draft mapping is in {proposal}" in refused("compare", PENDULUM, log)
     expected = nrms(write(tmp_path / "own.csv", OWN, rows))
     assert nrms(log, "--mapping", proposal) == pytest.approx(expected, rel=1e-9)
     proposal.write_text(proposal.read_text().replace("x3", "x2"))
     edited = proposal.read_text()
-    assert "which is there" in refused("compare", PENDULUM, log)
-    assert "names column 'x2' twice" in refused("compare", PENDULUM, log, "--mapping", proposal)
+    assert "which exists" in refused("compare", PENDULUM, log)
+    assert "uses column 'x2' twice" in refused("compare", PENDULUM, log, "--mapping", proposal)
     assert proposal.read_text() == edited
 
 
@@ -156,7 +156,7 @@ def test_bad_rows_are_left_out_if_asked(tmp_path):
     assert "Row 700" in message
     assert "--skip-bad-rows" in message
     output = told("compare", PENDULUM, log, "--skip-bad-rows", "--bandwidth", "5")
-    assert "left out as bad: 1 of 2400 rows, 700" in output
+    assert "1 of 2400 rows are corrupt and skipped: 700" in output
 
 
 def test_one_axis_without_a_model(tmp_path):
@@ -170,7 +170,7 @@ def test_one_axis_without_a_model(tmp_path):
     result = run("identify", model, *given, "--effects", "coulomb_friction", "--json", "-")
     assert result.exit_code == 0, result.output
     assert json.loads(result.stdout)["bodies"]["moving"]["mass"] == pytest.approx(90.0, rel=0.02)
-    assert "is there" in refused("identify", model, *given)
+    assert "exists. Name a new file" in refused("identify", model, *given)
     other = tmp_path / "other.urdf"
     assert "too short" in refused("compare", other, *given, "--bandwidth", "0.02")
     assert not other.exists()
@@ -181,8 +181,8 @@ def test_what_chooses_nothing_is_noted_and_models_are_read_as_everywhere(tmp_pat
     told("log", log, "--model", PENDULUM, "--lock", "elbow=0.3", "--quiet")
     other = write(tmp_path / "other.csv", OWN, table(seconds=2.0))
     said = told("log", log, other, "--topic", "/joint_states", "--episode", "3")
-    assert "log.csv has no topics, so that '/joint_states' chooses nothing" in said
-    assert "log.csv has no episodes, so that 3 chooses nothing" in said
+    assert "log.csv has no topics, so '/joint_states' has no meaning" in said
+    assert "log.csv has no episodes, so 3 has no meaning" in said
 
 
 def test_a_mapping_is_written_that_corrects_the_columns(tmp_path):
@@ -204,7 +204,7 @@ def test_no_mapping_is_written_of_what_a_mapping_cannot_say(tmp_path):
     log = tmp_path / "long.csv"
     log.write_text("time,joint,position,effort\n" + "\n".join(rows))
     target = tmp_path / "m.yaml"
-    assert "A mapping cannot say how log 'long.csv' was read" in refused(
+    assert "A mapping cannot express how log 'long.csv' was read" in refused(
         "log", log, "--write-mapping", target
     )
     assert not target.exists()
@@ -233,7 +233,7 @@ def test_logs_that_cannot_be_used_are_left_out_and_named(tmp_path):
     bad = tmp_path / "bad.csv"
     bad.write_text("time,shoulder.position\n0,x\n")
     said = told("compare", PENDULUM, good, short, bad, "--quiet")
-    assert "short is left out" in said and "bad.csv is left out" in said
+    assert "short is not used" in said and "bad.csv is not used" in said
     refused("compare", PENDULUM, short, bad)
 
 
@@ -256,6 +256,4 @@ def test_positions_beyond_the_models_limits_are_said(tmp_path):
     table = np.column_stack([time, np.sin(time), np.cos(time)])
     header = "time,elbow.position,elbow.effort"
     np.savetxt(path := tmp_path / "log.csv", table, delimiter=",", header=header, comments="")
-    assert "Positions are beyond the model's limits: elbow in" in told(
-        "log", path, "--model", model
-    )
+    assert "Positions exceed the model's limits: elbow in" in told("log", path, "--model", model)

@@ -104,26 +104,29 @@ def text_in_mat(folder):
 
 BAD = {
     "empty bag": (lambda f: bag(f, joint_states=[]), "has no messages"),
-    "no joint states": (strings, "no topic with both positions and efforts"),
-    "uneven arrays": (uneven, "2 joints and 3 numbers of effort"),
+    "no joint states": (strings, "no topic with both joint positions and efforts"),
+    "uneven arrays": (uneven, "2 joints, but 3 values of effort"),
     "back in time": (back_in_time, "Time runs backwards in /joint_states: message 8"),
     "too short": (lambda f: bag(f, joint_states=states(small_log(5))), "5 rows"),
     "cut MCAP": (cut_mcap, "mcap recover"),
-    "cut SQLite": (cut_sqlite, "no ROS bag that can be read"),
+    "cut SQLite": (cut_sqlite, "not a readable ROS bag"),
     "cut ROS 1": (lambda f: cut(ros1_bag(f, small_log(400))), "rosbag reindex"),
     "cut Parquet": (
         lambda f: cut(foreign_logs.pandas_parquet(f, small_log())),
-        "no Parquet file that can be read",
+        "not a readable Parquet file",
     ),
     "cut LCM": (lambda f: cut(lcm_log(f, small_log(20)), 0.01), "has no messages"),
-    "cut MATLAB": (lambda f: cut(foreign_logs.mat_v7(f, small_log(400))), "no MATLAB file"),
-    "cut HDF5": (lambda f: cut(foreign_logs.mat_v73(f, small_log())), "no MATLAB file"),
-    "no MCAP": (garbage("log.mcap"), "no ROS bag that can be read"),
-    "no Feather": (garbage("log.feather"), "no Feather file"),
-    "no LCM": (garbage("log.lcm"), "no LCM log"),
-    "no numbers": (text_in_mat, "no arrays of numbers"),
-    "empty folder": (empty_folder, "is a folder, and neither a rosbag2 nor a LeRobot dataset"),
-    "bad JSON": (bad_info, "no LeRobot dataset that can be read"),
+    "cut MATLAB": (
+        lambda f: cut(foreign_logs.mat_v7(f, small_log(400))),
+        "not a readable MATLAB file",
+    ),
+    "cut HDF5": (lambda f: cut(foreign_logs.mat_v73(f, small_log())), "not a readable MATLAB file"),
+    "no MCAP": (garbage("log.mcap"), "not a readable ROS bag"),
+    "no Feather": (garbage("log.feather"), "not a readable Feather file"),
+    "not an LCM": (garbage("log.lcm"), "not an LCM log"),
+    "no numbers": (text_in_mat, "no numeric arrays"),
+    "empty folder": (empty_folder, "is neither a rosbag2 nor a LeRobot dataset"),
+    "bad JSON": (bad_info, "not a readable LeRobot dataset"),
 }
 
 

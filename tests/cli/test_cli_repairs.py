@@ -68,7 +68,7 @@ def checked(path):
 def test_a_mass_that_was_replaced_is_no_agreement(tmp_path, mass, problem):
     done, numbers = checked(model_of(tmp_path, mass))
     assert done.exit_code == 1
-    assert done.output.startswith(f"Warning: two.urdf is not used as it stands. {problem}")
+    assert done.output.startswith(f"Warning: two.urdf was repaired. {problem}")
     assert "agree" not in done.output.rpartition("Verdict")[2]
     assert not numbers["agrees"] and numbers["repaired"]
     assert numbers["notes"][0].startswith(problem)
@@ -90,9 +90,9 @@ def test_what_is_exported_says_what_was_replaced(tmp_path, form, file):
     target = tmp_path / "out"
     done = run("export", model_of(tmp_path, '<mass value="nan"/>'), "--to", form, target, "-q")
     assert done.exit_code == 0
-    assert done.output.startswith("Warning: two.urdf is not used as it stands. upper has a mass")
+    assert done.output.startswith("Warning: two.urdf was repaired. upper has a mass")
     text = (target / file).read_text(encoding="utf-8")
-    assert "geodrake did not take two.urdf as it stands: upper has a mass" in text
+    assert "geodrake repaired two.urdf: upper has a mass" in text
 
 
 def test_a_repair_of_a_link_with_any_name_leaves_xml(tmp_path):
@@ -140,9 +140,9 @@ def test_what_is_left_out_fails_the_check_and_is_told_first(tmp_path):
     path.write_text(ellipsoid.format(1000), encoding="utf-8")
     done, numbers = checked(path)
     assert done.exit_code == 1
-    assert done.output.startswith("Warning: m.xml is not used as it stands. The medium of <option")
+    assert done.output.startswith("Warning: m.xml was repaired. The medium of <option")
     verdict = " ".join(done.output.rpartition("Verdict")[2].split())
-    assert "states forces or parts that geodrake does not model" in verdict and "MuJoCo" in verdict
+    assert "has forces or parts that geodrake does not model" in verdict and "MuJoCo" in verdict
     assert not numbers["agrees"] and not numbers["repaired"]
     assert numbers["left_out"] == numbers["notes"][:1]
     assert numbers["second_opinion"]["by"].startswith("MuJoCo")

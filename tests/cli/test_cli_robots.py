@@ -48,7 +48,7 @@ def log_of(robot, path, *, finger=0.01, **further):
 def test_a_log_without_the_gripper_holds_it_and_says_so(robot, tmp_path):
     log = log_of(robot, tmp_path / "log.csv", finger=0.0)
     shown = told("compare", robot, log, "--json", tmp_path / "out.json")
-    assert "Held, as no log has their efforts" in shown and "left at 0" in shown
+    assert "Fixed, as no log has their efforts" in shown and "left at 0" in shown
     assert "right follows left" in shown
     assert float(re.search(r"nrms of all joints ([\d.]+)", shown)[1]) < 0.02
 
@@ -72,7 +72,7 @@ def test_a_saved_model_goes_on_holding(robot, tmp_path):
 def test_a_known_payload_in_the_hand_is_carried(robot, tmp_path):
     log = log_of(robot, tmp_path / "log.csv")
     shown = told("compare", robot, log, "--lock", "left=0.01", "--known-payload", "log:right:0.5")
-    assert "0.5 kg known at right" in shown
+    assert "known payload of 0.5 kg at right" in shown
     assert float(re.search(r"nrms of all joints ([\d.]+)", shown)[1]) > 0.1
 
 
@@ -105,10 +105,10 @@ def test_a_xacro_file_that_asks_for_more_than_values_needs_to_be_trusted(robot, 
 
 def test_logs_that_leave_the_gripper_open_to_doubt_are_refused(robot, tmp_path):
     logs = [log_of(robot, tmp_path / f"{at}.csv", **{"left.position": at}) for at in (0.0, 0.04)]
-    assert "stands at 0 in '0.0' and at 0.04 in '0.04'" in refused("compare", robot, *logs)
+    assert "different positions: 0 in '0.0', 0.04 in '0.04'" in refused("compare", robot, *logs)
     only = tmp_path / "arm.csv"
     only.write_text(logs[0].read_text().replace("elbow", "wrist"))
-    assert "no joint 'wrist'" in refused("compare", robot, only)
+    assert "has joint 'wrist', but" in refused("compare", robot, only)
 
 
 def simulated(robot, dry=0.0, width=1.0):

@@ -50,13 +50,13 @@ def added(model):
 def test_the_worst_joint_of_a_comparison_is_named(model, compared):
     worst = max(compared.errors.joints, key=lambda joint: joint.nrms)
     text = " ".join(printed(compared, model).split())
-    assert f"The error is largest at {worst.joint}" in text
+    assert f"The worst joint is {worst.joint}" in text
 
 
 def test_every_joint_has_its_value(added):
     (step,) = added.steps
     assert len(step.where) > 2
-    table = printed(added, added.model).split("Parameters found")[1]
+    table = printed(added, added.model).split("Parameters")[1]
     lines = table.split("Where it fails")[0].splitlines()
     for joint in step.where:
         assert any(line.startswith(joint) and "±" in line for line in lines)
@@ -101,11 +101,15 @@ def test_degrees_are_named_where_a_log_is_too_short(model):
 @pytest.mark.parametrize("name", get_command(app).commands)
 def test_help_of_80_columns_cuts_nothing_and_shows_few_options_first(name):
     command = get_command(app).commands[name]
-    found = run(name, "--help", env={"COLUMNS": "80"})
+    found = run(name, "--help-all", env={"COLUMNS": "80"})
     assert "--quiet" in found.output
-    said = "".join(f"{each.metavar}{each.help}" for each in command.params)
-    assert found.output.count("…") == said.count("…")
+    texts = "".join(f"{each.metavar}{each.help}" for each in command.params)
+    assert found.output.count("…") == texts.count("…")
     assert max(map(len, found.output.splitlines())) <= 80
-    first = found.output.split("─ Options")[1].split("╰")[0]
-    assert len(re.findall(r"^│ [ *]{0,8}--", first, re.M)) <= 8
-    assert not re.search(r"<(bool|[Pp]ath|str|list)", found.output)  # what is meant, and no types
+    assert not re.search(r"<(bool|[Pp]ath|str|list)", found.output)  # metavariables, not types
+    short = run(name, "--help", env={"COLUMNS": "80"}).output
+    assert "--quiet" not in short and "Advanced" not in short
+    assert len(short.splitlines()) <= 60
+    options = short.split("─ Options")[1].split("╰")[0]
+    assert len(re.findall(r"^│ [ *]{0,8}--", options, re.M)) <= 10
+    assert run(name, "--help-all", env={"COLUMNS": "80"}).output == found.output

@@ -45,26 +45,26 @@ def test_a_file_beside_the_model_is_taken_and_said_unless_another_or_none_is_giv
         ("gear: []", "it has the unknown field 'gear' (was gears meant?)"),
         ("gears: [{actuator: m, joint: shoulder, ratoi: 3}]", "the unknown field 'ratoi'"),
         ("gears: [{actuator: m, joint: shoulder, ratio: x}]", "ratio = x"),
-        ("gears: [{actuator: m, joint: knee}]", "the joint 'knee', which the robot does not"),
+        ("gears: [{actuator: m, joint: knee}]", "joint 'knee', which is not an independent"),
         ("gears: [{joint: shoulder}]", "gears[0] lacks its actuator"),
-        ("gears: [{actuator: '', joint: shoulder}]", "gears[0] does not name its actuator"),
+        ("gears: [{actuator: '', joint: shoulder}]", "gears[0] has no actuator"),
         ("coupled: [{joints: {roll: {a: [1]}}}]", "coupled[0].joints.roll.a = [1]"),
-        ("coupled: [{joints: {roll: {5: 1}}}]", "coupled[0].joints.roll has 5 for a name"),
+        ("coupled: [{joints: {roll: {5: 1}}}]", "coupled[0].joints.roll has 5 as a name"),
         ("gears: {actuator: m, joint: roll}", "expected a list but got a table of fields"),
         ("polynomials: [{actuator: m, joint: roll, map_of: 1}]", "the unknown field 'map_of'"),
         (
             "gears: [{actuator: m, joint: roll}, {actuator: n, joint: roll}]",
-            "the joint 'roll' in two of its parts",
+            "joint 'roll' in two of its parts",
         ),
         ("coupled: [{joints: {roll: {a: 1, b: 1}, pitch: {a: 2, b: 2}}}]", "its rank is 1"),
         ("coupled: [{joints: {roll: {a: 1}, roll: {b: 1}}}]", "it has 'roll' twice"),
-        ("gears: [{actuator: pitch, joint: roll}]", "an actuator 'pitch', and the robot a joint"),
+        ("gears: [{actuator: pitch, joint: roll}]", "an actuator 'pitch', but the robot also has"),
         (
             "tables: [{actuator: m, joint: roll, actuator_positions: [0], joint_positions: [0]}]",
-            "needs 3 actuator positions",
+            "needs at least 3 increasing actuator positions",
         ),
         ("four_bars: [{actuator: m, joint: roll, ground: 1, crank: 3, coupler: 1, rocker: 0.5}]",
-         "do not reach each other where q = 0"),
+         "do not reach each other at q = 0"),
         ("gears: [", "while parsing"),
         ("", "is empty"),
     ],
@@ -81,4 +81,4 @@ def test_a_transmission_file_is_never_replaced_and_a_model_without_motors_has_no
     before, beside = contents(files), files / "arm.transmission.yaml"
     assert beside.name in refused(*given, beside, "--json", beside)
     assert contents(files) == before
-    assert "states no transmissions of motors" in refused(*given, "file")
+    assert "has no transmissions of motors" in refused(*given, "file")

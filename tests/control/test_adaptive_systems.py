@@ -161,7 +161,7 @@ def test_parameters_can_be_set_in_a_context():
         system.set_parameters(context, TRUTH)
         np.testing.assert_array_equal(system.parameters(context), TRUTH)
         np.testing.assert_array_equal(system.GetOutputPort("parameters").Eval(context), TRUTH)
-        with pytest.raises(ArgumentError, match="inside of the law's manifold"):
+        with pytest.raises(ArgumentError, match="inside the law's manifold"):
             system.set_parameters(context, -TRUTH)
 
 

@@ -163,7 +163,7 @@ def test_reports_say_what_the_model_was_under(arm):
     delay = FittedEffect(EffortDelay(0.002, "b"), np.zeros(0))
     late = replace(model, effects=(*model.effects, delay))
     found = roll_out(late, [log], most=1, horizon=0.2, commands=True)
-    assert any("effort_delay of b does not count" in note for note in found.notes)
+    assert any("effort_delay of b is ignored" in note for note in found.notes)
     assert numbers_of(found)["under"] == "commands"
     about = About("arm", ("log",))
     assert "arm under the commands of log" in render(page_of(found, about))

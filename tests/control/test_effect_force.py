@@ -180,7 +180,7 @@ class TestSystem:
             (effects.CoulombFriction("knee"), [1.0], "no joint 'knee'"),
             (effects.Payload("hand"), [1.0, 0, 0, 0, 1, 1, 1, 0, 0, 0], "no moving body 'hand'"),
             (effects.CoulombFriction("joint1"), [1.0, 2.0], r"friction of joint1 must be \(1,\)"),
-            (effects.CoulombFriction("joint1"), [np.nan], "holds nan"),
+            (effects.CoulombFriction("joint1"), [np.nan], "has nan"),
             (effects.EffortDelay(0.01), [], "DelayedEffort"),
         ],
     )
@@ -191,7 +191,7 @@ class TestSystem:
     def test_self_locking_gear(self):
         q, v, u = STATES[1]
         terms = [(effects.LoadDependentFriction("joint1"), [5.0])]
-        with pytest.raises(ModelError, match="does not settle"):
+        with pytest.raises(ModelError, match="does not converge"):
             acceleration(arm(), q, v, -u, terms)
         acceleration(arm(), q, v, u, terms)  # it drives
 
@@ -362,9 +362,9 @@ def test_parameters_that_cannot_be_are_refused():
     context = force.CreateDefaultContext()
     with pytest.raises(ArgumentError, match="viscous_friction at joint1 have viscous = -1"):
         force.set_effect_parameters(context, {wet: [-1.0]})
-    with pytest.raises(ArgumentError, match="no viscous_friction of joint3"):
+    with pytest.raises(ArgumentError, match="viscous_friction of joint3 is not in this system"):
         force.set_effect_parameters(context, {effects.ViscousFriction("joint3"): [1.0]})
-    with pytest.raises(ArgumentError, match="'joint2' was made soft"):
+    with pytest.raises(ArgumentError, match="'joint2' was made elastic"):
         force.set_effect_parameters(context, {spring: [0.0]})
 
 

@@ -373,7 +373,7 @@ def test_a_joint_that_moves_no_inertia_is_named():
     phi = model.phi.copy()
     phi[-1] = 0.0
     starts = random_starts(model, random_motion(model))
-    with pytest.raises(RuntimeError, match="nothing that elbow moves has any inertia"):
+    with pytest.raises(RuntimeError, match="the bodies moved by elbow have no inertia"):
         roll_out_all(replace(model, phi=phi), starts, 1e-3)
 
 
@@ -449,19 +449,17 @@ def test_a_robot_written_anew_has_a_motor_or_a_servo_at_every_joint(tmp_path):
 
 def test_limits_that_logs_told_are_in_new_files_and_noted_beside_the_users(tmp_path):
     model = hinged(tmp_path, text=HINGES)
-    assert "limits of effort" not in exported(model, "urdf", tmp_path / "plain")[2]
+    assert "effort limits" not in exported(model, "urdf", tmp_path / "plain")[2]
     model = replace(model, effort_signals=(EffortSignal("b", "effort", 1.0, limit=7.0),))
     path, _, notes = exported(model, "urdf", tmp_path / "own_format")
     np.testing.assert_array_equal(load_model(path).effort_limits, [10.0, 50.0])
-    assert (
-        "limits of effort in arm.urdf stay as they are; the model knows of less: b 7 N·m" in notes
-    )
+    assert "effort limits in arm.urdf are unchanged; the model knows lower ones: b 7 N·m" in notes
     for form in ("sdf", "mjcf"):
         path, _, notes = exported(model, form, tmp_path / form)
         np.testing.assert_array_equal(load_model(path).effort_limits, [10.0, 7.0])
-        assert "limits of effort" not in notes
+        assert "effort limits" not in notes
     notes = " ".join(export_to("sdf", servoed(model), tmp_path / "servos").notes)
-    assert "sdf does not have the gains of servos, such as those of b" in notes
+    assert "sdf has no servo gains, such as those of b" in notes
 
 
 def test_a_file_of_the_users_gets_actuators_for_servos_and_delays_alone(tmp_path):
@@ -506,7 +504,7 @@ def test_actuators_of_the_users_stay(before, after, tmp_path):
     compiled = mujoco.MjModel.from_xml_path(str(out))
     assert names(compiled) == ["mine", "a"]  # control signals of the first keep their place
     assert compiled.actuator_delay.tolist() == [0.0, 0.01]
-    assert "stay as they are" in notes
+    assert "are unchanged" in notes
 
 
 def test_defaults_of_actuators_would_change_what_is_added(tmp_path):
@@ -529,7 +527,7 @@ def test_delays_shorter_than_a_step_are_said(tmp_path):
     fine = hinged(tmp_path, '<option timestep="0.0005"/>')
     path, _, notes = exported(servoed(fine, delay=0.003), "mjcf", tmp_path / "fine")
     assert mujoco.MjModel.from_xml_path(str(path)).actuator_history[1][0] == 7
-    assert "steps of the simulation of 0.0005 s and more" in notes
+    assert "time steps of 0.0005 s and more" in notes
     odd = servoed(hinged(tmp_path, '<option timestep="-1"/>'), delay=0.0015)
     assert "step of 0.002 s is longer" in exported(odd, "mjcf", tmp_path / "odd")[2]  # MuJoCo's own
     with pytest.raises(ModelError, match="line 2: bad format in attribute 'timestep'"):

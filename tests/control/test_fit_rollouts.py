@@ -75,9 +75,9 @@ def test_near_the_motion_is_as_in_the_diagram(pendulum):
 
 
 def test_what_cannot_be_fitted_is_said(pendulum):
-    with pytest.raises(ModelError, match="no soft joint and no play"):
+    with pytest.raises(ModelError, match="no elastic joint and no backlash"):
         fit_rollouts(having(pendulum, ROTOR, FRICTION), [swung(0)])
-    with pytest.raises(LogError, match="windows to fit and"):
+    with pytest.raises(LogError, match="windows for fitting and"):
         fit_rollouts(springy(pendulum, 0.8), [swung(0)], most=3)
 
 
@@ -114,16 +114,16 @@ class TestCommand:
         assert saved.deviations == pytest.approx(value["deviation"])
         damping = next(v["after"] for v in found["values"] if v["name"] == "damping")
         assert saved.effect.damping == pytest.approx(damping)
-        assert "What was fitted" in (files / "fit.html").read_text()
+        assert "Fitted values" in (files / "fit.html").read_text()
 
     @pytest.mark.parametrize(
         ("words", "says"),
         [
-            ("stiff.yaml log.csv --fit", "no soft joint and no play"),
-            ("soft.yaml log.csv --save new.yaml", "Without --fit"),
+            ("stiff.yaml log.csv --fit", "no elastic joint and no backlash"),
+            ("soft.yaml log.csv --save new.yaml", "--save new.yaml needs --fit"),
             ("soft.yaml log.csv --fit --commands", "commands of a servo"),
-            ("soft.yaml log.csv --fit --before stiff.yaml", "do not go together"),
-            ("soft.yaml log.csv --fit --windows 2", "windows to fit and"),
+            ("soft.yaml log.csv --fit --before stiff.yaml", "exclude each other"),
+            ("soft.yaml log.csv --fit --windows 2", "windows for fitting and"),
         ],
     )
     def test_refuses_in_a_line(self, files, monkeypatch, words, says):
@@ -267,15 +267,15 @@ def test_results_say_what_they_are_under(pendulum):
     late = FittedValue("servo", "hinge", "delay", 5.1e-3, 13e-3, 1e-5)
     for values, words in (
         ((), ("arm under the commands of log", "under the logged commands")),
-        ((late,), ("Soft joints, play, their servos and motors", "delay, ms", "5.10", "13.000")),
+        ((late,), ("Elastic joints, backlash, servos and motors", "delay, ms", "5.10", "13.000")),
     ):
         found = RolloutFit(model, values, rollout, rollout, (False, True), 0.2)
         page = render(page_of(found, About("arm", ("log",))))
         assert all(word in page for word in words) and "logged efforts" not in page
-    assert "(probability 0.20, 1 windows): further logs or more" in rollout_fit_words(found)
+    assert "(p = 0.20, 1 windows); add logs or" in rollout_fit_words(found)
     unsure = servoed(pendulum, 0.5, dataclasses.replace(PD, deviation=1.0))
     unfitted = dataclasses.replace(found, model=unsure, values=())
-    assert "servos of hinge are not known exactly" in unfitted.notes[-1]
+    assert "servo gains of hinge are uncertain" in unfitted.notes[-1]
     told = numbers_of(found)
     for part in ("fitted", "held_out"):
         assert {stage["under"] for stage in told[part].values()} == {"commands"}

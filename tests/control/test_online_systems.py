@@ -125,14 +125,14 @@ def test_a_sensor_that_fails_for_a_while(fault):
 
 
 def test_estimators_that_do_not_fit_are_refused():
-    with pytest.raises(ArgumentError, match="filter is one for"):
+    with pytest.raises(ArgumentError, match="filter has a period of"):
         BregmanProjectionEstimator(CONTROL, UPDATE, filtered=FilteredRegressor(CONTROL, 0.01))
     other = FilteredRegressor(ControlModel.of(MODEL), STEP)
     with pytest.raises(ArgumentError, match="another ControlModel"):
         BregmanProjectionEstimator(CONTROL, UPDATE, filtered=other, time_step=STEP)
     with pytest.raises(ArgumentError, match="another ControlModel"):
         ModelResidual(CONTROL, filtered=other)
-    with pytest.raises(ArgumentError, match="inside of the law's manifold"):
+    with pytest.raises(ArgumentError, match="inside the law's manifold"):
         BregmanProjectionEstimator(CONTROL, UPDATE, parameters=-TRUTH)
     with pytest.raises(ArgumentError, match="tolerance"):
         BregmanProjectionEstimator(CONTROL, SampleUpdate(MANIFOLD, np.ones(3)))
@@ -282,7 +282,7 @@ def test_floating_robots_and_balls_are_refused(tmp_path):
     )
     ball = ControlModel.of(load_description(path))
     floating = ControlModel.of(load_description(MODELS / "double_pendulum.urdf", floating=True))
-    for control, words in ((ball, "one degree of freedom"), (floating, "this one floats")):
+    for control, words in ((ball, "one degree of freedom"), (floating, "this robot floats")):
         for kind in (ModelResidual, BregmanProjectionEstimator, PassivityBasedAdaptiveController):
             with pytest.raises(ArgumentError, match=words):
                 kind(control, *([] if kind is ModelResidual else [UPDATE]))

@@ -173,7 +173,7 @@ def test_models_without_servos_have_none(arm):
 
 def test_numbers_of_the_context():
     servo = PositionServo([1.0, 2.0])
-    with pytest.raises(ArgumentError, match="without an integral"):
+    with pytest.raises(ArgumentError, match="without integral gain"):
         servo.set_gains(seen(servo), ki=1.0)
     with pytest.raises(ArgumentError, match="no stiffness"):
         servo.set_gains(seen(servo), stiffness=1.0)

@@ -141,7 +141,7 @@ def test_an_effect_that_does_not_say_how_is_refused(pendulum):
         def deflection(self, motion):
             return Deflection.along(np.ones(len(motion.v)), motion.time)
 
-    with pytest.raises(ArgumentError, match="sagging does not say how motor and link"):
+    with pytest.raises(ArgumentError, match="sagging can be fitted only"):
         EffectForce(pendulum.plant, [(Sagging("hinge"), [1e-3])])
 
 

@@ -57,7 +57,7 @@ def test_drives_follow_a_motion_with_the_effort_of_inverse_dynamics():
     ("options", "size", "message"),
     [
         ({"gains": False}, 2, "without gains are"),
-        ({"reverse": True}, 2, "of elbow, shoulder"),
+        ({"reverse": True}, 2, "is elbow, shoulder"),
         ({}, 3, "3 positions"),
     ],
 )

@@ -98,7 +98,7 @@ def two_joints(places, efforts):
 
 def test_efforts_of_a_second_motor_go_to_the_free_joint(tmp_path):
     model = model_of(tmp_path, four_bar(motors="crank rocker"))
-    assert any("more motors than it moves freely" in note for note in model.notes)
+    assert any("more motors than degrees of freedom" in note for note in model.notes)
     time, places, _ = simulated(four_bar(), seconds=2.0, joints=("crank", "rocker"))
     efforts = np.random.default_rng(0).normal(size=places.shape)
     log = log_of_model(two_joints(places, efforts), model)
@@ -107,12 +107,14 @@ def test_efforts_of_a_second_motor_go_to_the_free_joint(tmp_path):
     expected = efforts[:, 0] + G * efforts[:, 1]
     np.testing.assert_allclose(log.effort[inner, 0], expected[inner], atol=0.02)
     assert any("rocker is added to that of crank" in note for note in log.notes)
-    with pytest.raises(LogError, match="no effort of rocker, which a motor drives beside crank"):
+    with pytest.raises(
+        LogError, match="no effort of rocker, which has a motor in addition to crank"
+    ):
         log_of_model(JointLog("log", ("crank",), time, places[:, :1], efforts[:, :1]), model)
 
 
 def odd(log, model):
-    return [note for note in log_of_model(log, model).notes if "is not where" in note]
+    return [note for note in log_of_model(log, model).notes if "differs from its position" in note]
 
 
 def test_a_log_that_contradicts_the_loop_is_told(tmp_path):
@@ -123,13 +125,18 @@ def test_a_log_that_contradicts_the_loop_is_told(tmp_path):
     assert not odd(two_joints(places, efforts), model)
     places[:, 1] += 0.05
     (said,) = odd(two_joints(places, efforts), model)
-    assert "rocker is not where the closed loop of <connect> of coupler and rocker has it" in said
+    assert (
+        "rocker differs from its position in the closed loop of <connect> of coupler and rocker"
+        in said
+    )
     assert "by 0.05" in said
     head = "time,crank.position,crank.effort,rocker.position"
     table = np.column_stack([time, places[:, 0], effort, places[:, 1]])
     np.savetxt(tmp_path / "log.csv", table, delimiter=",", header=head, comments="")
     found = compare(model, [tmp_path / "log.csv"])
-    assert any("rocker is not where the closed loop" in note for note in found.notes)
+    assert any(
+        "rocker differs from its position in the closed loop" in note for note in found.notes
+    )
 
 
 def test_the_joint_that_closes_a_loop_may_be_logged(tmp_path):
@@ -142,16 +149,18 @@ def test_the_joint_that_closes_a_loop_may_be_logged(tmp_path):
     log = JointLog("log", ("crank", "pin"), time, both, np.column_stack([effort, 0.0 * effort]))
     assert log_of_model(log, model).joints == ("crank",) and not odd(log, model)
     (said,) = odd(replace(log, position=both * [1.0, -1.0]), model)
-    assert "pin is not where the closed loop of the joint pin has it" in said
+    assert "pin differs from its position in the closed loop of the joint pin" in said
 
 
 def test_a_log_of_another_joint_of_the_loop_is_refused(tmp_path):
     time, places, effort = simulated(four_bar(), seconds=2.0, joints=("rocker",))
     log = JointLog("log", ("rocker",), time, places, effort[:, None])
     fitted = replace(model_of(tmp_path), fitted_to=("other",))
-    with pytest.raises(LogError, match="has rocker of a closed loop in which crank moves"):
+    with pytest.raises(LogError, match="has rocker of a closed loop, but not crank"):
         model_of_logs(fitted, [log])
-    with pytest.raises(LogError, match="no effort of crank, which a motor drives beside rocker"):
+    with pytest.raises(
+        LogError, match="no effort of crank, which has a motor in addition to rocker"
+    ):
         log_of_model(log, model_of_logs(model_of(tmp_path), [log]))
 
 
@@ -161,7 +170,7 @@ def test_joints_lead_that_logs_have(tmp_path):
     log = JointLog("log", ("rocker",), time, places[:, 1:], effort[:, None])
     led = model_of_logs(model, [log])
     assert model.joints == ("crank",) and led.joints == ("rocker",)
-    assert any("rocker moves freely, as logs have it" in note for note in led.notes)
+    assert any("rocker is independent, as in the logs" in note for note in led.notes)
     save_model(led, tmp_path / "led.yaml")
     assert load_model(tmp_path / "led.yaml").joints == ("rocker",)
     q = np.linspace(-0.2, 0.4, 5)[:, None]  # below, the rocker turns back

@@ -70,8 +70,8 @@ def test_named_and_corrected(mistake, tmp_path):
     falls = mistake == "limit that falls with speed"
     assert len(found.values) == 1 + falls
     assert found.values[0] == pytest.approx(secret.value, rel=0.1)
-    assert ("none at a speed of" in str(found)) == falls
-    assert "are what was asked for: its motor gives at most" in str(found)
+    assert ("0 at a speed of" in str(found)) == falls
+    assert "are commands: its motor saturates at" in str(found)
     after = corrected(log, [found])
     changed = np.flatnonzero((after.effort != log.effort).any(axis=0))
     assert changed.tolist() == [joint]
@@ -140,7 +140,7 @@ def test_limits_stand_beside_gains_and_among_none():
     units = Units(("a", "b"), frozenset({"b"}))
     limits, gains = (make((motor, drive), units) for make in (limits_section, gains_section))
     assert [row[0].text for row in limits.tables[0].rows] == ["a"]
-    assert limits.tables[0].rows[0][-1].text == "3.00 N·m, none at 5.00 rad/s"
+    assert limits.tables[0].rows[0][-1].text == "3.00 N·m, 0 at 5.00 rad/s"
     assert [row[0].text for row in gains.tables[0].rows] == ["b"]
     assert gains.tables[0].rows[0][-1].text == "4.00 N"
     assert not limits_section((drive,), units).says_something

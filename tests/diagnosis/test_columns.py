@@ -105,7 +105,7 @@ def test_magnitudes_of_efforts_are_said_to_be_magnitudes(pendulum, right):
     (found,) = check_columns(pendulum, [replace(right, effort=np.abs(right.effort))])
     assert (found.kind, found.joints) == ("effort_magnitude", JOINTS)
     assert not found.is_correctable
-    assert "never change their sign" in str(found)
+    assert "never change sign" in str(found)
 
 
 def test_efforts_without_the_motion_in_them_are_no_mistake_of_a_kind(pendulum, right):
@@ -160,7 +160,7 @@ def test_another_zero_is_found_within_the_arm():
         # Leaning by up to 0.3 rad, of bodies a fifth off: zeros and gains of wrists would make up.
         WrongLog("tilted base", "arm6", "mujoco", "fast", 6, 9, DURATION),
         # Of bodies 60 % off, one number for all efforts makes up for the total mass.
-        WrongLog("bodies far off", "arm6", "pinocchio", "slow", 1, 61, DURATION),
+        WrongLog("bodies that differ", "arm6", "pinocchio", "slow", 1, 61, DURATION),
     ],
     ids=lambda drawn: drawn.mistake,
 )

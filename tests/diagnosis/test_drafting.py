@@ -135,7 +135,7 @@ def test_nothing_is_drafted_of_noise_or_of_what_follows_the_clock():
     swing = 0.6 * np.sin(2 * np.pi * 1.37 * log.time)
     moved = log.effort + np.stack([swing, 2.0 * (log.time / 24.0) ** 2], 1)
     told = draft_effects(model, [replace(log, effort=moved)])[1].correlates
-    for joint, words in zip(model.joints, ("swings at 1.37 Hz", "drifts slowly"), strict=True):
+    for joint, words in zip(model.joints, ("oscillation at 1.37 Hz", "slow drift"), strict=True):
         first = next(c for c in told if c.joint == joint)
         assert words in first.words and first.share > 0.9
 

@@ -79,7 +79,7 @@ def with_friction(model):
 
 def test_logs_of_a_fit_keep_its_bandwidth(fitted, logs):
     again, asked = compare(fitted, logs), compare(fitted, logs, bandwidth=BANDWIDTH)
-    assert any("as the model was fitted at" in note for note in again.notes)
+    assert any("of the model's fit" in note for note in again.notes)
     np.testing.assert_allclose(rms(again.errors), rms(asked.errors))
     other = compare(fitted, [pendulum_log(3, HIDDEN)])
     assert any("chosen from the data" in note for note in other.notes)
@@ -123,9 +123,9 @@ def test_compare_names_where_it_fails(model):
     found = compare(model, [pendulum_log(3, hidden)], bandwidth=BANDWIDTH)
     worst = found.failing[0]
     assert worst.joint == "elbow"
-    assert worst.circumstance == "while it moves forwards"
+    assert worst.circumstance == "while moving forwards"
     assert worst.share > 0.9
-    assert "error of elbow is largest while it moves forwards" in failing_words(worst)
+    assert "elbow: largest while moving forwards" in failing_words(worst)
 
 
 def test_explain_finds_the_planted_friction_and_reaches_the_floor(explained):
@@ -403,10 +403,10 @@ def test_add_whatever_the_evidence(model):
         ("payload", ["elbow"], "cannot be added at elbow.* added at upper_link, lower_link"),
         ("coupled_friction", ["elbow"], "cannot be added at elbow.* added at shoulder & elbow"),
         ("effort_delay", ["lower_link"], "no joint 'lower_link'.*shoulder, elbow"),
-        ("wrong_inertia", ["elbow"], "one of the whole robot and takes no place"),
-        ("effort_scale", None, "inertias or payloads are known"),
-        ("contact", ["lower_link"], "where the residual shows it and takes no place"),
-        ("contact", None, "No contact stands out"),
+        ("wrong_inertia", ["elbow"], "one of the whole robot, so it has no place"),
+        ("effort_scale", None, "known inertias or payloads"),
+        ("contact", ["lower_link"], "found in the residual, so it has no place"),
+        ("contact", None, "These logs show no contact"),
     ],
 )
 def test_add_refuses_what_cannot_be(model, logs, effect, where, words):
@@ -416,7 +416,7 @@ def test_add_refuses_what_cannot_be(model, logs, effect, where, words):
 
 def test_add_refuses_what_is_there(model, logs):
     for where in (["elbow"], None):
-        with pytest.raises(ArgumentError, match=r"can be added nowhere: the model has it already"):
+        with pytest.raises(ArgumentError, match=r"cannot be added: the model already has it"):
             add("coulomb_friction", with_friction(model), logs[:1], where=where)
 
 

@@ -141,9 +141,9 @@ def test_a_payload_that_bodies_may_have_taken_in_is_said(loaded):
 @pytest.mark.parametrize(
     ("noise", "known", "verdict", "words"),
     [
-        (0.1, True, "adequate", "The model is adequate: nothing worth adding is missing."),
-        (0.1, False, "undecided", "The noise of elbow is not known"),
-        (0.8, True, "undecided", "Noise is as large as what the model explains"),
+        (0.1, True, "adequate", "No effect is worth adding."),
+        (0.1, False, "undecided", "The noise of elbow cannot be separated"),
+        (0.8, True, "undecided", "as large as the explained effort"),
     ],
 )
 def test_nothing_is_adequate_where_noise_is_not_known(noise, known, verdict, words):

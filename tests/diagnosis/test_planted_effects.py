@@ -388,7 +388,7 @@ def test_what_the_drive_does_is_in_no_file():
     assert (lost.effect, lost.into) == ("friction_overcompensation", ())
     (told,) = reasons(model.effects)
     assert "friction_overcompensation of shoulder, elbow is not in the files" in told
-    assert "what the drive does" in told
+    assert "an active force of the drive" in told
 
 
 def test_values_of_warmth_are_those_at_its_reference():
@@ -406,7 +406,9 @@ def test_values_of_warmth_are_those_at_its_reference():
 
 def test_what_goes_with_warmth_cannot_be_added_without_readings():
     log = effort_log(ARM, 1, duration=4.0, rate=100.0).log
-    with pytest.raises(ArgumentError, match=r"no log has a temperature.*<joint>\.temperature"):
+    with pytest.raises(
+        ArgumentError, match=r"no log has a changing temperature.*<joint>\.temperature"
+    ):
         add("thermal_friction", model_file(ARM), [log])
 
 

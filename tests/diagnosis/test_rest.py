@@ -42,7 +42,7 @@ def test_signal_is_told_and_no_name():
     found = explain(load_model(ARM), [effort_log("arm6", 1, brake, share=0.01).log])
     assert not [step.effect for step in found.steps if step.probability > 0.9]
     assert found.verdict == "unexplained"
-    told = f"at elbow_pitch varies with {WORDS}wrist_pitch in a"
+    told = f"at elbow_pitch varies with {WORDS}wrist_pitch, which no effect"
     assert [note for note in found.notes if told in note]
 
 
@@ -96,7 +96,7 @@ def test_command_report_and_numbers_tell_it_and_what_to_do(tmp_path):
     path = file_of(tightened, tmp_path / "log.csv")
     output = run("explain", PENDULUM, path, "--report", page, "--json", numbers, "--details")
     (verdict,) = [line for line in output.splitlines() if line.startswith("Verdict: ")]
-    assert verdict.endswith("writes what it finds as an effect.")
+    assert verdict.endswith("searches for a formula of the remaining error.")
     assert OPTION in verdict
     lines = output.splitlines()
     told = lines[lines.index("What the remaining error varies with") + 1]

@@ -81,8 +81,8 @@ def test_identification_holds_the_same_joints(model):
 @pytest.mark.parametrize(
     ("effect", "place", "words"),
     [
-        ("payload", "link_7", "link_7 is a part of link_4, as nothing moves between them"),
-        ("coulomb_friction", "joint_5", "joint_5 is held, .* hardly moves"),
+        ("payload", "link_7", "link_7 is part of link_4, as nothing moves between them"),
+        ("coulomb_friction", "joint_5", "joint_5 is fixed by .* hardly moves"),
     ],
 )
 def test_nothing_is_added_where_nothing_moves(model, effect, place, words):

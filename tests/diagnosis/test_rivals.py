@@ -90,7 +90,7 @@ def told(case):
 def test_terminal_report_and_numbers_tell_them(told):
     console = Console(file=io.StringIO(), markup=False, highlight=False, width=200)
     show_page(console, page_of(told))
-    words = "instead: joint spring + effort offset 33 %"
+    words = "or: joint spring + effort offset 33 %"
     assert words in " ".join(console.file.getvalue().split())
     assert words.split(": ")[1] in render(page_of(told)).replace("\N{NO-BREAK SPACE}", " ").replace(
         "<wbr>", ""

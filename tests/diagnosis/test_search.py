@@ -118,10 +118,10 @@ class TestChoice:
         log = chain_log(robot, 1, lambda q, v, vd, load: np.sign(v))
         found = explained(log, robot)
         assert places(found) == {"coulomb_friction": robot.joints}
-        told = [note for note in found.notes if "was fitted along, though not worth a step" in note]
+        told = [note for note in found.notes if "was fitted, but is too small to be a step" in note]
         assert [note.split()[-1] for note in told] == ["N·m·s/rad", "N·s/m"]
         for joint, note in zip(robot.joints, told, strict=True):
-            assert note.startswith(f"viscous friction of {joint} was fitted along")
+            assert note.startswith(f"viscous friction of {joint} was fitted")
 
 
 class TestTies:

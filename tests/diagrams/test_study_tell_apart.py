@@ -114,5 +114,5 @@ def test_the_command_that_diagnose_prints_designs_the_motion(tmp_path):
     file = tmp_path / "motion.csv"
     fast = ("--seeds", 1, "--iterations", 5, "--limits", "velocity=1,acceleration=5")
     said = told(*words, *fast, "--noise", study.NOISE, "--save", file)
-    assert "Hardest to distinguish is" in said
+    assert "The hardest to distinguish are" in said
     assert np.abs(read_log(file).velocity).max() <= 1.0 + 1e-6

@@ -127,7 +127,7 @@ class TestDeclarations:
 
 
 def test_wrong_inertia_has_no_instance():
-    with pytest.raises(ArgumentError, match="no effect beside the bodies"):
+    with pytest.raises(ArgumentError, match="stands for the inertias"):
         effect_of(Role.INERTIA)()
 
 

@@ -280,7 +280,7 @@ class TestBodies:
 
     def test_poses_are_needed(self):
         unknown = dataclasses.replace(self.motion, bodies=None)
-        with pytest.raises(ArgumentError, match="gravity_tilt needs the poses"):
+        with pytest.raises(ArgumentError, match="gravity_tilt needs poses"):
             effects.GravityTilt().regressor(unknown)
 
     def test_scale_is_of_all_that_is_needed(self):
@@ -341,7 +341,7 @@ class TestNames:
         with pytest.raises(ArgumentError, match=r"Did you mean coulomb_friction") as caught:
             effects.effect_class("coulom_friction")
         assert caught.value.evidence["nearest"][0] == "coulomb_friction"
-        with pytest.raises(ArgumentError, match="Effects are: viscous_friction"):
+        with pytest.raises(ArgumentError, match="Effects are viscous_friction"):
             effects.effect_class("xyz")
 
     @pytest.mark.parametrize(
@@ -411,7 +411,7 @@ class TestUsersEffect:
             *(
                 (documented_lines().replace('name = "h', f'{line}\n    name = "h'), message)
                 for line, message in (
-                    ("complexty = 1", "complexty = 1, which nothing reads; it needs complexity"),
+                    ("complexty = 1", "complexty = 1, which is not used; it needs complexity"),
                     ("jumps = 'yes'", "jumps = 'yes'; it needs True or False"),
                     ("rows = None", "rows = None; it needs a method of that name"),
                     ("depends_on = {'x'}", "it needs some of bodies, history, load"),
@@ -503,5 +503,7 @@ class TestUsersEffect:
         assert (drag.where, drag.places, drag.shape) == (("hand",), "body", {"area": 2.0})
         assert drag.regressor(random_motion()).shape == (20, 3, 1)
         assert drag.gradient(random_motion(), np.ones((20, 3, 1))) is None
-        with pytest.raises(ArgumentError, match=r"drag cannot be made of its place 'hand' alone"):
+        with pytest.raises(
+            ArgumentError, match=r"drag cannot be constructed from its place 'hand' alone"
+        ):
             Drag.candidates("hand")

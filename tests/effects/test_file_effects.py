@@ -57,13 +57,13 @@ def test_a_held_joint_still_pulls(arm):
     for model in (load_model(arm, lock={"c": 0.4}), holding(load_model(arm), {"c": 0.4})):
         assert model.joints == ("a", "b")
         np.testing.assert_allclose(model.effort(own), expected, atol=1e-9)
-        assert not [note for note in model.notes if note.startswith("Left out")]
+        assert not [note for note in model.notes if note.startswith("Not used")]
 
 
 def test_a_held_joint_of_a_model_that_was_changed_is_told_of(arm):
     model = load_model(arm)
     held = holding(with_offset(model), {"c": 0.4})
-    (said,) = [note for note in held.notes if note.startswith("Left out")]
+    (said,) = [note for note in held.notes if note.startswith("Not used")]
     assert "joint_coupling of a & c" in said and "carried_weight of c" in said
 
 

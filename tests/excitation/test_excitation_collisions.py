@@ -241,11 +241,11 @@ def test_obstacles_as_people_write_them(tmp_path):
 @pytest.mark.parametrize(
     ("text", "words"),
     [
-        ("wall", "'wall' is no obstacle"),
-        ("box:1,1@0,0,0", "A box has 3 sizes"),
+        ("wall", "'wall' is not an obstacle"),
+        ("box:1,1@0,0,0", "A box needs 3 sizes"),
         ("sphere:-1@0,0,0", "positive"),
-        ("box:1,1,1@0,0", "3 numbers, or 6 if it is turned; got 2"),
-        ("box:1,1,x@0,0,0", "is not numbers"),
+        ("box:1,1,1@0,0", "3 numbers, or 6 with rotation; got 2"),
+        ("box:1,1,x@0,0,0", "is not numeric"),
         ("none.stl", "does not exist"),
         ("none.obj", "does not exist"),
     ],

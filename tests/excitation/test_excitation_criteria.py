@@ -244,10 +244,10 @@ class TestTarget:
         for arguments, message in (
             ({"noise": np.inf}, "not a positive number"),
             ({"noise": [0.1, 0.0, 0.1]}, r"of joint_1 is not a positive"),
-            ({"noise": [0.1, 0.2]}, r"one number or 3; got the shape \(2,\)"),
+            ({"noise": [0.1, 0.2]}, r"one number or 3; its shape is \(2,\)"),
             ({"bodies": ("hand",)}, r"body must be .*body_0.*'hand'"),
             ({"bodies": (), "effects": ()}, "nothing to identify"),
-            ({"effects": friction(), "X_WP": RigidTransform()}, "inside a robot"),
+            ({"effects": friction(), "X_WP": RigidTransform()}, "internal efforts"),
         ):
             with pytest.raises(ArgumentError, match=message):
                 make_target(model, **arguments)

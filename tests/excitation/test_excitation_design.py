@@ -229,8 +229,8 @@ class TestDesigns:
         interrupted = [o.status == "interrupted" for o in result.outcomes]
         assert interrupted == [False] * (begun - 1) + [True]
         assert result.value <= min(o.random_value for o in result.outcomes)
-        assert result.notes[0].startswith("interrupted")
-        assert f"{3 - begun} starts were not begun, as it was interrupted" in result.notes
+        assert result.notes[0].startswith("the search was interrupted")
+        assert f"{3 - begun} initial motions were not tried, as it was interrupted" in result.notes
         assert_limits_are_kept(result, model)
 
 
@@ -276,10 +276,13 @@ class TestBadInput:
     @pytest.mark.parametrize(
         ("changes", "message"),
         [
-            ({"lower": [-2.0, 2.0, -2.0]}, r"'joint_1' has no room to move: .* 2 … 2"),
-            ({"lower": [np.nan, -2.0, -2.0]}, "no room"),
-            ({"velocity": [1.0, 1.0, 0.0]}, r"'joint_2' has no room.*largest velocity is 0"),
-            ({"effort": [1.0, 1.0, 0.0]}, r"'joint_2' has no room.*largest effort is 0"),
+            ({"lower": [-2.0, 2.0, -2.0]}, r"'joint_1' has no range of motion: .* 2 … 2"),
+            ({"lower": [np.nan, -2.0, -2.0]}, "no range of motion"),
+            (
+                {"velocity": [1.0, 1.0, 0.0]},
+                r"'joint_2' has no range of motion.*largest velocity is 0",
+            ),
+            ({"effort": [1.0, 1.0, 0.0]}, r"'joint_2' has no range of motion.*largest effort is 0"),
         ],
     )
     def test_limits_without_room(self, changes, message):
@@ -288,7 +291,7 @@ class TestBadInput:
 
     def test_infinite_limits(self):
         model, known = arm(joints="RPR"), {"joint_1": (-1, 1)}
-        with pytest.raises(ArgumentError, match=r"speed of joint 'joint_0' is not limited"):
+        with pytest.raises(ArgumentError, match=r"velocity of joint 'joint_0' is unlimited"):
             motion_limits(model, position=known)
         with pytest.raises(ArgumentError, match=r"position of joint 'joint_1' is not limited"):
             motion_limits(model, velocity=1.0)
@@ -355,7 +358,7 @@ class TestBadInput:
     def test_start_outside(self):
         model = arm()
         for start, message in (
-            ([0.0, 2.5, 0.0], r"'joint_1' is at 2\.5, and may be from -2 to 2"),
+            ([0.0, 2.5, 0.0], r"'joint_1' is at 2\.5, but its range is -2 to 2"),
             ([0.0, 0.0], "must be \\(3,\\)"),
         ):
             options = replace(FAST, start=start)
@@ -366,7 +369,7 @@ class TestBadInput:
         model, narrow = planar(tmp_path), {"lower": np.full(2, -0.5), "upper": np.full(2, 0.5)}
         for room, start, message in (
             ({}, [0.0, 0.0], r"'joint_1' needs .* hold the robot at the start"),
-            (narrow, None, r"Gravity is stronger.*joint_1 .*'joint_1' needs"),
+            (narrow, None, r"cannot hold itself against gravity.*joint_1 .*'joint_1' needs"),
         ):
             weak = limits_of(model, effort=np.array([10.0, 1.0]), **room)
             options = replace(FAST, start=start)
@@ -456,4 +459,4 @@ def test_starts_for_which_there_is_no_time_are_said(clock):
     result, took = designed(clock, 0.01, seeds=3)
     assert took < SLACK + LAST_LOOK + 0.5
     assert [outcome.seed for outcome in result.outcomes] == [0]
-    assert "2 starts were not begun, as time was up" in result.notes
+    assert "2 initial motions were not tried, as time was up" in result.notes

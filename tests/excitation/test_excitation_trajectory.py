@@ -102,7 +102,7 @@ def test_free_samples():
     )
     assert trajectory.motion(family.times(9)).time is None
     for form in (trajectory.to_drake, lambda: trajectory.log(model)):
-        with pytest.raises(ArgumentError, match="do not follow each other"):
+        with pytest.raises(ArgumentError, match="are not ordered in time"):
             form()
 
 
@@ -166,7 +166,7 @@ def test_rates():
     trajectory = trajectory_of(FourierMotion(1.05), arm())
     np.testing.assert_allclose(trajectory.instants(10.0), [*np.arange(11) / 10, 1.05])
     assert len(trajectory.instants(100.0)) == 106
-    with pytest.raises(ArgumentError, match="A rate is a positive"):
+    with pytest.raises(ArgumentError, match="A rate must be a positive"):
         trajectory.instants(0.0)
 
 

@@ -188,7 +188,7 @@ def test_signals_of_unknown_gain_are_refused(model, logs, settings):
 def test_a_joint_that_moves_under_one_effort_is_refused(model, logs, settings):
     effort = logs[1].effort.copy()
     effort[:, 2] = 3.0
-    with pytest.raises(LogError, match=rf"effort of {model.joints[2]} never changes .* it is 3 "):
+    with pytest.raises(LogError, match=rf"effort of {model.joints[2]} is constant .*: 3 "):
         digested(model, replace(logs[1], effort=effort), settings)
 
 
@@ -277,9 +277,9 @@ def test_what_does_not_add_up_is_refused(model, logs, settings, digests):
     with pytest.raises(DigestError, match="same log"):
         merge([digests[0], digests[1], digests[0]])
     heavier = replace(model, phi=1.1 * model.phi)
-    with pytest.raises(DigestError, match=r"of another model than arm6\.urdf"):
+    with pytest.raises(DigestError, match=r"not of model arm6\.urdf"):
         digested(heavier, logs[1], settings)
-    with pytest.raises(DigestError, match="of another model"):
+    with pytest.raises(DigestError, match="not of model"):
         digest_dataset(digests[0], heavier)
     assert model_hash(model) == model_hash(load_model(MODELS / "arm6.urdf"))
     assert model_hash(model) != model_hash(heavier)
@@ -300,7 +300,7 @@ def test_a_log_that_cannot_bear_the_settings_is_told_so(model, logs, settings):
     thinned = {name: getattr(logs[1], name)[::10] for name in ("time", "position", "effort")}
     slow = replace(logs[1], **thinned)
     wide = replace(settings, bandwidth=8.0, motion_bandwidth=24.0)
-    with pytest.raises(LogError, match=r"cannot bear the 8 Hz .* 20 samples a second"):
+    with pytest.raises(LogError, match=r"too slow for the bandwidth of 8 Hz .* rate is 20 Hz"):
         digested(model, slow, wide)
     with pytest.raises(LogError, match="too short"):
         digested(model, logs[1], replace(settings, bandwidth=0.02, motion_bandwidth=0.06))
@@ -350,12 +350,15 @@ def test_dates_are_those_of_stamps_or_said(logs, tmp_path):
     since = replace(log, origin=1_777_636_800 * 10**9)
     assert date_of_log(since, [file]) == (said + log.time[0], "stamps")
     os.utime(file, (0.0, 0.0))
-    with pytest.raises(LogError, match=r"Nobody knows when .* changed at 0 s since 1970.*--date"):
+    with pytest.raises(
+        LogError,
+        match=r"The date of log .* is unknown.* modification time is 0 s since 1970.*--date",
+    ):
         date_of_log(log, [file])
     assert date_of_log(log, [file], said) == (said, "option")
 
 
 @pytest.mark.parametrize("text", ["", "yesterday", "2026-13-01", "1970-01-02", "1e9"])
 def test_what_is_no_date_is_refused(text):
-    with pytest.raises(ValueError, match="A date is such as"):
+    with pytest.raises(ValueError, match="is not a date such as"):
         date_seconds(text)

@@ -102,20 +102,20 @@ def test_settings_of_something_else_are_refused_by_name(model, made, folder):
     log, before = [made / "log_3.csv"], files_of(folder)
     own = read_settings(folder)
     cases = {
-        "of another model": {"model": replace(model, phi=1.01 * model.phi)},
-        "have bandwidth .*, and 3 is asked for": {"wanted": Wanted(bandwidth=3.0)},
-        "have blocks 4, and 5 is asked for": {"wanted": Wanted(blocks=5)},
-        "read otherwise: units differ": {
+        "not of model": {"model": replace(model, phi=1.01 * model.phi)},
+        "have bandwidth .*, but 3 was requested": {"wanted": Wanted(bandwidth=3.0)},
+        "have blocks 4, but 5 was requested": {"wanted": Wanted(blocks=5)},
+        "other reading options: units differ": {
             "wanted": Wanted(reading=Reading(units={"position": "deg"}))
         },
-        "effects of your own: none; now there are wobble": {"wanted": Wanted(extra=(Wobble,))},
+        "user-defined effects none, but now wobble": {"wanted": Wanted(extra=(Wobble,))},
     }
     for words, how in cases.items():
         with pytest.raises(DigestError, match=words):
             digest_logs(how.pop("model", model), log, folder, **how)
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(digest_folder, "version", lambda: "77.0")
-        with pytest.raises(DigestError, match=r"are of geodrake .*, this is 77\.0"):
+        with pytest.raises(DigestError, match=r"are from geodrake .*, but this is 77\.0"):
             digest_logs(model, log, folder)
     same = Wanted(bandwidth=own.bandwidth, blocks=4)
     assert digest_logs(model, log, folder, wanted=same).rows[0].status == "made"
@@ -125,12 +125,12 @@ def test_settings_of_something_else_are_refused_by_name(model, made, folder):
 @pytest.mark.parametrize(
     ("change", "words"),
     [
-        (lambda text: text[: len(text) // 2], "does not hold settings"),
+        (lambda text: text[: len(text) // 2], "has no valid settings"),
         (lambda text: "", "is empty"),
-        (lambda text: text.replace(FORMAT, "geodrake digest 9"), "has the format"),
-        (lambda text: text.replace('"blocks": 4', '"blocks": "four"'), "does not hold settings"),
-        (lambda text: text.replace('"lags": 200', '"lags": NaN'), "does not hold settings"),
-        (lambda text: text.replace("viscous_friction", "nobody's"), "its hash is that of other"),
+        (lambda text: text.replace(FORMAT, "geodrake digest 9"), "has format"),
+        (lambda text: text.replace('"blocks": 4', '"blocks": "four"'), "has no valid settings"),
+        (lambda text: text.replace('"lags": 200', '"lags": NaN'), "has no valid settings"),
+        (lambda text: text.replace("viscous_friction", "nobody's"), "its hash belongs to other"),
     ],
 )
 def test_damaged_settings_are_refused(model, made, folder, change, words):
@@ -174,7 +174,7 @@ def test_a_full_disk_leaves_nothing_half_written(model, made, folder, monkeypatc
 def test_settings_that_are_lost_are_not_made_anew(model, made, folder):
     (folder / SETTINGS_FILE).unlink()
     before = files_of(folder)
-    with pytest.raises(DigestError, match=rf"{SETTINGS_FILE} is not there, and digests by it are"):
+    with pytest.raises(DigestError, match=rf"{SETTINGS_FILE} of the digests is missing"):
         digest_logs(model, [made / "log_1.csv"], folder)
     assert files_of(folder) == before
 
@@ -189,7 +189,7 @@ def test_a_folder_that_cannot_be_is_refused_before_the_work(model, made, tmp_pat
     ):
         with pytest.raises(OutputError, match=words):
             digest_logs(model, [made / "none.csv"], to)
-    with pytest.raises(ArgumentError, match="no log to digest"):
+    with pytest.raises(ArgumentError, match="no logs to digest"):
         digest_logs(model, [], tmp_path / "digests")
 
 
@@ -224,7 +224,7 @@ def test_payloads_and_dates_are_kept(model, made, folder):
     assert read_digest(loaded.digest).logs[0].payloads == carried[log]
     again = digest_logs(model, [log], folder, date=1.8e9).rows[0]
     assert again.status == "there"
-    assert "its date stays 2023-11-14T22:13:20+00:00" in again.reason
+    assert "its date is still 2023-11-14T22:13:20+00:00" in again.reason
 
 
 def test_logs_without_a_joint_hold_it_for_all(model, tmp_path):
@@ -234,7 +234,7 @@ def test_logs_without_a_joint_hold_it_for_all(model, tmp_path):
     write_log(log, tmp_path / "both.csv")
     run = digest_logs(model, [tmp_path / "alone.csv", tmp_path / "both.csv"], tmp_path / "digests")
     assert [row.status for row in run.rows] == ["made", "failed"]
-    assert "hold elbow at 0, where it does not stand in log 'both'" in run.rows[1].reason
+    assert "fix elbow at 0, where it is not in log 'both'" in run.rows[1].reason
     assert run.settings.joints == ("shoulder",)
     assert list(run.settings.held) == ["elbow"]
     digest = read_digest(run.rows[0].digest)
@@ -267,9 +267,9 @@ def test_effects_of_a_users_own_have_columns(model, made, tmp_path):
     named = [column for column in merged.columns if column.name == "wobble"]
     assert {column.where for column in named} == {("shoulder",), ("elbow",)}
     assert run.count("made") == 2
-    with pytest.raises(DigestError, match="of your own: wobble; now there are none"):
+    with pytest.raises(DigestError, match="user-defined effects wobble, but now none"):
         digest_logs(model, logs, tmp_path / "digests")
     assert digest_logs(model, logs, tmp_path / "digests", wanted=wanted).count("there") == 2
-    with pytest.raises(DigestError, match="wobble, which cannot be made"):
+    with pytest.raises(DigestError, match="wobble, which cannot be constructed"):
         digest_dataset(merged, model)
     assert digest_dataset(merged, model, extra=(Wobble,)).effects

@@ -219,7 +219,7 @@ def test_a_log_that_fails_is_a_row(own, tmp_path):
     reasons = {Path(unused.log).name: unused.reason for unused in result.unused}
     assert "position" in reasons["2026-05-09.csv"]
     assert "no date like %Y-%m-%d" in reasons["undated.csv"]
-    assert "the same as" in reasons["2026-05-10.csv"]
+    assert "the same content as" in reasons["2026-05-10.csv"]
     assert {robot.robot: robot.logs for robot in result.robots} == dict.fromkeys(FEW, 2)
     tasks, known = find_tasks(read_fleet(path), seen.failed)
     assert (tasks, sum(map(len, known.values()))) == ([], 7)
@@ -300,14 +300,14 @@ def test_a_model_of_its_own_need_not_have_the_effects_of_its_type(tmp_path):
     [
         (str(PENDULUM), "pipe.urdf", "file of type pendulum .*pipe.urdf is a pipe"),
         (str(PENDULUM), "none.urdf", "file of type pendulum .*none.urdf does not exist"),
-        ("dates:", "model: other.urdf, dates:", "joints shoulder, knee, and its type 'pendulum'"),
+        ("dates:", "model: other.urdf, dates:", "joints shoulder, knee, but its type 'pendulum'"),
         (
             "dates:",
             "payloads: [{body: hand, mass: 1}], dates:",
-            "'first' has payloads that cannot be: .*hand",
+            "'first' has invalid payloads: .*hand",
         ),
-        ("first/*.csv", "none/*.csv", r"none/\*\.csv' of robot 'first' matches nothing"),
-        ("first/*.csv", f"{HEAVY}/*.csv", f"is of robot 'first' and of '{HEAVY}'"),
+        ("first/*.csv", "none/*.csv", r"none/\*\.csv' of robot 'first' matches no log"),
+        ("first/*.csv", f"{HEAVY}/*.csv", f"belongs to both robots 'first' and '{HEAVY}'"),
     ],
 )
 def test_fleets_that_cannot_be_are_refused(own, tmp_path, of, changed, says):
@@ -362,20 +362,20 @@ ROBOT = "robots:\n- {name: a, logs: 'a/*.csv'}\n"
         ("to: [", "not valid YAML"),
         (f"to: {'[' * 1000}{']' * 1000}", "not valid YAML"),
         (f"{TYPES}{ROBOT}", "lacks its to"),
-        (f"to: ~nobody-here/x\n{TYPES}{ROBOT}", "home of a user who has none"),
+        (f"to: ~nobody-here/x\n{TYPES}{ROBOT}", "home folder of an unknown user"),
         (f"to: x\n{TYPES}{ROBOT}more: 1\n", "unknown field 'more'"),
-        (f"to: x\n{TYPES}{ROBOT}- {{name: a, logs: b}}\n", "robot 'a' is there twice"),
-        (f"to: x\n{TYPES}  arm: {{model: b.urdf}}\n{ROBOT}", "'arm' twice in one place"),
-        (f"to: x\n{TYPES}  leg: {{model: b.urdf}}\n{ROBOT}", "is of type '', which is not among"),
-        (f"to: x\n{TYPES}robots:\n- {{name: a, type: leg, logs: b}}\n", "of type 'leg', which"),
+        (f"to: x\n{TYPES}{ROBOT}- {{name: a, logs: b}}\n", "robot 'a' occurs twice"),
+        (f"to: x\n{TYPES}  arm: {{model: b.urdf}}\n{ROBOT}", "'arm' twice, again"),
+        (f"to: x\n{TYPES}  leg: {{model: b.urdf}}\n{ROBOT}", "has the unknown type ''"),
+        (f"to: x\n{TYPES}robots:\n- {{name: a, type: leg, logs: b}}\n", "the unknown type 'leg'"),
         (f"to: x\n{TYPES}robots:\n- {{name: a}}\n", "robots[0] lacks its logs"),
         (f"to: x\n{TYPES}robots:\n- {{name: a, logs: []}}\n", "robot 'a' has no logs"),
-        (f"to: x\n{TYPES}robots:\n- {{name: a, logs: b, dates: '%Y%Y%m%d'}}\n", "like no date"),
+        (f"to: x\n{TYPES}robots:\n- {{name: a, logs: b, dates: '%Y%Y%m%d'}}\n", "invalid pattern"),
         (
             f"to: x\n{TYPES}robots:\n- {{name: a, logs: b, log: c}}\n",
             "(was logs meant?)",
         ),
-        ("to: x\ntypes:\n  ../a: {model: m}\n" + ROBOT, "a name that no folder can have"),
+        ("to: x\ntypes:\n  ../a: {model: m}\n" + ROBOT, "a name that a folder cannot have"),
         ("to: x\ntypes:\n  a: {model: m, blocks: 1}\n" + ROBOT, "blocks must be"),
         ("to: x\ntypes:\n  a: {model: m, payload: 0}\n" + ROBOT, "payload of type 'a' must be"),
         (
@@ -520,7 +520,7 @@ def test_a_digest_under_the_name_of_another_log_is_not_believed(task):
     second.write_bytes(first.read_bytes())
     ((record, problem),) = read_history(task)[1]
     assert record == task.records[1]
-    assert "holds the digest of another log" in problem
+    assert "has the digest of another log" in problem
 
 
 def test_a_history_is_without_a_digest_that_is_damaged(task):

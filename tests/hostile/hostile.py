@@ -25,7 +25,7 @@ from processes import run_forked, run_here, run_started
 HEADER = "time,shoulder.position,elbow.position,shoulder.effort,elbow.effort"
 KEPT = {"kept.yaml": "from before\n", "kept.json": "{}\n", "kept.html": "<p>from before</p>\n"}
 PASSING = re.compile(
-    r".* \(\d+ s\)|Warning: .* is not used as it stands\. .*"
+    r".* \(\d+ s\)|Warning: .* was repaired\. .*"
 )  # of work that takes long, and of repairs
 
 _CONTROL = re.compile(r"[\x00-\x08\x0b-\x1f\x7f-\x9f\u202a-\u202e\u2066-\u2069\u2028\u2029]")

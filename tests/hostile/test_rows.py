@@ -33,7 +33,10 @@ def test_row(row, tmp_path):
 def test_efforts_in_other_units_are_simulated(tmp_path, monkeypatch):
     """The robot flies apart, in ever smaller steps, of which there are fewer here."""
     monkeypatch.setattr(stepping, "_FINEST", 1)
-    command, says = "rollout robot.urdf x.csv --json new.json", ("in other units", "breaks off")
+    command, says = (
+        "rollout robot.urdf x.csv --json new.json",
+        ("in other units", "simulation fails"),
+    )
     row = Row("in N·mm", command, says, {"x.csv": log("e *= 1e3")}, code=0)
     replace(row, writes=("new.json",)).check(tmp_path)
 
@@ -51,7 +54,7 @@ def test_what_must_not_be_read(tmp_path):
 def test_more_than_memory_is_refused_before_it_is_read(tmp_path, monkeypatch, name, content, much):
     monkeypatch.setattr(table, "machine_memory", lambda: 100_000)
     put(tmp_path, {name: content})
-    with pytest.raises(LogError, match=rf"{much}, 9\.6.*; this machine has 0\.0001 GB"):
+    with pytest.raises(LogError, match=rf"{much}, which need 9\.6.*; this machine has 0\.0001 GB"):
         read_log(tmp_path / name)
 
 

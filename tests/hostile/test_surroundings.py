@@ -44,7 +44,7 @@ SETTINGS = {
     "a home that is no folder, settings that are none, no columns, colours, strict ASCII": (
         {"HOME": "home", "XDG_CACHE_HOME": "home", "MATPLOTLIBRC": "rc", "COLUMNS": "many"},
         {"LINES": "-1", "FORCE_COLOR": "", "NO_COLOR": "1", "PYTHONIOENCODING": "ascii:strict"},
-        {"home": "no folder", **dict.fromkeys(("matplotlibrc", "rc"), BAD)},
+        {"home": "not a folder", **dict.fromkeys(("matplotlibrc", "rc"), BAD)},
     ),
 }
 """What surroundings may lack or have wrong, a few at a time: each row starts Python and Drake."""
@@ -114,7 +114,7 @@ def test_where_one_file_cannot_be_renamed_none_is_new(filled, monkeypatch, numbe
 
 @pytest.mark.parametrize(
     ("name", "change", "says"),
-    [("new.html", Path.mkdir, "is a folder"), ("robot.urdf", Path.unlink, "is gone")],
+    [("new.html", Path.mkdir, "is a folder"), ("robot.urdf", Path.unlink, "is missing")],
 )
 def test_what_changes_during_the_work_is_noticed_before_files_are_written(
     name, change, says, filled, monkeypatch

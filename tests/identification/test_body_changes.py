@@ -57,5 +57,5 @@ def change(name, before, after):
 def test_the_factor_of_the_efforts_is_said(factor):
     bodies = [change("arm", 10.0, 10.0 * factor), change("hand", 3.3, 3.3 * factor)]
     (note,) = common_factor_notes(bodies)
-    assert f"{13.3 * factor:.3g} kg, and 13.3 kg before" in note
+    assert f"{13.3 * factor:.3g} kg instead of 13.3 kg" in note
     assert f"{1 / factor:.3g} times as large" in note

@@ -135,5 +135,5 @@ def test_a_mistake_of_arguments_is_no_failure_of_a_regularizer():
     A, b = data(2, extra=1)
     kinds = ["entropic", PointMassKL(PointMasses.of_bodies(PRIOR, 30))]
     own = {"point_mass_kl": [1.0]}
-    with pytest.raises(ArgumentError, match="has no divergence of extra parameters"):
+    with pytest.raises(ArgumentError, match="has no divergence for extra parameters"):
         compare_regularizers(A, b, PRIOR, gamma=1.0, regularizers=kinds, extra_priors=own)

@@ -60,7 +60,7 @@ def test_currents_that_do_not_go_with_the_motion_are_refused(arm, torques, are_m
     log = currents(torques, GAINS)
     late = np.roll(log.effort, 400, axis=0)
     log = replace(log, effort=np.abs(late) if are_magnitudes else late)
-    with pytest.raises(LogError, match=r"The currents of .* do not go with the motion") as error:
+    with pytest.raises(LogError, match=r"The currents of .* do not match the motion") as error:
         calibrate_efforts(arm, [log])
     assert ("seem to be magnitudes" in error.value.advice) == are_magnitudes
 
@@ -106,10 +106,10 @@ def test_logs_of_two_kinds_are_refused_together(arm, torques):
 
 def test_a_model_of_voltages_refuses_currents(arm, torques):
     signals = tuple(EffortSignal(joint, "voltage", 2.0) for joint in torques.joints)
-    with pytest.raises(LogError, match="knows what makes efforts of its voltage"):
+    with pytest.raises(LogError, match="knows its gain from voltage"):
         calibrate_efforts(replace(arm, effort_signals=signals), [currents(torques, GAINS)])
     motor = EffortSignal(torques.joints[0], "effort", 1.0, limit=9.0)
-    with pytest.raises(LogError, match="which efforts its motor gives"):
+    with pytest.raises(LogError, match="its motor's limit for commanded efforts"):
         calibrate_efforts(replace(arm, effort_signals=(motor,)), [currents(torques, GAINS)])
 
 
@@ -119,7 +119,10 @@ def test_rows_beyond_the_limit_of_a_motor_are_noted(arm, torques):
     able = replace(arm, effort_signals=(motor,))
     _, (given,), (note,) = calibrate_efforts(able, [torques])
     assert np.abs(given.effort[:, 0]).max() == motor.limit
-    assert f"in 25 % of the rows {motor.joint} is asked for more" in note
+    assert (
+        f"in 25 % of the rows the commanded effort of {motor.joint} exceeds the motor's limit"
+        in note
+    )
     assert note in open_case(able, [torques], candidates=False).notes
     assert calibrate_efforts(able, [given])[2] == []
 

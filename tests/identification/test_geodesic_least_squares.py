@@ -155,7 +155,7 @@ def test_bad_arguments_are_refused():
         (A, b, {"method": "gradient"}, r"newton.*cyclic.*gradient"),
         (A, b, {"gamma": -1.0}, "gamma must be a finite number above 0; it is -1"),
         (A, b, {"max_iterations": 0}, "max_iterations must be"),
-        (A[:, [*range(20), 0]], b, {}, "A has 21 columns, but 2 bodies of the prior have 20"),
+        (A[:, [*range(20), 0]], b, {}, "A has 21 columns, but 2 bodies of the prior need 20"),
         (np.eye(20)[:1], [-1.0], {}, "None of the 1 rows has a projection"),
     ):
         with pytest.raises(ArgumentError, match=message):

@@ -170,6 +170,6 @@ def test_bodies_too_flat_to_measure_are_rounding_and_no_mistake_of_arguments():
     try:
         found = identify(*arguments, **options, certify=False)
     except IdentificationError as error:
-        assert "Rounding has left no solution" in str(error)
+        assert "Rounding errors leave no solution" in str(error)
     else:
         assert np.all(is_physical(found.phi)) and np.isfinite(found.divergence)

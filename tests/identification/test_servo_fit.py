@@ -290,8 +290,8 @@ def test_it_is_saved_shown_and_named_by_exports(fitted, summed, tmp_path):
     assert f"{vague.joint} unknown, ± 2.9e+05" in gain_words(model, [vague])
     for form, cost in (("mjcf", [summed]), ("isaac", [])):
         notes = " ".join(export_to(form, model, tmp_path / form, cost).notes)
-        assert f"servos of {form} have no integral, such as that of hinge" in notes
-        assert ("of its motion without it" in notes) == bool(cost)
+        assert f"servos of {form} have no integral gain, such as that of hinge" in notes
+        assert ("% without it" in notes) == bool(cost)
 
 
 def test_the_true_servo_moves_the_model_as_mujoco(model, summed):
@@ -328,7 +328,7 @@ def test_damping_of_the_motion_alone_is_within_the_limit_of_mujoco_s_actuator(mo
     assert "of 0 dc/dt − v" in str(signals_table((signal,), Units()))
     for each, name, told in ((signal, "alone", False), (knowing, "knowing", True)):
         exported = export_to("mjcf", replace(true, effort_signals=(each,)), tmp_path / name, [])
-        assert ("damps the motion itself" in " ".join(exported.notes)) == told
+        assert ("damps the motion, but" in " ".join(exported.notes)) == told
 
 
 def gains(kp, kd, ki, limit, band=0.0):
@@ -478,7 +478,7 @@ def test_a_joint_that_stands_exactly_still_has_no_servo():
 
 
 def test_a_servo_that_is_always_at_its_limit_is_refused(tmp_path):
-    with pytest.raises(LogError, match="it is saturated"):
+    with pytest.raises(LogError, match="is saturated"):
         open_case(pendulum(tmp_path, 2.0), [servo_log(limit=2.0)], candidates=False)
 
 

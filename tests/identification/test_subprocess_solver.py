@@ -18,7 +18,7 @@ from geodrake.identification.solvers import LostProcessError, in_subprocess, sol
         (lambda: os.kill(os.getpid(), signal.SIGSEGV), "ended with signal SIGSEGV"),
         (lambda: os._exit(10), "ended with exit code 10"),
         (lambda: os._exit(0), "ended with exit code 0"),
-        (lambda: time.sleep(10), "gave no answer in 0.2 s"),
+        (lambda: time.sleep(10), "did not finish in 0.2 s"),
         (lambda: 1 / 0, "raised ZeroDivisionError: division by zero"),
         (lambda: (_ for _ in ()).throw(SystemExit("assertion")), "raised SystemExit: assertion"),
     ],
@@ -34,7 +34,7 @@ def test_a_lost_process_is_told(work, words, monkeypatch):
 
     monkeypatch.setattr(os, "fork", counted)
     with pytest.raises(LostProcessError, match=words):
-        in_subprocess(work, seconds=0.2 if "no answer" in words else 20.0)
+        in_subprocess(work, seconds=0.2 if "did not finish" in words else 20.0)
     (child,) = children
     with pytest.raises(ChildProcessError):  # it is gone, and waited for
         os.waitpid(child, os.WNOHANG)

@@ -93,12 +93,12 @@ def test_mass_inside_is_realizable(seed):
 
 def test_impossible_bodies():
     flat = from_mass_com_inertia(1.0, np.ones(3), np.diag([1.0, 0.3, 0.3]))
-    with pytest.raises(ArgumentError, match="No body"):
+    with pytest.raises(ArgumentError, match="are not physical"):
         equivalent_ellipsoid(flat)
     drawn = equivalent_ellipsoid(flat, least_semi_axis=0.01)
     assert drawn.semi_axes[0] == pytest.approx(0.01)
     for phi, least, message in (
-        (-flat, 0.01, "No body"),
+        (-flat, 0.01, "are not physical"),
         (np.full(10, np.nan), 0.01, "nan"),
         (drawn.uniform_body(1.0), -1.0, "at least 0"),
     ):
@@ -109,8 +109,8 @@ def test_impossible_bodies():
 def test_wrong_quadrics():
     Q = Ellipsoid(np.zeros(3), np.ones(3), np.eye(3)).quadric
     for wrong, message in (
-        (-Q, "turn its sign"),
-        (Q - 2.0 * np.diag([0, 0, 0, Q[3, 3]]), "nowhere"),
+        (-Q, "use −Q"),
+        (Q - 2.0 * np.diag([0, 0, 0, Q[3, 3]]), "is empty"),
         (Q + np.eye(4, k=1), "symmetric"),
         (np.nan * Q, "finite"),
     ):

@@ -83,7 +83,7 @@ def test_matlab_files_beyond_measure(tmp_path, fill, words):
 
 def test_room_for_numbers(tmp_path):
     check_room(tmp_path, 10**6, "a million numbers")
-    with pytest.raises(LogError, match=r"has much, 8e\+03 GB; this machine has"):
+    with pytest.raises(LogError, match=r"has much, which need 8e\+03 GB; this machine has"):
         check_room(tmp_path, 10**12, "much")
 
 
@@ -106,9 +106,9 @@ def spoiled_lcm(path, spoil):
 @pytest.mark.parametrize(
     ("spoil", "words"),
     [
-        ({"cut": lambda data: data[:-3]}, "Message 20 .*IIWA_STATUS.* cut off"),
+        ({"cut": lambda data: data[:-3]}, "Message 20 .*IIWA_STATUS.* truncated"),
         ({"cut": lambda data: data[:16] + struct.pack(">i", -1) + data[20:]}, "Message 20 "),
-        ({"utime": 2**62}, "Message 1 of IIWA_STATUS is stamped .* which cannot be"),
+        ({"utime": 2**62}, "Message 1 of IIWA_STATUS has the stamp .* which is impossible"),
     ],
 )
 def test_messages_of_lcm_that_are_none(tmp_path, spoil, words):
@@ -130,7 +130,7 @@ def test_messages_of_lcm_beyond_measure(tmp_path):
     ids=["beyond floats", "complex", "objects", "words"],
 )
 def test_objects_that_are_no_numbers_are_not_missing_ones(effort):
-    with pytest.raises(LogError, match=r"a\.effort.* (holds no numbers|neither a number)"):
+    with pytest.raises(LogError, match=r"a\.effort.* (has no numbers|neither a number)"):
         log_of_frame({**columns(60), "a.effort": np.array(effort, object)})
 
 
@@ -145,7 +145,7 @@ def test_frames_of_polars_that_numpy_does_not_know():
     frame = polars.DataFrame(columns(60))
     assert np.array_equal(log_of_frame(frame.lazy()).effort, log_of_frame(frame).effort)
     wide = frame.with_columns(polars.lit(2**100, polars.Int128).alias("a.effort"))
-    with pytest.raises(LogError, match="no frame of numbers that can be read"):
+    with pytest.raises(LogError, match="not a readable frame of numbers"):
         log_of_frame(wide)
 
 
@@ -193,7 +193,7 @@ def test_efforts_of_any_size_are_compared_or_refused(pendulum, size):
     try:
         found = compare(model, [wrong])
     except LogError as error:
-        assert "no robot in SI units has that" in error.problem or "never changes" in error.problem
+        assert "no robot reaches in SI units" in error.problem or "is constant" in error.problem
     else:
         assert np.isfinite(found.errors.nrms)
 
@@ -205,7 +205,7 @@ def test_times_of_any_length_are_inspected_or_refused(pendulum, tmp_path, factor
     names = ["time", *(f"{j}.{q}" for q in ("position", "effort") for j in pendulum.joints)]
     np.savetxt(path, rows, delimiter=",", header=",".join(names), comments="")
     if factor > 1.0:
-        with pytest.raises(LogError, match=r"Time in log 'log' reaches .* which no log does"):
+        with pytest.raises(LogError, match=r"Time in log 'log' reaches .* which is impossible"):
             inspect_log(path)
     else:
         assert not inspect_log(path).rests

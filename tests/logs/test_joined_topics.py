@@ -82,7 +82,7 @@ def test_commands_of_a_controller_without_names_or_stamps(tmp_path, log, efforts
     assert np.array_equal(read.position, log.position[: len(read)])
     assert np.isnan(read.effort).all()
     assert f"read from /joint_states (sensor_msgs/msg/JointState), {TOLD}" in said(read)
-    assert "joined by time, at the 200 rows a second of /joint_states" in said(read)
+    assert "joined by time at 200 Hz, the rate of /joint_states" in said(read)
     assert f"{TOLD}/data[0] of elbow, {TOLD}/data[1] of shoulder" in said(read)
     assert f"messages of {TOLD} have no stamps" in said(read)
 
@@ -131,7 +131,7 @@ def test_efforts_of_a_topic_at_their_own_instants(tmp_path, log):
     read = read_log(bag(tmp_path, joint_states=states(log), joint_efforts=heard), joints=JOINTS)
     assert np.allclose(read.time, some.time) and np.array_equal(read.effort, some.effort)
     assert np.allclose(read.position, log.position[rows])
-    assert "at the 100 rows a second of /joint_efforts" in said(read)
+    assert "at 100 Hz, the rate of /joint_efforts" in said(read)
 
 
 def test_currents_of_interfaces(tmp_path, log):
@@ -179,7 +179,7 @@ def test_topics_are_named_where_several_fit(tmp_path, log):
         topics = ("/joint_states", f"/{name}/commands")
         read = read_log(path, joints=JOINTS, reading=Reading(topic=topics))
         assert np.allclose(read.command, factor * log.command, atol=1e-6)
-    with pytest.raises(LogError, match=r"/left/commands .*commands alone.* not both"):
+    with pytest.raises(LogError, match=r"/left/commands .*commands only.* lacks"):
         read_log(path, reading=Reading(topic="/left/commands"))
 
 
@@ -203,9 +203,9 @@ def test_topics_that_do_not_go_together(tmp_path, log):
         other__commands=numbers(log, late=100.0),
     )
     for name, words in (
-        ("chatter", "Topic /chatter .* says nothing of joints"),
-        ("arm/commands", "mixed rates: /joint_states 200 Hz, /arm/commands 8 Hz"),
-        ("other/commands", "times that do not meet"),
+        ("chatter", "Topic /chatter .* has no joints"),
+        ("arm/commands", "very different rates: /joint_states 200 Hz, /arm/commands 8 Hz"),
+        ("other/commands", "do not overlap in time"),
         ("none", "no topic 'none'"),
     ):
         with pytest.raises(LogError, match=words):

@@ -25,7 +25,7 @@ def test_a_motor_is_found_by_its_name_and_by_that_of_a_robot():
     servo = motor_named("STS-3215")
     assert servo is motor_of_robot("so101_new_calib") and motor_of_robot("ur10e") is None
     assert servo.gain("command") == servo.stiffness[:2] and servo.gain("voltage") is None
-    with pytest.raises(ArgumentError, match="no motor 'sts3216'") as caught:
+    with pytest.raises(ArgumentError, match="Motor 'sts3216' is unknown") as caught:
         motor_named("sts3216")
     assert "sts3215" in caught.value.advice
 
@@ -82,7 +82,7 @@ def test_a_data_sheet_tells_what_a_log_does_not(pendulum, tmp_path):
     unknown, told = signals
     assert told.uncertainty < 0.12 < unknown.uncertainty
     assert abs(told.gain - TRUTH[0]) < 2.0 * told.deviation
-    assert "of what is published of mine" in notes[-1]
+    assert "times the published value of mine" in notes[-1]
     found, deviation = armature(with_servo_motions(model, [log])[1])
     assert found == pytest.approx(TRUTH[4], rel=0.3) and deviation < 0.2 * TRUTH[4]
 

@@ -81,7 +81,7 @@ class TestGainTold:
         held = [two_logs(seed, [0.0, 0.08], weight=LIGHT, name=PENDULUM)[1] for seed in (9, 10)]
         case = open_case(model_file(PENDULUM), held, candidates=True)
         assert not any(effect.name == "effort_scale" for effect in case.dataset.effects)
-        assert any("known payloads identify no gain" in note for note in case.notes)
+        assert any("known payloads do not identify effort gains" in note for note in case.notes)
 
     def test_only_at_joints_that_bear_it(self):
         model, weight = model_file(), KnownPayload("forearm", 1.0)
@@ -132,8 +132,8 @@ class TestLoad:
     [
         ({"mass": 0.0}, "a mass of 0 kg"),
         ({"mass": float("nan")}, "a mass of nan kg"),
-        ({"mass_center": (0.0, 1.0)}, "three numbers x, y, z"),
-        ({"mass_center": (0.0, 1.0, np.inf)}, "three numbers x, y, z"),
+        ({"mass_center": (0.0, 1.0)}, "three coordinates x, y, z"),
+        ({"mass_center": (0.0, 1.0, np.inf)}, "three coordinates x, y, z"),
     ],
 )
 def test_impossible_weights(values, words):
@@ -154,12 +154,13 @@ class TestCommand:
 
     def run(self, files, payload, command):
         words = [command, MODELS / f"{PENDULUM}.urdf", *files, "--known-payload", payload]
+        words.append("--details")
         return CliRunner().invoke(app, [str(word) for word in words])
 
     def test_the_log_may_have_a_path(self, files):
         result = self.run(files, f"{files[1]}:lower_link:0.5:0.1,0,-0.2", "compare")
         assert result.exit_code == 0, result.output
-        assert "0.5 kg known at lower_link" in " ".join(result.output.split())
+        assert "known payload of 0.5 kg at lower_link" in " ".join(result.output.split())
 
     def test_tells_the_gain(self, files):
         result = self.run(files, "held:lower_link:0.5:0.1,0,-0.2", "explain")
@@ -168,17 +169,17 @@ class TestCommand:
         assert re.match(r"1 +effort_scale +elbow ", step)
         (gain,) = re.findall(r"gain_error (\S+) ±", result.output)
         assert float(gain) == pytest.approx(0.08, abs=0.01)
-        assert "0.5 kg known at lower_link" in " ".join(result.output.split())
+        assert "known payload of 0.5 kg at lower_link" in " ".join(result.output.split())
 
     @pytest.mark.parametrize(
         ("given", "words"),
         [
-            ("other:lower_link:0.5", "there is no such log"),
-            ("held:hand:0.5", "no body 'hand'"),
+            ("other:lower_link:0.5", "begins with none of the logs"),
+            ("held:hand:0.5", "no moving body 'hand'"),
             ("held:lower_link:-1", "a mass of -1 kg"),
-            ("held:lower_link", "cannot be read"),
-            ("held:lower_link:heavy", "cannot be read"),
-            ("held:lower_link:0.5:1,2", "cannot be read"),
+            ("held:lower_link", "cannot be parsed"),
+            ("held:lower_link:heavy", "cannot be parsed"),
+            ("held:lower_link:0.5:1,2", "cannot be parsed"),
         ],
     )
     def test_refuses(self, files, given, words):

@@ -61,7 +61,7 @@ def test_degrees_of_fahrenheit_are_read(unit):
     other = 1.8 * WARMTH + 32.0
     log = log_of_frame(frame_with(f"temp_J {unit}", other), joints=JOINTS)
     np.testing.assert_allclose(log.temperature, WARMTH, rtol=1e-12)
-    assert "temperature is in °F, by the names of columns: converted" in log.notes
+    assert "temperature is in °F, by the column names: converted" in log.notes
     reading = Reading(units={"temperature": "F"})
     log = log_of_frame(frame_with("temp_J", other), joints=JOINTS, reading=reading)
     np.testing.assert_allclose(log.temperature, WARMTH, rtol=1e-12)
@@ -133,7 +133,7 @@ def test_a_prepared_log_says_which_sensors_fail():
     readings = WARMTH.copy()
     readings[:, 1] = 255.0
     notes = prepare_logs([log_with(readings)], bandwidth=5.0)[0].notes
-    assert "temperature of elbow: the sensor fails" in notes
+    assert "temperature of elbow is not used: the sensor fails" in notes
     assert not any(
         "sensor" in note for note in prepare_logs([log_with(WARMTH)], bandwidth=5.0)[0].notes
     )

@@ -72,8 +72,8 @@ def test_steps_that_are_printed_with_few_digits():
 
 def test_a_note_says_step_and_noise():
     log = log_with(0.24 * np.rint(SMOOTH / 0.24))
-    (note,) = [note for note in make_uniform(log).notes if "steps" in note]
-    assert "elbow of 0.24 (noise 0.069)" in note
+    (note,) = [note for note in make_uniform(log).notes if "quantized" in note]
+    assert "elbow 0.24 (noise 0.069)" in note
     assert "shoulder" not in note
     plain = dataclasses.replace(log, effort=np.stack([SMOOTH, SMOOTH], 1))
-    assert not any("steps" in note for note in make_uniform(plain).notes)
+    assert not any("quantized" in note for note in make_uniform(plain).notes)

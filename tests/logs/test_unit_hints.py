@@ -30,9 +30,9 @@ SWING = 0.7 + 0.4 * np.sin(np.arange(200) * 0.05)
 @pytest.mark.parametrize(
     ("first", "words"),
     [
-        (-SWING, "With the other sign they are inside"),
-        (SWING - np.pi, "Less -180° they are inside"),
-        (np.rad2deg(SWING), "Divided by 57.3 they are inside"),
+        (-SWING, "With the opposite sign they are within"),
+        (SWING - np.pi, "Shifted by +180° they are within"),
+        (np.rad2deg(SWING), "Divided by 57.3 they are within"),
         (3.0 * SWING, "the same joints, zeros and units?"),
     ],
 )
@@ -40,7 +40,7 @@ def test_positions_beyond_limits_have_a_likely_cause(first, words):
     said = position_limit_hint(log(first), LOW, HIGH)
     outside = np.mean((first < 0.19) | (first > 1.21))
     assert f"a in {100 * outside:.0f} % of the samples of log 'run'" in said
-    assert "outside of 0.2 … 1.2" in said
+    assert "beyond 0.2 … 1.2" in said
     assert words in said
 
 
@@ -48,7 +48,7 @@ def test_positions_beyond_limits_have_a_likely_cause(first, words):
 def test_whole_numbers_far_from_zero_are_refused_before_anything_is_made_of_them(scale):
     ticks = np.rint(scale * log(SWING).position)
     raw = replace(log(SWING), position=ticks)
-    with pytest.raises(LogError, match=r"no joint has such in rad or m\. .*mm .*rev/4096@2048"):
+    with pytest.raises(LogError, match=r"no joint reaches in rad or m\. .*mm .*rev/4096@2048"):
         make_uniform(raw)
     make_uniform(replace(raw, position=ticks + 0.5))
     assert ("neither rad nor degrees" in position_unit_hint(raw)) == (scale > 3600.0)
@@ -56,7 +56,7 @@ def test_whole_numbers_far_from_zero_are_refused_before_anything_is_made_of_them
 
 def test_limits_that_were_taken_for_the_wrong_unit():
     said = position_limit_hint(log(SWING), np.deg2rad(LOW), np.deg2rad(HIGH))
-    assert "Limits 57.3 times as wide hold them" in said
+    assert "Within limits 57.3 times as wide" in said
     assert "joints beyond: 2" in said
 
 

@@ -99,7 +99,7 @@ def test_what_rounding_does_is_admitted(model):
 def test_information_says_something_of_each_parameter(model):
     p = model.phi.size
     for none in (np.zeros((p, p)), np.diag(np.arange(float(p)))):
-        assert "has 0 at 0, 0 on its diagonal" in refused(replace(model, information=none))
+        assert "has 0 at 0, 0: entries on the diagonal" in refused(replace(model, information=none))
 
 
 def test_messages_have_the_field_and_the_value(model):

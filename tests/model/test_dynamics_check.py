@@ -107,7 +107,7 @@ def test_a_model_with_something_added_has_no_second_opinion(tmp_path, name):
     for more in (payload, *([damping] if name == "m.xml" else [])):
         found = check_dynamics(with_effects(model, more), samples=3)
         assert found.holds and found.second is None
-        assert found.by == "the model is no longer that of its file"
+        assert found.by == "the model was changed after loading its file"
 
 
 def test_a_model_whose_file_is_gone_has_no_second_opinion(tmp_path):

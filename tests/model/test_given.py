@@ -125,7 +125,7 @@ class TestXacro:
         model = load_model(robot, given=given)
         heavier = replace(model, phi=1.5 * model.phi)
         export = save_export(heavier, tmp_path / "heavier.urdf")
-        assert any("arm.urdf.xacro expands to" in note for note in export.notes)
+        assert any("the expansion of arm.urdf.xacro" in note for note in export.notes)
         assert b"<!-- the arm -->" in export.content and b"xacro:part" not in export.content
         again = load_model(tmp_path / "heavier.urdf")
         np.testing.assert_allclose(again.phi, heavier.phi, rtol=1e-12)
@@ -133,7 +133,7 @@ class TestXacro:
         rubbing = FittedEffect(ViscousFriction("shoulder"), np.array([0.7]))
         name, data, notes = model_file(replace(heavier, effects=(rubbing,)), "urdf", tmp_path)
         assert name == "arm.urdf" and b'damping="0.7"' in data
-        assert any("expands to" in note for note in notes)
+        assert any("the expansion of" in note for note in notes)
 
     def test_packages_are_found_where_ros_finds_them(self, robot, tmp_path, monkeypatch):
         (tmp_path / "install" / "share").mkdir(parents=True)
@@ -142,7 +142,7 @@ class TestXacro:
         assert load_model(robot).phi[0, 0] == pytest.approx(2.0)
 
     def test_what_is_missing_is_said(self, robot, tmp_path, monkeypatch):
-        with pytest.raises(ModelError, match=r"package 'parts', which is not found.*--package"):
+        with pytest.raises(ModelError, match=r"package 'parts', which was not found.*--package"):
             load_model(robot)
         write(robot, XACRO.format('<link name="$(arg side)"/>'))
         given = Given(packages={"parts": tmp_path / "ws" / "parts"})
@@ -154,12 +154,12 @@ class TestXacro:
 
 
 def test_what_cannot_be_given_is_refused(tmp_path):
-    with pytest.raises(ModelError, match="is no xacro file, so it takes no argument 'mass'"):
+    with pytest.raises(ModelError, match="is not a xacro file, so argument 'mass'"):
         load_model(PENDULUM, given=Given(xacro={"mass": "3"}))
-    with pytest.raises(ModelError, match="of package 'a' is not there"):
+    with pytest.raises(ModelError, match="of package 'a' does not exist"):
         Given(packages={"a": tmp_path / "nowhere"})
     for words in (["a"], ["=b"], ["a b=c"]):
         with pytest.raises(ArgumentError, match="--package has"):
             Given.of_words(None, words, [])
-    with pytest.raises(ArgumentError, match="'a' is there twice"):
+    with pytest.raises(ArgumentError, match="'a' occurs twice"):
         Given.of_words(None, [], ["a:=1", "a:=2"])

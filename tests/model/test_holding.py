@@ -132,7 +132,7 @@ def test_a_saved_model_remembers_what_it_holds(tmp_path):
     [
         ({"wrist": 0.0}, "no joint 'wrist'.*shoulder, elbow"),
         ({"shoulder": 99.0}, "limits are"),
-        ({"shoulder": 0.0, "elbow": 0.0}, "All joints .* are held"),
+        ({"shoulder": 0.0, "elbow": 0.0}, "All joints .* are fixed"),
     ],
 )
 def test_joints_that_cannot_be_held_are_refused(held, words):
@@ -215,9 +215,11 @@ def test_logs_that_disagree_or_move_are_refused(tmp_path):
         log_of(arm, name=name, standing=dict.fromkeys(FINGERS, at))
         for name, at in (("a", 0.0), ("b", 0.04))
     ]
-    with pytest.raises(LogError, match=r"stands at 0 in 'a' and at 0.04 in 'b'.*--lock"):
+    with pytest.raises(LogError, match=r"different positions: 0 in 'a', 0.04 in 'b'.*--lock"):
         model_of_logs(model, apart)
-    with pytest.raises(LogError, match=r"without effort of panda_finger_joint1.*moves"):
+    with pytest.raises(
+        LogError, match=r"has positions but no efforts of panda_finger_joint1, which moves"
+    ):
         model_of_logs(model, [log_of(arm, standing=dict.fromkeys(FINGERS, np.nan))])
     with pytest.raises(LogError, match=r"has no joint 'panda_joint7'.*--lock"):
         log_of_model(log_of(arm[:6]), model)

@@ -115,15 +115,19 @@ def test_a_base_that_changed_is_noted_and_another_robot_refused(fitted, saved):
     fitted.path.write_text(fitted.path.read_text() + "<!-- touched -->\n")
     assert load_model(saved).notes[-1] == "arm6.urdf has changed since the model was saved."
     shutil.copy(MODELS / "arm7.urdf", fitted.path)
-    with pytest.raises(ModelError, match=r"does not fit its base model.*Fit and save"):
+    with pytest.raises(ModelError, match=r"does not match its base model.*Fit and save"):
         load_model(saved)
 
 
 @pytest.mark.parametrize(
     ("old", "new", "words"),
     [
-        ("floating: false", "floating: [", "is no geodrake model"),
-        ("floating: false", "floating: maybe", "is no geodrake model: floating = maybe: expected"),
+        ("floating: false", "floating: [", "is not a geodrake model"),
+        (
+            "floating: false",
+            "floating: maybe",
+            "is not a geodrake model: floating = maybe: expected",
+        ),
         ("name: viscous_friction", "name: viscous_fiction", "viscous_friction"),
         ("name: viscous_friction", "name: hanging_hose", r"'hanging_hose', which.*--effects FILE"),
         ("[base_yaw]", "[base_jaw]", "base_jaw"),
@@ -170,7 +174,7 @@ def test_a_log_of_a_servo_is_known_again(tmp_path):
     again = load_model(tmp_path / "model.yaml")
     assert again.fitted_to == (log.fingerprint,)
     notes = " ".join(compare(again, [log]).notes)
-    assert "as the model was fitted at" in notes and "was fitted to servo before" in notes
+    assert "of the model's fit" in notes and "was fitted to servo before" in notes
 
 
 class TestMovedFiles:

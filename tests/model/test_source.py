@@ -138,8 +138,8 @@ def test_what_is_left_out_is_named():
     words = " ".join(line.removeprefix("# ") for line in source.text.splitlines())
     assert not any(is_written(effect) for effect, _ in (*LEFT_OUT, EFFECTS[8]))
     for what in (
-        "effort_delay of the robot (delay 0.01): logged efforts lag",
-        "joint_elasticity of base_yaw (compliance 0.0001): it depends on how the motion goes on",
+        "effort_delay of the robot (delay 0.01): logged efforts are delayed",
+        "joint_elasticity of base_yaw (compliance 0.0001): it depends on the history of the motion",
         "backlash of elbow_pitch",
         "contact of flange",
         "the history of hysteresis of wrist_roll",
@@ -219,7 +219,7 @@ class TestOwnEffects:
     @pytest.mark.parametrize("name", ["decided", "sampled"])
     def test_what_is_no_formula_is_refused(self, own, name):
         model = with_effects([(own[name]("elbow_pitch"), [1.0])])
-        message = rf"{name} of elbow_pitch is known for numbers only \(line \d+ of .*own.py\)"
+        message = rf"{name} of elbow_pitch works with numbers only \(line \d+ of .*own.py\)"
         with pytest.raises(ModelError, match=message) as caught:
             python_source(model)
         assert "NumPy" in caught.value.advice

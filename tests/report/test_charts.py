@@ -231,5 +231,5 @@ def test_figures_are_saved(tmp_path):
     assert sorted(p.name for p in (tmp_path / "new").iterdir()) == sorted(p.name for p in paths)
     assert all(path.read_bytes().startswith(b"\x89PNG") for path in paths)
     (tmp_path / "file").write_text("")
-    with pytest.raises(OutputError, match="file cannot be made"):
+    with pytest.raises(OutputError, match="file cannot be created"):
         save_figures(figures, tmp_path / "file")

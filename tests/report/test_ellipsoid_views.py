@@ -91,9 +91,9 @@ def test_nothing_to_draw(model, context):
         ellipsoid_figure(model.plant, [])
     with pytest.raises(ArgumentError, match=r"shape \(nb, 10\)"):
         EllipsoidSet.of("wrong", model.phi[0])
-    with pytest.raises(ArgumentError, match="2 bodies; the plant has"):
+    with pytest.raises(ArgumentError, match="2 bodies, but the plant has"):
         placed(model.plant, context, model.phi[:2])
-    with pytest.raises(ArgumentError, match="No body has"):
+    with pytest.raises(ArgumentError, match="are not physical"):
         placed(model.plant, context, -model.phi)
 
 
@@ -128,7 +128,7 @@ def test_the_page_is_one_file_with_a_legend(model):
     ]
     page = ellipsoid_page(model.plant, sets)
     assert "prior &lt;1&gt;" in page
-    assert "at the boundary of what a body can be" in page
+    assert "at the boundary of physically valid inertias" in page
     assert BOUNDARY in page
     assert 'src="http' not in page
     assert page.rstrip().endswith("</html>")

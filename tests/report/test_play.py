@@ -173,7 +173,7 @@ def test_the_page_says_what_is_held_out_and_loads_nothing(page, after, before):
 
 
 def test_models_of_other_robots_are_refused(before):
-    with pytest.raises(ArgumentError, match="Give two models of one robot"):
+    with pytest.raises(ArgumentError, match="Use two models of one robot"):
         play_back(before, [LOG], before=load_model(PENDULUM))
 
 
@@ -182,7 +182,7 @@ def test_the_command_plays_a_saved_model_beside_its_file(tmp_path, after):
     save_model(after, saved)
     said = told("play", saved, LOG, "--out", out, "--seconds", 2, "--json", numbers)
     assert "Saved the page that plays the logs: " in said
-    assert "before, nrms 0.8" in said and "N·m off" in said
+    assert "before, nrms 0.8" in said and ": error " in said
     found = json.loads(numbers.read_text())
     assert [m["title"] for m in found["models"]] == ["before", "after"]
     first = found["models"][0]["worst_moments"][0]

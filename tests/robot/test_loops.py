@@ -154,7 +154,7 @@ def test_check_holds_and_sees_a_loop_that_is_not_mujocos(tmp_path, monkeypatch):
     found = check_dynamics(load(tmp_path, gripper()))
     assert found.holds and found.second is not None and found.second.relative < 1e-10
     monkeypatch.setattr("geodrake.robot.files.mjcf_terms.pose_of", wrong_pose)
-    with pytest.raises(ModelError, match="does not close its loops as MuJoCo does"):
+    with pytest.raises(ModelError, match="closes its loops differently from MuJoCo"):
         load(tmp_path, by_sites())
 
 
@@ -191,8 +191,8 @@ def test_a_held_joint_holds_all_of_its_loop(tmp_path):
 def test_what_a_ball_of_a_loop_has_is_told(tmp_path):
     ball = '<joint name="rod" type="ball"'
     model = load(tmp_path, leg().replace(ball, f'{ball} damping=".1" stiffness="2"'))
-    assert "The stiffness of the ball joint rod of a closed loop is left out." in model.left_out
-    assert any("damping of the ball joint rod" in words for words in model.left_out)
+    assert "The stiffness of ball joint rod of a closed loop is ignored." in model.left_out
+    assert any("damping of ball joint rod" in words for words in model.left_out)
     assert not check_dynamics(model, samples=2).holds
     assert not load(tmp_path, leg()).left_out
 
@@ -216,7 +216,8 @@ def test_what_does_not_move_is_held_and_said(tmp_path):
     model = load(tmp_path, text.replace("</worldbody>", other))
     assert model.joints == ("x",) and set(model.held) == {"crank", "coupler", "rocker"}
     assert any(
-        "Held, as constraints of the file let them not move: crank at 0" in n for n in model.notes
+        "Fixed, as constraints of the file do not let them move: crank at 0" in n
+        for n in model.notes
     )
 
 
@@ -224,7 +225,7 @@ def test_an_equality_that_is_not_active_is_not_used(tmp_path):
     off = CONNECT.replace("/>", ' active="false"/>')
     model = load(tmp_path, four_bar(off))
     assert set(model.joints) == {"crank", "coupler", "rocker"} and not model.left_out
-    assert any("<connect> of coupler and rocker is not active" in note for note in model.notes)
+    assert any("<connect> of coupler and rocker is inactive" in note for note in model.notes)
     off = '<option><flag equality="disable"/></option>'
     model = load(tmp_path, four_bar().replace("<worldbody>", f"{off}<worldbody>"))
     assert set(model.joints) == {"crank", "coupler", "rocker"}
@@ -241,7 +242,7 @@ FLAT = four_bar().replace('pos="0.3 0 -0.1"', 'pos="0.45 0 0"').replace(".25 0 0
     [
         (
             FAR,
-            "<connect> of p and q cannot close at the posture of the file: it misses by 0.498 m",
+            "<connect> of p and q cannot close near the posture of the file: the gap is 0.498 m",
         ),
         (
             four_bar(CONNECT.replace("0.25", "nan")),
@@ -250,10 +251,10 @@ FLAT = four_bar().replace('pos="0.3 0 -0.1"', 'pos="0.45 0 0"').replace(".25 0 0
         (four_bar(CONNECT.replace("0.25", "1e300")), r"is at 1e\+300 0 0.1 of coupler, where"),
         (
             four_bar('<joint joint1="rocker" joint2="crank" polycoef="0.2 -0.5 0 0 0"/>' + WELD),
-            "misses by 0.018 m or 0.0568 rad, and comes no nearer than crank = 0.8",
+            "the gap is 0.018 m or 0.0568 rad, and smallest at crank = 0.8",
         ),
-        (HELD, "No joint moves in .*: constraints hold crank, coupler, rocker"),
-        (FLAT, "is singular where crank, coupler, rocker are in the file"),
+        (HELD, "No joint of .* moves: constraints fix crank, coupler, rocker"),
+        (FLAT, "is singular at crank, coupler, rocker as in the file"),
     ],
 )
 def test_loops_that_cannot_be_are_refused_with_names_and_values(tmp_path, text, words):
@@ -267,7 +268,7 @@ def test_an_equality_of_one_joint_holds_it(tmp_path):
     text = text.replace('<joint name="arm"', '<joint name="arm" ref="0.2"')
     model = load(tmp_path, text)
     assert model.joints == ("left",) and model.held == {"arm": 0.5} and not model.left_out
-    assert any("let them not move: arm at 0.5" in note for note in model.notes)
+    assert any("do not let them move: arm at 0.5" in note for note in model.notes)
     plain = load(tmp_path, gripper().replace('<joint name="arm"', '<joint name="arm" ref="0.2"'))
     q, v, vd = (x[:, 1:] for x in states(plain))
     at = [np.column_stack([np.full(len(q), y), x]) for x, y in ((q, 0.5), (v, 0.0), (vd, 0.0))]
@@ -366,7 +367,7 @@ def test_drakes_ball_constraint_closes_a_loop_of_a_urdf(tmp_path):
     bare = re.sub(r'(damping|stiffness|springref|armature)="[^"]*"', "", four_bar())
     assert_as_mujoco(model, Constrained.of(bare, ["crank"]), states(model))
     (tmp_path / "robot.urdf").write_text(four_bar_urdf(BALL.replace("rocker_link", "nobody")))
-    with pytest.raises(ModelError, match="has a body 'nobody', which there is not"):
+    with pytest.raises(ModelError, match="has an unknown body 'nobody'"):
         load_model(tmp_path / "robot.urdf")
     (tmp_path / "robot.urdf").write_text(four_bar_urdf(BALL.replace('name="rocker_link"', "")))
     with pytest.raises(ModelError, match="does not name its two bodies"):
@@ -409,7 +410,7 @@ def test_a_loop_of_an_sdf_that_cannot_be_used_is_refused(tmp_path):
     axes = "<xyz>0 1 0</xyz></axis>", "<xyz>0 1 0</xyz></axis><axis2><xyz>1 0 0</xyz></axis2>"
     text = four_bar_sdf(("universal", "")).replace(*axes)
     (tmp_path / "robot.sdf").write_text(text)
-    with pytest.raises(ModelError, match="joint 'pin' of type universal closes a loop"):
+    with pytest.raises(ModelError, match="Joint 'pin' of type universal closes a kinematic loop"):
         load_model(tmp_path / "robot.sdf")
 
 

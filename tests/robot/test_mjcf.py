@@ -153,7 +153,7 @@ def test_friction_of_a_tendon_of_two_joints_is_that_of_an_actuator(tmp_path):
     rubs = 0.2 * np.sign(motion.v) * [1.0, 0.0]
     assert np.allclose(alone.effort(motion), bare.effort(motion) + rubs, atol=1e-12)
     (said,) = load_model(write(tmp_path, mjcf(tip(), tail=tail.format(0.7)))).left_out
-    assert said == "The dry friction 0.4 of p, over joints that pull it unequally, is left out."
+    assert said == "The dry friction 0.4 of p is ignored, as its joints have unequal moment arms."
 
 
 def zero(**tables):
@@ -177,7 +177,7 @@ LEFT_OUT = {
         ).replace("<worldbody>", f"<worldbody>{GEOM}"),
         no_ellipsoids,
     ),
-    "tendon p with stiffness 40": (
+    "Tendon p with stiffness 40": (
         mjcf(
             tip(geom=GEOM + '<site name="u" pos="0 0 .1"/>'),
             arm=GEOM + '<site name="s" pos="1 0 0"/><site name="v"/>',
@@ -186,7 +186,7 @@ LEFT_OUT = {
         ),
         zero(tendon_stiffness=0),
     ),
-    "tendon p with stiffness 5 is": (
+    "Tendon p with stiffness 5 is": (
         mjcf(
             tip(),
             tail='<tendon><fixed name="p" stiffness="5" springlength=".1 .2" damping=".3">'
@@ -194,7 +194,7 @@ LEFT_OUT = {
         ),
         zero(tendon_stiffness=0),
     ),
-    "tendon p with stiffnesspoly 2 1, dampingpoly 0.1 0 is": (
+    "Tendon p with stiffnesspoly 2 1, dampingpoly 0.1 0 is": (
         mjcf(
             tip(),
             tail='<tendon><fixed name="p" stiffness="5 2 1" damping=".3 .1">'
@@ -210,7 +210,7 @@ def test_what_is_left_out_is_said_with_its_value(tmp_path, words):
     text, change = LEFT_OUT[words]
     model = assert_as_mujoco(tmp_path, text, change=change)
     (said,) = model.left_out
-    assert words in said and said in model.notes and said.endswith("is left out.")
+    assert words in said and said in model.notes and said.endswith("is ignored.")
 
 
 def test_a_joint_whose_body_is_connected_to_its_parent_does_not_move(tmp_path):
@@ -225,16 +225,16 @@ def test_a_joint_whose_body_is_connected_to_its_parent_does_not_move(tmp_path):
         ("<mujoco>\n<worldbody>\n<bode/></worldbody></mujoco>", "xml, line 3: Schema violation"),
         (mjcf(tip(geom='<inertial pos="0 0 0" mass="1" diaginertia="1 1 5"/>')), "A \\+ B >= C"),
         (mjcf('<attach model="x" prefix="y"/>'), "could not find model 'x'"),
-        (mjcf('<replicate count="99999999"><geom size="1"/></replicate>'), "makes 99999999 of"),
-        (mjcf(f'<replicate count="2000">{tip()}</replicate>'), "has 2001 links, and"),
+        (mjcf('<replicate count="99999999"><geom size="1"/></replicate>'), "makes 99999999 copies"),
+        (mjcf(f'<replicate count="2000">{tip()}</replicate>'), "has 2001 links; geodrake"),
         (
             mjcf(f'{2 * """<replicate count="2000">"""}<geom size="1"/>{2 * "</replicate>"}'),
-            "makes 4000000 of",
+            "makes 4000000 copies",
         ),
         (mjcf(head='<asset><model name="s" file="robot.xml"/></asset>'), "attaches itself"),
         (mjcf(head='<asset><model name="s" file="/dev/zero"/></asset>'), "is a device"),
         (mjcf(head='<asset><model name="s" file="part.xml"/></asset>'), "root element is <robot>"),
-        (mjcf('<flexcomp name="f" type="grid" count="99 99 99"/>'), "makes 970299 of"),
+        (mjcf('<flexcomp name="f" type="grid" count="99 99 99"/>'), "makes 970299 copies"),
     ],
 )
 def test_what_mujoco_refuses_is_said_in_its_words(tmp_path, text, words):
@@ -247,7 +247,7 @@ def test_a_plant_that_is_not_mujocos_is_refused(tmp_path, monkeypatch):
     path = write(tmp_path, mjcf(tip()))
     monkeypatch.setattr("geodrake.robot.files.mjcf.UPPER", ([0, 0, 2, 0, 0, 1], [0, 0, 2, 1, 2, 2]))
     with pytest.raises(
-        ModelError, match="does not read the joint a, or what it moves, as MuJoCo does: ef"
+        ModelError, match="reads joint a, or what it moves, differently from MuJoCo: ef"
     ):
         load_model(path)
 
@@ -283,14 +283,14 @@ def test_meshes_that_are_not_there_are_told_of(tmp_path):
     gone = '<asset><mesh name="gone" file="gone.stl"/></asset>'
     path = write(tmp_path, LOOKS.replace("<asset>", f"{gone}<asset>", 1))
     (note,) = robot_shapes(path, Given()).notes
-    assert note.startswith("The shapes of a are, in part, meshes that are not there")
+    assert note.startswith("Some shapes of a are meshes that are missing")
     text = path.read_text(encoding="utf-8").replace('mesh="gone" class="visual"', 'mesh="gone"')
     path.write_text(text, encoding="utf-8")
-    with pytest.raises(ModelError, match="meshes that are not there") as refused:
+    with pytest.raises(ModelError, match="meshes that are missing") as refused:
         mjcf_geoms(path, Given(), hulls=True)
     assert "use_file=False" in str(refused.value)
     heavy = mjcf(arm='<geom type="mesh" mesh="gone"/>', head=gone)
-    assert "inertia of a follows from meshes" in " ".join(
+    assert "inertia of a is computed without meshes" in " ".join(
         load_model(write(tmp_path, heavy)).repairs
     )
 
@@ -328,7 +328,7 @@ def test_a_joint_that_cannot_follow_is_left_out(tmp_path):
         tail='<equality><joint joint1="t" joint2="b" polycoef="0 0 0 0 0"/></equality>',
     )
     (said,) = load_model(write(tmp_path, text)).left_out
-    assert said.startswith("<equality> is ignored, as there is no joint to follow: t")
+    assert said.startswith("<equality> is ignored, as it has no joint to follow: t")
 
 
 def test_deformable_bodies_are_read_and_their_elasticity_is_told(tmp_path):
@@ -430,7 +430,7 @@ def test_frames_within_frames_without_end_are_read_or_refused(tmp_path):
     path = write(tmp_path, mjcf(opens * 390 + nameless + "</frame>" * 390))
     assert load_model(path).joints == ("a", "t_joint_0")
     path = write(tmp_path, mjcf(opens * 500 + "</frame>" * 500))
-    with pytest.raises(ModelError, match="more than 400 elements within each other"):
+    with pytest.raises(ModelError, match="more than 400 nested elements"):
         load_model(path)
 
 

@@ -65,7 +65,7 @@ def test_pairs_of_ros_control(kind, tmp_path):
 def test_without_being_asked_logs_are_of_joints_and_a_note_says_so(tmp_path):
     model = driven(tmp_path, SIMPLE)
     assert model.joints == ("shoulder", "pitch", "roll")
-    assert any("states how motors move shoulder" in note for note in model.notes)
+    assert any("has transmissions of shoulder" in note for note in model.notes)
     direct = SIMPLE.replace("<mechanicalReduction>8</mechanicalReduction>", "")
     assert not any("motors" in note for note in driven(tmp_path, direct).notes)
 
@@ -74,10 +74,10 @@ def test_without_being_asked_logs_are_of_joints_and_a_note_says_so(tmp_path):
     ("extra", "problem"),
     [
         (SIMPLE.replace("8", "0"), "has a reduction of 0"),
-        (SIMPLE.replace("8", "eight"), "has 'eight', which is no number"),
-        (SIMPLE.replace('"shoulder"', '"knee"'), "'knee', which the robot does not have"),
+        (SIMPLE.replace("8", "eight"), "has 'eight', which is not a number"),
+        (SIMPLE.replace('"shoulder"', '"knee"'), "'knee', which is not an independent joint"),
         (SIMPLE.replace('<joint name="shoulder"/>', ""), "0 joints and 1 actuators instead of 1"),
-        ("", "states no transmissions of motors"),
+        ("", "has no transmissions of motors"),
     ],
 )
 def test_transmissions_that_cannot_be_taken(extra, problem, tmp_path):
@@ -260,7 +260,7 @@ def test_a_held_leader_holds_its_followers(tmp_path):
     )
     assert_close(held.motion(motion).load, model.motion(at).load[:, :1])
     for refuse in (holding, lambda _, held: load_model(model.path, lock=held)):
-        with pytest.raises(ModelError, match="'jc' cannot be held, as it follows 'jb'"):
+        with pytest.raises(ModelError, match="'jc' cannot be fixed, as it follows 'jb'"):
             refuse(model, {"jc": 0.0})
 
 

@@ -144,7 +144,7 @@ def test_a_file_that_is_there_wins_and_one_that_is_not_is_told_of_as_before(cach
 def test_an_unknown_name_has_the_three_nearest(cached):
     with pytest.raises(ModelError, match="model file ur5x does not exist") as caught:
         load_model("ur5x")
-    words = str(caught.value).partition("nearest names of robots are ")[2].rstrip(".").split(", ")
+    words = str(caught.value).partition("nearest robot names are ")[2].rstrip(".").split(", ")
     assert len(words) == 3 and "ur5e" in words
     every = {each.removesuffix("_description") for each in robots.DESCRIPTIONS}
     assert every.issuperset(words)

@@ -248,7 +248,7 @@ def test_directives_with_two_instances(load, tmp_path):
 def test_world_link_stays_the_world(load):
     loaded = load(urdf(inertial()).replace('"base"', '"world"'), floating=True)
     assert loaded.plant.num_velocities() == 1
-    assert any("nothing floats" in note for note in loaded.notes)
+    assert any("cannot float" in note for note in loaded.notes)
 
 
 def test_a_joint_that_points_to_the_base_is_read_outwards(load):
@@ -324,7 +324,7 @@ def test_impossible_member_of_a_possible_body_is_no_problem(load):
         ("r.urdf", "<html><body/></html>", "root element is <html>"),
         ("r.urdf", "", "is empty"),
         ("r.yaml", "a: b\n", "Drake cannot read"),
-        ("r.yaml", "directives: []\n", "add no model"),
+        ("r.yaml", "directives: []\n", "do not add a model"),
         ("r.yaml", "directives:\n- add_model: {name: a, file: absent.urdf}\n", "absent.urdf"),
         ("r.urdf", "<robot name='r'/>", "no links"),
         ("r.urdf", urdf().replace('child link="l1"', 'child link="l2"'), "l2"),

@@ -165,7 +165,7 @@ def test_the_tree_does_not_keep_the_plant():
 def test_the_first_sample_that_is_not_finite_is_named(arm):
     q, v, vd = random_motion(arm, np.random.default_rng(0), 9)
     v[5, 1], v[7, 0] = np.nan, np.inf
-    with pytest.raises(ArgumentError, match=r"holds nan at \[5, 1\]") as caught:
+    with pytest.raises(ArgumentError, match=r"has nan at \[5, 1\]") as caught:
         inverse_dynamics_regressor(arm, q, v, vd)
     assert caught.value.evidence["place"][0] == 5
 

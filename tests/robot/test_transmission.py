@@ -91,7 +91,7 @@ def test_a_joint_that_an_actuator_does_not_move_does_not_limit_it():
 
 
 def test_bad_input():
-    with pytest.raises(ArgumentError, match=r"'knees' among knee, hip"):
+    with pytest.raises(ArgumentError, match=r"'knees' is none of knee, hip"):
         LinearTransmission.from_ratios(["knee", "hip"], ["m"], {"knees": {"m": 1.0}})
     with pytest.raises(ArgumentError, match="rank n"):
         LinearTransmission.of([[1.0, 1.0], [2.0, 2.0]])
@@ -99,11 +99,11 @@ def test_bad_input():
         gears([1.0, 0.0])
     with pytest.raises(ArgumentError, match="from 0 to 1"):
         rolling_joint(1.5)
-    with pytest.raises(ArgumentError, match="takes 2"):
+    with pytest.raises(ArgumentError, match="but the next one 2"):
         InSequence((rolling_joint(), CRANK, WRIST))
-    with pytest.raises(ArgumentError, match="cannot be reached"):
+    with pytest.raises(ArgumentError, match="actuators cannot reach"):
         rolling_joint().actuator_positions(np.array([[1.0, -1.0]]))
-    with pytest.raises(ArgumentError, match=r"start has the shape \(2,\)"):
+    with pytest.raises(ArgumentError, match=r"initial guess must have shape \(2,\)"):
         WRIST.actuator_positions(np.zeros((1, 2)), start=[1.0, 2.0, 3.0])
     for nothing in (SideBySide, InSequence):
         with pytest.raises(ArgumentError, match="at least one"):

@@ -95,7 +95,7 @@ def test_gravity_that_is_off(tmp_path):
 )
 def test_what_a_file_states_and_nothing_reads(tmp_path, text, parts, words):
     (said,) = load(tmp_path, text, **parts).left_out
-    assert words in said and ", line " in said and said.endswith("is left out.")
+    assert words in said and ", line " in said and said.endswith("is ignored.")
 
 
 @pytest.mark.parametrize(("text", "part"), [(SDF, "model"), (URDF, "robot")], ids=["sdf", "urdf"])
@@ -133,7 +133,7 @@ def test_a_spring_of_gazebo_that_is_no_number(tmp_path):
     with pytest.raises(ModelError, match=words):
         load(tmp_path, URDF, robot=f'<gazebo reference="a">{spring}</gazebo>')
     (said,) = load(tmp_path, URDF, robot=f'<gazebo reference="l1">{spring}</gazebo>').left_out
-    assert "line 1: <springStiffness>" in said and "of l1, which is no joint, is left" in said
+    assert "line 1: <springStiffness>" in said and "of l1, which is not a joint, is ignored" in said
 
 
 @pytest.mark.parametrize(
@@ -159,9 +159,9 @@ def test_what_a_world_includes_and_is_not_there_refuses_no_robot(tmp_path):
     )
     model = load(tmp_path, SDF, world=includes)
     assert model.joints == ("a", "b") and not model.repairs
-    assert [note.endswith("is left out of the world.") for note in model.notes] == [True, True]
+    assert [note.endswith("is omitted from the world.") for note in model.notes] == [True, True]
     (tmp_path / "w.sdf").write_text(f'<sdf version="1.9"><world name="w">{includes}</world></sdf>')
-    with pytest.raises(ModelError, match="no model but such as lead nowhere"):
+    with pytest.raises(ModelError, match="no model that can be found"):
         load_model(tmp_path / "w.sdf")
 
 

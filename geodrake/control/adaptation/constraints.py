@@ -99,7 +99,7 @@ def body_limits(
     integer(size, "size", lower=0, upper=_MOST)
     first = PARAMETERS_PER_BODY * integer(body, "body", lower=0)
     if first > size - PARAMETERS_PER_BODY:
-        raise ArgumentError(f"There is no body {body}, ten parameters a body, in {size} of them.")
+        raise ArgumentError(f"Body {body} does not exist: {size} parameters are ten for each body.")
     matrix = np.zeros((len(rows), size))
     matrix[:, first : first + PARAMETERS_PER_BODY] = rows
     return Polyhedron(matrix, _of_rows(lower, len(rows)), _of_rows(upper, len(rows)))
@@ -121,7 +121,7 @@ def center_of_mass_box(size: int, body: int, lower: ArrayLike, upper: ArrayLike)
     lower, upper = real_array(lower, "lower", (3,)), real_array(upper, "upper", (3,))
     if not (lower < upper).all():
         raise ArgumentError(
-            f"A box has a lower corner (3,) below an upper one; got {lower.tolist()} and "
+            f"A box needs a lower corner (3,) below an upper one; got {lower.tolist()} and "
             f"{upper.tolist()}."
         )
     identity = np.eye(PARAMETERS_PER_BODY)
@@ -163,7 +163,7 @@ def intersection(*polyhedra: Polyhedron) -> Polyhedron:
     sizes = {instance(each, "a polyhedron", Polyhedron).matrix.shape[1] for each in polyhedra}
     if len(sizes) != 1:
         raise ArgumentError(
-            f"An intersection is of polyhedra of one number of parameters; got {sorted(sizes)}."
+            f"An intersection needs polyhedra with equally many parameters; got {sorted(sizes)}."
         )
     return Polyhedron(
         np.concatenate([each.matrix for each in polyhedra]),

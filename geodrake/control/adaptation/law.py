@@ -56,7 +56,7 @@ class UpdateLaw(abc.ABC):
         Raises:
             ArgumentError: It has none.
         """
-        raise ArgumentError(f"{type(self).__name__} has no γ; {gamma} would change nothing.")
+        raise ArgumentError(f"{type(self).__name__} has no γ, so it cannot be set to {gamma}.")
 
     def contains(self, parameters: ArrayLike) -> bool:
         """Return whether an estimate (n,) is one that the law can move."""
@@ -106,8 +106,8 @@ class UpdateLaw(abc.ABC):
         """Refuse parameters (n,) that the law cannot move."""
         if not self.calc_contains(p):
             raise ArgumentError(
-                f"parameters must be inside of the law's manifold; they are {p.tolist()}.",
-                advice="Start inside, and take geodesic steps or shorter ones.",
+                f"parameters must be inside the law's manifold; they are {p.tolist()}.",
+                advice="Start inside, and use geodesic or shorter steps.",
                 name="parameters",
             )
 
@@ -171,7 +171,7 @@ class AdaptationLaw(UpdateLaw):
         if number(self.leakage, "leakage", lower=0.0) > 0:
             toward = real_array(self.toward, "toward", (self.manifold.dimension,))
             if not self.manifold.contains(toward):
-                raise ArgumentError("Leakage is toward a point inside of the manifold.")
+                raise ArgumentError("The point of leakage must be inside the manifold.")
 
     @property
     def slowness(self) -> float:
@@ -242,7 +242,7 @@ def pullback_adaptation(manifold: Manifold, at: ArrayLike, gamma: float = 1.0) -
     at = real_array(at, "at", (n,))
     if not manifold.contains(at):
         raise ArgumentError(
-            f"A pullback law needs an initial estimate ({manifold.dimension},) inside of the "
+            f"A pullback law needs an initial estimate ({manifold.dimension},) inside the "
             f"manifold; got {at.tolist()}."
         )
     return AdaptationLaw(ConstantMetric.of(manifold, at), gamma)
@@ -279,8 +279,8 @@ class ConstantMetric(Manifold, Short):
         off = (matrix @ inverse) / scale[:, None] * scale - np.eye(len(matrix))
         if np.abs(off).max(initial=0.0) > _NOT_INVERSE:
             raise ArgumentError(
-                f"inverse must be that of matrix; their product is {np.abs(off).max():.2g} off the "
-                "identity."
+                "inverse is not the inverse of matrix; their product differs by "
+                f"{np.abs(off).max():.2g} from the identity."
             )
         object.__setattr__(self, "matrix", matrix)
         object.__setattr__(self, "inverse", inverse)

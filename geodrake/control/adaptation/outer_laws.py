@@ -89,11 +89,12 @@ class PartialLaw(_OuterLaw, Short):
         instance(self.law, "law", UpdateLaw)
         adapted = mask(self.adapted, "adapted")
         if not adapted.any():
-            raise ArgumentError("adapted must be booleans (n,), some of them true.")
+            raise ArgumentError("adapted must be booleans (n,), at least one of them true.")
         if self.law.dimension not in (None, count := int(adapted.sum())):
             raise ArgumentError(
-                f"The law moves {self.law.dimension} parameters; {count} are to be adapted.",
-                advice="Make its manifold of just these, such as PhysicalInertia() for one body.",
+                f"The law has {self.law.dimension} parameters, but {count} are adapted.",
+                advice="Define its manifold for these only, such as PhysicalInertia() for one "
+                "body.",
             )
         object.__setattr__(self, "adapted", adapted.copy())
 
@@ -150,8 +151,7 @@ class ProjectedLaw(_OuterLaw):
         convex = self._set
         if isinstance(convex, LinearSet) and convex.polyhedron.matrix.shape[1] != n:
             raise ArgumentError(
-                f"The law moves {n} parameters; the limits are on "
-                f"{convex.polyhedron.matrix.shape[1]}."
+                f"The law has {n} parameters, but the limits {convex.polyhedron.matrix.shape[1]}."
             )
 
     @cached_property
@@ -302,7 +302,7 @@ def _project_by_cuts(manifold: Manifold, p: Array, convex: ConvexSet) -> Array:
         cuts = Polyhedron(matrix, np.full(len(upper), -np.inf), upper)
         point = bregman_projection(manifold, p, cuts)
     raise ConvergenceError(
-        f"No point of the set was found after {_MOST_CUTS} cuts; the last one is outside by "
+        f"No point of the set was found after {_MOST_CUTS} cuts; the last one violates it by "
         f"{convex.values(point).max():.3g}.",
         advice="Check that the functions are convex, and their gradients against differences.",
         last=point,

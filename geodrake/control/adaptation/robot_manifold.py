@@ -74,7 +74,7 @@ def adapted_parameters(model: RobotModel, names: Sequence[str]) -> NDArray[np.bo
     kinds = {fitted.effect.name for fitted in model.effects if fitted.effect.parameters}
     _check_names(model, wanted - kinds, kinds)
     if not wanted:
-        raise ArgumentError("names must be of what is to be adapted; there is none.")
+        raise ArgumentError("names must have at least one parameter to adapt.")
     adapted = [body in wanted for body in model.bodies for _ in range(PARAMETERS_PER_BODY)]
     for fitted in model.effects:
         adapted += [fitted.effect.name in wanted] * len(fitted.effect.parameters)
@@ -85,6 +85,6 @@ def _check_names(model: RobotModel, bodies: set[str], effects: set[str]) -> None
     """Check that what is no effect is a body."""
     if unknown := bodies - set(model.bodies):
         raise ArgumentError(
-            f"There is no {', '.join(sorted(map(str, unknown)))} in the robot.",
+            f"The robot has no {', '.join(sorted(map(str, unknown)))}.",
             advice=f"It has {', '.join((*model.bodies, *sorted(effects)))}.",
         )

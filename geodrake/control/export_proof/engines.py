@@ -90,7 +90,7 @@ class Engine(abc.ABC):
 def order_of(joints: Sequence[str], places: Mapping[str, int], file: Path, name: str) -> list[int]:
     """Return where a simulator has each of some joints, of all the places that it has."""
     if lacking := [joint for joint in joints if joint not in places]:
-        raise ModelError(f"{name} finds no joint {lacking[0]!r} in {file.name}.")
+        raise ModelError(f"{name} has no joint {lacking[0]!r} in {file.name}.")
     return [places[joint] for joint in joints]
 
 

@@ -47,12 +47,12 @@ from geodrake.model.robot_model import RobotModel
 from geodrake.model.signal_efforts import servos_of
 
 _SEVERAL = (
-    "the robot has joints of several degrees of freedom, so the export was not tried in simulators"
+    "the robot has joints of several degrees of freedom, so the export was not tested in simulators"
 )
 
 _IN_DRAKE = (
-    "model.add_to_builder simulates all effects in Drake, each once: beside these files, those in "
-    "them would count twice"
+    "model.add_to_builder simulates all effects in Drake; those in these files would then "
+    "count twice"
 )
 
 _WINDOWS = 6  # of rollouts without the integrals of servos
@@ -165,7 +165,7 @@ def export_with_proof(
     exported = form.write(model, held, folder)
     proof = Proof((), (), (_SEVERAL,))
     if tried:
-        progress("Trying it in simulators")
+        progress("Testing in simulators")
         starts = (
             logged_starts(held.model, case.trajectories)
             if case is not None
@@ -185,8 +185,8 @@ def export_with_proof(
     notes = [*(model.notes if case is None else case.notes), *exported.notes, *proof.notes]
     if told := [servo.joint for servo in servos_of(model) if servo and not form.servos]:
         notes.append(
-            f"{form.name} does not have the gains of servos, such as those of {', '.join(told)}; "
-            "mjcf and isaac do, and PositionServo in a Drake diagram"
+            f"{form.name} has no servo gains, such as those of {', '.join(told)}; mjcf and "
+            "isaac do, and PositionServo in a Drake diagram"
         )
     notes += lost_integrals(model, form, case)
     if idle := [servo.joint for servo in servos_of(model) if servo and servo.dead_band]:
@@ -207,8 +207,8 @@ def check_folder(
     """Refuse a folder in which the files cannot be written, before the long work."""
     if folder.exists() and not folder.is_dir():
         raise OutputError(
-            f"Cannot export to {folder}: it is there and is no folder.",
-            advice="Name a folder.",
+            f"Cannot export to {folder}: it exists and is not a folder.",
+            advice="Give a folder.",
             path=folder,
         )
     check_format(model, form)
@@ -218,7 +218,7 @@ def check_folder(
         if os.path.realpath(path) in taken:
             reason = "an input of this command"
         elif path.exists() and not force:
-            reason, advice = "there already", f"{advice}, or give --force to replace it"
+            reason, advice = "there already", f"{advice}, or overwrite with --force"
         else:
             continue
         raise OutputError(f"Cannot write {path}: it is {reason}.", advice=f"{advice}.", path=path)
@@ -244,16 +244,16 @@ def check_format(model: RobotModel, form: ExportFormat) -> None:
     """Refuse a format that has no place for what the model has."""
     if loops := [", ".join(drive.joints) for drive in model.transmission if drive.is_loop]:
         raise ModelError(
-            f"The format {form.name} cannot have a closed loop, and the model has one of "
+            f"The format {form.name} cannot express closed loops, but the model has one of "
             f"{loops[0]}.",
-            advice="Export the inertias alone into the model's file: geodrake identify --export.",
+            advice="Export only the inertias into the model's file: geodrake identify --export.",
         )
     if model.transmission and not form.at_actuators:
         actuators = ", ".join(name for drive in model.transmission for name in drive.actuators)
         raise ModelError(
-            f"The format {form.name} has efforts and friction at joints, and the model at "
+            f"The format {form.name} has efforts and friction at joints, but the model at "
             f"{actuators}, behind a transmission.",
-            advice="Export to python or cpp, or the inertias alone: geodrake identify --export.",
+            advice="Export to python or cpp, or only the inertias: geodrake identify --export.",
         )
 
 
@@ -293,7 +293,7 @@ def lost_integrals(model: RobotModel, form: ExportFormat, case: Case | None) -> 
     joints = [servo.joint for servo in servos_of(model) if servo and servo.integral]
     if not joints or not form.servos:
         return ()
-    words = f"servos of {form.name} have no integral, such as that of {', '.join(joints)}"
+    words = f"servos of {form.name} have no integral gain, such as that of {', '.join(joints)}"
     at = [model.joints.index(joint) for joint in joints]
     if case is not None and any(told_joints(case.model, log)[at].any() for log in case.asked.logs):
         signals = tuple(replace(s, integral=0.0) for s in case.model.effort_signals)
@@ -307,8 +307,8 @@ def lost_integrals(model: RobotModel, form: ExportFormat, case: Case | None) -> 
             shares = [np.nan]
         if np.isfinite(shares).all():
             words += (
-                f": under the commands of the logs the robot departs by {100 * shares[0]:.2g} % of "
-                f"its motion without it, and by {100 * shares[1]:.2g} % with it"
+                f": the motion error under the logged commands is {100 * shares[0]:.2g} % "
+                f"without it, and {100 * shares[1]:.2g} % with it"
             )
     return (f"{words}; PositionServo in a Drake diagram has it",)
 
@@ -368,14 +368,14 @@ def prove(
         make = engine(name)
         if make is None:
             notes.append(
-                f"{name} is not installed, so the export was not tried in it: "
-                'pip install "geodrake[export]"'
+                f"{name} is not installed, so the export was not tested in it: pip install "
+                '"geodrake[export]"'
             )
             continue
         try:
             loaded = make(file, held)
         except ModelError as error:
-            notes.append(f"the export was not tried: {error.problem}")
+            notes.append(f"the export was not tested: {error.problem}")
             continue
         kinds = (f.effect.name for f in held.effects if isinstance(f.effect, loaded.ignores))
         names = tuple(dict.fromkeys(kinds))
@@ -418,7 +418,7 @@ def _of_rollouts(
     with np.errstate(all="ignore"):
         ours = roll_out_all(without(held, loaded.ignores), starts, STEP, loaded.drives)
     if not np.abs(ours - ours[:, :1]).max() < _FARTHEST:  # NaN neither
-        raise RuntimeError("the model moves too fast for steps of a millisecond")
+        raise RuntimeError("the model is too fast for steps of a millisecond")
     theirs = [loaded.roll_out(start.q, start.v, start.effort, STEP) for start in starts]
     simulated = [each for each in theirs if each is not None]
     if len(simulated) < len(starts):

@@ -81,8 +81,8 @@ def isaac_files(model: RobotModel, held: HeldModel, folder: Path) -> Exported:
         table["notes"] = repairs  # as JSON has no comments
     values = (json.dumps(table, indent=2) + "\n").encode()
     note = (
-        f"the values of {stem} are named as fields of Isaac Lab's ActuatorBaseCfg; stiffness and "
-        "damping there are gains of a drive, 0 for joints that are moved by efforts"
+        f"the values in {stem} are named as in Isaac Lab's ActuatorBaseCfg; stiffness and "
+        "damping there are gains of a drive, 0 for joints with commanded efforts"
     )
     return Exported({name: data, f"{stem}.actuators.json": values}, (*notes, note))
 
@@ -159,8 +159,8 @@ def _drake_files(model: RobotModel, held: HeldModel, folder: Path) -> Exported:
         last = plant.get_body(BodyIndex(plant.num_bodies() - 1))
         instance = plant.GetModelInstanceName(last.model_instance())
     lines = [
-        "# Inertias, damping and rotors are those of the model; dry friction is in the file, but",
-        "# Drake does not simulate it. parser.package_map().PopulateFromFolder(…) finds the file.",
+        "# Inertias, damping and rotors are those of the model; the file has dry friction, which",
+        "# Drake does not simulate. parser.package_map().PopulateFromFolder(…) finds the file.",
         *(f"# {printable(each)}" for each in repair_comments(model)),
         "directives:",
         "- add_model:",
@@ -239,7 +239,7 @@ def export_format(name: str) -> ExportFormat:
     """Return a format by name."""
     if name not in FORMATS:
         raise ArgumentError(
-            f"There is no format {name!r} to export to.",
-            advice=f"Formats are: {', '.join(FORMATS)}.",
+            f"Export format {name!r} is unknown.",
+            advice=f"Formats are {', '.join(FORMATS)}.",
         )
     return FORMATS[name]

@@ -164,8 +164,8 @@ def add_actuators(file: EditedFile, model: RobotModel, *, anew: bool) -> tuple[s
     notes = [_kept_note(kept, path)] if kept else []
     if text.actuator_defaults and set(wanted).intersection(free):
         notes.append(
-            f"{path.name} has defaults of actuators, which would change what an export adds: it "
-            "has no actuators for servos and delays of the model"
+            f"{path.name} has defaults of actuators, which would change exported ones, so "
+            "servos and delays of the model are not exported"
         )
         free = []
     late = [each for each in joints if each.measured_late]
@@ -215,27 +215,27 @@ def _notes(
     damped = [each.name for each in adds if each.is_servo and each.kd * each.rate_share]
     if damped:
         notes.append(
-            f"kv of {', '.join(damped)} damps the motion itself, and that of the model its error: "
-            "told c + rate_share (kv / kp) dc/dt, they do the same"
+            f"kv of {', '.join(damped)} damps the motion, but that of the model the error: "
+            "with commands c + rate_share (kv / kp) dc/dt, they are equal"
         )
     delays = {each.name: each.delay for each in adds if each.delay}
     delays |= {each.name: each.measured_late for each in late}
     if delays:
         notes.append(
-            "delays need MuJoCo 3.5 or later; they are kept with steps of the simulation of "
-            f"{step:g} s and more, and shorter with others unless nsample grows"
+            f"delays need MuJoCo 3.5 or later; they hold for time steps of {step:g} s and "
+            "more, and are shorter with smaller ones unless nsample grows"
         )
     if late:
         notes.append(
-            f"efforts of {', '.join(each.name for each in late)} are measured late: sensors "
-            "<joint>_effort have them as the log does"
+            f"measured efforts of {', '.join(each.name for each in late)} are delayed: "
+            "sensors <joint>_effort have them as in the log"
         )
     short = [joint for joint, delay in delays.items() if delay < timestep * (1.0 - 1e-9)]
     if short:
         notes.append(
-            f"MuJoCo delays by one step at least, and the file's step of {timestep:g} s is longer "
-            f"than the delay of {', '.join(short)}: make timestep {min(delays.values()):.3g} s or "
-            "less"
+            f"MuJoCo delays by at least one step, but the file's step of {timestep:g} s is "
+            f"longer than the delay of {', '.join(short)}: set timestep to "
+            f"{min(delays.values()):.3g} s or less"
         )
     return notes
 
@@ -247,4 +247,4 @@ def _kept_note(kept: Sequence[ExportedJoint], path: Path) -> str:
         own = {**_gains(each), **_delay(each.delay, SHORTEST_STEP)}
         of_each.append(f"{each.name}: " + " ".join(f'{key}="{x}"' for key, x in own.items()))
     values = "; ".join(of_each)
-    return f"actuators of {path.name} stay as they are; those of the model have {values}"
+    return f"actuators of {path.name} are unchanged; those of the model have {values}"

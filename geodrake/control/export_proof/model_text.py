@@ -73,7 +73,7 @@ def _links_of(model: RobotModel) -> tuple[Link, ...]:
     moving = sorted(moving_joints(plant), key=lambda joint: joint.velocity_start())
     for joint in moving:
         if joint.type_name() not in ("revolute", "prismatic"):
-            raise _refusal(joint, f"is of the type {joint.type_name()}")
+            raise _refusal(joint, f"has type {joint.type_name()}")
     names = [body.name.replace("::", "_") for body in lumps]
     owner = {int(m.index): k for k, body in enumerate(lumps) for m in body.members}
     inboard = {owner[int(joint.child_body().index())]: joint for joint in moving}
@@ -87,7 +87,7 @@ def _links_of(model: RobotModel) -> tuple[Link, ...]:
             and ((above := owner.get(int(joint.parent_body().index()))) is None or above in found)
         }
         if not ready:
-            raise _refusal(moving[0], "points from a body to what carries it")
+            raise _refusal(moving[0], "points from a body to its parent")
         for k, joint in ready.items():
             above = owner.get(int(joint.parent_body().index()))
             X_WP = RigidTransform() if above is None else X_WL[above]
@@ -115,8 +115,7 @@ def _links_of(model: RobotModel) -> tuple[Link, ...]:
 
 def _refusal(joint: Joint, problem: str) -> ModelError:
     return ModelError(
-        f"The robot cannot be written in another format than its own: joint {joint.name()} "
-        f"{problem}.",
+        f"The robot can only be written in its own format: joint {joint.name()} {problem}.",
         advice="Export it in the format of its own file.",
         joint=joint.name(),
     )
@@ -130,8 +129,8 @@ def from_plant(model: RobotModel, kind: str, gravity: Array) -> bytes:
     """
     if model.floating:
         raise ModelError(
-            "The robot floats, and is written in the format of its own file alone.",
-            advice="Choose that one.",
+            "A floating robot can only be written in the format of its own file.",
+            advice="Choose that format.",
         )
     name = model.path.name.partition(".")[0]
     root = _WRITERS[kind](_links_of(model), name, gravity)
@@ -305,8 +304,8 @@ def model_file(
         macros = model.path.suffix.lower() == ".xacro"
         return name if macros else model.path.name, *_edited(model, folder, stands)
     note = (
-        f"{name} is made of the bodies and joints of {model.path.name}, without geometry; links "
-        "that are welded together are one"
+        f"{name} is generated from the bodies and joints of {model.path.name}, without "
+        "geometry; welded links are merged"
     )
     data = from_plant(model, kind, _tilted_gravity(model))
     if kind != "xml":
@@ -338,8 +337,8 @@ def _edited(model: RobotModel, folder: Path, stands: bool) -> tuple[bytes, tuple
         acting = add_actuators(file, model, anew=False)
     acting = (*acting, *_notes_on_motors(model))
     if file.move_references(folder):
-        elsewhere = f"meshes and other files that {path.name} names stay where they are; the copy "
-        acting = (*acting, f"{elsewhere}names them from its folder")
+        elsewhere = f"meshes and other files of {path.name} are not copied; the copy "
+        acting = (*acting, f"{elsewhere}refers to them from its folder")
     return file.content, (*exported.notes, *acting)
 
 
@@ -351,7 +350,7 @@ def _notes_on_limits(model: RobotModel) -> tuple[str, ...]:
         for joint, limit, of_file in zip(model.joints, known, model.effort_limits, strict=True)
         if limit != of_file
     ]
-    stay = f"limits of effort in {model.path.name} stay as they are; the model knows of less: "
+    stay = f"effort limits in {model.path.name} are unchanged; the model knows lower ones: "
     return (f"{stay}{', '.join(less)}",) if less else ()
 
 
@@ -362,7 +361,7 @@ def _notes_on_motors(model: RobotModel) -> tuple[str, ...]:
     limited = zip(model.joints, np.isfinite(model.effort_limits), strict=True)
     motors |= {joint for joint, has_limit in limited if has_limit}
     idle = ", ".join(joint for joint in model.motorless if joint in motors)
-    stay = f"{idle} had no motor in logs; {model.path.name} states one, which stays in the copy"
+    stay = f"{idle} had no motor in logs, but {model.path.name} has one, which the copy keeps"
     return (stay,) if idle else ()
 
 

@@ -155,7 +155,7 @@ def _acceleration(model: RobotModel, q: Array, v: Array, effort: Array) -> Array
         return np.asarray(np.linalg.solve(mass, (effort - needed[:, 0])[..., None])[..., 0])
     except np.linalg.LinAlgError as error:
         least = int(np.abs(np.diagonal(mass, axis1=1, axis2=2)).max(axis=0).argmin())
-        raise RuntimeError(f"nothing that {model.joints[least]} moves has any inertia") from error
+        raise RuntimeError(f"the bodies moved by {model.joints[least]} have no inertia") from error
 
 
 def position_order(model: RobotModel) -> NDArray[np.intp]:

@@ -37,9 +37,9 @@ def ros2_files(model: RobotModel, held: HeldModel, folder: Path) -> Exported:
     count = len(model.joints)
     if len(model.single_joints) != count or model.tree.num_positions != count:
         raise ModelError(
-            "A controller of ros2_control has joints of one degree of freedom, and the model has "
-            "others.",
-            advice="Export to cpp, and write the controller around that function.",
+            "A ros2_control controller needs joints with one degree of freedom, but the "
+            "model has others.",
+            advice="Export to cpp, and write a controller that calls the function.",
         )
     source = effort_source(held.model, "cpp", sign_width=SIGN_WIDTH)
     robot = source.file_name.removesuffix("_effort.hpp")
@@ -71,6 +71,6 @@ def ros2_files(model: RobotModel, held: HeldModel, folder: Path) -> Exported:
     files[f"include/{package}/{source.file_name}"] = source.text.encode()
     notes = (
         *(f"not included: {effect}" for effect in source.left_out),
-        f"{package} is a package for colcon, ROS 2 Jazzy or later; it was not compiled here",
+        f"{package} is a colcon package for ROS 2 Jazzy or later; it was not compiled here",
     )
     return Exported(files, notes)

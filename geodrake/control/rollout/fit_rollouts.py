@@ -110,9 +110,9 @@ def fit_rollouts(
     fitted, seen = np.flatnonzero(usable & ~tested), np.flatnonzero(usable & tested)
     if min(len(fitted), len(seen)) < _FEWEST:
         raise LogError(
-            f"There are {len(fitted)} windows to fit and {len(seen)} to test in which the robot "
-            f"moves and can be simulated; there must be {_FEWEST} of each.",
-            advice="Give a longer log, a shorter horizon, or more windows.",
+            f"Only {len(fitted)} windows for fitting and {len(seen)} for testing have motion "
+            f"and can be simulated; {_FEWEST} of each are needed.",
+            advice="Use a longer log, a shorter horizon, or more windows.",
         )
     if progress is not None:
         progress("fitting", 0.5)

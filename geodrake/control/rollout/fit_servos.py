@@ -51,8 +51,8 @@ def fit_servos(
     half, fits = with_servo_motions(case.model, seen)
     if not fits:
         raise LogError(
-            "No joint moves in simulation under its commands as it was measured to.",
-            advice="Are commands and positions in the same unit? geodrake log LOG --model MODEL.",
+            "No joint moves in the simulation under its commands as it was measured.",
+            advice="Do commands and positions have the same unit? geodrake log LOG --model MODEL.",
         )
     after = simulated(half, "after")
     losses = [

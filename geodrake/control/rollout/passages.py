@@ -69,8 +69,8 @@ def chosen_passages(
     ]
     if not found:
         raise LogError(
-            f"In no log does the robot move for {horizon:g} s without a gap.",
-            advice="Give a shorter horizon, or a longer log.",
+            f"No log has {horizon:g} s of motion without a gap.",
+            advice="Use a shorter horizon, or a longer log.",
         )
     count = min(most, len(found))
     chosen = np.unique(np.linspace(0, len(found) - 1, count).round().astype(int))
@@ -89,9 +89,9 @@ def _moving(
     count = round(seconds / stretch.period) + 1
     if count < 2:
         raise ArgumentError(
-            f"A horizon of {seconds:g} s is shorter than the {stretch.period:.4g} s between two "
-            "samples.",
-            advice="Give a longer one.",
+            f"A horizon of {seconds:g} s is shorter than the sampling period of "
+            f"{stretch.period:.4g} s.",
+            advice="Use a longer one.",
         )
     ahead = round(float(np.abs(delays).max()) / stretch.period) + 1
     for start in range(ahead, len(stretch) - count - ahead, count):

@@ -182,5 +182,5 @@ class RolloutFit(Shown):
         ]
         if not (unsure and self.after.commands):
             return self.after.notes
-        words = "soft joints and play make up for what they are off by"
-        return (*self.after.notes, f"servos of {', '.join(unsure)} are not known exactly: {words}")
+        words = "elasticity and backlash may compensate for their errors"
+        return (*self.after.notes, f"servo gains of {', '.join(unsure)} are uncertain: {words}")

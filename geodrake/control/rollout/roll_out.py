@@ -135,8 +135,8 @@ def case_rollout(
     model, logs = case.model, case.asked.logs
     if commands and not any(told_joints(model, log).any() for log in logs):
         raise LogError(
-            "No log has the commands of a servo that the model knows.",
-            advice="Roll out under efforts, or give logs with columns <joint>.command.",
+            "No log has commands of a servo that the model knows.",
+            advice="Use efforts instead of --commands, or logs with columns <joint>.command.",
         )
     chosen = chosen_passages(case, horizon, most, within)
     notes = dict.fromkeys(_unheard(case) if commands else ())
@@ -192,7 +192,7 @@ def _unheard(case: Case) -> list[str]:
     if not late:
         return []
     name = effect_of(Role.DELAY).name
-    return [f"{name} of {', '.join(late)} does not count: servos make these efforts at once"]
+    return [f"{name} of {', '.join(late)} is ignored: servos have no delay"]
 
 
 def check_windows(horizon: float, most: int, progress: Progress | None) -> None:

@@ -72,9 +72,9 @@ def rollout_values(model: RobotModel, *, commands: bool = False) -> tuple[Rollou
             found += [RolloutValue(at, effect.name, effect.joint, *each) for each in values]
     if not found:
         raise ModelError(
-            "The model has no soft joint and no play, which are what rollouts fit.",
-            advice="Find them first: geodrake explain MODEL LOG… --save FILE.yaml. With --commands "
-            "servos and friction are fitted.",
+            "The model has no elastic joint and no backlash to fit.",
+            advice="Find them first: geodrake explain MODEL LOG… --save FILE.yaml. With "
+            "--commands, servos and friction are fitted.",
         )
     if not commands:
         return tuple(found)

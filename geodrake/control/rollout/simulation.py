@@ -63,9 +63,10 @@ def simulations(
     for trajectory in case.trajectories:
         if trajectory.contacts is not None:
             raise LogError(
-                f"Log {trajectory.name!r} has no forces of the ground at "
+                f"Log {trajectory.name!r} has no ground forces at "
                 f"{', '.join(trajectory.contacts.frames)}, without which the robot falls.",
-                advice="Log what feet measure: <link>.force.x, .y and .z; or use geodrake compare.",
+                advice="Log forces at the feet: <link>.force.x, .y and .z; or use geodrake "
+                "compare.",
             )
     fastest = np.maximum(peak_speeds(case.trajectories), LEAST_SPEED)
     sign_width = case.model.sign_widths(SIGN_WIDTH * fastest)

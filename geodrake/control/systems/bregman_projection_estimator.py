@@ -117,14 +117,15 @@ class BregmanProjectionEstimator(LeafSystem):
         nv = len(control.joints)
         if np.shape(update.tolerance) not in ((), (nv,)):
             raise ArgumentError(
-                f"The robot has {nv} joints; the update has a tolerance of shape "
+                f"The robot has {nv} joints, but the update a tolerance of shape "
                 f"{np.shape(update.tolerance)}."
             )
         filtered = FilteredRegressor(control, time_step) if filtered is None else filtered
         instance(filtered, "filtered", FilteredRegressor).check_robot(control)
         if filtered.period != time_step:
             raise ArgumentError(
-                f"The filter is one for {filtered.period} s; the time step is {time_step} s."
+                f"The filter has a period of {filtered.period} s, but the time step is "
+                f"{time_step} s."
             )
         start = checked_estimate(control, update.manifold, parameters)
         self.control, self._sample_update, self._filter = control, update, filtered

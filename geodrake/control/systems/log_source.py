@@ -61,7 +61,7 @@ class LogSource(LeafSystem):
         stamped = np.isfinite(instance(log, "log", JointLog).time)
         if stamped.sum() < 2:
             raise ArgumentError(
-                f"Log {log.name!r} has {stamped.sum()} samples; playing it needs two."
+                f"Log {log.name!r} has {stamped.sum()} samples; playback needs two."
             )
         self.log = log = log if joints is None else log.select(instances(joints, "joints", str))
         time, position, effort = log.time[stamped], log.position[stamped], log.effort[stamped]
@@ -70,7 +70,7 @@ class LogSource(LeafSystem):
         usual = _USUAL_GAPS * float(np.median(np.diff(self._time)))
         self._largest_gap = usual if largest_gap is None else largest_gap
         if not number(self._largest_gap, "largest_gap", finite=False) > 0:
-            raise ArgumentError(f"The largest gap is positive; got {largest_gap} s.")
+            raise ArgumentError(f"The largest gap must be positive; got {largest_gap} s.")
         if log.velocity is None:
             velocity = np.gradient(position, self._time, axis=0)
         else:

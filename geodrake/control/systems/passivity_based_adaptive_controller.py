@@ -135,9 +135,9 @@ class PassivityBasedAdaptiveController(AdaptiveController):
         vector = _gain_vector(gains, self._nv)
         if isinstance(gains, VaryingGains) != self._varying:
             raise ArgumentError(
-                f"The controller was made with {'varying' if self._varying else 'fixed'} gains; "
-                f"got {gains!r}.",
-                advice="Give gains of the same kind, or make another controller.",
+                f"The controller has {'varying' if self._varying else 'fixed'} gains; got "
+                f"{gains!r}.",
+                advice="Pass gains of the same kind, or construct another controller.",
             )
         self._set_gains(context, vector)
 

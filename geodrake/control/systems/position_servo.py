@@ -167,8 +167,8 @@ class PositionServo(LeafSystem):
         values = {name: _checked(name, value, self._count) for name, value in gains.items()}
         if not self._integral and values.get("ki", np.zeros(1)).any():
             raise ArgumentError(
-                "This servo was made without an integral.",
-                advice="Give its constructor a ki above zero.",
+                "This servo was constructed without integral gain.",
+                advice="Pass a positive ki to its constructor.",
             )
         for name, own in values.items():
             context.get_mutable_numeric_parameter(names.index(name)).SetFromVector(own)

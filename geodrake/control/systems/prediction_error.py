@@ -82,7 +82,7 @@ class Prediction:
         if time_step == 0:
             raise ArgumentError(
                 "The filtered regressor needs a time step.",
-                advice="Give the controller one, or adapt by the tracking error alone.",
+                advice="Pass one to the controller, or adapt with the tracking error only.",
             )
         nv = len(control.joints)
         self.filtered = FilteredRegressor(control, time_step, error.bandwidth, held_effort=True)

@@ -243,13 +243,13 @@ def require_single_joints(control: ControlModel) -> None:
     """Check that positions are as many as velocities, joint by joint, and that none is free."""
     if checked_control(control).floats:
         raise ArgumentError(
-            "Controllers and estimators need a robot that is fixed to the world; this one floats.",
+            "Controllers and estimators need a fixed base; this robot floats.",
             advice="Weld the base, or use geodrake.control.regressor from Python.",
         )
     if not control.single_joints:
         raise ArgumentError(
-            "Controllers and estimators need joints of one degree of freedom each; this robot has "
-            "others.",
+            "Controllers and estimators need joints with one degree of freedom; this robot "
+            "has others.",
             advice="Weld the base, or use geodrake.control.regressor from Python.",
         )
 
@@ -268,12 +268,12 @@ def checked_estimate(
         return p
     if domain.dimension not in (None, len(p)):
         raise ArgumentError(
-            f"The law moves {domain.dimension} parameters; the robot has {len(p)}.",
-            advice="Make manifold and ControlModel from the same RobotModel.",
+            f"The law has {domain.dimension} parameters, but the robot {len(p)}.",
+            advice="Construct manifold and ControlModel from the same RobotModel.",
         )
     if not domain.contains(p):
         raise ArgumentError(
-            f"These parameters are not inside of the law's manifold: {p.tolist()}.",
-            advice="Start from a physical estimate, friction and the like above zero.",
+            f"These parameters are not inside the law's manifold: {p.tolist()}.",
+            advice="Start from a physical estimate with positive friction.",
         )
     return p

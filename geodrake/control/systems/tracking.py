@@ -49,19 +49,20 @@ def add_tracking_drives(
     if count != plant.num_velocities() or without:
         raise ArgumentError(
             f"Tracking needs an actuator with gains at every joint; {count} of "
-            f"{plant.num_velocities()} have one, without gains are {without}.",
+            f"{plant.num_velocities()} have one; without gains are {without}.",
             advice="Use AddJointActuator and set_controller_gains before Finalize.",
         )
     if not np.array_equal(plant.MakeActuationMatrix(), np.eye(count)):
         raise ArgumentError(
-            "Tracking needs actuators in the order of the joints; here they are of "
+            "Tracking needs actuators in the order of the joints; their order is "
             f"{', '.join(actuator.joint().name() for actuator in actuators)}.",
             advice="Add the actuators in the order of plant.GetJointIndices().",
         )
     if plant.time_step() == 0 or motion.rows() != plant.num_positions() or motion.cols() != 1:
         raise ArgumentError(
             f"Tracking needs a discrete plant and a motion of its {plant.num_positions()} "
-            f"positions; got a time step of {plant.time_step()} s and {motion.rows()} positions."
+            f"positions; got a time step of {plant.time_step()} s and {motion.rows()} "
+            "positions."
         )
     feedforward = builder.AddSystem(
         InverseDynamics(controller_plant, InverseDynamics.InverseDynamicsMode.kInverseDynamics)

@@ -96,11 +96,11 @@ def _rival_words(model: RobotModel, before: ColumnFit, rival: Judged) -> str:
     if mistake.joints:
         every = len(mistake.joints) == len(model.joints) > 1
         where = "all joints" if every else model.joints[mistake.joints[0]]
-        return f"the efforts of {where} have something unknown in them"
+        return f"the efforts of {where} have an unknown component"
     if after.is_far and not before.assignment.is_far:
-        return "bodies far from those of the model"
+        return "bodies that differ much from the model's"
     tilted = after.gravity is not None and before.assignment.gravity is None
-    return "a base on a slope" if tilted else "a payload that the model lacks"
+    return "a tilted base" if tilted else "a payload that the model lacks"
 
 
 def _told(

@@ -36,7 +36,7 @@ def corrected(log: JointLog, findings: Sequence[ColumnFinding]) -> JointLog:
         absent = [joint for joint in finding.joints if joint not in log.joints]
         if absent:
             raise ArgumentError(
-                f"Log {log.name!r} has no joint {absent[0]!r}, whose columns are to be corrected.",
+                f"Log {log.name!r} has no joint {absent[0]!r}, whose columns should be corrected.",
                 advice=f"Its joints are {', '.join(log.joints)}.",
             )
         log = _corrected(log, finding)

@@ -17,7 +17,7 @@ _POSITIONS, _EFFORTS = ("position", "scale", "zero", "rate"), ("effort", "gain")
 _UNSURE = 5.0  # factor by which what a model lacks may change a gain
 _GEARED = 5.0  # all gains beyond it are those of gears and of motor constants
 _BY_MAPPING = "`geodrake log --write-mapping FILE.yaml` writes a mapping that corrects it"
-_BY_SWAP = f"{_BY_MAPPING}; or name the columns so."
+_BY_SWAP = f"{_BY_MAPPING}; or rename the columns."
 _BY_MODEL = "Log the efforts before that, or use a model without it."
 
 
@@ -49,21 +49,21 @@ KINDS: Mapping[str, Kind] = {
     "effort_sign": _gain("the effort of {where} has the wrong sign", (-1.0,)),
     "effort_unit": _gain("the efforts of {where} are in {effort}", THOUSAND),
     "effort_gain": _gain(
-        "the efforts of {where} must be multiplied by {number} to match what the bodies need"
+        "the efforts of {where} must be multiplied by {number} to match the bodies"
     ),
     "effort_gains": _gain(
-        "the efforts of each joint must be multiplied by a number of its own, {numbers}"
+        "the efforts of each joint must be multiplied by its own factor, {numbers}"
     ),
     "effort_limit": Kind(
-        "the efforts of {where} are what was asked for: its motor gives at most {limit}",
-        "Log what the motor gives, or let --correct-columns keep the efforts to the limit, which a "
-        "saved model then knows.",
+        "the efforts of {where} are commands: its motor saturates at {limit}",
+        "Log the motor's effort, or let --correct-columns apply the limit, which is saved "
+        "with the model.",
     ),
     "effort_magnitude": Kind(
-        "the efforts of {where} never change their sign, though the motion needs both: they are "
+        "the efforts of {where} never change sign, though the motion requires it: they are "
         "magnitudes",
-        "Log them with their sign; or, where servos' commands are logged too, use these in their "
-        "place: --kind command.",
+        "Log them with their sign; or, if servo commands are logged too, use these: --kind "
+        "command.",
     ),
     "swapped_efforts": Kind("the efforts of {where} are swapped", _BY_SWAP, _EFFORTS, ("effort",)),
     "swapped_positions": Kind(
@@ -77,26 +77,26 @@ KINDS: Mapping[str, Kind] = {
     "position_alone_sign": _position("the position of {where} has the wrong sign", *_ALONE),
     "position_alone_unit": _position("the position of {where} is in {angle}", *_ALONE),
     "position_zero": Kind(
-        "the position of {where} has another zero, {off} off",
+        "the position of {where} has a zero offset of {off}",
         "Add {turn} to it, or turn the joint's origin in the model.",
         ("zero",),
         ("position", "command"),
     ),
     "velocity_factor": Kind(
-        "the velocities of {where} are {inverse:.4g} times the positions' derivatives",
-        "They are not used; multiply them by {value:.4g} in the mapping, or leave them out.",
+        "the velocities of {where} are {inverse:.4g} times the derivatives of the positions",
+        "They are not used; multiply them by {value:.4g} in the mapping, or remove them.",
         ("rate",),
         ("velocity",),
     ),
     "time": Kind(
-        "time runs {inverse:.4g} times as fast as the robot's",
-        "Multiply time by {value:.4g}, by its `gain` in the mapping, or give --rate.",
+        "time runs {inverse:.4g} times too fast",
+        "Multiply time by {value:.4g} with `gain` in the mapping, or use --rate.",
         ("time",),
     ),
-    "without_gravity": Kind("gravity has been taken out of the efforts already", _BY_MODEL),
-    "without_friction": Kind("friction has been taken out of the efforts already", _BY_MODEL),
+    "without_gravity": Kind("gravity has been subtracted from the efforts", _BY_MODEL),
+    "without_friction": Kind("friction has been subtracted from the efforts", _BY_MODEL),
     "without_rotor_inertia": Kind(
-        "the rotors' inertia has been taken out of the efforts already", _BY_MODEL
+        "the rotors' inertia has been subtracted from the efforts", _BY_MODEL
     ),
 }
 """By name, as of `ColumnFinding.kind`."""
@@ -118,21 +118,17 @@ def words_of(
     """
     value = values[0] if values else 1.0
     small, sign = abs(value) < 1.0, kind.endswith("_sign")
-    side = (
-        ": torques of the motors, or currents"
-        if min(map(abs, values), default=0.0) > _GEARED
-        else ""
-    )
-    falls = f" at rest, and none at a speed of {values[1]:.3g}" if len(values) > 1 else ""
+    side = ": motor torques, or currents" if min(map(abs, values), default=0.0) > _GEARED else ""
+    falls = f" at rest, and 0 at a speed of {values[1]:.3g}" if len(values) > 1 else ""
     said = {
         "where": "all joints" if all_joints else " and ".join(joints),
         "value": value,
         "inverse": 1.0 / value if value else math.inf,
-        "number": f"one number, {value:.3g}" if all_joints else f"{value:.3g}",
+        "number": f"one factor, {value:.3g}" if all_joints else f"{value:.3g}",
         "numbers": ", ".join(f"{each:.3g}" for each in values) + side,
         "gains": " ".join(f"--gain {j}={v:.4g}" for j, v in zip(joints, values, strict=False)),
         "effort": "N·mm or mN" if small else "kN·m or kN",
-        "angle": "degrees" if small else "radians in place of degrees",
+        "angle": "degrees" if small else "radians instead of degrees",
         "entry": "gain: -1" if sign else f"unit: {'deg' if small else 'rad'}",
         "limit": f"{value:.4g}{falls}",
         "turn": _angle(value),
@@ -140,10 +136,10 @@ def words_of(
     }
     advice = KINDS[kind].advice.format(**said)
     if all_joints and small and kind in _BY_UNITS:
-        advice = f"Say so: --units {_BY_UNITS[kind]}."
+        advice = f"Use --units {_BY_UNITS[kind]}."
     elif all_joints and kind in ("effort_gain", "effort_gains") and _is_thousandth(values):
         otherwise = advice[:1].lower() + advice[1:]
-        advice = f"If they are in N·mm, say so: --units effort=Nmm. Otherwise {otherwise}"
+        advice = f"If they are in N·mm, use --units effort=Nmm. Otherwise {otherwise}"
     return KINDS[kind].words.format(**said), advice
 
 

@@ -47,8 +47,8 @@ def clock_correlates(case: Case, hypothesis: Hypothesis, joint: str) -> list[Cor
         angle = 2.0 * np.pi * frequency * time
         swing = _share(np.stack([np.cos(angle), np.sin(angle)], -1), residual, fold)
         found = [
-            Correlate(joint, "time: it drifts slowly", drift),
-            Correlate(joint, f"the clock: it swings at {frequency:.3g} Hz", swing),
+            Correlate(joint, "time: a slow drift", drift),
+            Correlate(joint, f"time: an oscillation at {frequency:.3g} Hz", swing),
         ]
     return [correlate for correlate in found if correlate.share > _LEAST_SHARE]
 

@@ -150,7 +150,7 @@ def open_case(
                 prepared = prepare_logs(uniform, bandwidth=bandwidth, motion_bandwidth=sharp)
                 return prepared, hints, []
             if len(known) == 1 and (fit := known.pop()) is not None:
-                how = "as the model was fitted at"
+                how = "of the model's fit"
                 prepared = prepare_logs(uniform, bandwidth=fit[0], motion_bandwidth=fit[1], how=how)
                 return prepared, hints, []
             trajectories, changed = prepare_for_model(model, uniform)
@@ -186,8 +186,8 @@ def open_case(
     notes += [f"{t.name}: {note}" for t in trajectories for note in t.notes]
     notes += [*_still_notes(dataset), f"validated on {len(folds)} held-out folds"]
     notes += [
-        f"the model was fitted to {log.name} before: all errors on it are those of training data, "
-        "and a fit counts it twice"
+        f"the model was fitted to {log.name} before: errors on it are training errors, and a "
+        "fit counts it twice"
         for log in trained
     ]
     fingerprints, said = tuple(measured[log.name] for log in matched), tuple(dict.fromkeys(notes))
@@ -287,7 +287,7 @@ def _with_usable(
             if not rest or len(rest) == len(used):
                 raise
             used = rest
-            notes.append(f"{name} is left out: {error.problem}")
+            notes.append(f"{name} is not used: {error.problem}")
 
 
 def reopen(case: Case, model: RobotModel) -> Case:
@@ -391,10 +391,10 @@ def _still_notes(dataset: Dataset) -> list[str]:
     most = int(still.argmax())
     if still[most] == 0.0:
         return []
-    also = ", or of a limb on the ground," if dataset.is_mixed else ""
+    also = " and of limbs on the ground" if dataset.is_mixed else ""
     return [
-        f"samples of a joint at rest{also} are left out of fit and errors, as its dry friction is "
-        f"unknown there: {100 * still[most]:.0f} % at {dataset.joints[most]}, the most of any joint"
+        f"samples of resting joints{also} are not used, as dry friction is undetermined there: at "
+        f"most {100 * still[most]:.0f} %, at {dataset.joints[most]}"
     ]
 
 
@@ -404,9 +404,9 @@ def _filtered_note(trajectory: Trajectory, *, fitted: bool) -> str:
     if not np.isfinite(end):
         return ""
     return (
-        f"{trajectory.name}: its efforts hold hardly anything above {end:.2g} Hz and seem to "
-        "have been filtered before"
-        + ("; the quietest part of what a fitted model leaves is taken for noise" if fitted else "")
+        f"{trajectory.name}: its efforts have almost no content above {end:.2g} Hz and seem "
+        "to be filtered"
+        + ("; the quietest part of the residuals is taken as noise" if fitted else "")
     )
 
 
@@ -416,15 +416,14 @@ def _check_efforts(logs: Sequence[JointLog]) -> None:
     for log in logs:
         if len(log.passive) == len(log.joints):
             raise LogError(
-                f"No joint of log {log.name!r} has a motor: nothing was measured that says how "
-                "heavy the robot is.",
-                advice="Leave --passive out for joints whose efforts were measured.",
+                f"No joint of log {log.name!r} has a motor, so the scale of the masses is unknown.",
+                advice="Omit --passive for joints with measured efforts.",
             )
         if differing := sorted(set(log.passive) ^ set(logs[0].passive)):
             raise LogError(
-                f"{differing[0]} has no motor in {log.name!r} or in {logs[0].name!r}, but not in "
-                "both.",
-                advice=f"Say --passive {differing[0]}, or measure its effort in each log.",
+                f"{differing[0]} has no motor in one of {log.name!r} and {logs[0].name!r}, "
+                "but has one in the other.",
+                advice=f"Use --passive {differing[0]}, or measure its effort in each log.",
                 joints=differing,
             )
     for log in logs:
@@ -440,10 +439,10 @@ def _check_efforts(logs: Sequence[JointLog]) -> None:
         if joints:
             zero = [joint for joint in joints if largest[log.joints.index(joint)] == 0.0]
             raise LogError(
-                f"The effort of {', '.join(joints)} never changes in log {log.name!r}.",
-                advice=f"It is 0. Has the joint no motor? Then say so: --passive {zero[0]}."
+                f"The effort of {', '.join(joints)} is constant in log {log.name!r}.",
+                advice=f"It is 0. If the joint has no motor, use --passive {zero[0]}."
                 if zero
-                else "Check what is logged there, or hold such a joint: --lock JOINT=POSITION.",
+                else "Check what is logged, or fix the joint: --lock JOINT=POSITION.",
                 joints=joints,
             )
 

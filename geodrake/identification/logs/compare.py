@@ -104,8 +104,8 @@ def _circumstances(own: Sequence[Series], way: str, effort: str) -> Iterator[tup
     yield from _extremes(load, "at predicted efforts", effort)
     yield from _extremes(np.abs(signals["acceleration"]), "at accelerations", f"{way}/s²")
     yield from _extremes(signals["position"], "at positions", way)
-    yield "while it moves forwards", signals["velocity"] > 0.02 * speed.max()
-    yield "while it moves backwards", signals["velocity"] < -0.02 * speed.max()
+    yield "while moving forwards", signals["velocity"] > 0.02 * speed.max()
+    yield "while moving backwards", signals["velocity"] < -0.02 * speed.max()
     blocks = np.concatenate([[s.block] * len(s.time) for s in own])
     for block in dict.fromkeys(blocks.tolist()):
         yield f"in {block}", blocks == block

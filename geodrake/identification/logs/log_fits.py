@@ -273,8 +273,8 @@ def weigh(fits: LogFits, regularizer: str) -> tuple[float, tuple[Weighing, ...]]
     best = min(allowed.values(), key=lambda loss: loss.sum())
     if not np.isfinite(best).all():
         raise IdentificationError(
-            f"No weight of the {regularizer} regularizer leads to a solution.",
-            advice="Give another regularizer or γ.",
+            f"The {regularizer} regularizer has no solution with any weight.",
+            advice="Use another regularizer or γ.",
         )
 
     def as_good(loss: Array) -> bool:

@@ -203,8 +203,8 @@ def prepare_for_model(
             uniform, bandwidth=coherent, motion_bandwidth=coherent, how="chosen from the data"
         )
         return lowered, (
-            f"bandwidth lowered to {coherent:.3g} Hz: above it the motion asks for efforts that "
-            "were not measured, as vibration, play or position noise do"
+            f"bandwidth lowered to {coherent:.3g} Hz, as the motion above it does not match "
+            "the measured efforts: vibration, backlash or position noise"
         )
     if outputs >= _ENOUGH:
         return trajectories, None

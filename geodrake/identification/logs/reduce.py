@@ -77,9 +77,9 @@ def reduce_logs(
     for joint, own in zip(model.joints, data, strict=True):
         if not own.samples.any() and coupling is None:
             raise LogError(
-                f"{joint} stands still but for a moment: in no filtered sample it moves for most "
+                f"{joint} moves only for a moment: in no filtered sample it moves for most "
                 "of the filter's window.",
-                advice="Record a log in which it moves, or always stands. Did its sensor jump?",
+                advice="Record a log in which it moves, or always rests. Did its sensor jump?",
                 joint=joint,
             )
     passive = {joint for trajectory in trajectories for joint in trajectory.passive}
@@ -304,8 +304,8 @@ def effort_deviation(
     for joint, value, stuck in zip(joints, mean.tolist(), constant.tolist(), strict=True):
         if stuck:
             raise LogError(
-                f"The effort of {joint} never changes in the log: it is {value:.4g} N·m or N.",
-                advice="Check what is logged there, or leave the joint's columns out.",
+                f"The effort of {joint} is constant in the log: {value:.4g} N·m or N.",
+                advice="Check what is logged, or remove the joint's columns.",
                 joint=joint,
             )
     return deviation

@@ -118,11 +118,11 @@ def _check_known(found: Sequence[EffortSignal], logs: Sequence[JointLog]) -> Non
     looks = (position_unit_hint, effort_sign_hint)
     hint = next((hint for log in logs for look in looks if (hint := look(log))), "")
     raise LogError(
-        f"The {kinds} of {', '.join(signal.joint for signal in measured)} do not go with the "
-        "motion: the model needs no such efforts, whatever the gains.",
+        f"The {kinds} of {', '.join(signal.joint for signal in measured)} do not match the "
+        "motion with any gains.",
         advice=hint
-        or "Are they of these joints, at these instants, with their sign? Do the "
-        "joints move under load? Else give the gains by --gain JOINT=VALUE.",
+        or "Are they of these joints, synchronous and with the right sign? Do the joints move "
+        "under load? Otherwise give the gains with --gain JOINT=VALUE.",
     )
 
 
@@ -140,8 +140,9 @@ def _limit_notes(model: RobotModel, asked: JointLog, given: JointLog) -> list[st
         beyond = np.isfinite(asked.effort[:, at]) & (given.effort[:, at] != asked.effort[:, at])
         if beyond.any():
             notes.append(
-                f"{asked.name}: in {100.0 * np.mean(beyond):.2g} % of the rows {joint} is asked "
-                "for more than its motor gives, by the limit in the model; what it gives counts"
+                f"{asked.name}: in {100.0 * np.mean(beyond):.2g} % of the rows the commanded "
+                f"effort of {joint} exceeds the motor's limit in the model, which is used "
+                "instead"
             )
     return notes
 
@@ -187,9 +188,12 @@ def gain_words(
         words.append(f"{signal.joint} {value} ± {signal.deviation:.2g} {unit}")
         if (told := published_gain(logs, signal.joint, signal.kind)) is not None and not unknown:
             share, spread = signal.gain / told[0], signal.deviation / told[0]
-            words[-1] += f" ({share:.2g} ± {spread:.1g} of what is published of {told[2]})"
+            words[-1] += f" ({share:.2g} ± {spread:.1g} times the published value of {told[2]})"
     kinds = " and ".join(dict.fromkeys(f"{signal.kind}s" for signal in signals))
-    return f"efforts are those of {kinds}, by gains from the model's inertias: {', '.join(words)}"
+    return (
+        f"efforts are computed from {kinds}, with gains estimated with the model's inertias: "
+        f"{', '.join(words)}"
+    )
 
 
 def calibrated(
@@ -229,9 +233,10 @@ def calibrated(
     for j in servos:  # where an integral holds a joint up, the motion alone tells its sign
         if gains.gains[j] < 0.0 and j not in moved:
             raise LogError(
-                f"The servo of {model.joints[j]} pushes away from its command, with "
+                f"The servo of {model.joints[j]} has a negative stiffness, "
                 f"{gains.gains[j]:.3g} ± {deviations[j]:.2g} N·m/rad.",
-                advice="Has its command or its position the wrong sign, or is it of another joint?",
+                advice="Does its command or position have the wrong sign, or belong to another "
+                "joint?",
                 joint=model.joints[j],
             )
     return tuple(found.values())
@@ -475,19 +480,19 @@ def _kinds(model: RobotModel, logs: Sequence[JointLog]) -> tuple[str, ...]:
         if len(kinds) > 1:
             words = " and ".join(f"{kind} in {name!r}" for kind, name in kinds.items())
             raise LogError(
-                f"What was measured of {joint}'s effort is {words}.",
+                f"The effort of {joint} is measured by {words}.",
                 advice="Use logs of one kind together.",
                 joint=joint,
             )
         kind = next(iter(kinds))
         signal = signal_of(model.effort_signals, joint)
         if signal is not None and kind not in (signal.kind, EFFORT):
-            knows = f"what makes efforts of its {signal.kind}"
+            knows = f"its gain from {signal.kind}"
             if signal.kind == EFFORT:
-                knows = "which efforts its motor gives of those that it is asked for"
+                knows = "its motor's limit for commanded efforts"
             raise LogError(
-                f"Log {kinds[kind]!r} has the {kind} of {joint}; the model knows {knows}.",
-                advice="Start from the model file, or say what the column is by --kind.",
+                f"Log {kinds[kind]!r} has the {kind} of {joint}, but the model knows {knows}.",
+                advice="Start from the model file, or set the kind of the column with --kind.",
                 joint=joint,
             )
         found.append(kind)

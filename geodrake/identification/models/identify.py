@@ -75,8 +75,8 @@ def model_notes(model: RobotModel, bodies: Sequence[BodyChange]) -> list[str]:
     notes = []
     if not any("friction" in fitted.effect.name for fitted in model.effects):
         notes.append(
-            "the model has no friction, so inertias stand in for it as far as they can: fit some "
-            f"beside them (--effects {','.join(USUAL)}), or let geodrake explain find which"
+            "the model has no friction, which inertias then approximate: fit some "
+            f"(--effects {','.join(USUAL)}), or let geodrake explain find it"
         )
     far = [
         f"{body.name} {body.mass[0]:.3g} → {body.mass[1]:.3g} kg"
@@ -85,9 +85,9 @@ def model_notes(model: RobotModel, bodies: Sequence[BodyChange]) -> list[str]:
     ]
     if far:
         notes.append(
-            f"masses far from the prior ({', '.join(far)}): unless the prior is that wrong, the "
-            "model lacks an effect that inertias stand in for, which geodrake diagnose looks for; "
-            "a larger gamma holds them"
+            f"masses far from the prior ({', '.join(far)}): unless the prior is that wrong, "
+            "the model lacks an effect that inertias approximate, which geodrake diagnose "
+            "looks for; a larger gamma keeps them closer"
         )
     return [*notes, *common_factor_notes(bodies)]
 
@@ -102,9 +102,9 @@ def common_factor_notes(bodies: Sequence[BodyChange]) -> list[str]:
     if before <= 0.0 or after <= 0.0 or abs(np.log(after / before)) <= _USUAL * SPREAD:
         return []
     return [
-        f"these bodies weigh {after:.3g} kg, and {before:.3g} kg before: are the efforts of all "
-        f"joints N·m or N? {before / after:.3g} times as large, they would leave the bodies where "
-        "the file has them"
+        f"these bodies weigh {after:.3g} kg instead of {before:.3g} kg: are the efforts of "
+        f"all joints in N·m or N? If they were {before / after:.3g} times as large, the "
+        "bodies would not change"
     ]
 
 
@@ -189,8 +189,8 @@ def identify_model(
     notes = [*case.notes, *model_notes(fitted, bodies), *_sweep_notes(gamma, sweep), *unsolved]
     if not np.isfinite(result.gamma):
         notes.append(
-            "the residual bound holds for the model as it is: nothing limits gamma, and "
-            "regularizers are all alike"
+            "the model already satisfies the residual bound, so gamma is unlimited and all "
+            "regularizers are equal"
         )
     return ModelIdentification(
         fitted,
@@ -228,8 +228,8 @@ def _sweep_notes(gamma: float | None, sweep: Sequence[Weighing]) -> list[str]:
     if best is None or not chosen or best.nrms > _NOTABLY * chosen[0]:
         return []
     return [
-        f"gamma {best.gamma:.3g} would lower the held-out nrms to {best.nrms:.3f}, by inertias "
-        "that lie further from the prior than a model file usually errs: the model more likely "
+        f"gamma {best.gamma:.3g} would lower the held-out nrms to {best.nrms:.3f}, but with "
+        "inertias further from the prior than model files usually are: the model probably "
         "lacks an effect, which geodrake diagnose looks for"
     ]
 
@@ -246,8 +246,8 @@ def with_effects(model: RobotModel, effects: Sequence[Effect]) -> RobotModel:
             (f.effect.name, f.effect.where) == (effect.name, effect.where) for f in model.effects
         ):
             raise ArgumentError(
-                f"The model has {effect.name} at {', '.join(effect.where)} already.",
-                advice="It is fitted without being asked for.",
+                f"The model already has {effect.name} at {', '.join(effect.where)}.",
+                advice="Effects of the model are always fitted.",
             )
     added = [FittedEffect(effect, np.zeros(len(effect.parameters))) for effect in effects]
     if not added:
@@ -291,9 +291,9 @@ def _solved(
                 reached = np.sqrt(least / fits.least_residual())
                 words = f" Physical bodies reach about {reached:.4g}."
             raise IdentificationError(
-                f"No physical parameters have an RMS residual within {ratio:g} times the least "
-                f"that any parameters reach.{words}",
-                advice="Raise the bound, or give gamma instead.",
+                f"No physical parameters have an RMS residual within {ratio:g} times the "
+                f"smallest of any parameters.{words}",
+                advice="Raise the bound, or use gamma instead.",
             ) from error
         if isinstance(error, ArgumentError):
             raise
@@ -302,9 +302,8 @@ def _solved(
         blocks = [starts[k] for k in columns if k in starts]
         where = f" ({', '.join(blocks)})" if blocks else ""
         raise IdentificationError(
-            f"The {name} regularizer with gamma {gamma:g} leads to no solution that can be "
-            f"trusted{where}.",
-            advice="Give a larger gamma; check the total mass if one is given.",
+            f"The {name} regularizer with gamma {gamma:g} has no reliable solution{where}.",
+            advice="Use a larger gamma; check the total mass if one is given.",
         ) from error
 
 

@@ -103,11 +103,13 @@ class IdentificationSettings(Short):
         if self.blocks is not None:
             integer(self.blocks, "blocks")
         if self.gamma is not None and self.residual_ratio is not None:
-            raise ArgumentError("A γ and a residual bound are given.", advice="Give one of them.")
+            raise ArgumentError(
+                "Both γ and a residual bound are given.", advice="Give one of them."
+            )
         ratio = self.residual_ratio
         if ratio is not None and not 1.0 < number(ratio, "The residual bound") <= _LARGEST_RATIO:
             raise ArgumentError(
-                f"The residual bound {ratio:g} is relative to the least RMS residual that any "
-                f"parameters reach, so it must be above 1, and at most {_LARGEST_RATIO:g}.",
-                advice="Give 1.01 to allow one percent more.",
+                f"The residual bound {ratio:g} is relative to the smallest RMS residual of "
+                f"any parameters, so it must be above 1, and at most {_LARGEST_RATIO:g}.",
+                advice="Use 1.01 to allow one percent more.",
             )

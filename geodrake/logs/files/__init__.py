@@ -115,13 +115,13 @@ def understand(
         return log_of(table, joints, reading, partial=partial)
     except UnicodeDecodeError as error:
         raise LogError(
-            f"Log {str(path)!r} is no text in UTF-8: {error.reason} at byte {error.start}.",
+            f"Log {str(path)!r} is not UTF-8 text: {error.reason} at byte {error.start}.",
             advice="Save it as CSV in UTF-8, or as .npz.",
         ) from error
     except (OSError, MemoryError) as error:
         raise LogError(
             f"Log {str(path)!r} cannot be read: {error}.",
-            advice="Check the file's permissions, and that there is memory for it.",
+            advice="Check the file's permissions and the available memory.",
         ) from error
 
 
@@ -137,7 +137,7 @@ def log_of(
         return log, columns
     reading = replace(reading, ignored=reading.ignored | useless)
     log, columns = _understood(table, joints, reading, partial=partial)
-    words = f"columns {listed(sorted(useless))} say nothing of efforts, and are not used"
+    words = f"columns {listed(sorted(useless))} do not describe efforts, and are not used"
     return replace(log, notes=(*log.notes, words)), columns
 
 
@@ -168,9 +168,9 @@ def _check_silent(table: LogTable, reading: Reading, joints: Sequence[str] | Non
         if name in needed:
             raise LogError(
                 f"Column {name!r} of log {str(table.path)!r} {words}.",
-                advice="Log that joint as often as the others, or hold it: --lock JOINT=POSITION."
+                advice="Log that joint as often as the others, or fix it: --lock JOINT=POSITION."
                 if words.startswith(RARE)
-                else "Give numbers, or for time dates such as 2026-05-01T12:00:00.25Z.",
+                else "Use numbers, or for time dates such as 2026-05-01T12:00:00.25Z.",
                 column=name,
             )
 
@@ -204,7 +204,7 @@ def log_of_frame(
     instance(name, "name", str)
     joints = None if joints is None else instances(joints, "joints", str)
     reading = Reading() if reading is None else instance(reading, "reading", Reading)
-    with readable(Path(name), "frame of numbers", "Give columns of numbers, such as float64."):
+    with readable(Path(name), "frame of numbers", "Use numeric columns, such as float64."):
         arrays = _frame_arrays(frame, name)
     rows = max((len(values) for values in arrays.values() if np.ndim(values)), default=0)
     index: Any = getattr(frame, "index", None)
@@ -225,8 +225,8 @@ def _frame_arrays(frame: Any, called: str) -> dict[str, Any]:
         names = getattr(frame, "columns", None)
     if names is None or isinstance(frame, str):
         raise ArgumentError(
-            f"A frame has named columns; it is {type(frame).__name__}.",
-            advice="Give a DataFrame, or a dict of arrays with time, position and effort.",
+            f"A frame must have named columns; got {type(frame).__name__}.",
+            advice="Pass a DataFrame, or a dict of arrays with time, position and effort.",
         )
     check_once(Path(called), [str(name) for name in names])
     return {str(name): _column_array(frame[name]) for name in names}

@@ -75,13 +75,16 @@ def _json_table(path: Path, content: Any, reading: Reading) -> LogTable:
         lists = arrays_of(content)
         return numeric_table(path, lists, rows_of(lists))
     if not are_records(content):
-        raise LogError(f"Log {str(path)!r} is neither an object nor records.", advice=_JSON_ADVICE)
+        raise LogError(
+            f"Log {str(path)!r} is neither a JSON object nor a list of records.",
+            advice=_JSON_ADVICE,
+        )
     return records_table(path, content)
 
 
 def read_echo(path: Path, reading: Reading) -> LogTable:
     """Return the columns of what `topic echo` of ROS wrote: a document of YAML for each message."""
-    advice = "Was it cut off? Remove the last message, or record a bag: ros2 bag record."
+    advice = "Is it cut off? Remove the last message, or record a bag: ros2 bag record."
     with readable(path, "output of topic echo", advice):
         text = _whole(path, "YAML")
         whole = text.rpartition(b"\n---")[0] or text  # the last may be cut off
@@ -91,7 +94,7 @@ def read_echo(path: Path, reading: Reading) -> LogTable:
 
 def read_rsi(path: Path, reading: Reading) -> LogTable:
     """Return the columns of what a KUKA sent by its interface for sensors, elements of XML."""
-    with readable(path, "XML of a robot", "Leave out a last element that was cut off."):
+    with readable(path, "XML of a robot", "Remove a last element that is cut off."):
         root = ElementTree.fromstring(b"<log>" + _whole(path, "XML") + b"</log>")
     return records_table(path, [_of_element(element) for element in root])
 
@@ -140,9 +143,9 @@ def read_mat(path: Path, reading: Reading) -> LogTable:
         table = numeric_table(path, {name: np.squeeze(x) for name, x in arrays.items()}, rows)
     if not table.columns:
         raise LogError(
-            f"Log {str(path)!r} has no arrays of numbers; its variables are "
+            f"Log {str(path)!r} has no numeric arrays; its variables are "
             f"{', '.join(list(own)[:8]) or 'none'}.",
-            advice=f"Tables and timeseries are MATLAB's own. {_MAT_ADVICE}",
+            advice=f"Tables and timeseries cannot be read. {_MAT_ADVICE}",
         )
     return table
 
@@ -181,8 +184,8 @@ def _of_hdf5(path: Path, *, matlab: bool = True) -> dict[str, Any]:
     with h5py.File(path, "r") as file:
         if file.visit(take):
             raise LogError(
-                f"Log {str(path)!r} has more than {_MOST_VARIABLES} variables, or structs in more "
-                f"than {_DEEPEST} others.",
+                f"Log {str(path)!r} has more than {_MOST_VARIABLES} variables, or structs "
+                f"nested more than {_DEEPEST} deep.",
                 advice=_MAT_ADVICE,
             )
         found = {name: file[name] for name in names}
@@ -297,14 +300,14 @@ def arrow_numbers(column: Any) -> Any:
 
 def read_npy(path: Path, reading: Reading) -> LogTable:
     """Return the columns of an NPY file: fields of records, or those of a matrix."""
-    with readable(path, "NPY file", "Write it by numpy.save: records, or a row for each sample."):
+    with readable(path, "NPY file", "Write it with numpy.save: records, or a row for each sample."):
         array = npy.open_memmap(regular_file(path, "log", LogError), mode="r")
     check_room(path, array.size, f"{array.size} numbers")
     if array.dtype.names:
         return numeric_table(path, {n: array[n] for n in array.dtype.names}, len(array))
     if array.ndim != 2:
         raise LogError(
-            f"The array of log {str(path)!r} is not 2-D: its shape is {array.shape}.",
+            f"The array in log {str(path)!r} is not 2-D: its shape is {array.shape}.",
             advice="Save a row for each sample, or records with a field for each column.",
         )
     first = tuple(str(value) for value in array[:1].ravel().tolist())
@@ -313,14 +316,14 @@ def read_npy(path: Path, reading: Reading) -> LogTable:
     return table if reading.columns else replace(table, unnamed=first)
 
 
-_NPZ_ADVICE = "Store one 1-D array for each column, all equally long."
+_NPZ_ADVICE = "Store one 1-D array for each column, all of the same length."
 
 
 def read_npz(path: Path, reading: Reading) -> LogTable:
     """Return the columns of an NPZ file."""
     arrays, objects = dict[str, Any](), list[str]()
     with (
-        readable(path, "NPZ archive", f"Write it by numpy.savez. {_NPZ_ADVICE}"),
+        readable(path, "NPZ archive", f"Write it with numpy.savez. {_NPZ_ADVICE}"),
         open_regular(path, "log", LogError) as file,
         zipfile.ZipFile(file) as archive,
     ):
@@ -334,7 +337,7 @@ def read_npz(path: Path, reading: Reading) -> LogTable:
             shape, dtype = declared[entry]
             if is_used(name) and len(shape) != 1:
                 raise LogError(
-                    f"Array {name!r} of log {str(path)!r} is not 1-D: its shape is {shape}.",
+                    f"Array {name!r} in log {str(path)!r} is not 1-D: its shape is {shape}.",
                     advice=_NPZ_ADVICE,
                 )
             if dtype.hasobject:

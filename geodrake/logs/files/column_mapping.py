@@ -48,8 +48,8 @@ Array = NDArray[np.float64]
 
 HEADER = "time,<joint>.position,<joint>.velocity,<joint>.effort"
 _MOST_COLUMNS = 10_000  # ten times more than a robot of a hundred joints has
-HEADER_ADVICE = f"The first line names the columns: {HEADER}; velocity may be left out."
-SIGNAL_ADVICE = "In the place of efforts, <joint>.current, .voltage, .pwm or .command will do."
+HEADER_ADVICE = f"The first line names the columns: {HEADER}; velocity is optional."
+SIGNAL_ADVICE = "<joint>.current, .voltage, .pwm or .command may replace effort."
 """What a joint may have whose efforts are not measured."""
 
 
@@ -78,12 +78,12 @@ def check_text(path: Path, names: Sequence[str]) -> None:
     if len(names) > _MOST_COLUMNS:
         raise LogError(
             f"Log {str(path)!r} has {len(names)} columns; at most {_MOST_COLUMNS} are read.",
-            advice="Is it a table with a row for each sample? Else leave columns out.",
+            advice="Is it transposed? Write a row for each sample, or remove columns.",
         )
     if any("\0" in name for name in names):
         raise LogError(
-            f"The first line of log {str(path)!r} has null characters: it is no text in UTF-8.",
-            advice="Is it UTF-16, or binary? Save it as CSV in UTF-8, or as .npz.",
+            f"The first line of log {str(path)!r} has null characters: it is not UTF-8 text.",
+            advice="Is it UTF-16 or binary? Save it as CSV in UTF-8, or as .npz.",
         )
     check_once(path, names, [name for name in names if is_used(name)])
 
@@ -92,7 +92,7 @@ def no_header(path: Path, first: Sequence[str]) -> LogError:
     """Return what is said of a table whose columns nobody names, by the cells of its first row."""
     return LogError(
         f"Log {str(path)!r} has no header: its first line is {','.join(first)[:60]!r}.",
-        advice=f"{HEADER_ADVICE} Or name its columns by --columns, or by --mapping.",
+        advice=f"{HEADER_ADVICE} Or name its columns with --columns or --mapping.",
     )
 
 
@@ -102,8 +102,8 @@ def check_once(path: Path, names: Sequence[str], used: Collection[str] | None = 
     twice = sorted(name for name in set(names if used is None else used) if counts[name] > 1)
     if twice:
         raise LogError(
-            f"Log {str(path)!r} has these columns more than once: {', '.join(twice)}.",
-            advice="Remove or rename one of each.",
+            f"Log {str(path)!r} has duplicate columns: {', '.join(twice)}.",
+            advice="Remove or rename them.",
             columns=twice,
         )
 
@@ -188,11 +188,11 @@ def settled(
         unit = unit_of(told[quantity], quantity) if quantity in told else unit
         if unit and np.isnan(unit.factor) and quantity in ("position", "command"):
             raise LogError(
-                f"Column {meaning.column!r} of log {str(path)!r} is in {unit.name}, and nobody "
-                "says how many of them a turn has.",
-                advice=f"Say it, gears included, as in --units {quantity}=rev/4096 (or "
-                "rev/4096@2048 if 2048 is counted where the joint is at 0), or column by column in "
-                "a mapping, which has a gain of −1 where one is reversed.",
+                f"Column {meaning.column!r} of log {str(path)!r} is in {unit.name} of "
+                "unknown resolution.",
+                advice=f"Give it, with gears, as in --units {quantity}=rev/4096 (or "
+                "rev/4096@2048 if 2048 is counted where the joint is at 0), or for each "
+                "column in a mapping, with gain −1 for reversed ones.",
                 column=meaning.column,
             )
         return replace(meaning, unit=unit)
@@ -208,9 +208,9 @@ def settled(
     elif joint in reading.kinds and said is not None:
         by = "the mapping" if meaning.style == MAPPED else "its name"
         raise LogError(
-            f"Column {meaning.column!r} of log {str(path)!r} is {quantity} by {by}, and {said} by "
-            "--kind.",
-            advice="Name another column by --mapping, or leave --kind out.",
+            f"Column {meaning.column!r} of log {str(path)!r} is {quantity} by {by}, but "
+            f"{said} by --kind.",
+            advice="Use another column in --mapping, or omit --kind.",
             joint=joint,
         )
     if kind in told:
@@ -225,9 +225,9 @@ def settled(
         and not (kind == "effort" and is_scaled)
     ):
         raise LogError(
-            f"Column {meaning.column!r} of log {str(path)!r} is to be the {kind} of {joint}, and "
-            f"is in {unit.name}, a unit of {unit.signal or 'effort'}.",
-            advice="Say what it is by --kind JOINT=KIND, or its unit by --units.",
+            f"Column {meaning.column!r} of log {str(path)!r} is used as {kind} of {joint}, "
+            f"but is in {unit.name}, a unit of {unit.signal or 'effort'}.",
+            advice="Set its kind with --kind JOINT=KIND, or its unit with --units.",
             joint=joint,
         )
     return replace(meaning, quantity=kind, unit=unit)
@@ -250,7 +250,7 @@ def without_use(log: JointLog, columns: Columns) -> frozenset[str]:
     return frozenset(found)
 
 
-_SI = {"current": "A", "voltage": "V", "pwm": "shares of the largest value"}
+_SI = {"current": "A", "voltage": "V", "pwm": "fractions of the largest value"}
 _UNITS_WITH = {**dict.fromkeys(SIGNAL_KINDS, "effort"), "command": "position"}
 _CONSTANT = " (torque constant × gear ratio)"
 _KIND_WORDS = {
@@ -269,11 +269,11 @@ def choice_words(best: Mapping[tuple[str, str], Sequence[Meaning]]) -> Iterator[
             why = {ROLES[m.role] for m in others if m.role > PLAIN} - {""}
             why |= {m.quantity for m in others} - {m.quantity for m in chosen}
             words = f" ({', '.join(sorted(why))})" if why else ""
-            yield (f"{quantity}: {_span(chosen)} taken, and not {_span(others)}{words}")
+            yield (f"{quantity}: {_span(chosen)} used instead of {_span(others)}{words}")
         measured = dict.fromkeys(SIGNAL_KINDS, MOTOR)  # currents are of motors anyway
         doubtful = [m.role > measured.get(m.quantity, PLAIN) for m in chosen]
         if quantity not in PARTIAL and chosen and all(doubtful):
-            yield f"{quantity}: {_span(chosen)} may not be measured at the joints, by the name"
+            yield f"{quantity}: by their names, {_span(chosen)} may not be measured at the joints"
 
 
 def unit_words(sources: Mapping[str, Meaning], reading: Reading) -> Iterator[str]:
@@ -288,23 +288,23 @@ def unit_words(sources: Mapping[str, Meaning], reading: Reading) -> Iterator[str
         units = dict.fromkeys(unit.name for unit in found if unit.factor != 1.0 or unit.offset)
         if units:
             asked = {quantity, _UNITS_WITH.get(quantity, quantity)}.intersection(reading.units)
-            told = "as asked for" if asked else "by the names of columns"
+            told = "as requested" if asked else "by the column names"
             yield f"{quantity} is in {', '.join(units)}, {told}: converted"
     for kind in SIGNAL_KINDS:
         joints = [name.rpartition(".")[0] for name in same[kind]]
         if joints:
             yield (
-                f"efforts of {listed(joints)} are {_KIND_WORDS[kind]}, in {_SI[kind]}, and no "
-                "efforts: their gains are found from the model's inertias, unless --gain "
-                f"JOINT=VALUE gives them{_CONSTANT if kind == 'current' else ''}"
+                f"efforts of {listed(joints)} are {_KIND_WORDS[kind]} in {_SI[kind]}: their "
+                "gains are estimated with the model's inertias, unless given by --gain "
+                f"JOINT=VALUE{_CONSTANT if kind == 'current' else ''}"
             )
     measured = {name.rpartition(".")[0] for name in sources if name.endswith(".effort")}
     commanded = [name.rpartition(".")[0] for name in same["command"]]
     bare = [joint for joint in commanded if joint not in measured]
     if bare:
         yield (
-            f"no efforts of {listed(bare)}: commands are in their place, and what servos make of "
-            "them is found from the model's inertias"
+            f"no efforts of {listed(bare)}: their servo commands are used, with gains that "
+            "are estimated with the model's inertias"
         )
 
 
@@ -320,10 +320,10 @@ def _span(meanings: Sequence[Meaning]) -> str:
 
 _FEW_WORDS, _LONGEST_WORD = 3, 40  # columns of words that are told, and letters of each
 _WORDS_ADVICE = (
-    "Are they in columns of words? Write records in JSON as lines of a .jsonl file, and a column "
-    "for each quantity of each joint (DataFrame.pivot). "
+    "If the table has one row for each value, pivot it to a column for each quantity of "
+    "each joint (DataFrame.pivot), or write JSON records to a .jsonl file. "
 )
-_MAPPING_ADVICE = "Or say which column is what by --mapping."
+_MAPPING_ADVICE = "Or map the columns with --mapping."
 
 
 def columns_of(
@@ -332,7 +332,7 @@ def columns_of(
     """Return what the columns of a table are; see `read_log` for arguments."""
     path, names = table.path, table.names
     if joints is not None and len(set(joints)) < len(joints):
-        raise ArgumentError(f"Log {str(path)!r} is to have a joint twice: {listed(joints)}.")
+        raise ArgumentError(f"Log {str(path)!r} would have a joint twice: {listed(joints)}.")
     check_text(path, names)
     is_mapped, first = reading.mapping is not None, table.unnamed
     if first and not is_mapped:
@@ -346,7 +346,7 @@ def columns_of(
             silent = "".join(told[:_FEW_WORDS])
             raise LogError(
                 f"Log {str(path)!r} has no column 'time'; it has {listed(names)}{silent}.",
-                advice=f"{words}{HEADER_ADVICE} Without time, give the rows a second by --rate.",
+                advice=f"{words}{HEADER_ADVICE} Without time, give the sampling rate with --rate.",
             )
         columns.date(table)
         columns.choose(table, joints, partial=partial)
@@ -368,8 +368,10 @@ def likely_clock(table: LogTable) -> tuple[str, str]:
             step = float(np.median(steps)) if len(steps) else 0.0
             even = np.abs(steps - step) <= 0.5 * step
             if step > 0.0 and step != 1.0 and even.mean() > _EVEN:  # by 1, it counts rows
-                words = f"{name!r} rises by {step:.4g} from row to row: is it time? In which unit"
-                return name, f"{words}, a mapping says. "
+                words = (
+                    f"{name!r} increases by {step:.4g} from row to row: is it time? In which unit"
+                )
+                return name, f"{words}, a mapping can say. "
     close = difflib.get_close_matches("time", [name.lower() for name in table.names[:100]], 1)
     return "", f"Is it {close[0]!r}? " if close else ""
 
@@ -398,11 +400,11 @@ def _by_names(table: LogTable, joints: Sequence[str] | None, reading: Reading) -
     if unknown:
         lost = listed([source.column for source in unknown.values()])
         of = ", ".join({source.unit.name: None for source in unknown.values() if source.unit})
-        said.append(f"not used, as nobody says how much one of {of} is: {lost}")
+        said.append(f"not used, as the scale of {of} is unknown: {lost}")
     places = {key: source for key, source in places.items() if key not in unknown}
     if rate is None and time is None and table.rate is not None:
         rate, name = table.rate
-        said.append(f"{rate:.6g} rows a second, as {name!r} in the file says")
+        said.append(f"{rate:.6g} Hz, from {name!r} in the file")
     return Columns(path, reading, places, said, rate, own, others)
 
 
@@ -417,7 +419,7 @@ def _by_mapping(table: LogTable, reading: Reading) -> Columns:
         column, (joint, _, quantity) = mapped.among(table.counted), name.rpartition(".")
         if column not in names:
             raise LogError(
-                f"Log {str(path)!r} has no column {column!r}, which {mapping.source} names for "
+                f"Log {str(path)!r} has no column {column!r}, which {mapping.source} maps to "
                 f"{name!r}; it has {listed(names)}.",
                 advice="Correct the mapping.",
             )
@@ -505,8 +507,8 @@ class Columns:
                 self.places[joint, quantity] = own
             if quantity != "time" and source.column in table.origins:
                 raise LogError(
-                    f"Column {source.column!r} of log {str(table.path)!r} holds dates, and is "
-                    f"taken for the {quantity} of {joint}.",
+                    f"Column {source.column!r} of log {str(table.path)!r} is used as the "
+                    f"{quantity} of {joint}, but has dates.",
                     advice=_MAPPING_ADVICE,
                 )
         time = self.places.get(("", "time"))
@@ -530,25 +532,24 @@ class Columns:
             raise LogError(
                 f"Log {str(path)!r} has no joint with both position and effort; positions: "
                 f"{listed(moved)}; efforts: {listed(efforts)}{''.join(words[:_FEW_WORDS])}.",
-                advice="A log without effort says nothing about dynamics. "
+                advice="Without efforts, nothing can be said about dynamics. "
                 + (_WORDS_ADVICE if words else "")
                 + f"{HEADER_ADVICE} {SIGNAL_ADVICE} {_MAPPING_ADVICE}",
             )
         standing = tuple(j for j in silent if j in self.own or j in (wanted or ()))
         if standing and not partial:
             raise LogError(
-                f"Log {str(path)!r} is a log without effort of {', '.join(standing)}: the "
-                "position is there, the effort is not.",
-                advice=f"Log that joint's effort too, or leave its columns out. {SIGNAL_ADVICE}",
+                f"Log {str(path)!r} has positions but no efforts of {', '.join(standing)}.",
+                advice=f"Log their efforts too, or remove their columns. {SIGNAL_ADVICE}",
                 joints=standing,
             )
         own = tuple(joint for joint in moved if joint in heard)
         if own == (ONLY,) and wanted and len(wanted) > 1 and ONLY not in wanted:
             raise LogError(
-                f"Log {str(path)!r} has columns of one joint, and they do not say which.",
+                f"Log {str(path)!r} has columns of one joint without its name.",
                 advice=f"Name the columns or the file after one of {listed(wanted)}, as in "
-                f"{wanted[0]}.position. Tables of several joints, one below the other, are read as "
-                f"files of their own: {wanted[0]}.csv+{wanted[1]}.csv. {_MAPPING_ADVICE}",
+                f"{wanted[0]}.position. Write tables of several joints to a file each, and "
+                f"join them as {wanted[0]}.csv+{wanted[1]}.csv. {_MAPPING_ADVICE}",
             )
         if wanted is not None:
             check_joints(log_name(path), [*own, *standing], wanted, partial=partial)
@@ -566,9 +567,9 @@ class Columns:
             if not missing or some or quantity == "effort":
                 self.quantities += (quantity,)
             elif len(missing) < len(own):
-                self.notes.append(f"{quantity} is not used: there is no {listed(missing)}")
+                self.notes.append(f"{quantity} is not used: there is none of {listed(missing)}")
         if said := [joint for joint in self.passive if joint not in reading.motorless]:
-            words = f"no motor at {listed(said)}: bodies and friction need no effort there"
+            words = f"no motor at {listed(said)}: its effort is zero"
             self.notes.append(words)
         of_joints = {
             (joint, quantity): source
@@ -636,23 +637,23 @@ class Columns:
         """Refuse gains and kinds of joints that have no such column."""
         path, joints = self.path, self.joints
         heard, told = self.having("effort"), self.having("command")
-        whats = {PASSIVE: "--passive names", "gain": "There is a gain of"}
+        whats = {PASSIVE: "--passive names", "gain": "There is a gain for"}
         for joint, said in (
             *dict.fromkeys(self.reading.gains, "gain").items(),
             *self.reading.kinds.items(),
         ):
             if joint and joint not in joints:
-                what = whats.get(said, "There is a kind of")
+                what = whats.get(said, "There is a kind for")
                 raise LogError(
-                    f"{what} {joint!r}, which is no joint of the log.",
-                    advice=f"Its joints are: {listed(joints)}.",
+                    f"{what} {joint!r}, which is not a joint of the log.",
+                    advice=f"Its joints are {listed(joints)}.",
                 )
         for joint in self.reading.gains:
             if joint not in heard:
                 raise LogError(
-                    f"There is a gain of {joint!r}, of which log {str(path)!r} has neither "
-                    "effort nor current, voltage or duty cycle.",
-                    advice="What a servo makes of its command is found from the model's inertias.",
+                    f"There is a gain for {joint!r}, but log {str(path)!r} has no effort, "
+                    "current, voltage or duty cycle of it.",
+                    advice="Gains of servo commands are estimated with the model's inertias.",
                     joint=joint,
                 )
         for joint in joints:
@@ -661,8 +662,8 @@ class Columns:
                 if joint not in self.reading.kinds:
                     continue  # said of all joints that have it
                 raise LogError(
-                    f"Log {str(path)!r} has no column of {joint!r} that could be {kind!r}.",
-                    advice="Say which column it is by --mapping.",
+                    f"Log {str(path)!r} has no column of {joint!r} with kind {kind!r}.",
+                    advice="Map it with --mapping.",
                     joint=joint,
                 )
 

@@ -81,13 +81,14 @@ def table_of(path: Path, reading: Reading) -> LogTable:
     kind = unpacked(path).suffix.lower()
     if unpacked(path) != path and kind not in (*_TEXT, *_JSON):
         raise LogError(
-            f"Log {str(path)!r} is packed, and no table of text or JSON by its name.",
-            advice=f"Unpack it first, or name it as what is in it: log.csv{path.suffix}.",
+            f"Log {str(path)!r} is compressed, but its name does not end in a format of text "
+            "or JSON.",
+            advice=f"Unpack it first, or add the format to its name: log.csv{path.suffix}.",
         )
     if (reader := reader_of(check_log(path))) is None:
         raise LogError(
-            f"Log {str(path)!r} ends in {path.suffix!r}, which geodrake does not read.",
-            advice="Is it the model? `geodrake log` takes that by --model."
+            f"Log {str(path)!r} has the unknown format {path.suffix!r}.",
+            advice="Is it the model? `geodrake log` takes that with --model."
             if path.suffix.lower() in _MODELS
             else f"Convert it to one of {', '.join(SUFFIXES)}.",
         )
@@ -97,7 +98,7 @@ def table_of(path: Path, reading: Reading) -> LogTable:
     topics = ", ".join(reading.topics) if kind not in _SHEETS else ""
     said = {"topic": topics or None, "episode": reading.episode}
     notes = [
-        f"{path.name} has no {name}s, so that {value!r} chooses nothing in it"
+        f"{path.name} has no {name}s, so {value!r} has no meaning"
         for name, value in said.items()
         if value is not None
     ]
@@ -129,8 +130,8 @@ def check_log(path: Path) -> Path:
         return regular_file(path, "log", LogError)
     if reader_of(path) is None:
         raise LogError(
-            f"The log {path} is a folder, and neither a rosbag2 nor a LeRobot dataset is in it.",
-            advice="Name a file, or a folder with metadata.yaml or meta/info.json.",
+            f"The folder {path} is neither a rosbag2 nor a LeRobot dataset.",
+            advice="Give a file, or a folder with metadata.yaml or meta/info.json.",
             path=path,
         )
     return path

@@ -80,7 +80,7 @@ def grouped_table(path: Path, content: Any, reading: Reading) -> LogTable | None
     if reading.episode is not None:
         raise LogError(
             f"Log {str(path)!r} has no episodes, such as groups demo_0, demo_1.",
-            advice="Leave --episode out.",
+            advice="Omit --episode.",
         )
     parts = [part for part in _parts_in(content) if _has_joints(*part)]
     if len(parts) < 2:
@@ -120,7 +120,7 @@ def _in_turn(
         raise LogError(
             f"Log {str(path)!r} has no episode {reading.episode}; it has "
             f"{listed([str(number) for number in episodes])}.",
-            advice="Name one of these by --episode, or none to read all of them.",
+            advice="Choose one of these, or omit --episode to read all.",
         )
     chosen = [reading.episode] if reading.episode is not None else [*episodes]
     said = {name: x for name, x in content.items() if np.isscalar(x)}
@@ -141,9 +141,9 @@ def _in_turn(
             following = _going_on(parts[-1], own) if is_time(name) else own
             parts += [following] if has_time else [empty, following]
         columns[name] = np.concatenate(parts)
-    notes = [f"{len(tables)} episodes, one after the other"] if len(tables) > 1 else []
+    notes = [f"{len(tables)} episodes, concatenated"] if len(tables) > 1 else []
     lost = dict.fromkeys(n for table in tables for n in table.columns if n not in columns)
-    notes += [f"columns that some episodes lack: {listed([*lost])}"] if lost else []
+    notes += [f"columns missing in some episodes: {listed([*lost])}"] if lost else []
     return replace(first, columns=columns, notes=(*notes, *first.notes))
 
 

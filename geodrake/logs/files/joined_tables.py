@@ -36,7 +36,7 @@ Array = NDArray[np.float64]
 _YEARS = 9e8  # s, above which time is since 1970
 _ROUNDING = 1e-6  # s, by which stamps of different clocks' forms may differ
 _ROWS_APART = 2.0  # by which the ends of parts that begin together may differ
-RARE = "comes too rarely"
+RARE = "is too slow"
 """Why columns were left out that have far fewer rows a second than others."""
 
 _MIXED = 10.0  # times by which the rates of parts may differ
@@ -66,16 +66,15 @@ def joined_tables(log: Path, tables: Sequence[LogTable], reading: Reading) -> Lo
     if len(stamped) < len(tables):
         bare = [str(table.path) for table, time in zip(tables, times, strict=True) if time is None]
         raise LogError(
-            f"Log {str(log)!r} has parts with time and without: {', '.join(bare)} has none.",
-            advice="Give time in each part, or in one if all have the same rows.",
+            f"Parts of log {str(log)!r} have no time: {', '.join(bare)}.",
+            advice="Give all parts time, or only one if all have the same rows.",
         )
     known = [time for time in times if time is not None]
     steps = [np.diff(time[np.isfinite(time)]) for time in known]
     periods = [float(np.median(step)) if len(step) else np.inf for step in steps]
     if still := [str(t.path) for t, p in zip(tables, periods, strict=True) if not p > 0.0]:
         raise LogError(
-            f"Log {str(log)!r} has parts whose time does not advance in most rows: "
-            f"{', '.join(still)}.",
+            f"In parts of log {str(log)!r}, time stands still in most rows: {', '.join(still)}.",
             advice="Write their time with more digits.",
         )
     quick = [period for period in periods if period <= _MIXED * min(periods)]
@@ -84,7 +83,7 @@ def joined_tables(log: Path, tables: Sequence[LogTable], reading: Reading) -> Lo
     if not max(map(np.nanmin, known)) < min(map(np.nanmax, known)):
         spans = (f"{np.nanmin(t):.6g} to {np.nanmax(t):.6g} s" for t in known)
         raise LogError(
-            f"The parts of log {str(log)!r} are of times that do not meet: {', '.join(spans)}.",
+            f"The parts of log {str(log)!r} do not overlap in time: {', '.join(spans)}.",
             advice="Use one clock for both.",
         )
     columns, origins, again = {order[0]: known[base]}, {order[0]: origins["time"]}, list[str]()
@@ -96,7 +95,7 @@ def joined_tables(log: Path, tables: Sequence[LogTable], reading: Reading) -> Lo
                 holds = _what(column, reading)[1] in ("command", FLAG)
                 columns[column] = at_instants(known[base], time, values, holds=holds)
     rate = 1.0 / periods[base]
-    note = f"joined by time, at the {rate:.4g} rows a second of {tables[base].path}"
+    note = f"joined by time at {rate:.4g} Hz, the rate of {tables[base].path}"
     notes = (note, *_twice(again), *slow_notes, *clock_notes, *noted)
     silent = {column: why for table in tables for column, why in table.silent.items()}
     return LogTable(log, columns, units, notes, origins, {**silent, **rare}, order=order)
@@ -104,7 +103,7 @@ def joined_tables(log: Path, tables: Sequence[LogTable], reading: Reading) -> Lo
 
 def _twice(columns: Sequence[str]) -> list[str]:
     """Return what is done about columns that several parts have, as a note."""
-    said = f"of {listed(columns)}, which several parts have, those of the first are taken"
+    said = f"columns {listed(columns)} occur in several parts; those of the first are used"
     return [said] if columns else []
 
 
@@ -173,15 +172,15 @@ def _slow_parts(
         found.append(replace(table, columns=kept))
         used = [column for column in kept if not _is_time(table, column, reading)]
         words = [f"{listed(used)} interpolated"] if used else []
-        words += [f"{listed([*lost])} left out"] if lost else []
-        rates = f"{1 / period:.4g} rows a second, and others up to {1 / min(periods):.4g}"
+        words += [f"{listed([*lost])} dropped"] if lost else []
+        rates = f"{1 / period:.4g} Hz, but other columns up to {1 / min(periods):.4g} Hz"
         notes.append(f"{table.path} has {rates}: {', '.join(words)}")
         rare |= dict.fromkeys(lost, f"{RARE}: {rates}")
     if needed:
         each = (f"{t.path} {1 / p:.4g} Hz" for t, p in zip(tables, periods, strict=True))
         raise LogError(
-            f"The parts of log {str(log)!r} are of mixed rates: {', '.join(each)}.",
-            advice=f"Log them at rates that differ by a factor of {_MIXED:g} at most.",
+            f"The parts of log {str(log)!r} have very different rates: {', '.join(each)}.",
+            advice=f"Log them at rates that differ at most by a factor of {_MIXED:g}.",
         )
     return found, notes, rare
 
@@ -226,8 +225,8 @@ def _one_clock(
     for table, time in zip(tables, times, strict=True):
         if time is not None and not np.isfinite(time).any():
             raise LogError(
-                f"A part of log {str(log)!r}, {table.path}, has no number in its column of time.",
-                advice="Give each row its time.",
+                f"A part of log {str(log)!r}, {table.path}, has empty cells of time only.",
+                advice="Log the time of each row.",
             )
     notes = tuple(dict.fromkeys(note for _, said in stamps for note in said))
     stamped = [k for k, time in enumerate(times) if time is not None]
@@ -268,15 +267,15 @@ def _begun_together(
     period = max(float(np.nanmedian(np.diff(t))) if len(t) > 1 else 0.0 for t in (time, known))
     if abs(spans[0] - spans[1]) > _ROWS_APART * period:
         raise LogError(
-            f"The parts of log {str(log)!r} have no common clock: time in {name} is not since "
-            f"1970, and in {other} it is of dates; they are {spans[0]:.6g} and {spans[1]:.6g} s "
-            "long.",
-            advice="Log dates, or seconds since 1970, in each part; or cut them so that both begin "
-            "and end at the same instants.",
+            f"The parts of log {str(log)!r} have no common clock: time is not since 1970 in "
+            f"{name}, but has dates in {other}; they are {spans[0]:.6g} s and {spans[1]:.6g} "
+            "s long.",
+            advice="Log dates or seconds since 1970 in each part, or cut them to begin and end "
+            "at the same instants.",
         )
     words = (
-        f"time is of dates in {other}, and of another clock in {name}; both are {spans[1]:.4g} s "
-        "long, and are taken to begin together"
+        f"{other} has dates and {name} another clock; as both are {spans[1]:.4g} s long, "
+        "they are assumed to begin together"
     )
     return time + float(np.nanmin(known) - np.nanmin(time)), words
 
@@ -285,8 +284,8 @@ def _side_by_side(log: Path, tables: Sequence[LogTable]) -> dict[str, Array]:
     lengths = {len(table) for table in tables}
     if len(lengths) > 1:
         raise LogError(
-            f"The parts of log {str(log)!r} have {', '.join(map(str, sorted(lengths)))} rows, and "
-            "no time in each to join them by.",
+            f"The parts of log {str(log)!r} have no time, and different numbers of rows: "
+            f"{', '.join(map(str, sorted(lengths)))}.",
             advice="Log the time in every part.",
         )
     columns: dict[str, Array] = {}
@@ -376,8 +375,8 @@ def _check_names(table: LogTable, column: str, words: Texts) -> None:
     if not all(words):
         row = 1 + next(k for k, word in enumerate(words) if not word)
         raise LogError(
-            f"Row {row} of log {str(table.path)!r} names no joint in column {column!r}.",
-            advice="Write the joint's name there, or leave that row out.",
+            f"Row {row} of log {str(table.path)!r} has no joint name in column {column!r}.",
+            advice="Add the joint's name, or remove the row.",
             row=row,
             column=column,
         )
@@ -405,7 +404,7 @@ def _named(table: LogTable, naming: Mapping[str, Texts]) -> LogTable:
             columns[name] = np.where(here, table.columns[column], before)
             units |= {name: unit} if unit else {}
     names = list(dict.fromkeys(joint for words in joints.values() for joint in words.tolist()))
-    note = f"joints are named by the cells of the log: {listed(names)}"
+    note = f"joints are named by cells of the log: {listed(names)}"
     return replace(table, columns=columns, units=units, notes=(*table.notes, note))
 
 
@@ -455,10 +454,10 @@ def _brought_together(
     except LogError as error:
         raise LogError(
             f"Log {str(table.path)!r} has a row for each name in {naming!r}, which cannot be "
-            f"brought together: {error.problem}",
+            f"merged: {error.problem}",
             advice=error.advice,
         ) from error
-    note = f"a row for each name in {naming!r}: one for each instant is made of them"
+    note = f"rows for each name in {naming!r} are merged to one row for each instant"
     return replace(joined, notes=(note, *table.notes, *joined.notes))
 
 
@@ -479,8 +478,8 @@ def _check_at_once(table: LogTable, naming: str, words: Texts) -> None:
     counts = [len(each) for each in own]
     if min(last) - max(first) < _TOGETHER * longest or min(counts) < _TOGETHER * max(counts):
         raise LogError(
-            f"Log {str(table.path)!r} has one joint after the other, as {naming!r} says, and not "
-            "all of them at each instant.",
-            advice="Give the rows of each joint as a log of its own, with where the others stand.",
+            f"In log {str(table.path)!r} the joints in {naming!r} follow each other in time "
+            "instead of being logged together.",
+            advice="Write a log for each joint, with the positions of the others.",
             column=naming,
         )

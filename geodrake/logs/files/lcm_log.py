@@ -39,8 +39,8 @@ def read_lcm(path: Path, reading: Reading) -> LogTable:
     with open_regular(path, "log", LogError) as file:
         if file.read(len(MAGIC)) != MAGIC:
             raise LogError(
-                f"Log {str(path)!r} is no LCM log: it does not begin as one.",
-                advice="Record it by lcm-logger.",
+                f"Log {str(path)!r} is not an LCM log: its first bytes differ.",
+                advice="Record it with lcm-logger.",
             )
         file.seek(0)
         _check_sizes(path, file)
@@ -49,8 +49,9 @@ def read_lcm(path: Path, reading: Reading) -> LogTable:
     topic, *others = chosen_topics(path, topics, reading)
     if others:
         raise LogError(
-            f"Log {str(path)!r} is asked for channels {', '.join(reading.topics)}: each is a log.",
-            advice="Name one of them.",
+            f"Log {str(path)!r} has several requested channels, {', '.join(reading.topics)}, "
+            "but only one can be read.",
+            advice="Choose one.",
         )
     table = topics_table(path, [topic], topics, reading)
     if topic.kind not in _NEGATIVE:
@@ -59,7 +60,7 @@ def read_lcm(path: Path, reading: Reading) -> LogTable:
         name: -numbers if name.startswith("effort[") else numbers
         for name, numbers in table.columns.items()
     }
-    note = f"efforts turned in sign, as {topic.kind} defines torques"
+    note = f"efforts have the opposite sign, as {topic.kind} defines torques"
     return replace(table, columns=turned, notes=(*table.notes, note))
 
 
@@ -73,7 +74,7 @@ def _check_sizes(path: Path, file: BinaryIO) -> None:
             raise LogError(
                 f"Message {number} of the log {str(path)!r} has {message / 1e6:.0f} MB; geodrake "
                 f"reads up to {_LARGEST / 1e6:.0f} MB.",
-                advice="Record again, without such channels.",
+                advice="Record again without such channels.",
             )
         file.seek(channel + message, os.SEEK_CUR)
 
@@ -111,7 +112,7 @@ def _decoded(kind: Any, event: Any) -> Any:
         return kind.decode(event.data)
     except (struct.error, ValueError) as error:
         raise LogError(
-            f"Message {event.eventnum} of the log, on channel {event.channel}, is cut off or "
+            f"Message {event.eventnum} of the log on channel {event.channel} is truncated or "
             f"damaged: {error}.",
-            advice="Record again, or leave that message out.",
+            advice="Record again, or remove that message.",
         ) from error

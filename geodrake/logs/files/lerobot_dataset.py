@@ -50,13 +50,13 @@ def read_lerobot(path: Path, reading: Reading) -> LogTable:
             raise LogError(
                 f"LeRobot dataset {str(path)!r} has no samples"
                 + (f" of episode {episode}." if episode is not None else "."),
-                advice="Episodes are counted from 0 on." if episode is not None else "",
+                advice="Episodes are counted from 0." if episode is not None else "",
             )
         columns = {name: np.concatenate([t[name] for t in tables]) for name in tables[0]}
     episodes = columns.pop("episode_index")
     time = _time(columns.pop("timestamp"), episodes)
     count = 1 + np.count_nonzero(np.diff(episodes))
-    notes = (f"{count} episodes, one after the other",) if count > 1 else ()
+    notes = (f"{count} episodes, concatenated",) if count > 1 else ()
     named = {name: columns[column] for (_, column), name in meaning.items() if column in columns}
     return LogTable(path, {"time": time, **named}, notes=notes)
 

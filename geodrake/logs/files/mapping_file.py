@@ -27,9 +27,9 @@ from geodrake.logs.motion import EFFORT_KINDS, PASSIVE
 MOST_COLUMNS = 500  # of a file for which a mapping is proposed
 _ASKED = ("position", "velocity", "effort")
 _FORM = (
-    "Write `time: COLUMN` or `rate: HZ`, and `joints:`, each with `position:` and `effort:` (or "
-    "`current:`, `voltage:`, `pwm:`, `command:`; `effort: passive` without a motor) and the name "
-    "or number of a column, or {column: NAME, unit: deg, gain: 1.0}."
+    "Write `time: COLUMN` or `rate: HZ`, and `joints:`, each with `position:` and `effort:` "
+    "(or `current:`, `voltage:`, `pwm:`, `command:`; `effort: passive` without a motor) and "
+    "the name or number of a column, or {column: NAME, unit: deg, gain: 1.0}."
 )
 
 
@@ -108,8 +108,8 @@ def _column(said: str | int | _ColumnSchema, quantity: str, what: str) -> Mapped
     check_gain(gain, f"the gain of {what!r}", deviation)
     if deviation is not None and quantity != "effort":
         raise ArgumentError(
-            f"the gain of {what!r} has a deviation, which only gains to efforts have.",
-            advice="Write it with `effort:`.",
+            f"the gain of {what!r} has a deviation, which only gains of efforts may have.",
+            advice="Write it under `effort:`.",
         )
     return MappedColumn(said.column, said.unit, float(gain), deviation)
 
@@ -121,9 +121,9 @@ def _check_once(mapping: ColumnMapping) -> None:
             continue
         if mapped.column in seen:
             raise ArgumentError(
-                f"it names column {mapped.column!r} twice, for {seen[mapped.column]!r} and for "
-                f"{name!r}.",
-                advice="Each column is of one quantity of one joint.",
+                f"it uses column {mapped.column!r} twice, for {seen[mapped.column]!r} and "
+                f"for {name!r}.",
+                advice="Each column can have only one meaning.",
             )
         seen[mapped.column] = name
 
@@ -168,9 +168,9 @@ def propose(
     lines = [_HEAD.format(name=path.name, columns=listed, units=unit_names())]
     if by_order:
         pairs = (f"{joint} is {name!r}" for name, joint in model.items())
-        lines += [f"# A guess by the order of the joints, to be checked: {', '.join(pairs)}."]
+        lines += [f"# Guessed from the order of the joints, please check: {', '.join(pairs)}."]
     if guessed:
-        lines += ["# A guess by the count of the columns, to be checked:"]
+        lines += ["# Guessed from the number of columns, please check:"]
     columns: dict[str, dict[str, MappedColumn]] = {}
     for joint in own:
         effort = places.get((joint, "effort"))
@@ -183,7 +183,7 @@ def propose(
         }
     time = guessed.get(("", "time"), MappedColumn(times[0].column if times else clock))
     first, *others = mapping_lines(ColumnMapping(columns, time))
-    lines += [first, "# rate: 500  # Hz, in place of time", *others, ""]
+    lines += [first, "# rate: 500  # Hz, instead of time", *others, ""]
     error.evidence |= {"path": path, "proposal": "\n".join(lines)}
     return error
 

@@ -132,9 +132,10 @@ class MessageNumbers:
         """Take the numbers of a message: a row of the group of a key."""
         if not max(abs(stamp), abs(received)) < _LATEST:
             raise LogError(
-                f"Message {self.count} of {self.topic} is stamped {1e-9 * stamp:.4g} s and "
-                f"received {1e-9 * received:.4g} s since 1970, which cannot be.",
-                advice="Check the clock of the recorder, or leave that message out.",
+                f"Message {self.count} of {self.topic} has the stamp {1e-9 * stamp:.4g} s "
+                f"and was received at {1e-9 * received:.4g} s since 1970, which is "
+                "impossible.",
+                advice="Check the clock of the recorder, or remove that message.",
             )
         group = self.groups.setdefault(key, _Group())
         group.stamps.append(stamp)
@@ -188,7 +189,7 @@ class MessageNumbers:
         if self.clock:
             return ()
         some = "some messages" if (self._stamps[0] > 0).any() else "messages"
-        return (f"{some} of {self.topic} have no stamps: their time is that of receipt",)
+        return (f"{some} of {self.topic} have no stamps, so the time of receipt is used",)
 
     @property
     def _stamps(self) -> Clock:
@@ -224,9 +225,9 @@ class MessageRows(MessageNumbers):
         for quantity, values in found.items():
             if len(values) != len(joints):
                 raise LogError(
-                    f"Message {self.count} of {self.topic} has {len(joints)} joints and "
-                    f"{len(values)} numbers of {quantity}.",
-                    advice="Is another message type recorded under that name?",
+                    f"Message {self.count} of {self.topic} has {len(joints)} joints, but "
+                    f"{len(values)} values of {quantity}.",
+                    advice="Was another message type recorded under that name?",
                 )
         numbers = np.concatenate([np.zeros(0), *found.values()], dtype=float)
         self.take((joints, tuple(found)), numbers, stamp, received)
@@ -255,13 +256,11 @@ class MessageRows(MessageNumbers):
         groups = [key for key in self.groups if (key[1] if part else is_complete(key[1]))]
         notes = list[str]()
         if len({joints for joints, _ in groups}) > len({frozenset(joints) for joints, _ in groups}):
-            notes.append(
-                f"the order of joints changes in {self.topic}: they are told apart by their names"
-            )
+            notes.append(f"the order of joints in {self.topic} changes; joints are matched by name")
         silent = set(self.joints).difference(*(joints for joints, _ in groups))
         if silent:
             named = ", ".join(str(joint) for joint in self.joints if joint in silent)
-            notes.append(f"joints without effort left out: {named}")
+            notes.append(f"joints without effort are not used: {named}")
         for key in groups:
             steps = np.diff(self.rows(key)[0])
             if np.any(steps < 0):
@@ -270,12 +269,12 @@ class MessageRows(MessageNumbers):
                     f"Time runs backwards in {self.topic}: message {at + 2} is "
                     f"{-steps[at] / 1e9:.3g} s before message {at + 1} of "
                     f"{', '.join(map(str, key[0][:3]))}, ….",
-                    advice="Was a clock set, a simulation started again, or does somebody else "
-                    "publish on it? Cut the recording there.",
+                    advice="Was a clock set, a simulation restarted, or are there two "
+                    "publishers? Cut the recording there.",
                     message=at + 2,
                 )
             if again := np.count_nonzero(steps == 0):
-                notes.append(f"{again} messages with the stamp of the one before left out")
+                notes.append(f"{again} messages with a repeated stamp are skipped")
         first, *others = map(self._without_spare, self.tables_of(groups))
         return [first.noting(*notes), *others]
 
@@ -286,7 +285,7 @@ class MessageRows(MessageNumbers):
         places = {n: int(n.rpartition("[")[2][:-1]) for n in table.columns if n.endswith("]")}
         last = max((k for name, k in places.items() if table.columns[name].any()), default=0)
         spare = [name for name, k in places.items() if k > last]
-        note = f"zero throughout, and so of no motor: {', '.join(spare[:1])} …"
+        note = f"zero throughout, so without a motor: {', '.join(spare[:1])} …"
         columns = {name: x for name, x in table.columns.items() if name not in spare}
         return replace(table, columns=columns).noting(*[note] * bool(spare))
 

@@ -417,7 +417,7 @@ def matched(
     if not spans:
         return found, ()
     order = f"in the model's order, from {joints[0]} to {joints[-1]}"
-    return found, (f"columns {', '.join(spans)} have numbers alone: taken for joints {order}",)
+    return found, (f"columns {', '.join(spans)} are numbered: assigned to joints {order}",)
 
 
 def _as_others(style: Sequence[Meaning], ordered: Mapping[int, set[str]]) -> dict[str, str]:

@@ -21,7 +21,7 @@ _GROUPED = {
 }
 """Mark -> numbers that have it between thousands."""
 
-ADVICE = "Write numbers without marks between thousands."
+ADVICE = "Write numbers without thousands separators."
 GROUPS, MAYBE, DECIMAL = range(3)
 
 
@@ -49,8 +49,8 @@ def number_marks(path: Path, rows: Sequence[Sequence[str]]) -> tuple[str, dict[i
         elif is_clear or (other in sure[MAYBE] and other not in sure[GROUPS]):
             known = (c for _, each, own, c in told if each == other or own == DECIMAL)
             raise LogError(
-                f"Log {str(path)!r} has numbers such as {cell!r} and {next(known)!r}: nothing says "
-                "which mark is of decimals, and which stands between thousands.",
+                f"Log {str(path)!r} has numbers such as {cell!r} and {next(known)!r}, whose "
+                "decimal and thousands separators are ambiguous.",
                 advice=ADVICE,
             )
     is_comma = any(mark == "," and grouped.get(k) != mark for k, mark, _, _ in told)
@@ -58,7 +58,7 @@ def number_marks(path: Path, rows: Sequence[Sequence[str]]) -> tuple[str, dict[i
     if grouped:
         cell, mark = next((c, m) for k, m, _, c in told if grouped.get(k) == m)
         number = plain(cell, decimal, mark)
-        note = f"{mark!r} stands between thousands in numbers such as {cell!r}: read as {number}"
+        note = f"{mark!r} is a thousands separator in numbers such as {cell!r}: read as {number}"
     return decimal, grouped, note
 
 

@@ -20,7 +20,7 @@ Array = NDArray[np.float64]
 KINDS = (*EFFORT_KINDS, "command")
 """What efforts of a log may be said to be; commands where measured ones are not to be used."""
 
-_GAIN_FORM = "Write 13.2, or 13.2±0.5 if it is known so well."
+_GAIN_FORM = "Write 13.2, or 13.2±0.5 with its standard deviation."
 
 
 @dataclass(frozen=True)
@@ -70,9 +70,9 @@ class ColumnMapping:
             kinds = [kind for kind in EFFORT_KINDS if kind in quantities]
             if len(kinds) > 1:
                 raise ArgumentError(
-                    f"{self.source} has {' and '.join(kinds)} of {joint!r}, of which one alone can "
-                    "stand for its efforts.",
-                    advice=f"Leave out {' and '.join(kinds[1:])}, or whichever is worse.",
+                    f"{self.source} has {' and '.join(kinds)} of {joint!r}, but only one can "
+                    "replace its efforts.",
+                    advice=f"Remove {' and '.join(kinds[1:])}, or whichever is less accurate.",
                 )
 
     def named(self, names: Sequence[str]) -> ColumnMapping:
@@ -146,7 +146,7 @@ class Reading:
         for name in ("gains", "gain_deviations", "kinds", "motors", "limits"):
             instance(getattr(self, name), name, Mapping)
         if self.rate is not None:
-            positive(self.rate, "A log's rate, in rows a second,")
+            positive(self.rate, "The sampling rate of a log, Hz,")
         instances(self.topics, "topic", str)
         if self.episode is not None:
             integer(self.episode, "episode", lower=0)
@@ -156,12 +156,12 @@ class Reading:
             check_gain(gain, f"the gain of {joint}", self.gain_deviations.get(joint))
         for joint in self.gain_deviations:
             if joint not in self.gains:
-                raise ArgumentError(f"There is a deviation of {joint!r}'s gain, and no gain.")
+                raise ArgumentError(f"The gain of {joint!r} has a deviation, but no value.")
         for joint, kind in self.kinds.items():
             if kind not in KINDS:
                 whose = f" of {joint!r}" if joint else ""
                 raise ArgumentError(
-                    f"{kind!r} is no known kind of efforts{whose}.",
+                    f"{kind!r} is not a known kind of efforts{whose}.",
                     advice=f"Kinds are {', '.join(KINDS)}.",
                 )
 
@@ -214,12 +214,12 @@ def parsed_gain(text: str, what: str) -> tuple[float, float | None]:
 def check_gain(gain: object, what: str, deviation: object = None) -> None:
     """Raise an ArgumentError unless a gain is a number other than 0, of a sign that is known."""
     if number(gain, what) == 0.0:
-        raise ArgumentError(f"{what} must be a number other than 0; got {gain!r}.")
+        raise ArgumentError(f"{what} must be a nonzero number; got {gain!r}.")
     if deviation is not None and not 0.0 <= number(deviation, f"the deviation of {what}") < abs(
         number(gain, what)
     ):
         raise ArgumentError(
-            f"{what} is {gain!r} with the deviation {deviation!r}, which must be at least 0 and "
+            f"{what} is {gain!r} with deviation {deviation!r}, which must be at least 0 and "
             "less than the gain.",
-            advice="With a larger one nothing is known: leave the gain out, and it is found.",
+            advice="If the gain is that uncertain, omit it; it is then estimated.",
         )

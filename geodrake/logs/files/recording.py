@@ -67,13 +67,13 @@ def recorded(columns: Columns, numbers: dict[str, Array], torn: TornRows) -> Joi
     time, more = with_clock_set_back(time)
     order = None if torn.rows else order_of_time(time, data["position"])
     if order is not None:  # rows that are torn are known by their place in the file
-        time, more = time[order], (*more, "rows were not in the order of time: sorted by it")
+        time, more = time[order], (*more, "rows were sorted by time")
         data = {name: values[order] for name, values in data.items()}
     time, even = evened(time, data["position"])
     again = repeats(time, [*data.values()])
     if again.any():
         time = np.where(again, np.nan, time)
-        even += (f"left out for the time of the row before: {again.sum()} of {rows} rows",)
+        even += (f"{again.sum()} of {rows} rows with a repeated time stamp are skipped",)
     kept, left_out = torn.settle(time)
     if again.any():
         kept = ~again if kept is None else kept & ~again
@@ -83,7 +83,10 @@ def recorded(columns: Columns, numbers: dict[str, Array], torn: TornRows) -> Joi
     if kept is not None:
         time, data = time[kept], {name: values[kept] for name, values in data.items()}
     if (rarest := _rows_of_the_rarest(time, data)) is not None:
-        words = "rows have some columns each: all are brought to the instants of the rarest"
+        words = (
+            "each row has only some of the columns: all are interpolated at the instants "
+            "of the slowest"
+        )
         even += (f"{words}, {np.count_nonzero(rarest)} of {len(time)} rows",)
         held = ("command", *columns.floating)
         data = {n: _at(time[rarest], time, x, holds=n in held) for n, x in data.items()}
@@ -150,7 +153,10 @@ def _signed_register(numbers: Array, *, magnitudes: bool) -> tuple[Array, str] |
     for bit in _SIGN_BITS if magnitudes else ():
         half = 2.0**bit
         if largest < 1.5 * half and _are_apart(known, half, 1.5 * half):
-            words = f"magnitudes with a sign in bit {bit}: {largest:.0f} is {half - largest:.0f}"
+            words = (
+                f"sign and magnitude with the sign in bit {bit}: {largest:.0f} is "
+                f"{half - largest:.0f}"
+            )
             return np.where(numbers >= half, half - numbers, numbers), words
     return None
 
@@ -196,12 +202,12 @@ def _take_ticks(data: dict[str, Array], columns: Columns) -> None:
     middle, bottom = (unit_of(name, "position") for name in ("ticks@2048", "ticks"))
     held = {unit: _share_within(columns, ticks, unit) for unit in (middle, bottom)}
     unit, other = (bottom, middle) if held[bottom] > _HELD > held[middle] else (middle, bottom)
-    zero = "2048, as drivers have it" if unit is middle else "0, as the model's limits say"
+    zero = "2048, as in drivers" if unit is middle else "0, as the model's limits suggest"
     words = (
-        f"positions are whole numbers, from {np.nanmin(ticks):.0f} to {np.nanmax(ticks):.0f}, and "
-        f"so ticks of servos with {TICKS} a turn, and their zero at tick {zero}: converted "
-        f"(--units {','.join(f'{each}={other.name}' for each in told)} if it is at "
-        f"{'0' if unit is middle else '2048'}; other units by --units or a mapping)"
+        f"positions are integers from {np.nanmin(ticks):.0f} to {np.nanmax(ticks):.0f}: "
+        f"taken as servo ticks, {TICKS} a turn, with zero at tick {zero} (--units "
+        f"{','.join(f'{each}={other.name}' for each in told)} for zero at "
+        f"{'0' if unit is middle else '2048'}; other units with --units or a mapping)"
     )
     for quantity in told:
         data[quantity] *= unit.factor
@@ -233,15 +239,15 @@ def _without_motors(data: dict[str, Array], columns: Columns) -> tuple[dict[str,
         told = command is not None and np.isfinite(command[:, at]).any()
         if said and largest > 0.0:
             raise LogError(
-                f"Joint {joint!r} is said to have no motor, and log {columns.path.name!r} "
-                f"has efforts of it, of up to {largest:.4g}.",
-                advice="Leave --passive out; or write `effort: passive` in a mapping, which "
-                "leaves that column out.",
+                f"Joint {joint!r} is passive, but log {columns.path.name!r} has efforts of "
+                f"it of up to {largest:.4g}.",
+                advice="Omit --passive; or write `effort: passive` in a mapping, which ignores "
+                "that column.",
                 joint=joint,
             )
         if joint in motorless and not (largest or told):
             kinds[joint] = PASSIVE
-            notes.append(f"{joint} has no motor by the model, and no effort here: passive")
+            notes.append(f"{joint} has no motor in the model and no effort in the log: passive")
         if kinds.get(joint) == PASSIVE:
             effort[:, at] = 0.0
     return kinds, notes

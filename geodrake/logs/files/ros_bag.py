@@ -37,8 +37,8 @@ _IDL_RULE = "=" * 80 + "\n"  # between definitions in IDL
 _LONGEST_DEFINITION = 50_000  # letters of a type and of those in it, which take seconds to parse
 _LONG_ARRAY = re.compile(r"\[\d{5,}\]")  # in a definition, that a message need not have data for
 _REPAIR = (
-    "If the recording was cut off, repair it: `ros2 bag reindex` for a folder, `mcap recover` for "
-    ".mcap, `rosbag reindex` for .bag."
+    "If the recording is truncated, repair it: `ros2 bag reindex` for a folder, `mcap "
+    "recover` for .mcap, `rosbag reindex` for .bag."
 )
 _HEAD = "std_msgs/Header header\nstring[] joint_names\n"
 _UNDEFINED = (
@@ -122,7 +122,7 @@ def _base(
                 break
     read = ", ".join(rows.topic for rows in found)
     notes = [f"base and feet are read from {read}"] if found else []
-    notes += [f"{', '.join(others)} would say the same (--topic)"] if others else []
+    notes += [f"{', '.join(others)} have the same (--topic)"] if others else []
     return found, notes
 
 
@@ -137,9 +137,9 @@ def _storage(path: Path) -> Path:
     if len(files) == 1:
         return files[0]
     raise LogError(
-        f"Log {str(path)!r} has {len(files)} files of a bag, and no metadata.yaml, which says "
+        f"Log {str(path)!r} has {len(files)} bag files, but no metadata.yaml, which defines "
         "their order.",
-        advice=f"Write it: ros2 bag reindex {path}. Or name one of the files.",
+        advice=f"Create it with ros2 bag reindex {path}, or give one of the files.",
     )
 
 

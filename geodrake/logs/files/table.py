@@ -38,7 +38,7 @@ def readable(path: Path, what: str, advice: str = "Write it again, or as CSV.") 
     except Exception as error:  # of readers and their decompressors: no list would be whole
         words = " ".join(str(error).split()).rstrip(".") or type(error).__name__
         raise LogError(
-            f"Log {str(path)!r} is no {what} that can be read: {words}.", advice=advice
+            f"Log {str(path)!r} is not a readable {what}: {words}.", advice=advice
         ) from error
 
 
@@ -50,9 +50,9 @@ def check_room(path: Path, count: int, words: str) -> None:
     needed, there = 8 * count, machine_memory()
     if needed > _LARGEST_SHARE * there:
         raise LogError(
-            f"Log {str(path)!r} has {words}, {needed / 1e9:.3g} GB; this machine has "
-            f"{there / 1e9:.3g} GB of memory.",
-            advice="Give excerpts of it, or fewer columns.",
+            f"Log {str(path)!r} has {words}, which need {needed / 1e9:.3g} GB; this machine "
+            f"has {there / 1e9:.3g} GB of memory.",
+            advice="Use excerpts of it, or fewer columns.",
         )
 
 
@@ -137,14 +137,14 @@ def order_of_days(texts: Iterable[str]) -> tuple[bool, str]:
     texts = list(found)
     if no_months[0].any() or no_months[1].any():
         day_first = bool(no_months[0].any())
-        why = f", as {texts[int(no_months[0 if day_first else 1].argmax())]} says"
+        why = f", by {texts[int(no_months[0 if day_first else 1].argmax())]}"
     else:
         day_first = bool(spans[1] < spans[0])
-        why = ", in which they follow each other more closely"
+        why = ", in which rows are closer in time"
         if spans[0] == spans[1]:
-            why = ", which nothing in them says: if it is wrong, write them as 2026-05-01"
+            why = ", though both are possible: if this is wrong, write them as 2026-05-01"
     order = "day/month" if day_first else "month/day"
-    return day_first, f"dates such as {texts[0]} are taken as {order}/year{why}"
+    return day_first, f"dates such as {texts[0]} are read as {order}/year{why}"
 
 
 def date_words(nanoseconds: int) -> str:
@@ -171,7 +171,7 @@ MOST = 0.01
 
 _NAMED = 8  # rows, or runs of them, that are named
 _AT_END = 3  # bad rows behind all others, which are left out unasked
-ADVICE = f"--skip-bad-rows leaves such rows out, up to {100 * MOST:g} % of a log."
+ADVICE = f"--skip-bad-rows skips such rows, up to {100 * MOST:g} % of a log."
 
 
 @dataclass
@@ -208,7 +208,9 @@ class TornRows:
             raise self._refusal(bad.tolist(), len(time), f"of {len(time)}")
         kept = np.ones(len(time), bool)
         kept[bad] = False
-        return kept, (f"left out as bad: {len(bad)} of {len(time)} rows, {_runs(bad.tolist())}",)
+        return kept, (
+            f"{len(bad)} of {len(time)} rows are corrupt and skipped: {_runs(bad.tolist())}",
+        )
 
     def _check_order(self, time: Array, backwards: NDArray[np.intp]) -> None:
         """Raise what is wrong with the order of time, unless such rows are to be left out."""
@@ -227,14 +229,14 @@ class TornRows:
         first = self.first
         share = f"{len(rows)} {of}"
         if first is None:
-            return LogError(f"Log {str(self.path)!r} has {share} bad rows.", advice=ADVICE)
+            return LogError(f"Log {str(self.path)!r} has {share} corrupt rows.", advice=ADVICE)
         advice = first.advice
         if len(rows) > 1:
-            advice += f" Bad rows are {_runs(rows)}: {share}."
+            advice += f" Corrupt rows are {_runs(rows)}: {share}."
         if len(rows) <= MOST * count:
             advice += f" {ADVICE}"
         elif self.skip:
-            advice += f" At most {100 * MOST:g} % are left out."
+            advice += f" At most {100 * MOST:g} % are skipped."
         return LogError(first.problem, advice=advice, **first.evidence)
 
 
@@ -475,7 +477,7 @@ def numeric_table(path: Path, arrays: Mapping[str, Any], rows: int) -> LogTable:
     if lacking := [name for name in silent if not _is_alone(arrays[name])]:
         more = " …" if len(lacking) > _MOST_NAMES else ""
         named = ", ".join(lacking[:_MOST_NAMES])
-        notes[f"columns without a number for each row: {named}{more}"] = None
+        notes[f"columns with fewer values than rows: {named}{more}"] = None
     said = tuple(notes)
     told = next(((rate, name) for name, rate in rates.items()), None)
     return LogTable(path, columns, {}, said, origins, silent, words, rate=told)
@@ -544,9 +546,9 @@ def rows_of(arrays: Mapping[str, Any]) -> int:
 def _what_else(values: Any, rows: int) -> str:
     """Return what is in an array that has no numbers, in words."""
     if np.ndim(values) == 0:
-        return f"is {str(values)[:_LONGEST_TEXT]!r} alone"
+        return f"has only one value, {str(values)[:_LONGEST_TEXT]!r}"
     if len(values) != rows:
-        return f"has {len(values)} rows, and others have {rows}"
+        return f"has {len(values)} rows, but others have {rows}"
     bad = next(
         (x for x in values if isinstance(x, str) and not is_nothing(x) and number_in(x) is None), ""
     )
@@ -558,11 +560,11 @@ def _what_else(values: Any, rows: int) -> str:
     first = next(iter(lists.values()), 0)
     row = next((k for k, length in lists.items() if length != first), None)
     if row is not None:
-        return f"has lists of {first} numbers, and one of {lists[row]} in row {row}"
+        return f"has lists of {first} numbers, but one of {lists[row]} in row {row}"
     if bad:
-        return f"holds {bad[:_LONGEST_TEXT]!r}, which is neither a number nor a date"
+        return f"has {bad[:_LONGEST_TEXT]!r}, which is neither a number nor a date"
     kind = getattr(values, "dtype", np.dtype(object))
-    return "holds no numbers" if kind.hasobject else f"holds {kind}, not real numbers"
+    return "has no numbers" if kind.hasobject else f"has {kind}, not real numbers"
 
 
 def spread(name: str, values: Array) -> Iterator[tuple[str, Array]]:

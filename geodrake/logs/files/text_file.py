@@ -254,7 +254,7 @@ def _keyed_names(
     clocks = [k for k, name in enumerate(header) if name == header[0]]
     if any(cells[k] != cells[0] for cells in rows if len(cells) > clocks[-1] for k in clocks):
         raise LogError(
-            f"Log {str(path)!r} has {len(clocks)} columns of time, which differ.",
+            f"Log {str(path)!r} has {len(clocks)} different columns of time.",
             advice="Export one column of time for all, or a file for each signal.",
         )
     names = ["Time" if meaning_of(header[0]) is None else header[0], *header[1:]]
@@ -359,7 +359,7 @@ def _header_cells(
     except csv.Error as error:
         raise LogError(
             f"The header of log {str(path)!r} cannot be read: {error}.",
-            advice=f"Is there a quote that never closes? {HEADER_ADVICE}",
+            advice=f"Is a closing quote missing? {HEADER_ADVICE}",
         ) from error
 
 
@@ -380,8 +380,9 @@ def renamed(path: Path, reading: Reading, cells: Sequence[str]) -> Sequence[str]
     """Return the names that the user gave, as many as there are columns."""
     if len(reading.columns) != len(cells):
         raise LogError(
-            f"Log {str(path)!r} has {len(cells)} columns, and {len(reading.columns)} are named.",
-            advice="Name every column, in order; _ for those that are not used.",
+            f"Log {str(path)!r} has {len(cells)} columns, but --columns names "
+            f"{len(reading.columns)}.",
+            advice="Name every column in order; _ skips one.",
         )
     return [f"_{k}" if name == "_" else name for k, name in enumerate(reading.columns, 1)]
 
@@ -494,8 +495,8 @@ class TextTable(LogTable):
                     if len(cells) != len(names):
                         raise LogError(
                             f"Row {row} of log {str(path)!r} (line {before[1] + line}) has "
-                            f"{len(cells)} cells; the header has {len(names)}.",
-                            advice="Was the recording cut off? Remove or repair that line.",
+                            f"{len(cells)} cells, but the header has {len(names)}.",
+                            advice="Is the recording truncated? Remove or repair that line.",
                             row=row,
                         )
                     if is_plain:
@@ -515,7 +516,7 @@ class TextTable(LogTable):
         except csv.Error as error:
             raise LogError(
                 f"Row {before[0] + len(values) + 1} of log {str(path)!r} cannot be read: {error}.",
-                advice="Is there a quote that never closes? Remove or repair that line.",
+                advice="Is a closing quote missing? Remove or repair that line.",
             ) from error
         return values
 
@@ -554,7 +555,7 @@ def read_text(path: Path, reading: Reading) -> LogTable:
         text = content.decode(encoding)
     except UnicodeDecodeError as error:
         raise LogError(
-            f"Log {str(path)!r} is no text in {encoding}: {error.reason} at byte {error.start}.",
+            f"Log {str(path)!r} is not {encoding} text: {error.reason} at byte {error.start}.",
             advice="Save it as UTF-8.",
         ) from error
     return _text_table(path, reading, partial(BytesIO, text.encode()))
@@ -578,7 +579,7 @@ def read_sheet(path: Path, reading: Reading) -> LogTable:
     text = StringIO()
     with readable(path, "sheet of Excel"), open_log(regular_file(path, "log", LogError)) as file:
         size = sum(entry.file_size for entry in ZipFile(file).infolist())
-        check_room(path, size // 8, f"{size / 1e9:.3g} GB when it is unpacked")
+        check_room(path, size // 8, f"{size / 1e9:.3g} GB unpacked")
         book = openpyxl.load_workbook(file, read_only=True, data_only=True)
         sheets = {sheet.title: sheet for sheet in book.worksheets}
         largest = max(sheets, key=lambda name: _size(sheets[name]))
@@ -586,12 +587,12 @@ def read_sheet(path: Path, reading: Reading) -> LogTable:
         if name not in sheets:
             raise LogError(
                 f"Log {str(path)!r} has no sheet {name!r}; its sheets are {listed([*sheets])}.",
-                advice="Name one of them by --topic; without it, the largest is taken.",
+                advice="Choose one with --topic; by default the largest is read.",
             )
         rows = sheets[name].iter_rows(values_only=True)
         csv.writer(text).writerows(row for row in rows if any(cell is not None for cell in row))
     others = [each for each in sheets if each != name]
-    note = [f"sheet {name!r} is read, and not {listed(others)} (--topic)"] if others else []
+    note = [f"sheet {name!r} is read, not {listed(others)} (--topic)"] if others else []
     content = text.getvalue().encode()
     return _text_table(path, reading, partial(BytesIO, content)).noting(*note)
 
@@ -631,7 +632,7 @@ def _blocks(path: Path, opened: Opener, skip: int = 0) -> Iterator[bytes]:
             if len(rest) > _LONGEST:
                 raise LogError(
                     f"Log {str(path)!r} has a line of more than {_LONGEST // 10**6} MB.",
-                    advice=f"Is it a text table, a row in each line? {HEADER_ADVICE}",
+                    advice=f"Is it a text table with a row in each line? {HEADER_ADVICE}",
                 )
             if skip and block:
                 lines = block.splitlines(keepends=True)
@@ -707,22 +708,24 @@ def _by_arrow(block: bytes, layout: TextLayout, columns: Sequence[int]) -> Array
 def _refusal(path: Path, row: int, column: str, text: str, kind: Cells) -> LogError:
     """Return what is said of a cell that holds something else than its column."""
     what = "not a number"
-    advice = "Leave a cell empty, or write nan, where nothing was measured."
+    advice = "Leave a cell empty or write nan where nothing was measured."
     if may_be_grouped(text):
-        advice = f"{MARKS_ADVICE} Lines above it do not tell what its mark is."
+        advice = f"{MARKS_ADVICE} The lines above do not show what its mark means."
     elif (unit := _NUMBER_OF.fullmatch(text.strip())) is not None:
-        advice = f"Write numbers alone, and their unit in the column's name: {column} [{unit[1]}]."
+        advice = (
+            f"Write numbers without units, and the unit in the column name: {column} [{unit[1]}]."
+        )
     elif is_time(column):
-        advice += " A column of dates has them from its first row on."
+        advice += " A column of dates must have them from its first row on."
     if kind.count is not None:
-        what = f"no list of {kind.count} numbers as above it"
-        advice = "Write all lists of a column equally long, or leave the cell empty."
+        what = f"not a list of {kind.count} numbers, as above it"
+        advice = "Write lists of equal length in a column, or leave the cell empty."
     elif kind.origin is not None:
-        what = "no date as above it"
+        what = "not a date, as above it"
         advice = "Write dates as 2026-05-01T12:00:00.25Z, or leave the cell empty."
     return LogError(
-        f"Row {row}, column {column!r} of log {str(path)!r} holds {text.strip()[:60]!r}, which is "
-        f"{what}.",
+        f"Row {row}, column {column!r} of log {str(path)!r} has {text.strip()[:60]!r}, which "
+        f"is {what}.",
         advice=advice,
         row=row,
         column=column,

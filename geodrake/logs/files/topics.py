@@ -69,7 +69,7 @@ class Topic:
         if self.rows is None or not self.part:
             return f"{self.name} ({self.kind})"
         if not self.fits and "command" in self.part:
-            return f"{self.name} ({self.kind}, commands alone)"
+            return f"{self.name} ({self.kind}, commands only)"
         missing = [] if "position" in self.part else ["position"]
         missing += [] if self.has_efforts else ["effort"]
         missing = [] if self.fits else missing
@@ -91,9 +91,9 @@ def chosen_topics(path: Path, topics: Sequence[Topic], reading: Reading) -> tupl
         return (best[0],)
     if best:
         raise LogError(
-            f"Log {str(path)!r} has {len(best)} topics with positions and efforts of joints: "
+            f"Log {str(path)!r} has {len(best)} topics with joint positions and efforts: "
             f"{_listed(best)}.",
-            advice=f"Choose one of them, as in --topic {best[0].name}.",
+            advice=f"Choose one, as in --topic {best[0].name}.",
             topics=[topic.name for topic in best],
         )
     return _parts(path, topics)
@@ -114,18 +114,17 @@ def _parts(path: Path, topics: Sequence[Topic]) -> tuple[Topic, Topic]:
         return moved[0], heard[0]
     if moved and heard:
         raise LogError(
-            f"Log {str(path)!r} has no topic with both positions and efforts of joints: positions "
-            f"are in {_listed(moved)}; efforts or commands in {_listed(heard)}.",
-            advice="Choose one of each, which are joined by time, as in "
-            f"--topic {moved[0].name} --topic {heard[0].name}.",
+            f"Log {str(path)!r} has no topic with both joint positions and efforts: "
+            f"positions are in {_listed(moved)}; efforts or commands in {_listed(heard)}.",
+            advice=f"Choose one of each to join them by time, as in --topic {moved[0].name} "
+            f"--topic {heard[0].name}.",
             topics=[topic.name for topic in (*moved, *heard)],
         )
     raise LogError(
-        f"Log {str(path)!r} has no topic with both positions and efforts of joints; it has "
+        f"Log {str(path)!r} has no topic with both joint positions and efforts; it has "
         f"{_listed(topics)}.",
-        advice="Record joint states with efforts, such as sensor_msgs/JointState of all joints, "
-        "the state of a controller, which has positions and commands, or its commands beside "
-        "joint states.",
+        advice="Record joint states with efforts, such as sensor_msgs/JointState, a controller "
+        "state with positions and commands, or commands in addition to joint states.",
         topics=[topic.name for topic in topics],
     )
 
@@ -136,11 +135,11 @@ def _named(path: Path, topics: Sequence[Topic], name: str, *, alone: bool) -> To
     if found and (found[0].fits if alone else found[0].part):
         return found[0]
     if found:
-        lacks = "has not both positions and efforts of" if alone else "says nothing of"
+        lacks = "lacks positions or efforts of" if alone else "has no"
         fitting = [topic for topic in topics if (topic.fits if alone else topic.part)]
         raise LogError(
             f"Topic {found[0]} of log {str(path)!r} {lacks} joints.",
-            advice=f"Those that do: {_listed(fitting)}." if fitting else "No topic of it does.",
+            advice=f"Topics with them: {_listed(fitting)}." if fitting else "No topic has them.",
             topic=name,
         )
     names = [topic.name for topic in topics]
@@ -149,15 +148,14 @@ def _named(path: Path, topics: Sequence[Topic], name: str, *, alone: bool) -> To
         f"Log {str(path)!r} has no topic {name!r}"
         + (f" (nearest: {close[0]!r})" if close else "")
         + f"; it has {_listed(topics)}.",
-        advice="Names are those of the bag or the LCM log; without --topic, the one that fits is "
-        "taken.",
+        advice="Use names from the bag or LCM log; by default the best match is read.",
         topic=name,
     )
 
 
 def _listed(topics: Sequence[Topic]) -> str:
     ordered = sorted(topics, key=lambda topic: not topic.fits)  # what matters most comes first
-    more = f" … ({len(topics)} in all)" if len(topics) > _MOST_LISTED else ""
+    more = f" … ({len(topics)} in total)" if len(topics) > _MOST_LISTED else ""
     return ", ".join(map(str, ordered[:_MOST_LISTED])) + more
 
 
@@ -193,9 +191,11 @@ def topics_table(
         if is_alone and other.name != chosen[0].name
         if other.fits and other.has_efforts >= chosen[0].has_efforts
     ]
-    said = [f"read from {read}" + (f"; {', '.join(also)} would fit too (--topic)" if also else "")]
+    said = [
+        f"read from {read}" + (f"; {', '.join(also)} would also match (--topic)" if also else "")
+    ]
     if any(rows.from_controller for _, rows in spoken):
-        said.append("efforts are the output of the controller, as no measured ones are there")
+        said.append("there are no measured efforts: the controller's output is used")
     made: list[tuple[MessageNumbers, list[LogTable]]] = [
         (rows, _part_tables(topic, rows, part=not is_alone)) for topic, rows in spoken
     ]
@@ -257,4 +257,4 @@ def _named_by_motion(columns: Mapping[str, Array]) -> tuple[dict[str, Array], li
     names = {name: f"{joints[k]}.command" for name, k in zip(bare, nearest.tolist(), strict=True)}
     words = ", ".join(f"{old} of {new.removesuffix('.command')}" for old, new in names.items())
     found = {names.get(name, name): column for name, column in columns.items()}
-    return found, [f"commands without names are of the joints that follow them: {words}"]
+    return found, [f"unnamed commands are assigned to the joints that follow them: {words}"]

@@ -50,8 +50,8 @@ _SCALED = re.compile(
 )
 _TEN = re.compile(r"10*(\.0*)?|0?\.0*10*|1(\.0*)?[eE][+-]?\d+")  # powers of it
 _FORM = (
-    "others are written as 0.001deg, or rev/4096 of an encoder with so many counts a turn, and "
-    "rev/4096@2048 if it counts 2048 where the position is 0."
+    "or 0.001deg, or rev/4096 for an encoder with 4096 counts a turn, and rev/4096@2048 if "
+    "it counts 2048 at position 0."
 )
 
 
@@ -82,13 +82,13 @@ def unit_of(text: str, quantity: str) -> Unit:
     """Return the unit that a user names, such as `deg`, `N·mm`, `0.001deg` or `rev/4096@2048`."""
     if quantity not in UNITS:
         raise ArgumentError(
-            f"There is no quantity {quantity!r} that has a unit.",
+            f"Quantity {quantity!r} is unknown or has no unit.",
             advice=f"Quantities are {', '.join(UNITS)}.",
         )
     unit = _scaled(text, quantity)
     if unit is None or math.isnan(unit.factor):
         raise ArgumentError(
-            f"{text!r} is no known unit of {quantity}.",
+            f"{text!r} is not a known unit of {quantity}.",
             advice=f"Known are {_known(quantity)}; {_FORM}",
         )
     return unit

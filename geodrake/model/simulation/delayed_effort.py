@@ -46,14 +46,14 @@ class DelayedEffort(LeafSystem):
         usable = (delays == 0) | (delays >= period * (1 - 1e-9))
         if delays.ndim > 1 or not len(delays) or not usable.all():
             raise ArgumentError(
-                f"Delays must be zero or at least the period; they are {delays} s with a period of "
-                f"{period} s.",
+                f"Delays must be zero or at least the period; they are {delays} s, and the "
+                f"period is {period} s.",
                 advice="Choose a shorter period.",
             )
         if delays.max() / period > _MOST_SAMPLES:
             raise ArgumentError(
-                f"Delays are at most {_MOST_SAMPLES} periods; got {delays.max():g} s and a period "
-                f"of {period:g} s.",
+                f"Delays are limited to {_MOST_SAMPLES} periods; got {delays.max():g} s with "
+                f"a period of {period:g} s.",
                 advice="Choose a longer period.",
             )
         self._delays, self._period = delays, period

@@ -299,8 +299,8 @@ class EffectForce(LeafSystem):
     def _part(self, effect: Effect) -> slice:
         if effect not in self.law.effects:
             raise ArgumentError(
-                f"There is no {effect.name} of {effect.place} here, or it has another shape.",
-                advice=f"There are: {', '.join(f'{e.name} of {e.place}' for e in self.effects)}.",
+                f"{effect.name} of {effect.place} is not in this system, or has another shape.",
+                advice=f"Effects are {', '.join(f'{e.name} of {e.place}' for e in self.effects)}.",
             )
         return self.law.parts[self.law.effects.index(effect)]
 

@@ -118,8 +118,8 @@ class SoftJoints:
         for i, (give, inertia) in enumerate(zip(gives, against.tolist(), strict=True)):
             if not give:
                 raise ArgumentError(
-                    f"Joint {self.names[i]!r} was made soft, and gives way no more: its link would "
-                    "be one with the motor.",
+                    f"Joint {self.names[i]!r} was made elastic, and cannot become rigid: its "
+                    "link would be one with the motor.",
                     advice="Give it a small compliance, or build the diagram without the effect.",
                 )
             yields = max(_SIDE_GIVE * give.play, _LEAST_YIELD)
@@ -260,8 +260,8 @@ class ForceLaw:
             if effect.role is Role.BODY and known_phi:
                 raise ArgumentError(
                     f"The payload of {effect.place} would count twice, in phi and as an effect.",
-                    advice="Leave it out of the effects where phi is model.total_phi, or let "
-                    "RobotModel.add_to_builder put the model together.",
+                    advice="Remove it from the effects if phi is model.total_phi, or use "
+                    "RobotModel.add_to_builder.",
                 )
             if effect.role in (Role.SCALE, Role.DEFLECTION):
                 still.index(effect.where[0])
@@ -290,7 +290,9 @@ class ForceLaw:
         plant = self.plant
         for joint, place in zip(soft, plant.positions[at], strict=True):
             if place < 0:
-                raise ArgumentError(f"{joint} is one of several degrees of one joint, and soft.")
+                raise ArgumentError(
+                    f"{joint} is elastic, but belongs to a joint of several degrees of freedom."
+                )
         links, loads = links_of(plant, self.phi)
         q = plant.plant.GetPositions(plant.plant.CreateDefaultContext())
         still = PlantState(q, np.zeros(len(links)), 0.0, np.zeros(self.state_count))
@@ -298,8 +300,8 @@ class ForceLaw:
         own, least = np.diag(rotors)[at], LEAST_MOTOR * links[at]
         self.added_inertia = np.maximum(least - own, 0.0)
         self.notes = tuple(
-            f"The motor of {joint} is taken to have {mass:.3g} {plant.inertia_units[k]}, "
-            f"{100 * LEAST_MOTOR:g} % of what its link has: the model has less of a rotor there."
+            f"The motor of {joint} is assumed to have {mass:.3g} {plant.inertia_units[k]}, "
+            f"{100 * LEAST_MOTOR:g} % of its link's, as the model has a smaller rotor."
             for joint, mass, added, k in zip(soft, least, self.added_inertia, at, strict=True)
             if added
         )
@@ -395,9 +397,9 @@ class ForceLaw:
             load = load + (step if round_ < _WHOLE_STEPS else 0.5 * step)
             moved = np.abs(step).max()
         raise ModelError(
-            f"Load-dependent friction does not settle; the load is {load} N·m after "
+            f"Load-dependent friction does not converge; the load is {load} N·m after "
             f"{_LOAD_ITERATIONS} iterations.",
-            advice="Give it a load factor well below 1; above, a gear that brakes locks itself.",
+            advice="Use a load factor well below 1; above, a braking gear locks itself.",
         )
 
     def lags(self, q: Array, v: Array, vd: Array, parameters: Parameters) -> Array:

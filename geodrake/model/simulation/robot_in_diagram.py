@@ -113,8 +113,8 @@ class RobotInDiagram:
         force = self.effect_force
         if self.driving is not None:
             raise ArgumentError(
-                "Parameters cannot be changed in a diagram where joints follow others or are "
-                "behind a transmission.",
+                "Parameters cannot be changed in a diagram with following joints or a "
+                "transmission.",
                 advice="Add the model with the other parameters.",
             )
         if effects and force is None:

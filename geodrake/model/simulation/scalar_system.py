@@ -124,7 +124,7 @@ class _Differenced:
     """A system of AutoDiffXd whose values are those of one of floats."""
 
     def _construct(self: Any, *args: Any, converter: Any = None, **options: Any) -> None:
-        raise TypeError("Make the system of floats, and convert it: system.ToAutoDiffXd().")
+        raise TypeError("Construct the system with floats, and convert it: system.ToAutoDiffXd().")
 
     def _construct_copy(self: Any, other: Any, converter: Any = None) -> None:
         LeafSystem_[AutoDiffXd].__init__(self, converter=converter)

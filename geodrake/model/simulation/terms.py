@@ -301,9 +301,9 @@ class DrivenPlant(PlantMotion):
         for effect in (fitted.effect for fitted in model.effects):
             if effect.role is Role.DEFLECTION:
                 raise ModelError(
-                    f"{effect.name} of {effect.place} cannot be simulated where joints follow "
-                    "others or are behind a transmission.",
-                    advice="Leave it out of the model there.",
+                    f"{effect.name} of {effect.place} cannot be simulated with following "
+                    "joints or a transmission.",
+                    advice="Remove it from the model.",
                 )
         self.model, self.plant, self.robot = model, plant, RobotInstance(plant)
         self.joints, self.phi, self.temperatures = model.joints, model.total_phi, temperatures

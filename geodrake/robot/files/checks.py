@@ -106,7 +106,7 @@ class Numbers:
         words = text.split()
         wrong = [word for word in words if not _NUMBER.fullmatch(word)]
         if wrong:
-            return f"{wrong[0][:50]!r} is no number"
+            return f"{wrong[0][:50]!r} is not a number"
         if words and len(words) not in self.counts:
             few, many = self.counts[0], self.counts[-1]
             return f"it needs {few if few == many else f'{few} to {many}'} numbers"
@@ -242,7 +242,7 @@ def check_poses(plant: MultibodyPlant, path: Path) -> None:
                 )
     if not np.isfinite(plant.GetDefaultPositions()).all():
         raise ModelError(
-            f"{path} gives default positions that are no numbers.",
+            f"{path} has default positions that are not numbers.",
             advice="Correct default_joint_positions, or default_free_body_pose.",
             path=path,
         )

@@ -143,15 +143,15 @@ def read_description(path: Path, given: Given | None = None) -> ModelDescription
     files = (text.path for text in found.texts)
     if given.xacro and not any(is_xacro(file) for file in files):
         raise ModelError(
-            f"{path} is no xacro file, so it takes no argument {next(iter(given.xacro))!r}.",
-            advice="Leave it out.",
+            f"{path} is not a xacro file, so argument {next(iter(given.xacro))!r} cannot be used.",
+            advice="Omit it.",
             path=path,
         )
     count = sum(len(text.links) for text in found.texts)
     if count > _MOST_LINKS:
         raise ModelError(
-            f"{path} has {count} links, and geodrake reads up to {_MOST_LINKS}.",
-            advice="Leave out what does not move with the robot.",
+            f"{path} has {count} links; geodrake reads up to {_MOST_LINKS}.",
+            advice="Remove links that do not move with the robot.",
             path=path,
         )
     return found
@@ -185,7 +185,7 @@ def _read_directives(path: Path, given: Given) -> ModelDescription:
     models = [d.add_model for d in directives.directives if d.add_model]
     if not models:
         raise ModelError(
-            f"The directives {path} add no model.", advice=SUPPORTED_FORMATS, path=path
+            f"The directives {path} do not add a model.", advice=SUPPORTED_FORMATS, path=path
         )
     files = [(includes.resolve(model.file, path.parent), model.name) for model in models]
     texts = tuple(read_model_text(includes.checked(file), given, name) for file, name in files)

@@ -56,8 +56,8 @@ class Given:
             folders[name] = file_path(folder).absolute()
             if not folders[name].is_dir():
                 raise ModelError(
-                    f"The folder {folder} of package {name!r} is not there.",
-                    advice="Give the folder that holds the package's package.xml.",
+                    f"Folder {folder} of package {name!r} does not exist.",
+                    advice="Give the folder that has the package.xml of the package.",
                 )
         object.__setattr__(self, "packages", folders)
         for name, value in instance(self.xacro, "xacro", Mapping).items():
@@ -87,7 +87,7 @@ def _pairs(given: Sequence[str], sign: str, option: str, example: str) -> dict[s
     for text in given:
         name, found_sign, value = text.partition(sign)
         if not found_sign or not _NAME.fullmatch(name) or name in found:
-            twice = f"{name!r} is there twice" if name in found else "which cannot be read"
+            twice = f"{name!r} occurs twice" if name in found else "which cannot be parsed"
             raise ArgumentError(
                 f"{option} has {text!r}, {'and ' if name in found else ''}{twice}.",
                 advice=f"Write {option} {example}.",

@@ -68,7 +68,7 @@ class Includes:
             if self.packages.Contains(name):
                 return Path(self.packages.GetPath(name)) / inner
         raise ModelError(
-            f"{self.path} includes {url}, which leads nowhere.",
+            f"{self.path} includes {url}, which does not exist.",
             advice=PACKAGE_ADVICE,
             path=self.path,
         )
@@ -85,7 +85,7 @@ class Includes:
             names = " → ".join(path.name for path in (*chain[chain.index(file) :], file))
             raise self._endless(f"{file} includes itself ({names})")
         if len(chain) > _DEEPEST:
-            raise self._endless(f"more than {_DEEPEST} files include each other in a row")
+            raise self._endless(f"includes are nested more than {_DEEPEST} deep")
         return (*chain, file)
 
     def insert(self, root: Element, folder: Path, chain: tuple[Path, ...] = ()) -> None:
@@ -115,8 +115,8 @@ class Includes:
                 elif any(map(_has_forces, others)):
                     where, what = place_of(include) or self.path, "URDF, or SDF of an older version"
                     self.unread.append(
-                        f"{where}: dry friction and springs of {url}, an included {what}, are left "
-                        "out."
+                        f"{where}: dry friction and springs of {url}, an included {what}, "
+                        "are ignored."
                     )
 
     def name_by_urls(self, root: Element) -> None:
@@ -138,7 +138,7 @@ class Includes:
                     world.remove(include)
                     where = place_of(include) or self.path
                     said = self.absent if _SCENERY.search(_last_name(url)) else self.missing
-                    said.append(f"{where}: {url} is not found, and is left out of the world.")
+                    said.append(f"{where}: {url} is not found, and is omitted from the world.")
 
     def _replace(self, parent: Element, include: Element, model: Element) -> None:
         """Replace an include with its model, which the include may move, rename and merge."""
@@ -181,7 +181,9 @@ class Includes:
 
     def _endless(self, reason: str) -> ModelError:
         return ModelError(
-            f"{self.path} cannot be read: {reason}.", advice="Break the circle.", path=self.path
+            f"{self.path} cannot be read: {reason}.",
+            advice="Remove the circular include.",
+            path=self.path,
         )
 
 
@@ -254,8 +256,8 @@ _URL = re.compile(r"(?:package|model)://([^/\n\"'<>]+)")
 _LARGEST_MANIFEST = 1_000_000  # bytes
 _MOST_FOLDERS = 20_000  # looked through below one entry of ROS_PACKAGE_PATH
 PACKAGE_ADVICE = (
-    "Packages are found by their package.xml in folders above the model, below those of "
-    "ROS_PACKAGE_PATH and AMENT_PREFIX_PATH, and by --package NAME=FOLDER."
+    "Packages are searched by package.xml in folders above the model, in ROS_PACKAGE_PATH "
+    "and AMENT_PREFIX_PATH; --package NAME=FOLDER adds one."
 )
 _MARKERS = frozenset({"AMENT_IGNORE", "CATKIN_IGNORE", "COLCON_IGNORE"})
 
@@ -294,7 +296,7 @@ def folder_of_package(name: str, path: Path, folders: Mapping[str, Path]) -> Pat
     add_packages(packages, path, [name], folders)
     if not packages.Contains(name):
         raise ModelError(
-            f"{path} names the package {name!r}, which is not found.",
+            f"{path} refers to package {name!r}, which was not found.",
             advice=PACKAGE_ADVICE,
             path=path,
         )

@@ -163,7 +163,7 @@ class _Compiler:
             if plugin.get("plugin") or plugin.get("instance"):
                 name = plugin.get("plugin") or plugin.get("instance")
                 where = place_of(plugin) or self.path
-                self.plugins.append(f"the plugin {name} ({where}) is left out.")
+                self.plugins.append(f"the plugin {name} ({where}) is ignored.")
         drop(root, "extension", "plugin")
 
     def _attach(self, element: Element, path: Path, chain: tuple[Path, ...]) -> float:
@@ -222,7 +222,9 @@ class _Compiler:
             places = (model.body_pos, model.body_quat)
             if not all(np.isfinite(table[at]).all() for table in (*tables, *places)):
                 name = model.body(at).name
-                raise _wrong(f"{self.path}: the body {name!r} has what is no number.", self.path)
+                raise _wrong(
+                    f"{self.path}: body {name!r} has a value that is not a number.", self.path
+                )
 
     @contextmanager
     def _refusals(self, places: Sequence[str]) -> Iterator[None]:
@@ -267,14 +269,11 @@ def _take_out(spec: Any, absent: dict[str, Path], found: CompiledMjcf) -> None:
         if mesh.name in absent:
             spec.delete(mesh)
     where = ", ".join(dict.fromkeys(str(file.parent) for file in absent.values()))
-    gone_ones = f"meshes that are not there or not .obj, .stl or .msh (in {where})"
+    gone_ones = f"meshes that are missing or not .obj, .stl or .msh (in {where})"
     if heavy:
-        found.lost.append(
-            f"The inertia of {', '.join(heavy)} follows from {gone_ones}; these meshes do not "
-            "count."
-        )
+        found.lost.append(f"The inertia of {', '.join(heavy)} is computed without {gone_ones}.")
     if seen:
-        found.lost.append(f"The shapes of {', '.join(seen)} are, in part, {gone_ones}.")
+        found.lost.append(f"Some shapes of {', '.join(seen)} are {gone_ones}.")
 
 
 def _wrong(words: str, path: Path) -> ModelError:
@@ -382,11 +381,11 @@ def _bodies_of(root: Element, path: Path, sizes: Mapping[str, float]) -> float:
             made *= abs(float(word)) if _COUNT.fullmatch(word) else 1.0
         if element.tag in ("body", "attach"):
             total += made * sizes.get(element.get("model", ""), 1.0)
-        what = f"<{element.tag}> makes {made:.0f} of what is in it"
+        what = f"<{element.tag}> makes {made:.0f} copies of its content"
         if total > _MOST_MADE >= made:
             what = f"with <{element.tag}> there are {total:.0f} bodies"
         if max(made, total) > _MOST_MADE:
-            raise wrong_at(element, path, f"{what}, and geodrake reads up to {_MOST_MADE}.")
+            raise wrong_at(element, path, f"{what}; geodrake reads up to {_MOST_MADE}.")
         found += [(child, made) for child in element]
     return total
 
@@ -408,12 +407,12 @@ def _split_balls(spec: Any, found: CompiledMjcf) -> bool:
             for key in _OF_BALLS:
                 setattr(made, key, numbers[key] if numbers[key].ndim else float(numbers[key]))
         found.notes.append(
-            f"The ball joint {name} of a closed loop is read as the hinges {', '.join(names)}."
+            f"Ball joint {name} of a closed loop is read as the hinges {', '.join(names)}."
         )
         for key in (key for key, value in numbers.items() if value.any()):
-            how = "is that of each hinge, which is about the same"
-            how = how if key in _OF_BALLS else "is left out"
-            found.left_out.append(f"The {key} of the ball joint {name} of a closed loop {how}.")
+            how = "is that of each hinge, which is approximate"
+            how = how if key in _OF_BALLS else "is ignored"
+            found.left_out.append(f"The {key} of ball joint {name} of a closed loop {how}.")
     return bool(balls)
 
 

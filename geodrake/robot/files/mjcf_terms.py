@@ -115,7 +115,7 @@ class MjcfTerms:
         return any(self.m.opt.disableflags & int(flag) for flag in flags)
 
     def _leave(self, what: str) -> None:
-        self.found.left_out.append(f"{what} is left out.")
+        self.found.left_out.append(f"{what} is ignored.")
 
     def _name(self, kind: str, at: int) -> str:
         return getattr(self.m, kind.lower())(at).name or f"{kind.lower()} {at}"
@@ -161,7 +161,7 @@ class MjcfTerms:
                 damping, friction, armature = (_pop(has, key)[0] for key in _OF_BALLS)
                 own = {"friction": friction, "armature": armature}
                 self._add({joint: 1.0}, damping=_three([damping]), **own)
-            self._leave_rest(f"The joint {self._name('JOINT', joint)}", has, where)
+            self._leave_rest(f"Joint {self._name('JOINT', joint)}", has, where)
 
     def _limit(self, joint: int, most: float) -> None:
         name, limits = self._joint(joint), self.found.effort
@@ -177,7 +177,7 @@ class MjcfTerms:
             has = self._numbers(where)
             self._take_along(name, fixed_tendon(m, at), has, length)
             self._take_strut(at, has, length)
-            self._leave_rest(f"The tendon {name}", has, where)
+            self._leave_rest(f"Tendon {name}", has, where)
 
     def _take_along(
         self, name: str, shares: dict[int, float], has: dict[str, Array], length: float | None
@@ -263,7 +263,7 @@ class MjcfTerms:
                 more = [gear**2 * c for c in _pop(has, "dampingpoly")]  # not gear³, as of tendons
                 self._add({on: 1.0}, damping=_three([0.0, *more]))
             self._take_along(name, shares, has, None)
-            self._leave_rest(f"The actuator {name}", has, where)
+            self._leave_rest(f"Actuator {name}", has, where)
 
     def _limit_of_motor(self, at: int, joint: int, gear: float) -> None:
         m, mujoco = self.m, self.mujoco
@@ -293,7 +293,7 @@ class MjcfTerms:
         if len(shares) and np.ptp(shares) == 0.0 and not by_motors.any():
             self.found.gravity = gravity * (1.0 - float(shares[0]))
             self.found.notes.append(
-                f"gravcomp={shares[0]:g} of all bodies is kept as that much less gravity."
+                f"gravcomp={shares[0]:g} of all bodies is read as reduced gravity."
             )
             return
         for body in moving:
@@ -347,7 +347,7 @@ class MjcfTerms:
             data = np.array(m.eq_data[at])
             if not m.eq_active0[at]:
                 self.found.notes.append(
-                    f"<equality>: the constraint <{kind}> of {what} is not active, and not used."
+                    f"<equality>: the constraint <{kind}> of {what} is inactive, and ignored."
                 )
             elif kind == "joint" and second >= 0:
                 self._follow(first, second, data[:5])
@@ -359,7 +359,7 @@ class MjcfTerms:
                 or (kind == "tendon" and self._follow_tendon(first, second, data[:5]))
             ):
                 self._leave(
-                    f"<equality>: the constraint <{kind}> of {what}, which makes a closed loop or "
+                    f"<equality>: the constraint <{kind}> of {what}, which closes a loop or "
                     "holds something (the robot is read as an open tree),"
                 )
 
@@ -446,8 +446,8 @@ class MjcfTerms:
             known.joints[own] = coefficients.tolist()
         if not tied:
             self._leave(
-                f"<equality>: the constraint <joint> of {own} and {leader}, as {own} follows a "
-                f"joint already, or is followed by {leader},"
+                f"<equality>: the constraint <joint> of {own} and {leader}, as {own} already "
+                "follows or leads a joint,"
             )
 
     def _follows_already(self, own: str, leader: str) -> bool:

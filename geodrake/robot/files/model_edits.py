@@ -83,8 +83,8 @@ class EditedFile:
         self._data, self.path, self.root = data, path, parse_xml_bytes(data, path)
         if self.root.tag not in _FORMATS:
             raise ModelError(
-                f"{path} has the root element <{self.root.tag}>, into which no inertias can be "
-                "written.",
+                f"{path} has the root element <{self.root.tag}>, into which inertias cannot "
+                "be written.",
                 advice=SUPPORTED_FORMATS,
             )
         self._format = _FORMATS[self.root.tag]
@@ -429,7 +429,7 @@ def _gear(text: str) -> float:
 def _put_sdf_numbers(root: Element, joint: Element, change: Change) -> None:
     axis = joint.find("axis")
     if axis is None:
-        raise ModelError(f"{joint.get('name')} has no <axis> to write numbers into.")
+        raise ModelError(f"{joint.get('name')} has no <axis> to write to.")
     for name, tag in _SDF_TAGS.items():
         if name in change:
             child_of(child_of(axis, "dynamics"), tag).text = words(change[name])
@@ -479,7 +479,7 @@ def edited(data: bytes, path: Path, root: Element) -> bytes:
     """
     if data[:2] in (b"\xff\xfe", b"\xfe\xff") or b"\x00" in data[:4]:
         raise ModelError(
-            f"{path} is encoded in UTF-16 or UTF-32, in which geodrake cannot change it.",
+            f"{path} is encoded in UTF-16 or UTF-32, which geodrake cannot edit.",
             advice="Save it in UTF-8.",
         )
     edits = list[tuple[int, int, bytes]]()
@@ -506,8 +506,8 @@ def _edits_of(
     start = _START.match(data, old.start)
     if start is None:
         raise ModelError(
-            f"{place_of(old)}: <{old.tag}> stands in an entity, and cannot be changed.",
-            advice="Write it where the entity is.",
+            f"{place_of(old)}: <{old.tag}> is in an entity, and cannot be edited.",
+            advice="Write it where the entity is used.",
         )
     yield *start.span(2), _attributes(element.attrib, old.attrib, start[2])
     there = [k for k, each in enumerate(children) if isinstance(each, LocatedElement)]
@@ -577,6 +577,6 @@ def check_in_itself(names: Iterable[str], there: Container[str], path: Path) -> 
     if missing:
         raise ModelError(
             f"{', '.join(name.rpartition('::')[2] for name in missing)} is not in {path} itself.",
-            advice="Put included files into the model, so that all is in one file.",
+            advice="Copy included files into the model.",
             missing=missing,
         )

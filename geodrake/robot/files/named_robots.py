@@ -52,8 +52,8 @@ def robot_file(path: str | os.PathLike[str], given: Given) -> RobotFile:
         words = " ".join(str(getattr(error, "stderr", "") or error).split())
         reason = printable(words.removeprefix("stderr: ").strip("'"))[:300].rstrip(".")
         raise ModelError(
-            f"The robot {path} cannot be downloaded ({_repository(module).url}): {reason}.",
-            advice="Check the network; it is needed once, as the files are kept in "
+            f"Robot {path} cannot be downloaded ({_repository(module).url}): {reason}.",
+            advice="Check the network; it is needed only once, as the files are kept in "
             f"{_folder(module)}.",
             path=path,
         ) from error
@@ -80,7 +80,7 @@ def planned_download(path: Path) -> str:
             return ""
     except git.exc.GitError:
         pass  # there is no repository yet
-    return f"Downloading {_repository(module).url} to {folder}, once, as {path} is not there yet."
+    return f"Downloading {_repository(module).url} to {folder} (only once)."
 
 
 def whole_if_folder(written: str | os.PathLike[str], path: Path) -> Path:
@@ -98,7 +98,7 @@ def _descriptions(path: Path) -> list[str]:
     try:
         package: Any = importlib.import_module("robot_descriptions")
     except ImportError as error:
-        advice = 'Check the path; robots by their names need pip install "geodrake[robots]".'
+        advice = 'Check the path; names of robots need pip install "geodrake[robots]".'
         raise ModelError(f"{gone}.", advice=advice, path=path) from error
     name = str(path).lower().replace("-", "_").removesuffix(_END)
     found = [each for each in (f"{name}{_END}", f"{name}_mj{_END}") if each in package.DESCRIPTIONS]
@@ -107,7 +107,7 @@ def _descriptions(path: Path) -> list[str]:
         nearest = ", ".join(get_close_matches(name, known, 3, 0.0))
         raise ModelError(
             f"{gone}, and robot_descriptions has no robot of that name.",
-            advice=f"Check the path; the nearest names of robots are {nearest}.",
+            advice=f"Check the path; the nearest robot names are {nearest}.",
             path=path,
         )
     return found[:1] if str(path).endswith(_END) else found

@@ -80,13 +80,13 @@ def unread(root: Element, table: Mapping[str, Collection[str]], path: Path) -> I
         if element.tag == "plugin":
             name = element.get("filename") or element.get("name") or ""
             if _FORCES.search(name):
-                yield f"{place_of(element) or path}: the plugin {name.strip()} is left out."
+                yield f"{place_of(element) or path}: the plugin {name.strip()} is ignored."
         if element.tag == "dynamics" and root.tag == "robot":
             for key in sorted(set(element.attrib) - DYNAMICS_READ):
                 value = element.get(key, "").strip()
                 if not is_nothing(value):
                     where = place_of(element) or path
-                    yield f"{where}: {key}={value[:50]} of <dynamics> is left out."
+                    yield f"{where}: {key}={value[:50]} of <dynamics> is ignored."
 
 
 def _of(element: Element, tags: Collection[str], path: Path) -> Iterator[str]:
@@ -98,7 +98,7 @@ def _of(element: Element, tags: Collection[str], path: Path) -> Iterator[str]:
     stated = [word.strip() for word in words if not is_nothing(word)]
     if stated:
         value = " ".join(" ".join(stated).split())[:80]
-        yield f"{place_of(element) or path}: <{element.tag}> {value} is left out."
+        yield f"{place_of(element) or path}: <{element.tag}> {value} is ignored."
 
 
 def is_nothing(text: str) -> bool:
@@ -291,7 +291,7 @@ class SdfText(ModelText):
         nowhere = [*includes.missing, *includes.absent]
         if nowhere and not self._links:
             raise ModelError(
-                f"{self.path} has no model but such as lead nowhere: {nowhere[0]}",
+                f"{self.path} has no model that can be found: {nowhere[0]}",
                 advice=PACKAGE_ADVICE,
                 path=self.path,
             )
@@ -384,7 +384,7 @@ class UrdfText(ModelText):
             while inner is not None and inner not in chain:
                 if inner.get("type") not in ("fixed", "floating"):
                     name = joint.get("name")
-                    what = f"the joint {name!r} is floating, and what it hangs on moves."
+                    what = f"joint {name!r} is floating, but its parent moves."
                     raise wrong_at(joint, self.path, what)
                 chain.append(inner)
                 inner = holding.get(ends["parent"][inner])
@@ -407,8 +407,8 @@ class UrdfText(ModelText):
                 said = wrong_at(
                     element,
                     self.path,
-                    f"<springStiffness> {stated.strip()[:50]} of {element.get('reference')}, which "
-                    "is no joint, is left out.",
+                    f"<springStiffness> {stated.strip()[:50]} of {element.get('reference')}, "
+                    "which is not a joint, is ignored.",
                 )
                 self.terms.left_out.append(said.problem)
             falls = [is_nothing(each.text or "") for each in element.findall("gravity")]
@@ -485,5 +485,5 @@ def _value(element: Element, tags: Sequence[str], default: float, what: str) -> 
     text = next((t for tag in tags if (t := element.findtext(tag)) is not None), None)
     value = default if text is None else float(numbers(text.strip() or "none", 1)[0])
     if not np.isfinite(value):
-        raise ModelError(f"{what} has {text!r:.52}, which is no number.", advice="Correct it.")
+        raise ModelError(f"{what} has {text!r:.52}, which is not a number.", advice="Correct it.")
     return value

@@ -86,7 +86,7 @@ def _expanded(path: Path, given: Given, read: dict[Path, bytes | None]) -> bytes
     """Return what a file expands to, and note what it reads."""
     if importlib.util.find_spec("xacro") is None:
         raise ModelError(
-            f"{path} is a xacro file, and the package xacro is not installed.",
+            f"{path} is a xacro file, but the package xacro is not installed.",
             advice='Install it: pip install "geodrake[robots]"; or expand the file first: '
             "xacro robot.urdf.xacro > robot.urdf.",
             path=path,
@@ -99,7 +99,7 @@ def _expanded(path: Path, given: Given, read: dict[Path, bytes | None]) -> bytes
         count += 1
         if count > _MOST_FILES:
             raise ModelError(
-                f"{path} reads more than {_MOST_FILES} files, or some without an end.",
+                f"{path} reads more than {_MOST_FILES} files, or an endless one.",
                 advice="Correct the file.",
                 path=path,
             )
@@ -124,9 +124,9 @@ def _expanded(path: Path, given: Given, read: dict[Path, bytes | None]) -> bytes
             return bytes(document.toxml(encoding="utf-8"))
         except RefusedError as error:
             raise ModelError(
-                f"{path} is a xacro file that geodrake does not expand unasked: {error}.",
-                advice="Write it without that; or, if you trust who wrote the file, give "
-                "--trust-xacro.",
+                f"{path} is a xacro file with an expression that is not evaluated by "
+                f"default: {error}.",
+                advice="Remove it or, if you trust the author of the file, use --trust-xacro.",
                 path=path,
             ) from error
         except Exception as error:
@@ -215,12 +215,12 @@ class _Limited(ast.NodeTransformer):
         try:
             tree = ast.parse(text.strip(), "<expression>", mode="eval")
         except SyntaxError as error:
-            what = f"{one_line(Exception(text))!r:.80}, which is unfinished or none of Python's"
+            what = f"{one_line(Exception(text))!r:.80}, which is incomplete or not valid Python"
             raise self._wrong(f"has the expression {what}: {error.msg}") from error
         for node in ast.walk(tree) if not self.trusted else ():
             name, attribute = getattr(node, "id", ""), getattr(node, "attr", "")
             if name.startswith("__") or attribute.startswith("_") or attribute in _REFUSED:
-                raise RefusedError(f"{name or attribute} is asked for in '{text}'")
+                raise RefusedError(f"{name or attribute} is used in '{text}'")
         return ast.unparse(self.visit(tree))
 
     def visit_BinOp(self, node: ast.BinOp) -> ast.expr:
@@ -235,7 +235,7 @@ class _Limited(ast.NodeTransformer):
         """Return a * b."""
         for some, count in ((a, b), (b, a)):
             if isinstance(some, str | bytes | list | tuple) and isinstance(count, int):
-                self._check(len(some) * count, _MOST_ITEMS, "items or letters")
+                self._check(len(some) * count, _MOST_ITEMS, "items or characters")
         return a * b
 
     def Pow(self, a: Any, b: Any) -> Any:
@@ -266,14 +266,14 @@ def _limit_expressions(xacro: Any, limited: _Limited) -> None:
     """Have xacro evaluate expressions that end, and unless they are trusted, of values alone."""
     if not hasattr(xacro, "safe_eval"):
         raise ModelError(
-            "The package xacro is older than 2.1, and evaluates whatever a file asks for.",
+            "The installed xacro is older than 2.1, and evaluates arbitrary expressions.",
             advice="Update it: pip install -U xacro.",
         )
     evaluated, symbols = xacro.safe_eval, xacro._global_symbols
 
     def withheld(name: str) -> Any:
         def refuse(*_: Any, **__: Any) -> None:
-            raise RefusedError(f"{name} is asked for")
+            raise RefusedError(f"{name} is used")
 
         return refuse
 
@@ -285,7 +285,7 @@ def _limit_expressions(xacro: Any, limited: _Limited) -> None:
         letters += len(value) if isinstance(value, str) else 0
         if letters > LARGEST_FILE:
             raise RefusedError(
-                f"its expressions make more than {LARGEST_FILE / 1e6:.0f} MB of text"
+                f"its expressions expand to more than {LARGEST_FILE / 1e6:.0f} MB of text"
             )
         return value
 
@@ -302,6 +302,6 @@ def _limit_expressions(xacro: Any, limited: _Limited) -> None:
 def _words(error: Exception) -> str:
     """Say what Python says nothing of."""
     if isinstance(error, MemoryError):
-        return "it needs more memory than there is"
+        return "it needs too much memory"
     is_endless = isinstance(error, RecursionError)
-    return "its macros or files hold themselves, or each other too deeply" if is_endless else ""
+    return "its macros or files include themselves, or are nested too deeply" if is_endless else ""

@@ -92,14 +92,14 @@ def _read(data: bytes, path: Path) -> Element:
         nonlocal depth, count
         depth, count = depth + 1, count + 1
         for what, number, most in (
-            ("elements within each other", depth, _DEEPEST),
+            ("nested elements", depth, _DEEPEST),
             ("elements", count, _MOST_ELEMENTS),
             (f"attributes in <{tag[:50]}>", len(attributes), _MOST_ATTRIBUTES),
         ):
             if number > most:
                 raise ModelError(
-                    f"{path}, line {parser.CurrentLineNumber}: there are more than {most} {what}.",
-                    advice="Check how the file was written.",
+                    f"{path}, line {parser.CurrentLineNumber}: more than {most} {what}.",
+                    advice="Check how the file was generated.",
                     path=path,
                 )
         builder.start(tag, attributes)

@@ -112,7 +112,9 @@ class Transmission(abc.ABC):
         theta = real_array(theta, "theta", ("N", self.num_joints))
         q, wanted = real_array(start, "start"), (len(theta), self.num_actuators)
         if q.shape not in ((), wanted[1:], wanted):
-            raise ArgumentError(f"A start has the shape {wanted[1:]} or {wanted}; got {q.shape}.")
+            raise ArgumentError(
+                f"The initial guess must have shape {wanted[1:]} or {wanted}; got {q.shape}."
+            )
         q = self.inside(np.broadcast_to(q, wanted).copy())
         size = 1.0 + np.abs(theta).max(initial=0.0)
         for _ in range(_MOST_ITERATIONS):
@@ -124,8 +126,8 @@ class Transmission(abc.ABC):
         error = np.abs(theta - self.joint_positions(q)).max(initial=0.0)
         if not error < 1e-9 * size:
             raise ArgumentError(
-                f"Some joint positions cannot be reached by the actuators; they miss by {error:g}.",
-                advice="Check the transmission and its offsets, or give a nearer start.",
+                f"The actuators cannot reach some joint positions; the error is {error:g}.",
+                advice="Check the transmission and its offsets, or use a closer initial guess.",
             )
         return q
 
@@ -174,8 +176,8 @@ class LinearTransmission(JointlyEvaluated, Short):
         object.__setattr__(self, "offset", real_array(self.offset, "offset", ("k",), sizes))
         if (rank := np.linalg.matrix_rank(J) if J.size else 0) < J.shape[1]:
             raise ArgumentError(
-                f"matrix must be of rank n = {J.shape[1]}; its rank is {rank}.",
-                advice="Leave out actuators that move nothing that others do not.",
+                f"matrix must have rank n = {J.shape[1]}; its rank is {rank}.",
+                advice="Remove redundant actuators.",
             )
 
     @classmethod
@@ -204,7 +206,7 @@ class LinearTransmission(JointlyEvaluated, Short):
             for actuator, ratio in instance(terms, f"ratios[{joint!r}]", Mapping).items():
                 for name, known in ((joint, joints), (actuator, actuators)):
                     if name not in known:
-                        raise ArgumentError(f"There is no {name!r} among {', '.join(known)}.")
+                        raise ArgumentError(f"{name!r} is none of {', '.join(known)}.")
                 place = joints.index(joint), actuators.index(actuator)
                 J[place] = number(ratio, f"ratios[{joint!r}][{actuator!r}]")
         return cls.of(J)
@@ -260,7 +262,7 @@ class SideBySide(JointlyEvaluated):
     def __post_init__(self) -> None:
         object.__setattr__(self, "parts", instances(self.parts, "parts", Transmission))
         if not self.parts:
-            raise ArgumentError("A transmission has at least one part.")
+            raise ArgumentError("A transmission needs at least one part.")
 
     @property
     def shape(self) -> tuple[int, int]:
@@ -312,12 +314,12 @@ class InSequence(JointlyEvaluated):
     def __post_init__(self) -> None:
         object.__setattr__(self, "stages", instances(self.stages, "stages", Transmission))
         if not self.stages:
-            raise ArgumentError("A transmission has at least one stage.")
+            raise ArgumentError("A transmission needs at least one stage.")
         for inner, outer in pairwise(self.stages):
             if inner.num_joints != outer.num_actuators:
                 raise ArgumentError(
-                    f"A stage gives {inner.num_joints} positions, but the next one takes "
-                    f"{outer.num_actuators}."
+                    f"A stage has {inner.num_joints} outputs, but the next one "
+                    f"{outer.num_actuators} inputs."
                 )
 
     @property

@@ -465,17 +465,17 @@ class LoopTransmission(JointlyEvaluated, Short):
         follow = f"{', '.join(others)} follow{'s' if len(others) == 1 else ''} {', '.join(free)}"
         told = [f"In the closed loop of {self.name}, {follow if free else 'nothing moves'}."]
         if passive := [name for name in free if self.motors and name not in self.motors]:
-            where = f"{passive[0]} of that loop is: it counts as a joint of its own."
+            where = f"{passive[0]} of that loop is passive and independent."
             if passive[1:]:
-                where = f"{', '.join(passive)} of that loop are: they count as joints of their own."
+                where = f"{', '.join(passive)} of that loop are passive and independent."
             told.append(f"No motor of the file determines where {where}")
         if further := self.driven:
             told.append(
-                f"The loop has more motors than it moves freely: efforts of {', '.join(further)} "
-                f"count at {', '.join(free)}, so logs need them, too."
+                "The loop has more motors than degrees of freedom: efforts of "
+                f"{', '.join(further)} act at {', '.join(free)}, so logs need them too."
             )
         if self.gap:
-            told.append(f"That loop closes up to {self.gap:.2g} m in the posture of the file.")
+            told.append(f"That loop has a gap of {self.gap:.2g} m in the posture of the file.")
         return tuple(told)
 
     def posture(self, held: Mapping[str, float], path: object) -> dict[str, float]:
@@ -490,9 +490,9 @@ class LoopTransmission(JointlyEvaluated, Short):
             closes = {name: f"{places[name]:.6g}" for name in far}
             raise ModelError(
                 f"{path}: the closed loop of {self.name} does not close with {where}.",
-                advice=f"Hold {', '.join(f'{n} at {x}' for n, x in closes.items())}."
+                advice=f"Fix {', '.join(f'{n} at {x}' for n, x in closes.items())}."
                 if reached[0] == 1.0
-                else "Hold its joints elsewhere.",
+                else "Fix its joints elsewhere.",
                 joint=next(iter(far), ""),
             )
         return {names[at]: places[names[at]] for at in self.shown}
@@ -547,9 +547,9 @@ class LoopTransmission(JointlyEvaluated, Short):
             at = int(np.argmax(open_))
             end = self.reference[self.free] + reached[at] * (q[at] - self.reference[self.free])
             raise ArgumentError(
-                f"The closed loop of {self.name} does not close at {_places(self.actuators, q[at])}"
-                f": on the way there from where the file has it, it ends at "
-                f"{_places(self.actuators, end)}.",
+                f"The closed loop of {self.name} does not close at "
+                f"{_places(self.actuators, q[at])}: coming from the posture of the file, it "
+                f"ends at {_places(self.actuators, end)}.",
                 advice="Check its lengths and zero positions, and that the log is of this robot.",
             )
         return theta, G

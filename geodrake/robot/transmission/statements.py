@@ -167,8 +167,7 @@ class Coupled(Statement):
         for name in self.offsets:
             if name not in self.joints:
                 raise ArgumentError(
-                    f"offsets has {name!r}, which is not one of its joints: "
-                    f"{', '.join(self.joints)}."
+                    f"offsets has {name!r}, which is none of its joints: {', '.join(self.joints)}."
                 )
         names = list(self.joints), self.actuator_names()
         J = LinearTransmission.from_ratios(*names, self.joints).matrix
@@ -215,7 +214,7 @@ def polynomial(coefficients: Array) -> Law:
     """Return f = c₀ + c₁ q + c₂ q² + … of c (m,), as MuJoCo's `polycoef` has it."""
     c = real_array(coefficients, "coefficients", ("m",))
     if not c[1:].any():
-        raise ArgumentError(f"coefficients must have one beyond c₀ that is not 0; got {c}.")
+        raise ArgumentError(f"coefficients need a nonzero one besides c₀; got {c}.")
     return partial(_of_polynomial, c)
 
 
@@ -275,8 +274,8 @@ class PositionTable(OneJoint):
         q = real_array(np.array(self.actuator_positions, float), "actuator_points", ("m",))
         if len(q) < _LEAST_POINTS or not (np.diff(q) > 0.0).all():
             raise ArgumentError(
-                f"A table needs {_LEAST_POINTS} actuator positions or more, which increase; "
-                f"got {q.tolist()}."
+                f"A table needs at least {_LEAST_POINTS} increasing actuator positions; got "
+                f"{q.tolist()}."
             )
         theta = real_array(np.array(self.joint_positions, float), "joint_points", (len(q),))
         return partial(_along, CubicSpline(q, theta, bc_type="natural"))
@@ -325,7 +324,7 @@ class FourBarLinkage(OneJoint):
         low, high = self._known()
         if not low < 0.0 < high:
             raise ArgumentError(
-                f"The bars of the four-bar linkage do not reach each other where q = 0, with the "
+                "The bars of the four-bar linkage do not reach each other at q = 0 with the "
                 f"crank at {self.crank_angle:g} rad.",
                 advice="Check its lengths and crank_angle.",
             )
@@ -438,8 +437,8 @@ class LinearActuator(OneJoint):
         if (beyond := ~(np.abs(cosine) < 1.0)).any():
             low, high = self._known()
             raise ArgumentError(
-                f"The cylinder cannot be where q = {q[beyond][0]:.4g} m: its triangle closes from "
-                f"{low:.4g} to {high:.4g} m.",
+                f"The cylinder cannot reach q = {q[beyond][0]:.4g} m: its range is {low:.4g} "
+                f"to {high:.4g} m.",
                 advice="Check base, lever and length, and that the log is of this actuator.",
             )
         return np.asarray(cosine)
@@ -501,8 +500,9 @@ class Drive(Short):
             object.__setattr__(self, what, names)
             if len(names) != count or len(set(names)) < len(names):
                 raise ArgumentError(
-                    f"A drive of {self.map.num_actuators} actuators and {self.map.num_joints} "
-                    f"joints needs as many different {what}; it has {', '.join(names)}."
+                    f"A drive of {self.map.num_actuators} actuators and "
+                    f"{self.map.num_joints} joints needs as many different {what}; got "
+                    f"{', '.join(names)}."
                 )
 
     @property
@@ -564,11 +564,11 @@ def read_transmission(path: str | Path) -> tuple[Drive, ...]:
         drives = drives_of(parts)
         if not drives:
             lists = ", ".join(Stated.__struct_fields__)
-            raise ModelError("it has no part.", advice=f"Its lists are: {lists}.")
+            raise ModelError("it has no parts.", advice=f"Its lists are {lists}.")
         return drives
     except GeodrakeError as error:
         raise ModelError(
-            f"{path} is no transmission file: {error.problem}",
+            f"{path} is not a transmission file: {error.problem}",
             advice=error.advice or "Correct the file there.",
             path=path,
         ) from error
@@ -580,7 +580,7 @@ def drives_of(parts: Iterable[tuple[str, Statement]]) -> tuple[Drive, ...]:
     for place, part in parts:
         for what, names in (("actuator", part.actuator_names()), ("joint", part.joint_names())):
             if not names or not all(names):
-                raise ModelError(f"{place} does not name its {what}.", advice="Name it there.")
+                raise ModelError(f"{place} has no {what}.", advice="Add it.")
         try:
             drives.append(Drive.of(part))
         except ArgumentError as error:
@@ -594,9 +594,9 @@ def stated_of(drives: Sequence[Drive]) -> Stated:
     for drive in drives:
         if drive.statement is None:
             raise ModelError(
-                f"The transmission of {', '.join(drive.actuators)} is a function of your own, "
-                "which cannot be saved.",
-                advice="Write it as a table of a transmission file, or leave it out.",
+                f"The transmission of {', '.join(drive.actuators)} is a user-defined "
+                "function, which cannot be saved.",
+                advice="Write it as a table of a transmission file, or omit it.",
             )
         stated.add(drive.statement)
     return stated
