@@ -137,6 +137,8 @@ _HALFWIDTH = 6  # in output samples; the passband then ends at 0.64 of the bandw
 _LARGEST_EXCESS = 1.04  # output rate over 2·bandwidth; above it the filtered noise is correlated
 _DYNAMIC_RANGE = 1e-8  # of the acceleration's spectrum; a motion below this share is no matter
 _RISE = 2.0  # of the power of positions: their noise rises by less by chance
+_PART = 0.1  # of the largest power of velocities: what has more is a part of the motion
+_FALL = 10.0  # of the power of positions: their noise falls by less where it is no motion
 _LEAST_MARGIN, _LARGEST_MARGIN = 4.0, 10.0  # bandwidth over that of the velocity
 _WELCH_SECONDS = 20.0
 _LEAST_SAMPLES = 6  # of a quintic spline
@@ -360,16 +362,19 @@ def choose_bandwidth(pieces: Sequence[tuple[Array, float]]) -> float:
 def _end_of_motion(power: Array, frequency: Array) -> int:
     """Return where a spectrum (m,) of accelerations is lowest between the motion and the noise.
 
-    Where positions have more power farther on, as a gait has beside a slow sway, there is motion
-    still: their noise is white at most.
+    The noise of positions is white at most. Where they have more power farther on, or where much
+    less is a good part of the motion still, as that of a gait beside a slow sway, that is no noise.
     """
-    position, peak = power / frequency**4, int(np.argmax(power / frequency**2))
+    position, velocity = power / frequency**4, power / frequency**2
+    peak = int(np.argmax(velocity))
+    large = velocity >= _PART * velocity[peak]
     while True:
         valley = peak + int(np.argmin(power[peak:]))
-        beyond = valley + int(np.argmax(position[valley:]))
-        if position[beyond] <= _RISE * position[valley]:
+        rest = position[valley:] / position[valley]
+        beyond = np.flatnonzero((rest > _RISE) | ((rest < 1.0 / _FALL) & large[valley:]))
+        if not len(beyond):
             return valley
-        peak = beyond
+        peak = valley + int(beyond[-1])
 
 
 def _acceleration_power(pieces: Sequence[tuple[Array, float]], edges: Array) -> Array:

@@ -122,6 +122,18 @@ def test_bandwidth_holds_a_gait_beside_a_slow_sway():
         assert choose_bandwidth([(piece, 0.001) for piece in pieces]) > 12.0
 
 
+def test_bandwidth_holds_a_trot_that_positions_hardly_show_beside_a_sway():
+    """Its impacts shake the robot at all frequencies, so that nothing is as quiet as the sway."""
+    count, rng = 8000, np.random.default_rng(0)
+    rates = np.fft.rfftfreq(count, 0.005)
+    at = 0.23, 0.29, 0.41, 0.59, 0.93, 1.2, 1.5, 2.1, 2.8, 4.2, 5.0, 10.0, 100.0
+    power = 1.6, 6.6, 2.9, 14.0, 6.0, 34.0, 15.0, 290.0, 27.0, 600.0, 200.0, 450.0, 400.0
+    size = np.sqrt(np.interp(rates, at, power)) / np.maximum(rates, 0.2) ** 2
+    phases = rng.uniform(0.0, 2.0 * np.pi, (len(rates), 18))
+    position = np.fft.irfft(size[:, None] * np.exp(1j * phases), count, axis=0)
+    assert choose_bandwidth([(position, 0.005)]) > 8.0
+
+
 @pytest.mark.parametrize("length", [2, 3, 255, 256, 1000])
 @pytest.mark.parametrize(("window", "name"), [(HANN, "hann"), (BLACKMAN_HARRIS, "blackmanharris")])
 @pytest.mark.parametrize("centered", [True, False])
