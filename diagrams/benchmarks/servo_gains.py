@@ -9,7 +9,9 @@ values are off, and how long it takes.
     python -m diagrams.benchmarks.servo_gains --json servo_gains.json
 
 With `--integral`, the same servos have an integral, too; with `--limited`, they are at the limit of
-their torque, which the model file states, for part of each log.
+their torque, which the model file states, for part of each log. With `--backlash`, links have play
+of 0.1 to 1 degree against their motors, by MuJoCo alone; with `--hobby`, logs are of 50 rows a
+second, and of encoders with 4096 steps a turn.
 """
 
 from __future__ import annotations
@@ -60,6 +62,8 @@ Array = NDArray[np.float64]
 
 STEP = 0.001  # s
 _FADING = 0.002  # rad/s below which dry friction fades
+_FINER = 4  # steps in the place of one, where links have play
+_SIDES_OF_GAPS = [0.99, 0.999, 1e-5, 0.5, 2.0]  # MuJoCo's solimp
 
 
 @dataclass(frozen=True)
@@ -78,6 +82,7 @@ class Servos:
     limit: Array  # largest torque, N·m
     # ki, N·m/(rad·s); it stays where the torque is at its limit and would go beyond.
     integral: Array
+    play: Array  # half width of the gap between motor and link, rad
 
 
 def simulated(engine: str, urdf: str, servos: Servos, command: Array) -> tuple[Array, Array, Array]:
@@ -148,8 +153,11 @@ def _by_mujoco(urdf: str, servos: Servos, told: Array, rate: Array) -> tuple[Arr
     spec.option.timestep = STEP
     spec.option.integrator = mujoco.mjtIntegrator.mjINT_IMPLICITFAST
     spec.option.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_CONTACT)
-    for i, joint in enumerate(spec.joints):
+    motors = list(spec.joints)
+    for i, joint in enumerate(motors):
         joint.limited = 0
+        if servos.play[i]:
+            _add_play(joint, float(servos.play[i]))
         joint.damping = _first(joint.damping, servos.viscous[i])
         joint.armature, joint.frictionloss = servos.armature[i], servos.coulomb[i]
         kp, kd = float(servos.stiffness[i]), float(servos.damping[i])
@@ -163,20 +171,35 @@ def _by_mujoco(urdf: str, servos: Servos, told: Array, rate: Array) -> tuple[Arr
         actuator.gainprm[0], actuator.biasprm[1], actuator.biasprm[2] = 1.0, -kp, -kd
         actuator.forcelimited = 1
         actuator.forcerange = [-servos.limit[i], servos.limit[i]]
+    steps = 1
+    if servos.play.any():  # its sides are stiff
+        steps, spec.option.timestep = _FINER, STEP / _FINER
     model = spec.compile()
     data = mujoco.MjData(model)
-    data.qpos[:] = told[0]
+    at_q, at_v = (
+        np.array([getattr(model.joint(joint.name), name)[0] for joint in motors])
+        for name in ("qposadr", "dofadr")
+    )
+    data.qpos[at_q] = told[0]
     positions, velocities, torques = (np.empty_like(told) for _ in range(3))
-    summed = np.zeros(model.nv)
+    summed = np.zeros(len(motors))
     for k in range(len(told)):
         data.ctrl[:] = servos.stiffness * told[k] + servos.damping * rate[k]
         data.ctrl[:] += servos.integral * summed
-        raw = data.ctrl - servos.stiffness * data.qpos - servos.damping * data.qvel
-        summed = _summed(summed, told[k] - data.qpos, raw, servos.limit)
-        positions[k], velocities[k] = data.qpos, data.qvel
-        mujoco.mj_step(model, data)
+        raw = data.ctrl - servos.stiffness * data.qpos[at_q] - servos.damping * data.qvel[at_v]
+        summed = _summed(summed, told[k] - data.qpos[at_q], raw, servos.limit)
+        positions[k], velocities[k] = data.qpos[at_q], data.qvel[at_v]
+        mujoco.mj_step(model, data, steps)
         torques[k] = data.actuator_force
     return positions, velocities, torques
+
+
+def _add_play(joint: mujoco.MjsJoint, half_width: float) -> None:
+    """Add a joint after that of the motor, about the same axis, which turns within a gap."""
+    play = joint.parent.add_joint(name=f"{joint.name}_play", axis=joint.axis, pos=joint.pos)
+    play.type = joint.type
+    play.limited, play.range = 1, [-half_width, half_width]
+    play.solref_limit, play.solimp_limit = [2.0 * STEP / _FINER, 1.0], _SIDES_OF_GAPS
 
 
 def _first(values: object, number: float) -> object:
@@ -193,6 +216,7 @@ _EVERY = 0.004  # s, between rows of a log
 _SETTLED = 1.0  # s, after which a log begins
 _NOISE = 1e-5  # rad
 _LIMIT = 0.75  # of the largest torque
+_SLOW, _COUNTS = 0.02, 4096  # s between rows, and steps of an encoder in a turn, of a hobby arm
 _SHAKES = 3  # sines of each joint's command that are faster than its motion
 
 
@@ -208,6 +232,8 @@ class ServoDraw:
     duration: float = 40.0
     integral: bool = False
     limited: bool = False  # whether their torques have limits, which the model file states
+    backlash: bool = False  # whether links have play
+    hobby: bool = False  # whether logs are slow, and of encoders with few steps
 
 
 @dataclass(frozen=True)
@@ -220,13 +246,14 @@ class ServoLog:
 
 
 def servo_draws(logs: int, seed: int, **fixed: object) -> list[ServoDraw]:
-    """Return logs of every robot, kind of servo and engine in turn."""
+    """Return logs of every robot, kind of servo and engine in turn; play needs MuJoCo."""
+    engines = ("mujoco",) if fixed.get("backlash") else ENGINES
     robots = (PENDULUM, *(name for name in robot_names() if name != "arm6"))
     return [
         ServoDraw(
             robots[k % len(robots)],
-            ENGINES[(k // len(robots)) % len(ENGINES)],
-            bool((k // len(robots) // len(ENGINES)) % 2),
+            engines[(k // len(robots)) % len(engines)],
+            bool((k // len(robots) // len(engines)) % 2),
             k,
             seed,
             **fixed,  # type: ignore[arg-type]
@@ -267,6 +294,7 @@ def make_servo_log(draw: ServoDraw) -> ServoLog:
         armature=armature,
         limit=np.full(n, 1e6),
         integral=np.zeros(n),
+        play=np.deg2rad(10.0 ** rng.uniform(-1.0, 0.0, n)) if draw.backlash else np.zeros(n),
     )
     command = command + _shaking(time, n, rng)
     if draw.integral:
@@ -275,8 +303,12 @@ def make_servo_log(draw: ServoDraw) -> ServoLog:
     if draw.limited:
         servos = replace(servos, limit=_LIMIT * np.abs(torques).max(axis=0))
         q, _, torques = simulated(draw.engine, file.text, servos, command)
-    rows = slice(round(_SETTLED / STEP), None, round(_EVERY / STEP))
+    every = _SLOW if draw.hobby else _EVERY
+    rows = slice(round(_SETTLED / STEP), None, round(every / STEP))
     measured = (q + _NOISE * rng.normal(size=q.shape))[rows]
+    if draw.hobby:
+        step = 2.0 * np.pi / _COUNTS
+        measured = step * np.round(measured / step)
     log = JointLog(
         f"servo_{draw.number}",
         engine.joints,
@@ -343,6 +375,7 @@ def score_servo(draw: ServoDraw) -> dict[str, Any]:
     began = time.process_time()
     found = explain(model, [made.log])
     seconds = time.process_time() - began
+    own = ["backlash"] if draw.backlash else []
     return {
         **asdict(draw),
         "joints": len(model.joints),
@@ -352,7 +385,8 @@ def score_servo(draw: ServoDraw) -> dict[str, Any]:
         "at limit": np.mean(np.abs(made.torques) >= made.servos.limit, axis=0).tolist(),
         "limits found": [bool(np.isfinite(s.limit)) for s in found.model.effort_signals],
         "steps": [[step.effect, list(step.where)] for step in found.steps],
-        "extra": sorted({s.effect for s in found.steps} - {*HIDDEN, "effort_delay"}),
+        "extra": sorted({s.effect for s in found.steps} - {*HIDDEN, "effort_delay", *own}),
+        "play named": [j for s in found.steps if s.effect in own for j in s.where],
         "nrms": [found.start.nrms, found.refitted.nrms, found.end.nrms],
         **_in_set(made, found),
         **_motion(made, model, found),
@@ -501,6 +535,7 @@ def summary(rows: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
     values = [value for row in rows for value in row["values"]]
     table: dict[str, Any] = {
         "logs": len(rows),
+        "joints whose play is named": sum(len(row["play named"]) for row in rows),
         "all effects in the set": float(np.mean([row["in_set"] for row in rows])),
         "other effects named, a log": float(np.mean([len(row["extra"]) for row in rows])),
         "departure over that of the true model, median": float(
@@ -544,8 +579,10 @@ def main() -> None:
     parser.add_argument("--logs", type=positive_number, default=40, help="(%(default)s)")
     parser.add_argument("--integral", action="store_true", help="servos have an integral")
     parser.add_argument("--limited", action="store_true", help="torques have a limit")
+    parser.add_argument("--backlash", action="store_true", help="links have play")
+    parser.add_argument("--hobby", action="store_true", help="50 Hz, and encoders of few steps")
     options = parser.parse_args()
-    kinds = {"integral": options.integral, "limited": options.limited}
+    kinds = {name: getattr(options, name) for name in ("integral", "limited", "backlash", "hobby")}
     draws = servo_draws(options.logs, options.seed, **kinds)
     if options.quick:
         first = ServoDraw("double_pendulum", "mujoco", False, 0, options.seed, duration=6.0)
