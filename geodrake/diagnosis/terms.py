@@ -21,7 +21,9 @@ from geodrake.effects.lookup import effect_of
 from geodrake.identification.logs.dataset import Dataset, is_body, is_payload
 from geodrake.identification.logs.unknowns import pullback_information
 from geodrake.inertia import PARAMETERS_PER_BODY
+from geodrake.inertia.bodies import lumped_bodies
 from geodrake.model.robot_model import RobotModel
+from geodrake.robot.joints import joints_of
 
 Array = NDArray[np.float64]
 Indices = NDArray[np.intp]
@@ -29,6 +31,7 @@ Key = tuple[str, tuple[str, ...]]
 """Name and place of an effect; one of an episode is of one log, and about an instant of it."""
 
 _REACH = 2.0  # of a tool, over that of a dataset's payload: two thirds of the size of a link
+_SPREAD = 2.0 / 3.0  # of a load's inertia about an axis, over its mass times its square distance
 _USUAL = -2
 """Which of the payloads, in order of their mass, a body may carry that carries others."""
 _PHYSICAL = 0.1
@@ -120,9 +123,7 @@ def terms_of(
         places.setdefault(type(effect), set()).add(effect.where)
     sizes, terms, own = _column_sizes(dataset), list[Term](), {f.effect for f in model.effects}
     load = dataset.payload * np.array([1.0, *(_REACH for _ in range(3)), *(_REACH**2,) * 6])
-    loads = [mass * load for mass in beliefs.payloads]
-    carried = [(each, pullback_information(each[None], beliefs.load)) for each in loads]
-    changed = [(0.0 * each, pullback_information(each[None], 1.0)) for each in loads]
+    sides = _square_reaches(model)
     for effect in effects:
         name, columns = effect.name, dataset.effect_columns(effect)
         odds, is_own = float(len(places[type(effect)])), effect in own
@@ -130,9 +131,16 @@ def terms_of(
             held_by = places[type(effect)]
             tips = sum(where[0] in model.load_bodies for where in held_by)
             last = effect.where[0] in model.load_bodies
-            priors = (
-                changed if is_own else carried if last else [carried[max(len(carried) + _USUAL, 0)]]
-            )
+            wide = load.copy()
+            reach = _SPREAD * load[0] * sides.get(effect.where[0], 0.0)
+            wide[4:7] = np.maximum(load[4:7], reach)
+            loads = [mass * wide for mass in beliefs.payloads]
+            if not (last or is_own):
+                loads = [loads[max(len(loads) + _USUAL, 0)]]
+            width = 1.0 if is_own else beliefs.load
+            means = [0.0 * each if is_own else each for each in loads]
+            informations = [pullback_information(each[None], width) for each in loads]
+            priors = [*zip(means, informations, strict=True)]
             odds = len(priors) * (tips + (len(held_by) - tips) / beliefs.inner)
             odds *= 1.0 if last else beliefs.inner
         else:
@@ -150,6 +158,22 @@ def terms_of(
         what = name, effect.where, effect, columns
         terms += [Term(*what, *prior, *prices, least, says, needs, is_own) for prior in priors]
     return (*terms, *_wrong_bodies(model, dataset, beliefs))
+
+
+def _square_reaches(model: RobotModel) -> dict[str, float]:
+    """Trunk or palm, from which limbs branch -> mean square of how far away from Bo, m²."""
+    found = dict[str, float]()
+    for lump in lumped_bodies(model.plant):
+        frames = {member.index: member.X_RB for member in lump.members}
+        limbs = [
+            frames[joint.parent_body().index()]
+            @ joint.frame_on_parent().GetFixedPoseInBodyFrame().translation()
+            for joint in joints_of(model.plant)
+            if joint.parent_body().index() in frames and joint.num_velocities()
+        ]
+        if len(limbs) > 1 and lump.name in model.load_bodies:
+            found[lump.name] = float(np.mean(np.square(limbs).sum(axis=1)))
+    return found
 
 
 def _slabs(effect: Effect, sizes: Array, beliefs: Beliefs) -> list[Array]:

@@ -66,7 +66,10 @@ class TestJointsInTurn:
 def test_joints_share_what_they_show_when_both_move(log):
     (trajectory,) = prepare_logs([log])
     assert moving_together([trajectory]).tolist() == [[True, False], [False, True]]
-    assert moving_together([*prepare_logs([pendulum_log(3)])]).all()
+    both = pendulum_log(3)
+    assert moving_together([*prepare_logs([both])]).all()
+    alike = replace(both, position=both.position[:, :1] * [1.0, -0.7])
+    assert moving_together([*prepare_logs([alike])]).tolist() == [[True, False], [False, True]]
 
 
 def test_an_offset_may_be_many_times_the_deviation_of_an_effort(model):

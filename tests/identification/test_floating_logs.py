@@ -100,7 +100,7 @@ def waves(time: np.ndarray, sizes: np.ndarray, rng: np.random.Generator) -> np.n
 class Maker:
     """Motion, efforts and forces at the feet of a quadruped that may carry something."""
 
-    def __init__(self, payload: float = 0.0, seed: int = 0) -> None:
+    def __init__(self, payload: float = 0.0, seed: int = 0, place: str = "0.1 0.02 0.1") -> None:
         rng = np.random.default_rng(seed)
         self.plant = MultibodyPlant(0.0)
         text = quadruped()
@@ -108,7 +108,7 @@ class Maker:
             load = _link("load", payload, (0.1, 0.1, 0.1))
             weld = (
                 '<joint name="on" type="fixed"><parent link="trunk"/><child link="load"/>'
-                '<origin xyz="0.1 0.02 0.1"/></joint></robot>'
+                f'<origin xyz="{place}"/></joint></robot>'
             )
             text = text.replace("</robot>", load + weld)
         Parser(self.plant).AddModelsFromString(text, "urdf")
@@ -400,6 +400,34 @@ def test_a_payload_and_an_offset_of_a_foot_sensor_are_named_and_placed(model, he
     values = [foot.parameters["hl_calf"][f"force_{axis}"] for axis in "xyz"]
     deviations = [foot.deviations["hl_calf"][f"force_{axis}"] for axis in "xyz"]
     assert np.all(np.abs(values - offset) < 3.0 * np.array(deviations) + 0.02 * np.abs(offset))
+
+
+def test_a_payload_at_the_edge_of_a_trunk_is_no_wrong_trunk(model):
+    log = Maker(payload=2.6, place="-0.2 -0.1 0.1").log(wrenches=True, noise=1.0)
+    (step,) = explain(model, log).steps
+    assert (step.effect, step.where) == ("payload", ("trunk",)) and step.probability > 0.9
+
+
+def test_joints_without_a_motor_are_passive_where_other_efforts_are_measured(tmp_path, maker):
+    motors = "".join(
+        f'<transmission name="of_{joint}"><type>transmission_interface/SimpleTransmission</type>'
+        f'<joint name="{joint}"/>'
+        f'<actuator name="m_{joint}"/></transmission>'
+        for joint in JOINTS[1:]
+    )
+    (tmp_path / "dog.urdf").write_text(quadruped().replace("</robot>", f"{motors}</robot>"))
+    dog = load_description(tmp_path / "dog.urdf", floating=True)
+    log, found = maker.log(wrenches=True), []
+    for end in (f"{JOINTS[0]}.effort", ".effort"):
+        columns = {name: x for name, x in log.columns().items() if not name.endswith(end)}
+        table, header = np.stack(list(columns.values()), 1), ",".join(columns)
+        np.savetxt(tmp_path / "log.csv", table, delimiter=",", header=header, comments="")
+        read = read_log(
+            tmp_path / "log.csv", joints=dog.joints, reading=reading_for(dog), partial=True
+        )
+        read = log_of_model(read, dog)
+        found.append((read.passive, read.unmeasured))
+    assert found == [((JOINTS[0],), ()), ((), JOINTS)]
 
 
 def test_base_rows_alone_tell_a_payload(tmp_path, monkeypatch, model, heavy):

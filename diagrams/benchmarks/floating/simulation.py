@@ -190,6 +190,11 @@ class Motion:
     touching: Array  # (N, F) whether a foot touches the ground
     wrench: Array  # (N, F, 6) of the ground on it
 
+    @property
+    def rate(self) -> Array:
+        """Rates of the positions: MuJoCo's own are those of half a step before."""
+        return self.v + 0.5 * STEP * self.a
+
 
 @dataclass(frozen=True, eq=False)
 class Recording:
@@ -319,7 +324,7 @@ def log_columns(
     if secret.gain is not None:
         effort[:, motion.joints.index(secret.gain[0])] *= secret.gain[1]
     effort = measured(effort, _EFFORT * np.ptp(effort, axis=0))
-    q, v = measured(motion.q[:, 7:], _ENCODER), measured(motion.v[:, 6:], _TACHO)
+    q, v = measured(motion.q[:, 7:], _ENCODER), measured(motion.rate[:, 6:], _TACHO)
     for k, joint in enumerate(motion.joints):
         columns[f"{joint}.position"] = q[:, k]
         columns[f"{joint}.velocity"] = v[:, k]
@@ -343,9 +348,9 @@ def _base_columns(draw: Draw, motion: Motion, rng: np.random.Generator) -> dict[
         mujoco.mju_quat2Mat(axes, quaternion[k])
         axes = axes.reshape(3, 3)
         force[k] = axes.T @ (motion.a[k, :3] - gravity)
-        along[k] = axes.T @ motion.v[k, :3]
+        along[k] = axes.T @ motion.rate[k, :3]
         mujoco.mju_quatIntegrate(quaternion[k], turn[k], 1.0)
-    about = motion.v[:, 3:6]
+    about = motion.rate[:, 3:6]
 
     def measured(values: Array, deviation: float) -> Array:
         return values + noise * deviation * rng.normal(size=values.shape)

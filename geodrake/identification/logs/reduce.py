@@ -36,6 +36,7 @@ AT_REST = 8.0  # deviations of a speed's noise, below which a joint never moves
 LEAST_SPEED = 1e-4  # of the fastest joint's speed, below which a joint never moves
 STILL_SPEED = 0.01  # of a joint's peak speed, below which it is at rest
 _AT_ONCE = 0.1  # of the time for which the joint that moves less is in motion
+_ALIKE = 0.1  # of a joint's speed, by which it is another joint's times a ratio
 WORTHWHILE = 20  # times more rows than columns are folded into a triangular factor
 LEAST_DEVIATION = 1e-7  # of an effort's RMS: what is less is rounding of a constant
 ROWS_KEPT = 4_000  # filtered rows of each fold and joint, for autocorrelations and figures
@@ -207,20 +208,27 @@ def peak_speeds(trajectories: Sequence[Trajectory]) -> Array:
 
 
 def moving_together(trajectories: Sequence[Trajectory]) -> NDArray[np.bool_]:
-    """Return (nv, nv) whether two joints move at the same time.
+    """Return (nv, nv) whether two joints move at the same time, and not always alike.
 
-    They must do so for a tenth of the time for which the joint that moves less is in motion.
+    They must do so for a tenth of the time for which the joint that moves less is in motion. Joints
+    whose speeds are in one ratio, as those of legs whose feet stand, show what each has.
     """
     peaks = peak_speeds(trajectories)
     noise = np.max([trajectory.speed_noise for trajectory in trajectories], axis=0)
-    still, count = np.maximum(STILL_SPEED * peaks, AT_REST * noise), np.zeros((len(peaks),) * 2)
+    still = np.maximum(STILL_SPEED * peaks, AT_REST * noise)
+    count, product, square = np.zeros((3, len(peaks), len(peaks)))
     for trajectory in trajectories:
         for segment in trajectory.segments:
             for _, chunk in segment.chunks():
                 moves = (np.abs(chunk.velocity) > still).astype(float)
+                speed = moves * chunk.velocity
                 count += moves.T @ moves
+                product += speed.T @ speed
+                square += np.square(speed).T @ moves  # of the first where the second moves, too
     alone = np.diag(count)
-    return np.asarray(count >= _AT_ONCE * np.maximum(np.minimum.outer(alone, alone), 1.0))
+    at_once = count >= _AT_ONCE * np.maximum(np.minimum.outer(alone, alone), 1.0)
+    alike = product**2 > (1.0 - _ALIKE**2) * square * square.T
+    return np.asarray(at_once & ~(alike & ~np.eye(len(peaks), dtype=bool)))
 
 
 def sign_widths(model: RobotModel, trajectories: Sequence[Trajectory]) -> Array:

@@ -616,12 +616,13 @@ class Columns:
     def _without_motor(self, joints: Sequence[str]) -> tuple[str, ...]:
         """Return those of some joints without a motor, as the log, the user or the model says."""
         heard, said = self.having("effort", "command"), self.having(PASSIVE)
+        says = bool(heard) or not self.reading.of_base  # else nobody measured what motors do
         return tuple(
             joint
             for joint in joints
             if joint in said
             or self.reading.kinds.get(joint) == PASSIVE
-            or (joint in self.reading.motorless and joint not in heard)
+            or (joint in self.reading.motorless and joint not in heard and says)
         )
 
     def _has_base(self, names: Sequence[str]) -> bool:

@@ -231,6 +231,7 @@ def _share_within(columns: Columns, ticks: Array, unit: Unit) -> float:
 def _without_motors(data: dict[str, Array], columns: Columns) -> tuple[dict[str, str], list[str]]:
     """Make efforts (N, n) zeros at joints without a motor; return kinds of efforts, and notes."""
     kinds, notes, effort, command = columns.kinds, [], data["effort"], data.get("command")
+    says = bool(columns.having("effort", "command")) or not columns.reading.of_base
     for at, joint in enumerate(columns.joints):
         said, motorless = kinds.get(joint) == PASSIVE, columns.reading.motorless
         if not said and joint not in motorless:
@@ -245,7 +246,7 @@ def _without_motors(data: dict[str, Array], columns: Columns) -> tuple[dict[str,
                 "that column.",
                 joint=joint,
             )
-        if joint in motorless and not (largest or told):
+        if joint in motorless and says and not (largest or told):
             kinds[joint] = PASSIVE
             notes.append(f"{joint} has no motor in the model and no effort in the log: passive")
         if kinds.get(joint) == PASSIVE:
